@@ -1,0 +1,62 @@
+"""How long does evaluating the example policy on the whole list take, and what uses the time?
+
+Run it as `python benchmarks/evaluation.py [--workers 2] [--json FILE]`. What the service adds is not in it.
+"""
+
+import argparse
+import json
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+from vitac.evaluator.evaluation import Evaluation, evaluate
+from vitac.evaluator.staging import staged
+from vitac.evaluator.tracks import find_task
+
+EXAMPLE = Path(__file__).parents[1] / "examples" / "peg_insertion_heuristic"
+PARTS = ("physics", "markers", "policy", "channel")
+
+
+def main() -> None:
+    """Evaluates once to warm the compiled kernels and once for the clock."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--json", type=Path, help="write the numbers to this file")
+    arguments = parser.parse_args()
+    with staged(EXAMPLE) as submission:
+        play(submission, workers=1, episodes=(1,))
+        started = perf_counter()
+        evaluation = play(submission, workers=arguments.workers)
+        wall_s = perf_counter() - started
+    numbers = split(evaluation, wall_s) | {"workers": arguments.workers}
+    for name, value in numbers.items():
+        print(f"{name:24} {value:8.3f}" if isinstance(value, float) else f"{name:24} {value:>8}")
+    if arguments.json:
+        arguments.json.write_text(json.dumps(numbers, indent=1) + "\n")
+
+
+def play(submission: Path, workers: int, episodes: tuple[int, ...] | None = None) -> Evaluation:
+    """Evaluates the peg task."""
+    track, task = find_task("peg-insertion")
+    return evaluate(submission_dir=submission, track=track, task=task, workers=workers, episodes=episodes)
+
+
+def split(evaluation: Evaluation, wall_s: float) -> dict[str, Any]:
+    """Seconds by what used them, summed over the processes; `other` is loading, waiting and the rest of Python."""
+    timings = [record.timings for record in evaluation.records]
+    parts = {f"{part}_s": sum(float(getattr(timing, f"{part}_s")) for timing in timings) for part in PARTS}
+    episodes_s = sum(timing.wall_s for timing in timings)
+    env_steps = sum(record.env_steps for record in evaluation.records)
+    return {
+        "wall_s": wall_s,
+        "episodes": len(timings),
+        "env_steps": env_steps,
+        "episodes_wall_s": episodes_s,
+        **parts,
+        "other_s": episodes_s - sum(parts.values()),
+        "result_hash": evaluation.result_hash,
+    }
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,218 @@
+"""How long the service takes: a whole evaluation with the example policy by parts, and the wait in the queue.
+
+Run it as `python benchmarks/service.py [--workers 2] [--waits 20] [--json FILE]` on an otherwise idle machine. It
+starts a database and workers of its own in a temporary folder, as `vitac serve` does.
+"""
+
+import argparse
+import hashlib
+import json
+import os
+import shutil
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+from uuid import UUID, uuid4
+
+from sqlalchemy import func, select
+from vitac.evaluator.records import EpisodeRecord
+from vitac.server import evaluations, submissions, workers
+from vitac.server.auth import teams
+from vitac.server.auth.principals import CONSOLE, Principal
+from vitac.server.db.models import Evaluation, Shard, Worker
+from vitac.server.db.states import TERMINAL_EVALUATION_STATES, EvaluationState, Role
+from vitac.server.housekeeping import Housekeeping
+from vitac.server.intake import ReceivedFile, accept
+from vitac.server.queue import leases
+from vitac.server.queue.jobs import withdraw_jobs
+from vitac.server.services import Services, open_services
+from vitac.server.settings import load_settings
+
+EXAMPLE = Path(__file__).parents[1] / "examples" / "peg_insertion_heuristic" / "Track_1"
+WORKER = "from vitac.server.settings import load_settings; from vitac.worker.main import run; run(load_settings())"
+POLL_S = 0.05
+LIMIT_S = 3600.0
+
+
+def main() -> None:
+    """Measures and prints."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--waits", type=int, default=20, help="how many waits in the queue are measured")
+    parser.add_argument("--json", type=Path, help="write the figures to this file")
+    arguments = parser.parse_args()
+    with service(arguments.workers) as (services, principal):
+        figures = {
+            "evaluation": evaluation_figures(services, principal, arguments.workers),
+            "enqueue_to_start_ms": wait_figures(services, principal, arguments.waits),
+        }
+    print(json.dumps(figures, indent=1))
+    if arguments.json:
+        arguments.json.write_text(json.dumps(figures, indent=1) + "\n")
+
+
+@contextmanager
+def service(n_workers: int) -> Iterator[tuple[Services, Principal]]:
+    """Open services with a team, and workers that are ready."""
+    folder = Path(tempfile.mkdtemp(prefix="vitac-benchmark-"))
+    folder.chmod(0o711)
+    with ExitStack() as stack:
+        stack.callback(shutil.rmtree, folder, ignore_errors=True)
+        services = stack.enter_context(open_services(load_settings(state_dir=folder / "state", database_url=None)))
+        housekeeping = Housekeeping(services)
+        housekeeping.start()
+        stack.callback(housekeeping.stop)
+        for _ in range(n_workers):
+            process = subprocess.Popen(  # noqa: S603 - our own interpreter and module
+                [sys.executable, "-c", WORKER], env=os.environ | {"VITAC_STATE_DIR": str(services.settings.state_dir)}
+            )
+            stack.callback(process.wait)
+            stack.callback(process.terminate)
+        wait_until(lambda: count_workers(services) == n_workers)
+        with services.database.transaction() as session:
+            team = teams.register(session, CONSOLE, name="benchmark")
+        yield services, Principal(role=Role.TEAM, team_id=team.id, team_name=team.name)
+
+
+def evaluation_figures(services: Services, principal: Principal, n_workers: int) -> dict[str, Any]:
+    """Wall time of all episodes of the example policy, and where it went."""
+    submission_id = upload(services, principal)
+    wait_until(lambda: newest(services, submission_id).state in TERMINAL_EVALUATION_STATES)
+    done = newest(services, submission_id)
+    if done.state is not EvaluationState.COMPLETED or done.started_at is None or done.finished_at is None:
+        raise SystemExit(f"The evaluation ended as {done.state}: {done.verdict_code} {done.verdict_message}")
+    with services.database.transaction() as session:
+        task = done.submission.tasks[0]
+        records = evaluations.records_of(session, leases.key_of(done, done.submission), task)
+        machines = list(session.scalars(select(Worker.platform_class).distinct()))
+    return {
+        "episodes": len(records),
+        "workers": n_workers,
+        "processors": os.cpu_count(),
+        "platform_class": machines,
+        "wall_s": round((done.finished_at - done.started_at).total_seconds(), 2),
+        "success_rate": done.success_rate,
+        "result_hash": done.result_hash,
+        "seconds_of_all_episodes": parts(services, records),
+    }
+
+
+def parts(services: Services, records: Sequence[EpisodeRecord]) -> dict[str, float]:
+    """Sums over the episodes [s]; `database_s` is what storing exactly these records takes, measured once more."""
+    names = ("physics_s", "markers_s", "policy_s", "channel_s", "wall_s")
+    sums = {name: sum(getattr(record.timings, name) for record in records) for name in names}
+    sums["database_s"] = storing_s(services, records)
+    return {name: round(value, 3) for name, value in sums.items()}
+
+
+def storing_s(services: Services, records: Sequence[EpisodeRecord]) -> float:
+    """Time to store the records of a further run, one transaction each as a worker does it [s]."""
+    with services.database.transaction() as session:
+        submission = submissions.list_submissions(session, services.settings, CONSOLE).items[0]
+        again = submissions.run_again(session, CONSOLE, submission.id)
+        # No worker sees these jobs: they are withdrawn in the transaction that adds them.
+        evaluation = submissions.newest_evaluation(session, again)
+        shards = {episode: shard.id for shard in evaluation.shards for episode in shard.episodes}
+        withdraw_jobs(session, shards.values())
+    held = {shard_id: claim(services, shard_id) for shard_id in set(shards.values())}
+    started = time.perf_counter()
+    for record in records:
+        with services.database.transaction() as session:
+            leases.store_episode(session, held[shards[record.episode]], record)
+    took_s = time.perf_counter() - started
+    with services.database.transaction() as session:
+        submissions.cancel(session, CONSOLE, submission.id)
+    return took_s
+
+
+def claim(services: Services, shard_id: int) -> leases.Lease:
+    """Takes a shard for the benchmark itself."""
+    with services.database.transaction() as session:
+        lease = leases.claim(session, shard_id, uuid4(), LIMIT_S)
+    if lease is None:
+        raise SystemExit(f"Shard {shard_id} was taken by a worker.")
+    return lease
+
+
+def wait_figures(services: Services, principal: Principal, n: int) -> dict[str, float]:
+    """From the commit of a submission to the claim of its first shard by an idle worker [ms]."""
+    waits_ms = []
+    for number in range(n):
+        submission_id = upload(services, principal, note=f"# {number}\n")
+        waits_ms.append(1000 * started_after_s(services, submission_id))
+        with services.database.transaction() as session:
+            submissions.cancel(session, principal, submission_id)
+        wait_until(lambda: not running_shards(services))
+        time.sleep(2 * services.settings.lease_renewal_s)
+    waits_ms.sort()
+    return {
+        "n": n,
+        "median": round(statistics.median(waits_ms), 1),
+        "p95": round(waits_ms[min(n - 1, int(0.95 * n))], 1),
+        "longest": round(waits_ms[-1], 1),
+    }
+
+
+def started_after_s(services: Services, submission_id: UUID) -> float:
+    """Waits for a worker to start a submission and returns how long that took [s]."""
+    wait_until(lambda: newest(services, submission_id).started_at is not None)
+    begun = newest(services, submission_id)
+    return (begun.started_at - begun.created_at).total_seconds() if begun.started_at else float("nan")
+
+
+def upload(services: Services, principal: Principal, note: str = "") -> UUID:
+    """Submits the example policy (with a note, so that it is another content) and returns its id."""
+    with tempfile.TemporaryDirectory(dir=services.settings.scratch_dir) as name:
+        folder = Path(name) / "packed" / "Track_1"
+        shutil.copytree(EXAMPLE, folder)
+        (folder / "note.txt").write_text(note)
+        archive = Path(shutil.make_archive(str(Path(name) / "archive"), "zip", folder.parent))
+        content = archive.read_bytes()
+        received = ReceivedFile(path=archive, sha256=hashlib.sha256(content).hexdigest(), n_bytes=len(content))
+        checked = accept(services, received, track=None)
+    with services.database.transaction() as session:
+        submission, _ = submissions.create(session, principal, checked)
+        return submission.id
+
+
+def newest(services: Services, submission_id: UUID) -> Evaluation:
+    """The newest evaluation of a submission."""
+    with services.database.transaction() as session:
+        query = select(Evaluation).where(Evaluation.submission_id == submission_id)
+        found = session.scalars(query.order_by(Evaluation.created_at.desc())).first()
+        if found is None:
+            raise SystemExit(f"Submission {submission_id} has no evaluation.")
+        _ = found.submission
+        return found
+
+
+def running_shards(services: Services) -> int:
+    """Shards that a worker holds."""
+    with services.database.transaction() as session:
+        query = select(func.count()).select_from(Shard).where(Shard.lease_expires_at.is_not(None))
+        return session.scalar(query) or 0
+
+
+def count_workers(services: Services) -> int:
+    """Workers that take shards."""
+    with services.database.transaction() as session:
+        return workers.workers_alive(session, services.settings).alive
+
+
+def wait_until(holds: Callable[[], bool]) -> None:
+    """Waits for something to become true."""
+    deadline = time.monotonic() + LIMIT_S
+    while not holds():
+        if time.monotonic() > deadline:
+            raise SystemExit("The service did not get there within an hour.")
+        time.sleep(POLL_S)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""The `vitac` command line: one module per noun; nothing imports it."""

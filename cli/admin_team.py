@@ -1,0 +1,79 @@
+"""`vitac admin team`: teams of the competition."""
+
+from datetime import timedelta
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from .output import moment, print_json, print_pairs, print_table
+from .service_database import load_settings, open_service, transaction
+
+if TYPE_CHECKING:
+    from vitac.server.db.models import Team
+
+app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
+
+
+@app.command()
+def add(
+    name: Annotated[str, typer.Argument(help="The team's name, 2 to 64 characters.")],
+    contact: Annotated[str | None, typer.Option(help="Where organizers reach the team.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Add a team and print its API token, which is shown only now."""
+    from vitac.server.auth import teams, tokens
+    from vitac.server.auth.principals import CONSOLE
+    from vitac.server.db.states import Role
+
+    settings = load_settings()
+    with open_service(settings) as services, services.database.transaction() as session:
+        team = teams.register(session, CONSOLE, name=name, contact=contact)
+        issued = tokens.issue(
+            session,
+            CONSOLE,
+            role=Role.TEAM,
+            label="first token",
+            team=team,
+            lifetime=timedelta(days=settings.token_lifetime_days),
+        )
+        team_json = to_json(team)
+    if as_json:
+        print_json({"team": team_json, "secret": issued.secret})
+        return
+    print_pairs({"team": team.name, "id": team.id, "token": issued.secret})
+    print("\nThe token is not shown again. Hand it to the team; it is used as VITAC_TOKEN.")
+
+
+@app.command("list")
+def list_teams(as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False) -> None:
+    """List all teams."""
+    from vitac.server.auth import teams
+
+    with transaction() as session:
+        found = [to_json(team) for team in teams.list_teams(session)]
+    if as_json:
+        print_json(found)
+        return
+    rows = [[team["name"], team["contact"], team["created_at"], team["id"]] for team in found]
+    print_table(["team", "contact", "since", "id"], rows, none="No team yet; `vitac admin team add NAME` makes one.")
+
+
+@app.command()
+def show(
+    team: Annotated[str, typer.Argument(help="Name or id.")],
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Show one team."""
+    from vitac.server.auth import teams
+
+    with transaction() as session:
+        found = to_json(teams.find(session, team))
+    if as_json:
+        print_json(found)
+    else:
+        print_pairs(found)
+
+
+def to_json(team: "Team") -> dict[str, str | None]:
+    """Return what is shown of a team."""
+    return {"id": str(team.id), "name": team.name, "contact": team.contact, "created_at": moment(team.created_at)}

@@ -1,0 +1,174 @@
+"""Talks to a service over its REST interface. Called by `submit`, `status` and `demo`."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import httpx
+from vitac.envs.errors import VitacError
+
+DEFAULT_SERVER = "http://127.0.0.1:8000"
+CHUNK_BYTES = 1 << 18
+TIMEOUT = httpx.Timeout(30.0, connect=10.0)
+HINTS = {
+    "missing_credentials": "Set VITAC_TOKEN to your team's API token, or give --token-file.",
+    "invalid_credentials": "Check VITAC_TOKEN; ask an organizer for a new token if it was revoked or has expired.",
+    "forbidden": "This token may not do that; use one of the right team, or an organizer's.",
+    "not_found": "Check the id (vitac status lists yours) and the token.",
+    "unknown_track": "Check the track's name in submission.yaml and with --track.",
+    "archive_rejected": "Run `vitac check` on the submission; it tells everything that would be refused.",
+    "digest_mismatch": "The upload was damaged on its way; send it again.",
+    "upload_truncated": "The upload broke off; send it again.",
+    "upload_too_large": "Leave out what the policy does not need to run.",
+    "too_many_requests": "Wait a little and repeat.",
+    "database_unavailable": "The service is starting or under repair; repeat in a minute.",
+    "storage_unavailable": "The service cannot store files now; repeat in a minute.",
+}
+Json = dict[str, Any]
+
+
+class RequestRefused(VitacError):
+    """The service refused a request; the message has status, code, sentence, hint and request id."""
+
+    def __init__(self, *, status: int, code: str, detail: str, request_id: str | None) -> None:
+        self.status, self.code, self.detail, self.hint = status, code, detail, HINTS.get(code)
+        lines = [f"refused with status {status} ({code}): {detail}"]
+        if self.hint is not None:
+            lines.append(f"hint: {self.hint}")
+        if request_id is not None:
+            lines.append(f"request id: {request_id}")
+        super().__init__("\n  ".join(lines))
+
+
+class ServiceUnreachable(VitacError):
+    """Nobody answers at the address; the message says which and what to check."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Client:
+    """A service at an address, with a token.
+
+    Attributes:
+        server: address, as `http://127.0.0.1:8000`.
+        token: API token; None for what everybody may read.
+        transport: how requests travel; None: over the network.
+    """
+
+    server: str
+    token: str | None = None
+    transport: httpx.BaseTransport | None = None
+
+    def register_team(self, name: str) -> Json:
+        """Register a team; the answer holds its token, shown only now."""
+        return self._json("POST", "/api/v1/teams", json={"name": name})
+
+    def me(self) -> Json:
+        """Return whose token this is."""
+        return self._json("GET", "/api/v1/me")
+
+    def submission(self, submission_id: str) -> Json:
+        """Return one submission."""
+        return self._json("GET", f"/api/v1/submissions/{submission_id}")
+
+    def submissions(self, limit: int = 50) -> list[Json]:
+        """Return the newest submissions that the token may see."""
+        return list(self._json("GET", "/api/v1/submissions", params={"limit": limit})["items"])
+
+    def leaderboard(self, track: str) -> Json:
+        """Return the leaderboard of a track."""
+        return self._json("GET", f"/api/v1/leaderboards/{track}")
+
+    def upload(
+        self,
+        archive: Path,
+        *,
+        track: str,
+        team: str | None = None,
+        again: bool = False,
+        on_bytes: Callable[[int], None],
+    ) -> Json:
+        """Upload an archive; the server compares its SHA-256 with what arrived.
+
+        Args:
+            archive: the zip file.
+            track: name of the track.
+            team: for an organizer's token: the team that submits.
+            again: run all episodes, also those that were evaluated before.
+            on_bytes: told the number of bytes after each piece.
+        """
+        with archive.open("rb") as file:
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
+        headers = {
+            "Content-Type": "application/zip",
+            "Content-Length": str(archive.stat().st_size),
+            "X-Content-SHA256": digest,
+        }
+        params = {"track": track} | ({"team": team} if team else {}) | ({"again": "true"} if again else {})
+        return self._json(
+            "POST", "/api/v1/submissions", params=params, headers=headers, content=_pieces(archive, on_bytes)
+        )
+
+    def _json(self, method: str, path: str, **arguments: Any) -> Json:
+        headers = {"Accept": "application/json"} | arguments.pop("headers", {})
+        if self.token is not None:
+            headers["Authorization"] = f"Bearer {self.token}"
+        try:
+            with httpx.Client(base_url=self.server, timeout=TIMEOUT, transport=self.transport, trust_env=False) as http:
+                answer = http.request(method, path, headers=headers, **arguments)
+        except httpx.HTTPError as error:
+            raise ServiceUnreachable(
+                f"No service answers at {self.server} ({type(error).__name__}: {error}). Start one with `vitac serve`, "
+                "or give the right address with --server or VITAC_SERVER."
+            ) from error
+        if answer.is_success:
+            return dict(answer.json())
+        raise _refusal(answer)
+
+
+def _pieces(archive: Path, on_bytes: Callable[[int], None]) -> Iterator[bytes]:
+    with archive.open("rb") as file:
+        while piece := file.read(CHUNK_BYTES):
+            yield piece
+            on_bytes(len(piece))
+
+
+def _refusal(answer: httpx.Response) -> RequestRefused:
+    request_id = answer.headers.get("x-request-id")
+    try:
+        problem = dict(answer.json())
+    except ValueError:
+        problem = {}
+    return RequestRefused(
+        status=answer.status_code,
+        code=str(problem.get("code", "no_code")),
+        detail=str(problem.get("detail", f"{answer.reason_phrase}; this may not be a ViTac Arena service")),
+        request_id=request_id,
+    )
+
+
+def client_from(server: str | None, token_file: Path | None) -> Client:
+    """Return the client that options and environment (VITAC_SERVER, VITAC_TOKEN) ask for.
+
+    Raises:
+        VitacError: the address is none, or the token's file cannot be read.
+    """
+    address = server or os.environ.get("VITAC_SERVER") or DEFAULT_SERVER
+    if not address.startswith(("http://", "https://")):
+        raise VitacError(f"The service's address is {address!r}; expected one like {DEFAULT_SERVER}.")
+    return Client(server=address.rstrip("/"), token=_token(token_file))
+
+
+def _token(token_file: Path | None) -> str | None:
+    if token_file is None:
+        return os.environ.get("VITAC_TOKEN") or None
+    try:
+        return token_file.read_text().strip()
+    except OSError as error:
+        raise VitacError(
+            f"The token's file {token_file} cannot be read: {error.strerror}. Check --token-file."
+        ) from error

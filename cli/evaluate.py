@@ -1,0 +1,165 @@
+"""`vitac evaluate`: a submission on this machine, in the same sandbox and with the same result hash as the service."""
+
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from vitac.evaluator.evaluation import Evaluation
+    from vitac.evaluator.records import EpisodeRecord
+    from vitac.evaluator.scoring import Rate
+    from vitac.evaluator.submission import SubmissionManifest
+
+
+def parse_episodes(text: str | None) -> tuple[int, ...] | None:
+    """Episode numbers of `1:12,20`; ranges include both ends."""
+    if text is None:
+        return None
+    try:
+        parts = [part.split(":") for part in text.split(",")]
+        ranges = [range(int(part[0]), int(part[-1]) + 1) for part in parts if len(part) <= 2]
+    except ValueError:
+        ranges = []
+    if len(ranges) != text.count(",") + 1 or not all(ranges):
+        raise typer.BadParameter(f"{text!r} is not a list of numbers and ranges such as 1:12,20.")
+    return tuple(sorted({number for numbers in ranges for number in numbers}))
+
+
+def command(
+    submission: Annotated[Path, typer.Argument(help="Zip or folder with submission.yaml.")],
+    task: Annotated[
+        str | None, typer.Option(help="Task to evaluate; needed where the submission plays several.")
+    ] = None,
+    episodes: Annotated[str | None, typer.Option(help="Numbers and ranges, such as 1:12,20; all by default.")] = None,
+    workers: Annotated[int | None, typer.Option(min=1, help="Processes at once; one for each core by default.")] = None,
+    team: Annotated[str | None, typer.Option(help="Team named in the log.")] = None,
+    assets: Annotated[
+        Path | None, typer.Option(help="Folder with the challenge's own meshes [env: VITAC_ASSETS_DIR]; unranked.")
+    ] = None,
+    json: Annotated[Path | None, typer.Option(help="Write score, result hash and all records to this file.")] = None,
+    log: Annotated[Path | None, typer.Option(help="Write a log that can be verified and uploaded.")] = None,
+) -> None:
+    """Evaluate a submission here, with the same records, score and result hash as the service."""
+    from vitac.envs.assets import assets_dir_from_environment
+    from vitac.evaluator.evaluation import evaluate
+    from vitac.evaluator.staging import staged
+    from vitac.evaluator.submission import load_manifest, submission_digest
+    from vitac.evaluator.tracks import load_track
+
+    numbers = parse_episodes(episodes)
+    with staged(submission) as folder:
+        manifest = load_manifest(folder)
+        digest = submission_digest(submission)
+        track = load_track(manifest.track)
+        definition = track.tasks[_chosen_task(manifest, task)]
+        with _Progress(len(numbers or definition.episodes)) as progress:
+            evaluation = evaluate(
+                submission_dir=folder,
+                track=track,
+                task=definition,
+                episodes=numbers,
+                workers=workers or len(os.sched_getaffinity(0)),
+                assets_dir=assets or assets_dir_from_environment(),
+                on_episode=progress.advance,
+            )
+    if json:
+        json.write_text(_report(evaluation, manifest, digest), encoding="utf-8")
+    if log:
+        _write_log(log, evaluation, team, digest)
+    _print_summary(evaluation, manifest)
+    if evaluation.failure:
+        raise typer.Exit(1)
+
+
+def _chosen_task(manifest: "SubmissionManifest", task: str | None) -> str:
+    if task is None and len(manifest.tasks) == 1:
+        return manifest.tasks[0]
+    if task not in manifest.tasks:
+        raise typer.BadParameter(
+            f"The submission plays {', '.join(manifest.tasks)}; name one of them.", param_hint="--task"
+        )
+    return task
+
+
+def _report(evaluation: "Evaluation", manifest: "SubmissionManifest", digest: str) -> str:
+    from vitac.evaluator.report import EvaluationReport
+
+    return EvaluationReport.of(evaluation, name=manifest.name, digest=digest).model_dump_json(indent=1) + "\n"
+
+
+def _write_log(path: Path, evaluation: "Evaluation", team: str | None, digest: str) -> None:
+    from vitac.evaluator.logs import LogHeader, write_log
+
+    header = LogHeader(team=team, submission_digest=digest, manifest=evaluation.manifest)
+    with path.open("wb") as stream:
+        write_log(stream, header, evaluation.records)
+
+
+def _print_summary(evaluation: "Evaluation", manifest: "SubmissionManifest") -> None:
+    from .output import print_table
+
+    print(f"{manifest.name}, {evaluation.manifest.track}, {evaluation.manifest.task}")
+    if evaluation.failure:
+        print(f"failed: {evaluation.failure.code}. {evaluation.failure.code.sentence}")
+        print(evaluation.failure.message)
+        print(evaluation.failure.output_tail)
+    if evaluation.score:
+        score = evaluation.score
+        rates = {"all": score, **score.by_shape}
+        rows = [(name, rate.episodes, rate.successes, *_percentages(rate)) for name, rate in rates.items()]
+        print_table(("shape", "episodes", "solved", "rate", "95 % interval"), rows, none="")
+        print(f"mean env steps of the solved: {'none' if score.mean_steps is None else f'{score.mean_steps:.2f}'}")
+        print("ended by: " + ", ".join(f"{outcome} {count}" for outcome, count in score.outcomes.items()))
+        print("seconds: " + ", ".join(f"{name} {seconds:.1f}" for name, seconds in _seconds(evaluation).items()))
+        print(f"result hash {evaluation.result_hash}")
+
+
+def _percentages(rate: "Rate") -> tuple[str, str]:
+    return f"{rate.success_rate:.1%}", f"{rate.interval.low:.1%} to {rate.interval.high:.1%}"
+
+
+def _seconds(evaluation: "Evaluation") -> dict[str, float]:
+    """Where the time went, summed over all processes."""
+    keys = ("physics", "markers", "policy", "channel")
+    timings = [record.timings for record in evaluation.records]
+    return {key: sum(getattr(timing, f"{key}_s") for timing in timings) for key in keys}
+
+
+class _Progress:
+    """A progress bar on stderr."""
+
+    def __init__(self, total: int) -> None:
+        from rich.console import Console
+        from rich.progress import (
+            BarColumn,
+            MofNCompleteColumn,
+            Progress,
+            TextColumn,
+            TimeElapsedColumn,
+            TimeRemainingColumn,
+        )
+
+        self._bar = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            TimeRemainingColumn(),
+            console=Console(file=sys.stderr),
+        )
+        self._solved = 0
+        self._task = self._bar.add_task("starting", total=total)
+
+    def advance(self, record: "EpisodeRecord") -> None:
+        self._solved += record.success
+        self._bar.update(self._task, advance=1, description=f"{self._solved} solved")
+
+    def __enter__(self) -> "_Progress":
+        self._bar.start()
+        return self
+
+    def __exit__(self, *_: Any) -> None:
+        self._bar.stop()

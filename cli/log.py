@@ -1,0 +1,191 @@
+"""`vitac log`: evaluation logs for people and scripts."""
+
+import json as json_module
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from vitac.evaluator.logs import LogHeader
+    from vitac.evaluator.records import EpisodeRecord
+
+app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, pretty_exceptions_enable=False)
+
+LogFile = Annotated[Path, typer.Argument(exists=True, dir_okay=False, help="A log of `vitac evaluate --log`.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+
+
+@app.command()
+def show(log: LogFile, json: AsJson = False) -> None:
+    """Print the header, a table of the episodes and the score that the log claims."""
+    from vitac.evaluator.scoring import score
+
+    from .output import print_json, print_table
+
+    header, records = _read(log)
+    claimed = score(records) if records else None
+    if json:
+        episodes = [record.model_dump(mode="json", exclude={"timings", "infos"}) for record in records]
+        content = {"header": header.model_dump(mode="json"), "episodes": episodes}
+        print_json(content | {"claimed_score": claimed.model_dump(mode="json") if claimed else None})
+        return
+    manifest = header.manifest
+    print(
+        f"team {header.team or 'not named'}, {manifest.track}, {manifest.task}, evaluator {manifest.evaluator_version}"
+    )
+    print(f"solver {manifest.solver_version}, {manifest.platform_class}, submission {header.submission_digest or '-'}")
+    rows = [
+        (record.episode, record.shape, _offset(record), record.outcome.value, record.env_steps, record.total_reward)
+        for record in records
+    ]
+    print_table(("episode", "shape", "offset", "outcome", "env steps", "reward"), rows, none="no episodes")
+    if claimed:
+        print(f"claimed: {claimed.successes} of {claimed.episodes} solved, {claimed.success_rate:.1%}")
+
+
+@app.command()
+def verify(
+    log: LogFile,
+    episodes: Annotated[str | None, typer.Option(help="The log needs to hold only these, such as 1:12.")] = None,
+    json: AsJson = False,
+) -> None:
+    """Re-simulate a log from its actions; exit code 0 if it is verified, 1 if it diverges or is impossible."""
+    from vitac.evaluator.episodes import make_environment
+    from vitac.evaluator.tracks import find_task
+    from vitac.evaluator.verification import verify as verify_log
+
+    from .evaluate import parse_episodes
+    from .output import print_json
+
+    header, records = _read(log)
+    track, task = find_task(header.manifest.task)
+    verification = verify_log(
+        env=make_environment(task),
+        track=track,
+        task=task,
+        header=header,
+        records=records,
+        episodes=parse_episodes(episodes),
+        on_episode=lambda record: _progress(f"re-simulated {record.episode}"),
+    )
+    _progress("")
+    if json:
+        content = verification.model_dump(mode="json", exclude={"records"})
+        earned = verification.score
+        print_json(content | {"score": earned.model_dump(mode="json") if earned else None})
+    else:
+        print(f"{verification.verdict}: {verification.reason}")
+        if verification.divergence:
+            print(verification.divergence.model_dump_json(indent=1))
+        if verification.score:
+            print(f"{verification.score.successes} of {verification.score.episodes} solved")
+    if not verification.records:
+        raise typer.Exit(1)
+
+
+@app.command()
+def diff(first: LogFile, second: LogFile, json: AsJson = False) -> None:
+    """Print the first difference of two logs; exit code 0 if they tell the same, 1 if not."""
+    from vitac.evaluator.log_differences import first_difference
+
+    from .output import print_json
+
+    difference = first_difference(_read(first), _read(second))
+    if json:
+        print_json(difference.model_dump(mode="json") if difference else None)
+    elif difference is None:
+        print("the logs tell the same")
+    else:
+        places = (("episode", difference.episode), ("env step", difference.env_step))
+        place = " ".join(f"{name} {number}" for name, number in places if number is not None) or "header"
+        print(f"{place}: {difference.key} is {difference.first} and {difference.second}")
+    if difference:
+        raise typer.Exit(1)
+
+
+@app.command("import")
+def import_(
+    file: Annotated[Path, typer.Argument(exists=True, dir_okay=False, help="A text log of the 2025 challenge.")],
+    output: Annotated[Path | None, typer.Option(help="Write the episodes to this file as JSON lines.")] = None,
+    json: AsJson = False,
+) -> None:
+    """Read a text log of the 2025 challenge, check all that can be checked, and convert it."""
+    from vitac.evaluator.text_logs import read_text_log, summarize, to_json_lines
+
+    from .output import print_json
+
+    with file.open("rb") as stream:
+        log = read_text_log(stream)
+    kind, summary = summarize(log)
+    if output:
+        lines = (json_module.dumps(line) + "\n" for line in to_json_lines(log, kind))
+        output.write_text("".join(lines), encoding="utf-8")
+    if json:
+        print_json(summary.model_dump())
+        return
+    print(f"{kind.name}, team {summary.team}: {summary.successes} of {summary.episodes} solved")
+    claimed = "no totals" if summary.claimed_success_rate is None else f"{summary.claimed_success_rate:.2%}"
+    print(f"success rate {summary.success_rate:.2%}, claimed {claimed}; average steps {summary.claimed_average_steps}")
+    for problem in summary.problems:
+        print(f"problem: {problem}")
+
+
+@app.command()
+def audit(
+    log: LogFile,
+    submission: Annotated[Path, typer.Argument(help="Zip or folder of the model.")],
+    json: AsJson = False,
+) -> None:
+    """Tell how many of a log's actions a model gives; exit code 0 if all, 1 if not."""
+    from vitac.evaluator.agent.limits import Limits
+    from vitac.evaluator.audit import audit as audit_log
+    from vitac.evaluator.episodes import make_environment
+    from vitac.evaluator.shards import load_in_sandbox
+    from vitac.evaluator.staging import staged
+    from vitac.evaluator.tracks import find_task
+
+    from .output import print_json
+
+    header, records = _read(log)
+    _, task = find_task(header.manifest.task)
+    with staged(submission) as folder, load_in_sandbox(folder, Limits(), 0) as session:
+        result = audit_log(
+            env=make_environment(task),
+            task=task,
+            records=records,
+            open_session=lambda: session,
+            on_episode=lambda episode: _progress(f"compared {episode.episode}"),
+        )
+    _progress("")
+    if json:
+        print_json(result.model_dump() | {"actions": result.actions, "reproduced": result.reproduced})
+    else:
+        print(f"the model gives {result.reproduced} of {result.actions} actions")
+        for episode in result.episodes:
+            if episode.first_other:
+                print(
+                    f"episode {episode.episode}: {episode.reproduced} of {episode.actions}, other from env step "
+                    f"{episode.first_other} {episode.failure or ''}"
+                )
+    if result.reproduced != result.actions:
+        raise typer.Exit(1)
+
+
+def _read(log: Path) -> tuple["LogHeader", list["EpisodeRecord"]]:
+    from vitac.evaluator.logs import LogReader
+
+    with log.open("rb") as stream:
+        reader = LogReader(stream)
+        return reader.header, list(reader.records())
+
+
+def _offset(record: "EpisodeRecord") -> str:
+    return " ".join(f"{value:g}" for value in record.initial_offset)
+
+
+def _progress(text: str) -> None:
+    """One line on stderr that is written over; an empty text clears it."""
+    if sys.stderr.isatty():
+        print(f"\r\x1b[K{text}", end="", file=sys.stderr, flush=True)

@@ -1,0 +1,90 @@
+"""Entry point of the `vitac` command: a table of nouns, each imported only when it is used."""
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from importlib.metadata import version
+from typing import Annotated
+
+import typer
+from vitac.envs.errors import VitacError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Noun:
+    """One entry of `vitac --help`.
+
+    `vitac.cli.<name>` has a function `command` (no verbs) or a `typer.Typer` named `app` (several verbs).
+    """
+
+    name: str
+    summary: str
+
+
+NOUNS = (
+    Noun(name="demo", summary="Evaluate the example on a service of its own."),
+    Noun(name="check", summary="Tell what would be refused in a submission."),
+    Noun(name="evaluate", summary="Evaluate a submission here, as the service does."),
+    Noun(name="resimulate", summary="Play recorded actions through the physics."),
+    Noun(name="log", summary="Show, verify, compare and import evaluation logs."),
+    Noun(name="show", summary="Draw an episode: gels, peg and marker flow."),
+    Noun(name="submit", summary="Upload a submission to a service."),
+    Noun(name="status", summary="Show your submissions on a service."),
+    Noun(name="serve", summary="Run the service: database, API and pages."),
+    Noun(name="worker", summary="Run a worker that evaluates submissions."),
+    Noun(name="admin", summary="Organize: teams, submissions, evaluations, workers."),
+    Noun(name="doctor", summary="Try the isolation of submissions on this machine."),
+)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Runs the command line; exits with 0 for done, 1 for refused, 2 for wrong usage, 130 for Ctrl-C."""
+    arguments = sys.argv[1:] if arguments is None else list(arguments)
+    try:
+        build_app(arguments)(arguments, prog_name="vitac")
+    except VitacError as error:
+        print(f"vitac: {error}", file=sys.stderr)
+        sys.exit(1)
+
+
+def build_app(arguments: Sequence[str]) -> typer.Typer:
+    """The command line with every noun listed, but only the one that is asked for imported."""
+    app = typer.Typer(
+        callback=_options,
+        no_args_is_help=True,
+        rich_markup_mode=None,
+        pretty_exceptions_enable=False,
+        add_completion=False,
+    )
+    asked_for = next((argument for argument in arguments if not argument.startswith("-")), None)
+    for noun in NOUNS:
+        if noun.name != asked_for:
+            app.command(noun.name, help=noun.summary)(_listed_only)
+            continue
+        module = import_module(f"vitac.cli.{noun.name}")
+        if hasattr(module, "app"):
+            app.add_typer(module.app, name=noun.name, help=noun.summary)
+        else:
+            app.command(noun.name)(module.command)
+    return app
+
+
+def _show_version(asked: bool) -> None:
+    if asked:
+        from vitac.evaluator.version import evaluator_version
+
+        print(f"vitac-arena {version('vitac-arena')}, evaluator {evaluator_version()}")
+        raise typer.Exit
+
+
+def _options(
+    _: Annotated[
+        bool, typer.Option("--version", help="Show the version and exit.", is_eager=True, callback=_show_version)
+    ] = False,
+) -> None:
+    """Evaluation server and submission scoring for manipulation with vision and touch."""
+
+
+def _listed_only() -> None:
+    """Stands in the list of commands for a noun that was not asked for."""

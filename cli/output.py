@@ -1,0 +1,92 @@
+"""Prints what commands found: aligned columns for people, JSON for programs. Called by the commands."""
+
+from __future__ import annotations
+
+import json
+import sys
+from typing import TYPE_CHECKING, Any
+
+import typer
+from rich.cells import cell_len
+from vitac.envs.errors import VitacError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from datetime import datetime
+
+GAP = "  "
+
+
+class ConsentMissing(VitacError):
+    """The command changes something for good, and nobody is there to ask: give --yes."""
+
+
+def print_json(content: object) -> None:
+    """Print JSON; times and ids as text."""
+    print(json.dumps(content, indent=2, ensure_ascii=False, default=_as_text))
+
+
+def print_table(columns: Sequence[str], rows: Sequence[Sequence[object]], *, none: str) -> None:
+    """Print rows under their headings, each column as wide as its widest cell; numbers to the right.
+
+    Args:
+        columns: headings.
+        rows: cells; None is shown as a dash.
+        none: sentence where there are no rows.
+    """
+    if not rows:
+        print(none)
+        return
+    texts = [[_cell(value) for value in row] for row in rows]
+    widths = [max(cell_len(text) for text in column) for column in zip(columns, *texts, strict=True)]
+    numeric = [all(isinstance(row[index], int | float | None) for row in rows) for index in range(len(columns))]
+    for line in (list(columns), *texts):
+        print(GAP.join(_align(*cell) for cell in zip(line, widths, numeric, strict=True)).rstrip())
+
+
+def print_pairs(pairs: Mapping[str, object]) -> None:
+    """Print names and values below each other."""
+    width = max(len(name) for name in pairs)
+    for name, value in pairs.items():
+        print(f"{name:<{width}}{GAP}{_cell(value)}")
+
+
+def require_consent(question: str, *, yes: bool) -> None:
+    """Ask before something is changed for good.
+
+    Raises:
+        ConsentMissing: nobody can be asked.
+        typer.Abort: the answer was no.
+    """
+    if yes:
+        return
+    if not sys.stdin.isatty():
+        raise ConsentMissing(f"{question} Nobody can be asked here; repeat with --yes.")
+    typer.confirm(question, abort=True)
+
+
+def moment(when: datetime | None) -> str | None:
+    """Write a time in UTC to the second."""
+    from datetime import UTC
+
+    return None if when is None else when.astimezone(UTC).strftime("%Y-%m-%d %H:%M:%SZ")
+
+
+def percent(fraction: float | None) -> str | None:
+    """Write a fraction as a percentage with one decimal."""
+    return None if fraction is None else f"{100 * fraction:.1f} %"
+
+
+def _cell(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:.2f}"
+    return "-" if value is None or value == "" else str(value)
+
+
+def _align(text: str, width: int, to_the_right: bool) -> str:
+    space = " " * (width - cell_len(text))
+    return space + text if to_the_right else text + space
+
+
+def _as_text(value: Any) -> str:
+    return value.isoformat() if hasattr(value, "isoformat") else str(value)

@@ -1,0 +1,74 @@
+"""`vitac resimulate`: recorded actions through our physics, beside what was recorded."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from vitac.evaluator.recordings import Recording
+    from vitac.evaluator.resimulation import ReportedEpisode, ReportedStep
+
+
+def command(
+    file: Annotated[
+        Path,
+        typer.Argument(exists=True, dir_okay=False, help="Our own log or records, or a 2025 log as JSON lines."),
+    ],
+    task: Annotated[str, typer.Option(help="The task that was played.")],
+    assets: Annotated[
+        Path | None, typer.Option(help="Folder with the challenge's own meshes [env: VITAC_ASSETS_DIR].")
+    ] = None,
+    json: Annotated[Path | None, typer.Option(help="Write the report to this file.")] = None,
+) -> None:
+    """Play recorded actions through the physics, all of them, also those after the end of an episode.
+
+    For each env step it prints ours and, behind a stroke, what was recorded [mm]: movement of the gel surfaces (left,
+    right) and height of the peg's bottom vertices over the plate.
+    """
+    from vitac.envs.assets import assets_dir_from_environment
+    from vitac.evaluator.episodes import make_environment
+    from vitac.evaluator.recordings import read_recordings
+    from vitac.evaluator.resimulation import report, resimulate_all
+    from vitac.evaluator.tracks import find_task
+
+    _, definition = find_task(task)
+    recordings = read_recordings(file, definition)
+    env = make_environment(definition, assets or assets_dir_from_environment())
+    episodes = []
+    for recording, played in resimulate_all(env, recordings):
+        episodes.append(played)
+        for line in _lines(recording, played):
+            print(line)
+    result = report(env, episodes)
+    if json:
+        json.write_text(result.model_dump_json(exclude_unset=True, indent=1) + "\n", encoding="utf-8")
+    successes = sum(episode.success for episode in episodes)
+    print(
+        f"{len(episodes)} episodes, {successes} successes; {result.ipc_steps} IPC steps, "
+        f"{1000 * result.cpu_s_per_ipc_step:.1f} ms of CPU each; solver {result.solver_version}"
+    )
+
+
+def _lines(recording: "Recording", played: "ReportedEpisode") -> Iterator[str]:
+    from vitac.evaluator.resimulation import reported_step
+
+    start = " ".join(f"{value:g}" for value in recording.episode.offset)
+    yield f"Episode {played.episode}: {recording.episode.shape} at {start}"
+    for ours, info in zip(played.steps, recording.infos, strict=False):
+        yield _step_line(ours, reported_step(ours.n, info))
+    end = f"{played.end_reason} at env step {played.end_step}" if played.end_reason else "not ended"
+    recorded = "success" if recording.success else "no success"
+    yield f"  {end} | recorded {recorded} after {len(recording.actions)} env steps"
+
+
+def _step_line(ours: "ReportedStep", recorded: "ReportedStep") -> str:
+    return (
+        f"  step {ours.n:2}  surface {_numbers(ours.surface_diff_mm)} | {_numbers(recorded.surface_diff_mm)}"
+        f"  peg {_numbers(ours.peg_relative_z_mm)} | {_numbers(recorded.peg_relative_z_mm)}"
+    )
+
+
+def _numbers(values: tuple[float, ...] | None) -> str:
+    return " ".join(f"{value:6.3f}" for value in values) if values else "-"

@@ -1,0 +1,59 @@
+"""Opens the service's database and files for the commands that work on them directly: `serve`, `demo`, `admin`."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack, contextmanager
+from typing import TYPE_CHECKING, Any
+
+from vitac.envs.errors import VitacError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from sqlalchemy.orm import Session
+    from vitac.server.services import Services
+    from vitac.server.settings import Settings
+
+
+class DatabaseUnreachable(VitacError):
+    """Nobody answers at VITAC_DATABASE_URL, or the schema cannot be brought up to date."""
+
+
+def load_settings(**overrides: Any) -> Settings:
+    """Build the settings of this process from the environment; options given on the command line win.
+
+    Raises:
+        SettingsError: a value cannot be used.
+    """
+    from vitac.server import settings
+
+    return settings.load_settings(**{name: value for name, value in overrides.items() if value is not None})
+
+
+@contextmanager
+def open_service(settings: Settings) -> Iterator[Services]:
+    """Open database (the embedded one is started where none is configured) and files, with the schema of this version.
+
+    Raises:
+        DatabaseUnreachable: the configured server does not answer.
+        VitacError: the embedded one does not start.
+    """
+    from sqlalchemy.exc import OperationalError
+    from vitac.server.services import open_services
+
+    with ExitStack() as stack:
+        try:
+            services = stack.enter_context(open_services(settings))
+        except OperationalError as error:
+            raise DatabaseUnreachable(
+                f"The database cannot be used: {str(error.orig).strip()}. Check VITAC_DATABASE_URL and that the server "
+                "runs, or unset it to use the embedded one."
+            ) from error
+        yield services
+
+
+@contextmanager
+def transaction() -> Iterator[Session]:
+    """Open the service that the environment names and one transaction on its database."""
+    with open_service(load_settings()) as services, services.database.transaction() as session:
+        yield session

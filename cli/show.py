@@ -1,0 +1,292 @@
+"""`vitac show`: draws an episode, for documents and for people who want to see what their policy does."""
+
+import sys
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib.metadata import requires
+from importlib.util import find_spec
+from pathlib import Path
+from shlex import quote
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Annotated, Literal, cast
+
+import typer
+from vitac.envs.errors import VitacError
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+    from vitac.envs.drawing.files import Kind
+    from vitac.envs.drawing.picture import Caption
+    from vitac.envs.drawing.playback import NextAction, Playback
+    from vitac.envs.task_env import Info, Observation, TactileTaskEnv
+    from vitac.evaluator.recordings import Recording
+    from vitac.evaluator.tracks import Episode, Task
+
+_EXTRA = "show"
+_PICTURE_WIDTH_PX, _ANIMATION_WIDTH_PX = 1600, 1000
+_BETWEEN_MS, _ENV_STEP_MS, _END_MS = 120, 700, 2500
+
+
+class ExtraMissing(VitacError):
+    """The packages that draw are not installed; the message is the command that installs them."""
+
+
+class NothingToShow(VitacError):
+    """The file of actions does not hold the episode, or the episode has no such env step."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Start:
+    """Where an episode starts.
+
+    Attributes:
+        env_id: environment that is played.
+        title: which episode this is.
+        options: of the reset.
+        listed: the task and its episode, or None for a random start of an environment.
+    """
+
+    env_id: str
+    title: str
+    options: Mapping[str, object]
+    listed: "tuple[Task, Episode] | None" = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Played:
+    """An episode about to be played: its start, its actions, and where they come from."""
+
+    start: Start
+    next_action: "NextAction"
+    actions: str
+
+
+def command(
+    task: Annotated[str, typer.Argument(help="Task, such as peg-insertion, or the id of an environment.")],
+    episode: Annotated[
+        int, typer.Option(help="Number in the task's list; of an environment, the seed of a random start.")
+    ],
+    policy: Annotated[Path | None, typer.Option(help="Submission whose policy acts, in its sandbox.")] = None,
+    actions: Annotated[
+        Path | None,
+        typer.Option(exists=True, dir_okay=False, help="Log with the actions: ours, or a 2025 log as JSON lines."),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="FILE.png, .gif or .webp, or a new folder for a PNG per moment; TASK-EPISODE.png by default."
+        ),
+    ] = None,
+    colour: Annotated[
+        Literal["stress", "displacement"], typer.Option(help="What the gels are coloured by.")
+    ] = "stress",
+    step: Annotated[
+        int | None, typer.Option(min=0, help="Env step that a PNG shows, 0 is after the grasp; the last by default.")
+    ] = None,
+    every: Annotated[
+        Literal["env-step", "ipc-step"] | None,
+        typer.Option(help="How often a picture is made; ipc-step by default where it is animated."),
+    ] = None,
+    width: Annotated[
+        int | None, typer.Option(min=600, max=4000, help="Pixels across; 1600, or 1000 where it is animated.")
+    ] = None,
+    assets: Annotated[
+        Path | None, typer.Option(help="Folder with the challenge's own meshes [env: VITAC_ASSETS_DIR].")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Draw an episode: gels by stress or displacement, the part they hold, the hole cut open, and both marker flows.
+
+    Without --policy and --actions the part goes straight to its target, which no policy could do: it is not told where
+    that is.
+    """
+    require_extra()
+    from vitac.envs.drawing.colouring import Quantity
+    from vitac.envs.drawing.files import Destination
+    from vitac.envs.drawing.picture import Caption, draw
+    from vitac.envs.drawing.playback import Pace, record
+
+    if policy and actions:
+        raise typer.BadParameter("give one of them.", param_hint="--policy and --actions")
+    start = find_start(task, episode)
+    destination = Destination.at(out or Path(f"{task.rpartition('/')[2]}-{episode}.png"))
+    if step is not None and destination.kind is not destination.kind.PNG:
+        raise typer.BadParameter("only a single PNG shows one env step.", param_hint="--step")
+    pace = Pace(every) if every else Pace.IPC_STEP if destination.kind.is_animated else Pace.ENV_STEP
+    env = _environment(start.env_id, assets)
+    with _player(start, policy, actions) as played:
+        playback = record(env, options=played.start.options, next_action=played.next_action, pace=pace)
+    title = played.start.title if played.start.listed else f"{played.start.title}: {playback.held.name}"
+    caption = Caption(title=title, actions=played.actions)
+    moments = _chosen(playback, destination.kind, step)
+    pictures = draw(
+        playback,
+        caption,
+        quantity=Quantity(colour),
+        width_px=width or (_ANIMATION_WIDTH_PX if destination.kind.is_animated else _PICTURE_WIDTH_PX),
+        moments=moments,
+    )
+    names, durations_ms = zip(*_names_and_durations(playback), strict=True)
+    written = destination.write(
+        list(_with_progress(pictures, len(names[moments]))), names=names[moments], durations_ms=durations_ms[moments]
+    )
+    _report(caption, playback, written, as_json=as_json)
+
+
+def require_extra() -> None:
+    """Make sure that the packages that draw are here.
+
+    Raises:
+        ExtraMissing: one is not.
+    """
+    if find_spec("matplotlib") and find_spec("PIL"):
+        return
+    wanted = [line.split(";")[0].strip() for line in requires("vitac-arena") or () if f'extra == "{_EXTRA}"' in line]
+    packages = " ".join(quote(package) for package in wanted)
+    raise ExtraMissing(
+        f"Drawing needs packages that are not installed; install them with: {sys.executable} -m pip install {packages}"
+    )
+
+
+def find_start(task: str, number: int) -> Start:
+    """An episode of a task's list, or the random start of an environment that has the number as its seed.
+
+    Raises:
+        UnknownTask: there is neither such a task nor such an environment.
+        UnknownEpisodes: the list does not have that number.
+    """
+    from vitac.envs import ENVIRONMENTS
+    from vitac.evaluator.shards import cut
+    from vitac.evaluator.tracks import find_task
+
+    if task in ENVIRONMENTS:
+        return Start(env_id=task, title=f"{task}, random start {number}", options={"rng_seed": number})
+    _, definition = find_task(task)
+    (shard,) = cut(definition, [number])
+    return _listed(definition, shard.episodes[0])
+
+
+def _listed(task: "Task", episode: "Episode") -> Start:
+    title = f"{task.title}, episode {episode.number}: {episode.shape}"
+    return Start(env_id=task.env_id, title=title, options=episode.options, listed=(task, episode))
+
+
+def _environment(env_id: str, assets: Path | None) -> "TactileTaskEnv":
+    import gymnasium
+    from vitac.envs.assets import assets_dir_from_environment
+
+    env = gymnasium.make(env_id, disable_env_checker=True, assets_dir=assets or assets_dir_from_environment())
+    return cast("TactileTaskEnv", env.unwrapped)
+
+
+@contextmanager
+def _player(start: Start, policy: Path | None, actions: Path | None) -> Iterator[Played]:
+    from vitac.envs.drawing.guided_motion import DESCRIPTION, straight_to_target
+
+    if not policy and not actions:
+        yield Played(start=start, next_action=straight_to_target(start.env_id), actions=DESCRIPTION)
+        return
+    if start.listed is None:
+        raise NothingToShow(
+            f"{start.env_id} is not a task; a policy and recorded actions need one, as peg-insertion is."
+        )
+    task, episode = start.listed
+    if policy:
+        with _policy_player(task, start, policy) as played:
+            yield played
+    elif actions:
+        recording = _recording(task, episode.number, actions)
+        start = _listed(task, recording.episode)
+        yield Played(start=start, next_action=_one_by_one(recording.actions), actions=actions.name)
+
+
+@contextmanager
+def _policy_player(task: "Task", start: Start, submission: Path) -> Iterator[Played]:
+    from vitac.evaluator.agent.session import PolicySession
+    from vitac.evaluator.episodes import public_part
+    from vitac.evaluator.submission import load_manifest, stage
+
+    with TemporaryDirectory(prefix="vitac-show-") as folder:
+        Path(folder).chmod(0o755)  # Under root the sandbox has a user of its own, which must reach the submission.
+        staged = stage(submission, Path(folder) / "submission")
+        manifest = load_manifest(staged)
+        if task.name not in manifest.tasks:
+            raise NothingToShow(
+                f"The submission plays {', '.join(manifest.tasks)}, not {task.name}; show one of these."
+            )
+        with (
+            PolicySession(staged, entry_point=manifest.entry_point) as session,
+            session.episode(task=task.name, action_shape=(len(task.actions),)) as policy,
+        ):
+            yield Played(
+                start=start,
+                next_action=lambda observation, _: policy.act(public_part(task, observation)),
+                actions=manifest.name,
+            )
+
+
+def _recording(task: "Task", number: int, path: Path) -> "Recording":
+    from vitac.evaluator.recordings import read_recordings
+
+    for recording in read_recordings(path, task):
+        if recording.episode.number == number:
+            return recording
+    raise NothingToShow(f"{path} holds no actions for episode {number}; `vitac log show` lists the episodes of a log.")
+
+
+def _one_by_one(actions: "NDArray[np.float32]") -> "NextAction":
+    remaining = iter(actions)
+
+    def next_action(_: "Observation", __: "Info") -> "NDArray[np.float32] | None":
+        return next(remaining, None)
+
+    return next_action
+
+
+def _chosen(playback: "Playback", kind: "Kind", step: int | None) -> slice:
+    """The moments that are drawn."""
+    if kind is not kind.PNG:
+        return slice(None)
+    ends = playback.last_moments
+    if step is not None and step >= len(ends):
+        raise NothingToShow(
+            f"The episode ended after env step {len(ends) - 1}; --step can be 0 to {len(ends) - 1}, came {step}."
+        )
+    index = ends[-1 if step is None else step]
+    return slice(index, index + 1)
+
+
+def _names_and_durations(playback: "Playback") -> Iterator[tuple[str, int]]:
+    """File name and time on screen [ms] of every moment."""
+    first = 0
+    for index, moment in enumerate(playback.moments):
+        if index in playback.last_moments:
+            yield f"step-{moment.env_step:02}", _END_MS if moment is playback.moments[-1] else _ENV_STEP_MS
+            first = index + 1
+        else:
+            yield f"step-{moment.env_step:02}-ipc-{index - first + 1:02}", _BETWEEN_MS
+
+
+def _with_progress(pictures: "Iterable[NDArray[np.uint8]]", total: int) -> "Iterator[NDArray[np.uint8]]":
+    from rich.console import Console
+    from rich.progress import track
+
+    yield from track(pictures, description="drawing", total=total, console=Console(stderr=True), transient=True)
+
+
+def _report(caption: "Caption", playback: "Playback", written: list[Path], *, as_json: bool) -> None:
+    last = playback.moments[-1]
+    outcome = last.end_reason or "not ended"
+    if as_json:
+        from .output import print_json
+
+        files = [str(path) for path in written]
+        found = {"title": caption.title, "actions": caption.actions, "outcome": outcome, "env_steps": last.env_step}
+        print_json(found | {"files": files})
+        return
+    print(f"{caption.title}: {outcome} after {last.env_step} env steps")
+    print(f"actions: {caption.actions}")
+    for path in written:
+        print(path)

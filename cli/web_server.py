@@ -1,0 +1,108 @@
+"""Runs the HTTP server in a thread of this process. Called by `serve` and `demo`."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from vitac.envs.errors import VitacError
+
+if TYPE_CHECKING:
+    import uvicorn
+    from fastapi import FastAPI
+
+BACKLOG = 2048
+START_LIMIT_S = 30.0
+STOP_LIMIT_S = 10.0
+
+
+class PortTaken(VitacError):
+    """Another program listens at the address."""
+
+
+class ServerDidNotStart(VitacError):
+    """The HTTP server ended before it was ready; its log says why."""
+
+
+def bind(host: str, port: int) -> socket.socket:
+    """Return a socket bound to an address; port 0 takes a free one.
+
+    Raises:
+        PortTaken: the port is in use, or this user may not use it.
+    """
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    listener = socket.socket(family, socket.SOCK_STREAM)
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listener.bind((host, port))
+    except OSError as error:
+        listener.close()
+        raise PortTaken(
+            f"Cannot listen at {host} port {port}: {error.strerror}. Choose another with --port (0 takes a free one)."
+        ) from error
+    return listener
+
+
+def bind_or_any(host: str, port: int) -> socket.socket:
+    """Return a socket bound to the port, or to a free one where that is taken."""
+    try:
+        return bind(host, port)
+    except PortTaken:
+        return bind(host, 0)
+
+
+def address_of(listener: socket.socket) -> str:
+    """Return the address for people: `http://127.0.0.1:8000`."""
+    host, port = listener.getsockname()[:2]
+    shown = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}.get(host, f"[{host}]" if ":" in host else host)  # noqa: S104
+    return f"http://{shown}:{port}"
+
+
+@dataclass(kw_only=True)
+class WebServer:
+    """An application served at a bound socket from `start` to `stop`."""
+
+    app: FastAPI
+    listener: socket.socket
+    _server: uvicorn.Server | None = field(default=None, init=False)
+    _thread: threading.Thread | None = field(default=None, init=False)
+
+    def start(self) -> None:
+        """Serve; returns when requests are answered.
+
+        Raises:
+            ServerDidNotStart: it ended instead.
+        """
+        import uvicorn
+
+        configuration = uvicorn.Config(
+            self.app,
+            log_config=None,
+            access_log=False,
+            backlog=BACKLOG,
+            timeout_graceful_shutdown=3,
+            server_header=False,
+        )
+        self._server = uvicorn.Server(configuration)
+        self._thread = threading.Thread(target=self._run, args=[self._server], name="http", daemon=True)
+        self._thread.start()
+        deadline = time.monotonic() + START_LIMIT_S
+        while not self._server.started:
+            if not self._thread.is_alive() or time.monotonic() > deadline:
+                raise ServerDidNotStart("The HTTP server did not start. Its log says why; `vitac serve` prints it.")
+            time.sleep(0.01)
+
+    def stop(self) -> None:
+        """End all connections and stop serving."""
+        if self._server is not None and self._thread is not None:
+            self._server.should_exit = True
+            self._thread.join(STOP_LIMIT_S)
+        self.listener.close()
+
+    def _run(self, server: uvicorn.Server) -> None:
+        with suppress(SystemExit):  # how uvicorn tells that the application did not start
+            server.run(sockets=[self.listener])

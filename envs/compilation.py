@@ -1,0 +1,66 @@
+"""How every numerical kernel is compiled: Numba, float64, no reassociation, cached on disk per version of sources."""
+
+import hashlib
+import os
+import tempfile
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import ParamSpec, TypeVar
+
+import numba
+
+Parameters = ParamSpec("Parameters")
+Result = TypeVar("Result")
+
+
+def kernel(function: Callable[Parameters, Result]) -> Callable[Parameters, Result]:
+    """Compile a function with the options that keep its bits equal on every CPU.
+
+    `fastmath=False` forbids reordering and fused multiply-add, so a generic and a native build agree; no threads.
+    Machine code is cached under `cache_directory()`: Numba notices only changes of the file that holds a kernel, not
+    of the kernels it calls, so the directory's name carries the digest of all modules with kernels.
+    """
+    previous = numba.config.CACHE_DIR  # type: ignore[attr-defined]
+    numba.config.CACHE_DIR = str(cache_directory())  # type: ignore[attr-defined]
+    try:
+        compiled: Callable[Parameters, Result] = numba.njit(
+            cache=True, fastmath=False, error_model="numpy", nogil=True
+        )(function)
+    finally:
+        numba.config.CACHE_DIR = previous  # type: ignore[attr-defined]
+    return compiled
+
+
+@cache
+def cache_directory() -> Path:
+    """Folder of compiled kernels: `VITAC_CACHE_DIR`, else the user's cache folder, else a private temporary one."""
+    name = f"kernels-{source_digest()[:16]}"
+    for root in _candidate_roots():
+        directory = root / name
+        try:
+            directory.mkdir(parents=True, exist_ok=True)
+        except OSError:
+            continue
+        if os.access(directory, os.W_OK):
+            return directory
+    return Path(tempfile.mkdtemp(prefix="vitac-")) / name
+
+
+@cache
+def source_digest() -> str:
+    """SHA-256 of the modules of this package that hold kernels, in order of their paths."""
+    root = Path(__file__).parent
+    digest = hashlib.sha256()
+    for path in sorted(root.rglob("*.py")):
+        source = path.read_bytes()
+        if b"@kernel" in source:
+            digest.update(path.relative_to(root).as_posix().encode() + b"\0" + source + b"\0")
+    return digest.hexdigest()
+
+
+def _candidate_roots() -> list[Path]:
+    if explicit := os.environ.get("VITAC_CACHE_DIR"):
+        return [Path(explicit)]
+    home_cache = os.environ.get("XDG_CACHE_HOME")
+    return [(Path(home_cache) if home_cache else Path.home() / ".cache") / "vitac"]

@@ -1,0 +1,88 @@
+"""Elementary functions whose bits do not depend on the machine's libm.
+
+Every value that can reach a state or an observation comes from these or from IEEE-754 basic operations
+(+, -, *, /, sqrt), which are exactly rounded everywhere. A libm's `log`, `sin` and `cos` are not: their last bit
+differs between versions and between the CPU variants that one version picks at run time.
+"""
+
+import numba
+import numpy as np
+
+from .compilation import kernel
+
+_LN2_HIGH = 6.93147180369123816490e-01
+_LN2_LOW = 1.90821492927058770002e-10
+_SQRT_HALF = 0.7071067811865476
+_TWO_OVER_PI = 0.6366197723675814
+_HALF_PI_HIGH = 1.5707963267341256
+_HALF_PI_LOW = 6.077100506506192e-11
+_LARGEST_ANGLE_RAD = 1.0e4
+
+
+@kernel
+def natural_log(x: float) -> float:
+    """Natural logarithm, within 1 ulp, of a positive normal number; NaN otherwise.
+
+    x = m 2^k with m in [sqrt(1/2), sqrt(2)); with s = (m - 1)/(m + 1), ln m = 2 artanh(s) = 2 (s + s^3/3 + ...),
+    summed to s^23 (|s| <= 0.1716, first neglected term below 2^-57 of the result).
+    """
+    if not (2.2250738585072014e-308 <= x <= 1.7976931348623157e308):
+        return np.nan
+    bits: int = _bits_of(x)  # type: ignore[call-arg]
+    exponent = ((bits >> 52) & 0x7FF) - 1022
+    mantissa = _float_of((bits & 0x000FFFFFFFFFFFFF) | 0x3FE0000000000000)
+    if mantissa < _SQRT_HALF:
+        mantissa = 2.0 * mantissa
+        exponent -= 1
+    f = mantissa - 1.0
+    s = f / (2.0 + f)
+    z = s * s
+    tail = 1.0 / 23.0
+    for odd in range(21, 1, -2):
+        tail = tail * z + 1.0 / odd
+    # 2 artanh(s) = f - s (f - 2 z tail), since 2 s = f - s f: the leading term f is exact.
+    return exponent * _LN2_HIGH + (exponent * _LN2_LOW + (f - s * (f - 2.0 * z * tail)))
+
+
+@kernel
+def sine_cosine(angle_rad: float) -> tuple[float, float]:
+    """Sine and cosine of an angle of at most 1e4 rad, each within 1e-15; NaN beyond.
+
+    Reduced by the nearest multiple of pi/2 (two-part constant), then the Taylor series on [-pi/4, pi/4].
+    """
+    if not abs(angle_rad) <= _LARGEST_ANGLE_RAD:
+        return np.nan, np.nan
+    quarter_turns = np.floor(angle_rad * _TWO_OVER_PI + 0.5)
+    r = (angle_rad - quarter_turns * _HALF_PI_HIGH) - quarter_turns * _HALF_PI_LOW
+    z = r * r
+    sine_tail = 0.0
+    cosine_tail = 0.0
+    for k in range(17, 1, -2):
+        sine_tail = (1.0 - sine_tail) * z / (k * (k - 1.0))
+        cosine_tail = (1.0 - cosine_tail) * z / (k * (k + 1.0))
+    sine = r - r * sine_tail
+    cosine = 1.0 - 0.5 * z * (1.0 - cosine_tail)
+    quadrant = int(quarter_turns) % 4
+    if quadrant == 0:
+        return sine, cosine
+    if quadrant == 1:
+        return cosine, -sine
+    if quadrant == 2:
+        return -sine, -cosine
+    return -cosine, sine
+
+
+@numba.extending.intrinsic
+def _bits_of(typing_context, x):  # type: ignore[no-untyped-def]  # noqa: ARG001 - numba's intrinsic protocol
+    def codegen(context, builder, signature, arguments):  # type: ignore[no-untyped-def]  # noqa: ARG001
+        return builder.bitcast(arguments[0], context.get_value_type(numba.types.int64))
+
+    return numba.types.int64(numba.types.float64), codegen
+
+
+@numba.extending.intrinsic
+def _float_of(typing_context, bits):  # type: ignore[no-untyped-def]  # noqa: ARG001 - numba's intrinsic protocol
+    def codegen(context, builder, signature, arguments):  # type: ignore[no-untyped-def]  # noqa: ARG001
+        return builder.bitcast(arguments[0], context.get_value_type(numba.types.float64))
+
+    return numba.types.float64(numba.types.int64), codegen

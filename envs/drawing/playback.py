@@ -1,0 +1,140 @@
+"""An episode kept for drawing: what stands where after every env step, or after every IPC step. Made by `record`."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..fem.mesh import GelMesh, SurfaceMesh
+from ..grasped_scene import GraspedScene, PhysicsSettings
+from ..gripper import SensorPose
+from ..task_env import Info, Observation, TactileTaskEnv
+
+FloatArray = NDArray[np.float64]
+NextAction = Callable[[Observation, Info], NDArray[np.float32] | None]
+
+
+class Pace(StrEnum):
+    """How often a moment is kept."""
+
+    ENV_STEP = "env-step"  # after the reset and after each env step
+    IPC_STEP = "ipc-step"  # also after each IPC step within an env step
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Moment:
+    """The scene at one time; within an env step, observation and info are those before it.
+
+    Attributes:
+        env_step: number of the env step that ends at this moment or later; 0 after the reset.
+        gel_nodes_m: all nodes of the left and the right gel in the world [m], shapes [n, 3].
+        sensor_poses: of the left and the right sensor.
+        held_m: vertices of the held part in the world [m], shape [v, 3].
+        marker_flow: what the policy was given [pixel], shape [2, 2, 128, 2].
+        info: of the last reset or env step that has ended.
+    """
+
+    env_step: int
+    gel_nodes_m: tuple[FloatArray, FloatArray]
+    sensor_poses: tuple[SensorPose, SensorPose]
+    held_m: FloatArray
+    marker_flow: NDArray[np.float32]
+    info: Mapping[str, Any]
+
+    @property
+    def end_reason(self) -> str | None:
+        """Why the episode has ended, or None while it goes on."""
+        reason: str | None = self.info["end_reason"]
+        return reason
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Playback:
+    """What does not change in an episode, and its moments in order.
+
+    Attributes:
+        env_id: registered id of the environment.
+        gel: mesh of both gels, in their own frame.
+        physics: materials of the gels.
+        held: the part in the grasp, in its own frame.
+        fixed: the part it goes into.
+        fixed_m: vertices of that part in the world [m], shape [v, 3].
+        moments: at least one.
+    """
+
+    env_id: str
+    gel: GelMesh
+    physics: PhysicsSettings
+    held: SurfaceMesh
+    fixed: SurfaceMesh
+    fixed_m: FloatArray
+    moments: tuple[Moment, ...]
+
+    @property
+    def last_moments(self) -> tuple[int, ...]:
+        """Index of the moment at which each env step ends, the reset first."""
+        steps = [moment.env_step for moment in self.moments]
+        return tuple(index for index, step in enumerate(steps) if step not in steps[index + 1 :])
+
+
+def record(
+    env: TactileTaskEnv, *, options: Mapping[str, Any], next_action: NextAction, pace: Pace = Pace.ENV_STEP
+) -> Playback:
+    """Play an episode until it ends or no action comes, and keep it.
+
+    Args:
+        env: environment of a tactile task; it is reset here.
+        options: of the reset.
+        next_action: gives the action for an observation and the info with it, or None to stop.
+        pace: how often a moment is kept.
+    """
+    observation, info = env.reset(options=dict(options))
+    moments = [_moment(env.scene, 0, observation, info)]
+    while info["end_reason"] is None:
+        action = next_action(observation, info)
+        if action is None:
+            break
+        number = moments[-1].env_step + 1
+        if pace is Pace.IPC_STEP:
+            env.scene.after_ipc_step = partial(_keep, moments, env.scene, number, observation, info)
+        observation, _, _, _, info = env.step(action)
+        env.scene.after_ipc_step = None
+        ended = _moment(env.scene, number, observation, info)
+        if pace is Pace.IPC_STEP:
+            moments[-1] = ended  # The last IPC step ends the env step.
+        else:
+            moments.append(ended)
+    return _playback(env, tuple(moments))
+
+
+def _keep(moments: list[Moment], scene: GraspedScene, env_step: int, observation: Observation, info: Info) -> None:
+    moments.append(_moment(scene, env_step, observation, info))
+
+
+def _moment(scene: GraspedScene, env_step: int, observation: Observation, info: Info) -> Moment:
+    return Moment(
+        env_step=env_step,
+        gel_nodes_m=(scene.gel_nodes_m(0), scene.gel_nodes_m(1)),
+        sensor_poses=(scene.sensor_pose(0), scene.sensor_pose(1)),
+        held_m=scene.held_vertices_m(np.arange(len(scene.held.mesh.vertices_m))),
+        marker_flow=observation["marker_flow"],
+        info=info,
+    )
+
+
+def _playback(env: TactileTaskEnv, moments: tuple[Moment, ...]) -> Playback:
+    scene = env.scene
+    fixed = scene.fixed
+    return Playback(
+        env_id=env.env_id,
+        gel=scene.gel,
+        physics=scene.physics,
+        held=scene.held.mesh,
+        fixed=fixed.mesh,
+        fixed_m=fixed.mesh.vertices_m @ fixed.rotation.T + fixed.translation_m,
+        moments=moments,
+    )

@@ -1,0 +1,72 @@
+"""Cuts of closed surfaces by a plane: the outlines that a section shows. Used for cut-open parts and section views."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plane:
+    """The plane normal . x = offset.
+
+    Attributes:
+        normal: unit vector.
+        offset_m: distance from the origin along the normal [m].
+    """
+
+    normal: tuple[float, float, float]
+    offset_m: float
+
+    def heights_m(self, points_m: FloatArray) -> FloatArray:
+        """Signed distances from the plane [m], positive on the normal's side, shape [..., 3] to [...]."""
+        return np.asarray(points_m @ np.array(self.normal) - self.offset_m)
+
+
+def section_loops_m(vertices_m: FloatArray, triangles: IndexArray, plane: Plane) -> list[FloatArray]:
+    """Closed outlines in which a plane cuts a closed surface, each of shape [k, 3] [m], the first point not repeated.
+
+    Seen against the plane's normal, material lies to the left of an outline, so that outlines of holes turn the other
+    way. A vertex exactly on the plane counts as above it.
+    """
+    following = dict(_crossings(triangles, plane.heights_m(vertices_m) >= 0.0))
+    heights = plane.heights_m(vertices_m)
+    loops = []
+    while following:
+        edge, after = following.popitem()
+        loop = [_crossing_point(vertices_m, heights, edge)]
+        while after != edge:
+            loop.append(_crossing_point(vertices_m, heights, after))
+            after = following.pop(after)
+        loops.append(np.array(loop))
+    return loops
+
+
+Edge = tuple[int, int]
+
+
+def _crossings(triangles: IndexArray, above: NDArray[np.bool_]) -> list[tuple[Edge, Edge]]:
+    """For every triangle that the plane cuts, the edge by which its outline enters and the one by which it leaves."""
+    cut = above[triangles].any(axis=1) & ~above[triangles].all(axis=1)
+    return [_entry_and_exit(triangle, above) for triangle in triangles[cut].tolist()]
+
+
+def _entry_and_exit(triangle: list[int], above: NDArray[np.bool_]) -> tuple[Edge, Edge]:
+    """The outline enters by the edge that falls through the plane and leaves by the one that rises."""
+    edges = [(triangle[i], triangle[(i + 1) % 3]) for i in range(3)]
+    falling = next(edge for edge in edges if above[edge[0]] and not above[edge[1]])
+    rising = next(edge for edge in edges if not above[edge[0]] and above[edge[1]])
+    return _undirected(falling), _undirected(rising)
+
+
+def _undirected(edge: Edge) -> Edge:
+    return (edge[0], edge[1]) if edge[0] < edge[1] else (edge[1], edge[0])
+
+
+def _crossing_point(vertices_m: FloatArray, heights: FloatArray, edge: Edge) -> FloatArray:
+    a, b = edge
+    part = heights[a] / (heights[a] - heights[b])
+    return np.asarray(vertices_m[a] + part * (vertices_m[b] - vertices_m[a]))

@@ -1,0 +1,285 @@
+"""Solves one IPC step by Newton's method on the forces, with the exact Jacobian of friction.
+
+The step's forces are not the gradient of an energy once friction is taken at the solution, so the matrix is unsymmetric
+and there is no energy to descend. Newton's iterations come in turns of two kinds:
+
+- *free* ones take the whole Newton step, as far as contact and inversion allow. Nearly every IPC step is solved within
+  the first turn, converging quadratically.
+- *cautious* ones take the exact matrix only where all its pivots are positive, otherwise the projected one, which is
+  positive semi-definite, and shorten a step that would overshoot: the forces' component along it may not have turned
+  round by more than half. They lead out of the cycles and past the saddle points that trap free iterations.
+
+A solution whose Jacobian has a negative determinant has a direction in which it moves away by itself: it is refused,
+and the caller looks for another by dividing the driven motion.
+"""
+
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..compilation import kernel
+from .assembly import Workspace, assemble, point_positions
+from .broad_phase import Candidates, find_candidates, relative_motion
+from .ccd import contact_free_fraction, inversion_free_fraction
+from .linear_solve import has_negative_determinant, solve
+from .model import PRESCRIBED, Model
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
+
+
+class Tolerances(NamedTuple):
+    """When an IPC step counts as solved, and how long it may take."""
+
+    step_m: float  # largest move of a Newton iteration
+    residual_n: float  # largest nodal force left, friction taken at the solution
+    iterations: int  # Newton iterations in all
+    phase_iterations: int  # of a free phase, and of a cautious one
+
+
+class Counter(IntEnum):
+    """Places in the array of counts that `solve_step` fills."""
+
+    ITERATIONS = 0
+    PROJECTED_ITERATIONS = 1
+    ACTIVE_CONTACTS = 2
+    UNSTABLE = 3
+
+
+class Measure(IntEnum):
+    """Places in the array of measures that `solve_step` fills."""
+
+    RESIDUAL_N = 0
+    SMALLEST_GAP_M = 1
+    SMALLEST_DET_F = 2
+
+
+# How far the forces along a cautious step may have turned round at its end, and how often it may be shortened.
+_OVERSHOOT = 0.5
+_SHORTENINGS = 8
+# One iteration moves bodies against each other by at most this much [m]: a free body's first guess can be metres.
+_LONGEST_MOVE_M = 2e-3
+# Below this size [m] a cautious step is not checked: rounding would decide.
+_UNCHECKED_STEP_M = 1e-7
+
+
+class _Scratch(NamedTuple):
+    """Arrays of one solve; [p, 3] of surface points, [n, 3] of nodes, [b] of bodies."""
+
+    y: FloatArray  # [p, 3] points at the current iterate [m]
+    y_start: FloatArray  # [p, 3] at the start of the IPC step
+    y_listed: FloatArray  # [p, 3] when the candidate list was made
+    y_move: FloatArray  # [p, 3]
+    y_other: FloatArray  # [p, 3]
+    move: FloatArray  # [n, 3] the current step [m]
+    prescribed_move: FloatArray  # [n, 3] motion left for the prescribed nodes
+    trial: FloatArray  # [n, 3]
+    solution: FloatArray  # [3 u]
+    mean: FloatArray  # [b, 3]
+    spread: FloatArray  # [b]
+
+
+@kernel
+def _new_scratch(model: Model, nodes: int) -> _Scratch:
+    points, bodies = len(model.points.node_count), len(model.surfaces.point_start) - 1
+    return _Scratch(
+        np.empty((points, 3)),
+        np.empty((points, 3)),
+        np.empty((points, 3)),
+        np.empty((points, 3)),
+        np.empty((points, 3)),
+        np.zeros((nodes, 3)),
+        np.zeros((nodes, 3)),
+        np.empty((nodes, 3)),
+        np.empty(3 * len(model.unknowns.node)),
+        np.empty((bodies, 3)),
+        np.empty(bodies),
+    )
+
+
+@kernel
+def solve_step(
+    model: Model,
+    x: FloatArray,
+    x_start: FloatArray,
+    x_hat: FloatArray,
+    x_target: FloatArray,
+    tolerances: Tolerances,
+    counts: IndexArray,
+    measures: FloatArray,
+    workspace: Workspace,
+) -> bool:
+    """Move nodes x [m] of shape [n, 3] to the solution with the prescribed nodes at x_target; True if it is reached.
+
+    Friction is measured from x_start, inertia from x_hat. The prescribed motion is part of the Newton step and is
+    applied as far as contact allows in each iteration. Whatever the outcome, x is free of intersections and inversions.
+    """
+    s = _new_scratch(model, len(x))
+    point_positions(model.points, x_start, s.y_start)
+    point_positions(model.points, x, s.y)
+    margin = model.parameters.candidate_margin_m
+    candidates = find_candidates(model.surfaces, s.y, model.parameters.d_hat_m + margin)
+    s.y_listed[:] = s.y
+    for iteration in range(tolerances.iterations):
+        left = _remaining_motion(model, x, x_target, s.prescribed_move)
+        cautious = _is_cautious(iteration, tolerances.phase_iterations)
+        if not _find_direction(model, candidates, x, x_hat, s, workspace, counts, cautious, left):
+            return False
+        step = _node_move(model, s.solution, s.prescribed_move, s.move)
+        residual = _largest_residual(model, workspace.gradient)
+        counts[Counter.ITERATIONS] += 1
+        counts[Counter.ACTIVE_CONTACTS] = workspace.active[0]
+        measures[Measure.RESIDUAL_N] = residual
+        measures[Measure.SMALLEST_GAP_M] = workspace.smallest[0]
+        measures[Measure.SMALLEST_DET_F] = workspace.smallest[1]
+        if left == 0.0 and step <= tolerances.step_m and residual <= tolerances.residual_n:
+            if not has_negative_determinant(model.system, workspace.entries):
+                return True
+            counts[Counter.UNSTABLE] += 1
+            return False
+        point_positions(model.points, s.move, s.y_move)
+        longest = _shorten_long_move(model, s)
+        s.y_other[:] = s.y + s.y_move - s.y_listed
+        if relative_motion(model.surfaces, s.y_other, s.mean, s.spread) > margin:
+            margin = max(model.parameters.candidate_margin_m, 1.5 * min(longest, _LONGEST_MOVE_M))
+            candidates = find_candidates(model.surfaces, s.y, model.parameters.d_hat_m + margin)
+            s.y_listed[:] = s.y
+        fraction = inversion_free_fraction(model.elastic, x, s.move, 1.0)
+        fraction = contact_free_fraction(candidates, s.y, s.y_move, model.parameters.ccd_gap_fraction, fraction)
+        if cautious and left == 0.0 and step > _UNCHECKED_STEP_M:
+            fraction = _without_overshoot(model, candidates, x, x_hat, s, workspace, fraction)
+        x += fraction * s.move
+        if fraction == 1.0 and longest <= _LONGEST_MOVE_M:
+            _place_prescribed(model, x_target, x)
+        point_positions(model.points, x, s.y)
+    return False
+
+
+@kernel
+def _is_cautious(iteration: int, length: int) -> bool:
+    """Free and cautious iterations take turns; each cautious turn is twice as long as the one before."""
+    cautious = length
+    while iteration >= length + cautious:
+        iteration -= length + cautious
+        cautious *= 2
+    return iteration >= length
+
+
+@kernel
+def _shorten_long_move(model: Model, s: _Scratch) -> float:
+    """Cut the move down to the longest allowed; returns how far it would have moved bodies against each other [m]."""
+    longest = relative_motion(model.surfaces, s.y_move, s.mean, s.spread)
+    if longest > _LONGEST_MOVE_M:
+        s.move[:] = (_LONGEST_MOVE_M / longest) * s.move
+        s.y_move[:] = (_LONGEST_MOVE_M / longest) * s.y_move
+    return longest
+
+
+@kernel
+def _find_direction(
+    model: Model,
+    candidates: Candidates,
+    x: FloatArray,
+    x_hat: FloatArray,
+    s: _Scratch,
+    workspace: Workspace,
+    counts: IndexArray,
+    cautious: bool,
+    left: float,
+) -> bool:
+    """Write the Newton step of the unknowns into s.solution; False if even the projected matrix is singular."""
+    assemble(model, candidates, x, x_hat, s.y, s.y_start, s.prescribed_move, workspace, False)
+    if solve(model.system, workspace.entries, s.solution, cautious):
+        uphill = cautious and left == 0.0 and _force_along(model, s.solution, workspace.gradient) >= 0.0
+        if not uphill:
+            return True
+    counts[Counter.PROJECTED_ITERATIONS] += 1
+    assemble(model, candidates, x, x_hat, s.y, s.y_start, s.prescribed_move, workspace, True)
+    return solve(model.system, workspace.entries, s.solution, True)
+
+
+@kernel
+def _without_overshoot(
+    model: Model,
+    candidates: Candidates,
+    x: FloatArray,
+    x_hat: FloatArray,
+    s: _Scratch,
+    workspace: Workspace,
+    fraction: float,
+) -> float:
+    """Part of the step at whose end the forces along it have not turned round by more than half; by regula falsi."""
+    here = _force_along(model, s.solution, workspace.gradient)
+    for _ in range(_SHORTENINGS):
+        s.trial[:] = x + fraction * s.move
+        point_positions(model.points, s.trial, s.y_other)
+        assemble(
+            model,
+            candidates,
+            s.trial,
+            x_hat,
+            s.y_other,
+            s.y_start,
+            s.prescribed_move,
+            workspace,
+            False,
+        )
+        there = _force_along(model, s.solution, workspace.gradient)
+        if there <= -_OVERSHOOT * here:
+            break
+        fraction *= max(0.1, min(0.5, here / (here - there)))
+    return fraction
+
+
+@kernel
+def _force_along(model: Model, solution: FloatArray, gradient: FloatArray) -> float:
+    """Sum of gradient times step over the unknowns [J]: negative while the forces push along the step."""
+    total = 0.0
+    for u in range(len(model.unknowns.node)):
+        for k in range(3):
+            total += solution[3 * u + k] * gradient[model.unknowns.node[u], k]
+    return total
+
+
+@kernel
+def _remaining_motion(model: Model, x: FloatArray, x_target: FloatArray, prescribed_move: FloatArray) -> float:
+    """Write the motion left for the prescribed nodes; returns its largest component [m]."""
+    largest = 0.0
+    for node in range(len(x)):
+        if model.unknowns.slot[node] == PRESCRIBED:
+            for k in range(3):
+                prescribed_move[node, k] = x_target[node, k] - x[node, k]
+                largest = max(largest, abs(prescribed_move[node, k]))
+    return largest
+
+
+@kernel
+def _node_move(model: Model, solution: FloatArray, prescribed_move: FloatArray, move: FloatArray) -> float:
+    """Write the node move of a Newton direction; returns the largest component of an unknown [m]."""
+    move[:] = prescribed_move
+    largest = 0.0
+    for u in range(len(model.unknowns.node)):
+        for k in range(3):
+            value = solution[3 * u + k]
+            move[model.unknowns.node[u], k] = value
+            largest = max(largest, abs(value))
+    return largest
+
+
+@kernel
+def _place_prescribed(model: Model, x_target: FloatArray, x: FloatArray) -> None:
+    for node in range(len(x)):
+        if model.unknowns.slot[node] == PRESCRIBED:
+            x[node] = x_target[node]
+
+
+@kernel
+def _largest_residual(model: Model, gradient: FloatArray) -> float:
+    """Largest force left on an unknown node or frame point [N]."""
+    largest = 0.0
+    for node in model.unknowns.node:
+        g = gradient[node]
+        largest = max(largest, np.sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2]))
+    return largest

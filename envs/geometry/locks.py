@@ -1,0 +1,166 @@
+"""Locks of the lock-opening task: block with key channel and tooth slots (challenge-facts 1.3)."""
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..fem.mesh import SurfaceMesh
+from .keys import KeyShape, box_corners_m
+from .polygon import as_polygon
+from .solid import Face, solid_from_faces
+
+BLOCK_HALF_WIDTH_MM = 20.0
+BLOCK_HEIGHT_MM = 40.0
+CHANNEL_START_MM = 5.0
+CHANNEL_HALF_WIDTH_MM = 4.0
+CHANNEL_FLOOR_MM = 10.0
+CHANNEL_CEILING_MM = 30.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class LockDimensions:
+    """Block from x = 0 to its open entrance [mm].
+
+    Attributes:
+        length_mm: x of the entrance face.
+        slots_mm: x range of every tooth slot, from the end wall to the entrance.
+        rear_slot: index of the slot for the key's rear measured tooth ("lock1").
+        front_slot: index of the slot for the key's front measured tooth ("lock2").
+    """
+
+    length_mm: float
+    slots_mm: tuple[tuple[float, float], ...]
+    rear_slot: int
+    front_slot: int
+
+
+_TWO_SLOTS = LockDimensions(length_mm=46.0, slots_mm=((15.0, 23.0), (31.0, 39.0)), rear_slot=1, front_slot=0)
+LOCKS: dict[KeyShape, LockDimensions] = {
+    KeyShape.KEY1: _TWO_SLOTS,
+    KeyShape.KEY2: LockDimensions(length_mm=52.0, slots_mm=((15.0, 25.0), (35.0, 45.0)), rear_slot=1, front_slot=0),
+    KeyShape.KEY3: _TWO_SLOTS,
+    KeyShape.KEY4: LockDimensions(
+        length_mm=62.0, slots_mm=((15.0, 23.0), (31.0, 39.0), (47.0, 55.0)), rear_slot=2, front_slot=1
+    ),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class LockControlPoints:
+    """Measured corners of a lock in its own frame [m].
+
+    Attributes:
+        rear_slot_m: the four lower corners of the slot for the rear tooth ("lock1_pts"), shape [4, 3].
+        front_slot_m: the four lower corners of the slot for the front tooth ("lock2_pts"), shape [4, 3].
+        entrance_m: the four corners of the entrance face ("lock_side_pts"), shape [4, 3].
+    """
+
+    rear_slot_m: NDArray[np.float64]
+    front_slot_m: NDArray[np.float64]
+    entrance_m: NDArray[np.float64]
+
+
+@cache
+def lock_surface(shape: KeyShape) -> SurfaceMesh:
+    """Lock block with its channel open at the entrance and its slots open at the top."""
+    lock = LOCKS[shape]
+    return solid_from_faces([*_outer_faces(lock), *_channel_faces(lock), *_slot_faces(lock)], f"lock of {shape}")
+
+
+def lock_control_points(shape: KeyShape) -> LockControlPoints:
+    """Measured corners of a lock in its own frame."""
+    lock = LOCKS[shape]
+    ceiling = (CHANNEL_CEILING_MM,)
+    return LockControlPoints(
+        rear_slot_m=box_corners_m(lock.slots_mm[lock.rear_slot], CHANNEL_HALF_WIDTH_MM, ceiling),
+        front_slot_m=box_corners_m(lock.slots_mm[lock.front_slot], CHANNEL_HALF_WIDTH_MM, ceiling),
+        entrance_m=box_corners_m((lock.length_mm,), BLOCK_HALF_WIDTH_MM, (0.0, BLOCK_HEIGHT_MM)),
+    )
+
+
+def _outer_faces(lock: LockDimensions) -> list[Face]:
+    length, width, height = lock.length_mm, BLOCK_HALF_WIDTH_MM, BLOCK_HEIGHT_MM
+    inner, floor, ceiling = CHANNEL_HALF_WIDTH_MM, CHANNEL_FLOOR_MM, CHANNEL_CEILING_MM
+    opening = _across_x(length, (-inner, inner), (floor, ceiling))
+    slots = tuple(_across_z(height, slot, (-inner, inner)) for slot in lock.slots_mm)
+    return [
+        Face(outline_mm=_across_x(0.0, (-width, width), (0.0, height))[::-1]),
+        Face(outline_mm=_across_x(length, (-width, width), (0.0, height)), holes_mm=(opening,)),
+        Face(outline_mm=_across_y(-width, (0.0, length), (0.0, height))[::-1]),
+        Face(outline_mm=_across_y(width, (0.0, length), (0.0, height))),
+        Face(outline_mm=_across_z(0.0, (0.0, length), (-width, width))[::-1]),
+        Face(outline_mm=_across_z(height, (0.0, length), (-width, width)), holes_mm=slots),
+    ]
+
+
+def _channel_faces(lock: LockDimensions) -> list[Face]:
+    """End wall, floor, ceiling between the slots, and the two side walls, which include those of the slots."""
+    inner, floor, ceiling = CHANNEL_HALF_WIDTH_MM, CHANNEL_FLOOR_MM, CHANNEL_CEILING_MM
+    starts = (CHANNEL_START_MM, *(high for _, high in lock.slots_mm))
+    ends = (*(low for low, _ in lock.slots_mm), lock.length_mm)
+    ceilings = [
+        Face(outline_mm=_across_z(ceiling, (start, end), (-inner, inner))[::-1])
+        for start, end in zip(starts, ends, strict=True)
+    ]
+    return [
+        Face(outline_mm=_across_x(CHANNEL_START_MM, (-inner, inner), (floor, ceiling))),
+        Face(outline_mm=_across_z(floor, (CHANNEL_START_MM, lock.length_mm), (-inner, inner))),
+        *ceilings,
+        Face(outline_mm=_side_wall(lock, -inner)),
+        Face(outline_mm=_side_wall(lock, inner)[::-1]),
+    ]
+
+
+def _slot_faces(lock: LockDimensions) -> list[Face]:
+    inner, heights = CHANNEL_HALF_WIDTH_MM, (CHANNEL_CEILING_MM, BLOCK_HEIGHT_MM)
+    return [
+        face
+        for low, high in lock.slots_mm
+        for face in (
+            Face(outline_mm=_across_x(low, (-inner, inner), heights)),
+            Face(outline_mm=_across_x(high, (-inner, inner), heights)[::-1]),
+        )
+    ]
+
+
+def _side_wall(lock: LockDimensions, y: float) -> NDArray[np.float64]:
+    """Comb outline of channel and slots in the plane y, counter-clockwise seen from +y, shape [n, 3] [mm]."""
+    teeth = [
+        corner
+        for low, high in reversed(lock.slots_mm)
+        for corner in (
+            (high, CHANNEL_CEILING_MM),
+            (high, BLOCK_HEIGHT_MM),
+            (low, BLOCK_HEIGHT_MM),
+            (low, CHANNEL_CEILING_MM),
+        )
+    ]
+    outline = as_polygon(
+        [
+            (CHANNEL_START_MM, CHANNEL_FLOOR_MM),
+            (lock.length_mm, CHANNEL_FLOOR_MM),
+            (lock.length_mm, CHANNEL_CEILING_MM),
+            *teeth,
+            (CHANNEL_START_MM, CHANNEL_CEILING_MM),
+        ]
+    )
+    corners = np.full((len(outline), 3), y)
+    corners[:, 0], corners[:, 2] = outline[:, 0], outline[:, 1]
+    return corners[::-1]
+
+
+def _across_x(x: float, y: tuple[float, float], z: tuple[float, float]) -> NDArray[np.float64]:
+    """Rectangle at x whose corners run counter-clockwise seen from +x, shape [4, 3]."""
+    return np.array([[x, y[0], z[0]], [x, y[1], z[0]], [x, y[1], z[1]], [x, y[0], z[1]]])
+
+
+def _across_y(y: float, x: tuple[float, float], z: tuple[float, float]) -> NDArray[np.float64]:
+    """Rectangle at y whose corners run counter-clockwise seen from +y, shape [4, 3]."""
+    return np.array([[x[0], y, z[0]], [x[0], y, z[1]], [x[1], y, z[1]], [x[1], y, z[0]]])
+
+
+def _across_z(z: float, x: tuple[float, float], y: tuple[float, float]) -> NDArray[np.float64]:
+    """Rectangle at z whose corners run counter-clockwise seen from +z, shape [4, 3]."""
+    return np.array([[x[0], y[0], z], [x[1], y[0], z], [x[1], y[1], z], [x[0], y[1], z]])

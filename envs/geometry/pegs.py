@@ -1,0 +1,94 @@
+"""Pegs and plates of the insertion task: profiles, solids and measured corners (challenge-facts 1.1)."""
+
+from enum import StrEnum
+from functools import cache
+from math import sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..fem.mesh import SurfaceMesh
+from .polygon import Polygon, as_polygon, mitred_offset
+from .solid import nearest_vertices, prism_faces, rectangle, solid_from_faces
+
+PEG_HEIGHT_MM = 50.0
+# Extent along y of every peg between the two gels.
+GRIPPED_WIDTH_MM = 30.0
+PLATE_THICKNESS_MM = 20.0
+CLEARANCE_MM = 1.5
+PLATE_OUTLINE_MM = rectangle(-35.0, 35.0, -25.0, 25.0)
+
+# The bow tie's waist: its flanks rise at 60 degrees from the ends (half width 17.5) over 10 mm.
+_WAIST_MM = 17.5 - 10.0 / sqrt(3.0)
+
+
+class PegShape(StrEnum):
+    """Cross-section of a peg; the order is the challenge's shape index."""
+
+    CUBOID = "cuboid"
+    TRAPEZOID = "trapezoid"
+    CONCAVE1 = "concave1"
+
+
+PROFILES_MM: dict[PegShape, Polygon] = {
+    PegShape.CUBOID: as_polygon([(-20, -15), (20, -15), (20, 15), (-20, 15)]),
+    PegShape.TRAPEZOID: as_polygon([(-10, -15), (10, -15), (20, 15), (-20, 15)]),
+    PegShape.CONCAVE1: as_polygon(
+        [
+            (-17.5, -15),
+            (17.5, -15),
+            (_WAIST_MM, -5),
+            (_WAIST_MM, 5),
+            (17.5, 15),
+            (-17.5, 15),
+            (-_WAIST_MM, 5),
+            (-_WAIST_MM, -5),
+        ]
+    ),
+}
+
+# Order of the corners behind `peg_relative_z_mm`.
+BOTTOM_CORNERS_MM: dict[PegShape, Polygon] = {
+    PegShape.CUBOID: as_polygon([(20, -15), (-20, -15), (20, 15), (-20, 15)]),
+    PegShape.TRAPEZOID: as_polygon([(-10, -15), (-20, 15), (10, -15), (20, 15)]),
+    PegShape.CONCAVE1: as_polygon(
+        [
+            (-17.5, -15),
+            (-_WAIST_MM, -5),
+            (17.5, -15),
+            (_WAIST_MM, -5),
+            (_WAIST_MM, 5),
+            (17.5, 15),
+            (-17.5, 15),
+            (-_WAIST_MM, 5),
+        ]
+    ),
+}
+
+
+def hole_outline_mm(shape: PegShape) -> Polygon:
+    """Outline of the through hole: the peg's profile, widened by the clearance on every side [mm]."""
+    return mitred_offset(PROFILES_MM[shape], CLEARANCE_MM)
+
+
+@cache
+def peg_surface(shape: PegShape) -> SurfaceMesh:
+    """Peg as a prism along z from 0 (its lower end) to 50 mm; origin at the centre of the profile."""
+    return solid_from_faces(prism_faces(PROFILES_MM[shape], 0.0, PEG_HEIGHT_MM), f"{shape} peg")
+
+
+@cache
+def hole_surface(shape: PegShape) -> SurfaceMesh:
+    """Plate 70 x 50 x 20 mm with the through hole; its lower face is z = 0, its centre the origin."""
+    faces = prism_faces(PLATE_OUTLINE_MM, 0.0, PLATE_THICKNESS_MM, holes_mm=(hole_outline_mm(shape),))
+    return solid_from_faces(faces, f"{shape} hole")
+
+
+def bottom_vertices(shape: PegShape, peg: SurfaceMesh) -> NDArray[np.int64]:
+    """Vertices of a peg's surface that are the corners of `BOTTOM_CORNERS_MM`, in that order.
+
+    Found by position, so the answer also fits a surface read from a file.
+    """
+    corners_m = np.zeros((len(BOTTOM_CORNERS_MM[shape]), 3))
+    corners_m[:, :2] = BOTTOM_CORNERS_MM[shape] * 1e-3
+    return nearest_vertices(peg, corners_m)

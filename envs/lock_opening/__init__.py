@@ -1,0 +1,1 @@
+"""Lock opening, Track 1: scene, variation, task and environment `ViTac/LockOpening-v1`."""

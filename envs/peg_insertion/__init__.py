@@ -1,0 +1,1 @@
+"""Peg insertion, Track 1: scene, variation, task and environment `ViTac/PegInsertion-v1`."""

@@ -1,0 +1,95 @@
+"""Goal of the peg task: flags, success and reward of an env step, as the 2025 code has them (challenge-facts 6.1)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..task_env import LARGEST_SURFACE_DIFF_M, EndReason
+from .variation import LARGEST_THETA_DEG, LARGEST_XY_MM, PegOffset
+
+SUCCESS_DEPTH_MM = 0.3
+SUCCESS_COMMANDED_DEPTH_MM = 0.35
+_LIMIT_TOLERANCE = 1e-5
+
+
+@dataclass(frozen=True, kw_only=True)
+class PegState:
+    """What an env step is judged by.
+
+    Attributes:
+        env_steps: played so far, this one included.
+        offset: commanded offset from the hole.
+        surface_diff_m: of the left and the right sensor [m], shape [2].
+        peg_relative_z_mm: height of each bottom corner above the plate, measured [mm], shape [n].
+    """
+
+    env_steps: int
+    offset: PegOffset
+    surface_diff_m: NDArray[np.float64]
+    peg_relative_z_mm: NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PegFlags:
+    """Flags of an env step; several can be raised at once."""
+
+    tactile_movement_too_large: bool
+    too_many_steps: bool
+    error_too_large: bool
+    is_success: bool
+
+    @property
+    def failure(self) -> EndReason | None:
+        """The flag that cuts the episode off, if any: tactile before error before steps."""
+        if self.tactile_movement_too_large:
+            return EndReason.TACTILE
+        if self.error_too_large:
+            return EndReason.ERROR
+        return EndReason.STEPS if self.too_many_steps else None
+
+
+def judge_flags(state: PegState, *, max_steps: int, z_step_mm: float) -> PegFlags:
+    """Flags of an env step.
+
+    The limits of the offset are tested once per env step on the commanded values, not after each IPC step as published
+    [D3]. Success asks for the commanded *and* the measured depth [D6], and for no flag; a large surface motion is such
+    a flag rather than a threshold of its own [D7].
+    """
+    tactile = bool((state.surface_diff_m > LARGEST_SURFACE_DIFF_M).any())
+    steps = state.env_steps >= max_steps
+    error = (
+        max(abs(state.offset.x_mm), abs(state.offset.y_mm)) > LARGEST_XY_MM + _LIMIT_TOLERANCE
+        or abs(state.offset.theta_deg) > LARGEST_THETA_DEG + _LIMIT_TOLERANCE
+    )
+    deep_enough = state.env_steps * z_step_mm > SUCCESS_COMMANDED_DEPTH_MM
+    inside = bool((state.peg_relative_z_mm < -SUCCESS_DEPTH_MM).all())
+    return PegFlags(
+        tactile_movement_too_large=tactile,
+        too_many_steps=steps,
+        error_too_large=error,
+        is_success=deep_enough and inside and not (tactile or steps or error),
+    )
+
+
+def reward(
+    flags: PegFlags,
+    *,
+    error_before: float,
+    error_now: float,
+    env_steps: int,
+    max_steps: int,
+    step_penalty: float,
+    final_reward: float,
+) -> float:
+    """Reward of an env step: progress, less the penalty, plus what the end brings.
+
+    The tactile or error flag costs 2 P for every step that is left, less one P, which the published formula does not
+    have [D10]; running out of steps costs nothing more.
+    """
+    final = 0.0
+    if flags.tactile_movement_too_large or flags.error_too_large:
+        final = -2.0 * step_penalty * (max_steps - env_steps) + step_penalty
+    elif flags.is_success:
+        final = final_reward
+    return error_before - error_now - step_penalty + final

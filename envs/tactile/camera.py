@@ -1,0 +1,59 @@
+"""The sensor's inner camera: its pose on the gel and its pinhole projection (challenge-facts 4.2)."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..compilation import kernel
+
+# Pinhole without distortion, for a picture of 320 x 240 pixels.
+FOCAL_U_PX = 340.0
+FOCAL_V_PX = 325.0
+CENTRE_U_PX = 160.0
+CENTRE_V_PX = 125.0
+# The camera sits on the gel's axis, 20 mm behind the gel's centre, and looks out of the sensing face.
+DISTANCE_M = 0.02
+
+
+@kernel
+def camera_frame(
+    positions_m: NDArray[np.float64], rotation: NDArray[np.float64], centre_m: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """World positions in the camera frame of a sensor (OpenCV axes: x = -x_gel, y = -y_gel, z = z_gel + 20 mm).
+
+    Args:
+        positions_m: world positions [m], shape [n, 3].
+        rotation: world from gel, shape [3, 3].
+        centre_m: gel centre in the world [m], shape [3].
+    """
+    out = np.empty_like(positions_m)
+    for i in range(positions_m.shape[0]):
+        x = positions_m[i, 0] - centre_m[0]
+        y = positions_m[i, 1] - centre_m[1]
+        z = positions_m[i, 2] - centre_m[2]
+        out[i, 0] = -(rotation[0, 0] * x + rotation[1, 0] * y + rotation[2, 0] * z)
+        out[i, 1] = -(rotation[0, 1] * x + rotation[1, 1] * y + rotation[2, 1] * z)
+        out[i, 2] = rotation[0, 2] * x + rotation[1, 2] * y + rotation[2, 2] * z + DISTANCE_M
+    return out
+
+
+@kernel
+def project(points_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Pixel coordinates (u, v), shape [n, 2], of camera-frame points [m], shape [n, 3]."""
+    out = np.empty((points_m.shape[0], 2))
+    for i in range(points_m.shape[0]):
+        out[i, 0] = FOCAL_U_PX * points_m[i, 0] / points_m[i, 2] + CENTRE_U_PX
+        out[i, 1] = FOCAL_V_PX * points_m[i, 1] / points_m[i, 2] + CENTRE_V_PX
+    return out
+
+
+@kernel
+def mean_distance_m(first_m: NDArray[np.float64], second_m: NDArray[np.float64]) -> float:
+    """Mean Euclidean distance [m] between corresponding points, both of shape [n, 3]."""
+    total: float = 0.0
+    for i in range(first_m.shape[0]):
+        x = first_m[i, 0] - second_m[i, 0]
+        y = first_m[i, 1] - second_m[i, 1]
+        z = first_m[i, 2] - second_m[i, 2]
+        total += np.sqrt(x * x + y * y + z * z)
+    mean: float = total / first_m.shape[0]
+    return mean

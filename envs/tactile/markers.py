@@ -1,0 +1,261 @@
+"""Marker flow as a policy sees it: a random grid, carried by the sensing surface, projected, made noisy.
+
+Every observation draws a new grid (challenge-facts 4.2). All randomness comes from the generator that is passed in,
+in this order per sensor, left sensor first:
+
+1. interval, rotation, translation x, translation y: one uniform each;
+2. for the n markers of the grid, x fastest: n uniforms for the shifts along x, then n along y;
+3. for the m markers that are on the sensing surface and in the picture: m uniforms; below the probability is lost;
+4. for the k that remain: normals of shape [2, k, 2], reference before current, u before v;
+5. only if k >= 128: a choice of 128 of k without replacement.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..compilation import kernel
+from ..deterministic_math import sine_cosine
+from ..errors import VitacError
+from ..fem.mesh import GelMesh
+from .camera import project
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
+
+MARKER_COUNT = 128
+# Half extent of the grid before translation and rotation.
+_GRID_HALF_X_MM = 8.0
+_GRID_HALF_Y_MM = 6.0
+# A marker is seen where its reference is inside this part of the picture.
+_U_RANGE_PX = (5.0, 320.0)
+_V_RANGE_PX = (5.0, 240.0)
+_CANDIDATE_TRIANGLES = 4
+
+
+class NoMarkerVisible(VitacError):
+    """Not one marker of the drawn grid can be seen; enlarge the sensing surface or lower the loss probability."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MarkerSettings:
+    """Ranges of the random grid; the defaults are those of every 2025 configuration.
+
+    Attributes:
+        interval_mm: lowest and highest spacing.
+        rotation_rad: largest rotation either way.
+        translation_mm: largest translation either way along x and y.
+        shift_mm: largest shift of a single marker either way along x and y.
+        noise_px: standard deviation of the pixel noise.
+        loss_probability: probability that a visible marker is not tracked.
+    """
+
+    interval_mm: tuple[float, float] = (1.95, 2.15)
+    rotation_rad: float = 0.1
+    translation_mm: float = 1.0
+    shift_mm: float = 0.1
+    noise_px: float = 0.5
+    loss_probability: float = 0.01
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SensingSurface:
+    """Undeformed sensing triangles seen along the camera's axis.
+
+    Attributes:
+        vertices_m: sensing nodes, camera x and y [m], shape [s, 2].
+        triangles: indices into them, shape [t, 3].
+    """
+
+    vertices_m: FloatArray
+    triangles: IndexArray
+
+    @classmethod
+    def of_gel(cls, mesh: GelMesh) -> "SensingSurface":
+        """Triangles of the mesh's boundary whose corners are all sensing nodes."""
+        number = np.full(len(mesh.rest_position_m), -1, dtype=np.int64)
+        number[mesh.sensing_nodes] = np.arange(len(mesh.sensing_nodes))
+        on_surface = mesh.sensing[mesh.surface_triangles].all(axis=1)
+        if not on_surface.any():
+            raise NoMarkerVisible(f"{mesh.name}: no boundary triangle has three sensing nodes; mark a whole face.")
+        # Camera x and y are the negated gel axes.
+        vertices_m = -mesh.rest_position_m[mesh.sensing_nodes, :2]
+        return cls(vertices_m=vertices_m, triangles=number[mesh.surface_triangles[on_surface]])
+
+    @cached_property
+    def hull_m(self) -> FloatArray:
+        """Corners of the convex hull, counter-clockwise, shape [h, 2] [m]."""
+        return convex_hull(self.vertices_m)
+
+    @cached_property
+    def centroids_m(self) -> FloatArray:
+        """Centroids of the triangles [m], shape [t, 2]."""
+        corners = self.vertices_m[self.triangles]
+        return (corners[:, 0] + corners[:, 1] + corners[:, 2]) / 3.0
+
+
+def marker_flow(
+    surface: SensingSurface,
+    reference_m: FloatArray,
+    current_m: FloatArray,
+    *,
+    settings: MarkerSettings,
+    random: np.random.Generator,
+) -> FloatArray:
+    """Reference and current pixel positions of 128 markers, shape [2, 128, 2] [pixel].
+
+    Args:
+        surface: sensing surface of the gel.
+        reference_m: sensing nodes after the grasp, camera frame [m], shape [s, 3].
+        current_m: sensing nodes now, camera frame [m], shape [s, 3].
+        settings: ranges of the grid.
+        random: the episode's generator; see the module for the order of the draws.
+    """
+    grid_m = _draw_grid_m(settings, random)
+    triangle, weights = _attach(grid_m, surface.vertices_m, surface.triangles, surface.centroids_m, surface.hull_m)
+    corners = surface.triangles[triangle]
+    reference = project(_interpolated(reference_m, corners, weights))
+    current = project(_interpolated(current_m, corners, weights))
+    flow = np.stack([reference, current])[:, _in_picture(reference)]
+    flow = flow[:, random.random(flow.shape[1]) >= settings.loss_probability]
+    flow += settings.noise_px * random.standard_normal(flow.shape)
+    return _of_fixed_count(flow, random)
+
+
+def _draw_grid_m(settings: MarkerSettings, random: np.random.Generator) -> FloatArray:
+    """Marker positions in the plane of the gel, camera x and y [m], shape [n, 2]."""
+    interval = random.uniform(*settings.interval_mm)
+    angle = random.uniform(-settings.rotation_rad, settings.rotation_rad)
+    x_mm = _grid_line_mm(_GRID_HALF_X_MM, interval, random.uniform(-settings.translation_mm, settings.translation_mm))
+    y_mm = _grid_line_mm(_GRID_HALF_Y_MM, interval, random.uniform(-settings.translation_mm, settings.translation_mm))
+    x, y = np.tile(x_mm, len(y_mm)), np.repeat(y_mm, len(x_mm))
+    x = x + random.uniform(-settings.shift_mm, settings.shift_mm, len(x))
+    y = y + random.uniform(-settings.shift_mm, settings.shift_mm, len(y))
+    sine, cosine = sine_cosine(angle)
+    return np.column_stack([cosine * x - sine * y, sine * x + cosine * y]) * 1e-3
+
+
+def _grid_line_mm(half: float, interval: float, translation: float) -> FloatArray:
+    first = -np.ceil((half + translation) / interval)
+    last = np.ceil((half - translation) / interval)
+    return np.arange(first, last + 1.0) * interval + translation
+
+
+def _in_picture(pixels: FloatArray) -> NDArray[np.bool_]:
+    u, v = pixels[:, 0], pixels[:, 1]
+    inside = (u > _U_RANGE_PX[0]) & (u < _U_RANGE_PX[1]) & (v > _V_RANGE_PX[0]) & (v < _V_RANGE_PX[1])
+    return np.asarray(inside)
+
+
+def _of_fixed_count(flow: FloatArray, random: np.random.Generator) -> FloatArray:
+    """Exactly 128 markers: a random choice of more, or the last one repeated."""
+    count = flow.shape[1]
+    if count == 0:
+        raise NoMarkerVisible("No marker of the grid lies on the sensing surface and in the picture.")
+    if count >= MARKER_COUNT:
+        return flow[:, random.choice(count, MARKER_COUNT, replace=False)]
+    return np.concatenate([flow, np.repeat(flow[:, -1:], MARKER_COUNT - count, axis=1)], axis=1)
+
+
+def convex_hull(points: FloatArray) -> FloatArray:
+    """Corners of the convex hull of points in the plane, counter-clockwise, without collinear ones (Andrew 1979)."""
+    ordered = points[np.lexsort((points[:, 1], points[:, 0]))]
+    return np.array(_half_hull(ordered)[:-1] + _half_hull(ordered[::-1])[:-1])
+
+
+def _half_hull(ordered: FloatArray) -> list[FloatArray]:
+    chain: list[FloatArray] = []
+    for point in ordered:
+        while len(chain) > 1 and not _turns_left(chain[-2], chain[-1], point):
+            chain.pop()
+        chain.append(point)
+    return chain
+
+
+def _turns_left(a: FloatArray, b: FloatArray, c: FloatArray) -> bool:
+    return bool((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]) > 0.0)
+
+
+@kernel
+def _attach(
+    grid: FloatArray, vertices: FloatArray, triangles: IndexArray, centroids: FloatArray, hull: FloatArray
+) -> tuple[IndexArray, FloatArray]:
+    """Triangle and barycentric weights, shapes [m] and [m, 3], of the grid points inside the hull, in their order.
+
+    Of the four triangles nearest by centroid the first that contains the point; if none does, the nearest, whose
+    weights then extrapolate.
+    """
+    chosen = np.empty(grid.shape[0], dtype=np.int64)
+    weights = np.empty((grid.shape[0], 3))
+    count = 0
+    for i in range(grid.shape[0]):
+        x, y = grid[i, 0], grid[i, 1]
+        if not _in_hull(x, y, hull):
+            continue
+        near = _nearest(x, y, centroids)
+        chosen[count] = near[0]
+        for k in range(near.shape[0]):
+            w0, w1, w2 = _barycentric(x, y, vertices, triangles[near[k]])
+            if w0 >= 0.0 and w1 >= 0.0 and w2 >= 0.0:
+                chosen[count] = near[k]
+                break
+        w0, w1, w2 = _barycentric(x, y, vertices, triangles[chosen[count]])
+        weights[count, 0], weights[count, 1], weights[count, 2] = w0, w1, w2
+        count += 1
+    return chosen[:count], weights[:count]
+
+
+@kernel
+def _in_hull(x: float, y: float, hull: FloatArray) -> bool:
+    for i in range(hull.shape[0]):
+        ax, ay = hull[i - 1, 0], hull[i - 1, 1]
+        bx, by = hull[i, 0], hull[i, 1]
+        if (bx - ax) * (y - ay) - (by - ay) * (x - ax) < 0.0:
+            return False
+    return True
+
+
+@kernel
+def _nearest(x: float, y: float, centroids: FloatArray) -> IndexArray:
+    """Indices of the nearest centroids, nearest first, at most four; of equally near ones the lower index first."""
+    count = min(_CANDIDATE_TRIANGLES, centroids.shape[0])
+    best = np.empty(count, dtype=np.int64)
+    distance = np.full(count, np.inf)
+    for i in range(centroids.shape[0]):
+        dx, dy = centroids[i, 0] - x, centroids[i, 1] - y
+        squared = dx * dx + dy * dy
+        if squared < distance[count - 1]:
+            k = count - 1
+            while k > 0 and distance[k - 1] > squared:
+                distance[k], best[k] = distance[k - 1], best[k - 1]
+                k -= 1
+            distance[k], best[k] = squared, i
+    return best
+
+
+@kernel
+def _barycentric(x: float, y: float, vertices: FloatArray, triangle: IndexArray) -> tuple[float, float, float]:
+    """Weights (1 - w1 - w2, w1, w2) with p = p0 + w1 (p1 - p0) + w2 (p2 - p0)."""
+    ax, ay = vertices[triangle[0], 0], vertices[triangle[0], 1]
+    bx, by = vertices[triangle[1], 0] - ax, vertices[triangle[1], 1] - ay
+    cx, cy = vertices[triangle[2], 0] - ax, vertices[triangle[2], 1] - ay
+    determinant = bx * cy - by * cx
+    w1 = ((x - ax) * cy - (y - ay) * cx) / determinant
+    w2 = (bx * (y - ay) - by * (x - ax)) / determinant
+    return 1.0 - w1 - w2, w1, w2
+
+
+@kernel
+def _interpolated(points: FloatArray, corners: IndexArray, weights: FloatArray) -> FloatArray:
+    """Weighted sums of the corners' positions, shape [m, 3]."""
+    out = np.empty((corners.shape[0], 3))
+    for i in range(corners.shape[0]):
+        for k in range(3):
+            out[i, k] = (
+                weights[i, 0] * points[corners[i, 0], k]
+                + weights[i, 1] * points[corners[i, 1], k]
+                + weights[i, 2] * points[corners[i, 2], k]
+            )
+    return out

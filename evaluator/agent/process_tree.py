@@ -1,0 +1,87 @@
+"""The processes of a sandbox as seen from outside: which there are, what CPU time and memory they use."""
+
+import contextlib
+import os
+import signal
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+_PAGE_BYTES: Final = os.sysconf("SC_PAGE_SIZE")
+_GONE: Final = (FileNotFoundError, ProcessLookupError)
+"""What reading /proc raises for a process that has ended."""
+
+
+def descendants(first_pid: int) -> Iterator[int]:
+    """Yield the pids below a process; orphans of a pid namespace hang below its first process, so none is missed."""
+    waiting = [first_pid]
+    while waiting:
+        for child in _children(waiting.pop()):
+            yield child
+            waiting.append(child)
+
+
+def _children(pid: int) -> list[int]:
+    children: list[int] = []
+    with contextlib.suppress(*_GONE):
+        for task in Path(f"/proc/{pid}/task").iterdir():
+            with contextlib.suppress(*_GONE):
+                children += map(int, (task / "children").read_text().split())
+    return children
+
+
+def cpu_s(pid: int) -> float:
+    """Return the CPU time that a process has used [s], 0 where it has ended.
+
+    Its CPU clock can be read without any right over it (the encoding of clock_getcpuclockid).
+    """
+    try:
+        return time.clock_gettime((~pid << 3) | 2)
+    except OSError:
+        return 0.0
+
+
+def resident_bytes(pid: int) -> int:
+    """Return resident memory of a process, 0 where it has ended."""
+    with contextlib.suppress(*_GONE):
+        return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * _PAGE_BYTES
+    return 0
+
+
+def proportional_bytes(pid: int) -> int:
+    """Return resident memory of a process, shared pages divided among their sharers; 0 where it has ended.
+
+    A process may hide this from its own user; then shared pages are counted in full.
+    """
+    try:
+        lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()
+    except (PermissionError, *_GONE):
+        return resident_bytes(pid)
+    return sum(int(line.split()[1]) * 1024 for line in lines if line.startswith("Pss:"))
+
+
+def inside_pid(pid: int) -> int:
+    """Return a process's pid in its own (innermost) pid namespace.
+
+    Raises:
+        ProcessLookupError: it has ended.
+    """
+    try:
+        lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+    except FileNotFoundError as error:
+        raise ProcessLookupError(pid) from error
+    return next(int(line.split()[-1]) for line in lines if line.startswith("NSpid:"))
+
+
+def kill_descendants(first_pid: int, *, spared_pid: int = 0) -> None:
+    """Kill the processes below a process; a later process that got the pid of one of them is left alone."""
+    with contextlib.ExitStack() as exits:
+        handles = {}
+        for pid in descendants(first_pid):
+            with contextlib.suppress(ProcessLookupError):
+                handles[pid] = os.pidfd_open(pid)
+                exits.callback(os.close, handles[pid])
+        for pid in handles.keys() & set(descendants(first_pid)) - {spared_pid}:
+            with contextlib.suppress(ProcessLookupError):
+                signal.pidfd_send_signal(handles[pid], signal.SIGKILL)

@@ -1,0 +1,241 @@
+"""Runs inside the sandbox as its first process: loads the policy and answers the evaluator's questions.
+
+Only the standard library and NumPy are imported. Started as
+`python agent.py CHANNEL_FD STATUS_FD CPU_SOFT_S CPU_HARD_S SUBMISSION PACKAGES...`.
+Nothing here is relied upon for safety: after the policy is imported it owns this code too, and the evaluator checks
+every byte that it sends. Three processes take part:
+
+- *first*: process 1 of the sandbox; never runs a line of the policy, reports how its children end;
+- *loader*: imports the policy and calls its constructor;
+- *loaded copy*: forked from the loader so that it has one thread only; it waits for the first question of an episode.
+  The evaluator copies it for every episode, or lets it go on itself where copying is not possible.
+"""
+
+import contextlib
+import faulthandler
+import importlib
+import json
+import os
+import resource
+import signal
+import socket
+import struct
+import sys
+import traceback
+import warnings
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NoReturn
+
+PREFIX = struct.Struct("<4sIQ")
+MAGIC = b"VTC1"
+STATUS = struct.Struct("<ii")
+MESSAGE_MAX_CHARS = 2000
+DTYPES = {"u1": "u1", "u2": "<u2", "i4": "<i4", "i8": "<i8", "f4": "<f4", "f8": "<f8", "b1": "b1"}
+FORK_ERRORS = ("can't start new thread", "Resource temporarily unavailable")
+
+
+class Refused(Exception):
+    """The policy cannot go on; carries the verdict's code and the sentence for its team."""
+
+    def __init__(self, code: str, message: str) -> None:
+        super().__init__(message)
+        self.code = code
+        self.message = message
+
+
+class Connection:
+    """This end of the channel; one question is read, one answer is written."""
+
+    def __init__(self, descriptor: int) -> None:
+        self._socket = socket.socket(fileno=descriptor)
+        self._seq = 0
+
+    def read(self) -> tuple[str, str, dict[str, Any]]:
+        """Return kind, text and arrays of the next question."""
+        _, header_bytes, payload_bytes = PREFIX.unpack(self._read_exactly(PREFIX.size))
+        header = json.loads(self._read_exactly(header_bytes))
+        payload = self._read_exactly(payload_bytes)
+        self._seq = header["seq"]
+        return header["kind"], header["text"], decode_arrays(header["arrays"], payload)
+
+    def write(self, kind: str, *, action: Any = None, code: str = "", message: str = "") -> None:
+        """Answer the last question."""
+        specs: list[dict[str, Any]] = []
+        payload = b""
+        if action is not None:
+            payload = action.tobytes()
+            name = f"{action.dtype.kind}{action.dtype.itemsize}"
+            specs.append({"name": "action", "dtype": name, "shape": list(action.shape)})
+        answer = {"seq": self._seq, "kind": kind, "code": code, "message": message, "arrays": specs}
+        header = json.dumps(answer).encode("ascii", "replace")
+        self._socket.sendall(PREFIX.pack(MAGIC, len(header), len(payload)) + header + payload)
+
+    def _read_exactly(self, n_bytes: int) -> bytearray:
+        data = bytearray(n_bytes)
+        view = memoryview(data)
+        while view:
+            read = self._socket.recv_into(view)
+            if read == 0:
+                os._exit(0)  # the evaluator has gone
+            view = view[read:]
+        return data
+
+
+def decode_arrays(specs: list[dict[str, Any]], payload: bytearray) -> dict[str, Any]:
+    """Return the arrays of a question: writeable, native, owned by the policy."""
+    import numpy as np
+
+    arrays = {}
+    offset = 0
+    for spec in specs:
+        flat = np.frombuffer(payload, dtype=DTYPES[spec["dtype"]], count=int(np.prod(spec["shape"])), offset=offset)
+        arrays[spec["name"]] = flat.reshape(spec["shape"])
+        offset += flat.nbytes
+    return arrays
+
+
+def as_action(value: Any) -> Any:
+    """Return the policy's answer as an array that the channel carries; shape and values are judged outside."""
+    import numpy as np
+
+    if isinstance(value, (bytes, str, dict)) or value is None:
+        raise Refused("bad_action_type", f"act() returned {type(value).__name__}, expected an array of real numbers.")
+    try:
+        array = np.asarray(value)
+    except Exception as error:
+        raise Refused(
+            "bad_action_type", f"act() returned what NumPy cannot make an array of: {error!r:.500}"
+        ) from error
+    if array.dtype.kind not in "fiub":
+        raise Refused("bad_action_type", f"act() returned an array of dtype {array.dtype}, expected real numbers.")
+    if array.size > 4096:
+        raise Refused(
+            "bad_action_shape", f"act() returned an array of shape {array.shape}, far larger than any action."
+        )
+    return np.ascontiguousarray(array, dtype="<f4" if array.dtype == np.float32 else "<f8").reshape(array.shape)
+
+
+def code_of(error: BaseException, otherwise: str) -> str:
+    """Return the verdict that an exception of the policy amounts to."""
+    if isinstance(error, MemoryError):
+        return "out_of_memory"
+    if isinstance(error, (OSError, RuntimeError)) and any(part in str(error) for part in FORK_ERRORS):
+        return "too_many_processes"
+    return otherwise
+
+
+def guarded(otherwise: str, what: str, call: Callable[[], Any]) -> Any:
+    """Run a piece of the policy; whatever it raises, SystemExit included, becomes a named refusal."""
+    try:
+        return call()
+    except Refused:
+        raise
+    except BaseException as error:  # noqa: BLE001 - a policy may raise anything
+        print_traceback()
+        summary = f"{what} raised {type(error).__name__}: {error}"[:MESSAGE_MAX_CHARS]
+        raise Refused(code_of(error, otherwise), summary) from None
+
+
+def print_traceback() -> None:
+    """Tell the team where it failed, unless the policy has closed its output."""
+    with contextlib.suppress(Exception):
+        traceback.print_exc(limit=-30)
+
+
+def load(entry_point: str, submission: str) -> Any:
+    """Import `module:Class` from the submission and call it."""
+    sys.path.insert(0, submission)
+    os.chdir(submission)
+    module_name, _, class_name = entry_point.partition(":")
+    module = guarded("import_error", f"Importing {module_name}", lambda: importlib.import_module(module_name))
+    make = guarded("import_error", f"Looking up {class_name} in {module_name}", lambda: getattr(module, class_name))
+    return guarded("load_failed", f"{class_name}()", make)
+
+
+def answer_episode(policy: Any, connection: Connection) -> None:
+    """Answer the questions of one episode, until the evaluator ends this process."""
+    while True:
+        kind, text, arrays = connection.read()
+        if kind == "reset":
+            guarded("crashed", "reset()", partial(policy.reset, text))
+            connection.write("ready")
+        else:
+            action = guarded("crashed", "act()", partial(policy.act, arrays))
+            connection.write("action", action=as_action(action))
+
+
+def run_loader(connection: Connection, submission: str) -> None:
+    """Load the policy, then go on as a copy that has one thread only."""
+    _, entry_point, _ = connection.read()
+    policy = load(entry_point, submission)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        pid = os.fork()
+    if pid:
+        os._exit(0)
+    connection.write("loaded")
+    answer_episode(policy, connection)
+
+
+def run_policy_side(connection: Connection, submission: str) -> NoReturn:
+    """Everything in which code of the policy runs."""
+    try:
+        run_loader(connection, submission)
+    except Refused as refusal:
+        flush_output()
+        connection.write("failed", code=refusal.code, message=refusal.message)
+    except BaseException:  # noqa: BLE001 - a policy may have broken anything in this process
+        print_traceback()
+        flush_output()
+        os._exit(1)
+    os._exit(0)
+
+
+def flush_output() -> None:
+    """Push out what the policy has printed; it may have closed or replaced its streams."""
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except Exception:  # noqa: BLE001, S112 - nothing that a policy does to its streams may hide its verdict
+            continue
+
+
+def report_children(status: int) -> None:
+    """Tell the evaluator how each process of the sandbox ended, until there is none left."""
+    while True:
+        try:
+            pid, wait_status = os.wait()
+        except ChildProcessError:
+            return
+        os.write(status, STATUS.pack(pid, wait_status))
+
+
+def gaps_between(kept: list[int]) -> list[tuple[int, int]]:
+    """Return the ranges of descriptors above the standard streams that are not kept."""
+    starts = [3, *(descriptor + 1 for descriptor in kept)]
+    return list(zip(starts, [*kept, 1 << 16], strict=True))
+
+
+def main(arguments: list[str]) -> None:
+    """Fork the loader and look after the sandbox's processes."""
+    channel, status = int(arguments[0]), int(arguments[1])
+    cpu_limits, submission, packages = (int(arguments[2]), int(arguments[3])), arguments[4], arguments[5:]
+    sys.path[:0] = packages
+    sys.argv = ["policy"]
+    for first, last in gaps_between(sorted((channel, status))):
+        os.closerange(first, last)
+    pid = os.fork()
+    if pid == 0:
+        os.close(status)
+        resource.setrlimit(resource.RLIMIT_CPU, cpu_limits)
+        faulthandler.enable()
+        run_policy_side(Connection(channel), submission)
+    os.close(channel)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the only signal that Python gives process 1 a handler for
+    os.write(status, STATUS.pack(0, 0))  # the sandbox works: from here on a failure is the policy's
+    report_children(status)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,257 @@
+"""Tries to break out of this machine's own sandbox; `vitac doctor` prints what came of it, a worker refuses to start.
+
+Each probe is a small hostile policy. It answers with the number of things it reached, or meets a verdict.
+"""
+
+import os
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from .limits import MIB, Limits
+from .session import Isolation, PolicySession
+from .verdicts import PolicyFailed, SandboxFailed, VerdictCode
+
+CANARY: Final = "vitac-canary-7c1d"
+_LIMITS: Final = Limits(
+    memory_bytes=256 * MIB, action_cpu_s=0.5, action_wall_s=30.0, episode_cpu_s=5.0, output_killed_bytes=MIB
+)
+_OBSERVATION: Final = {"value": np.zeros(1, dtype=np.float32)}
+_EPISODES: Final = 2
+
+
+class ProbeState(StrEnum):
+    """How a probe ended."""
+
+    HELD = "held"
+    ESCAPED = "escaped"
+    FAILED = "failed"
+    """The sandbox could not even be started."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Probe:
+    """One attempt."""
+
+    name: str
+    code: str
+    """Body of `attempt()`, which returns how many things were reached. CANARY_FILE is a file of the evaluator's."""
+    verdict: VerdictCode | None = None
+    """What has to end it; None where it has to end well and reach nothing."""
+    limits: Limits = _LIMITS
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """What came of one probe."""
+
+    name: str
+    state: ProbeState
+    detail: str
+    isolation: Isolation | None
+
+
+_TEMPLATE: Final = """
+import ctypes, os, signal, socket, time
+
+CANARY_FILE = {canary_file!r}
+SYSCALL = ctypes.CDLL(None, use_errno=True).syscall
+
+
+def reached(*attempts):
+    count = 0
+    for attempt in attempts:
+        try:
+            attempt()
+            count += 1
+        except (OSError, ImportError):
+            pass
+    return count
+
+
+def allowed(*calls):
+    return sum(SYSCALL(*map(ctypes.c_long, call)) >= 0 for call in calls)
+
+
+def attempt():
+{body}
+
+
+class Policy:
+    memory = 0
+
+    def reset(self, task):
+        pass
+
+    def act(self, observation):
+        return [attempt()]
+"""
+
+PROBES: Final = (
+    Probe(name="a policy can answer", code="return 0"),
+    Probe(
+        name="network refused",
+        code="""
+return reached(
+    lambda: socket.socket(socket.AF_INET),
+    lambda: socket.socket(socket.AF_INET6),
+    lambda: socket.socket(socket.AF_NETLINK, socket.SOCK_RAW),
+    lambda: socket.create_connection(("127.0.0.1", 22), 1),
+)""",
+    ),
+    Probe(
+        name="files hidden",
+        code="""
+return reached(
+    lambda: open(CANARY_FILE).read(),
+    lambda: os.listdir(os.path.dirname(CANARY_FILE)),
+    lambda: open("/etc/shadow").read(),
+    lambda: os.listdir("/root"),
+    lambda: os.listdir("/home"),
+    lambda: os.listdir("/proc"),
+    lambda: os.listdir("/sys"),
+    lambda: __import__("vitac.evaluator"),
+)""",
+    ),
+    Probe(
+        name="files cannot be changed",
+        code="""
+return reached(
+    lambda: open("/submission/new", "w"),
+    lambda: open("/usr/new", "w"),
+    lambda: open("/etc/passwd", "w"),
+    lambda: open("/dev/new", "w"),
+    lambda: open("/opt/vitac/agent.py", "a"),
+)""",
+    ),
+    Probe(
+        name="environment empty",
+        code=f"""
+found = [name for name in os.environ if name in ("USER", "LOGNAME", "SHELL")]
+return len(found) + sum("{CANARY}" in value for value in os.environ.values())""",
+    ),
+    Probe(
+        name="fork bomb capped",
+        code="while True:\n    reached(os.fork)",
+        verdict=VerdictCode.TOO_MANY_PROCESSES,
+        limits=replace(_LIMITS, action_cpu_s=4.0, episode_cpu_s=10.0),
+    ),
+    Probe(
+        name="memory of one process capped",
+        code="kept = [bytearray(os.urandom(1 << 20)) * 16 for _ in range(100)]\nreturn len(kept)",
+        verdict=VerdictCode.OUT_OF_MEMORY,
+    ),
+    Probe(
+        name="memory of many processes capped",
+        code="""
+for _ in range(12):
+    if os.fork() == 0:
+        kept = bytearray(os.urandom(1 << 20)) * 40
+        time.sleep(60)
+time.sleep(60)""",
+        verdict=VerdictCode.OUT_OF_MEMORY,
+    ),
+    Probe(name="CPU time capped", code="while True:\n    pass", verdict=VerdictCode.CPU_TIME),
+    Probe(
+        name="wall time capped",
+        code="time.sleep(60)",
+        verdict=VerdictCode.WALL_TIME,
+        limits=replace(_LIMITS, action_wall_s=0.5),
+    ),
+    Probe(name="output capped", code='while True:\n    os.write(1, b"x" * 4096)', verdict=VerdictCode.OUTPUT_FLOOD),
+    Probe(
+        name="temporary files capped",
+        code="""
+def fill():
+    for number in range(100):
+        with open(f"/tmp/{number}", "wb") as file:
+            file.write(bytes(1 << 20))
+return reached(fill)""",
+    ),
+    Probe(
+        name="tracing and foreign memory denied",
+        code="return allowed((101, 16, 1, 0, 0), (310, 1, 0, 0, 0, 0, 0), (311, 1, 0, 0, 0, 0, 0), (438, 0, 0, 0))",
+    ),
+    Probe(
+        name="new namespaces and mounts denied",
+        code="return allowed((272, 0x10000000), (272, 0x40000000), (308, 0, 0), (428, -100, 0, 1), (161, 0))",
+    ),
+    Probe(
+        name="kernel interfaces denied",
+        code="""
+return allowed((321, 5, 0, 0), (425, 8, 0), (298, 0, 0, -1, -1, 0), (250, 0, 0, 0), (319, 0, 0), (323, 1))""",
+    ),
+    Probe(name="no rights of root", code="return (os.getuid() == 0) + allowed((105, 0), (106, 0), (169, 0, 0, 0))"),
+    Probe(
+        name="episodes share nothing",
+        code="""
+seen = Policy.memory + os.path.exists("/tmp/memory") + os.path.exists("/dev/shm/memory")
+Policy.memory = 1
+open("/tmp/memory", "w").close()
+open("/dev/shm/memory", "w").close()
+return seen""",
+    ),
+)
+
+
+def run(probes: tuple[Probe, ...] = PROBES) -> Iterator[Outcome]:
+    """Try each probe and tell what came of it."""
+    with tempfile.TemporaryDirectory(prefix="vitac-doctor-") as name:
+        folder = Path(name)
+        folder.chmod(0o755)
+        canary = folder / "secret" / CANARY
+        canary.parent.mkdir()
+        canary.write_text(CANARY)
+        for number, probe in enumerate(probes):
+            submission = folder / f"probe-{number}"
+            submission.mkdir(mode=0o755)
+            (submission / "policy.py").write_text(_policy(probe, canary))
+            yield _with_canary(probe, submission)
+
+
+def is_safe(outcomes: list[Outcome]) -> bool:
+    """Return whether every probe was held."""
+    return all(outcome.state is ProbeState.HELD for outcome in outcomes)
+
+
+def _policy(probe: Probe, canary: Path) -> str:
+    body = "".join(f"    {line}\n" for line in probe.code.strip().splitlines())
+    return _TEMPLATE.format(canary_file=str(canary), body=body)
+
+
+def _with_canary(probe: Probe, submission: Path) -> Outcome:
+    """Run a probe while the evaluator's own environment holds a secret."""
+    os.environ["VITAC_CANARY"] = CANARY
+    try:
+        return _run(probe, submission)
+    finally:
+        del os.environ["VITAC_CANARY"]
+
+
+def _run(probe: Probe, submission: Path) -> Outcome:
+    session = PolicySession(submission, limits=probe.limits)
+    isolation = None
+    try:
+        with session:
+            isolation = session.isolation
+            reached = [_act(session) for _ in range(_EPISODES)]
+    except PolicyFailed as failure:
+        state = ProbeState.HELD if failure.verdict is probe.verdict else ProbeState.ESCAPED
+        detail = f"{failure.verdict}: {failure.message}"
+    except SandboxFailed as error:
+        state, detail = ProbeState.FAILED, str(error)
+    else:
+        is_held = probe.verdict is None and not any(reached)
+        state = ProbeState.HELD if is_held else ProbeState.ESCAPED
+        detail = "nothing was reached" if is_held else f"reached in each episode: {reached}"
+    return Outcome(name=probe.name, state=state, detail=detail, isolation=isolation)
+
+
+def _act(session: PolicySession) -> int:
+    with session.episode(task="self-test", action_shape=(1,)) as policy:
+        return int(policy.act(_OBSERVATION)[0])

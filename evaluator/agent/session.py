@@ -1,0 +1,293 @@
+"""A policy at work: loads it in a sandbox and gives each episode a copy of it; `evaluator.shards` plays with it."""
+
+import contextlib
+import os
+import select
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from types import TracebackType
+from typing import Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import process_tree, tracing
+from .action import checked_action
+from .bubblewrap import UserIsolation
+from .cgroup import MemoryIsolation
+from .exchange import Deadlines, EpisodeProcess, Exchange
+from .frames import Answer, AnswerKind, Array, QuestionKind
+from .limits import Limits
+from .loaded_copy import LoadedCopy
+from .process_ids import ProcessIds
+from .sandbox import Sandbox
+from .tracing import TracedProcessGone
+from .verdicts import PolicyFailed, SandboxFailed, VerdictCode
+
+_REPORT_DEADLINE_S: Final = 2.0
+_ATTEMPTS: Final = 3
+
+
+class EpisodeIsolation(StrEnum):
+    """What keeps one episode's memory from the next."""
+
+    FROZEN_COPY = "frozen-copy"
+    """Loaded once and frozen; each episode runs in a copy."""
+    FRESH_PROCESS = "fresh-process"
+    """Loaded anew, in a new sandbox, for each episode."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Isolation:
+    """How strongly a policy was isolated; recorded with the result."""
+
+    user: UserIsolation
+    memory: MemoryIsolation
+    episodes: EpisodeIsolation
+    process_ids_repeat: bool
+    """True where an episode's process id does not tell how many episodes there were before."""
+
+
+def default_episode_isolation() -> EpisodeIsolation:
+    """Return the kind that this platform can do, or the one named by VITAC_EPISODE_ISOLATION."""
+    named = os.environ.get("VITAC_EPISODE_ISOLATION")
+    if named:
+        return EpisodeIsolation(named)
+    return EpisodeIsolation.FROZEN_COPY if tracing.is_supported() else EpisodeIsolation.FRESH_PROCESS
+
+
+class PolicySession:
+    """Loads a submission's policy once and plays episodes with it; belongs to the thread that opens it.
+
+    Args:
+        submission_dir: folder that holds submission.yaml and the policy's code.
+        entry_point: `module:Class` below it.
+        limits: what the policy may use.
+        slot: number of this session among those that run at once in this process.
+        episode_isolation: what keeps episodes apart; by default the strongest and fastest that this platform can do.
+
+    Raises:
+        PolicyFailed: on entering, the policy does not import or load.
+        SandboxFailed: on entering, this machine cannot isolate it.
+    """
+
+    def __init__(
+        self,
+        submission_dir: Path,
+        *,
+        entry_point: str = "policy:Policy",
+        limits: Limits | None = None,
+        slot: int = 0,
+        episode_isolation: EpisodeIsolation | None = None,
+    ) -> None:
+        self._submission_dir = submission_dir
+        self._entry_point = entry_point
+        self._limits = limits or Limits()
+        self._slot = slot
+        self._episodes = episode_isolation or default_episode_isolation()
+        self._exits = contextlib.ExitStack()
+        self._sandbox: Sandbox | None = None
+        self._loaded: LoadedCopy | None = None
+        self._loaded_pid = 0
+        self._isolation: Isolation | None = None
+        self.starts = 0
+        """How often the policy was loaded."""
+
+    def __enter__(self) -> Self:
+        self._start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stop()
+
+    @property
+    def isolation(self) -> Isolation:
+        """How strongly the policy is isolated on this machine."""
+        if self._isolation is None:
+            raise SandboxFailed("The session was never started; use it as a context manager.")
+        return self._isolation
+
+    @contextlib.contextmanager
+    def episode(self, *, task: str, action_shape: tuple[int, ...]) -> Iterator["EpisodePolicy"]:
+        """Give a fresh copy of the loaded policy for one episode, after its `reset(task)`.
+
+        Raises:
+            PolicyFailed: reset failed, or the policy had to be loaded anew and that failed.
+            SandboxFailed: this machine failed.
+        """
+        sandbox, process = self._start_episode()
+        try:
+            policy = EpisodePolicy(sandbox, process, limits=self._limits, action_shape=action_shape)
+            policy.reset(task)
+            yield policy
+            policy.check_silent()
+        finally:
+            self._end_episode(sandbox, process)
+
+    def _start_episode(self) -> tuple[Sandbox, EpisodeProcess]:
+        for _ in range(_ATTEMPTS):
+            sandbox = self._sandbox or self._start()
+            try:
+                process = self._copy()
+            except (TracedProcessGone, ProcessLookupError):
+                self._stop()
+                continue
+            except OSError as error:
+                message = f"The loaded policy could not be copied for an episode: {error.strerror}."
+                raise PolicyFailed(VerdictCode.CRASHED, message, sandbox.output.text()) from error
+            sandbox.output.restart_count()
+            return sandbox, process
+        raise PolicyFailed(VerdictCode.CRASHED, "The loaded policy ended by itself before an episode could start.")
+
+    def _copy(self) -> EpisodeProcess:
+        if self._loaded is not None:
+            return self._loaded.copy()
+        return EpisodeProcess(outside_pid=self._loaded_pid, inside_pid=process_tree.inside_pid(self._loaded_pid))
+
+    def _end_episode(self, sandbox: Sandbox, process: EpisodeProcess) -> None:
+        """Leave nothing of the episode: clear the sandbox, or end it where that is not possible."""
+        cleared = self._loaded is not None and self._loaded.clear()
+        if not cleared or not _report_came(sandbox, process) or sandbox.channel.has_unread_question():
+            self._stop()
+            return
+        sandbox.forget_statuses()
+        sandbox.channel.start_afresh()
+
+    def _start(self) -> Sandbox:
+        self.starts += 1
+        try:
+            sandbox = self._exits.enter_context(
+                Sandbox(self._submission_dir, limits=self._limits, slot=self._slot)
+            )  # fmt: skip
+            self._load(sandbox)
+        except BaseException:
+            self._stop()
+            raise
+        self._sandbox = sandbox
+        self._isolation = Isolation(
+            user=sandbox.user_isolation,
+            memory=sandbox.memory_isolation,
+            episodes=self._episodes,
+            process_ids_repeat=self._loaded is None or self._loaded.process_ids_repeat,
+        )
+        return sandbox
+
+    def _stop(self) -> None:
+        self._sandbox, self._loaded, self._loaded_pid = None, None, 0
+        self._exits.close()
+
+    def _load(self, sandbox: Sandbox) -> None:
+        exchange = Exchange(sandbox, limits=self._limits, process=None)
+        deadlines = Deadlines(
+            what="importing and loading",
+            wall_s=self._limits.start_wall_s,
+            cpu_s=self._limits.start_cpu_s,
+            wall_verdict=VerdictCode.START_TIMEOUT,
+        )
+        answer = exchange.ask(QuestionKind.LOAD, self._entry_point, {}, AnswerKind.LOADED, deadlines)
+        self._loaded_pid = answer.sender_pid
+        if self._episodes is EpisodeIsolation.FROZEN_COPY:
+            self._freeze(sandbox, exchange)
+
+    def _freeze(self, sandbox: Sandbox, exchange: Exchange) -> None:
+        sandbox.spare(self._loaded_pid)
+        try:
+            process_ids = self._exits.enter_context(ProcessIds(sandbox.first_pid))
+            self._loaded = LoadedCopy(
+                self._loaded_pid,
+                process_ids=process_ids,
+                own_files=sandbox.own_files,
+                episode_cpu_s=self._limits.episode_cpu_s,
+            )
+        except (TracedProcessGone, ProcessLookupError):
+            raise exchange.failure(VerdictCode.CRASHED, "The policy ended right after it was loaded.") from None
+        except PolicyFailed as failure:
+            raise exchange.failure(failure.verdict, failure.message) from None
+        self._exits.callback(self._loaded.end)
+        sandbox.channel.start_afresh()
+        sandbox.forget_statuses()
+
+
+class EpisodePolicy:
+    """One episode's copy of the policy."""
+
+    def __init__(
+        self, sandbox: Sandbox, process: EpisodeProcess, *, limits: Limits, action_shape: tuple[int, ...]
+    ) -> None:
+        self._sandbox = sandbox
+        self._limits = limits
+        self._action_shape = action_shape
+        self._exchange = Exchange(sandbox, limits=limits, process=process)
+        self._cpu_start_s = sandbox.cpu_s()
+        self.cpu_s = 0.0
+        """CPU time of the policy so far, all its processes together, while it is asked and meanwhile [s]."""
+        self.channel_s = 0.0
+        """Wall time of the exchanges that the policy did not compute in [s]."""
+
+    def reset(self, task: str) -> None:
+        """Tell the policy which task begins; the session has done so already.
+
+        Raises:
+            PolicyFailed: any verdict.
+        """
+        self._ask(QuestionKind.RESET, task, {}, AnswerKind.READY, "reset()")
+
+    def act(self, observation: Mapping[str, Array]) -> NDArray[np.float32]:
+        """Return the policy's action: float32, of the task's shape, finite, not clipped.
+
+        Raises:
+            PolicyFailed: any verdict.
+        """
+        answer = self._ask(QuestionKind.OBSERVE, "", observation, AnswerKind.ACTION, "act()")
+        try:
+            return checked_action(answer.arrays, self._action_shape)
+        except PolicyFailed as failure:
+            raise self._exchange.failure(failure.verdict, failure.message) from None
+
+    def check_silent(self) -> None:
+        """Make sure that the policy has sent nothing after its last answer.
+
+        Raises:
+            PolicyFailed: protocol_violation.
+        """
+        try:
+            self._sandbox.channel.check_silent()
+        except PolicyFailed as failure:
+            raise self._exchange.failure(failure.verdict, failure.message) from None
+
+    def _ask(
+        self, kind: QuestionKind, text: str, arrays: Mapping[str, Array], expected: AnswerKind, what: str
+    ) -> Answer:
+        self._count_cpu()
+        left_s = self._limits.episode_cpu_s - self.cpu_s
+        if left_s <= 0:
+            message = f"The episode used more than {self._limits.episode_cpu_s:g} s of CPU time."
+            raise self._exchange.failure(VerdictCode.CPU_TIME, message)
+        deadlines = Deadlines(
+            what=what, wall_s=self._limits.action_wall_s, cpu_s=min(self._limits.action_cpu_s, left_s)
+        )
+        started, cpu_before_s = time.perf_counter(), self.cpu_s
+        try:
+            return self._exchange.ask(kind, text, arrays, expected, deadlines)
+        finally:
+            self._count_cpu()
+            self.channel_s += max(0.0, time.perf_counter() - started - (self.cpu_s - cpu_before_s))
+
+    def _count_cpu(self) -> None:
+        """Take the time used so far; without a control group, that of processes which have ended is not in it."""
+        self.cpu_s = max(self.cpu_s, self._sandbox.cpu_s() - self._cpu_start_s)
+
+
+def _report_came(sandbox: Sandbox, process: EpisodeProcess) -> bool:
+    """Wait until the first process has reported the end of the episode's process, so that its pid may be used again."""
+    deadline = time.monotonic() + _REPORT_DEADLINE_S
+    while sandbox.exit_status(process.inside_pid) is None:
+        if time.monotonic() > deadline or sandbox.has_ended():
+            return False
+        select.select([sandbox.status_descriptor], [], [], 0.05)
+    return True

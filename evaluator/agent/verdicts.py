@@ -1,0 +1,85 @@
+"""The closed list of ways in which a policy or its evaluation can fail, each with one sentence for the team."""
+
+from enum import StrEnum
+
+from vitac.envs.errors import VitacError
+
+
+class VerdictCode(StrEnum):
+    """Why no score came out. The value is stable: it is stored, sent over HTTP and shown."""
+
+    ARCHIVE_REJECTED = "archive_rejected"
+    MANIFEST_REJECTED = "manifest_rejected"
+    IMPORT_ERROR = "import_error"
+    LOAD_FAILED = "load_failed"
+    START_TIMEOUT = "start_timeout"
+    SHARED_STATE = "shared_state"
+    CRASHED = "crashed"
+    OUT_OF_MEMORY = "out_of_memory"
+    CPU_TIME = "cpu_time"
+    WALL_TIME = "wall_time"
+    OUTPUT_FLOOD = "output_flood"
+    TOO_MANY_PROCESSES = "too_many_processes"
+    BAD_ACTION_TYPE = "bad_action_type"
+    BAD_ACTION_SHAPE = "bad_action_shape"
+    NON_FINITE_ACTION = "non_finite_action"
+    PROTOCOL_VIOLATION = "protocol_violation"
+    SANDBOX_FAILED = "sandbox_failed"
+
+    @property
+    def sentence(self) -> str:
+        """What happened and what to do about it."""
+        return _SENTENCES[self]
+
+    @property
+    def is_infrastructure(self) -> bool:
+        """True where the fault is ours: the work is retried and never counts against the team."""
+        return self is VerdictCode.SANDBOX_FAILED
+
+
+_SENTENCES = {
+    VerdictCode.ARCHIVE_REJECTED: "The archive breaks a rule of the upload; pack the folder again as the message says.",
+    VerdictCode.MANIFEST_REJECTED: "submission.yaml is missing or wrong; correct the key that the message names.",
+    VerdictCode.IMPORT_ERROR: "The entry point could not be imported; run `vitac check` and read the traceback.",
+    VerdictCode.LOAD_FAILED: "The policy's constructor raised; run `vitac check` and read the traceback.",
+    VerdictCode.START_TIMEOUT: "Importing and loading took longer than the start limit; load less or load faster.",
+    VerdictCode.SHARED_STATE: (
+        "After loading, the policy still held memory or descriptors that could carry data from one episode to the "
+        "next; release them before the constructor returns."
+    ),
+    VerdictCode.CRASHED: "The policy raised or its process ended; the last lines of its output say where.",
+    VerdictCode.OUT_OF_MEMORY: "The policy and its children used too much memory; use smaller models or batches.",
+    VerdictCode.CPU_TIME: "The policy used more CPU time than allowed; make reset() and act() cheaper.",
+    VerdictCode.WALL_TIME: "No answer came within the wall time allowed; look for a wait, a sleep or a deadlock.",
+    VerdictCode.OUTPUT_FLOOD: "The policy printed more than allowed; print less.",
+    VerdictCode.TOO_MANY_PROCESSES: "The policy started more processes and threads than allowed; start fewer.",
+    VerdictCode.BAD_ACTION_TYPE: "The action is not an array of real numbers; return a float32 NumPy array.",
+    VerdictCode.BAD_ACTION_SHAPE: "The action has the wrong shape; return the shape in the task's action table.",
+    VerdictCode.NON_FINITE_ACTION: "The action holds NaN or infinity, or overflows float32; return finite numbers.",
+    VerdictCode.PROTOCOL_VIOLATION: (
+        "Something other than one answer per question came over the channel; leave it to the evaluator's runtime."
+    ),
+    VerdictCode.SANDBOX_FAILED: "The evaluation machine failed, not the policy; the work is tried again by itself.",
+}
+
+
+class PolicyFailed(VitacError):
+    """The policy failed in a way that its team can mend: show them `verdict.sentence`, `message` and `output_tail`.
+
+    Attributes:
+        verdict: which of the closed list of ways.
+        message: what was expected and what came, one or a few sentences.
+        output_tail: the last part of what the policy printed, at most `Limits.output_kept_bytes`.
+    """
+
+    def __init__(self, verdict: VerdictCode, message: str, output_tail: str = "") -> None:
+        super().__init__(f"{verdict}: {message}")
+        self.verdict = verdict
+        self.message = message
+        self.output_tail = output_tail
+
+
+class SandboxFailed(VitacError):
+    """The isolation could not be set up or broke: mend the machine (`vitac doctor` tells how), then retry the work."""
+
+    verdict = VerdictCode.SANDBOX_FAILED

@@ -1,0 +1,79 @@
+"""The report of `vitac resimulate`: what recorded actions do in our physics, beside what was recorded with them."""
+
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+from pydantic import JsonValue
+
+from .episodes import Environment
+from .recordings import Recording
+from .records import EpisodeOutcome
+from .replay import Resimulated, resimulate
+from .strict_model import StrictModel
+
+_FLAGS = ("is_success", "tactile_movement_too_large", "error_too_large")
+
+
+class ReportedStep(StrictModel):
+    """One env step, lengths in mm. Quantities that the task does not have are left out of the JSON."""
+
+    n: int
+    surface_diff_mm: tuple[float, ...] | None = None
+    peg_relative_z_mm: tuple[float, ...] | None = None
+    is_success: bool | None = None
+    tactile_movement_too_large: bool | None = None
+    error_too_large: bool | None = None
+
+
+class ReportedEpisode(StrictModel):
+    """One episode; `end_step` and `end_reason` are None where nothing ended it within the recorded actions."""
+
+    episode: int
+    steps: tuple[ReportedStep, ...]
+    success: bool
+    end_step: int | None
+    end_reason: EpisodeOutcome | None
+
+
+class Report(StrictModel):
+    """All episodes of a recording."""
+
+    episodes: tuple[ReportedEpisode, ...]
+    solver_version: str
+    ipc_steps: int
+    cpu_s_per_ipc_step: float
+
+
+def resimulate_all(env: Environment, recordings: Iterable[Recording]) -> Iterator[tuple[Recording, ReportedEpisode]]:
+    """Plays the recordings one after the other; what was recorded and what came out."""
+    for recording in recordings:
+        yield recording, _episode(recording, resimulate(env, recording.episode, recording.actions))
+
+
+def report(env: Environment, episodes: Iterable[ReportedEpisode]) -> Report:
+    """The report on all episodes that were played in this environment since it was made."""
+    return Report(
+        episodes=tuple(episodes),
+        solver_version=env.solver_version,
+        ipc_steps=env.ipc_steps,
+        cpu_s_per_ipc_step=env.physics_cpu_s / env.ipc_steps if env.ipc_steps else 0.0,
+    )
+
+
+def reported_step(number: int, info: dict[str, JsonValue]) -> ReportedStep:
+    """What a report holds of the info of one env step, ours or recorded."""
+    known: dict[str, Any] = {key: info[key] for key in ("peg_relative_z_mm", *_FLAGS) if key in info}
+    if "surface_diff_m" in info:
+        metres: Any = info["surface_diff_m"]
+        known["surface_diff_mm"] = tuple(1000 * value for value in metres)
+    return ReportedStep.model_validate({"n": number, **known})
+
+
+def _episode(recording: Recording, played: Resimulated) -> ReportedEpisode:
+    return ReportedEpisode(
+        episode=recording.episode.number,
+        steps=tuple(reported_step(number, info) for number, info in enumerate(played.infos, start=1)),
+        success=played.outcome is EpisodeOutcome.SUCCESS,
+        end_step=played.end_step,
+        end_reason=played.outcome,
+    )

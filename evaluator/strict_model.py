@@ -1,0 +1,123 @@
+"""Validated records for file borders: unknown keys are refused and the nearest valid one is named.
+
+Used for track files, episode records and logs; `parse_yaml` is the one way a YAML file enters the evaluator.
+"""
+
+from collections.abc import Iterator
+from difflib import get_close_matches
+from typing import Annotated, Any, TypeVar, get_args
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from vitac.envs.errors import VitacError
+
+_MOST_PROBLEMS = 5
+"""Told of one document; the rest is counted."""
+
+ModelT = TypeVar("ModelT", bound=BaseModel)
+
+
+Word = Annotated[str, Field(pattern=r"^[\w.+:-]+$", max_length=100)]
+"""A name, version or hash: nothing that could steer a terminal or a page."""
+
+
+class DocumentRejected(VitacError):
+    """A file does not have the form its model asks for. The message says where and why."""
+
+
+class StrictModel(BaseModel):
+    """Base of every record that is read from a file: frozen, no unknown keys, no NaN or infinity."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class _UniqueKeyLoader(yaml.SafeLoader):
+    """Safe YAML loader that refuses a key given twice, where PyYAML would keep the last one in silence."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        """Builds one mapping after looking for repeated keys."""
+        seen: set[object] = set()
+        for key_node, _ in node.value:
+            key = self.construct_object(key_node, deep=True)
+            if key in seen:
+                raise yaml.constructor.ConstructorError(None, None, f"key {key!r} is given twice", key_node.start_mark)
+            seen.add(key)
+        return super().construct_mapping(node, deep)
+
+
+def parse_yaml(model: type[ModelT], text: str, origin: str) -> ModelT:
+    """Reads one YAML document into a model.
+
+    Args:
+        model: what the document must be.
+        text: the document.
+        origin: name of the file, for the error message.
+
+    Raises:
+        DocumentRejected: not YAML, a key twice, an unknown or missing key, or a value of the wrong kind.
+    """
+    try:
+        content = yaml.load(text, Loader=_UniqueKeyLoader)  # noqa: S506 - derives from SafeLoader
+    except yaml.YAMLError as error:
+        raise DocumentRejected(f"{origin} is not valid YAML: {_one_line(error)}. Correct the file.") from error
+    return validate(model, content, origin)
+
+
+def validate(model: type[ModelT], content: object, origin: str) -> ModelT:
+    """Checks parsed content against a model.
+
+    Raises:
+        DocumentRejected: with one sentence for each thing that is wrong.
+    """
+    try:
+        return model.model_validate(content)
+    except ValidationError as error:
+        raise DocumentRejected(f"{origin}: {explain(model, error)}") from error
+
+
+def explain(model: type[BaseModel], error: ValidationError) -> str:
+    """One sentence for each problem of a validation error, with the nearest valid key for an unknown one."""
+    problems = error.errors(include_url=False)
+    more = f" And {len(problems) - _MOST_PROBLEMS} more." if len(problems) > _MOST_PROBLEMS else ""
+    return " ".join(_sentence(model, dict(problem)) for problem in problems[:_MOST_PROBLEMS]) + more
+
+
+def _sentence(model: type[BaseModel], problem: dict[str, Any]) -> str:
+    place = ".".join(str(part) for part in problem["loc"]) or "the document"
+    if problem["type"] == "extra_forbidden":
+        return f"Unknown key {place!r}; {_nearest(str(problem['loc'][-1]), _keys_at(model, problem['loc'][:-1]))}."
+    if problem["type"] == "missing":
+        return f"Missing key {place!r}; add it."
+    came = "" if isinstance(problem["input"], dict | list) else f" (came: {problem['input']!r:.80})"
+    return f"{place}: {problem['msg']}{came}."
+
+
+def _nearest(key: str, valid: list[str]) -> str:
+    close = get_close_matches(key, valid, n=1)
+    return f"did you mean {close[0]!r}?" if close else f"valid keys are {', '.join(valid)}"
+
+
+def _keys_at(model: type[BaseModel], place: tuple[int | str, ...]) -> list[str]:
+    """Valid keys of the (nested) model that a location inside a document points to."""
+    if not place:
+        return sorted(model.model_fields)
+    field = model.model_fields.get(str(place[0]))
+    if field is None:
+        return []
+    keys: list[str] = []
+    for inner in _models_in(field.annotation):
+        # A mapping or list of models has one more location part: its key or index.
+        rest = place[2:] if inner is not field.annotation and len(place) > 1 else place[1:]
+        keys.extend(_keys_at(inner, rest))
+    return keys
+
+
+def _models_in(annotation: object) -> Iterator[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for argument in get_args(annotation):
+        yield from _models_in(argument)
+
+
+def _one_line(error: object) -> str:
+    return " ".join(str(error).split())

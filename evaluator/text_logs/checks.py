@@ -1,0 +1,203 @@
+"""Everything in a text log that can be checked against itself and the published rules (challenge-facts 6, 7, 13)."""
+
+from collections.abc import Iterator, Sequence
+from math import cos, hypot, isclose, radians, sin
+
+from .kinds import Kind, PegRules, Start
+from .reader import TextEpisode, TextLog, TextStep
+
+PRINTED_MM = 2e-5
+"""Printed float32 and eight decimals agree with our arithmetic within this [mm, degrees, reward]."""
+
+
+def check(log: TextLog, kind: Kind) -> list[str]:
+    """What is wrong with a log, beyond what is out of place in it; one sentence with a line or test number each."""
+    return [*_check_header(log, kind), *_check_episodes(log, kind), *_check_totals(log)]
+
+
+def hole_top(log: TextLog, kind: Kind) -> float | None:
+    """The hole's top that the log was made with [mm]; None where the kind has none or the log shows none."""
+    shown = log.episodes[0].initial_offset if log.episodes else None
+    if not kind.hole_tops_mm or shown is None:
+        return None
+    return min(kind.hole_tops_mm, key=lambda top: abs(kind.starts(top)[0].offset[3] - shown[3]))
+
+
+def _check_header(log: TextLog, kind: Kind) -> Iterator[str]:
+    if log.script_md5 is None:
+        yield "the header has no MD5 of the script"
+    elif log.script_md5 not in kind.script_md5:
+        yield f"the script's MD5 {log.script_md5} is not that of the published one, {kind.script_md5[0]}"
+    for key, official in kind.environment.items():
+        came = log.environment.get(key)
+        if _plain(came) != _plain(official):
+            yield f"the environment has {key} = {came!r:.60}, the official one {official!r}"
+    for key in sorted(log.environment.keys() - kind.environment.keys() - {"vision_params"}):
+        yield f"the environment has {key!r:.60}, which the official one has not"
+    if not log.parameters:
+        yield "the header has no parameters"
+
+
+def _check_episodes(log: TextLog, kind: Kind) -> Iterator[str]:
+    starts = kind.starts(hole_top(log, kind))
+    if len(log.episodes) != len(starts):
+        yield f"there are {len(log.episodes)} tests, the list has {len(starts)}"
+    for episode, start in zip(log.episodes, starts, strict=False):
+        for problem in _check_episode(episode, start, kind, hole_top(log, kind)):
+            yield f"test {episode.number}: {problem}"
+
+
+def _check_episode(episode: TextEpisode, start: Start, kind: Kind, top: float | None) -> Iterator[str]:
+    if episode.success is None:
+        yield "it has no RESULT"
+    if not episode.steps:
+        yield "it has no step"
+    if len(episode.steps) > kind.max_steps:
+        yield f"it has {len(episode.steps)} steps, the task ends after {kind.max_steps}"
+    for step in episode.steps:
+        if len(step.action) != kind.action_size:
+            yield f"step {step.n} has {len(step.action)} action values, expected {kind.action_size}"
+        elif max(map(abs, step.action)) > 1:
+            yield f"step {step.n} has an action outside -1 and 1"
+    if kind.peg and episode.initial_offset is None:
+        yield "it has no initial offset"
+    elif kind.peg and episode.initial_offset is not None:
+        if not _close(episode.initial_offset, start.offset):
+            yield f"it starts at {episode.initial_offset}, in the list at {start.offset}"
+        yield from _check_peg_episode(episode, episode.initial_offset, kind, kind.peg, top)
+
+
+def _check_peg_episode(
+    episode: TextEpisode, start: tuple[float, ...], kind: Kind, rules: PegRules, top: float | None
+) -> Iterator[str]:
+    before = start
+    for step in episode.steps:
+        missing = _missing(step, kind)
+        if missing:
+            yield f"step {step.n} lacks {missing}"
+            return
+        for problem in _check_step(step, before, start, kind, rules, top):
+            yield f"step {step.n}: {problem}"
+        before = step.info["gt_offset_mm_deg"]
+        ended = step.info["is_success"] or _flagged(step)
+        if ended != (step is episode.steps[-1]):
+            yield f"step {step.n} {'ended the test, but others follow' if ended else 'is the last, but ended nothing'}"
+    if episode.steps and episode.success != episode.steps[-1].info["is_success"]:
+        yield f"RESULT says {'SUCCESS' if episode.success else 'FAIL'}, its last step the opposite"
+
+
+def _missing(step: TextStep, kind: Kind) -> str | None:
+    size = kind.action_size
+    lengths = {
+        "surface_diff_m": 2,
+        "relative_motion_mm_deg": 4,
+        "gt_offset_mm_deg": size,
+    }
+    for key, length in lengths.items():
+        value = step.info.get(key)
+        if not isinstance(value, tuple) or len(value) != length or not all(_is_number(item) for item in value):
+            return f"info {key} of {length} numbers"
+    heights = step.info.get("peg_relative_z_mm")
+    if not isinstance(heights, tuple) or not heights or not all(_is_number(item) for item in heights):
+        return "info peg_relative_z_mm"
+    for key in ("tactile_movement_too_large", "too_many_steps", "error_too_large", "is_success"):
+        if not isinstance(step.info.get(key), bool):
+            return f"info {key}"
+    if step.offset is None or len(step.offset) != size or step.reward is None or len(step.action) != size:
+        return "action, offset or reward"
+    return None
+
+
+def _check_step(
+    step: TextStep, before: Sequence[float], start: Sequence[float], kind: Kind, rules: PegRules, top: float | None
+) -> Iterator[str]:
+    info, offset = step.info, step.info["gt_offset_mm_deg"]
+    if info.get("steps") != step.n:
+        yield f"info steps is {info.get('steps')}"
+    if not _close(offset, _moved(before, step.action, rules)):
+        yield f"the action does not lead to offset {offset}"
+    if not _close(step.offset or (), offset):
+        yield f"offset {step.offset} is not that of the info, {offset}"
+    motion = [now - then for now, then in zip(offset, start, strict=True)]
+    if len(motion) == 3:
+        motion.append(-step.n * rules.descent_per_step_mm)
+    if not _close(info["relative_motion_mm_deg"], motion):
+        yield f"relative motion {info['relative_motion_mm_deg']} does not follow from the offset"
+    yield from _check_flags(step, kind, rules, top)
+    if not isclose(step.reward or 0.0, _reward(step, before, kind, rules), abs_tol=1e-4):
+        yield f"reward {step.reward} does not follow from the rules"
+
+
+def _check_flags(step: TextStep, kind: Kind, rules: PegRules, top: float | None) -> Iterator[str]:
+    info, offset = step.info, list(step.info["gt_offset_mm_deg"])
+    if top is not None:
+        offset[3] -= top
+    limits = zip(offset, rules.offset_limit, strict=True)
+    expected = {
+        "tactile_movement_too_large": max(info["surface_diff_m"]) > rules.surface_limit_m,
+        "too_many_steps": step.n >= kind.max_steps,
+        "error_too_large": any(abs(value) > limit + 1e-5 for value, limit in limits),
+    }
+    deep = step.n * rules.descent_per_step_mm > rules.commanded_depth_mm or not rules.commanded_depth_mm
+    inserted = max(info["peg_relative_z_mm"]) < -rules.depth_mm
+    centred = all(abs(value) < limit for value, limit in zip(offset, rules.success_limit, strict=False))
+    expected["is_success"] = not any(expected.values()) and deep and inserted and centred
+    for key, value in expected.items():
+        if info[key] != value:
+            yield f"{key} is {info[key]}, by the rules {value}"
+
+
+def _moved(before: Sequence[float], action: Sequence[float], rules: PegRules) -> list[float]:
+    """The commanded offset after an action: scaled, clipped, xy turned by the angle before (challenge-facts 5)."""
+    pairs = zip(action, rules.action_scale, strict=True)
+    motion = [min(max(value * scale, -scale), scale) for value, scale in pairs]
+    angle = radians(before[2])
+    x, y = motion[0], motion[1]
+    motion[0], motion[1] = x * cos(angle) - y * sin(angle), x * sin(angle) + y * cos(angle)
+    return [value + change for value, change in zip(before, motion, strict=True)]
+
+
+def _reward(step: TextStep, before: Sequence[float], kind: Kind, rules: PegRules) -> float:
+    """Progress minus penalty, plus what the end gives (challenge-facts 6.1, 6.3)."""
+    progress = hypot(*before) - hypot(*step.info["gt_offset_mm_deg"])
+    reward = progress - rules.step_penalty
+    if step.info["tactile_movement_too_large"] or step.info["error_too_large"]:
+        return reward - 2 * rules.step_penalty * (kind.max_steps - step.n) + rules.step_penalty
+    return reward + (rules.final_reward if step.info["is_success"] else 0.0)
+
+
+def _check_totals(log: TextLog) -> Iterator[str]:
+    if not log.has_totals:
+        yield "the log ends without its totals"
+        return
+    steps = [len(episode.steps) for episode in log.episodes if episode.success]
+    rate = len(steps) / len(log.episodes) if log.episodes else 0.0
+    claimed = log.claimed_success_rate or 0.0
+    if not isclose(claimed, rate, abs_tol=0.5001e-4):
+        yield f"the success rate is {100 * rate:.2f} %, claimed are {100 * claimed:.2f} %"
+    mean = sum(steps) / len(steps) if steps else None
+    if (mean is None) != (log.claimed_average_steps is None):
+        yield f"the average of steps is {mean}, claimed is {log.claimed_average_steps}"
+    elif mean is not None and not isclose(log.claimed_average_steps or 0.0, mean, abs_tol=0.00501):
+        yield f"the average of steps is {mean:.2f}, claimed is {log.claimed_average_steps}"
+
+
+def _flagged(step: TextStep) -> bool:
+    return any(step.info[key] for key in ("tactile_movement_too_large", "too_many_steps", "error_too_large"))
+
+
+def _close(one: Sequence[float], other: Sequence[float]) -> bool:
+    return len(one) == len(other) and all(isclose(a, b, abs_tol=PRINTED_MM) for a, b in zip(one, other, strict=True))
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _plain(value: object) -> object:
+    """Lists and tuples alike, so that a printed and a configured value compare."""
+    if isinstance(value, list | tuple):
+        return tuple(_plain(item) for item in value)
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    return value

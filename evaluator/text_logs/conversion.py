@@ -1,0 +1,56 @@
+"""A text log as JSON lines, one object for each episode (challenge-facts 13)."""
+
+from collections.abc import Iterator
+from datetime import datetime
+from typing import Any
+
+from .checks import hole_top
+from .kinds import Kind, Start
+from .reader import TextEpisode, TextLog, TextStep
+
+_INFO_KEYS = (
+    "surface_diff_m",
+    "tactile_movement_too_large",
+    "too_many_steps",
+    "error_too_large",
+    "peg_relative_z_mm",
+    "is_success",
+    "relative_motion_mm_deg",
+    "gt_offset_mm_deg",
+)
+
+
+def to_json_lines(log: TextLog, kind: Kind) -> Iterator[dict[str, Any]]:
+    """One JSON object for each episode that the list has too."""
+    for episode, start in zip(log.episodes, kind.starts(hole_top(log, kind)), strict=False):
+        yield _episode(episode, start, kind)
+
+
+def _episode(episode: TextEpisode, start: Start, kind: Kind) -> dict[str, Any]:
+    content: dict[str, Any] = {
+        "episode": episode.number,
+        "task": kind.task,
+        "shape_index": start.shape_index,
+        "repeat_index": start.repeat_index,
+        "offset_index": start.offset_index,
+        "initial_offset": list(episode.initial_offset or start.offset),
+        "steps": [_step(step) for step in episode.steps],
+        "result": "SUCCESS" if episode.success else "FAIL",
+        "t_start": episode.started.isoformat(timespec="milliseconds"),
+        "shape": start.shape,
+        "reset_s": _seconds(episode.started, episode.reset_ended),
+        "wall_s": _seconds(episode.started, episode.ended),
+    }
+    return content | ({"choose_left": start.shape_index} if kind.hole_tops_mm else {})
+
+
+def _step(step: TextStep) -> dict[str, Any]:
+    content: dict[str, Any] = {"n": step.n, "action": list(step.action), "wall_s": _seconds(step.started, step.ended)}
+    if step.info:
+        content |= {"offset_obs": list(step.offset or ()), "info_steps": step.info.get("steps")}
+        content |= {key: step.info[key] for key in _INFO_KEYS if key in step.info} | {"reward": step.reward}
+    return content
+
+
+def _seconds(start: datetime, end: datetime | None) -> float | None:
+    return round((end - start).total_seconds(), 3) if end else None

@@ -1,0 +1,164 @@
+"""A text log as messages, and the Python values printed inside them. Nothing is ever evaluated."""
+
+import ast
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import datetime
+from math import isfinite
+from typing import Any, BinaryIO
+
+from vitac.envs.errors import VitacError
+
+MAX_LINE_BYTES = 1 << 18
+MAX_MESSAGE_CHARACTERS = 1 << 18
+MAX_LOG_BYTES = 1 << 28
+"""Bounds on what is read: a true log has lines of 10,000 bytes and 5 MB in all."""
+
+# `<date> <time>.<ms> | <LEVEL padded> | <module>:<function>:<line> - <message>`; the organizers' own log starts with
+# stray blanks (challenge-facts 7.1), so blanks before the date are no fault.
+_PREFIX = re.compile(
+    r"\s*(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d\.\d{3}) \| ([A-Z]+) *\| ([\w.]+):([\w<>.]+):(\d+) - (.*)", re.DOTALL
+)
+
+
+class TextLogRejected(VitacError):
+    """The file is not a text log of the challenge; the message names the line and the reason."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Message:
+    """One message; `line` counts from 1 and is that of its first line."""
+
+    line: int
+    time: datetime
+    text: str
+
+
+def messages(stream: BinaryIO) -> Iterator[Message]:
+    """The messages of a log in their order; lines without a prefix belong to the message before.
+
+    Raises:
+        TextLogRejected: it is not text, not a log, or larger than any true one.
+    """
+    first: tuple[int, re.Match[str]] | None = None
+    text: list[str] = []
+    length = 0
+    for number, line in _lines(stream):
+        match = _PREFIX.match(line)
+        if match:
+            if first:
+                yield _message(*first, text)
+            first, text, length = (number, match), [match[6]], len(line)
+        elif first is None:
+            raise TextLogRejected(f"Line {number} does not start like a log line, `<date> <time> | INFO | ...`.")
+        else:
+            text.append(line)
+            length += len(line) + 1
+            if length > MAX_MESSAGE_CHARACTERS:
+                raise TextLogRejected(f"Line {number} belongs to a message longer than {MAX_MESSAGE_CHARACTERS}.")
+    if first is None:
+        raise TextLogRejected("Line 1: the file is empty.")
+    yield _message(*first, text)
+
+
+def vector(message: Message, text: str) -> tuple[float, ...]:
+    """The numbers of a printed NumPy array, `[-4. 0.5 2e-3]`.
+
+    Raises:
+        TextLogRejected: it is something else, or a number is not finite.
+    """
+    inside = text.strip()
+    if not (inside.startswith("[") and inside.endswith("]")):
+        raise _rejected(message, f"expected numbers in brackets, came {inside:.60}")
+    return tuple(number(message, part) for part in inside[1:-1].split())
+
+
+def number(message: Message, text: str) -> float:
+    """A finite number.
+
+    Raises:
+        TextLogRejected: it is something else.
+    """
+    try:
+        value = float(text)
+    except ValueError as error:
+        raise _rejected(message, f"{text.strip():.60} is not a number") from error
+    if not isfinite(value):
+        raise _rejected(message, f"{text.strip():.60} is not a finite number")
+    return value
+
+
+def whole_number(message: Message, text: str) -> int:
+    """A number of at most nine digits.
+
+    Raises:
+        TextLogRejected: it is something else.
+    """
+    if not re.fullmatch(r"\d{1,9}", text):
+        raise _rejected(message, f"{text.strip():.60} is not a count")
+    return int(text)
+
+
+def printed_dict(message: Message, text: str) -> dict[str, Any]:
+    """A printed Python dict of plain values and NumPy arrays; arrays become tuples.
+
+    Raises:
+        TextLogRejected: it is something else, or a number is not finite.
+    """
+    try:
+        tree = ast.parse(text.strip(), mode="eval").body
+        value = _value(tree)
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+        raise _rejected(message, f"cannot read the printed values: {error!s:.80}") from error
+    if not isinstance(value, dict) or not all(isinstance(key, str) for key in value):
+        raise _rejected(message, "expected a printed dict with text as keys")
+    return value
+
+
+def _value(node: ast.expr) -> Any:
+    match node:
+        case ast.Constant(value=bool() | str() | None):
+            return node.value
+        case ast.Constant(value=int() | float() as value) if isfinite(value):
+            return value
+        case ast.UnaryOp(op=ast.USub(), operand=ast.Constant(value=int() | float())):
+            return -_value(node.operand)
+        case ast.List() | ast.Tuple():
+            return tuple(_value(element) for element in node.elts)
+        case ast.Dict():
+            keys = [_value(key) for key in node.keys if key is not None]
+            if len(set(keys)) != len(node.values):
+                raise ValueError("a key comes twice or is none")
+            return dict(zip(keys, map(_value, node.values), strict=True))
+        case ast.Call(func=ast.Name(id="array"), args=[ast.List() as elements]):
+            return _value(elements)
+        case _:
+            raise ValueError(f"{ast.unparse(node):.40} is not a plain finite value")
+
+
+def _lines(stream: BinaryIO) -> Iterator[tuple[int, str]]:
+    number, total = 0, 0
+    while line := stream.readline(MAX_LINE_BYTES + 1):
+        number, total = number + 1, total + len(line)
+        if len(line) > MAX_LINE_BYTES or total > MAX_LOG_BYTES:
+            raise TextLogRejected(f"Line {number} is longer than {MAX_LINE_BYTES} bytes, or the file too large.")
+        try:
+            text = line.decode("utf-8")
+        except UnicodeDecodeError as error:
+            raise TextLogRejected(f"Line {number} is not UTF-8 text.") from error
+        if "\x00" in text:
+            raise TextLogRejected(f"Line {number} holds binary data.")
+        yield number, text.rstrip("\r\n")
+
+
+def _message(line: int, prefix: re.Match[str], text: list[str]) -> Message:
+    try:
+        time = datetime.strptime(prefix[1], "%Y-%m-%d %H:%M:%S.%f")
+    except ValueError as error:
+        raise TextLogRejected(f"Line {line}: {prefix[1]} is no date and time.") from error
+    return Message(line=line, time=time, text="\n".join(text))
+
+
+def _rejected(message: Message, reason: str) -> TextLogRejected:
+    return TextLogRejected(f"Line {message.line}: {reason}.")

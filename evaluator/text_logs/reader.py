@@ -1,0 +1,225 @@
+"""The messages of a text log as header, episodes and totals; what is out of place becomes a problem."""
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from datetime import datetime
+from typing import Any, BinaryIO
+
+from .messages import Message, TextLogRejected, messages, number, printed_dict, vector, whole_number
+
+MAX_PROBLEMS = 200
+"""A file with more lines out of place is no log of the challenge."""
+
+
+@dataclass(kw_only=True)
+class TextStep:
+    """One env step. The lock's log has nothing but the action; `ended` is the time of the message after it."""
+
+    line: int
+    n: int
+    action: tuple[float, ...]
+    started: datetime
+    ended: datetime | None = None
+    offset: tuple[float, ...] | None = None
+    info: dict[str, Any] = field(default_factory=dict)
+    reward: float | None = None
+
+
+@dataclass(kw_only=True)
+class TextEpisode:
+    """One test. `number` is the logged one."""
+
+    line: int
+    number: int
+    started: datetime
+    reset_ended: datetime | None = None
+    initial_offset: tuple[float, ...] | None = None
+    steps: list[TextStep] = field(default_factory=list)
+    success: bool | None = None
+    ended: datetime | None = None
+
+
+@dataclass(kw_only=True)
+class TextLog:
+    """A whole log. `problems` are sentences about what is out of place."""
+
+    team: str | None = None
+    script_md5: str | None = None
+    git: dict[str, str] = field(default_factory=dict)
+    parameters: dict[str, str] = field(default_factory=dict)
+    environment: dict[str, Any] = field(default_factory=dict)
+    episodes: list[TextEpisode] = field(default_factory=list)
+    claimed_success_rate: float | None = None
+    claimed_average_steps: float | None = None
+    has_totals: bool = False
+    problems: list[str] = field(default_factory=list)
+
+
+def read_text_log(stream: BinaryIO) -> TextLog:
+    """Reads a log.
+
+    Args:
+        stream: the file, opened for reading bytes.
+
+    Raises:
+        TextLogRejected: it is not a text log of the challenge.
+    """
+    reader = _Reader()
+    for message in messages(stream):
+        reader.take(message)
+    if reader.log.team is None or not reader.log.environment:
+        raise TextLogRejected("Line 1: no `#KEY` and no environment; this is not an evaluation log of the challenge.")
+    return reader.log
+
+
+class _Reader:
+    """Puts one message after the other into a log."""
+
+    def __init__(self) -> None:
+        self.log = TextLog()
+        self._last: Message | None = None
+        self._tests: set[int] = set()
+        self._test_before = 0
+        self._rules: list[tuple[re.Pattern[str], Callable[[Message, re.Match[str]], None]]] = [
+            (re.compile(pattern, re.DOTALL), rule)
+            for pattern, rule in (
+                (r"#KEY: (.*)", self._key),
+                (r"this is MD5: ([0-9a-f]{32})\s*", self._md5),
+                (r"Git Repository Information:\s*", lambda *_: None),
+                (r" *(\w+): (.*)", self._git_or_part),
+                (r"\n-+Parameters-+\n(.*)\n-+End-+\s*", self._parameters),
+                (r"(\{.*\})\s*", self._environment),
+                (r"#### Test No\. (\d+) ####\s*", self._test),
+                (r"Initial offset: (.*)", self._initial_offset),
+                (r"Step (\d+) Action: (.*)", self._action),
+                (r"#SUCCESS_RATE: (?:(\d+\.\d\d)%|0)\s*", self._success_rate),
+                (r"#AVG_STEP: (?:(\d+\.\d\d)|NA)\s*", self._average_steps),
+            )
+        ]
+
+    def take(self, message: Message) -> None:
+        """Puts one message where it belongs."""
+        if self._last and message.time < self._last.time:
+            self._problem(message, "its time is before that of the line before it")
+        self._last = message
+        for pattern, rule in self._rules:
+            match = pattern.fullmatch(message.text)
+            if match:
+                rule(message, match)
+                return
+        self._problem(message, f"unknown message {message.text!r:.60}")
+
+    def _key(self, message: Message, match: re.Match[str]) -> None:
+        if self.log.team is not None:
+            self._problem(message, "a second log begins here")
+            return
+        if not match[1].isprintable():
+            raise TextLogRejected(f"Line {message.line}: the team's name holds control characters.")
+        self.log.team = match[1].strip()
+
+    def _md5(self, _: Message, match: re.Match[str]) -> None:
+        self.log.script_md5 = self.log.script_md5 or match[1]
+
+    def _git_or_part(self, message: Message, match: re.Match[str]) -> None:
+        parts = {"Offset": self._offset, "info": self._info, "Reward": self._reward, "RESULT": self._result}
+        if match[1] in parts:
+            parts[match[1]](message, match[2])
+        elif not self.log.environment:
+            self.log.git[match[1]] = match[2]
+        else:
+            self._problem(message, f"unknown message {message.text!r:.60}")
+
+    def _parameters(self, _: Message, match: re.Match[str]) -> None:
+        lines = (line.partition(":") for line in match[1].splitlines())
+        self.log.parameters = {name.strip(): value.strip() for name, _, value in lines}
+
+    def _environment(self, message: Message, match: re.Match[str]) -> None:
+        self.log.environment = self.log.environment or printed_dict(message, match[1])
+
+    def _test(self, message: Message, match: re.Match[str]) -> None:
+        test = whole_number(message, match[1])
+        if self.log.episodes and self.log.episodes[-1].success is None:
+            self._problem(message, f"test {self.log.episodes[-1].number} has no RESULT")
+        if test in self._tests:
+            self._problem(message, f"test {test} comes twice")
+        elif test != self._test_before + 1:
+            self._problem(message, f"test {test} comes after test {self._test_before}")
+        self._test_before = test
+        self._tests.add(test)
+        self.log.episodes.append(TextEpisode(line=message.line, number=test, started=message.time))
+
+    def _initial_offset(self, message: Message, match: re.Match[str]) -> None:
+        episode = self._open_episode(message)
+        if episode and not episode.steps and episode.initial_offset is None:
+            episode.initial_offset = vector(message, match[1])
+            episode.reset_ended = message.time
+        elif episode:
+            self._problem(message, "an initial offset inside a test")
+
+    def _action(self, message: Message, match: re.Match[str]) -> None:
+        episode = self._open_episode(message)
+        if not episode:
+            return
+        self._end_step(episode, message)
+        episode.reset_ended = episode.reset_ended or message.time
+        n, action = whole_number(message, match[1]), vector(message, match[2])
+        if n != len(episode.steps) + 1:
+            self._problem(message, f"step {n} comes after {len(episode.steps)} steps")
+        episode.steps.append(TextStep(line=message.line, n=n, action=action, started=message.time))
+
+    def _offset(self, message: Message, text: str) -> None:
+        step = self._open_step(message)
+        if step:
+            step.offset, step.ended = vector(message, text), message.time
+
+    def _info(self, message: Message, text: str) -> None:
+        step = self._open_step(message)
+        if step:
+            step.info = printed_dict(message, text)
+
+    def _reward(self, message: Message, text: str) -> None:
+        step = self._open_step(message)
+        if step:
+            step.reward = number(message, text)
+
+    def _result(self, message: Message, text: str) -> None:
+        episode = self._open_episode(message)
+        if not episode:
+            return
+        self._end_step(episode, message)
+        if text.strip() not in ("SUCCESS", "FAIL"):
+            self._problem(message, f"RESULT is {text!r:.40}, expected SUCCESS or FAIL")
+        episode.success, episode.ended = text.strip() == "SUCCESS", message.time
+
+    def _success_rate(self, message: Message, match: re.Match[str]) -> None:
+        if self.log.has_totals:
+            self._problem(message, "the totals come twice")
+        self.log.has_totals = True
+        self.log.claimed_success_rate = number(message, match[1]) / 100 if match[1] else 0.0
+
+    def _average_steps(self, message: Message, match: re.Match[str]) -> None:
+        self.log.claimed_average_steps = number(message, match[1]) if match[1] else None
+
+    def _open_episode(self, message: Message) -> TextEpisode | None:
+        if self.log.episodes and self.log.episodes[-1].success is None:
+            return self.log.episodes[-1]
+        self._problem(message, "it stands outside a test")
+        return None
+
+    def _open_step(self, message: Message) -> TextStep | None:
+        episode = self._open_episode(message)
+        if episode and episode.steps:
+            return episode.steps[-1]
+        if episode:
+            self._problem(message, "it comes before the first action")
+        return None
+
+    def _end_step(self, episode: TextEpisode, message: Message) -> None:
+        if episode.steps and episode.steps[-1].ended is None:
+            episode.steps[-1].ended = message.time
+
+    def _problem(self, message: Message, what: str) -> None:
+        self.log.problems.append(f"line {message.line}: {what}")
+        if len(self.log.problems) > MAX_PROBLEMS:
+            raise TextLogRejected(f"Line {message.line}: more than {MAX_PROBLEMS} lines are out of place.")

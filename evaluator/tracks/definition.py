@@ -1,0 +1,129 @@
+"""What a track file may say; the models that `load_track` returns."""
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+from typing import Literal, Self
+
+from pydantic import Field, PositiveInt, model_validator
+
+from ..strict_model import StrictModel
+
+Loop = Literal["repeat", "offset", "shape"]
+
+
+class ObservationRow(StrictModel):
+    """One row of the observation table of the rules page."""
+
+    key: str
+    shape: tuple[PositiveInt, ...]
+    dtype: str
+    unit: str
+    meaning: str
+
+
+class ActionRow(StrictModel):
+    """One component of the action, each in [-1, 1], in order."""
+
+    name: str
+    scale: float = Field(gt=0)
+    unit: str
+    meaning: str
+
+
+class EpisodeList(StrictModel):
+    """A fixed list of starts: every combination of repeat, offset and shape, nested in the order of `loops`."""
+
+    list_seed: int = Field(ge=0)
+    repeats: PositiveInt
+    shapes: tuple[str, ...] = Field(min_length=1)
+    offset_option: str
+    offsets: tuple[tuple[float, ...], ...] = Field(min_length=1)
+    loops: tuple[Loop, Loop, Loop]
+
+    @model_validator(mode="after")
+    def _each_loop_once(self) -> Self:
+        if sorted(self.loops) != ["offset", "repeat", "shape"]:
+            raise ValueError(f"loops must name repeat, offset and shape once each, came {list(self.loops)}")
+        return self
+
+
+@dataclass(frozen=True, kw_only=True)
+class Episode:
+    """One fixed start of a list. `number` counts from 1; offset in the units of the task's `offset_option`."""
+
+    number: int
+    shape: str
+    offset: tuple[float, ...]
+    offset_option: str
+    list_seed: int
+
+    @property
+    def options(self) -> Mapping[str, object]:
+        """Options for the environment's `reset`: start and the seed of the episode's own random stream."""
+        return {
+            "shape": self.shape,
+            self.offset_option: self.offset,
+            "rng_seed": (self.list_seed, self.number),
+        }
+
+
+class Task(StrictModel):
+    """One task of a track: its environment, its episode list and the tables of its rules page."""
+
+    name: str
+    env_id: str
+    title: str
+    description: str
+    success_rule: str
+    max_steps: PositiveInt
+    shard_size: PositiveInt
+    notes: tuple[str, ...] = ()
+    observations: tuple[ObservationRow, ...] = Field(min_length=1)
+    actions: tuple[ActionRow, ...] = Field(min_length=1)
+    episode_list: EpisodeList
+
+    @cached_property
+    def episodes(self) -> tuple[Episode, ...]:
+        """All starts in order, numbered from 1."""
+        lengths = {
+            "repeat": self.episode_list.repeats,
+            "offset": len(self.episode_list.offsets),
+            "shape": len(self.episode_list.shapes),
+        }
+        starts = product(*(range(lengths[loop]) for loop in self.episode_list.loops))
+        offset, shape = self.episode_list.loops.index("offset"), self.episode_list.loops.index("shape")
+        return tuple(
+            Episode(
+                number=number,
+                shape=self.episode_list.shapes[start[shape]],
+                offset=self.episode_list.offsets[start[offset]],
+                offset_option=self.episode_list.offset_option,
+                list_seed=self.episode_list.list_seed,
+            )
+            for number, start in enumerate(starts, start=1)
+        )
+
+    def digest(self) -> str:
+        """SHA-256 [hex] of the whole definition; it changes with the list, the limits and the tables."""
+        return hashlib.sha256(self.model_dump_json().encode()).hexdigest()
+
+
+class Track(StrictModel):
+    """One track: what is scored, how it is ranked, and its tasks by name."""
+
+    name: str
+    title: str
+    summary: str
+    ranking_rule: str
+    scoring_notes: tuple[str, ...] = ()
+    tasks: dict[str, Task] = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _tasks_carry_their_names(self) -> Self:
+        wrong = [key for key, task in self.tasks.items() if task.name != key]
+        if wrong:
+            raise ValueError(f"tasks.{wrong[0]}.name is {self.tasks[wrong[0]].name!r}; it must be {wrong[0]!r}")
+        return self

@@ -1,0 +1,60 @@
+"""What identifies the evaluator that made a result; called wherever a result is stored or compared.
+
+Nothing here imports the environments: their sources are found and read, not run.
+"""
+
+import hashlib
+import platform
+from functools import cache
+from importlib.metadata import version
+from importlib.util import find_spec
+from pathlib import Path
+
+EVALUATOR_RELEASE = "1"
+"""Raised by hand when a change is meant to move scores, so that people can speak of it."""
+
+_HASHED_PACKAGES = ("vitac.envs", "vitac.evaluator")
+_HASHED_SUFFIXES = frozenset({".py", ".yaml"})
+_HASHED_DISTRIBUTIONS = ("numba", "numpy")
+
+
+@cache
+def evaluator_hash() -> str:
+    """SHA-256 [hex] over all that can move a score: our sources and the versions of NumPy and Numba.
+
+    The same for a wheel and an editable installation of one tree, because only the content of packaged files counts.
+    """
+    digest = hashlib.sha256()
+    for distribution in _HASHED_DISTRIBUTIONS:
+        digest.update(f"{distribution}=={version(distribution)}\n".encode())
+    for package in _HASHED_PACKAGES:
+        _add_sources(digest, package)
+    return digest.hexdigest()
+
+
+def evaluator_version() -> str:
+    """Name of this evaluator, `<release>+<start of its hash>`; results of different versions are never mixed."""
+    return f"{EVALUATOR_RELEASE}+{evaluator_hash()[:12]}"
+
+
+def platform_class() -> str:
+    """Machines of one class give the same states to the last bit, e.g. `x86_64-linux`."""
+    return f"{platform.machine().lower()}-{platform.system().lower()}"
+
+
+def _add_sources(digest: "hashlib._Hash", package: str) -> None:
+    root = _package_folder(package)
+    files = sorted(
+        (path.relative_to(root).as_posix(), path) for path in root.rglob("*") if path.suffix in _HASHED_SUFFIXES
+    )
+    for name, path in files:
+        content = path.read_bytes()
+        digest.update(f"{package}/{name}\0{len(content)}\0".encode())
+        digest.update(content)
+
+
+def _package_folder(package: str) -> Path:
+    spec = find_spec(package)
+    if spec is None or not spec.submodule_search_locations:
+        raise ModuleNotFoundError(f"The package {package} is not installed; install vitac-arena again.")
+    return Path(next(iter(spec.submodule_search_locations)))

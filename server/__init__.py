@@ -1,0 +1,1 @@
+"""State and HTTP: database, queue, storage, competition rules, REST API."""

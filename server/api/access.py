@@ -1,0 +1,53 @@
+"""What the routes depend on: the open services and the principal behind the bearer token."""
+
+from typing import Annotated
+
+from fastapi import Depends, Request
+from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
+from vitac.server.auth import tokens
+from vitac.server.auth.principals import Principal
+from vitac.server.errors import ProblemCode, ServiceError
+from vitac.server.services import Services
+
+_bearer = HTTPBearer(auto_error=False, description="An API token: `vitac_` and 43 characters.")
+
+
+def services_of(request: Request) -> Services:
+    """The services that the app opened at its start."""
+    services: Services = request.app.state.services
+    return services
+
+
+def principal_of(
+    request: Request, credentials: Annotated[HTTPAuthorizationCredentials | None, Depends(_bearer)]
+) -> Principal:
+    """Who asks.
+
+    Raises:
+        ServiceError: no, unknown, expired or revoked token.
+    """
+    principal = optional_principal_of(request, credentials)
+    if principal is None:
+        raise ServiceError(
+            ProblemCode.MISSING_CREDENTIALS, "This needs a token; send the header `Authorization: Bearer vitac_...`."
+        )
+    return principal
+
+
+def optional_principal_of(
+    request: Request, credentials: Annotated[HTTPAuthorizationCredentials | None, Depends(_bearer)]
+) -> Principal | None:
+    """Who asks, or None without a token. A token that came must be good, though.
+
+    Raises:
+        ServiceError: unknown, expired or revoked token.
+    """
+    if credentials is None:
+        return None
+    with services_of(request).database.transaction() as session:
+        return tokens.authenticate(session, credentials.credentials)
+
+
+ServicesOf = Annotated[Services, Depends(services_of)]
+PrincipalOf = Annotated[Principal, Depends(principal_of)]
+OptionalPrincipalOf = Annotated[Principal | None, Depends(optional_principal_of)]

@@ -1,0 +1,63 @@
+"""Builds the HTTP application; `vitac serve` runs it and adds the pages."""
+
+from collections.abc import AsyncIterator, Sequence
+from contextlib import ExitStack, asynccontextmanager
+from importlib.metadata import version
+
+from fastapi import APIRouter, FastAPI
+from fastapi.concurrency import run_in_threadpool
+from vitac.server.housekeeping import Housekeeping
+from vitac.server.services import Services, open_services
+from vitac.server.settings import Settings
+
+from . import health, problems, submissions, teams, tracks
+from .body_limit import BodyLimit
+from .limiter import ConcurrencyLimiter, WindowLimiter
+
+API_PREFIX = "/api/v1"
+DESCRIPTION = """Evaluation of policies for manipulation with vision and touch.
+
+Register a team, upload a zip with a policy, follow its evaluation, read the leaderboard. Every error is a problem
+document (RFC 9457, `application/problem+json`) with a stable `code`.
+"""
+
+
+def create_app(settings: Settings, routers: Sequence[APIRouter] = (), services: Services | None = None) -> FastAPI:
+    """The application. It opens database and files at its start, unless open `services` are given.
+
+    Args:
+        settings: of this process.
+        routers: further routes, such as the pages.
+        services: already open ones; they are left open at the end.
+    """
+
+    @asynccontextmanager
+    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        with ExitStack() as stack:
+            app.state.services = services or await run_in_threadpool(stack.enter_context, open_services(settings))
+            housekeeping = Housekeeping(app.state.services)
+            housekeeping.start()
+            stack.callback(housekeeping.stop)
+            yield
+            await run_in_threadpool(stack.close)
+
+    app = FastAPI(
+        title="ViTac Arena",
+        version=version("vitac-arena"),
+        description=DESCRIPTION,
+        lifespan=lifespan,
+        # The interactive pages of the framework load scripts from elsewhere; /openapi.json is enough.
+        docs_url=None,
+        redoc_url=None,
+    )
+    app.state.settings = settings
+    app.state.registration_limiter = WindowLimiter(most=settings.registrations_per_hour, window_s=3600.0)
+    app.state.upload_limiter = ConcurrencyLimiter(settings.uploads_at_once)
+    app.state.stream_limiter = ConcurrencyLimiter(settings.event_streams)
+    for router in (teams.router, submissions.router, tracks.router):
+        app.include_router(router, prefix=API_PREFIX)
+    for router in (health.router, *routers):
+        app.include_router(router)
+    app.add_middleware(BodyLimit, unlimited=("POST", f"{API_PREFIX}{submissions.router.prefix}"))
+    problems.install(app)
+    return app

@@ -1,0 +1,57 @@
+"""Routes for whoever watches over the service."""
+
+from importlib.metadata import version
+
+from fastapi import APIRouter, Response
+from sqlalchemy.exc import DBAPIError
+from vitac.server.db.schema import is_current
+from vitac.server.errors import ServiceError
+from vitac.server.services import Services
+from vitac.server.views import HealthView, ReadyView, WorkersView
+from vitac.server.workers import workers_alive
+
+from .access import ServicesOf
+
+router = APIRouter(tags=["health"])
+
+OK = "ok"
+
+
+@router.get("/health")
+async def get_health() -> HealthView:
+    """The process answers."""
+    return HealthView(status=OK, version=version("vitac-arena"))
+
+
+@router.get("/ready", responses={503: {"model": ReadyView, "description": "A part does not work; it says which."}})
+def get_ready(services: ServicesOf, response: Response) -> ReadyView:
+    """Whether database, schema and file store work. Workers are told but do not make the server unready."""
+    database, migrations, workers = _look_at_database(services)
+    storage = _look_at_storage(services)
+    is_ready = {database, migrations, storage} == {OK}
+    response.status_code = 200 if is_ready else 503
+    return ReadyView(
+        status="ready" if is_ready else "not ready",
+        database=database,
+        migrations=migrations,
+        storage=storage,
+        workers=workers,
+    )
+
+
+def _look_at_database(services: Services) -> tuple[str, str, WorkersView | None]:
+    try:
+        with services.database.transaction() as session:
+            alive = workers_alive(session, services.settings)
+        migrations = OK if is_current(services.database) else "the schema is not the one of this version"
+    except DBAPIError:
+        return "does not answer", "not known", None
+    return OK, migrations, WorkersView(alive=alive.alive, last_heartbeat_at=alive.last_heartbeat_at)
+
+
+def _look_at_storage(services: Services) -> str:
+    try:
+        services.blobs.check()
+    except ServiceError as error:
+        return error.detail
+    return OK

@@ -1,0 +1,110 @@
+"""Every error answer of the API as RFC 9457 problem JSON with a stable `code`."""
+
+from collections.abc import Mapping
+from http import HTTPStatus
+from typing import Any
+
+import structlog
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import JSONResponse
+from sqlalchemy.exc import DBAPIError
+from starlette.exceptions import HTTPException
+from vitac.server.db.engine import is_connection_loss
+from vitac.server.errors import ProblemCode, ServiceError
+from vitac.server.views import ProblemView
+
+logger = structlog.get_logger(__name__)
+
+MEDIA_TYPE = "application/problem+json"
+RETRY_AFTER_S = 2
+
+_CODE_OF_STATUS: Mapping[int, ProblemCode] = {
+    HTTPStatus.NOT_FOUND: ProblemCode.NOT_FOUND,
+    HTTPStatus.METHOD_NOT_ALLOWED: ProblemCode.METHOD_NOT_ALLOWED,
+}
+
+RESPONSES: dict[int | str, dict[str, Any]] = {
+    "default": {"model": ProblemView, "description": "A problem; `code` says which.", "content": {MEDIA_TYPE: {}}}
+}
+"""For the routers: what OpenAPI says about errors."""
+
+
+def install(app: FastAPI) -> None:
+    """Makes every error of the app a problem."""
+    app.add_exception_handler(ServiceError, _on_service_error)
+    app.add_exception_handler(RequestValidationError, _on_invalid_request)
+    app.add_exception_handler(HTTPException, _on_http_error)
+    app.add_exception_handler(DBAPIError, _on_database_error)
+    app.add_exception_handler(Exception, _on_bug)
+
+
+def problem(request: Request, error: ServiceError, headers: Mapping[str, str] | None = None) -> JSONResponse:
+    """The answer for a refusal."""
+    content = {
+        "type": f"urn:vitac:problem:{error.code}",
+        "title": error.status.phrase,
+        "status": int(error.status),
+        "detail": error.detail,
+        "code": str(error.code),
+        "instance": request.url.path,
+        **error.extras,
+    }
+    return JSONResponse(content, error.status, {**_headers(error), **(headers or {})}, media_type=MEDIA_TYPE)
+
+
+def _headers(error: ServiceError) -> dict[str, str]:
+    if error.status is HTTPStatus.UNAUTHORIZED:
+        return {"WWW-Authenticate": "Bearer"}
+    if error.status in (HTTPStatus.SERVICE_UNAVAILABLE, HTTPStatus.TOO_MANY_REQUESTS):
+        return {"Retry-After": str(error.extras.get("retry_after_s", RETRY_AFTER_S))}
+    return {}
+
+
+def _on_service_error(request: Request, error: Exception) -> JSONResponse:
+    assert isinstance(error, ServiceError)  # noqa: S101 - the registration says so
+    # An upload that is refused early still has its body on the way: the connection cannot be used again.
+    return problem(request, error, {"Connection": "close"} if _leaves_body_unread(request) else None)
+
+
+def _leaves_body_unread(request: Request) -> bool:
+    return request.method == "POST" and request.url.path.endswith("/submissions")
+
+
+def _on_invalid_request(request: Request, error: Exception) -> JSONResponse:
+    assert isinstance(error, RequestValidationError)  # noqa: S101 - the registration says so
+    errors = [{"place": ".".join(str(part) for part in item["loc"]), "message": item["msg"]} for item in error.errors()]
+    detail = " ".join(f"{item['place']}: {item['message']}." for item in errors)
+    return problem(request, ServiceError(ProblemCode.INVALID_REQUEST, detail, errors=errors))
+
+
+def _on_http_error(request: Request, error: Exception) -> JSONResponse:
+    assert isinstance(error, HTTPException)  # noqa: S101 - the registration says so
+    code = _CODE_OF_STATUS.get(error.status_code)
+    if code is ProblemCode.NOT_FOUND:
+        detail = f"There is nothing at {request.url.path}. The API is below /api/v1; /openapi.json lists it."
+        return problem(request, ServiceError(code, detail))
+    if code is ProblemCode.METHOD_NOT_ALLOWED:
+        allowed = (error.headers or {}).get("Allow", "")
+        detail = f"{request.method} is not possible at {request.url.path}; allowed: {allowed}."
+        return problem(request, ServiceError(code, detail), error.headers)
+    if error.status_code == HTTPStatus.REQUEST_ENTITY_TOO_LARGE:
+        too_large = ServiceError(ProblemCode.BODY_TOO_LARGE, str(error.detail))
+        return problem(request, too_large, {"Connection": "close"})
+    fallback = ServiceError(ProblemCode.INVALID_REQUEST, str(error.detail))
+    answer = problem(request, fallback, error.headers)
+    answer.status_code = error.status_code
+    return answer
+
+
+def _on_database_error(request: Request, error: Exception) -> JSONResponse:
+    if isinstance(error, DBAPIError) and is_connection_loss(error):
+        detail = "The database is starting or away; try again in a moment."
+        return problem(request, ServiceError(ProblemCode.DATABASE_UNAVAILABLE, detail))
+    return _on_bug(request, error)
+
+
+def _on_bug(request: Request, error: Exception) -> JSONResponse:
+    logger.error("request_failed", path=request.url.path, method=request.method, exc_info=error)
+    detail = "The server made a mistake; it was logged. Try again later or tell the organizers when it happened."
+    return problem(request, ServiceError(ProblemCode.INTERNAL_ERROR, detail))

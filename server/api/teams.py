@@ -1,0 +1,139 @@
+"""Routes of teams and tokens."""
+
+from datetime import timedelta
+from http import HTTPStatus
+from typing import Annotated
+from uuid import UUID
+
+from fastapi import APIRouter, Request, Response
+from pydantic import BaseModel, ConfigDict, Field
+from sqlalchemy.orm import Session
+from vitac.server.auth import teams, tokens
+from vitac.server.auth.principals import CONSOLE, Principal
+from vitac.server.db.models import ApiToken, Team
+from vitac.server.db.states import Role
+from vitac.server.errors import ProblemCode, ServiceError
+from vitac.server.services import Services
+from vitac.server.settings import Registration
+from vitac.server.submission_views import team_view
+from vitac.server.views import MeView, NewTokenView, RegisteredTeamView, TokenListView, TokenView
+
+from .access import OptionalPrincipalOf, PrincipalOf, ServicesOf
+from .problems import RESPONSES
+
+router = APIRouter(tags=["teams"], responses=RESPONSES)
+
+Label = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[^\x00-\x1f\x7f]+$")]
+
+
+class NewTeam(BaseModel):
+    """A team that wants to take part."""
+
+    model_config = ConfigDict(extra="forbid")
+    name: str = Field(min_length=2, max_length=teams.NAME_LENGTH, description="Shown on the leaderboard.")
+    contact: str | None = Field(
+        default=None, max_length=teams.CONTACT_LENGTH, pattern=r"^[^\x00-\x1f\x7f]+$", description="For the organizers."
+    )
+
+
+class NewToken(BaseModel):
+    """A further token."""
+
+    model_config = ConfigDict(extra="forbid")
+    label: Label = Field(description="To tell tokens apart.")
+    expires_in_days: int | None = Field(default=None, ge=1, le=3650, description="The server's default if null.")
+    team: str | None = Field(default=None, description="For organizers: whose token this is.")
+
+
+@router.post("/teams", status_code=HTTPStatus.CREATED)
+def post_team(
+    request: Request, services: ServicesOf, principal: OptionalPrincipalOf, new: NewTeam
+) -> RegisteredTeamView:
+    """Registers a team and gives it its first token. The secret is shown this once."""
+    by_organizer = principal is not None and principal.is_organizer
+    if services.settings.registration is Registration.CLOSED and not by_organizer:
+        raise ServiceError(ProblemCode.REGISTRATION_CLOSED, "Only organizers register teams here; ask them.")
+    if not by_organizer:
+        request.app.state.registration_limiter.note(_address(request), "registrations from one address")
+    with services.database.transaction() as session:
+        team = teams.register(session, principal, name=new.name, contact=new.contact)
+        issued = tokens.issue(
+            session, CONSOLE, role=Role.TEAM, label="first", team=team, lifetime=_lifetime(services, None)
+        )
+        return RegisteredTeamView(team=team_view(team), token=new_token_view(issued))
+
+
+@router.post("/tokens", status_code=HTTPStatus.CREATED)
+def post_token(services: ServicesOf, principal: PrincipalOf, new: NewToken) -> NewTokenView:
+    """Makes a further token of the own team; an organizer's without `team` is an organizer's token."""
+    with services.database.transaction() as session:
+        owner = _owner_of_new_token(session, principal, new)
+        issued = tokens.issue(
+            session,
+            principal,
+            role=Role.TEAM if owner is not None else Role.ORGANIZER,
+            label=new.label,
+            team=owner,
+            lifetime=_lifetime(services, new.expires_in_days),
+        )
+        return new_token_view(issued)
+
+
+@router.get("/tokens")
+def list_tokens(services: ServicesOf, principal: PrincipalOf) -> TokenListView:
+    """The team's tokens, without secrets; all for an organizer."""
+    with services.database.transaction() as session:
+        return TokenListView(items=[token_view(token) for token in tokens.list_tokens(session, principal)])
+
+
+@router.delete("/tokens/{token_id}", status_code=HTTPStatus.NO_CONTENT, response_class=Response)
+def delete_token(services: ServicesOf, principal: PrincipalOf, token_id: UUID) -> None:
+    """Ends a token at once."""
+    with services.database.transaction() as session:
+        tokens.revoke(session, principal, token_id)
+
+
+@router.get("/me")
+def get_me(services: ServicesOf, principal: PrincipalOf) -> MeView:
+    """Who the token belongs to and until when it is good."""
+    with services.database.transaction() as session:
+        token = session.get(ApiToken, principal.token_id)
+        return MeView(
+            role=principal.role,
+            team=team_view(teams.own(session, principal)) if principal.team_id is not None else None,
+            token=token_view(token) if token is not None else None,
+        )
+
+
+def token_view(token: ApiToken) -> TokenView:
+    """A token as it is shown, without its secret."""
+    return TokenView(
+        id=token.id,
+        label=token.label,
+        role=token.role,
+        team=token.team.name if token.team is not None else None,
+        created_at=token.created_at,
+        expires_at=token.expires_at,
+        revoked_at=token.revoked_at,
+        last_used_at=token.last_used_at,
+    )
+
+
+def new_token_view(issued: tokens.IssuedToken) -> NewTokenView:
+    """A new token with its secret."""
+    return NewTokenView(**token_view(issued.token).model_dump(), secret=issued.secret)
+
+
+def _owner_of_new_token(session: Session, principal: Principal, new: NewToken) -> Team | None:
+    if new.team is not None:
+        principal.require_organizer()
+        return teams.find(session, new.team)
+    return None if principal.is_organizer else teams.own(session, principal)
+
+
+def _lifetime(services: Services, days: int | None) -> timedelta:
+    return timedelta(days=days or services.settings.token_lifetime_days)
+
+
+def _address(request: Request) -> str:
+    return request.client.host if request.client is not None else "unknown"

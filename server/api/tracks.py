@@ -1,0 +1,30 @@
+"""Routes that anybody may read: tracks and leaderboards."""
+
+from fastapi import APIRouter
+from vitac.server.leaderboards import leaderboard, load_known_track
+from vitac.server.tracks import track_view, track_views
+from vitac.server.views import LeaderboardView, TrackListView, TrackView
+
+from .access import ServicesOf
+from .problems import RESPONSES
+
+router = APIRouter(tags=["tracks"], responses=RESPONSES)
+
+
+@router.get("/tracks")
+def list_tracks(services: ServicesOf) -> TrackListView:
+    """All tracks with their tasks and limits."""
+    return track_views(services.settings)
+
+
+@router.get("/tracks/{track}")
+def get_track(services: ServicesOf, track: str) -> TrackView:
+    """One track."""
+    return track_view(load_known_track(track), services.settings)
+
+
+@router.get("/leaderboards/{track}")
+def get_leaderboard(services: ServicesOf, track: str) -> LeaderboardView:
+    """Standings of a track: the best completed evaluation of each team."""
+    with services.database.transaction() as session:
+        return leaderboard(session, track)

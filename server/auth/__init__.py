@@ -1,0 +1,1 @@
+"""Who asks: teams, tokens and what they may see."""

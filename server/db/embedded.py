@@ -1,0 +1,137 @@
+"""Keeps the embedded PostgreSQL running; every process of the service without VITAC_DATABASE_URL starts one of these.
+
+The process that holds the file lock runs the server and starts it again whenever it dies; the others use the address
+file and take over when the owner is gone. The server ends with its owner, also after a `kill -9` of the owner.
+"""
+
+import fcntl
+import subprocess
+import threading
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import psycopg
+import structlog
+from vitac.envs.errors import VitacError
+
+from .cluster import Cluster, DatabaseStartFailed
+
+logger = structlog.get_logger(__name__)
+
+OWNER_POLL_S = 0.2  # how often a process that does not own the database tries to take it over
+RESTART_PAUSE_S = (0.0, 0.1, 0.5, 2.0)  # before the next start of a server that keeps dying at once
+HEALTHY_AFTER_S = 30.0
+
+
+class EmbeddedPostgres:
+    """A PostgreSQL that is there from `start` to `stop`, whichever process runs it.
+
+    Used as a context manager, or with `start` and `stop`. `options` are `name=value` server settings.
+    """
+
+    def __init__(self, state_dir: Path, *, bin_dir: Path | None = None, options: Sequence[str] = ()) -> None:
+        self.cluster = Cluster(state_dir, bin_dir=bin_dir, options=options)
+        self._stopping = threading.Event()
+        self._keeper: threading.Thread | None = None
+        self._failure: VitacError | None = None
+        self._process: subprocess.Popen[bytes] | None = None
+
+    @property
+    def server_pid(self) -> int | None:
+        """Process id of the server when this process runs it."""
+        return self._process.pid if self._process is not None else None
+
+    def start(self, timeout_s: float = 120.0) -> str:
+        """Makes the database available and returns its address.
+
+        Raises:
+            VitacError: it cannot be started here; the message says why.
+        """
+        self.cluster.make_folder()
+        # A thread of its own, alive until `stop`: the server's death signal is tied to the thread that started it.
+        self._keeper = threading.Thread(target=self._keep, name="embedded-postgres", daemon=True)
+        self._keeper.start()
+        deadline = time.monotonic() + timeout_s
+        while time.monotonic() < deadline:
+            if self._failure is not None:
+                self.stop()
+                raise self._failure
+            if (address := self._address()) is not None:
+                return address
+            time.sleep(0.02)
+        self.stop()
+        raise DatabaseStartFailed(
+            f"The embedded database was not there within {timeout_s:.0f} s; see {self.cluster.log_file}."
+        )
+
+    def stop(self) -> None:
+        """Ends the server if this process runs it, otherwise only stops waiting for the ownership."""
+        self._stopping.set()
+        if self._keeper is not None:
+            self._keeper.join()
+
+    def __enter__(self) -> Self:
+        self.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop()
+
+    def _address(self) -> str | None:
+        """The address if somebody answers there."""
+        try:
+            address = self.cluster.dsn_file.read_text()
+            psycopg.connect(address, connect_timeout=2).close()
+        except (FileNotFoundError, psycopg.OperationalError):
+            return None
+        return address
+
+    def _keep(self) -> None:
+        with self.cluster.lock_file.open("a") as lock:
+            self.cluster.lock_file.chmod(0o600)
+            while not self._stopping.is_set():
+                if not _try_lock(lock.fileno()):
+                    self._stopping.wait(OWNER_POLL_S)
+                    continue
+                self._own()
+                fcntl.flock(lock, fcntl.LOCK_UN)
+
+    def _own(self) -> None:
+        """Runs the server until `stop`, starting it again when it dies."""
+        deaths = 0
+        while not self._stopping.is_set():
+            started = time.monotonic()
+            try:
+                self._serve_once()
+            except (VitacError, OSError, psycopg.Error) as error:
+                logger.error("database_start_failed", error=str(error))
+                self._failure = error if isinstance(error, VitacError) else DatabaseStartFailed(str(error))
+            deaths = 1 if time.monotonic() - started > HEALTHY_AFTER_S else deaths + 1
+            self._stopping.wait(RESTART_PAUSE_S[min(deaths - 1, len(RESTART_PAUSE_S) - 1)])
+
+    def _serve_once(self) -> None:
+        self.cluster.initialise()
+        self._process = self.cluster.start()
+        try:
+            self.cluster.make_database()
+            self._failure = None
+            while not self._stopping.is_set() and self._process.poll() is None:
+                self._stopping.wait(0.05)
+            if not self._stopping.is_set():
+                logger.warning("database_died", pid=self._process.pid, code=self._process.returncode)
+        finally:
+            self.cluster.stop(self._process)
+            self._process = None
+
+
+def _try_lock(descriptor: int) -> bool:
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True

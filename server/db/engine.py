@@ -1,0 +1,80 @@
+"""Connections and transactions: `Database` is made once per process and passed down."""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TypeVar
+
+import structlog
+from sqlalchemy import Engine, create_engine, make_url
+from sqlalchemy.exc import DBAPIError
+from sqlalchemy.orm import Session, sessionmaker
+
+ResultT = TypeVar("ResultT")
+logger = structlog.get_logger(__name__)
+
+RETRY_PAUSES_S = (0.05, 0.1, 0.2, 0.5, 1.0)
+
+
+class Database:
+    """Engine and sessions of one PostgreSQL database."""
+
+    def __init__(self, address: str, *, pool_size: int = 10) -> None:
+        self.address = address
+        # pre_ping: a pooled connection that died with the server is replaced before anybody uses it.
+        self.engine: Engine = create_engine(
+            sqlalchemy_url(address),
+            pool_size=pool_size,
+            max_overflow=20,
+            pool_pre_ping=True,
+            connect_args={"connect_timeout": 15, "application_name": "vitac"},
+        )
+        self._sessions = sessionmaker(self.engine, expire_on_commit=False)
+
+    @contextmanager
+    def transaction(self) -> Iterator[Session]:
+        """A session whose work is committed at the end of the block and rolled back on an error."""
+        with self._sessions.begin() as session:
+            yield session
+
+    def retrying(self, work: Callable[[Session], ResultT], *, give_up_after_s: float) -> ResultT:
+        """Runs a transaction again while the database is away (restart, kill); for work that may be repeated.
+
+        Raises:
+            DBAPIError: the database stayed away for longer than `give_up_after_s`, or another error came.
+        """
+        deadline = time.monotonic() + give_up_after_s
+        failures = 0
+        while True:
+            try:
+                with self.transaction() as session:
+                    return work(session)
+            except DBAPIError as error:
+                if not is_connection_loss(error) or time.monotonic() > deadline:
+                    raise
+                logger.warning("database_away", failures=failures + 1)
+                time.sleep(RETRY_PAUSES_S[min(failures, len(RETRY_PAUSES_S) - 1)])
+                failures += 1
+
+    def dispose(self) -> None:
+        """Closes all pooled connections."""
+        self.engine.dispose()
+
+
+def is_connection_loss(error: DBAPIError) -> bool:
+    """Whether an error means that the server is away, starting or shutting down, not that a statement is wrong."""
+    state = getattr(error.orig, "sqlstate", None)
+    # No state: the connection broke or could not be made. 57P01-3: shutdown, crash, starting. 08: connection errors.
+    is_operational = type(error.orig).__name__ in {
+        "OperationalError",
+        "AdminShutdown",
+        "CrashShutdown",
+        "CannotConnectNow",
+    }
+    return error.connection_invalidated or (is_operational and (state is None or state[:2] in {"08", "57"}))
+
+
+def sqlalchemy_url(address: str) -> str:
+    """The address with our driver named; libpq's form (`postgresql://`) is what settings and files hold."""
+    url = make_url(address).set(drivername="postgresql+psycopg")
+    return url.render_as_string(hide_password=False)

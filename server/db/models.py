@@ -1,0 +1,278 @@
+"""Tables of the service. The migrations make them; a test holds both together.
+
+Ids that people see are random UUIDs, times are UTC with zone, states are text under a CHECK with a transition trigger.
+"""
+
+from datetime import datetime
+from enum import StrEnum
+from typing import Any
+from uuid import UUID, uuid4
+
+from sqlalchemy import (
+    BigInteger,
+    CheckConstraint,
+    DateTime,
+    Enum,
+    Float,
+    ForeignKey,
+    Identity,
+    Index,
+    Integer,
+    MetaData,
+    String,
+    Text,
+    UniqueConstraint,
+    Uuid,
+    func,
+    text,
+)
+from sqlalchemy.dialects.postgresql import ARRAY, JSONB
+from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column, relationship
+
+from .states import EvaluationState, Role, ShardState, SubmissionKind, WorkerState
+
+NAMING = {
+    "ix": "ix_%(table_name)s_%(column_0_N_name)s",
+    "uq": "uq_%(table_name)s_%(column_0_N_name)s",
+    "ck": "ck_%(table_name)s_%(constraint_name)s",
+    "fk": "fk_%(table_name)s_%(column_0_name)s",
+    "pk": "pk_%(table_name)s",
+}
+
+SHA256_PATTERN = "^[0-9a-f]{64}$"
+
+
+class Base(DeclarativeBase):
+    """Root of the tables; maps Python types to columns."""
+
+    metadata = MetaData(naming_convention=NAMING)
+    type_annotation_map = {  # noqa: RUF012 - SQLAlchemy reads it from the class
+        datetime: DateTime(timezone=True),
+        dict[str, Any]: JSONB,
+        list[dict[str, Any]]: JSONB,
+        list[str]: ARRAY(Text),
+        list[int]: ARRAY(Integer),
+        str: Text,
+        UUID: Uuid,
+    }
+
+
+def _closed_set(kind: type[StrEnum], name: str) -> Enum:
+    """Text column that takes the members of an enum only."""
+    return Enum(
+        kind,
+        name=name,
+        native_enum=False,
+        create_constraint=True,
+        length=16,
+        values_callable=lambda members: [member.value for member in members],
+    )
+
+
+def _sha256_check(column: str) -> CheckConstraint:
+    return CheckConstraint(f"{column} ~ '{SHA256_PATTERN}'", name=f"{column}_is_sha256")
+
+
+class Team(Base):
+    """Who submits; the unit of privacy and of limits. `name_key` is the name without case and spacing."""
+
+    __tablename__ = "teams"
+    id: Mapped[UUID] = mapped_column(primary_key=True, default=uuid4)
+    name: Mapped[str] = mapped_column(String(64))
+    name_key: Mapped[str] = mapped_column(String(64), unique=True)
+    contact: Mapped[str | None] = mapped_column(String(254))
+    created_at: Mapped[datetime] = mapped_column(server_default=func.now())
+
+
+class ApiToken(Base):
+    """A secret by which a client proves who it is; only its SHA-256 is kept."""
+
+    __tablename__ = "api_tokens"
+    __table_args__ = (
+        CheckConstraint("(role = 'organizer') = (team_id IS NULL)", name="team_tokens_have_a_team"),
+        CheckConstraint("length(secret_sha256) = 64", name="secret_is_hashed"),
+    )
+    id: Mapped[UUID] = mapped_column(primary_key=True, default=uuid4)
+    role: Mapped[Role] = mapped_column(_closed_set(Role, "role"))
+    team_id: Mapped[UUID | None] = mapped_column(ForeignKey("teams.id", ondelete="CASCADE"), index=True)
+    label: Mapped[str] = mapped_column(String(64))
+    secret_sha256: Mapped[str] = mapped_column(String(64), unique=True)
+    created_at: Mapped[datetime] = mapped_column(server_default=func.now())
+    expires_at: Mapped[datetime | None]
+    revoked_at: Mapped[datetime | None]
+    last_used_at: Mapped[datetime | None]
+    team: Mapped[Team | None] = relationship()
+
+
+class Submission(Base):
+    """One upload. The same content from the same team for the same track is the same submission."""
+
+    __tablename__ = "submissions"
+    __table_args__ = (
+        UniqueConstraint("team_id", "track", "kind", "digest"),
+        _sha256_check("digest"),
+        _sha256_check("archive_sha256"),
+        CheckConstraint("archive_bytes > 0", name="archive_is_not_empty"),
+        Index("ix_submissions_submitted_at_id", text("submitted_at DESC"), text("id DESC")),
+    )
+    id: Mapped[UUID] = mapped_column(primary_key=True, default=uuid4)
+    team_id: Mapped[UUID] = mapped_column(ForeignKey("teams.id", ondelete="RESTRICT"))
+    kind: Mapped[SubmissionKind] = mapped_column(_closed_set(SubmissionKind, "kind"))
+    track: Mapped[str]
+    tasks: Mapped[list[str]]
+    name: Mapped[str] = mapped_column(String(128))
+    digest: Mapped[str] = mapped_column(String(64))
+    archive_sha256: Mapped[str] = mapped_column(String(64))
+    archive_bytes: Mapped[int] = mapped_column(BigInteger)
+    manifest: Mapped[dict[str, Any]]
+    submitted_at: Mapped[datetime] = mapped_column(server_default=func.now())
+    team: Mapped[Team] = relationship()
+
+
+class Evaluation(Base):
+    """One run of the evaluator over a submission. Run 1 uses stored episodes; a higher run has records of its own."""
+
+    __tablename__ = "evaluations"
+    __table_args__ = (
+        CheckConstraint("run >= 1", name="run_counts_from_one"),
+        CheckConstraint(
+            "(state IN ('completed', 'failed', 'cancelled')) = (finished_at IS NOT NULL)", name="finished_has_a_time"
+        ),
+        CheckConstraint(
+            "(state = 'completed') = (result_hash IS NOT NULL AND scores IS NOT NULL AND success_rate IS NOT NULL)",
+            name="only_completed_has_a_score",
+        ),
+        CheckConstraint("(state = 'failed') = (verdict_code IS NOT NULL)", name="only_failed_has_a_verdict"),
+        CheckConstraint("success_rate >= 0 AND success_rate <= 1", name="success_rate_is_a_fraction"),
+        CheckConstraint("mean_steps > 0 AND mean_steps < 1e9", name="mean_steps_is_finite"),
+        _sha256_check("result_hash"),
+        _sha256_check("evaluator_hash"),
+        Index(
+            "uq_evaluations_active",
+            "submission_id",
+            unique=True,
+            postgresql_where=text("state IN ('queued', 'running')"),
+        ),
+        Index(
+            "uq_evaluations_run",
+            "submission_id",
+            "evaluator_version",
+            "run",
+            unique=True,
+            postgresql_where=text("state IN ('queued', 'running', 'completed')"),
+        ),
+        Index("ix_evaluations_state_created_at", "state", "created_at"),
+    )
+    id: Mapped[UUID] = mapped_column(primary_key=True, default=uuid4)
+    submission_id: Mapped[UUID] = mapped_column(ForeignKey("submissions.id", ondelete="RESTRICT"), index=True)
+    run: Mapped[int]
+    evaluator_version: Mapped[str]
+    evaluator_hash: Mapped[str] = mapped_column(String(64))
+    platform_class: Mapped[str | None]
+    state: Mapped[EvaluationState] = mapped_column(_closed_set(EvaluationState, "state"))
+    episodes_reused: Mapped[int] = mapped_column(default=0)
+    created_at: Mapped[datetime] = mapped_column(server_default=func.now())
+    started_at: Mapped[datetime | None]
+    finished_at: Mapped[datetime | None]
+    verdict_code: Mapped[str | None]
+    verdict_message: Mapped[str | None]
+    verdict_task: Mapped[str | None]
+    verdict_episode: Mapped[int | None]
+    log_tail: Mapped[str] = mapped_column(default="")
+    scores: Mapped[list[dict[str, Any]] | None] = mapped_column(JSONB(none_as_null=True))
+    success_rate: Mapped[float | None] = mapped_column(Float)
+    mean_steps: Mapped[float | None] = mapped_column(Float)
+    result_hash: Mapped[str | None] = mapped_column(String(64))
+    submission: Mapped[Submission] = relationship()
+    shards: Mapped[list["Shard"]] = relationship(back_populates="evaluation", order_by="Shard.id")
+
+
+class Shard(Base):
+    """A fixed piece of an evaluation, the unit of queue work. `token` rises with each claim: it fences off others."""
+
+    __tablename__ = "shards"
+    __table_args__ = (
+        UniqueConstraint("evaluation_id", "task", "number"),
+        CheckConstraint("(state = 'running') = (lease_expires_at IS NOT NULL)", name="running_has_a_lease"),
+        CheckConstraint("(state = 'running') <= (worker_id IS NOT NULL)", name="running_has_a_worker"),
+        CheckConstraint("attempts >= 0 AND token >= attempts", name="each_attempt_has_a_token"),
+        CheckConstraint("cardinality(episodes) > 0", name="has_episodes"),
+        CheckConstraint("(state = 'done') <= (manifest IS NOT NULL)", name="done_has_a_manifest"),
+        Index("ix_shards_open", "state", postgresql_where=text("state IN ('queued', 'running')")),
+    )
+    id: Mapped[int] = mapped_column(BigInteger, Identity(always=True), primary_key=True)
+    evaluation_id: Mapped[UUID] = mapped_column(ForeignKey("evaluations.id", ondelete="CASCADE"))
+    task: Mapped[str]
+    number: Mapped[int]
+    episodes: Mapped[list[int]]
+    state: Mapped[ShardState] = mapped_column(_closed_set(ShardState, "state"))
+    token: Mapped[int] = mapped_column(BigInteger, default=0)
+    attempts: Mapped[int] = mapped_column(default=0)
+    worker_id: Mapped[UUID | None]
+    lease_expires_at: Mapped[datetime | None]
+    manifest: Mapped[dict[str, Any] | None] = mapped_column(JSONB(none_as_null=True))
+    isolation: Mapped[str | None]
+    queued_at: Mapped[datetime] = mapped_column(server_default=func.now())
+    started_at: Mapped[datetime | None]
+    finished_at: Mapped[datetime | None]
+    evaluation: Mapped[Evaluation] = relationship(back_populates="shards")
+
+
+class EpisodeResult(Base):
+    """One finished episode. The unique key makes every repeat of the same work write the same row."""
+
+    __tablename__ = "episode_results"
+    __table_args__ = (
+        UniqueConstraint(
+            "submission_digest", "evaluator_version", "track", "task", "episode", "run", name="uq_episode_results_key"
+        ),
+        CheckConstraint("success = (outcome = 'success')", name="success_is_the_outcome"),
+        CheckConstraint("episode >= 1 AND run >= 1 AND env_steps >= 0", name="counts_from_one"),
+        _sha256_check("submission_digest"),
+        _sha256_check("record_digest"),
+        Index("ix_episode_results_task_created_at", "task", text("created_at DESC")),
+    )
+    id: Mapped[int] = mapped_column(BigInteger, Identity(always=True), primary_key=True)
+    submission_digest: Mapped[str] = mapped_column(String(64))
+    evaluator_version: Mapped[str]
+    track: Mapped[str]
+    task: Mapped[str]
+    episode: Mapped[int]
+    run: Mapped[int]
+    outcome: Mapped[str]
+    success: Mapped[bool]
+    env_steps: Mapped[int]
+    record: Mapped[dict[str, Any]]
+    record_digest: Mapped[str] = mapped_column(String(64))
+    wall_s: Mapped[float] = mapped_column(Float)
+    evaluation_id: Mapped[UUID | None] = mapped_column(ForeignKey("evaluations.id", ondelete="SET NULL"), index=True)
+    created_at: Mapped[datetime] = mapped_column(server_default=func.now())
+
+
+class Worker(Base):
+    """A worker process and when it last spoke."""
+
+    __tablename__ = "workers"
+    id: Mapped[UUID] = mapped_column(primary_key=True, default=uuid4)
+    host: Mapped[str]
+    pid: Mapped[int]
+    slots: Mapped[int]
+    state: Mapped[WorkerState] = mapped_column(_closed_set(WorkerState, "state"))
+    evaluator_version: Mapped[str]
+    platform_class: Mapped[str]
+    isolation: Mapped[str]
+    message: Mapped[str] = mapped_column(default="")
+    started_at: Mapped[datetime] = mapped_column(server_default=func.now())
+    heartbeat_at: Mapped[datetime] = mapped_column(server_default=func.now(), index=True)
+
+
+class AuditEntry(Base):
+    """Who changed what; rows are only ever added (a trigger refuses the rest)."""
+
+    __tablename__ = "audit_log"
+    id: Mapped[int] = mapped_column(BigInteger, Identity(always=True), primary_key=True)
+    at: Mapped[datetime] = mapped_column(server_default=func.now(), index=True)
+    actor: Mapped[str]
+    action: Mapped[str]
+    subject: Mapped[str]
+    detail: Mapped[dict[str, Any]]

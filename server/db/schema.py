@@ -1,0 +1,77 @@
+"""Brings a database to the schema of this version; called by server, worker and CLI at their start."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib.util import find_spec
+from pathlib import Path
+
+from alembic import command
+from alembic.config import Config
+from alembic.runtime.migration import MigrationContext
+from alembic.script import ScriptDirectory
+from sqlalchemy import Connection, NullPool, create_engine, text
+
+from .engine import Database, sqlalchemy_url
+
+LOCK_TIMEOUT_S = 5.0
+"""A migration that cannot get its table lock fails instead of stopping all other work behind it."""
+
+UPGRADE_LOCK = 0x7669_7461_6301
+"""Advisory lock: of several processes that start at once, one migrates and the others wait."""
+
+
+def upgrade(database: Database, *, lock_timeout_s: float = LOCK_TIMEOUT_S) -> None:
+    """Runs all migrations that are missing, each in a transaction of its own; does nothing on a current database.
+
+    Raises:
+        sqlalchemy.exc.OperationalError: another transaction held a table for longer than `lock_timeout_s`.
+    """
+    with _migrating(database, lock_timeout_s) as (connection, configuration):
+        if installed_revision(connection) != newest_revision():
+            connection.rollback()
+            command.upgrade(configuration, "head")
+
+
+def downgrade(database: Database, revision: str) -> None:
+    """Takes back all migrations after a revision (`base`: all of them), with the rows they hold."""
+    with _migrating(database, LOCK_TIMEOUT_S) as (_, configuration):
+        command.downgrade(configuration, revision)
+
+
+@contextmanager
+def _migrating(database: Database, lock_timeout_s: float) -> Iterator[tuple[Connection, Config]]:
+    """A connection of its own, closed afterwards, that alone may change the schema."""
+    engine = create_engine(sqlalchemy_url(database.address), poolclass=NullPool)
+    with engine.connect() as connection:
+        # For the session, not for a transaction: the migrations have one each.
+        connection.execute(text("SELECT pg_advisory_lock(:key)"), {"key": UPGRADE_LOCK})
+        connection.exec_driver_sql(f"SET lock_timeout = {round(1000 * lock_timeout_s)}")
+        connection.commit()
+        configuration = _configuration()
+        configuration.attributes["connection"] = connection
+        yield connection, configuration
+
+
+def is_current(database: Database) -> bool:
+    """Whether the database has exactly the schema that this version works with."""
+    with database.engine.connect() as connection:
+        return installed_revision(connection) == newest_revision()
+
+
+def installed_revision(connection: Connection) -> str | None:
+    """Revision that the database has; None when it is empty."""
+    return MigrationContext.configure(connection).get_current_revision()
+
+
+def newest_revision() -> str | None:
+    """Revision of this version."""
+    return ScriptDirectory.from_config(_configuration()).get_current_head()
+
+
+def _configuration() -> Config:
+    spec = find_spec("vitac.migrations")
+    if spec is None or spec.origin is None:
+        raise ModuleNotFoundError("The package vitac.migrations is not installed; install vitac-arena again.")
+    configuration = Config()
+    configuration.set_main_option("script_location", str(Path(spec.origin).parent).replace("%", "%%"))
+    return configuration

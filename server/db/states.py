@@ -1,0 +1,76 @@
+"""Every status of the service as one enum with one table of allowed transitions; SQL triggers hold the same tables."""
+
+from collections.abc import Mapping
+from enum import StrEnum
+from types import MappingProxyType
+
+
+class SubmissionKind(StrEnum):
+    """What a team uploaded."""
+
+    MODEL = "model"  # a policy that is run
+    LOG = "log"  # our own evaluation log, re-simulated
+    TEXT_LOG = "text_log"  # a log of the 2025 challenge's script
+
+
+class Role(StrEnum):
+    """What a token may do."""
+
+    TEAM = "team"  # its team's submissions
+    ORGANIZER = "organizer"  # everything
+
+
+class EvaluationState(StrEnum):
+    """Life of one evaluation."""
+
+    QUEUED = "queued"  # no shard has started
+    RUNNING = "running"  # a shard has started
+    COMPLETED = "completed"  # all records are there and scored
+    FAILED = "failed"  # ended without a score; the verdict says why
+    CANCELLED = "cancelled"  # ended by the team or an organizer
+
+
+class ShardState(StrEnum):
+    """Life of one shard."""
+
+    QUEUED = "queued"  # waits for a worker
+    RUNNING = "running"  # leased to a worker
+    DONE = "done"  # all its episodes are stored
+    FAILED = "failed"  # the policy or the infrastructure failed
+    CANCELLED = "cancelled"  # its evaluation ended before it
+
+
+class WorkerState(StrEnum):
+    """What a worker process last said about itself."""
+
+    READY = "ready"  # takes shards
+    REFUSING = "refusing"  # its sandbox lets things through, so it takes nothing; the message says what
+    STOPPED = "stopped"  # ended in order
+
+
+EVALUATION_TRANSITIONS: Mapping[EvaluationState, frozenset[EvaluationState]] = MappingProxyType(
+    {
+        EvaluationState.QUEUED: frozenset({EvaluationState.RUNNING, EvaluationState.FAILED, EvaluationState.CANCELLED}),
+        EvaluationState.RUNNING: frozenset(
+            {EvaluationState.COMPLETED, EvaluationState.FAILED, EvaluationState.CANCELLED}
+        ),
+        EvaluationState.COMPLETED: frozenset(),
+        EvaluationState.FAILED: frozenset(),
+        EvaluationState.CANCELLED: frozenset(),
+    }
+)
+
+SHARD_TRANSITIONS: Mapping[ShardState, frozenset[ShardState]] = MappingProxyType(
+    {
+        ShardState.QUEUED: frozenset({ShardState.RUNNING, ShardState.FAILED, ShardState.CANCELLED}),
+        # Back to queued: the worker gave it back or was silent for longer than its lease.
+        ShardState.RUNNING: frozenset({ShardState.QUEUED, ShardState.DONE, ShardState.FAILED, ShardState.CANCELLED}),
+        ShardState.DONE: frozenset(),
+        ShardState.FAILED: frozenset(),
+        ShardState.CANCELLED: frozenset(),
+    }
+)
+
+TERMINAL_EVALUATION_STATES = frozenset(state for state, following in EVALUATION_TRANSITIONS.items() if not following)
+ACTIVE_EVALUATION_STATES = frozenset(EvaluationState) - TERMINAL_EVALUATION_STATES
+TERMINAL_SHARD_STATES = frozenset(state for state, following in SHARD_TRANSITIONS.items() if not following)

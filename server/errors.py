@@ -1,0 +1,100 @@
+"""Every way the service says no: a stable code, an HTTP status and a sentence.
+
+The service layer raises `ServiceError`; `server.api.problems` turns it into RFC 9457 problem JSON, the CLI prints it.
+"""
+
+from collections.abc import Mapping
+from enum import StrEnum
+from http import HTTPStatus
+from types import MappingProxyType
+
+from vitac.envs.errors import VitacError
+
+
+class ProblemCode(StrEnum):
+    """Stable names of refusals; clients may rely on them, so a code is never renamed or reused."""
+
+    ARCHIVE_REJECTED = "archive_rejected"
+    BODY_TOO_LARGE = "body_too_large"
+    DATABASE_UNAVAILABLE = "database_unavailable"
+    DIGEST_MISMATCH = "digest_mismatch"
+    FORBIDDEN = "forbidden"
+    INTERNAL_ERROR = "internal_error"
+    INVALID_CREDENTIALS = "invalid_credentials"
+    INVALID_REQUEST = "invalid_request"
+    LENGTH_INVALID = "length_invalid"
+    MANIFEST_REJECTED = "manifest_rejected"
+    METHOD_NOT_ALLOWED = "method_not_allowed"
+    MISSING_CREDENTIALS = "missing_credentials"
+    NOT_CANCELLABLE = "not_cancellable"
+    NOT_FOUND = "not_found"
+    NOT_REQUEUABLE = "not_requeuable"
+    REGISTRATION_CLOSED = "registration_closed"
+    STORAGE_UNAVAILABLE = "storage_unavailable"
+    TEAM_EXISTS = "team_exists"
+    TEAM_REQUIRED = "team_required"
+    TOO_MANY_REQUESTS = "too_many_requests"
+    UNKNOWN_TEAM = "unknown_team"
+    UNKNOWN_TRACK = "unknown_track"
+    UNSUPPORTED_CONTENT_TYPE = "unsupported_content_type"
+    UNSUPPORTED_SUBMISSION_KIND = "unsupported_submission_kind"
+    UPLOAD_TOO_LARGE = "upload_too_large"
+    UPLOAD_TRUNCATED = "upload_truncated"
+
+
+STATUS_OF_CODE: Mapping[ProblemCode, HTTPStatus] = MappingProxyType(
+    {
+        ProblemCode.ARCHIVE_REJECTED: HTTPStatus.UNPROCESSABLE_ENTITY,
+        ProblemCode.BODY_TOO_LARGE: HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
+        ProblemCode.DATABASE_UNAVAILABLE: HTTPStatus.SERVICE_UNAVAILABLE,
+        ProblemCode.DIGEST_MISMATCH: HTTPStatus.BAD_REQUEST,
+        ProblemCode.FORBIDDEN: HTTPStatus.FORBIDDEN,
+        ProblemCode.INTERNAL_ERROR: HTTPStatus.INTERNAL_SERVER_ERROR,
+        ProblemCode.INVALID_CREDENTIALS: HTTPStatus.UNAUTHORIZED,
+        ProblemCode.INVALID_REQUEST: HTTPStatus.UNPROCESSABLE_ENTITY,
+        ProblemCode.LENGTH_INVALID: HTTPStatus.BAD_REQUEST,
+        ProblemCode.MANIFEST_REJECTED: HTTPStatus.UNPROCESSABLE_ENTITY,
+        ProblemCode.METHOD_NOT_ALLOWED: HTTPStatus.METHOD_NOT_ALLOWED,
+        ProblemCode.MISSING_CREDENTIALS: HTTPStatus.UNAUTHORIZED,
+        ProblemCode.NOT_CANCELLABLE: HTTPStatus.CONFLICT,
+        ProblemCode.NOT_FOUND: HTTPStatus.NOT_FOUND,
+        ProblemCode.NOT_REQUEUABLE: HTTPStatus.CONFLICT,
+        ProblemCode.REGISTRATION_CLOSED: HTTPStatus.FORBIDDEN,
+        ProblemCode.STORAGE_UNAVAILABLE: HTTPStatus.SERVICE_UNAVAILABLE,
+        ProblemCode.TEAM_EXISTS: HTTPStatus.CONFLICT,
+        ProblemCode.TEAM_REQUIRED: HTTPStatus.UNPROCESSABLE_ENTITY,
+        ProblemCode.TOO_MANY_REQUESTS: HTTPStatus.TOO_MANY_REQUESTS,
+        ProblemCode.UNKNOWN_TEAM: HTTPStatus.NOT_FOUND,
+        ProblemCode.UNKNOWN_TRACK: HTTPStatus.NOT_FOUND,
+        ProblemCode.UNSUPPORTED_CONTENT_TYPE: HTTPStatus.UNSUPPORTED_MEDIA_TYPE,
+        ProblemCode.UNSUPPORTED_SUBMISSION_KIND: HTTPStatus.UNPROCESSABLE_ENTITY,
+        ProblemCode.UPLOAD_TOO_LARGE: HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
+        ProblemCode.UPLOAD_TRUNCATED: HTTPStatus.BAD_REQUEST,
+    }
+)
+
+
+class ServiceError(VitacError):
+    """A request that the service refuses; `detail` says what was expected, what came and what to do."""
+
+    def __init__(self, code: ProblemCode, detail: str, **extras: object) -> None:
+        super().__init__(detail)
+        self.code = code
+        self.detail = detail
+        self.extras = extras
+
+    @property
+    def status(self) -> HTTPStatus:
+        """HTTP status that belongs to the code."""
+        return STATUS_OF_CODE[self.code]
+
+
+class SettingsError(VitacError):
+    """A `VITAC_` setting cannot be used; the message names it and says what to set."""
+
+
+def not_found(noun: str, name: object) -> ServiceError:
+    """The refusal for a thing that is missing or belongs to somebody else: both look alike from outside."""
+    return ServiceError(
+        ProblemCode.NOT_FOUND, f"There is no {noun} {name} that you may see. Check the id and the token."
+    )

@@ -1,0 +1,75 @@
+"""The regular work besides requests and shards: the sweep for lost shards and the removal of what nobody needs."""
+
+import shutil
+import threading
+import time
+from datetime import timedelta
+
+import structlog
+from sqlalchemy import select
+from sqlalchemy.exc import DBAPIError
+from vitac.envs.errors import VitacError
+
+from .db.models import Submission
+from .queue.jobs import prune_finished_jobs
+from .queue.sweep import sweep
+from .services import Services
+from .superseding import supersede_outdated
+
+logger = structlog.get_logger(__name__)
+
+PRUNE_EVERY_S = 3600.0
+ORPHAN_KEPT = timedelta(hours=24)
+"""An upload is stored before its row is committed, so a file without a row is left alone for so long."""
+
+
+class Housekeeping:
+    """A thread that sweeps and prunes from `start` to `stop`; it outlives restarts of the database."""
+
+    def __init__(self, services: Services) -> None:
+        self._services = services
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="housekeeping", daemon=True)
+
+    def start(self) -> None:
+        """Begins."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Ends after the round at work."""
+        self._stopping.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        pruned_at = float("-inf")
+        while not self._stopping.is_set():
+            try:
+                self._sweep()
+                if time.monotonic() - pruned_at > PRUNE_EVERY_S:
+                    prune(self._services)
+                    pruned_at = time.monotonic()
+            except (DBAPIError, VitacError, OSError) as error:
+                logger.warning("housekeeping_postponed", error=" ".join(str(error).split())[:300])
+            self._stopping.wait(self._services.settings.sweep_interval_s)
+
+    def _sweep(self) -> None:
+        with self._services.database.transaction() as session:
+            done = sweep(session, self._services.settings)
+        with self._services.database.transaction() as session:
+            supersede_outdated(session, self._services.settings)
+        if done.queued_again or done.given_up or done.woken:
+            logger.info("swept", queued_again=done.queued_again, given_up=done.given_up, woken=done.woken)
+
+
+def prune(services: Services) -> None:
+    """Removes finished jobs, stored files without a submission and leftovers of interrupted uploads."""
+    with services.database.transaction() as session:
+        prune_finished_jobs(session, timedelta(hours=services.settings.finished_jobs_kept_h))
+        known = set(session.scalars(select(Submission.archive_sha256)))
+    for digest in services.blobs.list_older_than(ORPHAN_KEPT):
+        if digest not in known:
+            services.blobs.delete(digest)
+    oldest_kept = time.time() - ORPHAN_KEPT.total_seconds()
+    for path in services.settings.scratch_dir.glob("upload-*"):
+        if path.lstat().st_mtime < oldest_kept:
+            shutil.rmtree(path, ignore_errors=True)

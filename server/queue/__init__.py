@@ -1,0 +1,1 @@
+"""Queue of shards: enqueueing, leases with fencing tokens, sweep of lost work."""

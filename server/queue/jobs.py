@@ -1,0 +1,85 @@
+"""The job queue (procrastinate): jobs are enqueued in the transaction of the rows that they are about.
+
+A job is a wake-up call that names a shard. The shard's row decides whether there is work and who may do it, so a job
+that is lost or comes twice does no harm.
+"""
+
+from collections.abc import Iterable
+from datetime import timedelta
+from typing import Any, cast
+
+import procrastinate
+import psycopg
+from procrastinate import PsycopgConnector, SyncPsycopgConnector
+from sqlalchemy import text
+from sqlalchemy.orm import Session
+
+RUN_SHARD = "run_shard"
+
+FIRST_TIME = 0
+ONCE_MORE = 1
+"""Priorities: a shard that comes back goes before later submissions, which it would otherwise have to wait for."""
+
+_enqueuer = procrastinate.App(connector=SyncPsycopgConnector())
+"""Never opened: each call brings the connection of the caller's transaction."""
+
+
+def queue_name(evaluator_version: str) -> str:
+    """Queue of the shards of one evaluator version: only workers of that version take them."""
+    return f"shards {evaluator_version}"
+
+
+def enqueue_shards(
+    session: Session,
+    shard_ids: Iterable[int],
+    evaluator_version: str,
+    *,
+    delay_s: float = 0.0,
+    priority: int = FIRST_TIME,
+) -> None:
+    """Adds one job per shard; they become visible when the session commits, and never if it rolls back."""
+    arguments: list[Any] = [{"shard_id": shard_id} for shard_id in shard_ids]
+    if arguments:
+        deferrer = _enqueuer.configure_task(
+            RUN_SHARD,
+            queue=queue_name(evaluator_version),
+            connection=raw_connection(session),
+            priority=priority,
+            schedule_in={"milliseconds": round(1000 * delay_s)} if delay_s else None,
+        )
+        deferrer.batch_defer(*arguments)
+
+
+def raw_connection(session: Session) -> "psycopg.Connection[Any]":
+    """The driver's connection below a session, inside its transaction."""
+    return cast("psycopg.Connection[Any]", session.connection().connection.driver_connection)
+
+
+def withdraw_jobs(session: Session, shard_ids: Iterable[int]) -> None:
+    """Removes waiting jobs of shards that need no worker any more."""
+    session.execute(
+        text(
+            "DELETE FROM procrastinate_jobs WHERE status = 'todo' AND task_name = :task "
+            "AND (args ->> 'shard_id')::bigint = ANY(:shards)"
+        ),
+        {"task": RUN_SHARD, "shards": list(shard_ids)},
+    )
+
+
+def prune_finished_jobs(session: Session, older_than: timedelta) -> int:
+    """Removes finished jobs and jobs of workers that are gone; the number of removed ones."""
+    removed = session.execute(
+        text(
+            "DELETE FROM procrastinate_jobs job WHERE status IN ('succeeded', 'failed', 'cancelled', 'aborted') "
+            "AND NOT EXISTS (SELECT 1 FROM procrastinate_events event WHERE event.job_id = job.id "
+            "                AND event.at > now() - CAST(:age AS interval)) "
+            "RETURNING id"
+        ),
+        {"age": older_than},
+    )
+    return len(removed.all())
+
+
+def make_worker_app(address: str) -> procrastinate.App:
+    """The queue as a worker uses it: asynchronous, with connections of its own."""
+    return procrastinate.App(connector=PsycopgConnector(conninfo=address, min_size=1, max_size=4))

@@ -1,0 +1,118 @@
+"""The one place where the environment (`VITAC_...`) becomes values; built at an entry point and passed down."""
+
+from enum import StrEnum
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Self
+
+from pydantic import Field, PositiveFloat, PositiveInt, SecretStr, ValidationError, model_validator
+from pydantic_settings import BaseSettings, SettingsConfigDict
+from vitac.evaluator.agent.limits import Limits
+
+from .errors import SettingsError
+from .state_directory import default_state_directory
+
+
+class Registration(StrEnum):
+    """Who may register a team."""
+
+    OPEN = "open"  # anybody who reaches the server
+    CLOSED = "closed"  # organizers only
+
+
+class Settings(BaseSettings):
+    """Settings of server and worker. Sizes in bytes, times in seconds unless the name says otherwise."""
+
+    model_config = SettingsConfigDict(
+        env_prefix="VITAC_", env_nested_delimiter="__", env_ignore_empty=True, frozen=True, extra="forbid"
+    )
+
+    database_url: SecretStr | None = Field(
+        default=None,
+        description="PostgreSQL to use (postgresql://...). Not set: an embedded one in the state directory.",
+    )
+    state_dir: Path = Field(
+        default_factory=default_state_directory,
+        description="Folder of the embedded database, of stored files and of keys.",
+    )
+    postgres_bin_dir: Path | None = Field(
+        default=None,
+        description="Folder with initdb and postgres for the embedded database. Not set: the newest found.",
+    )
+    storage_url: str | None = Field(
+        default=None,
+        description="Where uploads are kept: s3://bucket/prefix or file:///folder. Not set: in the state directory.",
+    )
+    session_key: SecretStr | None = Field(
+        default=None,
+        description="Key that signs page sessions, equal on all servers. Not set: a file in the state directory.",
+    )
+
+    host: str = "127.0.0.1"
+    port: int = Field(default=8000, ge=0, le=65535)
+    public_url: str | None = Field(default=None, description="Address that people use, when a proxy stands in front.")
+
+    registration: Registration = Registration.OPEN
+    registrations_per_hour: PositiveInt = Field(
+        default=20, description="Most teams that one client address may register in an hour."
+    )
+    token_lifetime_days: PositiveInt = 365
+    limits: Limits = Field(
+        default_factory=Limits,
+        description="On archives and policies; one by one (VITAC_LIMITS__MEMORY_BYTES) or as JSON (VITAC_LIMITS).",
+    )
+    uploads_at_once: PositiveInt = Field(default=2, description="Uploads that one team may send at the same time.")
+    upload_silence_s: PositiveFloat = Field(default=30.0, description="An upload that stops for so long is given up.")
+    event_streams: PositiveInt = Field(default=200, description="Event streams that one server process keeps open.")
+
+    lease_s: PositiveFloat = Field(
+        default=10.0, description="A shard whose worker is silent for so long is given to another one."
+    )
+    lease_renewal_s: PositiveFloat = Field(
+        default=1.0, description="How often a worker renews its shard; bounds the time a cancel takes."
+    )
+    sweep_interval_s: PositiveFloat = 2.0
+    shard_attempts: PositiveInt = Field(
+        default=3, description="How often a shard is started before the evaluation fails by name."
+    )
+    shard_silence_s: PositiveFloat = Field(
+        default=1800.0, description="A shard's process that finishes no episode for so long is ended and tried again."
+    )
+    worker_heartbeat_s: PositiveFloat = 2.0
+    worker_silent_s: PositiveFloat = Field(
+        default=15.0, description="A worker that was silent for so long counts as gone."
+    )
+    worker_slots: PositiveInt = Field(default=1, description="Shards that one worker process runs at the same time.")
+    finished_jobs_kept_h: PositiveInt = 24
+
+    @model_validator(mode="after")
+    def _lease_outlives_renewal(self) -> Self:
+        if self.lease_s < 3 * self.lease_renewal_s:
+            raise ValueError(
+                f"VITAC_LEASE_S is {self.lease_s} and VITAC_LEASE_RENEWAL_S {self.lease_renewal_s}; "
+                "make the lease at least three renewals long, or one late renewal loses the shard"
+            )
+        return self
+
+    @cached_property
+    def scratch_dir(self) -> Path:
+        """Folder for files that live only while something runs."""
+        return self.state_dir / "scratch"
+
+
+def load_settings(**overrides: Any) -> Settings:
+    """The settings of this process; values given here win over the environment.
+
+    Raises:
+        SettingsError: a variable has a value that cannot be used.
+    """
+    try:
+        return Settings(**overrides)
+    except ValidationError as error:
+        raise SettingsError(" ".join(_sentence(problem) for problem in error.errors(include_url=False))) from error
+
+
+def _sentence(problem: Any) -> str:
+    name = "__".join(str(part) for part in problem["loc"]).upper()
+    place = f"VITAC_{name} is {problem['input']!r:.80}: " if name else ""
+    return f"{place}{problem['msg'].removeprefix('Value error, ')}. Correct or unset it."

@@ -1,0 +1,107 @@
+"""Uploaded files under their SHA-256, in a local folder or a bucket; written once, never changed."""
+
+import hashlib
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import obstore
+from obstore.exceptions import BaseError, NotFoundError
+from obstore.store import LocalStore, ObjectStore, from_url
+from vitac.server.errors import ProblemCode, ServiceError
+from vitac.server.settings import Settings
+
+PART_BYTES = 8 << 20
+_COPY_BYTES = 1 << 20
+
+
+class BlobStore:
+    """Content-addressed files. Keys are `sha256/ab/abcd...`."""
+
+    def __init__(self, store: ObjectStore) -> None:
+        self._store = store
+
+    @classmethod
+    def from_settings(cls, settings: Settings) -> "BlobStore":
+        """The store that the settings name; by default the folder `blobs` of the state directory."""
+        if settings.storage_url is not None:
+            return cls(from_url(settings.storage_url))
+        folder = settings.state_dir / "blobs"
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        return cls(LocalStore(folder))
+
+    def put(self, path: Path, sha256: str) -> None:
+        """Stores a file under its digest; a file that is there already is left as it is.
+
+        Raises:
+            ServiceError: the store cannot be written.
+        """
+        try:
+            if not self.holds(sha256):
+                with path.open("rb") as file:
+                    obstore.put(self._store, key_of(sha256), file, chunk_size=PART_BYTES)
+        except (BaseError, OSError) as error:
+            raise _unavailable(error) from error
+
+    def fetch(self, sha256: str, destination: Path) -> None:
+        """Writes a stored file to a local path and checks its digest on the way.
+
+        Raises:
+            ServiceError: it is not there, was altered, or the store cannot be read.
+        """
+        digest = hashlib.sha256()
+        try:
+            with destination.open("xb") as file:
+                for chunk in obstore.get(self._store, key_of(sha256)).stream(min_chunk_size=_COPY_BYTES):
+                    digest.update(chunk)
+                    file.write(chunk)
+        except (NotFoundError, FileNotFoundError) as error:
+            raise ServiceError(ProblemCode.STORAGE_UNAVAILABLE, f"The stored file {sha256} is gone.") from error
+        except (BaseError, OSError) as error:
+            raise _unavailable(error) from error
+        if digest.hexdigest() != sha256:
+            raise ServiceError(ProblemCode.STORAGE_UNAVAILABLE, f"The stored file {sha256} was altered in the store.")
+
+    def holds(self, sha256: str) -> bool:
+        """Whether a file of that digest is stored."""
+        try:
+            obstore.head(self._store, key_of(sha256))
+        except (NotFoundError, FileNotFoundError):
+            return False
+        return True
+
+    def delete(self, sha256: str) -> None:
+        """Removes a file; removing it again changes nothing."""
+        if self.holds(sha256):
+            obstore.delete(self._store, key_of(sha256))
+
+    def list_older_than(self, age: timedelta) -> list[str]:
+        """Digests of all files that were stored at least so long ago."""
+        oldest_kept = datetime.now(UTC) - age
+        return [
+            meta["path"].rsplit("/", 1)[-1]
+            for batch in obstore.list(self._store, prefix="sha256")
+            for meta in batch
+            if meta["last_modified"] <= oldest_kept
+        ]
+
+    def check(self) -> None:
+        """Writes and removes a small file.
+
+        Raises:
+            ServiceError: that does not work.
+        """
+        try:
+            obstore.put(self._store, "probe", b"ready")
+            obstore.delete(self._store, "probe")
+        except (BaseError, OSError) as error:
+            raise _unavailable(error) from error
+
+
+def key_of(sha256: str) -> str:
+    """Key of a digest; two characters make a folder, so that none gets too many files."""
+    return f"sha256/{sha256[:2]}/{sha256}"
+
+
+def _unavailable(error: Exception) -> ServiceError:
+    summary = " ".join(str(error).split())[:200]
+    return ServiceError(ProblemCode.STORAGE_UNAVAILABLE, f"The file store does not work: {summary}. Try again later.")

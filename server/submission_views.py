@@ -1,0 +1,140 @@
+"""Makes the view of a submission out of its rows; called by `submissions` for the API and the pages."""
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from uuid import UUID
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+from vitac.server.db.models import EpisodeResult, Evaluation, Shard, Submission, Team
+from vitac.server.db.states import TERMINAL_EVALUATION_STATES, EvaluationState
+from vitac.server.evaluations import LOG_TAIL_CHARACTERS
+from vitac.server.leaderboards import places, score_views
+from vitac.server.progress import progress_of, queue_position, seconds_to_end
+from vitac.server.queue.leases import key_of
+from vitac.server.settings import Settings
+from vitac.server.verdicts import sentence_of
+from vitac.server.views import (
+    EvaluationSummaryView,
+    EvaluationView,
+    RankView,
+    SubmissionView,
+    TeamView,
+    VerdictView,
+    WorkersView,
+)
+from vitac.server.workers import WorkersAlive, workers_alive
+
+PlacesOf = Callable[[str], Mapping[UUID, RankView]]
+
+
+def submission_view(
+    session: Session, settings: Settings, submission: Submission, places_of: PlacesOf | None = None
+) -> SubmissionView:
+    """The submission with its newest evaluation.
+
+    Args:
+        session: of the transaction.
+        settings: of this process.
+        submission: whose view.
+        places_of: gives the places of a track, for those who show many submissions and read them once.
+    """
+    places_of = places_of or partial(places, session)
+    history = session.scalars(
+        select(Evaluation)
+        .where(Evaluation.submission_id == submission.id)
+        .order_by(Evaluation.created_at.desc(), Evaluation.run.desc(), Evaluation.id)
+        .execution_options(populate_existing=True)
+    ).all()
+    newest = history[0]
+    workers = workers_alive(session, settings, newest.evaluator_version)
+    return SubmissionView(
+        id=submission.id,
+        team=team_view(submission.team),
+        kind=submission.kind,
+        track=submission.track,
+        tasks=submission.tasks,
+        name=submission.name,
+        digest=submission.digest,
+        archive_sha256=submission.archive_sha256,
+        archive_bytes=submission.archive_bytes,
+        submitted_at=submission.submitted_at,
+        evaluation=_evaluation_view(session, newest, submission, workers),
+        evaluations=[_summary(evaluation) for evaluation in history],
+        workers=WorkersView(alive=workers.alive, last_heartbeat_at=workers.last_heartbeat_at),
+        rank=places_of(submission.track).get(submission.id) if newest.state is EvaluationState.COMPLETED else None,
+    )
+
+
+def team_view(team: Team) -> TeamView:
+    """A team as it is shown."""
+    return TeamView(id=team.id, name=team.name, created_at=team.created_at)
+
+
+def _evaluation_view(
+    session: Session, evaluation: Evaluation, submission: Submission, workers: WorkersAlive
+) -> EvaluationView:
+    progress = progress_of(session, evaluation, submission)
+    return EvaluationView(
+        id=evaluation.id,
+        run=evaluation.run,
+        state=evaluation.state,
+        created_at=evaluation.created_at,
+        started_at=evaluation.started_at,
+        finished_at=evaluation.finished_at,
+        queue_position=queue_position(session, evaluation),
+        eta_s=seconds_to_end(session, evaluation, progress, workers.slots),
+        progress=progress,
+        verdict=_verdict(evaluation),
+        log_tail=_log_tail(session, evaluation, submission),
+        result_hash=evaluation.result_hash,
+        success_rate=evaluation.success_rate,
+        mean_steps=evaluation.mean_steps,
+        scores=score_views(evaluation.scores or []),
+        evaluator_version=evaluation.evaluator_version,
+        evaluator_hash=evaluation.evaluator_hash,
+        platform_class=evaluation.platform_class,
+        isolation=_isolation(session, evaluation),
+    )
+
+
+def _verdict(evaluation: Evaluation) -> VerdictView | None:
+    if evaluation.verdict_code is None:
+        return None
+    return VerdictView(
+        code=evaluation.verdict_code,
+        title=sentence_of(evaluation.verdict_code),
+        message=evaluation.verdict_message or "",
+        task=evaluation.verdict_task,
+        episode=evaluation.verdict_episode,
+    )
+
+
+def _log_tail(session: Session, evaluation: Evaluation, submission: Submission) -> str:
+    """What was kept at the end; while it runs, the output of the last episode that the policy failed in."""
+    if evaluation.state in TERMINAL_EVALUATION_STATES:
+        return evaluation.log_tail
+    tail = session.scalar(
+        select(EpisodeResult.record["failure"]["output_tail"].astext)
+        .where(*key_of(evaluation, submission).conditions(), EpisodeResult.outcome == "policy_failed")
+        .order_by(EpisodeResult.created_at.desc())
+        .limit(1)
+    )
+    return (tail or "")[-LOG_TAIL_CHARACTERS:]
+
+
+def _isolation(session: Session, evaluation: Evaluation) -> list[str]:
+    query = select(Shard.isolation).where(Shard.evaluation_id == evaluation.id, Shard.isolation.is_not(None))
+    return sorted({isolation for isolation in session.scalars(query) if isolation is not None})
+
+
+def _summary(evaluation: Evaluation) -> EvaluationSummaryView:
+    return EvaluationSummaryView(
+        id=evaluation.id,
+        run=evaluation.run,
+        state=evaluation.state,
+        evaluator_version=evaluation.evaluator_version,
+        created_at=evaluation.created_at,
+        finished_at=evaluation.finished_at,
+        result_hash=evaluation.result_hash,
+    )

@@ -1,0 +1,296 @@
+"""What the REST API answers and the pages show; made by the service layer, never changed afterwards."""
+
+from datetime import datetime
+from typing import Any
+from uuid import UUID
+
+from pydantic import BaseModel, ConfigDict, Field
+from vitac.server.db.states import EvaluationState, Role, SubmissionKind
+
+
+class View(BaseModel):
+    """Base of all answers: frozen, nothing beyond the fields."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class TeamView(View):
+    """A team."""
+
+    id: UUID
+    name: str
+    created_at: datetime
+
+
+class TokenView(View):
+    """A token without its secret."""
+
+    id: UUID
+    label: str
+    role: Role
+    team: str | None
+    created_at: datetime
+    expires_at: datetime | None
+    revoked_at: datetime | None
+    last_used_at: datetime | None
+
+
+class NewTokenView(TokenView):
+    """A new token; the secret is shown this once and stored as a hash only."""
+
+    secret: str
+
+
+class RegisteredTeamView(View):
+    """A new team with its first token."""
+
+    team: TeamView
+    token: NewTokenView
+
+
+class MeView(View):
+    """Who the token belongs to."""
+
+    role: Role
+    team: TeamView | None
+    token: TokenView | None
+
+
+class ShapeScoreView(View):
+    """Successes with one shape."""
+
+    shape: str
+    episodes: int
+    successes: int
+    success_rate: float
+    success_rate_interval: tuple[float, float] = Field(description="Wilson score interval, 95 %.")
+
+
+class TaskScoreView(View):
+    """Score of one task."""
+
+    task: str
+    episodes: int
+    successes: int
+    success_rate: float
+    success_rate_interval: tuple[float, float] = Field(description="Wilson score interval, 95 %.")
+    mean_steps: float | None = Field(description="Mean env steps of the successful episodes; null without a success.")
+    shapes: list[ShapeScoreView]
+    outcomes: dict[str, int] = Field(description="How many episodes ended in which way.")
+    result_hash: str = Field(description="The hash that `vitac evaluate` prints for the same evaluation.")
+
+
+class TaskProgressView(View):
+    """Finished episodes of one task."""
+
+    task: str
+    episodes_done: int
+    episodes_total: int
+    successes: int
+
+
+class ProgressView(View):
+    """Finished episodes of an evaluation."""
+
+    episodes_done: int
+    episodes_total: int
+    episodes_reused: int = Field(
+        description="Of the finished ones: those that were stored before this evaluation began."
+    )
+    successes: int
+    tasks: list[TaskProgressView]
+
+
+class VerdictView(View):
+    """Why an evaluation has no score."""
+
+    code: str = Field(description="Stable name, from a closed list.")
+    title: str = Field(description="What this code means and what to do about it.")
+    message: str = Field(description="What happened this time.")
+    task: str | None
+    episode: int | None
+
+
+class EvaluationView(View):
+    """One run of the evaluator over a submission."""
+
+    id: UUID
+    run: int
+    state: EvaluationState
+    created_at: datetime
+    started_at: datetime | None
+    finished_at: datetime | None
+    queue_position: int | None = Field(description="1 is next; null unless queued.")
+    eta_s: float | None = Field(description="Seconds to the end; null when finished or not known.")
+    progress: ProgressView
+    verdict: VerdictView | None
+    log_tail: str = Field(description="The end of what the policy printed in episodes that it failed in.")
+    result_hash: str | None
+    success_rate: float | None
+    mean_steps: float | None
+    scores: list[TaskScoreView]
+    evaluator_version: str
+    evaluator_hash: str
+    platform_class: str | None
+    isolation: list[str] = Field(description="How the policy was isolated, on each kind of worker machine.")
+
+
+class EvaluationSummaryView(View):
+    """A line of a submission's history."""
+
+    id: UUID
+    run: int
+    state: EvaluationState
+    evaluator_version: str
+    created_at: datetime
+    finished_at: datetime | None
+    result_hash: str | None
+
+
+class WorkersView(View):
+    """Whether anybody works on evaluations."""
+
+    alive: int
+    last_heartbeat_at: datetime | None
+
+
+class RankView(View):
+    """Place of the team's best entry, when it is this submission."""
+
+    rank: int
+    of: int
+
+
+class SubmissionView(View):
+    """One upload and its newest evaluation."""
+
+    id: UUID
+    team: TeamView
+    kind: SubmissionKind
+    track: str
+    tasks: list[str]
+    name: str
+    digest: str = Field(description="SHA-256 over the unpacked files; equal for a folder and its zip.")
+    archive_sha256: str
+    archive_bytes: int
+    submitted_at: datetime
+    evaluation: EvaluationView
+    evaluations: list[EvaluationSummaryView] = Field(description="All runs, newest first.")
+    workers: WorkersView
+    rank: RankView | None
+
+
+class SubmissionListView(View):
+    """A page of submissions, newest first."""
+
+    items: list[SubmissionView]
+    next_before: UUID | None = Field(description="Give this as `before` for the next page; null on the last one.")
+
+
+class EpisodeView(View):
+    """How one episode ended."""
+
+    task: str
+    episode: int
+    shape: str
+    outcome: str
+    success: bool
+    env_steps: int
+
+
+class LeaderboardEntryView(View):
+    """Best entry of one team."""
+
+    rank: int | None = Field(description="Null for an entry that another evaluator version made: it is not comparable.")
+    stale: bool
+    team: str
+    submission_id: UUID
+    submission_name: str
+    kind: SubmissionKind
+    submitted_at: datetime
+    evaluated_at: datetime
+    episodes: int
+    successes: int
+    success_rate: float
+    success_rate_interval: tuple[float, float] | None = Field(description="Null where several tasks are combined.")
+    mean_steps: float | None
+    scores: list[TaskScoreView]
+    result_hash: str
+    evaluator_version: str
+
+
+class LeaderboardView(View):
+    """Standings of one track."""
+
+    track: str
+    title: str
+    tasks: list[str]
+    ranking_rule: str
+    evaluator_version: str
+    generated_at: datetime
+    teams: int
+    entries: list[LeaderboardEntryView]
+
+
+class TrackTaskView(View):
+    """One task of a track."""
+
+    name: str
+    title: str
+    env_id: str
+    episodes: int
+    max_steps: int
+
+
+class TrackView(View):
+    """A track that can be submitted to."""
+
+    name: str
+    title: str
+    summary: str
+    ranking_rule: str
+    tasks: list[TrackTaskView]
+    limits: dict[str, float] = Field(description="Most that an upload and its policy may use; bytes, seconds, numbers.")
+
+
+class TrackListView(View):
+    """All tracks."""
+
+    items: list[TrackView]
+
+
+class TokenListView(View):
+    """Tokens of a team, or all for an organizer."""
+
+    items: list[TokenView]
+
+
+class HealthView(View):
+    """The process answers."""
+
+    status: str
+    version: str
+
+
+class ReadyView(View):
+    """Whether the service can do its work, part by part: `ok` or what is wrong."""
+
+    status: str
+    database: str
+    migrations: str
+    storage: str
+    workers: WorkersView | None
+
+
+class ProblemView(BaseModel):
+    """RFC 9457 problem; `code` is stable, further members depend on it."""
+
+    model_config = ConfigDict(extra="allow")
+
+    type: str
+    title: str
+    status: int
+    detail: str
+    code: str
+    instance: str
+    errors: list[dict[str, Any]] | None = None

@@ -1,0 +1,59 @@
+"""Workers as the service knows them: registration, heartbeats, and whether any is alive."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from uuid import UUID
+
+from sqlalchemy import delete, func, select, update
+from sqlalchemy.orm import Session
+from vitac.server.db.models import Worker
+from vitac.server.db.states import WorkerState
+from vitac.server.settings import Settings
+
+FORGOTTEN_AFTER = timedelta(days=7)
+
+
+@dataclass(frozen=True, kw_only=True)
+class WorkersAlive:
+    """How many workers take shards now, how many shards they run at once, and when any was last heard."""
+
+    alive: int
+    slots: int
+    last_heartbeat_at: datetime | None
+
+
+def register(session: Session, worker: Worker) -> None:
+    """Adds a worker process and forgets those that were silent for a week."""
+    session.execute(delete(Worker).where(Worker.heartbeat_at < datetime.now(UTC) - FORGOTTEN_AFTER))
+    session.add(worker)
+
+
+def heartbeat(session: Session, worker_id: UUID, state: WorkerState, message: str = "") -> None:
+    """Notes that a worker is there and what it says about itself."""
+    session.execute(
+        update(Worker)
+        .where(Worker.id == worker_id)
+        .values(heartbeat_at=func.clock_timestamp(), state=state, message=message)
+    )
+
+
+def workers_alive(session: Session, settings: Settings, evaluator_version: str | None = None) -> WorkersAlive:
+    """Workers that take shards (of one evaluator version) and were heard lately."""
+    of_version = (
+        Worker.evaluator_version == evaluator_version if evaluator_version is not None else Worker.id == Worker.id
+    )
+    lately = func.clock_timestamp() - timedelta(seconds=settings.worker_silent_s)
+    alive, slots = session.execute(
+        select(func.count(), func.coalesce(func.sum(Worker.slots), 0)).where(
+            Worker.state == WorkerState.READY, Worker.heartbeat_at > lately, of_version
+        )
+    ).one()
+    return WorkersAlive(
+        alive=alive, slots=slots, last_heartbeat_at=session.scalar(select(func.max(Worker.heartbeat_at)))
+    )
+
+
+def list_workers(session: Session) -> Sequence[Worker]:
+    """All known workers, the one heard last first."""
+    return session.scalars(select(Worker).order_by(Worker.heartbeat_at.desc())).all()

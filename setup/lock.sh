@@ -1,0 +1,17 @@
+#!/bin/sh
+# Rewrites requirements/*.lock from pyproject.toml. Needs uv on the PATH (or its path in UV).
+# Without arguments locked versions stay where they still fit; `setup/lock.sh --upgrade` takes the newest.
+set -eu
+
+cd "$(dirname "$0")/.."
+
+compile() { # output file, further arguments...
+  output=$1
+  shift
+  "${UV:-uv}" pip compile --quiet --universal --generate-hashes --python-version 3.11 --no-emit-index-url \
+    --custom-compile-command setup/lock.sh --output-file "$output" "$@" pyproject.toml requirements/build.in
+}
+
+compile requirements/base.lock "$@"
+compile requirements/show.lock --extra show --constraint requirements/base.lock "$@"
+compile requirements/dev.lock --extra show --extra dev --constraint requirements/show.lock "$@"

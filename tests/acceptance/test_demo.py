@@ -1,0 +1,46 @@
+"""The product's front door: `vitac demo --exit` with the real physics, sandbox, queue and pages."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from service_database import state_directory
+
+LIMIT_S = 900  # on a machine that does other work at the same time
+MAIN = "from vitac.cli.main import main; main()"
+
+
+def vitac(*arguments: str, state: Path) -> subprocess.CompletedProcess[str]:
+    environment = os.environ | {"VITAC_STATE_DIR": str(state), "VITAC_PORT": "0", "PYTHONIOENCODING": "utf-8"}
+    return subprocess.run(
+        [sys.executable, "-c", MAIN, *arguments],
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=LIMIT_S,
+        check=False,
+    )
+
+
+def result_hash(output: str) -> str:
+    return next(line.split()[-1] for line in output.splitlines() if "Result hash" in line)
+
+
+@pytest.fixture
+def example(repository: Path) -> Path:
+    return repository / "examples" / "peg_insertion_heuristic"
+
+
+def test_the_example_reaches_the_leaderboard_and_stays_in_the_store(example: Path) -> None:
+    state = state_directory()
+    first = vitac("demo", "--exit", "--submission", str(example), state=state)
+    assert first.returncode == 0, first.stdout + first.stderr
+    assert "270 of 270 episodes" in first.stdout
+    row = next(line for line in first.stdout.splitlines() if line.split()[:2] == ["1", "demo"])
+    assert "●" in row
+    second = vitac("demo", "--exit", "--submission", str(example), state=state)
+    assert second.returncode == 0, second.stdout + second.stderr
+    assert "all 270 episodes come from the store" in second.stdout
+    assert result_hash(second.stdout) == result_hash(first.stdout)

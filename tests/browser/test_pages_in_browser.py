@@ -1,0 +1,170 @@
+import re
+from typing import Any
+
+import pytest
+from axe_playwright_python.sync_playwright import Axe
+from page_fixtures import FixedData, a_leaderboard, a_submission
+from playwright.sync_api import Browser, ConsoleMessage, Page, expect
+from site_under_test import SiteUnderTest
+from vitac.server.db.states import EvaluationState
+from vitac.server.views import SubmissionView
+
+PHONE = {"width": 375, "height": 740}
+DESK = {"width": 1280, "height": 800}
+WCAG = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "best-practice"]
+
+
+class Complaints:
+    """What the browser complains about while a page is open, but for answers that a test asked for."""
+
+    def __init__(self, page: Page) -> None:
+        self.heard: list[str] = []
+        page.on("console", self._on_console)
+        page.on("pageerror", lambda error: self.heard.append(str(error)))
+
+    def _on_console(self, message: ConsoleMessage) -> None:
+        expected = "status of 404" in message.text
+        if message.type in {"error", "warning"} and not expected:
+            self.heard.append(message.text)
+
+
+def violations(page: Page) -> list[str]:
+    found: dict[str, Any] = Axe().run(page, options={"runOnly": WCAG}).response
+    return [
+        f"{rule['id']}: {node['html'][:200]} {node['failureSummary']}"
+        for rule in found["violations"]
+        for node in rule["nodes"]
+    ]
+
+
+@pytest.mark.parametrize(("scheme", "size"), [("light", DESK), ("dark", PHONE)], ids=["light desk", "dark phone"])
+def test_pages_are_accessible_fit_and_raise_no_error(
+    browser: Browser, site: SiteUnderTest, scheme: str, size: dict[str, int]
+) -> None:
+    context = browser.new_context(viewport=size, color_scheme=scheme)  # type: ignore[arg-type]
+    page = context.new_page()
+    complaints = Complaints(page)
+    site.sign_in(page)
+    for path in site.paths():
+        site.open(page, path)
+        expect(page.get_by_role("heading", level=1)).to_be_visible()
+        assert page.evaluate("document.documentElement.scrollWidth") <= size["width"], f"{path} scrolls sideways"
+        assert violations(page) == [], path
+    assert complaints.heard == []
+    context.close()
+
+
+def test_an_empty_site_is_accessible(page: Page, site: SiteUnderTest) -> None:
+    site.data.board = a_leaderboard()
+    site.data.found.clear()
+    site.sign_in(page)
+    for path in ("/", "/submissions"):
+        site.open(page, path)
+        assert violations(page) == []
+
+
+def test_dark_and_light_are_different(browser: Browser, site: SiteUnderTest) -> None:
+    colours = []
+    for scheme in ("light", "dark"):
+        context = browser.new_context(color_scheme=scheme)
+        page = context.new_page()
+        site.open(page, "/")
+        colours.append(page.evaluate("getComputedStyle(document.body).backgroundColor"))
+        context.close()
+    light, dark = (sum(int(part) for part in re.findall(r"\d+", colour)[:3]) for colour in colours)
+    assert light > 3 * 200
+    assert dark < 3 * 60
+
+
+def test_a_running_evaluation_moves_on_without_a_reload_and_ends_with_its_score(
+    page: Page, site: SiteUnderTest
+) -> None:
+    site.sign_in(page)
+    site.open(page, site.path_of("runs"))
+    page.evaluate("window.sameDocument = true")
+    expect(page.get_by_text("137 of 270")).to_be_visible()
+    replace(site.data, a_submission("Gelbots", EvaluationState.RUNNING, name="runs", done=201))
+    expect(page.get_by_text("201 of 270")).to_be_visible()
+    assert page.evaluate("window.sameDocument") is True
+    expect(page.locator("rect.cell:not(.waiting)")).to_have_count(201 + 2)  # and two in the key
+    replace(site.data, a_submission("Gelbots", EvaluationState.COMPLETED, name="runs"))
+    expect(page.get_by_text("Rank 2 of 4")).to_be_visible()
+    expect(page.get_by_role("button", name="Cancel this evaluation")).to_have_count(0)
+
+
+def test_a_change_of_state_is_announced(page: Page, site: SiteUnderTest) -> None:
+    site.sign_in(page)
+    site.open(page, site.path_of("waits"))
+    expect(page.get_by_role("status")).to_have_text("")
+    replace(site.data, a_submission("Gelbots", EvaluationState.RUNNING, name="waits", done=1))
+    expect(page.get_by_role("status")).to_have_text("Running")
+
+
+def test_everything_works_without_javascript(browser: Browser, site: SiteUnderTest) -> None:
+    context = browser.new_context(java_script_enabled=False)
+    page = context.new_page()
+    site.sign_in(page)
+    page.get_by_role("link", name="runs").click()
+    expect(page.get_by_text("137 of 270")).to_be_visible()
+    # Playwright's text and role queries leave out what stands in <noscript>.
+    refresh = page.locator("noscript p")
+    expect(refresh).to_contain_text("This page reloads itself every 5 seconds.")
+    expect(refresh).to_be_visible()
+    replace(site.data, a_submission("Gelbots", EvaluationState.RUNNING, name="runs", done=201))
+    expect(page.get_by_text("201 of 270")).to_be_visible(timeout=15_000)
+    page.locator("noscript a").click()
+    expect(refresh).to_contain_text("This page does not reload itself.")
+    page.get_by_role("button", name="Cancel this evaluation").click()
+    expect(page.get_by_role("heading", level=1)).to_have_text("runs")
+    assert len(site.data.cancelled) == 1
+    page.get_by_role("button", name="Sign out").click()
+    expect(page.get_by_role("link", name="Sign in")).to_be_visible()
+    context.close()
+
+
+def test_the_keyboard_reaches_the_content_first(page: Page, site: SiteUnderTest) -> None:
+    site.open(page, "/")
+    page.keyboard.press("Tab")
+    expect(page.get_by_role("link", name="Skip to the content")).to_be_focused()
+    page.keyboard.press("Enter")
+    assert page.evaluate("document.activeElement.id") == "main"
+
+
+def test_focus_is_visible(page: Page, site: SiteUnderTest) -> None:
+    site.open(page, "/")
+    for _ in range(3):
+        page.keyboard.press("Tab")
+    assert page.evaluate("getComputedStyle(document.activeElement).outlineStyle") == "solid"
+
+
+def test_scripts_of_others_are_refused_by_the_policy(page: Page, site: SiteUnderTest) -> None:
+    site.open(page, "/")
+    page.evaluate(
+        "() => { const script = document.createElement('script');"
+        " script.textContent = 'window.injected = true'; document.body.append(script); }"
+    )
+    assert page.evaluate("window.injected") is None
+
+
+def test_a_leaderboard_row_keeps_its_table_meaning_on_a_phone(browser: Browser, site: SiteUnderTest) -> None:
+    context = browser.new_context(viewport=PHONE)  # type: ignore[arg-type]
+    page = context.new_page()
+    site.open(page, "/")
+    row = page.get_by_role("row").filter(has=page.get_by_role("rowheader", name="Tactile Bears"))
+    expect(row.get_by_role("cell")).to_have_count(7)
+    expect(row).to_contain_text("89.3")
+    context.close()
+
+
+def test_the_session_cookie_is_out_of_reach_for_scripts(page: Page, site: SiteUnderTest) -> None:
+    site.sign_in(page)
+    assert page.evaluate("document.cookie") == ""
+    cookies = page.context.cookies()
+    assert [(cookie["name"], cookie["httpOnly"], cookie["sameSite"]) for cookie in cookies] == [
+        ("vitac_session", True, "Strict")
+    ]
+
+
+def replace(data: FixedData, changed: SubmissionView) -> None:
+    """Puts a new state of a submission in the place of the old one."""
+    data.found[:] = [changed if found.name == changed.name else found for found in data.found]

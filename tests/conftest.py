@@ -1,0 +1,30 @@
+"""For every test: a clean environment, and where the challenge's own files are."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parent.parent
+MACHINE_VARIABLES = {"VITAC_BWRAP", "VITAC_CACHE_DIR", "VITAC_CHROMIUM", "VITAC_EXPECT_WHEEL", "VITAC_REFERENCE_DIR"}
+
+
+def pytest_configure() -> None:
+    """Forgets the caller's settings: a test must never reach the database or service that somebody works with."""
+    for name in [name for name in os.environ if name.startswith("VITAC_") and name not in MACHINE_VARIABLES]:
+        del os.environ[name]
+
+
+@pytest.fixture(scope="session")
+def repository() -> Path:
+    """The repository's root, for tests of its files (locks, packaging, documents)."""
+    return REPOSITORY
+
+
+@pytest.fixture(scope="session")
+def reference_dir() -> Path:
+    """The folder with the challenge's numbers, logs and assets, from VITAC_REFERENCE_DIR or beside the repository."""
+    folder = Path(os.environ.get("VITAC_REFERENCE_DIR") or REPOSITORY.parent / "shared" / "reference")
+    if not folder.is_dir():
+        pytest.skip(f"no reference folder at {folder} (set VITAC_REFERENCE_DIR to compare with the challenge's files)")
+    return folder

@@ -1,0 +1,131 @@
+"""What every registered environment keeps."""
+
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+import vitac.envs
+from gymnasium.utils.env_checker import check_env
+from trajectories import trajectory_digest
+from vitac.envs.errors import VitacError
+from vitac.envs.task_env import ActionError, ResetOptionsError
+
+ENV_IDS = sorted(vitac.envs.ENVIRONMENTS)
+PUBLIC_KEYS = {"marker_flow", "relative_motion"}
+
+
+@pytest.fixture(params=ENV_IDS)
+def env_id(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+@pytest.fixture
+def env(env_id: str) -> Iterator[Any]:
+    made = gymnasium.make(env_id, disable_env_checker=True)
+    yield made.unwrapped
+    made.close()
+
+
+def test_registering_imports_neither_the_simulation_nor_the_service() -> None:
+    script = (
+        "import sys, vitac.envs, gymnasium\n"
+        "heavy = [m for m in ('numba', 'sapien', 'torch', 'fastapi', 'sqlalchemy') if m in sys.modules]\n"
+        "assert not heavy, heavy\n"
+        "assert all(i in gymnasium.registry for i in vitac.envs.ENVIRONMENTS)\n"
+    )
+    subprocess.run([sys.executable, "-W", "error", "-c", script], check=True)
+
+
+def test_gymnasium_finds_no_fault(env: Any) -> None:
+    # Its unseeded resets go on from this one, so that every run checks the same episodes.
+    env.reset(seed=0)
+    check_env(env, skip_render_check=True)
+
+
+def test_wrapped_environment_passes_the_passive_checks(env_id: str) -> None:
+    env = gymnasium.make(env_id)
+    env.reset(seed=0)
+    env.step(env.action_space.sample())
+
+
+def test_policy_sees_nothing_privileged(env: Any) -> None:
+    observation, _ = env.reset(seed=1)
+    assert set(observation) == PUBLIC_KEYS == set(env.observation_space.spaces)
+    observation, *_ = env.step(np.zeros(env.action_space.shape, dtype=np.float32))
+    assert set(observation) == PUBLIC_KEYS
+    assert observation in env.observation_space
+
+
+def test_privileged_keys_are_added_to_the_public_ones(env_id: str) -> None:
+    env: Any = gymnasium.make(env_id, disable_env_checker=True, privileged=True).unwrapped
+    observation, _ = env.reset(seed=1)
+    assert set(observation) > PUBLIC_KEYS
+    assert observation in env.observation_space
+
+
+def test_docstring_tables_list_every_observation_and_action(env_id: str) -> None:
+    env: Any = gymnasium.make(env_id, disable_env_checker=True, privileged=True).unwrapped
+    docstring = type(env).__doc__ or ""
+    rows = dict(re.findall(r"^ *\| (\w+) \| (\([\d, ]+\)) \|", docstring, re.MULTILINE))
+    assert {key: str(space.shape) for key, space in env.observation_space.spaces.items()} == rows
+    actions = re.findall(r"^ *\| (\d+) \| (\w+) \|", docstring, re.MULTILINE)
+    assert [int(index) for index, _ in actions] == list(range(*env.action_space.shape))
+
+
+def test_spaces_are_finite_float32(env: Any) -> None:
+    assert env.action_space.dtype == np.float32
+    assert (env.action_space.low == -1).all()
+    assert (env.action_space.high == 1).all()
+    for space in env.observation_space.spaces.values():
+        assert space.dtype == np.float32
+        assert np.isfinite(space.low).all()
+
+
+def test_info_carries_step_reports_and_the_end_reason(env: Any) -> None:
+    _, info = env.reset(seed=1)
+    assert info["end_reason"] is None
+    assert len(info["step_reports"]) == env.ipc_steps
+    assert all(report.status != "not_converged" for report in info["step_reports"])
+    *_, info = env.step(np.zeros(env.action_space.shape, dtype=np.float32))
+    assert len(info["step_reports"]) >= 1
+
+
+def test_hashes_are_sha256_and_the_state_hash_moves(env: Any) -> None:
+    env.reset(seed=1)
+    before = env.state_hash()
+    env.step(np.ones(env.action_space.shape, dtype=np.float32))
+    assert re.fullmatch("[0-9a-f]{64}", before)
+    assert re.fullmatch("[0-9a-f]{64}", env.mesh_hash())
+    assert env.state_hash() != before
+
+
+def test_refusals_are_ours_and_name_the_environment(env: Any, env_id: str) -> None:
+    env.reset(seed=1)
+    with pytest.raises(ActionError, match=env_id):
+        env.step(np.zeros(7, dtype=np.float32))
+    with pytest.raises(ResetOptionsError, match=env_id):
+        env.reset(options={"colour": "red"})
+    assert issubclass(ActionError, VitacError)
+
+
+@pytest.fixture(scope="module")
+def digests() -> dict[str, str]:
+    return {env_id: trajectory_digest(env_id, 5, 2) for env_id in ENV_IDS}
+
+
+def test_same_seed_and_actions_repeat_bit_for_bit_in_one_process(env_id: str, digests: dict[str, str]) -> None:
+    assert trajectory_digest(env_id, 5, 2) == digests[env_id]
+    assert trajectory_digest(env_id, 6, 1) != digests[env_id]
+
+
+def test_same_seed_and_actions_repeat_bit_for_bit_in_parallel_processes(env_id: str, digests: dict[str, str]) -> None:
+    with ProcessPoolExecutor(4, mp_context=get_context("spawn")) as pool:
+        others = list(pool.map(trajectory_digest, [env_id] * 4, [5] * 4, [2] * 4))
+    assert others == [digests[env_id]] * 4

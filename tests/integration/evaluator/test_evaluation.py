@@ -1,0 +1,145 @@
+"""Evaluations with the real environment in the real sandbox; a few episodes each."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from vitac.evaluator.agent.verdicts import VerdictCode
+from vitac.evaluator.episodes import make_environment
+from vitac.evaluator.evaluation import Evaluation, evaluate
+from vitac.evaluator.logs import LogHeader
+from vitac.evaluator.records import EpisodeOutcome, result_hash
+from vitac.evaluator.replay import resimulate
+from vitac.evaluator.shard_process import ShardOrder, running_shard
+from vitac.evaluator.tracks import find_task
+from vitac.evaluator.verification import LogVerdict, verify
+
+TRACK, TASK = find_task("peg-insertion")
+
+NOTHING = """
+import numpy as np
+class Policy:
+    def reset(self, task): pass
+    def act(self, observation): return np.zeros(3, np.float32)
+"""
+
+DRIFT = """
+import numpy as np
+class Policy:
+    def reset(self, task): self.step = 0
+    def act(self, observation):
+        self.step += 1
+        flow = observation["marker_flow"]
+        push = np.float32(0.1) * np.sign(flow[0, 1, :, 1].mean() - flow[0, 0, :, 1].mean())
+        return np.array([push, -push, 0.05 * self.step], np.float32)
+"""
+
+COUNTS_RESETS = DRIFT.replace(
+    "def reset(self, task): self.step = 0",
+    "resets = 0\n    def reset(self, task):\n        Policy.resets += 1\n        self.step = Policy.resets - 1",
+)
+
+BROKEN_AT_THIRD_STEP = DRIFT.replace(
+    "self.step += 1", "self.step += 1\n        if self.step == 3: raise RuntimeError('third')"
+)
+
+
+@pytest.fixture
+def submission(tmp_path: Path) -> Path:
+    folder = tmp_path / "Track_1"
+    folder.mkdir()
+    tmp_path.chmod(0o755)
+    folder.chmod(0o755)
+    (folder / "submission.yaml").write_text("{track: track_1, tasks: [peg-insertion], name: test}")
+    (folder / "policy.py").write_text(DRIFT)
+    return folder
+
+
+def run(submission: Path, **options: Any) -> Evaluation:
+    return evaluate(submission_dir=submission, track=TRACK, task=TASK, **({"episodes": (1, 2, 31)} | options))
+
+
+def test_hash_is_the_same_for_workers_order_and_resume(submission: Path) -> None:
+    one, two = run(submission), run(submission, workers=2)
+    assert one.result_hash == two.result_hash
+    order = ShardOrder(
+        submission_dir=submission, track="track_1", task="peg-insertion", shard=0, episodes=(1, 2), skip=(1,)
+    )
+    with running_shard(order) as process:
+        resumed = [one.records[0], *process.records(), one.records[2]]
+        assert result_hash(process.result.manifest, resumed) == one.result_hash
+
+
+def test_policy_that_counts_resets_scores_like_its_honest_twin(submission: Path) -> None:
+    honest = run(submission)
+    (submission / "policy.py").write_text(COUNTS_RESETS)
+    counting = run(submission)
+    assert [record.record_digest() for record in counting.records] == [
+        record.record_digest() for record in honest.records
+    ]
+
+
+def test_records_hold_what_the_policy_did_and_how_it_was_isolated(submission: Path) -> None:
+    evaluation = run(submission)
+    record = evaluation.records[0]
+    assert evaluation.isolation is not None
+    assert record.outcome in (EpisodeOutcome.TACTILE, EpisodeOutcome.STEPS, EpisodeOutcome.SUCCESS)
+    assert record.actions.to_array()[0, 2].item() == pytest.approx(0.05)
+    assert set(record.infos[0]) >= {
+        "steps",
+        "surface_diff_m",
+        "peg_relative_z_mm",
+        "relative_motion_mm_deg",
+        "end_reason",
+    }
+    assert record.timings.physics_s > 0
+    assert record.timings.policy_s > 0
+
+
+def test_recorded_actions_give_the_recorded_states_in_a_used_environment(submission: Path) -> None:
+    record = run(submission).records[1]
+    env = make_environment(TASK)
+    resimulate(env, TASK.episodes[30], record.actions.to_array())
+    played = resimulate(env, TASK.episodes[record.episode - 1], record.actions.to_array())
+    assert played.state_hashes == record.state_hashes
+    assert (played.infos, played.outcome) == (record.infos, record.outcome)
+
+
+def test_log_of_an_evaluation_is_verified(submission: Path) -> None:
+    evaluation = run(submission)
+    verification = verify(
+        env=make_environment(TASK),
+        track=TRACK,
+        task=TASK,
+        header=LogHeader(manifest=evaluation.manifest),
+        records=evaluation.records,
+        episodes=(1, 2, 31),
+    )
+    assert verification.verdict is LogVerdict.VERIFIED
+    assert verification.score == evaluation.score
+    assert result_hash(verification.manifest, verification.records) == evaluation.result_hash
+
+
+def test_policy_that_fails_in_every_episode_ends_the_evaluation(submission: Path) -> None:
+    (submission / "policy.py").write_text(BROKEN_AT_THIRD_STEP)
+    evaluation = run(submission, episodes=(1, 2, 3, 4, 5))
+    assert evaluation.failure is not None
+    assert (evaluation.failure.code, evaluation.score, len(evaluation.records)) == (VerdictCode.CRASHED, None, 3)
+    assert "RuntimeError: third" in evaluation.failure.output_tail
+    assert {record.env_steps for record in evaluation.records} == {2}
+
+
+def test_policy_that_cannot_be_imported_ends_the_evaluation_at_once(submission: Path) -> None:
+    (submission / "policy.py").write_text("import a_module_that_nobody_has")
+    evaluation = run(submission)
+    assert evaluation.failure is not None
+    assert evaluation.failure.code is VerdictCode.IMPORT_ERROR
+    assert "a_module_that_nobody_has" in evaluation.failure.output_tail
+
+
+def test_nothing_privileged_reaches_a_policy(submission: Path) -> None:
+    keys = "\n        assert set(observation) == {'marker_flow', 'relative_motion'}, set(observation)\n"
+    (submission / "policy.py").write_text(NOTHING.replace("observation): ", f"observation):{keys}        "))
+    evaluation = run(submission, episodes=(1,))
+    assert evaluation.failure is None
+    assert evaluation.records[0].failure is None

@@ -1,0 +1,16 @@
+# expect: protocol_violation
+# where: episode
+import os
+import struct
+import time
+
+from channel_tools import channel
+
+
+class Policy:
+    def reset(self, task):
+        pass
+
+    def act(self, observation):
+        os.write(channel(), struct.pack("<4sIQ", b"VTC1", 100, 1 << 60))
+        time.sleep(60)

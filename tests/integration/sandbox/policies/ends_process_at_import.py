@@ -1,0 +1,5 @@
+# expect: crashed
+# where: load
+import os
+
+os._exit(0)

@@ -1,0 +1,3 @@
+# expect: import_error
+# where: load
+raise SystemExit(0)

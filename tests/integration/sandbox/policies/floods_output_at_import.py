@@ -1,0 +1,4 @@
+# expect: output_flood
+# where: load
+while True:
+    print("x" * 1000)

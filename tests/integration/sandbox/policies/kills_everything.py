@@ -1,0 +1,13 @@
+# expect: crashed
+# where: episode
+import os
+import signal
+
+
+class Policy:
+    def reset(self, task):
+        pass
+
+    def act(self, observation):
+        os.kill(-1, signal.SIGKILL)
+        os.kill(os.getpid(), signal.SIGKILL)

@@ -1,0 +1,3 @@
+# expect: import_error
+# where: load
+POLICY = None

@@ -1,0 +1,8 @@
+# expect: crashed
+# where: episode
+class Policy:
+    def reset(self, task):
+        pass
+
+    def act(self, observation):
+        raise ValueError("cannot decide")

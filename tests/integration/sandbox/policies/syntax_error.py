@@ -1,0 +1,4 @@
+# expect: import_error
+# where: load
+class Policy:
+  def reset(self

@@ -1,0 +1,72 @@
+"""`vitac check` tells everything that would be refused."""
+
+import json
+from pathlib import Path
+
+import pytest
+from submissions import FILES, MANIFEST, submission_folder, submission_zip
+from vitac.cli.main import main
+
+
+def check(path: Path, capsys: pytest.CaptureFixture[str], *options: str) -> tuple[int, str]:
+    with pytest.raises(SystemExit) as caught:
+        main(["check", str(path), *options])
+    return int(caught.value.code or 0), "".join(capsys.readouterr())
+
+
+def with_files(folder: Path, **files: str) -> Path:
+    return submission_folder(folder, {**FILES, **{name.replace("__", "."): text for name, text in files.items()}})
+
+
+def test_a_good_submission_passes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, text = check(submission_folder(tmp_path), capsys)
+    assert code == 0
+    assert "Nothing would be refused. Digest" in text
+    assert text.count("played") == 2
+
+
+def test_a_zip_and_its_folder_have_the_same_digest(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    archive = tmp_path / "s.zip"
+    archive.write_bytes(submission_zip())
+    _, of_zip = check(archive, capsys, "--json")
+    _, of_folder = check(submission_folder(tmp_path / "folder"), capsys, "--json")
+    assert json.loads(of_zip) == json.loads(of_folder)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "told"),
+    [
+        ("submission__yaml", MANIFEST.replace("entry_point", "entrypoint"), "did you mean 'entry_point'"),
+        ("policy__py", "import nothing_of_that_name", "import_error"),
+        ("policy__py", "class Policy:\n    def reset(self, task): 1 / 0", "crashed"),
+        ("policy__py", FILES["policy.py"].replace("[0.0, 0.0, 0.0]", "[0.0]"), "bad_action_shape"),
+        ("sub/Policy__py", "", None),
+        ("Policy__py", "", "differ only in case"),
+    ],
+)
+def test_what_would_be_refused_is_told(
+    name: str, text: str, told: str | None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, output = check(with_files(tmp_path, **{name: text}), capsys)
+    assert code == (1 if told else 0)
+    assert (told or "Nothing would be refused") in output
+
+
+def test_output_of_the_policy_is_shown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, text = check(with_files(tmp_path, policy__py="print('loading weights')\nraise OSError('gone')"), capsys)
+    assert code == 1
+    assert "  | loading weights" in text
+    assert "OSError: gone" in text
+
+
+def test_links_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (submission_folder(tmp_path) / "link").symlink_to("policy.py")
+    code, text = check(tmp_path, capsys, "--json")
+    assert code == 1
+    assert "is a link" in json.loads(text)["refused"][0]
+
+
+def test_what_is_no_submission_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, text = check(tmp_path, capsys)
+    assert code == 1
+    assert "submission.yaml" in text

@@ -1,0 +1,48 @@
+"""The self-test holds on this machine, and would tell if it did not."""
+
+import pytest
+from vitac.evaluator.agent.limits import Limits
+from vitac.evaluator.agent.self_test import PROBES, Outcome, Probe, ProbeState, is_safe, run
+from vitac.evaluator.agent.verdicts import VerdictCode
+
+
+def outcome_of(probe: Probe) -> Outcome:
+    (outcome,) = run((probe,))
+    return outcome
+
+
+@pytest.mark.parametrize("probe", PROBES, ids=lambda probe: probe.name)
+def test_every_attempt_is_held(probe: Probe) -> None:
+    outcome = outcome_of(probe)
+    assert outcome.state is ProbeState.HELD, outcome.detail
+    assert outcome.isolation is not None
+
+
+@pytest.mark.parametrize(
+    "probe",
+    [
+        Probe(name="reaches something", code="return 1"),
+        Probe(name="is not ended", code="return 0", verdict=VerdictCode.OUT_OF_MEMORY),
+        Probe(name="ends otherwise", code="raise ValueError", verdict=VerdictCode.CPU_TIME),
+        Probe(name="ends though it should not", code="raise ValueError"),
+    ],
+    ids=lambda probe: probe.name,
+)
+def test_an_escape_is_told(probe: Probe) -> None:
+    outcome = outcome_of(probe)
+    assert outcome.state is ProbeState.ESCAPED
+    assert not is_safe([outcome])
+
+
+def test_a_sandbox_that_does_not_start_is_not_safe(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("VITAC_BWRAP", "/none")
+    outcome = outcome_of(PROBES[0])
+    assert outcome.state is ProbeState.FAILED
+    assert not is_safe([outcome])
+
+
+def test_probes_can_reach_what_is_open() -> None:
+    """Without its isolation the memory probe would not end as expected: the probes look, they do not just agree."""
+    memory = next(probe for probe in PROBES if probe.verdict is VerdictCode.OUT_OF_MEMORY)
+    outcome = outcome_of(Probe(name=memory.name, code="return 0 * len([bytearray(1 << 20)])", limits=Limits()))
+    assert outcome.state is ProbeState.HELD

@@ -1,0 +1,390 @@
+"""What a session promises to those who play episodes with it, on this machine's own isolation."""
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from submissions import submission_folder
+from vitac.evaluator.agent import cgroup
+from vitac.evaluator.agent.cgroup import MemoryIsolation
+from vitac.evaluator.agent.limits import MIB, Limits
+from vitac.evaluator.agent.session import EpisodeIsolation, EpisodePolicy, PolicySession
+from vitac.evaluator.agent.verdicts import PolicyFailed, SandboxFailed, VerdictCode
+
+Make = Callable[..., Path]
+OBSERVATION = {"x": np.arange(3, dtype=np.float32)}
+
+
+@pytest.fixture
+def make(tmp_path: Path) -> Make:
+    """Make a submission out of the body of `act`, after code at the top of the module."""
+
+    def make_submission(act: str, top: str = "", reset: str = "pass", name: str = "Track_1") -> Path:
+        lines = [
+            textwrap.dedent(top),
+            "class Policy:",
+            "    def reset(self, task):",
+            textwrap.indent(textwrap.dedent(reset), " " * 8),
+            "    def act(self, observation):",
+            textwrap.indent(textwrap.dedent(act), " " * 8),
+        ]
+        return submission_folder(tmp_path / name, {"policy.py": "\n".join(lines)})
+
+    return make_submission
+
+
+def act_once(session: PolicySession) -> list[float]:
+    with session.episode(task="peg-insertion", action_shape=(3,)) as policy:
+        return policy.act(OBSERVATION).tolist()  # type: ignore[no-any-return]
+
+
+def play_one(folder: Path, **options: object) -> list[float]:
+    with PolicySession(folder, **options) as session:  # type: ignore[arg-type]
+        return act_once(session)
+
+
+def test_policy_gets_the_observation_and_the_task(make: Make) -> None:
+    folder = make("return observation['x'] + (self.task == 'peg-insertion')", reset="self.task = task")
+    assert play_one(folder) == [1, 2, 3]
+
+
+def test_observation_belongs_to_the_policy(make: Make) -> None:
+    assert play_one(make("observation['x'] += 1\nreturn observation['x']")) == [1, 2, 3]
+
+
+def test_observations_of_megabytes_pass(make: Make) -> None:
+    picture = np.random.default_rng(1).integers(0, 255, (480, 640, 3, 2), dtype=np.uint8)
+    folder = make("picture = observation['picture']\nreturn [picture.sum(), picture[5, 6, 1, 0], picture.ndim]")
+    with (
+        PolicySession(folder) as session,
+        session.episode(task="peg-insertion", action_shape=(3,)) as policy,
+    ):
+        answer = policy.act({"picture": picture}).tolist()
+    assert answer == [np.float32(picture.sum()), picture[5, 6, 1, 0], 4]
+
+
+def test_entry_point_may_be_another_module_and_class(make: Make) -> None:
+    folder = make("return [1, 2, 3]")
+    (folder / "deep").mkdir()
+    (folder / "deep" / "other.py").write_text("from policy import Policy as Base\nclass Mine(Base):\n    pass\n")
+    assert play_one(folder, entry_point="deep.other:Mine") == [1, 2, 3]
+
+
+def test_time_of_policy_and_channel_is_told_apart(make: Make) -> None:
+    folder = make(
+        "end = time.process_time() + 0.1\nwhile time.process_time() < end: pass\nreturn [0, 0, 0]", "import time"
+    )
+    with PolicySession(folder) as session, session.episode(task="t", action_shape=(3,)) as policy:
+        policy.act(OBSERVATION)
+        assert policy.cpu_s >= 0.1
+        assert policy.channel_s > 0
+
+
+def test_time_between_questions_counts_as_well(make: Make) -> None:
+    """While the evaluator computes the next env step, a process that the policy has left computes on."""
+    folder = make("return [0, 0, 0]", "import os", reset="if os.fork() == 0:\n    while True: pass")
+    with (
+        PolicySession(folder, limits=Limits(episode_cpu_s=0.2)) as session,
+        session.episode(task="t", action_shape=(3,)) as policy,
+        pytest.raises(PolicyFailed) as caught,
+    ):
+        act_slowly_until(policy, cpu_s=10)
+    assert caught.value.verdict is VerdictCode.CPU_TIME
+
+
+def act_slowly_until(policy: EpisodePolicy, *, cpu_s: float) -> None:
+    while policy.cpu_s < cpu_s:
+        policy.act(OBSERVATION)
+        time.sleep(0.01)
+
+
+def test_hash_seed_is_fixed(make: Make) -> None:
+    folder = make("return [hash('a') % 100003, hash(b'b') % 100003, 0]")
+    assert play_one(folder) == play_one(folder)
+
+
+def test_one_thread_is_asked_for(make: Make) -> None:
+    folder = make(
+        "return [float(os.environ[name + '_NUM_THREADS']) for name in ('OMP', 'OPENBLAS', 'MKL')]", "import os"
+    )
+    assert play_one(folder) == [1, 1, 1]
+
+
+def test_loading_happens_once_for_all_episodes(make: Make) -> None:
+    with PolicySession(make("return [0, 0, 0]")) as session:
+        for _ in range(5):
+            act_once(session)
+        assert session.starts == 1
+
+
+def test_a_policy_that_leaves_files_is_loaded_anew(make: Make) -> None:
+    with PolicySession(make("open('/tmp/left', 'x')\nreturn [0, 0, 0]")) as session:
+        for _ in range(2):
+            assert act_once(session) == [0, 0, 0]
+        assert session.starts == 2
+
+
+def test_a_failed_episode_leaves_the_next_as_it_is(make: Make) -> None:
+    folder = make("self.n = getattr(self, 'n', 0) + 1\nif self.n == 2: raise ValueError\nreturn [self.n, 0, 0]")
+    with PolicySession(folder) as session:
+        for _ in range(2):
+            first_actions: list[list[float]] = []
+            with pytest.raises(PolicyFailed):
+                act_into(first_actions, session, times=2)
+            assert first_actions == [[1, 0, 0]]
+        assert session.starts == 1
+
+
+def act_into(actions: list[list[float]], session: PolicySession, *, times: int) -> None:
+    with session.episode(task="t", action_shape=(3,)) as policy:
+        for _ in range(times):
+            actions.append(policy.act(OBSERVATION).tolist())
+
+
+def test_an_episode_may_be_left_at_any_point(make: Make) -> None:
+    class Stop(Exception):
+        pass
+
+    with PolicySession(make("return [0, 0, 0]")) as session:
+        with pytest.raises(Stop), session.episode(task="t", action_shape=(3,)):
+            raise Stop
+        assert act_once(session) == [0, 0, 0]
+
+
+def test_lazily_read_weights_work_in_every_episode(make: Make) -> None:
+    """An open npz shares its position among all copies of the policy."""
+    top = "import numpy as np, pathlib\nWEIGHTS = np.load(pathlib.Path(__file__).parent / 'w.npz')"
+    folder = make("return [WEIGHTS['a'][1], WEIGHTS['b'][2], 0]", top)
+    np.savez(folder / "w.npz", a=np.arange(1000.0), b=np.arange(1000.0))
+    with PolicySession(folder) as session:
+        assert [act_once(session) for _ in range(3)] == [[1, 2, 0]] * 3
+        assert session.starts == 1
+
+
+def test_mapped_weights_work(make: Make) -> None:
+    top = "import numpy as np, pathlib\nWEIGHTS = np.load(pathlib.Path(__file__).parent / 'w.npy', mmap_mode='r')"
+    folder = make("return WEIGHTS[:3]", top)
+    np.save(folder / "w.npy", np.arange(1000.0))
+    with PolicySession(folder) as session:
+        assert [act_once(session) for _ in range(2)] == [[0, 1, 2]] * 2
+
+
+def test_threads_and_locks_work_in_a_copy(make: Make) -> None:
+    top = "import threading\nLOCK = threading.RLock()\nLOCK.acquire()\nthreading.Thread(target=int).start()"
+    act = """
+    answers = []
+    with LOCK:
+        threads = [threading.Thread(target=answers.append, args=(n,)) for n in range(3)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    return sorted(answers)
+    """
+    assert play_one(make(act, top)) == [0, 1, 2]
+
+
+def test_child_processes_work(make: Make) -> None:
+    act = "import subprocess\nreturn [len(subprocess.run(['echo', 'hello'], capture_output=True).stdout), 0, 0]"
+    assert play_one(make(act)) == [6, 0, 0]
+
+
+def test_fresh_processes_answer_the_same(make: Make) -> None:
+    folder = make("self.n = getattr(self, 'n', 0) + 1\nreturn [self.n, 0, 0]")
+    with PolicySession(folder, episode_isolation=EpisodeIsolation.FRESH_PROCESS) as session:
+        assert [act_once(session) for _ in range(3)] == [[1, 0, 0]] * 3
+        assert session.starts == 3
+        assert session.isolation.episodes is EpisodeIsolation.FRESH_PROCESS
+
+
+@pytest.mark.parametrize(
+    "act", ["os._exit(3)", "os.close(3)\nos.close(4)\nos.close(5)\ntime.sleep(60)", "time.sleep(60)"]
+)
+def test_fresh_processes_meet_verdicts_as_well(act: str, make: Make) -> None:
+    folder = make(act, "import os, time")
+    limits = Limits(action_wall_s=1.0)
+    with PolicySession(folder, limits=limits, episode_isolation=EpisodeIsolation.FRESH_PROCESS) as session:
+        for _ in range(2):
+            with pytest.raises(PolicyFailed) as caught:
+                act_once(session)
+            assert caught.value.verdict in {VerdictCode.CRASHED, VerdictCode.PROTOCOL_VIOLATION, VerdictCode.WALL_TIME}
+
+
+def test_failure_tells_the_team_what_was_printed(make: Make) -> None:
+    folder = make("print('step one')\nraise ValueError('no idea')")
+    with PolicySession(folder) as session, pytest.raises(PolicyFailed, match="no idea") as caught:
+        act_once(session)
+    assert "step one" in caught.value.output_tail
+    assert "policy.py" in caught.value.output_tail
+
+
+def test_output_of_one_episode_is_not_shown_for_the_next(make: Make) -> None:
+    act = "if self.again: raise ValueError\nprint('secret of the first')\nreturn [0, 0, 0]"
+    folder = make(act, reset="self.again = task == 'again'")
+    with PolicySession(folder) as session:
+        act_once(session)
+        with pytest.raises(PolicyFailed) as caught, session.episode(task="again", action_shape=(3,)) as policy:
+            policy.act(OBSERVATION)
+    assert "secret of the first" not in caught.value.output_tail
+
+
+def test_two_sessions_do_not_meet(make: Make) -> None:
+    listens = """
+    import socket
+    server = socket.socket(socket.AF_UNIX)
+    server.bind("\\0meet")
+    server.listen()
+    self.server = server
+    open("/tmp/meet", "w").close()
+    """
+    calls = """
+    try:
+        socket.socket(socket.AF_UNIX).connect("\\0meet")
+        return [1, 0, 0]
+    except OSError:
+        return [0, os.path.exists("/tmp/meet"), len(os.listdir("/tmp"))]
+    """
+    first = make("return [0, 0, 0]", reset=listens, name="first")
+    second = make(calls, "import os, socket", name="second")
+    with (
+        PolicySession(first) as one,
+        PolicySession(second, slot=1) as two,
+        one.episode(task="t", action_shape=(3,)) as policy,
+    ):
+        policy.act(OBSERVATION)
+        assert act_once(two) == [0, 0, 0]
+
+
+def test_memory_of_many_processes_is_capped_without_control_groups(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cgroup, "create", lambda limits: None)
+    act = """
+    for _ in range(8):
+        if os.fork() == 0:
+            kept = bytearray(os.urandom(1 << 20)) * 60
+            time.sleep(60)
+    time.sleep(60)
+    """
+    with PolicySession(make(act, "import os, time"), limits=Limits(memory_bytes=300 * MIB)) as session:
+        assert session.isolation.memory is MemoryIsolation.WATCHDOG
+        with pytest.raises(PolicyFailed) as caught:
+            act_once(session)
+    assert caught.value.verdict is VerdictCode.OUT_OF_MEMORY
+
+
+def test_too_many_processes_are_named_without_control_groups(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cgroup, "create", lambda limits: None)
+    folder = make("while True:\n    if os.fork() == 0: time.sleep(60)", "import os, time")
+    with PolicySession(folder) as session, pytest.raises(PolicyFailed) as caught:
+        act_once(session)
+    assert caught.value.verdict is VerdictCode.TOO_MANY_PROCESSES
+
+
+def test_nothing_runs_without_bubblewrap(make: Make, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("VITAC_BWRAP", str(tmp_path / "none"))
+    with pytest.raises(SandboxFailed, match="install bubblewrap"), PolicySession(make("return [0, 0, 0]")):
+        pass
+
+
+def test_a_bubblewrap_that_fails_is_our_fault(make: Make, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    program = tmp_path / "bwrap"
+    program.write_text("#!/bin/sh\necho bwrap: No permissions to create new namespace >&2\nexit 1\n")
+    program.chmod(0o755)
+    monkeypatch.setenv("VITAC_BWRAP", str(program))
+    with (
+        pytest.raises(SandboxFailed, match=r"No permissions to create new namespace.*vitac doctor"),
+        PolicySession(make("return [0, 0, 0]")),
+    ):
+        pass
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only under root does the policy run as another user")
+def test_a_folder_that_only_root_can_enter_is_refused(make: Make) -> None:
+    folder = make("return [0, 0, 0]")
+    folder.chmod(0o700)
+    with pytest.raises(SandboxFailed, match="another user"), PolicySession(folder):
+        pass
+
+
+def test_isolation_is_told(make: Make) -> None:
+    session = PolicySession(make("return [0, 0, 0]"))
+    with pytest.raises(SandboxFailed, match="never started"):
+        _ = session.isolation
+    with session:
+        assert session.isolation.user == ("root" if os.geteuid() == 0 else "user-namespace")
+
+
+def test_nothing_stays_when_a_session_ends(make: Make) -> None:
+    before = children_of(os.getpid())
+    with PolicySession(make("if os.fork() == 0: time.sleep(60)\nreturn [0, 0, 0]", "import os, time")) as session:
+        act_once(session)
+    assert children_of(os.getpid()) == before
+
+
+def test_nothing_stays_when_the_evaluator_is_killed(make: Make) -> None:
+    folder = make("return [0, 0, 0]", "import subprocess\nsubprocess.Popen(['sleep', '1234.5'])")
+    code = (
+        "import sys, time; from pathlib import Path; from vitac.evaluator.agent.session import PolicySession\n"
+        "with PolicySession(Path(sys.argv[1])) as session, session.episode(task='t', action_shape=(3,)):\n"
+        "    print(session._sandbox.first_pid, flush=True); time.sleep(600)"
+    )
+    with subprocess.Popen([sys.executable, "-c", code, str(folder)], stdout=subprocess.PIPE) as evaluator:
+        assert evaluator.stdout is not None
+        first_pid = int(evaluator.stdout.readline())
+        assert Path(f"/proc/{first_pid}").exists()
+        evaluator.send_signal(signal.SIGKILL)
+    wait_until(lambda: not Path(f"/proc/{first_pid}").exists())
+
+
+def test_two_hundred_seventy_episodes_lose_little(make: Make, record_property: Callable[[str, object], None]) -> None:
+    """A bound so wide that only a lost order of magnitude breaks it; the figure itself is recorded."""
+    observation = {
+        "marker_flow": np.zeros((2, 2, 128, 2), dtype=np.float32),
+        "relative_motion": np.zeros(4, dtype=np.float32),
+    }
+    started = time.perf_counter()
+    with PolicySession(make("return [0, 0, 0]")) as session:
+        for _ in range(270):
+            with session.episode(task="t", action_shape=(3,)) as policy:
+                play_steps(policy, observation)
+        assert session.starts == 1
+    record_property("seconds", time.perf_counter() - started)
+
+
+def play_steps(policy: EpisodePolicy, observation: dict[str, NDArray[np.float32]]) -> None:
+    for _ in range(8):
+        policy.act(observation)
+
+
+def children_of(pid: int) -> set[str]:
+    return {child for task in Path(f"/proc/{pid}/task").iterdir() for child in (task / "children").read_text().split()}
+
+
+def wait_until(is_so: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 20
+    while not is_so():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def test_process_ids_repeat_on_this_machine(make: Make) -> None:
+    """Where the kernel does not allow it, episodes still work, and the result says so."""
+    with PolicySession(make("return [os.getpid(), os.getppid(), 0]", "import os")) as session:
+        seen = [act_once(session) for _ in range(3)]
+        assert (len({tuple(pids) for pids in seen}) == 1) is session.isolation.process_ids_repeat
+        assert session.isolation.process_ids_repeat is can_set_process_ids()
+
+
+def can_set_process_ids() -> bool:
+    try:
+        with Path("/proc/sys/kernel/ns_last_pid").open("w"):
+            return True
+    except OSError:
+        return False

@@ -1,0 +1,65 @@
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+import short_evaluation
+from honest_policy import HONEST
+from service_client import Service, live_service
+from service_database import state_directory
+from service_factories import TASK, TRACK
+from short_evaluation import StartWorker
+from vitac.evaluator.archive import unpack
+from vitac.evaluator.evaluation import evaluate
+from vitac.evaluator.tracks import load_track
+from vitac.server import evaluations
+from vitac.server.settings import load_settings
+
+QUICK = {"lease_s": 3.0, "lease_renewal_s": 0.3, "sweep_interval_s": 0.3, "worker_heartbeat_s": 0.5}
+"""Leases that run out soon, so that lost work is found soon."""
+
+
+@pytest.fixture
+def live(monkeypatch: pytest.MonkeyPatch) -> Iterator[Service]:
+    """A service with an embedded database of its own, whose evaluations are short."""
+    monkeypatch.setattr(evaluations, "cut", short_evaluation.short_cut)
+    folder = state_directory()
+    settings = load_settings(state_dir=folder, database_url=None, **QUICK)
+    with live_service(settings) as service:
+        yield service
+    shutil.rmtree(folder)
+
+
+@pytest.fixture
+def start_worker(live: Service) -> Iterator[StartWorker]:
+    """Starts real worker processes on the service; whatever still runs at the end is ended."""
+    environment = {f"VITAC_{name.upper()}": str(value) for name, value in QUICK.items()}
+    environment["VITAC_STATE_DIR"] = str(live.settings.state_dir)
+    with ExitStack() as stack:
+
+        def start() -> "subprocess.Popen[bytes]":
+            program = [sys.executable, str(Path(short_evaluation.__file__))]
+            process = subprocess.Popen(program, env=os.environ | environment)
+            stack.callback(process.wait)
+            stack.callback(process.terminate)
+            return process
+
+        yield start
+
+
+@pytest.fixture(scope="session")
+def undisturbed_hash(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """What `vitac evaluate` gives for the same submission and episodes."""
+    folder = tmp_path_factory.mktemp("submission")
+    (folder / "archive.zip").write_bytes(HONEST)
+    submission_dir = unpack(folder / "archive.zip", folder / "unpacked")
+    track = load_track(TRACK)
+    result = evaluate(
+        submission_dir=submission_dir, track=track, task=track.tasks[TASK], episodes=short_evaluation.EPISODES
+    )
+    assert result.result_hash is not None, result.failure
+    return result.result_hash

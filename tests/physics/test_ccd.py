@@ -1,0 +1,137 @@
+"""How far a move may go: never too far, and not needlessly short."""
+
+import numpy as np
+import pytest
+from block_meshes import box_gel
+from numpy.typing import NDArray
+from small_scenes import IDENTITY
+from vitac.envs.fem.broad_phase import Candidates
+from vitac.envs.fem.ccd import contact_free_fraction, inversion_free_fraction
+from vitac.envs.fem.distance import EDGE_EDGE, POINT_TRIANGLE, closest_points
+from vitac.envs.fem.model import Elastic
+from vitac.envs.fem.scene import GelBody, Scene
+from vitac.envs.fem.vec3 import load
+
+FloatArray = NDArray[np.float64]
+GAP_FRACTION = 0.7
+kinds = pytest.mark.parametrize("kind", [POINT_TRIANGLE, EDGE_EDGE])
+
+
+def fraction(kind: int, x: FloatArray, move: FloatArray, gap_fraction: float = GAP_FRACTION) -> float:
+    candidates = Candidates(np.array([kind]), np.array([[0, 1, 2, 3]]), np.ones(1), np.zeros(1))
+    return contact_free_fraction(candidates, x, move, gap_fraction, 1.0)
+
+
+def distance(kind: int, x: FloatArray) -> float:
+    _, _, r = closest_points(kind, load(x, 0), load(x, 1), load(x, 2), load(x, 3))
+    return float(np.linalg.norm(r))
+
+
+def random_pair(random: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    return random.normal(size=(4, 3)), random.normal(size=(4, 3)) * random.choice([0.3, 1.0, 3.0])
+
+
+@kinds
+def test_a_move_leaves_its_part_of_the_gap_all_along(kind: int) -> None:
+    random = np.random.default_rng(kind)
+    limited = 0
+    for _ in range(300):
+        x, move = random_pair(random)
+        part = fraction(kind, x, move)
+        floor = (1 - GAP_FRACTION) * distance(kind, x)
+        gaps = [distance(kind, x + t * part * move) for t in np.linspace(0, 1, 60)]
+        assert min(gaps) >= floor * (1 - 1e-9)
+        limited += part < 1
+    assert limited > 15
+
+
+@kinds
+def test_a_limited_move_ends_near_its_limit(kind: int) -> None:
+    """Conservative, not timid: where the move is cut, most of the allowed gap has been used."""
+    random = np.random.default_rng(20 + kind)
+    used = []
+    for _ in range(300):
+        x, move = random_pair(random)
+        part = fraction(kind, x, move)
+        if part < 1:
+            ahead = [distance(kind, x + min(1.0, part + 0.02 * k) * move) for k in range(1, 4)]
+            used.append(min(ahead) <= (1 - GAP_FRACTION) * distance(kind, x) + 0.05 or part > 0.97)
+    assert np.mean(used) > 0.9
+
+
+@kinds
+def test_the_fraction_never_exceeds_the_exact_time_of_impact(kind: int) -> None:
+    ipctk = pytest.importorskip("ipctk", reason="the IPC Toolkit has no wheel for this machine")
+    random = np.random.default_rng(40 + kind)
+    oracle = ipctk.TightInclusionCCD(tolerance=1e-9, conservative_rescaling=1.0)
+    find = oracle.point_triangle_ccd if kind == POINT_TRIANGLE else oracle.edge_edge_ccd
+    hits = 0
+    for _ in range(300):
+        x, move = random_pair(random)
+        if kind == POINT_TRIANGLE and random.random() < 0.7:  # aim at the triangle
+            move = np.zeros((4, 3))
+            move[0] = 1.5 * (random.dirichlet([1, 1, 1]) @ x[1:] - x[0])
+        hit, time = find(*x, *(x + move))
+        if hit:
+            hits += 1
+            assert fraction(kind, x, move) < time
+            assert fraction(kind, x, move, 0.999) <= time * (1 + 1e-6)
+    assert hits > 20
+
+
+def test_parting_primitives_may_go_all_the_way() -> None:
+    x = np.array([[0.2, 0.2, 0.1], [0, 0, 0], [1, 0, 0], [0, 1, 0.0]])
+    move = np.array([[0, 0, 5.0], [0, 0, 0], [0, 0, 0], [0, 0, 0]])
+    assert fraction(POINT_TRIANGLE, x, move) == 1.0
+
+
+def test_a_straight_approach_is_cut_exactly() -> None:
+    x = np.array([[0.2, 0.2, 0.1], [0, 0, 0], [1, 0, 0], [0, 1, 0.0]])
+    move = np.array([[0, 0, -0.2], [0, 0, 0], [0, 0, 0], [0, 0, 0]])
+    assert fraction(POINT_TRIANGLE, x, move) == pytest.approx(0.35, rel=1e-3)
+
+
+def test_the_most_restrictive_pair_decides() -> None:
+    x = np.array([[0.2, 0.2, 0.1], [0, 0, 0], [1, 0, 0], [0, 1, 0.0], [0.3, 0.3, 0.05]])
+    move = np.zeros((5, 3))
+    move[[0, 4], 2] = -0.2
+    both = Candidates(
+        np.array([POINT_TRIANGLE, POINT_TRIANGLE]), np.array([[0, 1, 2, 3], [4, 1, 2, 3]]), np.ones(2), np.zeros(2)
+    )
+    assert contact_free_fraction(both, x, move, GAP_FRACTION, 1.0) == pytest.approx(0.175, rel=1e-3)
+
+
+@pytest.fixture(scope="module")
+def block() -> tuple[Elastic, FloatArray]:
+    mesh = box_gel((0.004, 0.004, 0.004), (2, 2, 2))
+    scene = Scene(gels=[GelBody(mesh=mesh, rotation=IDENTITY, translation_m=np.zeros(3))], bodies=[], time_step_s=0.1)
+    return scene._model.elastic, mesh.rest_position_m
+
+
+def smallest_volume_ratio(elastic: Elastic, x: FloatArray, move: FloatArray, part: float) -> float:
+    def volumes(positions: FloatArray) -> FloatArray:
+        a, b, c = (positions[elastic.nodes[:, i]] - positions[elastic.nodes[:, 0]] for i in (1, 2, 3))
+        return np.asarray((np.cross(a, b) * c).sum(axis=1))
+
+    return float(min((volumes(x + t * part * move) / volumes(x)).min() for t in np.linspace(0, 1, 40)))
+
+
+@pytest.mark.parametrize("size", [1e-4, 1e-3, 5e-3])
+@pytest.mark.parametrize("seed", range(5))
+def test_no_tetrahedron_loses_more_than_nine_tenths_of_its_volume(
+    block: tuple[Elastic, FloatArray], seed: int, size: float
+) -> None:
+    elastic, x = block
+    move = size * np.random.default_rng(seed).normal(size=x.shape)
+    part = inversion_free_fraction(elastic, x, move, 1.0)
+    assert 0 < part <= 1
+    assert smallest_volume_ratio(elastic, x, move, part) >= 0.1 - 1e-9
+    if size < 5e-4:
+        assert part == 1.0
+    if part < 1:
+        assert smallest_volume_ratio(elastic, x, move, min(1.0, 4 * part)) < 0.6
+
+
+def test_a_rigid_translation_is_not_cut(block: tuple[Elastic, FloatArray]) -> None:
+    elastic, x = block
+    assert inversion_free_fraction(elastic, x, np.ones_like(x), 1.0) == 1.0

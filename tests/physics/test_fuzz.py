@@ -1,0 +1,22 @@
+"""Random episodes at the bounds; FUZZ_EPISODES asks for more of them (500 for a release)."""
+
+import os
+
+import pytest
+
+pytest.importorskip("ipctk", reason="the IPC Toolkit, which looks for intersections, has no wheel for this machine")
+
+from physics_fuzz import LOCK, PEG, fuzz_episode, summary
+
+EPISODES = int(os.environ.get("FUZZ_EPISODES", "4"))
+
+
+@pytest.mark.parametrize("task", [PEG, LOCK])
+def test_no_random_episode_makes_bodies_intersect_or_invert_or_stop_unsolved(task: str) -> None:
+    steps = [step for seed in range(EPISODES) for step in fuzz_episode(task, seed)]
+    found = summary(steps)
+    assert found["intersections"] == 0
+    assert found["smallest_det_f"] > 0
+    assert found["smallest_gap_m"] > 0
+    assert found["largest_residual_n"] <= 1e-4
+    assert found["not_converged"] <= 0.001 * found["ipc_steps"]

@@ -1,0 +1,101 @@
+"""A whole service (API and pages) in this process over a database of its own, and the command line pointed at it."""
+
+import io
+import threading
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import quick_worker
+from service_database import fresh_database
+from service_factories import make_principal, make_secret, make_settings
+from typer.testing import CliRunner, Result
+from vitac.cli.main import build_app
+from vitac.cli.web_server import WebServer, address_of, bind
+from vitac.server.db.engine import Database
+from vitac.server.services import Services
+from vitac.server.storage.blobs import BlobStore
+from vitac.web.application import create
+
+POLICY = (
+    "import numpy as np\n\nclass Policy:\n    def reset(self, task): ...\n    def act(self, o): return np.zeros(3)\n"
+)
+MANIFEST = "track: track_1\ntasks: [peg-insertion]\nname: zero\n"
+
+
+@dataclass(frozen=True, kw_only=True)
+class CliService:
+    """A service and the environment by which commands reach it."""
+
+    address: str
+    database: Database
+    environment: dict[str, str]
+
+    @contextmanager
+    def playing(self) -> Iterator[None]:
+        """Plays whatever gets queued while the block runs, with results made up."""
+        stopping = threading.Event()
+
+        def play() -> None:
+            while not stopping.wait(0.05):
+                quick_worker.play_queued(self.database)
+
+        thread = threading.Thread(target=play)
+        thread.start()
+        try:
+            yield
+        finally:
+            stopping.set()
+            thread.join()
+
+    def run(self, *arguments: str) -> Result:
+        """Runs a command of `vitac` with this service in its environment."""
+        return CliRunner().invoke(build_app(arguments), list(arguments), env=self.environment)
+
+
+@contextmanager
+def cli_service(state_dir: Path, team: str = "Team A") -> Iterator[CliService]:
+    """A service with one team, whose token the environment holds."""
+    with fresh_database() as database_address:
+        database = Database(database_address)
+        settings = make_settings(state_dir=state_dir)
+        settings.scratch_dir.mkdir(parents=True)
+        services = Services(
+            settings=settings, database=database, blobs=BlobStore.from_settings(settings), postgres=None
+        )
+        with database.transaction() as session:
+            token = make_secret(session, make_principal(session, team))
+        listener = bind("127.0.0.1", 0)
+        server = WebServer(app=create(services), listener=listener)
+        server.start()
+        environment = {
+            "VITAC_SERVER": address_of(listener),
+            "VITAC_TOKEN": token,
+            "VITAC_DATABASE_URL": database_address,
+            "VITAC_STATE_DIR": str(state_dir),
+            "COLUMNS": "200",
+        }
+        try:
+            yield CliService(address=address_of(listener), database=database, environment=environment)
+        finally:
+            server.stop()
+            database.dispose()
+
+
+def submission_folder(path: Path, manifest: str = MANIFEST) -> Path:
+    """Writes a small valid submission."""
+    path.mkdir()
+    (path / "submission.yaml").write_text(manifest)
+    (path / "policy.py").write_text(POLICY)
+    return path
+
+
+def zip_of(**files: str) -> bytes:
+    """A zip with these files."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        for name, content in files.items():
+            archive.writestr(name, content)
+    return buffer.getvalue()

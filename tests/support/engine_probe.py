@@ -1,0 +1,100 @@
+"""Looks into a scene: its forces, its Newton matrix and its contacts at any state, and a small grasp to look at."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from vitac.envs.fem.assembly import Workspace, assemble, new_workspace, point_positions
+from vitac.envs.fem.broad_phase import Candidates, find_candidates
+from vitac.envs.fem.linear_solve import BlockLayout, SystemLayout
+from vitac.envs.fem.model import PRESCRIBED, Model
+from vitac.envs.fem.scene import Scene
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Assembled:
+    """What the engine assembles at a state.
+
+    Attributes:
+        forces_n: dE/dx at the unknown nodes [N], shape [3 u].
+        all_forces_n: dE/dx at every node [N], shape [n, 3]; at prescribed nodes what holds them, without inertia.
+        matrix_n_m: Newton matrix [N/m], shape [3 u, 3 u].
+        coupling_n: matrix times the prescribed motion, at the unknown nodes [N], shape [3 u].
+        active_contacts: pairs closer than d_hat.
+    """
+
+    forces_n: FloatArray
+    all_forces_n: FloatArray
+    matrix_n_m: FloatArray
+    coupling_n: FloatArray
+    active_contacts: int
+
+
+class Probe:
+    """Assembles a scene's model at states of the caller's choice."""
+
+    def __init__(self, scene: Scene, *, start_m: FloatArray | None = None) -> None:
+        self.model: Model = scene._model
+        self.x_m: FloatArray = scene._x.copy()
+        self.start_m = self.x_m.copy() if start_m is None else start_m
+        self.x_hat_m = self.start_m.copy()
+        self.unknown_nodes: IndexArray = self.model.unknowns.node
+        self.prescribed_nodes: IndexArray = np.flatnonzero(self.model.unknowns.slot == PRESCRIBED)
+        self._workspace: Workspace = new_workspace(self.model.system, len(self.x_m))
+
+    def points_m(self, x_m: FloatArray) -> FloatArray:
+        """Positions of all surface points [m], shape [p, 3]."""
+        y = np.empty((len(self.model.points.node_count), 3))
+        point_positions(self.model.points, x_m, y)
+        return y
+
+    def candidates(self, x_m: FloatArray, reach_m: float) -> Candidates:
+        """Candidate pairs within reach."""
+        return find_candidates(self.model.surfaces, self.points_m(x_m), reach_m)
+
+    def at(self, x_m: FloatArray, *, prescribed_move_m: FloatArray | None = None, projected: bool = False) -> Assembled:
+        """Forces and matrix at node positions [m], shape [n, 3]."""
+        move = np.zeros_like(x_m) if prescribed_move_m is None else prescribed_move_m
+        near = self.candidates(x_m, self.model.parameters.d_hat_m * 1.5)
+        y, y_start = self.points_m(x_m), self.points_m(self.start_m)
+        w = self._workspace
+        assemble(self.model, near, x_m, self.x_hat_m, y, y_start, move, w, projected)
+        return Assembled(
+            forces_n=w.gradient[self.unknown_nodes].ravel().copy(),
+            all_forces_n=w.gradient.copy(),
+            matrix_n_m=dense_matrix(self.model.system, w.entries),
+            coupling_n=w.coupling[self.unknown_nodes].ravel().copy(),
+            active_contacts=int(w.active[0]),
+        )
+
+
+def dense_matrix(system: SystemLayout, entries: FloatArray) -> FloatArray:
+    """The system's matrix from its flat entries, shape [n + m, n + m]."""
+    layout: BlockLayout = system.block
+    n, m, w = layout.n, layout.m, layout.w
+    matrix = np.zeros((n + m, n + m))
+    for i in range(n):
+        low, high = max(0, i - w), min(n, i + w + 1)
+        matrix[i, low:high] = entries[2 * w * i + w + low : 2 * w * i + w + high]
+        right = layout.right + i * (m + 1)
+        matrix[i, n:] = entries[right : right + m]
+    for i in range(m):
+        bottom, corner = layout.bottom + i * n, layout.corner + i * (m + 1)
+        matrix[n + i, :n] = entries[bottom : bottom + n]
+        matrix[n + i, n:] = entries[corner : corner + m]
+    # Entries of one row's band that reach into the next rows' storage stand outside the elimination's reach.
+    reach = np.repeat(3 * (system.last + 1), 3)
+    for i in range(n):
+        matrix[i, reach[i] : n] = 0.0
+        matrix[reach[i] : n, i] = 0.0
+    return matrix
+
+
+def right_hand_side(system: SystemLayout, entries: FloatArray) -> FloatArray:
+    """The system's right-hand side from its flat entries, shape [n + m]."""
+    n, m = system.block.n, system.block.m
+    rows = [entries[system.block.right + i * (m + 1) + m] for i in range(n)]
+    return np.array(rows + [entries[system.block.corner + i * (m + 1) + m] for i in range(m)])

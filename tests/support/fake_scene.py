@@ -1,0 +1,58 @@
+"""Stands in for the physics in tests of what is built on it: gels follow their driven nodes rigidly."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from vitac.envs.fem.scene import GelBody, RigidBody, StepReport, StepStatus
+
+
+def report(status: StepStatus = StepStatus.CONVERGED) -> StepReport:
+    values: dict[str, Any] = dict.fromkeys(StepReport.__dataclass_fields__, 0)
+    return StepReport(**(values | {"status": status}))
+
+
+class FakeScene:
+    """Records what it is asked; `bulge_m` pushes the sensing nodes out, `statuses` are handed out step by step."""
+
+    bulge_m = 0.0
+    statuses: Sequence[StepStatus] = ()
+    built: "list[FakeScene]" = []  # noqa: RUF012 - cleared by the fixture that installs the class
+
+    def __init__(
+        self, *, gels: Sequence[GelBody], bodies: Sequence[RigidBody], time_step_s: float, contact: Any, solver: Any
+    ) -> None:
+        self.gels, self.bodies, self.time_step_s = list(gels), list(bodies), time_step_s
+        self.contact, self.solver = contact, solver
+        self.targets_m: list[list[np.ndarray]] = []
+        self.placed = [(gel.rotation, gel.translation_m) for gel in gels]
+        self._pending = list(self.statuses)
+        self.built.append(self)
+
+    def step(self, *, driven_targets_m: Sequence[np.ndarray]) -> StepReport:
+        self.targets_m.append([targets.copy() for targets in driven_targets_m])
+        for index, (gel, targets) in enumerate(zip(self.gels, driven_targets_m, strict=True)):
+            self.placed[index] = rigid_fit(gel.mesh.rest_position_m[gel.mesh.driven_nodes], targets)
+        return report(self._pending.pop(0) if self._pending else StepStatus.CONVERGED)
+
+    def gel_positions_m(self, index: int) -> np.ndarray:
+        mesh, (rotation, centre) = self.gels[index].mesh, self.placed[index]
+        rest = mesh.rest_position_m + self.bulge_m * np.array([0.0, 0.0, 1.0]) * mesh.sensing[:, None]
+        return np.asarray(rest @ rotation.T + centre)
+
+    def body_vertices_m(self, index: int) -> np.ndarray:
+        body = self.bodies[index]
+        start = np.mean([gel.translation_m for gel in self.gels], axis=0)
+        moved = np.mean([centre for _, centre in self.placed], axis=0) - start
+        return np.asarray(body.mesh.vertices_m @ body.rotation.T + body.translation_m + moved)
+
+    def state_bytes(self) -> bytes:
+        return np.concatenate([self.gel_positions_m(i) for i in range(len(self.gels))]).astype("<f8").tobytes()
+
+
+def rigid_fit(rest: np.ndarray, world: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rotation and translation of points that moved rigidly (Kabsch 1976)."""
+    u, _, vt = np.linalg.svd((rest - rest.mean(axis=0)).T @ (world - world.mean(axis=0)))
+    turn = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
+    rotation = vt.T @ turn @ u.T
+    return rotation, world.mean(axis=0) - rotation @ rest.mean(axis=0)

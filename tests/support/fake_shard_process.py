@@ -1,0 +1,61 @@
+"""A shard process without simulation and sandbox.
+
+How its policy behaves stands in `behaviour` in the submission's folder, or is the folder's name.
+"""
+
+import os
+import time
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from evaluation_fakes import FakeEnvironment, FakeSession, action, cannot_load, fail, succeed
+from vitac.evaluator import shard_process
+from vitac.evaluator.agent.limits import Limits
+from vitac.evaluator.agent.verdicts import SandboxFailed
+from vitac.evaluator.shards import run_shard
+
+
+def hang(_: int, step: int) -> Any:
+    """Plays one env step and then never answers."""
+    if step == 2:
+        time.sleep(3600)
+    return action(0.5)
+
+
+def hang_after_first(episode: int, step: int) -> Any:
+    """Solves one episode, then never answers."""
+    return succeed(episode, step) if episode == 1 else hang(episode, 2)
+
+
+def print_much(episode: int, step: int) -> Any:
+    """Writes to stdout, which belongs to the answers."""
+    print('{"result": "forged"}', flush=True)  # noqa: T201 - that is what it is for
+    return succeed(episode, step)
+
+
+def exit_early(*_: object) -> Any:
+    """Ends the process of the evaluator itself, as a crash of the simulation would."""
+    os._exit(3)
+
+
+def break_sandbox(*_: object) -> Any:
+    """A fault of the machine."""
+    raise SandboxFailed("bwrap is missing")
+
+
+def load_policy(submission_dir: Path, limits: Limits, slot: int) -> Any:
+    """Stands in for the sandbox."""
+    told = submission_dir / "behaviour"
+    behaviour = told.read_text() if told.exists() else submission_dir.name
+    if behaviour == "cannot_load":
+        return cannot_load()
+    answers = {f.__name__: f for f in (succeed, fail, hang, hang_after_first, print_much, exit_early, break_sandbox)}
+    return FakeSession(answers[behaviour]).load()
+
+
+if __name__ == "__main__":
+    shard_process.run_shard = partial(  # type: ignore[attr-defined]
+        run_shard, load_policy=load_policy, make_env=lambda *_: FakeEnvironment()
+    )
+    shard_process.main()

@@ -1,0 +1,51 @@
+"""Looks for intersections between the bodies of a scene with the IPC Toolkit, which shares no code with the engine."""
+
+from collections.abc import Sequence
+
+import ipctk  # type: ignore[import-not-found]
+import numpy as np
+from numpy.typing import NDArray
+from vitac.envs.fem.mesh import GelMesh, SurfaceMesh, unique_edges
+from vitac.envs.grasped_scene import GraspedScene
+
+FloatArray = NDArray[np.float64]
+
+
+class IntersectionCheck:
+    """Whether any two different bodies intersect; a body's contact with itself is not asked for."""
+
+    def __init__(self, meshes: Sequence[GelMesh | SurfaceMesh]) -> None:
+        ipctk.set_num_threads(1)
+        triangles, patches, rest, count = [], [], [], 0
+        for index, mesh in enumerate(meshes):
+            points = mesh.rest_position_m if isinstance(mesh, GelMesh) else mesh.vertices_m
+            faces = mesh.surface_triangles if isinstance(mesh, GelMesh) else mesh.triangles
+            triangles.append(faces + count)
+            patches.append(np.full(len(points), index, dtype=np.int32))
+            rest.append(points)
+            count += len(points)
+        faces = np.concatenate(triangles)
+        self.mesh = ipctk.CollisionMesh(
+            np.asfortranarray(np.concatenate(rest)),
+            np.asfortranarray(unique_edges(faces).astype(np.int32)),
+            np.asfortranarray(faces.astype(np.int32)),
+        )
+        self.mesh.can_collide = ipctk.make_vertex_patches_filter(np.concatenate(patches))
+
+    def intersects(self, positions_m: Sequence[FloatArray]) -> bool:
+        """Whether the bodies intersect at these world positions [m] of all nodes or vertices."""
+        return bool(ipctk.has_intersections(self.mesh, np.asfortranarray(np.concatenate(positions_m))))
+
+
+class GraspedSceneCheck:
+    """The check for a part held between two gels."""
+
+    def __init__(self, grasped: GraspedScene) -> None:
+        self._check = IntersectionCheck([grasped.gel, grasped.gel, grasped.held.mesh, grasped.fixed.mesh])
+
+    def intersects(self, grasped: GraspedScene) -> bool:
+        """Whether the scene, as it stands, has intersecting bodies."""
+        gels = [grasped.gel_nodes_m(0), grasped.gel_nodes_m(1)]
+        held = grasped.held_vertices_m(np.arange(len(grasped.held.mesh.vertices_m)))
+        fixed = (grasped.fixed.rotation[None] * grasped.fixed.mesh.vertices_m[:, None]).sum(axis=2)
+        return self._check.intersects([*gels, held, fixed + grasped.fixed.translation_m])

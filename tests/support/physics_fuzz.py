@@ -1,0 +1,195 @@
+"""Random episodes at the bounds of what a policy may do, every IPC step checked.
+
+Usage: python tests/support/physics_fuzz.py [--task peg|lock] [--first SEED] [--episodes N] [--past-end] [--json FILE]
+
+Prints every IPC step that was divided or did not converge with the numbers that play it again.
+"""
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from intersection_check import GraspedSceneCheck
+from vitac.envs.fem.scene import StepReport, StepStatus
+from vitac.envs.geometry.keys import KeyShape
+from vitac.envs.geometry.pegs import PegShape
+from vitac.envs.grasped_scene import GraspedScene, PhysicsSettings
+from vitac.envs.lock_opening.env import LockOpeningEnv
+from vitac.envs.lock_opening.settings import lock_physics
+from vitac.envs.peg_insertion.env import PegInsertionEnv
+from vitac.envs.task_env import TactileTaskEnv
+
+PEG, LOCK = "peg", "lock"
+ENV_STEPS = 8
+
+
+@dataclass(frozen=True, kw_only=True)
+class FuzzedStep:
+    """One IPC step of a fuzzed episode."""
+
+    task: str
+    seed: int
+    env_step: int  # 0: in the reset
+    number: int  # of the IPC step in the env step, from 1
+    status: str
+    newton_iterations: int
+    residual_n: float
+    smallest_gap_m: float
+    smallest_det_f: float
+    intersects: bool
+    past_end: bool  # played after a flag had ended the episode, as only a re-simulation does
+
+
+def fuzzed_environment(task: str, random: np.random.Generator, assets_dir: Path | None) -> TactileTaskEnv:
+    """An environment with friction and indentation drawn over their training ranges (challenge-facts 3)."""
+    indentation_mm = float(random.uniform(0.5, 1.25))
+    gel_friction = float(random.uniform(50, 125))
+    if task == PEG:
+        return PegInsertionEnv(
+            assets_dir=assets_dir,
+            indentation_mm=indentation_mm,
+            peg_friction=float(random.uniform(4, 15)),
+            hole_friction=float(random.uniform(0, 1)),
+            gripper_x_mm=float(random.uniform(-1, 1)),
+            gripper_z_mm=float(random.uniform(-10, -6)),
+            physics=PhysicsSettings(gel_friction=gel_friction),
+        )
+    standard = lock_physics()
+    physics = PhysicsSettings(
+        gel_friction=gel_friction, time_step_s=standard.time_step_s, contact=standard.contact, solver=standard.solver
+    )
+    return LockOpeningEnv(
+        assets_dir=assets_dir,
+        indentation_mm=indentation_mm,
+        key_friction=float(random.uniform(0.2, 1)),
+        lock_friction=float(random.uniform(0, 1)),
+        physics=physics,
+    )
+
+
+def start_options(task: str, random: np.random.Generator) -> dict[str, Any]:
+    """A start anywhere in the task's range, blocked or not."""
+    if task == PEG:
+        x, y, theta = random.uniform(-1, 1, 3) * (5, 5, 10)
+        return {"shape": str(random.choice(list(PegShape))), "offset_mm_deg": (float(x), float(y), float(theta))}
+    shape = str(random.choice(list(KeyShape)))
+    return {"shape": shape, "offset_mm": (float(random.uniform(0, 5)), 0.0, 0.0)}
+
+
+def fuzzed_action(random: np.random.Generator, size: int) -> np.ndarray[Any, np.dtype[np.float32]]:
+    """Half of the actions have every component at a bound; the others are anywhere."""
+    if random.random() < 0.5:
+        return random.choice(np.array([-1.0, 1.0]), size).astype(np.float32)
+    return random.uniform(-1, 1, size).astype(np.float32)
+
+
+class _Watch:
+    """Checks the scene after every IPC step, while the environment is stepping it."""
+
+    def __init__(self) -> None:
+        self.intersections: list[bool] = []
+        self._check: GraspedSceneCheck | None = None
+
+    def attach(self, scene: GraspedScene) -> None:
+        self._check = GraspedSceneCheck(scene)
+        self.intersections = [self._check.intersects(scene)]
+        scene.after_ipc_step = lambda: self._look(scene)
+
+    def _look(self, scene: GraspedScene) -> None:
+        assert self._check is not None
+        self.intersections.append(self._check.intersects(scene))
+
+    def take(self) -> list[bool]:
+        taken, self.intersections = self.intersections, []
+        return taken
+
+
+def fuzz_episode(
+    task: str, seed: int, *, past_end: bool = False, assets_dir: Path | None = None
+) -> Iterator[FuzzedStep]:
+    """Play one random episode until it ends, or on to its last env step unless an IPC step does not converge."""
+    random = np.random.default_rng(np.random.SeedSequence([{PEG: 1, LOCK: 2}[task], seed]))
+    env = fuzzed_environment(task, random, assets_dir)
+    options = start_options(task, random) | {"rng_seed": (seed,)}
+    _, info = env.reset(options=options)
+    watch = _Watch()
+    watch.attach(env.scene)
+    reports: tuple[StepReport, ...] = info["step_reports"]
+    # The scene can only be looked at from the end of the reset on.
+    seen = [False] * (len(reports) - 1) + watch.take()
+    ended = False
+    yield from _steps(task, seed, 0, reports, seen, ended)
+    for env_step in range(1, ENV_STEPS + 1):
+        if not env.scene.solved or (ended and not past_end):
+            return
+        *_, info = env.step(fuzzed_action(random, len(env.action_names)))
+        yield from _steps(task, seed, env_step, info["step_reports"], watch.take(), ended)
+        ended = ended or info["end_reason"] is not None
+
+
+def _steps(
+    task: str, seed: int, env_step: int, reports: tuple[StepReport, ...], seen: list[bool], ended: bool
+) -> Iterator[FuzzedStep]:
+    for number, (report, intersects) in enumerate(zip(reports, seen, strict=True), start=1):
+        yield FuzzedStep(
+            task=task,
+            seed=seed,
+            env_step=env_step,
+            number=number,
+            status=str(report.status),
+            newton_iterations=report.newton_iterations,
+            residual_n=report.residual_n,
+            smallest_gap_m=report.smallest_gap_m,
+            smallest_det_f=report.smallest_det_f,
+            intersects=intersects,
+            past_end=ended,
+        )
+
+
+def summary(steps: list[FuzzedStep]) -> dict[str, float]:
+    """Counts and extremes over fuzzed steps."""
+    status = [step.status for step in steps]
+    return {
+        "episodes": len({(step.task, step.seed) for step in steps}),
+        "ipc_steps": len(steps),
+        "substepped": status.count(StepStatus.SUBSTEPPED),
+        "not_converged": status.count(StepStatus.NOT_CONVERGED),
+        "intersections": sum(step.intersects for step in steps),
+        "smallest_det_f": min(step.smallest_det_f for step in steps),
+        "smallest_gap_m": min(step.smallest_gap_m for step in steps),
+        "largest_residual_n": max(step.residual_n for step in steps if step.status != StepStatus.NOT_CONVERGED),
+        "mean_newton_iterations": sum(step.newton_iterations for step in steps) / len(steps),
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--task", choices=(PEG, LOCK), default=PEG)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--episodes", type=int, default=100)
+    parser.add_argument("--past-end", action="store_true", help="play on after a flag ended the episode")
+    parser.add_argument("--assets", type=Path)
+    parser.add_argument("--json", type=Path)
+    arguments = parser.parse_args()
+    steps: list[FuzzedStep] = []
+    began = time.process_time()
+    for seed in range(arguments.first, arguments.first + arguments.episodes):
+        for step in fuzz_episode(arguments.task, seed, past_end=arguments.past_end, assets_dir=arguments.assets):
+            steps.append(step)
+            if step.status != StepStatus.CONVERGED or step.intersects or step.smallest_det_f <= 0:
+                sys.stdout.write(f"{asdict(step)}\n")
+                sys.stdout.flush()
+    result = summary(steps) | {"cpu_s": time.process_time() - began}
+    sys.stdout.write(json.dumps(result, indent=1) + "\n")
+    if arguments.json:
+        arguments.json.write_text(json.dumps(result, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,65 @@
+"""A worker that makes results up instead of simulating, for tests of what surrounds it: `python quick_worker.py [PID]`.
+
+`VITAC_TEST_WORKER=refuses` makes it one whose sandbox does not hold.
+"""
+
+import os
+import signal
+import threading
+
+from service_factories import make_record, play_all
+from sqlalchemy import select
+from vitac.evaluator.records import EpisodeOutcome, EpisodeRecord
+from vitac.evaluator.version import evaluator_version, platform_class
+from vitac.server.db.engine import Database
+from vitac.server.db.models import Evaluation, Worker
+from vitac.server.db.states import EvaluationState, WorkerState
+from vitac.server.settings import load_settings
+
+ISOLATION = "user: root, memory: cgroup-v1, episodes: frozen-copy"
+
+
+def record_of(episode: int) -> EpisodeRecord:
+    """Two of three succeed."""
+    return make_record(episode, EpisodeOutcome.TACTILE if episode % 3 == 0 else EpisodeOutcome.SUCCESS)
+
+
+def main() -> None:
+    """Plays whatever is queued until SIGTERM."""
+    address = load_settings().database_url
+    assert address is not None, "VITAC_DATABASE_URL names the test's database"
+    stopping = threading.Event()
+    signal.signal(signal.SIGTERM, lambda *_: stopping.set())
+    database = Database(address.get_secret_value())
+    refuses = os.environ.get("VITAC_TEST_WORKER") == "refuses"
+    with database.transaction() as session:
+        session.add(_row(WorkerState.REFUSING if refuses else WorkerState.READY))
+    while not stopping.wait(0.05):
+        if not refuses:
+            play_queued(database)
+
+
+def play_queued(database: Database) -> None:
+    """Plays the evaluations that wait."""
+    with database.transaction() as session:
+        queued = session.scalars(select(Evaluation).where(Evaluation.state == EvaluationState.QUEUED)).all()
+        submissions = [evaluation.submission for evaluation in queued]
+    for submission in submissions:
+        play_all(database, submission, record_of)
+
+
+def _row(state: WorkerState) -> Worker:
+    return Worker(
+        host="test",
+        pid=os.getpid(),
+        slots=1,
+        state=state,
+        evaluator_version=evaluator_version(),
+        platform_class=platform_class(),
+        isolation=ISOLATION,
+        message="The sandbox is not sound." if state is WorkerState.REFUSING else "",
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,153 @@
+"""A running service and a client for tests of the API, and archives to upload."""
+
+import io
+import socket
+import threading
+import time
+import zipfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import uvicorn
+from fastapi import FastAPI
+from httpx import Client, Response
+from service_factories import TASK, TRACK, make_principal, make_secret, make_settings
+from vitac.server.api.app import create_app
+from vitac.server.auth.principals import CONSOLE, Principal
+from vitac.server.db.engine import Database
+from vitac.server.services import Services, open_services
+from vitac.server.settings import Settings
+from vitac.server.storage.blobs import BlobStore
+
+API = "/api/v1"
+MANIFEST = f"track: {TRACK}\ntasks: [{TASK}]\nname: zero\n"
+POLICY = """
+import numpy as np
+
+class Policy:
+    def reset(self, task):
+        pass
+
+    def act(self, observation):
+        return np.zeros(3, np.float32)
+"""
+
+
+def make_archive(
+    files: Mapping[str, str | bytes] | None = None, *, manifest: str = MANIFEST, policy: str = POLICY
+) -> bytes:
+    """A zip; without `files` that of a small valid submission."""
+    buffer = io.BytesIO()
+    if files is None:
+        files = {"Track_1/submission.yaml": manifest, "Track_1/policy.py": policy}
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in files.items():
+            archive.writestr(zipfile.ZipInfo(name, (2025, 1, 1, 0, 0, 0)), content, zipfile.ZIP_DEFLATED)
+    return buffer.getvalue()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Service:
+    """A service in this process and the tokens to talk to it."""
+
+    client: Client
+    address: tuple[str, int]
+    services: Services
+    principal: Principal
+    token: str
+    other_token: str
+    organizer_token: str
+
+    @property
+    def settings(self) -> Settings:
+        return self.services.settings
+
+    @property
+    def database(self) -> Database:
+        return self.services.database
+
+    def get(self, path: str, token: str | None = None, **options: Any) -> Response:
+        return self.client.get(f"{API}{path}", headers=bearer(token or self.token), **options)
+
+    def post(self, path: str, token: str | None = None, **options: Any) -> Response:
+        headers = bearer(token or self.token) | options.pop("headers", {})
+        return self.client.post(f"{API}{path}", headers=headers, **options)
+
+    def upload(self, body: Any, token: str | None = None, query: str = "", **headers: str) -> Response:
+        given = {"Content-Type": "application/zip"} | {name.replace("_", "-"): value for name, value in headers.items()}
+        return self.post(f"/submissions{query}", token, content=body, headers=given)
+
+    def leftovers(self) -> list[Path]:
+        """Files that an upload has left in scratch or store."""
+        folders = (self.settings.scratch_dir, self.settings.state_dir / "blobs")
+        return [path for folder in folders for path in folder.rglob("*") if path.is_file()]
+
+
+def bearer(token: str) -> dict[str, str]:
+    return {"Authorization": f"Bearer {token}"}
+
+
+@contextmanager
+def running_service(database: Database, state_dir: Path, **settings: Any) -> Iterator[Service]:
+    """A service on an open database; `settings` change the defaults."""
+    made = make_settings(state_dir=state_dir, **settings)
+    services = Services(settings=made, database=database, blobs=BlobStore.from_settings(made), postgres=None)
+    made.scratch_dir.mkdir(parents=True, exist_ok=True)
+    with _served(services) as service:
+        yield service
+
+
+@contextmanager
+def live_service(settings: Settings) -> Iterator[Service]:
+    """A service that starts everything that the settings name."""
+    with open_services(settings) as services, _served(services) as service:
+        yield service
+
+
+@contextmanager
+def _served(services: Services) -> Iterator[Service]:
+    with services.database.transaction() as session:
+        principal = make_principal(session, "Team A")
+        tokens = [make_secret(session, one) for one in (principal, make_principal(session, "Team B"), CONSOLE)]
+    app = create_app(services.settings, services=services)
+    with serving(app) as address, Client(base_url=f"http://{address[0]}:{address[1]}", timeout=60.0) as client:
+        yield Service(
+            client=client,
+            address=address,
+            services=services,
+            principal=principal,
+            token=tokens[0],
+            other_token=tokens[1],
+            organizer_token=tokens[2],
+        )
+
+
+@contextmanager
+def serving(app: FastAPI) -> Iterator[tuple[str, int]]:
+    """Host and port of a real HTTP server in a thread of this process."""
+    listener = socket.create_server(("127.0.0.1", 0))
+    server = uvicorn.Server(uvicorn.Config(app, log_config=None, access_log=False, timeout_graceful_shutdown=2))
+    thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
+    thread.start()
+    try:
+        while not server.started:
+            assert thread.is_alive(), "the server did not start"
+            time.sleep(0.005)
+        yield listener.getsockname()
+    finally:
+        server.should_exit = True
+        thread.join()
+        listener.close()
+
+
+def problem_of(response: Response, status: int, code: str) -> dict[str, Any]:
+    """Asserts that an answer is that problem and returns it."""
+    assert response.headers["content-type"] == "application/problem+json", response.text
+    problem: dict[str, Any] = response.json()
+    assert (response.status_code, problem["status"], problem["code"]) == (status, status, code), problem
+    assert problem["type"] == f"urn:vitac:problem:{code}"
+    assert problem["detail"].endswith(".")
+    return problem

@@ -1,0 +1,167 @@
+"""Makes teams, submissions and records for tests of the service, without any simulation."""
+
+import hashlib
+from collections.abc import Callable, Iterable
+from typing import Any
+from uuid import UUID, uuid4
+
+import numpy as np
+from sqlalchemy.orm import Session
+from vitac.evaluator.agent.bubblewrap import UserIsolation
+from vitac.evaluator.agent.cgroup import MemoryIsolation
+from vitac.evaluator.agent.session import EpisodeIsolation, Isolation
+from vitac.evaluator.agent.verdicts import VerdictCode
+from vitac.evaluator.records import (
+    ActionSequence,
+    EpisodeOutcome,
+    EpisodeRecord,
+    FailureStage,
+    Manifest,
+    PolicyFailure,
+    Timings,
+)
+from vitac.evaluator.shards import ShardEnd, ShardResult
+from vitac.evaluator.tracks import load_track
+from vitac.evaluator.version import evaluator_hash, evaluator_version, platform_class
+from vitac.server import evaluations, submissions
+from vitac.server.auth import teams, tokens
+from vitac.server.auth.principals import CONSOLE, Principal
+from vitac.server.db.engine import Database
+from vitac.server.db.models import Shard, Submission
+from vitac.server.db.states import Role, SubmissionKind
+from vitac.server.queue import leases
+from vitac.server.queue.leases import Lease
+from vitac.server.settings import Settings
+
+TRACK = "track_1"
+TASK = "peg-insertion"
+ISOLATION = Isolation(
+    user=UserIsolation.ROOT,
+    memory=MemoryIsolation.CGROUP_V1,
+    episodes=EpisodeIsolation.FROZEN_COPY,
+    process_ids_repeat=True,
+)
+
+
+def sha256(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def make_settings(**values: Any) -> Settings:
+    return Settings(**values)
+
+
+def make_principal(session: Session, team: str = "Team A") -> Principal:
+    registered = teams.register(session, CONSOLE, name=team)
+    return Principal(role=Role.TEAM, team_id=registered.id, team_name=registered.name)
+
+
+def make_secret(session: Session, principal: Principal) -> str:
+    owner = teams.own(session, principal) if principal.team_id is not None else None
+    return tokens.issue(session, CONSOLE, role=principal.role, label="test", team=owner, lifetime=None).secret
+
+
+def make_upload(content: str = "content", **changes: Any) -> submissions.CheckedUpload:
+    values: dict[str, Any] = {
+        "kind": SubmissionKind.MODEL,
+        "track": TRACK,
+        "tasks": (TASK,),
+        "name": "zero",
+        "digest": sha256(content),
+        "archive_sha256": sha256(f"zip of {content}"),
+        "archive_bytes": 100,
+        "manifest": {"track": TRACK, "name": "zero"},
+    }
+    return submissions.CheckedUpload(**(values | changes))
+
+
+def submit(session: Session, principal: Principal, content: str = "content", **options: Any) -> Submission:
+    return submissions.create(session, principal, make_upload(content), **options)[0]
+
+
+def make_record(episode: int, outcome: EpisodeOutcome = EpisodeOutcome.SUCCESS, **changes: Any) -> EpisodeRecord:
+    listed = load_track(TRACK).tasks[TASK].episodes[episode - 1]
+    steps = 3
+    values: dict[str, Any] = {
+        "episode": episode,
+        "task": TASK,
+        "shape": listed.shape,
+        "initial_offset": listed.offset,
+        "outcome": outcome,
+        "env_steps": steps,
+        "total_reward": 1.0,
+        "actions": ActionSequence.from_array(np.full((steps, 3), episode / 1000, np.float32)),
+        "state_hashes": tuple(sha256(f"{episode} {step}") for step in range(steps + 1)),
+        "infos": ({},) * steps,
+        "timings": Timings(wall_s=0.5),
+    }
+    return EpisodeRecord(**(values | changes))
+
+
+def make_failed_record(
+    episode: int,
+    *,
+    stage: FailureStage = FailureStage.EPISODE,
+    code: VerdictCode = VerdictCode.CRASHED,
+    output: str = "Traceback",
+) -> EpisodeRecord:
+    failure = PolicyFailure(stage=stage, code=code, message=f"failed in {episode}", output_tail=output)
+    return make_record(episode, EpisodeOutcome.POLICY_FAILED, failure=failure)
+
+
+def make_manifest() -> Manifest:
+    return Manifest(
+        track=TRACK,
+        task=TASK,
+        list_seed=0,
+        task_hash=sha256("task"),
+        evaluator_version=evaluator_version(),
+        evaluator_hash=evaluator_hash(),
+        solver_version="1",
+        mesh_hash=sha256("mesh"),
+        platform_class=platform_class(),
+    )
+
+
+def shard_ids(session: Session, submission: Submission) -> list[int]:
+    newest = submissions.newest_evaluation(session, submission)
+    return [shard.id for shard in sorted(newest.shards, key=lambda shard: shard.id)]
+
+
+def claim(database: Database, shard_id: int, worker_id: UUID | None = None, lease_s: float = 60.0) -> Lease:
+    with database.transaction() as session:
+        lease = leases.claim(session, shard_id, worker_id or uuid4(), lease_s)
+    assert lease is not None
+    return lease
+
+
+def store(database: Database, lease: Lease, records: Iterable[EpisodeRecord]) -> None:
+    for record in records:
+        with database.transaction() as session:
+            leases.store_episode(session, lease, record)
+
+
+def finish(database: Database, lease: Lease, end: ShardEnd = ShardEnd.COMPLETE) -> None:
+    with database.transaction() as session:
+        result = ShardResult(index=lease.number, end=end, manifest=make_manifest(), isolation=ISOLATION)
+        evaluations.finish_shard(session, lease, result)
+
+
+def play(database: Database, shard_id: int, record_of: Callable[[int], EpisodeRecord] = make_record) -> None:
+    """Runs a shard from claim to end, as a worker does."""
+    lease = claim(database, shard_id)
+    store(database, lease, (record_of(episode) for episode in lease.episodes))
+    finish(database, lease)
+
+
+def play_all(
+    database: Database, submission: Submission, record_of: Callable[[int], EpisodeRecord] = make_record
+) -> None:
+    with database.transaction() as session:
+        ids = shard_ids(session, submission)
+    for shard_id in ids:
+        play(database, shard_id, record_of)
+
+
+def state_of(session: Session, shard_id: int) -> Any:
+    return session.get_one(Shard, shard_id, populate_existing=True).state

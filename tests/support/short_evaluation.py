@@ -1,0 +1,34 @@
+"""Shortens evaluations to a few episodes in this process, so that tests with the real simulation stay short.
+
+Also the program of a worker process for such tests: `python short_evaluation.py` runs a worker until SIGTERM.
+"""
+
+import subprocess
+from collections.abc import Callable, Sequence
+
+from vitac.evaluator.shards import Shard, cut
+from vitac.evaluator.tracks import Task
+from vitac.server import evaluations
+
+EPISODES = (1, 2, 3, 4, 31, 32, 33, 34)
+"""Four of each of the first two shards."""
+
+
+StartWorker = Callable[[], "subprocess.Popen[bytes]"]
+"""Starts a worker process on the service under test."""
+
+
+def short_cut(task: Task) -> Sequence[Shard]:
+    return cut(task, EPISODES)
+
+
+def shorten() -> None:
+    setattr(evaluations, "cut", short_cut)  # noqa: B010 - a name that the module imports
+
+
+if __name__ == "__main__":
+    from vitac.server.settings import load_settings
+    from vitac.worker.main import run
+
+    shorten()
+    run(load_settings())

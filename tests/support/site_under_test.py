@@ -1,0 +1,34 @@
+"""The pages as a browser test meets them: where they are, what they show, and how to sign in."""
+
+from dataclasses import dataclass
+
+from page_fixtures import FixedData
+from playwright.sync_api import Page
+
+
+@dataclass(frozen=True, kw_only=True)
+class SiteUnderTest:
+    """Pages with fixed content at an address."""
+
+    address: str
+    data: FixedData
+
+    def path_of(self, name: str) -> str:
+        """Path of the submission of that name."""
+        return next(f"/submissions/{submission.id}" for submission in self.data.found if submission.name == name)
+
+    def paths(self) -> list[str]:
+        """One of each kind of page."""
+        submissions = [self.path_of(submission.name) for submission in self.data.found]
+        return ["/", "/tracks/track_1/rules", "/sign-in", "/submissions", "/nothing-here", *submissions]
+
+    def sign_in(self, page: Page, name: str = "Gelbots") -> None:
+        """Signs in by the form."""
+        page.goto(f"{self.address}/sign-in")
+        page.get_by_label("API token").fill(f"token-of-{name}")
+        page.get_by_role("button", name="Sign in").click()
+        page.wait_for_url(f"{self.address}/submissions")
+
+    def open(self, page: Page, path: str) -> None:
+        """Opens a page."""
+        page.goto(f"{self.address}{path}")

@@ -1,0 +1,77 @@
+"""Shard processes that simulate nothing: for tests of the worker."""
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from service_factories import ISOLATION, make_manifest, make_record
+from vitac.evaluator.records import EpisodeRecord, PolicyFailure
+from vitac.evaluator.shard_process import ShardOrder, ShardProcessFailed
+from vitac.evaluator.shards import ShardEnd, ShardResult, cut, is_broken
+from vitac.evaluator.tracks import load_track
+
+
+class FakeShard:
+    """Gives a record for each episode that is asked for; `gate` is waited for before each one."""
+
+    def __init__(
+        self, order: ShardOrder, record_of: Callable[[int], EpisodeRecord], gate: Callable[[int], None]
+    ) -> None:
+        self.order = order
+        self.killed = threading.Event()
+        self._record_of = record_of
+        self._gate = gate
+        self._result: ShardResult | None = None
+
+    def records(self) -> Iterator[EpisodeRecord]:
+        shard = cut(load_track(self.order.track).tasks[self.order.task])[self.order.shard]
+        failures: list[PolicyFailure] = list(self.order.earlier_failures)
+        for number in sorted(shard.numbers - set(self.order.skip)):
+            self._gate(number)
+            if self.killed.is_set():
+                raise ShardProcessFailed("the process was killed")
+            record = self._record_of(number)
+            yield record
+            failures.extend([record.failure] if record.failure else [])
+            if is_broken(failures):
+                break
+        end = ShardEnd.BROKEN if is_broken(failures) else ShardEnd.COMPLETE
+        self._result = ShardResult(index=self.order.shard, end=end, manifest=make_manifest(), isolation=ISOLATION)
+
+    @property
+    def result(self) -> ShardResult:
+        assert self._result is not None
+        return self._result
+
+    def kill(self) -> None:
+        self.killed.set()
+
+
+class FakeShards:
+    """Starts fake shards and remembers them."""
+
+    def __init__(
+        self,
+        record_of: Callable[[int], EpisodeRecord] = make_record,
+        gate: Callable[[int], None] = lambda number: None,
+    ) -> None:
+        self.started: list[FakeShard] = []
+        self.record_of = record_of
+        self.gate = gate
+
+    @contextmanager
+    def __call__(self, order: ShardOrder) -> Iterator[FakeShard]:
+        shard = FakeShard(order, self.record_of, self.gate)
+        self.started.append(shard)
+        try:
+            yield shard
+        finally:
+            shard.kill()
+
+
+def eventually(holds: Callable[[], bool], limit_s: float = 30.0) -> None:
+    deadline = time.monotonic() + limit_s
+    while not holds():
+        assert time.monotonic() < deadline, "did not happen in time"
+        time.sleep(0.01)

@@ -1,0 +1,139 @@
+import json
+import sys
+import zipfile
+from pathlib import Path
+
+import fake_shard_process
+import pytest
+import typer
+from vitac.cli import main as cli
+from vitac.cli.evaluate import parse_episodes
+from vitac.evaluator import shard_process
+from vitac.evaluator.logs import LogReader
+from vitac.evaluator.records import result_hash
+from vitac.evaluator.report import EvaluationReport
+
+
+@pytest.fixture(autouse=True)
+def fake_command(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(shard_process, "COMMAND", (sys.executable, fake_shard_process.__file__))
+    monkeypatch.delenv("VITAC_ASSETS_DIR", raising=False)
+
+
+@pytest.fixture
+def submission(tmp_path: Path) -> Path:
+    folder = tmp_path / "mine" / "Track_1"
+    folder.mkdir(parents=True)
+    (folder / "submission.yaml").write_text("{track: track_1, tasks: [peg-insertion], name: mine}")
+    (folder / "policy.py").write_text("class Policy: pass")
+    (folder / "behaviour").write_text("succeed")
+    return folder
+
+
+def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
+    with pytest.raises(SystemExit) as exit_:
+        cli.main(["evaluate", *map(str, arguments)])
+    out, err = capsys.readouterr()
+    assert isinstance(exit_.value.code, int)
+    return exit_.value.code, out, err
+
+
+@pytest.mark.parametrize(
+    ("text", "numbers"),
+    [(None, None), ("5", (5,)), ("1:4", (1, 2, 3, 4)), ("7,1:3,2", (1, 2, 3, 7)), ("270:270", (270,))],
+)
+def test_episodes_are_numbers_and_ranges_with_both_ends(text: str | None, numbers: tuple[int, ...] | None) -> None:
+    assert parse_episodes(text) == numbers
+
+
+@pytest.mark.parametrize("text", ["", "a", "1:x", "4:1", "1:2:3", "1,,2", "-", "1:"])
+def test_other_episodes_are_wrong_usage(text: str) -> None:
+    with pytest.raises(typer.BadParameter, match="not a list of numbers"):
+        parse_episodes(text)
+
+
+def test_prints_score_and_result_hash(submission: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    report = tmp_path / "report.json"
+    code, out, err = run(capsys, submission, "--episodes", "1:3,31", "--json", report)
+    content = EvaluationReport.model_validate_json(report.read_text())
+    assert code == 0
+    assert "all               4       4  100.0%  51.0% to 100.0%" in out
+    assert "mean env steps of the solved: 3.00" in out
+    assert f"result hash {content.result_hash}" in out
+    assert "4/4" in err
+
+
+def test_report_holds_the_records_that_the_hash_is_of(
+    submission: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    report = tmp_path / "report.json"
+    run(capsys, submission, "--episodes", "1:3", "--json", report)
+    content = EvaluationReport.model_validate_json(report.read_text())
+    assert content.result_hash == result_hash(content.manifest, content.episodes)
+    assert json.loads(report.read_text())["score"]["success_rate"] == 1.0
+
+
+def test_log_can_be_read_again_and_is_the_same_each_time(
+    submission: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    first, second = tmp_path / "first.jsonl", tmp_path / "second.jsonl"
+    run(capsys, submission, "--episodes", "1:3", "--log", first, "--team", "Touch")
+    run(capsys, submission, "--episodes", "1:3", "--log", second, "--team", "Touch", "--workers", "2")
+    assert first.read_bytes() == second.read_bytes()
+    with first.open("rb") as stream:
+        reader = LogReader(stream)
+        assert reader.header.team == "Touch"
+        assert [record.episode for record in reader.records()] == [1, 2, 3]
+
+
+def test_zip_and_folder_give_the_same(submission: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    packed = tmp_path / "mine.zip"
+    with zipfile.ZipFile(packed, "w") as archive:
+        for file in submission.iterdir():
+            archive.write(file, f"Track_1/{file.name}")
+    reports = tmp_path / "folder.json", tmp_path / "zip.json"
+    for source, report in zip((submission, packed), reports, strict=True):
+        run(capsys, source, "--episodes", "2", "--json", report)
+    folder, zipped = (EvaluationReport.model_validate_json(report.read_text()) for report in reports)
+    assert folder.submission_digest == zipped.submission_digest
+    assert folder.result_hash == zipped.result_hash
+
+
+def test_failing_policy_is_refused_with_its_verdict_and_output(
+    submission: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (submission / "behaviour").write_text("fail")
+    code, out, _ = run(capsys, submission, "--episodes", "1:5")
+    assert code == 1
+    assert "failed: crashed." in out
+    assert "Segmentation fault" in out
+    assert "result hash" not in out
+
+
+def test_fault_of_the_machine_is_one_line(submission: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (submission / "behaviour").write_text("break_sandbox")
+    code, out, err = run(capsys, submission, "--episodes", "1")
+    assert (code, out) == (1, "")
+    assert err.splitlines()[-1] == "vitac: SandboxFailed: bwrap is missing"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        (["--task", "lock-opening"], 2, "The submission plays peg-insertion"),
+        (["--episodes", "1:271"], 1, "must be among 1 to 270; came 271"),
+        (["--workers", "0"], 2, "greater than or equal to 1"),
+    ],
+)
+def test_impossible_request_is_refused(
+    submission: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], code: int, message: str
+) -> None:
+    refused, _, err = run(capsys, submission, *arguments)
+    assert refused == code
+    assert message in err
+
+
+def test_what_is_no_submission_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, _, err = run(capsys, tmp_path / "nothing")
+    assert code == 1
+    assert "submission.yaml" in err

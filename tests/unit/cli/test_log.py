@@ -1,0 +1,181 @@
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from evaluation_fakes import FakeEnvironment, FakeSession, succeed
+from vitac.cli import main as cli
+from vitac.evaluator import episodes, shards
+from vitac.evaluator.logs import LogHeader, write_log
+from vitac.evaluator.records import EpisodeRecord, Manifest
+from vitac.evaluator.shards import cut, run_shard
+from vitac.evaluator.tracks import find_task
+
+TRACK, TASK = find_task("peg-insertion")
+
+
+def evaluated() -> tuple[Manifest, list[EpisodeRecord]]:
+    records: list[EpisodeRecord] = []
+    result = run_shard(
+        submission_dir=Path("unused"),
+        track=TRACK,
+        task=TASK,
+        shard=cut(TASK, [1, 2, 3])[0],
+        on_episode=records.append,
+        load_policy=FakeSession(succeed).load,
+        make_env=lambda *_: FakeEnvironment(),
+    )
+    return result.manifest, sorted(records, key=lambda record: record.episode)
+
+
+@pytest.fixture(autouse=True)
+def no_simulation(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(episodes, "make_environment", lambda *_: FakeEnvironment())
+
+
+@pytest.fixture
+def manifest_and_records() -> tuple[Manifest, list[EpisodeRecord]]:
+    return evaluated()
+
+
+def write(path: Path, manifest: Manifest, records: list[EpisodeRecord]) -> Path:
+    with path.open("wb") as stream:
+        write_log(stream, LogHeader(team="Touch", manifest=manifest), records)
+    return path
+
+
+@pytest.fixture
+def log(tmp_path: Path, manifest_and_records: tuple[Manifest, list[EpisodeRecord]]) -> Path:
+    return write(tmp_path / "log.jsonl", *manifest_and_records)
+
+
+@pytest.fixture
+def false_log(tmp_path: Path, manifest_and_records: tuple[Manifest, list[EpisodeRecord]]) -> Path:
+    """A log with right digests whose second episode claims another state."""
+    manifest, records = manifest_and_records
+    hashes = (*records[1].state_hashes[:2], "f" * 64, *records[1].state_hashes[3:])
+    return write(
+        tmp_path / "false.jsonl",
+        manifest,
+        [records[0], records[1].model_copy(update={"state_hashes": hashes}), records[2]],
+    )
+
+
+def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
+    with pytest.raises(SystemExit) as exit_:
+        cli.main(["log", *map(str, arguments)])
+    out, err = capsys.readouterr()
+    assert isinstance(exit_.value.code, int)
+    return exit_.value.code, out, err
+
+
+def test_show_prints_a_table_of_episodes(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, _ = run(capsys, "show", log)
+    assert code == 0
+    assert out.startswith("team Touch, track_1, peg-insertion, evaluator 1+")
+    assert "      2  trapezoid  -4 -4 -8  success          3    2.00" in out.splitlines()
+    assert out.endswith("claimed: 3 of 3 solved, 100.0%\n")
+
+
+def test_show_as_json(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    content = json.loads(run(capsys, "show", log, "--json")[1])
+    assert content["header"]["team"] == "Touch"
+    assert [episode["episode"] for episode in content["episodes"]] == [1, 2, 3]
+    assert content["claimed_score"]["success_rate"] == 1.0
+
+
+def test_verify_true_log(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, _ = run(capsys, "verify", log, "--episodes", "1:3")
+    assert (code, out.splitlines()) == (0, ["verified: all states are equal", "3 of 3 solved"])
+
+
+def test_verify_false_log_shows_both_states(false_log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, _ = run(capsys, "verify", false_log, "--episodes", "1:3", "--json")
+    content = json.loads(out)
+    assert code == 1
+    assert (content["verdict"], content["score"]) == ("diverged", None)
+    assert (content["divergence"]["episode"], content["divergence"]["env_step"]) == (2, 2)
+    assert content["divergence"]["recorded_state"] == "f" * 64
+    assert len(content["divergence"]["resimulated_state"]) == 64
+
+
+def test_verify_log_that_lacks_episodes(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, _ = run(capsys, "verify", log)
+    assert code == 1
+    assert out.startswith("impossible: Episode 4 is missing, 267 of 270")
+
+
+def test_verify_log_of_another_version(
+    tmp_path: Path, manifest_and_records: tuple[Manifest, list[EpisodeRecord]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    manifest, records = manifest_and_records
+    old = write(tmp_path / "old.jsonl", manifest.model_copy(update={"evaluator_version": "0+old"}), records)
+    code, out, _ = run(capsys, "verify", old)
+    assert code == 1
+    assert out.startswith("impossible: The log was made with evaluator_version '0+old'")
+
+
+@pytest.mark.parametrize("verb", ["show", "verify", "diff"])
+def test_damaged_log_is_refused_by_line(log: Path, verb: str, capsys: pytest.CaptureFixture[str]) -> None:
+    log.write_bytes(log.read_bytes().replace(b'"total_reward":2.0', b'"total_reward":3.0', 1))
+    code, out, err = run(capsys, verb, log, *([log] if verb == "diff" else []))
+    assert (code, out) == (1, "")
+    assert err.startswith("vitac: Line 2: its digest is wrong")
+
+
+def test_diff_of_equal_logs(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(capsys, "diff", log, log) == (0, "the logs tell the same\n", "")
+    assert run(capsys, "diff", log, log, "--json") == (0, "null\n", "")
+
+
+def test_diff_names_the_first_difference(log: Path, false_log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, _ = run(capsys, "diff", log, false_log)
+    assert code == 1
+    assert out.startswith("episode 2 env step 2: state_hash is ")
+    assert json.loads(run(capsys, "diff", log, false_log, "--json")[1])["second"] == "f" * 64
+
+
+def test_import_of_what_is_no_text_log(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, _, err = run(capsys, "import", log)
+    assert code == 1
+    assert err.startswith("vitac: Line 1 does not start like a log line")
+
+
+def test_import_tells_and_converts_the_organizers_log(
+    reference_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file, output = reference_dir / "logs" / "track1_peg_insertion.first90.log", tmp_path / "out.jsonl"
+    code, out, _ = run(capsys, "import", file, "--output", output)
+    assert code == 0
+    assert out.splitlines() == [
+        "track 1 peg insertion, team deg: 13 of 90 solved",
+        "success rate 14.44%, claimed no totals; average steps None",
+        "problem: there are 90 tests, the list has 270",
+        "problem: the log ends without its totals",
+    ]
+    assert len(output.read_text().splitlines()) == 90
+    assert json.loads(run(capsys, "import", file, "--json")[1])["episodes"] == 90
+
+
+@pytest.fixture
+def model(tmp_path: Path) -> Path:
+    folder = tmp_path / "model" / "Track_1"
+    folder.mkdir(parents=True)
+    (folder / "submission.yaml").write_text("{track: track_1, tasks: [peg-insertion], name: mine}")
+    return folder
+
+
+def test_audit_counts_the_actions_that_a_model_gives(
+    log: Path, model: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def load(answer: Any) -> None:
+        monkeypatch.setattr(shards, "load_in_sandbox", lambda *_: FakeSession(answer).load())
+
+    load(succeed)
+    assert run(capsys, "audit", log, model) == (0, "the model gives 9 of 9 actions\n", "")
+    load(lambda _, step: succeed(1, 3 if step == 2 else step))
+    code, out, _ = run(capsys, "audit", log, model)
+    assert code == 1
+    assert out.splitlines()[:2] == ["the model gives 6 of 9 actions", "episode 1: 2 of 3, other from env step 2 "]
+    content = json.loads(run(capsys, "audit", log, model, "--json")[1])
+    assert (content["reproduced"], content["actions"], content["episodes"][0]["first_other"]) == (6, 9, 2)

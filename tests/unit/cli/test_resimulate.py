@@ -1,0 +1,137 @@
+import json
+from pathlib import Path
+
+import pytest
+from evaluation_fakes import FakeEnvironment
+from evaluation_records import make_manifest, make_record
+from vitac.cli import main as cli
+from vitac.evaluator import episodes
+from vitac.evaluator.logs import LogHeader, write_log
+
+LINE = {
+    "episode": 1,
+    "task": "peg_insertion",
+    "shape": "cuboid",
+    "initial_offset": [-4, -4, -8],
+    "steps": [
+        {"n": 1, "action": [0.5, 0, 0], "surface_diff_m": [0.0006, 0.0009], "peg_relative_z_mm": [0.5, 0.25]},
+        {"n": 2, "action": [1, 0, 0], "surface_diff_m": [0.0007, 0.0008], "peg_relative_z_mm": [0.5, 0.25]},
+    ],
+    "result": "FAIL",
+}
+
+
+@pytest.fixture
+def asked_assets(monkeypatch: pytest.MonkeyPatch) -> list[Path | None]:
+    """Takes the simulation's place; the asset folders that were asked for."""
+    asked: list[Path | None] = []
+
+    def make(_: object, assets_dir: Path | None) -> FakeEnvironment:
+        asked.append(assets_dir)
+        return FakeEnvironment()
+
+    monkeypatch.setattr(episodes, "make_environment", make)
+    monkeypatch.delenv("VITAC_ASSETS_DIR", raising=False)
+    return asked
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    path = tmp_path / "recorded.jsonl"
+    path.write_text(json.dumps(LINE) + "\n")
+    return path
+
+
+def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
+    with pytest.raises(SystemExit) as exit_:
+        cli.main(["resimulate", *map(str, arguments)])
+    out, err = capsys.readouterr()
+    assert isinstance(exit_.value.code, int)
+    return exit_.value.code, out, err
+
+
+def test_prints_ours_beside_the_record(
+    recording: Path, asked_assets: list[Path | None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, out, _ = run(capsys, recording, "--task", "peg-insertion")
+    assert code == 0
+    assert out.splitlines() == [
+        "Episode 1: cuboid at -4 -4 -8",
+        "  step  1  surface  1.000  2.000 |  0.600  0.900  peg - |  0.500  0.250",
+        "  step  2  surface  1.000  2.000 |  0.700  0.800  peg - |  0.500  0.250",
+        "  success at env step 2 | recorded no success after 2 env steps",
+        "1 episodes, 1 successes; 10 IPC steps, 125.0 ms of CPU each; solver fake",
+    ]
+
+
+def test_writes_the_report(
+    recording: Path, asked_assets: list[Path | None], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out.json"
+    run(capsys, recording, "--task", "peg-insertion", "--json", out)
+    content = json.loads(out.read_text())
+    assert content["episodes"][0]["end_reason"] == "success"
+    assert content["episodes"][0]["steps"][1] == {"n": 2, "surface_diff_mm": [1.0, 2.0], "is_success": True}
+    assert content["ipc_steps"] == 10
+
+
+def test_takes_our_own_logs(
+    asked_assets: list[Path | None], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = tmp_path / "own.jsonl"
+    with log.open("wb") as stream:
+        write_log(stream, LogHeader(manifest=make_manifest()), [make_record(3)])
+    code, out, _ = run(capsys, log, "--task", "peg-insertion")
+    assert code == 0
+    assert out.startswith("Episode 3: concave1 at 1 -3 -4\n")
+    assert "recorded success after 3 env steps" in out
+
+
+def test_assets_come_from_the_option_or_the_environment(
+    recording: Path,
+    asked_assets: list[Path | None],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    run(capsys, recording, "--task", "peg-insertion")
+    monkeypatch.setenv("VITAC_ASSETS_DIR", "/from/environment")
+    run(capsys, recording, "--task", "peg-insertion")
+    run(capsys, recording, "--task", "peg-insertion", "--assets", "/from/option")
+    assert asked_assets == [None, Path("/from/environment"), Path("/from/option")]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        ([], 2, "Missing option '--task'"),
+        (["--task", "peg"], 1, "There is no task 'peg'; the tasks are"),
+    ],
+)
+def test_unknown_task_is_refused(
+    recording: Path,
+    asked_assets: list[Path | None],
+    capsys: pytest.CaptureFixture[str],
+    arguments: list[str],
+    code: int,
+    message: str,
+) -> None:
+    refused, _, err = run(capsys, recording, *arguments)
+    assert refused == code
+    assert message in err
+
+
+def test_unreadable_recording_is_refused_by_line(
+    recording: Path, asked_assets: list[Path | None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    recording.write_text(recording.read_text() + "junk\n")
+    code, _, err = run(capsys, recording, "--task", "peg-insertion")
+    assert code == 1
+    assert err.startswith("vitac: Line 2 is not JSON")
+
+
+def test_missing_file_is_refused(
+    tmp_path: Path, asked_assets: list[Path | None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, _, err = run(capsys, tmp_path / "nothing.jsonl", "--task", "peg-insertion")
+    assert code == 2
+    assert "does not exist" in err

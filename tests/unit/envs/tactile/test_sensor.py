@@ -1,0 +1,66 @@
+import numpy as np
+import pytest
+from vitac.envs.gripper import SensorMount
+from vitac.envs.lock_opening import scene as lock
+from vitac.envs.peg_insertion import scene as peg
+from vitac.envs.tactile.gel import gelsight_mini_mesh
+from vitac.envs.tactile.markers import MarkerSettings
+from vitac.envs.tactile.sensor import NoReferenceCaptured, TactileSensor
+
+
+def sensor_and_view() -> tuple[TactileSensor, np.ndarray]:
+    mesh = gelsight_mini_mesh()
+    sensor = TactileSensor(mesh, MarkerSettings())
+    return sensor, sensor.view_m(mesh.rest_position_m, np.eye(3), np.zeros(3))
+
+
+def test_view_holds_the_sensing_nodes() -> None:
+    _, view = sensor_and_view()
+    assert view.shape == (49, 3)
+    assert (view[:, 2] == 0.022).all()
+
+
+def test_reading_before_the_reference_is_an_error() -> None:
+    sensor, view = sensor_and_view()
+    with pytest.raises(NoReferenceCaptured, match="after the grasp"):
+        sensor.surface_diff_m(view)
+    with pytest.raises(NoReferenceCaptured, match="capture_reference"):
+        sensor.marker_flow(view, np.random.default_rng(0))
+
+
+def test_surface_difference_is_the_mean_distance_to_the_reference() -> None:
+    sensor, view = sensor_and_view()
+    sensor.capture_reference(view)
+    assert sensor.surface_diff_m(view) == 0.0
+    assert sensor.surface_diff_m(view + np.array([0.0, 3e-4, 4e-4])) == pytest.approx(5e-4)
+
+
+def test_marker_flow_compares_with_the_reference() -> None:
+    sensor, view = sensor_and_view()
+    sensor.capture_reference(view + np.array([1e-3, 0.0, 0.0]))
+    flow = sensor.marker_flow(view, np.random.default_rng(0))
+    assert (flow[1] - flow[0])[:40, 0].mean() == pytest.approx(-340 / 22, abs=0.3)
+
+
+@pytest.mark.parametrize(
+    ("mount", "u_direction", "v_direction"),
+    [
+        (peg.MOUNTS[0], (0, 0, 1), (-1, 0, 0)),
+        (peg.MOUNTS[1], (0, 0, 1), (1, 0, 0)),
+        (lock.MOUNTS[0], (-1, 0, 0), (0, 0, 1)),
+        (lock.MOUNTS[1], (-1, 0, 0), (0, 0, -1)),
+    ],
+    ids=["peg left", "peg right", "lock left", "lock right"],
+)
+def test_image_axes_mean_the_stated_world_directions(
+    mount: SensorMount, u_direction: tuple[int, ...], v_direction: tuple[int, ...]
+) -> None:
+    mesh = gelsight_mini_mesh()
+    sensor = TactileSensor(mesh, MarkerSettings())
+    nodes = mesh.rest_position_m @ mount.rotation.T
+    for direction, axis in ((u_direction, 0), (v_direction, 1)):
+        moved = nodes + 1e-3 * np.array(direction)
+        still, shifted = (sensor.view_m(points, mount.rotation, np.zeros(3)) for points in (nodes, moved))
+        expected = np.zeros(3)
+        expected[axis] = 1e-3
+        assert shifted - still == pytest.approx(np.tile(expected, (49, 1)))

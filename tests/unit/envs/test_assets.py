@@ -1,0 +1,66 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+from vitac.envs.assets import AssetsMissing, Meshes, assets_dir_from_environment, mesh_hash
+from vitac.envs.geometry.keys import KeyShape
+from vitac.envs.geometry.pegs import PegShape
+from vitac.envs.geometry.stl import StlError
+from vitac.envs.peg_insertion.settings import PegInsertionSettings
+from vitac.envs.tactile.gel_files import GelFilesError
+
+
+def test_meshes_are_generated_by_default() -> None:
+    meshes = Meshes()
+    assert meshes.gel().name == "generated GelSight Mini gel"
+    assert meshes.peg(PegShape.CUBOID) is meshes.peg(PegShape.CUBOID)
+    assert [len(meshes.key(shape).vertices_m) for shape in KeyShape] == [32, 32, 32, 38]
+    assert [len(meshes.lock(shape).vertices_m) for shape in KeyShape] == [32, 32, 32, 40]
+
+
+def test_all_meshes_of_the_challenge_are_read(reference_dir: Path) -> None:
+    meshes = Meshes(reference_dir / "assets" / "track1")
+    assert meshes.gel().name == "gelsight_mini_e430/tet.msh"
+    assert meshes.gel() is Meshes(str(reference_dir / "assets" / "track1")).gel()
+    for shape in PegShape:
+        assert meshes.peg(shape).name == f"{shape}_peg.STL"
+        assert meshes.hole(shape).name == f"{shape}_hole_1.5mm.STL"
+    for number, key in enumerate(KeyShape, 1):
+        assert meshes.key(key).name == f"key{number}.STL"
+        assert meshes.lock(key).name == f"lock_core_sim{number}.STL"
+
+
+def test_missing_folder_is_a_named_refusal(tmp_path: Path) -> None:
+    with pytest.raises(AssetsMissing, match=r"Expected the challenge's meshes in .*nowhere.*gelsight_mini_e430"):
+        Meshes(tmp_path / "nowhere")
+
+
+def test_missing_files_are_named(tmp_path: Path) -> None:
+    (tmp_path / "gelsight_mini_e430").mkdir()
+    meshes = Meshes(tmp_path)
+    with pytest.raises(GelFilesError, match="meta_file"):
+        meshes.gel()
+    with pytest.raises(StlError, match=r"cuboid_peg\.STL"):
+        meshes.peg(PegShape.CUBOID)
+    with pytest.raises(StlError, match=r"lock_core_sim4\.STL"):
+        meshes.lock(KeyShape.KEY4)
+
+
+def test_folder_comes_from_the_environment_variable(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("VITAC_ASSETS_DIR", raising=False)
+    assert assets_dir_from_environment() is None
+    monkeypatch.setenv("VITAC_ASSETS_DIR", "")
+    assert assets_dir_from_environment() is None
+    monkeypatch.setenv("VITAC_ASSETS_DIR", "some/folder")
+    assert assets_dir_from_environment() == Path("some/folder")
+
+
+def test_mesh_hash_tells_meshes_and_settings_apart() -> None:
+    meshes = Meshes()
+    peg, hole = meshes.peg(PegShape.CUBOID), meshes.hole(PegShape.CUBOID)
+    base = mesh_hash(meshes.gel(), [peg, hole], PegInsertionSettings())
+    assert base == mesh_hash(meshes.gel(), [peg, hole], PegInsertionSettings())
+    assert base != mesh_hash(meshes.gel(), [hole, peg], PegInsertionSettings())
+    assert base != mesh_hash(meshes.gel(), [peg, hole], PegInsertionSettings(peg_friction=9.6))
+    assert len(base) == 64
+    assert np.array_equal(meshes.gel().rest_position_m, Meshes().gel().rest_position_m)

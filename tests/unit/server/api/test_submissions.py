@@ -1,0 +1,379 @@
+import base64
+import hashlib
+import json
+import socket
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from uuid import uuid4
+
+import pytest
+from service_client import MANIFEST, POLICY, Service, bearer, make_archive, problem_of, running_service
+from service_factories import TASK, TRACK, play_all
+from sqlalchemy import text
+from vitac.evaluator.agent.limits import Limits
+from vitac.server import submissions
+from vitac.server.db.engine import Database
+from vitac.server.db.models import Submission
+
+ARCHIVE = make_archive()
+
+
+def count(service: Service, table: str) -> int:
+    with service.database.transaction() as session:
+        return session.scalar(text(f"SELECT count(*) FROM {table}")) or 0  # noqa: S608 - fixed names
+
+
+def assert_nothing_left(service: Service) -> None:
+    assert service.leftovers() == []
+    assert count(service, "submissions") == count(service, "evaluations") == count(service, "procrastinate_jobs") == 0
+
+
+def submission_of(service: Service, identity: str) -> Submission:
+    with service.database.transaction() as session:
+        return session.get_one(Submission, identity)
+
+
+def test_upload_is_accepted_with_an_id_a_position_and_jobs(service: Service) -> None:
+    answer = service.upload(ARCHIVE)
+    assert answer.status_code == 202, answer.text
+    body = answer.json()
+    assert answer.headers["location"] == f"/api/v1/submissions/{body['id']}"
+    assert (body["track"], body["tasks"], body["name"], body["team"]["name"]) == (TRACK, [TASK], "zero", "Team A")
+    assert (body["evaluation"]["state"], body["evaluation"]["queue_position"]) == ("queued", 1)
+    assert body["archive_sha256"] == hashlib.sha256(ARCHIVE).hexdigest()
+    assert service.get(f"/submissions/{body['id']}").json() == body
+    assert count(service, "procrastinate_jobs") == 9
+    assert service.services.blobs.holds(body["archive_sha256"])
+    assert list(service.settings.scratch_dir.iterdir()) == []
+
+
+def test_stored_archive_is_the_uploaded_one(service: Service, tmp_path: Path) -> None:
+    digest = service.upload(ARCHIVE).json()["archive_sha256"]
+    service.services.blobs.fetch(digest, tmp_path / "copy.zip")
+    assert (tmp_path / "copy.zip").read_bytes() == ARCHIVE
+
+
+def test_same_content_packed_differently_is_answered_with_the_submission_that_exists(service: Service) -> None:
+    first = service.upload(ARCHIVE)
+    other_zip = make_archive({"Track_1/policy.py": POLICY, "Track_1/submission.yaml": MANIFEST})
+    assert other_zip != ARCHIVE
+    again = service.upload(other_zip)
+    assert (again.status_code, again.json()["id"]) == (200, first.json()["id"])
+    assert count(service, "evaluations") == 1
+
+
+def test_same_upload_at_the_same_time_is_one_submission(service: Service) -> None:
+    answers = []
+    threads = [threading.Thread(target=lambda: answers.append(service.upload(ARCHIVE))) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert sorted(answer.status_code for answer in answers) == [200, 202]
+    assert len({answer.json()["id"] for answer in answers}) == 1
+    assert count(service, "submissions") == count(service, "evaluations") == 1
+
+
+def test_again_starts_a_new_run_of_a_completed_submission(service: Service) -> None:
+    identity = service.upload(ARCHIVE).json()["id"]
+    play_all(service.database, submission_of(service, identity))
+    assert service.upload(ARCHIVE).status_code == 200
+    answer = service.upload(ARCHIVE, query="?again=true")
+    assert (answer.status_code, answer.json()["evaluation"]["run"]) == (202, 2)
+
+
+def test_completed_submission_shows_score_interval_shapes_and_rank(service: Service) -> None:
+    identity = service.upload(ARCHIVE).json()["id"]
+    play_all(service.database, submission_of(service, identity))
+    body = service.get(f"/submissions/{identity}").json()
+    assert body["evaluation"]["state"] == "completed"
+    assert body["rank"] == {"rank": 1, "of": 1}
+    score = body["evaluation"]["scores"][0]
+    assert score["success_rate"] == 1.0
+    assert score["success_rate_interval"][1] == 1.0
+    assert [shape["episodes"] for shape in score["shapes"]] == [90, 90, 90]
+    assert score["result_hash"] == body["evaluation"]["result_hash"]
+    episodes = service.get(f"/submissions/{identity}/episodes").json()
+    assert len(episodes) == 270
+    assert episodes[0] == {
+        "task": TASK,
+        "episode": 1,
+        "shape": episodes[0]["shape"],
+        "outcome": "success",
+        "success": True,
+        "env_steps": 3,
+    }
+
+
+@pytest.mark.parametrize(
+    ("headers", "code"),
+    [
+        ({}, "missing_credentials"),
+        ({"Authorization": "Basic dGVzdDp0ZXN0"}, "missing_credentials"),
+        (bearer("vitac_short"), "invalid_credentials"),
+        (bearer("vitac_" + "A" * 43), "invalid_credentials"),
+    ],
+)
+def test_no_or_unknown_token_is_refused_before_the_body_is_read(
+    service: Service, headers: dict[str, str], code: str
+) -> None:
+    answer = service.client.post("/api/v1/submissions", content=ARCHIVE, headers=headers)
+    problem_of(answer, 401, code)
+    assert answer.headers["www-authenticate"] == "Bearer"
+    assert_nothing_left(service)
+
+
+def test_foreign_and_unknown_submissions_look_the_same(service: Service) -> None:
+    identity = service.upload(ARCHIVE).json()["id"]
+    for wanted in (identity, str(uuid4())):
+        for path in (f"/submissions/{wanted}", f"/submissions/{wanted}/episodes", f"/submissions/{wanted}/events"):
+            problem = problem_of(service.get(path, service.other_token), 404, "not_found")
+            assert wanted in problem["detail"]
+        problem_of(service.post(f"/submissions/{wanted}/cancel", service.other_token), 404, "not_found")
+    assert service.get(f"/submissions/{identity}", service.organizer_token).status_code == 200
+
+
+def test_lists_are_separate_for_teams_and_whole_for_organizers(service: Service) -> None:
+    mine = service.upload(ARCHIVE).json()["id"]
+    theirs = service.upload(ARCHIVE, service.other_token).json()["id"]
+    assert [item["id"] for item in service.get("/submissions").json()["items"]] == [mine]
+    everything = service.get("/submissions?limit=1", service.organizer_token).json()
+    assert [item["id"] for item in everything["items"]] == [theirs]
+    rest = service.get(f"/submissions?before={everything['next_before']}", service.organizer_token).json()
+    assert ([item["id"] for item in rest["items"]], rest["next_before"]) == ([mine], None)
+
+
+def test_organizer_uploads_for_a_named_team(service: Service) -> None:
+    problem_of(service.upload(ARCHIVE, service.organizer_token), 422, "team_required")
+    problem_of(service.upload(ARCHIVE, service.organizer_token, "?team=nobody"), 404, "unknown_team")
+    answer = service.upload(ARCHIVE, service.organizer_token, "?team=team%20a")
+    assert answer.json()["team"]["name"] == "Team A"
+
+
+def test_cancel_ends_the_evaluation_once(service: Service) -> None:
+    identity = service.upload(ARCHIVE).json()["id"]
+    answer = service.post(f"/submissions/{identity}/cancel")
+    assert (answer.status_code, answer.json()["evaluation"]["state"]) == (200, "cancelled")
+    problem = problem_of(service.post(f"/submissions/{identity}/cancel"), 409, "not_cancellable")
+    assert problem["state"] == "cancelled"
+
+
+def test_requeue_is_for_organizers(service: Service) -> None:
+    identity = service.upload(ARCHIVE).json()["id"]
+    problem_of(service.post(f"/submissions/{identity}/requeue"), 403, "forbidden")
+    problem_of(service.post(f"/submissions/{identity}/requeue", service.organizer_token), 409, "not_requeuable")
+    service.post(f"/submissions/{identity}/cancel")
+    answer = service.post(f"/submissions/{identity}/requeue", service.organizer_token)
+    assert (answer.status_code, answer.json()["evaluation"]["run"]) == (202, 2)
+
+
+@pytest.mark.parametrize("content_type", ["", "text/plain", "multipart/form-data; boundary=x", "application/gzip"])
+def test_other_content_types_are_refused(service: Service, content_type: str) -> None:
+    problem = problem_of(service.upload(ARCHIVE, Content_Type=content_type), 415, "unsupported_content_type")
+    assert problem["supported"] == ["application/zip"]
+    assert_nothing_left(service)
+
+
+def test_content_type_may_have_parameters_and_capitals(service: Service) -> None:
+    assert service.upload(ARCHIVE, Content_Type="Application/ZIP; q=1").status_code == 202
+
+
+@pytest.mark.parametrize("query", ["?track=track_9", "?track=../../etc/passwd", "?track="])
+def test_unknown_track_is_refused_with_the_list_of_tracks(service: Service, query: str) -> None:
+    problem = problem_of(service.upload(ARCHIVE, query=query), 404, "unknown_track")
+    assert TRACK in problem["tracks"]
+    assert_nothing_left(service)
+
+
+@pytest.mark.parametrize("kind", ["log", "text_log"])
+def test_kinds_that_are_not_taken_yet_are_refused_by_name(service: Service, kind: str) -> None:
+    problem_of(service.upload(ARCHIVE, query=f"?kind={kind}"), 422, "unsupported_submission_kind")
+
+
+def test_digest_that_came_along_is_verified(service: Service) -> None:
+    digest = hashlib.sha256(ARCHIVE)
+    good = f"sha-512=:AAAA:, sha-256=:{base64.b64encode(digest.digest()).decode()}:"
+    for headers in (
+        {"X_Content_SHA256": "0" * 64},
+        {"Content_Digest": "sha-256=:AAAA:"},
+        {"Content_Digest": "sha-256=:?:"},
+    ):
+        problem_of(service.upload(ARCHIVE, **headers), 400, "digest_mismatch")
+    assert_nothing_left(service)
+    assert service.upload(ARCHIVE, X_Content_SHA256=digest.hexdigest().upper()).status_code == 202
+    assert service.upload(ARCHIVE, Content_Digest=good).status_code == 200
+
+
+@pytest.mark.parametrize(
+    ("archive", "reason"),
+    [
+        (b"\x89PNG not a zip", "not_a_zip"),
+        (ARCHIVE[:-30], "damaged"),
+        (make_archive({"Track_1/../../escaped.py": "x"}), "parent_path"),
+        (make_archive({"/etc/cron.d/x": "x"}), "absolute_path"),
+        (make_archive({"Other/submission.yaml": MANIFEST}), "wrong_top_folder"),
+        (make_archive({f"Track_1/{n}": "" for n in range(10_000)}), "too_many_files"),
+        (
+            make_archive({"Track_1/submission.yaml": MANIFEST, "Track_1/bomb": b"\0" * (64 << 20)}),
+            "compressed_too_much",
+        ),
+    ],
+    ids=["junk", "truncated", "parent", "absolute", "top folder", "10000 files", "bomb"],
+)
+def test_archive_that_breaks_a_rule_is_refused_and_nothing_is_left(
+    service: Service, archive: bytes, reason: str
+) -> None:
+    problem = problem_of(service.upload(archive), 422, "archive_rejected")
+    assert problem["reason"] == reason
+    assert_nothing_left(service)
+
+
+@pytest.mark.parametrize(
+    ("manifest", "says"),
+    [
+        ("track: track_1\ntasks: [peg-insertion]\nnaem: x\n", "did you mean 'name'?"),
+        ("tasks: [peg-insertion]\nname: x\n", "Missing key 'track'"),
+        ("track: track_9\ntasks: [peg-insertion]\nname: x\n", "There is no track 'track_9'"),
+        ("track: track_1\ntasks: [juggling]\nname: x\n", "tasks are juggling, expected each once"),
+        ("!!python/object/apply:os.system ['true']\n", "not valid YAML"),
+    ],
+)
+def test_wrong_manifest_is_refused_with_what_is_wrong(service: Service, manifest: str, says: str) -> None:
+    problem = problem_of(service.upload(make_archive(manifest=manifest)), 422, "manifest_rejected")
+    assert says in problem["detail"]
+    assert_nothing_left(service)
+
+
+def test_missing_manifest_is_refused(service: Service) -> None:
+    problem_of(service.upload(make_archive({"Track_1/policy.py": POLICY})), 422, "manifest_rejected")
+    assert_nothing_left(service)
+
+
+def test_empty_body_is_refused(service: Service) -> None:
+    problem_of(service.upload(b""), 400, "upload_truncated")
+    assert_nothing_left(service)
+
+
+def test_size_limit_is_told_from_the_header_before_the_body_is_read(database: Database, tmp_path: Path) -> None:
+    with running_service(database, tmp_path, limits=Limits(archive_packed_bytes=1000)) as service:
+        answer = talk(service, head(service, "Content-Length: 1001", "Expect: 100-continue"))
+        assert answer.startswith("HTTP/1.1 413 ")
+        assert "connection: close" in answer
+        assert '"limit_bytes":1000' in answer
+        assert_nothing_left(service)
+
+
+def test_client_that_waits_for_continue_is_told_to_go_on(service: Service) -> None:
+    with socket.create_connection(service.address) as connection:
+        connection.sendall(
+            head(service, f"Content-Length: {len(ARCHIVE)}", "Expect: 100-continue", "Connection: close")
+        )
+        assert connection.recv(1000).startswith(b"HTTP/1.1 100 ")
+        connection.sendall(ARCHIVE)
+        assert read_all(connection).startswith("HTTP/1.1 202 ")
+
+
+def test_connection_that_breaks_in_the_middle_leaves_nothing(service: Service) -> None:
+    with socket.create_connection(service.address) as connection:
+        connection.sendall(head(service, f"Content-Length: {len(ARCHIVE)}") + ARCHIVE[:100])
+        eventually(lambda: bool(service.leftovers()))
+    eventually(lambda: not list(service.settings.scratch_dir.iterdir()))
+    assert_nothing_left(service)
+
+
+def test_upload_that_falls_silent_is_given_up(database: Database, tmp_path: Path) -> None:
+    with running_service(database, tmp_path, upload_silence_s=0.1) as service:
+        answer = talk(service, head(service, f"Content-Length: {len(ARCHIVE)}") + ARCHIVE[:100])
+        assert answer.startswith("HTTP/1.1 400 ")
+        assert "upload_truncated" in answer
+        assert_nothing_left(service)
+
+
+def test_only_so_many_uploads_of_a_team_at_once(database: Database, tmp_path: Path) -> None:
+    with (
+        running_service(database, tmp_path, uploads_at_once=1) as service,
+        socket.create_connection(service.address) as connection,
+    ):
+        connection.sendall(head(service, f"Content-Length: {len(ARCHIVE)}") + ARCHIVE[:100])
+        eventually(lambda: bool(service.leftovers()))
+        problem_of(service.upload(ARCHIVE), 429, "too_many_requests")
+        assert service.upload(ARCHIVE, service.other_token).status_code == 202
+        connection.sendall(ARCHIVE[100:])
+        eventually(lambda: count(service, "submissions") == 2)
+
+
+def head(service: Service, *headers: str) -> bytes:
+    lines = ("POST /api/v1/submissions HTTP/1.1", "Host: test", "Content-Type: application/zip", *headers)
+    return "\r\n".join((*lines, f"Authorization: Bearer {service.token}", "", "")).encode()
+
+
+def talk(service: Service, request: bytes) -> str:
+    with socket.create_connection(service.address) as connection:
+        connection.sendall(request)
+        return read_all(connection)
+
+
+def read_all(connection: socket.socket) -> str:
+    connection.settimeout(10.0)
+    received = b""
+    while chunk := connection.recv(65536):
+        received += chunk
+    return received.decode()
+
+
+def eventually(holds: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 20.0
+    while not holds():
+        assert time.monotonic() < deadline, "did not happen in time"
+        time.sleep(0.01)
+
+
+def test_chunked_body_is_cut_at_the_limit(database: Database, tmp_path: Path) -> None:
+    with running_service(database, tmp_path, limits=Limits(archive_packed_bytes=1000)) as service:
+        problem_of(service.upload(iter([b"x" * 600] * 3)), 413, "upload_too_large")
+        assert_nothing_left(service)
+
+
+def test_wrong_parameters_are_problems_that_name_the_place(service: Service) -> None:
+    problem = problem_of(service.get("/submissions?limit=1000"), 422, "invalid_request")
+    assert problem["errors"][0]["place"] == "query.limit"
+    problem_of(service.get("/submissions/not-a-uuid"), 422, "invalid_request")
+
+
+def test_no_route_no_method_are_problems(service: Service) -> None:
+    problem_of(service.get("/nothing"), 404, "not_found")
+    answer = service.client.delete("/api/v1/submissions")
+    problem_of(answer, 405, "method_not_allowed")
+    assert "POST" in answer.headers["allow"]
+
+
+def test_events_show_the_submission_and_end_when_it_has_ended(service: Service) -> None:
+    identity = service.upload(ARCHIVE).json()["id"]
+    play_all(service.database, submission_of(service, identity))
+    with service.client.stream(
+        "GET", f"/api/v1/submissions/{identity}/events", headers=bearer(service.token)
+    ) as answer:
+        assert answer.headers["content-type"].startswith("text/event-stream")
+        lines = [line for line in answer.iter_lines() if line]
+    assert [line for line in lines if line.startswith("event: ")] == ["event: submission", "event: end"]
+    data = next(line.removeprefix("data: ") for line in lines if line.startswith("data: "))
+    assert json.loads(data)["evaluation"]["state"] == "completed"
+
+
+def test_database_that_is_away_is_a_problem_with_retry_after(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(submissions, "list_submissions", lambda *_, **__: _lose_connection(service))
+    answer = service.get("/submissions")
+    problem_of(answer, 503, "database_unavailable")
+    assert answer.headers["retry-after"] == "2"
+
+
+def _lose_connection(service: Service) -> None:
+    with service.database.transaction() as session:
+        session.execute(text("SELECT pg_terminate_backend(pg_backend_pid())"))
+
+
+def test_bug_is_a_problem_without_details(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(submissions, "list_submissions", lambda *_, **__: 1 / 0)
+    assert "zero" not in problem_of(service.get("/submissions"), 500, "internal_error")["detail"]

@@ -1,0 +1,95 @@
+from pathlib import Path
+
+import pytest
+from service_client import Service, bearer, problem_of, running_service
+from service_factories import TRACK
+from vitac.server.db.engine import Database
+
+
+def test_registered_team_gets_a_token_that_works_and_is_shown_once(service: Service) -> None:
+    answer = service.client.post("/api/v1/teams", json={"name": "New", "contact": "new@example.org"})
+    assert answer.status_code == 201
+    token = answer.json()["token"]
+    assert (token["role"], token["team"], token["expires_at"] is not None) == ("team", "New", True)
+    me = service.get("/me", token["secret"]).json()
+    assert (me["role"], me["team"], me["token"]["id"]) == ("team", answer.json()["team"], token["id"])
+    listed = service.get("/tokens", token["secret"]).json()["items"]
+    assert [item["id"] for item in listed] == [token["id"]]
+    assert "secret" not in listed[0]
+
+
+def test_team_name_that_is_taken_or_wrong_is_refused(service: Service) -> None:
+    problem_of(service.client.post("/api/v1/teams", json={"name": "TEAM A"}), 409, "team_exists")
+    bodies: tuple[object, ...] = ({}, {"name": "x"}, {"name": "ok", "extra": 1}, {"name": "ok", "contact": "a\nb"}, [])
+    for body in bodies:
+        problem_of(service.client.post("/api/v1/teams", json=body), 422, "invalid_request")
+
+
+def test_closed_registration_is_for_organizers(database: Database, tmp_path: Path) -> None:
+    with running_service(database, tmp_path, registration="closed") as service:
+        body = {"name": "New"}
+        problem_of(service.client.post("/api/v1/teams", json=body), 403, "registration_closed")
+        problem_of(service.post("/teams", json=body), 403, "registration_closed")
+        assert service.post("/teams", service.organizer_token, json=body).status_code == 201
+
+
+def test_one_address_registers_only_so_many_teams_an_hour(database: Database, tmp_path: Path) -> None:
+    with running_service(database, tmp_path, registrations_per_hour=2) as service:
+        for name in ("one", "two"):
+            assert service.client.post("/api/v1/teams", json={"name": name}).status_code == 201
+        answer = service.client.post("/api/v1/teams", json={"name": "three"})
+        problem_of(answer, 429, "too_many_requests")
+        assert int(answer.headers["retry-after"]) > 3000
+        assert service.post("/teams", service.organizer_token, json={"name": "three"}).status_code == 201
+
+
+def test_team_makes_and_revokes_further_tokens(service: Service) -> None:
+    answer = service.post("/tokens", json={"label": "laptop", "expires_in_days": 3})
+    assert (answer.status_code, answer.json()["label"]) == (201, "laptop")
+    secret, identity = answer.json()["secret"], answer.json()["id"]
+    assert service.get("/me", secret).status_code == 200
+    assert service.client.delete(f"/api/v1/tokens/{identity}", headers=bearer(service.token)).status_code == 204
+    problem_of(service.get("/me", secret), 401, "invalid_credentials")
+
+
+def test_foreign_token_cannot_be_revoked(service: Service) -> None:
+    identity = service.get("/tokens").json()["items"][0]["id"]
+    answer = service.client.delete(f"/api/v1/tokens/{identity}", headers=bearer(service.other_token))
+    problem_of(answer, 404, "not_found")
+    assert service.get("/me").status_code == 200
+
+
+def test_only_organizers_make_tokens_for_others_and_for_organizers(service: Service) -> None:
+    problem_of(service.post("/tokens", json={"label": "x", "team": "Team B"}), 403, "forbidden")
+    made = service.post("/tokens", service.organizer_token, json={"label": "x", "team": "Team B"}).json()
+    assert service.get("/me", made["secret"]).json()["team"]["name"] == "Team B"
+    organizer = service.post("/tokens", service.organizer_token, json={"label": "x"}).json()
+    assert service.get("/me", organizer["secret"]).json() == {
+        "role": "organizer",
+        "team": None,
+        "token": service.get("/me", organizer["secret"]).json()["token"],
+    }
+
+
+@pytest.mark.parametrize("days", [0, -1, 100_000])
+def test_lifetime_has_bounds(service: Service, days: int) -> None:
+    problem_of(service.post("/tokens", json={"label": "x", "expires_in_days": days}), 422, "invalid_request")
+
+
+def test_every_route_of_the_api_but_the_public_ones_needs_a_token(service: Service) -> None:
+    public = {
+        ("post", "/api/v1/teams"),
+        ("get", "/api/v1/tracks"),
+        ("get", "/api/v1/tracks/{track}"),
+        ("get", "/api/v1/leaderboards/{track}"),
+        ("get", "/health"),
+        ("get", "/ready"),
+    }
+    document = service.client.get("/openapi.json").json()
+    routes = {(method, path) for path, methods in document["paths"].items() for method in methods}
+    assert public <= routes
+    for method, path in routes - public:
+        url = path.format(submission_id="00000000-0000-0000-0000-000000000000", token_id="0" * 32, track=TRACK)
+        answer = service.client.request(method, url)
+        problem_of(answer, 401, "missing_credentials")
+    assert len(routes - public) >= 10

@@ -1,0 +1,70 @@
+from collections.abc import Callable
+
+from service_client import Service, make_archive, problem_of
+from service_factories import TASK, TRACK, make_record, play_all
+from sqlalchemy import text
+from vitac.evaluator.records import EpisodeOutcome, EpisodeRecord
+from vitac.server.db.models import Submission
+
+RecordOf = Callable[[int], EpisodeRecord]
+
+
+def successes_below(limit: int) -> RecordOf:
+    return lambda n: make_record(n, EpisodeOutcome.SUCCESS if n < limit else EpisodeOutcome.STEPS)
+
+
+def evaluated(service: Service, token: str, policy: str, record_of: RecordOf) -> str:
+    answer = service.upload(make_archive(policy=policy), token)
+    with service.database.transaction() as session:
+        submission = session.get_one(Submission, answer.json()["id"])
+    play_all(service.database, submission, record_of)
+    return str(submission.id)
+
+
+def test_tracks_tell_tasks_and_limits_to_everybody(service: Service) -> None:
+    listed = service.client.get("/api/v1/tracks").json()["items"]
+    track = next(item for item in listed if item["name"] == TRACK)
+    assert service.client.get(f"/api/v1/tracks/{TRACK}").json() == track
+    assert next(task["episodes"] for task in track["tasks"] if task["name"] == TASK) == 270
+    assert track["limits"]["archive_packed_bytes"] == service.settings.limits.archive_packed_bytes
+    problem_of(service.client.get("/api/v1/tracks/none"), 404, "unknown_track")
+
+
+def test_empty_leaderboard_has_no_entries_and_unknown_one_is_refused(service: Service) -> None:
+    board = service.client.get(f"/api/v1/leaderboards/{TRACK}").json()
+    assert (board["entries"], board["teams"], board["track"]) == ([], 0, TRACK)
+    problem_of(service.client.get("/api/v1/leaderboards/none"), 404, "unknown_track")
+
+
+def test_leaderboard_shows_the_best_completed_entry_of_each_team(service: Service) -> None:
+    evaluated(service, service.token, "x = 1", successes_below(100))
+    best = evaluated(service, service.token, "x = 2", successes_below(200))
+    evaluated(service, service.token, "x = 3", successes_below(50))
+    winner = evaluated(service, service.other_token, "x = 4", successes_below(201))
+    service.upload(make_archive(policy="x = 5"), service.other_token)
+    board = service.client.get(f"/api/v1/leaderboards/{TRACK}").json()
+    assert [(entry["rank"], entry["submission_id"]) for entry in board["entries"]] == [(1, winner), (2, best)]
+    first = board["entries"][0]
+    assert (first["team"], first["episodes"], first["successes"], first["mean_steps"]) == ("Team B", 270, 200, 3.0)
+    low, high = first["success_rate_interval"]
+    assert low < first["success_rate"] < high
+    assert [shape["episodes"] for shape in first["scores"][0]["shapes"]] == [90, 90, 90]
+
+
+def test_of_equal_scores_the_earlier_submission_ranks_first(service: Service) -> None:
+    first = evaluated(service, service.other_token, "x = 1", successes_below(100))
+    second = evaluated(service, service.token, "x = 2", successes_below(100))
+    board = service.client.get(f"/api/v1/leaderboards/{TRACK}").json()
+    assert [entry["submission_id"] for entry in board["entries"]] == [first, second]
+
+
+def test_entry_of_another_evaluator_version_is_shown_but_not_ranked(service: Service) -> None:
+    old = evaluated(service, service.token, "x = 1", successes_below(270))
+    with service.database.transaction() as session:
+        session.execute(text("UPDATE evaluations SET evaluator_version = 'old'"))
+    new = evaluated(service, service.other_token, "x = 2", successes_below(10))
+    board = service.client.get(f"/api/v1/leaderboards/{TRACK}").json()
+    assert [(entry["rank"], entry["stale"], entry["submission_id"]) for entry in board["entries"]] == [
+        (1, False, new),
+        (None, True, old),
+    ]

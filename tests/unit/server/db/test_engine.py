@@ -1,0 +1,76 @@
+import psycopg
+import pytest
+from sqlalchemy import text
+from sqlalchemy.exc import DBAPIError
+from sqlalchemy.orm import Session
+from vitac.server.db.engine import Database, is_connection_loss, sqlalchemy_url
+
+
+def lose_connection(session: Session) -> None:
+    session.execute(text("SELECT pg_terminate_backend(pg_backend_pid())"))
+
+
+def test_work_is_repeated_until_the_database_is_back(database: Database) -> None:
+    tries: list[int] = []
+
+    def work(session: Session) -> str:
+        tries.append(len(tries))
+        if len(tries) < 4:
+            lose_connection(session)
+        return "done"
+
+    assert database.retrying(work, give_up_after_s=30.0) == "done"
+    assert tries == [0, 1, 2, 3]
+
+
+def test_work_of_a_lost_transaction_is_not_half_done(database: Database) -> None:
+    def work(session: Session) -> None:
+        session.execute(text("INSERT INTO audit_log (actor, action, subject, detail) VALUES ('a', 'b', 'c', '{}')"))
+        if len(tries) == 0:
+            tries.append(1)
+            lose_connection(session)
+
+    tries: list[int] = []
+    database.retrying(work, give_up_after_s=30.0)
+    with database.transaction() as session:
+        assert session.scalar(text("SELECT count(*) FROM audit_log")) == 1
+
+
+def test_patience_ends(database: Database) -> None:
+    with pytest.raises(DBAPIError):
+        database.retrying(lose_connection, give_up_after_s=0.0)
+
+
+def test_wrong_statement_is_not_repeated(database: Database) -> None:
+    tries: list[int] = []
+
+    def work(session: Session) -> None:
+        tries.append(1)
+        session.execute(text("SELECT 1 / 0"))
+
+    with pytest.raises(DBAPIError) as failed:
+        database.retrying(work, give_up_after_s=30.0)
+    assert not is_connection_loss(failed.value)
+    assert len(tries) == 1
+
+
+def test_server_that_is_not_there_is_a_connection_loss() -> None:
+    away = Database("postgresql://nobody@/none?host=/nowhere")
+    with pytest.raises(DBAPIError) as failed, away.transaction() as session:
+        session.execute(text("SELECT 1"))
+    assert is_connection_loss(failed.value)
+
+
+def test_pooled_connection_that_died_is_replaced(database: Database) -> None:
+    with database.transaction() as session:
+        backend = session.scalar(text("SELECT pg_backend_pid()"))
+    with psycopg.connect(database.address) as other:
+        other.execute("SELECT pg_terminate_backend(%s)", [backend])
+    with database.transaction() as session:
+        assert session.scalar(text("SELECT 1")) == 1
+
+
+@pytest.mark.parametrize("scheme", ["postgresql", "postgres+psycopg", "postgresql+psycopg"])
+def test_address_gets_the_driver_and_keeps_password_and_socket_folder(scheme: str) -> None:
+    address = f"{scheme}://user:pass%40word@/name?host=%2Ftmp%2Fx"
+    assert sqlalchemy_url(address) == "postgresql+psycopg://user:pass%40word@/name?host=%2Ftmp%2Fx"

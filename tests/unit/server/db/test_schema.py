@@ -1,0 +1,182 @@
+import shutil
+import threading
+from collections.abc import Iterator, Mapping
+from enum import StrEnum
+from itertools import product
+from pathlib import Path
+
+import psycopg
+import pytest
+from alembic.autogenerate import compare_metadata
+from alembic.migration import MigrationContext
+from procrastinate.schema import SchemaManager
+from service_database import FAST, fresh_database, state_directory
+from sqlalchemy import text
+from sqlalchemy.exc import IntegrityError, OperationalError
+from vitac.migrations.versions import v0002_state_machines as state_machines
+from vitac.migrations.versions import v0003_queue as queue_migration
+from vitac.server.db.embedded import EmbeddedPostgres
+from vitac.server.db.engine import Database
+from vitac.server.db.models import Base
+from vitac.server.db.postgres_binaries import DEBIAN_ROOT, OLDEST_MAJOR, inspect_bin_dir
+from vitac.server.db.schema import downgrade, installed_revision, is_current, newest_revision, upgrade
+from vitac.server.db.states import EVALUATION_TRANSITIONS, SHARD_TRANSITIONS
+
+OLDEST = DEBIAN_ROOT / str(OLDEST_MAJOR) / "bin"
+CONSTRAINTS = """
+    SELECT conrelid::regclass::text, conname, pg_get_constraintdef(oid) FROM pg_constraint
+    WHERE connamespace = 'public'::regnamespace AND conrelid::regclass::text !~ '^(procrastinate|alembic)'
+    ORDER BY 1, 2
+"""
+INDEXES = """
+    SELECT tablename, indexname, indexdef FROM pg_indexes
+    WHERE schemaname = 'public' AND tablename !~ '^(procrastinate|alembic)' ORDER BY 1, 2
+"""
+
+
+@pytest.fixture
+def migrated() -> Iterator[Database]:
+    with fresh_database() as address:
+        database = Database(address)
+        yield database
+        database.dispose()
+
+
+@pytest.fixture
+def empty() -> Iterator[Database]:
+    with fresh_database(template="template0") as address:
+        database = Database(address)
+        yield database
+        database.dispose()
+
+
+def rows(database: Database, query: str) -> list[tuple[object, ...]]:
+    with database.engine.connect() as connection:
+        return [tuple(row) for row in connection.execute(text(query))]
+
+
+def test_columns_of_models_and_migrations_agree(migrated: Database) -> None:
+    def ours(thing: object, name: str | None, kind: str, *_: object) -> bool:
+        return not (kind == "table" and (name or "").startswith(("procrastinate", "alembic")))
+
+    with migrated.engine.connect() as connection:
+        options = {"include_object": ours, "compare_type": True, "compare_server_default": True}
+        difference = compare_metadata(MigrationContext.configure(connection, opts=options), Base.metadata)
+    assert difference == []
+
+
+def test_constraints_and_indexes_of_models_and_migrations_agree(migrated: Database, empty: Database) -> None:
+    Base.metadata.create_all(empty.engine)
+    assert rows(migrated, CONSTRAINTS) == rows(empty, CONSTRAINTS)
+    assert rows(migrated, INDEXES) == rows(empty, INDEXES)
+
+
+def test_upgrade_of_an_empty_database_reaches_the_newest_revision_and_is_repeatable(empty: Database) -> None:
+    assert not is_current(empty)
+    upgrade(empty)
+    upgrade(empty)
+    assert is_current(empty)
+
+
+def test_downgrade_takes_everything_back(empty: Database) -> None:
+    upgrade(empty)
+    downgrade(empty, "base")
+    assert rows(empty, "SELECT tablename FROM pg_tables WHERE schemaname = 'public'") == [("alembic_version",)]
+    assert rows(empty, "SELECT proname FROM pg_proc WHERE pronamespace = 'public'::regnamespace") == []
+    upgrade(empty)
+    with empty.engine.connect() as connection:
+        assert installed_revision(connection) == newest_revision()
+
+
+def test_migration_gives_up_on_a_locked_table_instead_of_queueing_behind_it(empty: Database) -> None:
+    upgrade(empty)
+    downgrade(empty, "0001")
+    with psycopg.connect(empty.address) as blocker:
+        blocker.execute("LOCK TABLE shards IN ROW EXCLUSIVE MODE")
+        with pytest.raises(OperationalError, match="lock timeout"):
+            upgrade(empty, lock_timeout_s=0.2)
+    upgrade(empty)
+    assert is_current(empty)
+
+
+def test_queue_schema_is_the_one_of_the_installed_procrastinate(migrated: Database, empty: Database) -> None:
+    newest = max(path.name for path in _queue_migrations())
+    assert newest == queue_migration.LAST_QUEUE_MIGRATION, (
+        "procrastinate has new migrations: add one of ours that runs them"
+    )
+    with psycopg.connect(empty.address) as connection:
+        connection.execute(SchemaManager.get_schema())
+    functions = "SELECT proname FROM pg_proc WHERE proname LIKE 'procrastinate%' ORDER BY 1"
+    assert rows(migrated, functions) == rows(empty, functions)
+
+
+def _queue_migrations() -> Iterator[Path]:
+    return Path(SchemaManager.get_migrations_path()).glob("*.sql")
+
+
+@pytest.mark.parametrize(
+    ("table", "transitions"), [("evaluations", EVALUATION_TRANSITIONS), ("shards", SHARD_TRANSITIONS)]
+)
+def test_sql_allows_exactly_the_transitions_of_the_table(
+    table: str, transitions: Mapping[StrEnum, frozenset[StrEnum]]
+) -> None:
+    allowed = {(old.value, new.value) for old, following in transitions.items() for new in following}
+    assert set(state_machines.TRANSITIONS[table]) == allowed
+    with fresh_database() as address, psycopg.connect(address, autocommit=True) as connection:
+        # The trigger alone, on a bare table of the same name: other constraints would hide what it lets through.
+        connection.execute("CREATE SCHEMA bare")
+        connection.execute(f"CREATE TABLE bare.{table} (id int, state text)")
+        connection.execute(
+            f"CREATE TRIGGER t BEFORE UPDATE OF state ON bare.{table} FOR EACH ROW "
+            f"WHEN (OLD.state IS DISTINCT FROM NEW.state) EXECUTE FUNCTION public.check_{table}_transition()"
+        )
+        for old, new in product(transitions, repeat=2):
+            connection.execute(f"TRUNCATE bare.{table}")
+            connection.execute(f"INSERT INTO bare.{table} VALUES (1, %s)", [old.value])  # noqa: S608 - fixed table names
+            try:
+                connection.execute(f"UPDATE bare.{table} SET state = %s", [new.value])  # noqa: S608
+                done = True
+            except psycopg.errors.CheckViolation:
+                done = False
+            assert done == (old == new or (old.value, new.value) in allowed), (old, new)
+
+
+def test_audit_log_refuses_change_and_deletion(migrated: Database) -> None:
+    insert = "INSERT INTO audit_log (actor, action, subject, detail) VALUES ('a', 'b', 'c', '{}')"
+    with migrated.engine.begin() as connection:
+        connection.execute(text(insert))
+    for change in ("UPDATE audit_log SET actor = 'x'", "DELETE FROM audit_log"):
+        with pytest.raises(IntegrityError, match="append-only"), migrated.engine.begin() as connection:
+            connection.execute(text(change))
+
+
+def test_queue_migration_that_was_interrupted_is_made_good(empty: Database) -> None:
+    upgrade(empty)
+    downgrade(empty, "0002")
+    first = min(_queue_migrations(), key=lambda path: path.name)
+    with psycopg.connect(empty.address) as connection:
+        connection.execute(first.read_text())
+    upgrade(empty)
+    assert is_current(empty)
+
+
+def test_many_processes_may_upgrade_at_once(empty: Database) -> None:
+    threads = [threading.Thread(target=upgrade, args=(empty,)) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert is_current(empty)
+    assert rows(empty, "SELECT version_num FROM alembic_version") == [(newest_revision(),)]
+
+
+@pytest.mark.skipif(inspect_bin_dir(OLDEST) is None, reason=f"no PostgreSQL in {OLDEST}")
+def test_schema_works_on_the_oldest_supported_postgres() -> None:
+    folder = state_directory()
+    with EmbeddedPostgres(folder, bin_dir=OLDEST, options=FAST) as postgres:
+        database = Database(postgres.cluster.dsn())
+        upgrade(database)
+        assert is_current(database)
+        downgrade(database, "base")
+        database.dispose()
+    shutil.rmtree(folder)

@@ -1,0 +1,144 @@
+from datetime import timedelta
+
+import pytest
+from service_factories import (
+    claim,
+    make_principal,
+    make_record,
+    make_settings,
+    play,
+    shard_ids,
+    state_of,
+    store,
+    submit,
+)
+from sqlalchemy import text
+from vitac.server import submissions
+from vitac.server.db.engine import Database
+from vitac.server.db.models import Submission
+from vitac.server.db.states import EvaluationState, ShardState
+from vitac.server.queue.jobs import prune_finished_jobs
+from vitac.server.queue.leases import LeaseLost
+from vitac.server.queue.sweep import SWEEP_LOCK, Sweep, sweep
+from vitac.server.settings import Settings
+
+SETTINGS = make_settings(lease_s=0.003, lease_renewal_s=0.001)
+"""Leases that have run out by the time of the next statement."""
+
+
+@pytest.fixture
+def submission(database: Database) -> Submission:
+    with database.transaction() as session:
+        return submit(session, make_principal(session))
+
+
+def ids_of(database: Database, submission: Submission) -> list[int]:
+    with database.transaction() as session:
+        return shard_ids(session, submission)
+
+
+def run_sweep(database: Database, settings: Settings = SETTINGS) -> Sweep:
+    with database.transaction() as session:
+        session.execute(text("SELECT pg_sleep(0.01)"))
+        return sweep(session, settings)
+
+
+def jobs(database: Database, status: str = "todo") -> list[int]:
+    query = "SELECT (args ->> 'shard_id')::bigint FROM procrastinate_jobs WHERE status::text = :status"
+    with database.transaction() as session:
+        return sorted(session.execute(text(query), {"status": status}).scalars())
+
+
+def forget_jobs(database: Database) -> None:
+    with database.transaction() as session:
+        session.execute(text("DELETE FROM procrastinate_jobs"))
+
+
+def test_shard_with_an_expired_lease_is_queued_again_and_its_worker_fenced_off(
+    database: Database, submission: Submission
+) -> None:
+    first = ids_of(database, submission)[0]
+    lost = claim(database, first, lease_s=0.001)
+    forget_jobs(database)
+    assert run_sweep(database).queued_again == 1
+    assert first in jobs(database)
+    with pytest.raises(LeaseLost):
+        store(database, lost, [make_record(1)])
+    play(database, first)
+
+
+def test_shard_with_a_living_lease_is_left_alone(database: Database, submission: Submission) -> None:
+    first = ids_of(database, submission)[0]
+    claim(database, first, lease_s=60.0)
+    assert run_sweep(database).queued_again == 0
+    with database.transaction() as session:
+        assert state_of(session, first) is ShardState.RUNNING
+
+
+def test_right_after_a_restart_of_the_database_workers_get_time_to_renew(
+    database: Database, submission: Submission
+) -> None:
+    first = ids_of(database, submission)[0]
+    claim(database, first, lease_s=0.001)
+    long_lease = make_settings(lease_s=86400.0)
+    assert run_sweep(database, long_lease).queued_again == 0
+
+
+def test_evaluation_fails_by_name_when_a_shard_was_lost_in_all_its_attempts(
+    database: Database, submission: Submission
+) -> None:
+    first = ids_of(database, submission)[0]
+    for _ in range(2):
+        claim(database, first, lease_s=0.001)
+        assert run_sweep(database).queued_again == 1
+    claim(database, first, lease_s=0.001)
+    assert run_sweep(database) == Sweep(given_up=1)
+    with database.transaction() as session:
+        evaluation = submissions.newest_evaluation(session, submission)
+        assert evaluation.state is EvaluationState.FAILED
+        assert evaluation.verdict_code == "machine_failed"
+        assert "Episodes 1 to 30 of peg-insertion were started 3 times" in (evaluation.verdict_message or "")
+        assert {shard.state for shard in evaluation.shards} == {ShardState.CANCELLED}
+    assert jobs(database) == []
+
+
+def test_queued_shard_whose_job_was_lost_gets_a_new_one_once(database: Database, submission: Submission) -> None:
+    forget_jobs(database)
+    assert run_sweep(database).woken == 9
+    assert jobs(database) == ids_of(database, submission)
+    assert run_sweep(database).woken == 0
+
+
+def test_job_that_was_just_taken_is_given_time_to_claim_its_shard(database: Database, submission: Submission) -> None:
+    with database.transaction() as session:
+        session.execute(text("UPDATE procrastinate_jobs SET status = 'doing'"))
+        session.execute(text("UPDATE shards SET queued_at = now() - interval '1 day'"))
+    assert run_sweep(database, make_settings(lease_s=60.0)).woken == 0
+    with database.transaction() as session:
+        session.execute(text("UPDATE procrastinate_events SET at = now() - interval '1 day'"))
+    assert run_sweep(database, make_settings(lease_s=60.0)).woken == 9
+
+
+def test_two_sweeps_at_once_do_the_work_of_one(database: Database, submission: Submission) -> None:
+    forget_jobs(database)
+    with database.transaction() as session:
+        session.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": SWEEP_LOCK})
+        assert run_sweep(database) == Sweep()
+    assert run_sweep(database).woken == 9
+
+
+def test_jobs_left_running_by_a_dead_worker_are_forgotten(database: Database, submission: Submission) -> None:
+    with database.transaction() as session:
+        session.execute(text("UPDATE procrastinate_jobs SET status = 'doing'"))
+    run_sweep(database)
+    assert jobs(database, "doing") == []
+    assert jobs(database) == ids_of(database, submission)
+
+
+def test_finished_jobs_are_pruned_by_age(database: Database, submission: Submission) -> None:
+    with database.transaction() as session:
+        session.execute(text("UPDATE procrastinate_jobs SET status = 'doing'"))
+        session.execute(text("UPDATE procrastinate_jobs SET status = 'succeeded'"))
+    with database.transaction() as session:
+        assert prune_finished_jobs(session, timedelta(hours=1)) == 0
+        assert prune_finished_jobs(session, timedelta(0)) == 9

@@ -1,0 +1,78 @@
+import hashlib
+import os
+import time
+from datetime import timedelta
+from pathlib import Path
+
+import pytest
+from service_factories import claim, make_principal, make_settings, make_upload, shard_ids, state_of
+from sqlalchemy import text
+from vitac.server import housekeeping, submissions
+from vitac.server.db.engine import Database
+from vitac.server.db.states import ShardState
+from vitac.server.housekeeping import Housekeeping, prune
+from vitac.server.services import Services
+from vitac.server.storage.blobs import BlobStore
+from worker_fakes import eventually
+
+
+@pytest.fixture
+def services(database: Database, tmp_path: Path) -> Services:
+    settings = make_settings(state_dir=tmp_path, lease_s=0.4, lease_renewal_s=0.1, sweep_interval_s=0.05)
+    settings.scratch_dir.mkdir()
+    return Services(settings=settings, database=database, blobs=BlobStore.from_settings(settings), postgres=None)
+
+
+def put(services: Services, content: bytes) -> str:
+    path = services.settings.state_dir / "source"
+    path.write_bytes(content)
+    digest = hashlib.sha256(content).hexdigest()
+    services.blobs.put(path, digest)
+    return digest
+
+
+def test_lost_shards_are_found_in_the_background_also_after_the_database_was_away(services: Services) -> None:
+    with services.database.transaction() as session:
+        submission = submissions.create(session, make_principal(session), make_upload())[0]
+        first = shard_ids(session, submission)[0]
+    claim(services.database, first, lease_s=0.1)
+    keeper = Housekeeping(services)
+    keeper.start()
+    with services.database.transaction() as session:
+        session.execute(
+            text(
+                "SELECT pg_terminate_backend(pid) FROM pg_stat_activity "
+                "WHERE datname = current_database() AND pid <> pg_backend_pid()"
+            )
+        )
+
+    def is_queued_again() -> bool:
+        with services.database.transaction() as session:
+            return bool(state_of(session, first) is ShardState.QUEUED)
+
+    eventually(is_queued_again)
+    keeper.stop()
+
+
+def test_files_without_a_submission_are_removed_when_old(services: Services, monkeypatch: pytest.MonkeyPatch) -> None:
+    kept, orphan = put(services, b"kept"), put(services, b"orphan")
+    with services.database.transaction() as session:
+        submissions.create(session, make_principal(session), make_upload(archive_sha256=kept))
+    prune(services)
+    assert services.blobs.holds(orphan)
+    monkeypatch.setattr(housekeeping, "ORPHAN_KEPT", timedelta(seconds=-5))
+    prune(services)
+    assert services.blobs.holds(kept)
+    assert not services.blobs.holds(orphan)
+
+
+def test_leftovers_of_interrupted_uploads_are_removed_when_old(services: Services) -> None:
+    new, old = (services.settings.scratch_dir / f"upload-{name}" for name in ("new", "old"))
+    for folder in (new, old):
+        folder.mkdir()
+        (folder / "archive.zip").write_bytes(b"half")
+    long_ago = time.time() - 2 * housekeeping.ORPHAN_KEPT.total_seconds()
+    os.utime(old, (long_ago, long_ago))
+    prune(services)
+    assert new.is_dir()
+    assert not old.exists()

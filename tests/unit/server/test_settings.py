@@ -1,0 +1,82 @@
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from pydantic import ValidationError
+from vitac.server.errors import SettingsError
+from vitac.server.settings import Registration, load_settings
+from vitac.server.state_directory import choose_state_directory, others_can_enter
+
+
+def test_values_come_from_the_environment_and_arguments_win(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("VITAC_STATE_DIR", str(tmp_path))
+    monkeypatch.setenv("VITAC_REGISTRATION", "closed")
+    monkeypatch.setenv("VITAC_PORT", "9000")
+    monkeypatch.setenv("VITAC_LIMITS__MEMORY_BYTES", "1000000")
+    settings = load_settings(port=0)
+    assert (settings.state_dir, settings.registration, settings.port) == (tmp_path, Registration.CLOSED, 0)
+    assert settings.limits.memory_bytes == 1_000_000
+    assert settings.limits.processes == 64
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "says"),
+    [
+        ("VITAC_PORT", "many", "VITAC_PORT is 'many'"),
+        ("VITAC_REGISTRATION", "maybe", "'open' or 'closed'"),
+        ("VITAC_LEASE_S", "2", "at least three renewals"),
+    ],
+)
+def test_wrong_value_names_the_variable(monkeypatch: pytest.MonkeyPatch, name: str, value: str, says: str) -> None:
+    monkeypatch.setenv(name, value)
+    with pytest.raises(SettingsError) as refused:
+        load_settings()
+    assert says in str(refused.value)
+
+
+def test_settings_cannot_be_changed_and_do_not_show_secrets() -> None:
+    settings = load_settings(database_url="postgresql://u:hidden@h/d")
+    with pytest.raises(ValidationError):
+        settings.port = 1
+    assert "hidden" not in repr(settings)
+
+
+def test_state_lives_in_the_checkout_or_the_users_state_folder(tmp_path: Path) -> None:
+    user_state, system = tmp_path / "user", tmp_path / "system"
+    checkout = tmp_path / "checkout"
+
+    def choose(checkout: Path | None) -> Path:
+        return choose_state_directory(checkout=checkout, user_state=user_state, is_root=False, system_state=system)
+
+    assert choose(checkout) == checkout / ".state"
+    assert choose(None) == user_state / "vitac-arena"
+
+
+def test_root_gets_a_system_folder_per_checkout_where_others_cannot_enter(tmp_path: Path) -> None:
+    tmp_path.chmod(0o700)
+    system = Path("/var/lib/x")
+
+    def choose(checkout: Path | None) -> Path:
+        return choose_state_directory(checkout=checkout, user_state=tmp_path, is_root=True, system_state=system)
+
+    one, two = choose(tmp_path / "one"), choose(tmp_path / "two")
+    assert one.parent == two.parent == system
+    assert one != two
+    assert choose(None) == system / "default"
+    assert choose(Path("/usr/src/checkout")) == Path("/usr/src/checkout/.state")
+
+
+def test_a_folder_that_does_not_exist_yet_is_judged_by_those_above(tmp_path: Path) -> None:
+    assert others_can_enter(Path("/usr/not/there"))
+    tmp_path.chmod(0o700)
+    assert not others_can_enter(tmp_path / "not" / "there")
+
+
+def test_server_imports_no_simulation_and_no_learning_library() -> None:
+    program = (
+        "import sys, vitac.server.api.app, vitac.server.services;"
+        "print(sorted({'numba', 'torch', 'sapien', 'scipy'} & sys.modules.keys()))"
+    )
+    answer = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert answer.stdout.strip() == "[]"

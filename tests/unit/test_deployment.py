@@ -1,0 +1,129 @@
+"""The compose file and the images agree with each other, with the settings and with the security model.
+
+No container engine is needed: the file is read as the compose model reads it (merge keys, interpolation), with every
+key checked against those that this project uses on purpose.
+"""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from vitac.server.settings import Settings
+
+SERVICE_KEYS = {
+    *("build", "cap_drop", "depends_on", "environment", "healthcheck", "image", "init", "mem_limit", "networks"),
+    *("pids_limit", "ports", "read_only", "restart", "security_opt", "shm_size", "stop_grace_period", "tmpfs"),
+    "volumes",
+}
+HEALTHCHECK_KEYS = {"test", "interval", "timeout", "retries", "start_period"}
+VARIABLE = re.compile(r"\$\{([A-Z_]+)(:[-?][^}]*)?\}")
+
+
+@pytest.fixture(scope="module")
+def compose(repository: Path) -> dict[str, Any]:
+    document: dict[str, Any] = yaml.safe_load((repository / "docker-compose.yml").read_text())
+    return document
+
+
+@pytest.fixture(scope="module")
+def services(compose: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    found: dict[str, dict[str, Any]] = compose["services"]
+    return found
+
+
+@pytest.fixture(scope="module")
+def dockerfile(repository: Path) -> str:
+    return (repository / "docker" / "Dockerfile").read_text()
+
+
+def test_uses_only_keys_of_the_compose_model(compose: dict[str, Any], services: dict[str, dict[str, Any]]) -> None:
+    assert {key for key in compose if not key.startswith("x-")} == {"services", "volumes", "networks"}
+    for name, service in services.items():
+        assert not set(service) - SERVICE_KEYS, name
+        assert not set(service.get("healthcheck", {})) - HEALTHCHECK_KEYS, name
+
+
+def test_declares_every_volume_and_network_it_uses(
+    compose: dict[str, Any], services: dict[str, dict[str, Any]]
+) -> None:
+    volumes = {mount.split(":")[0] for service in services.values() for mount in service.get("volumes", [])}
+    networks = {network for service in services.values() for network in service["networks"]}
+    assert volumes == set(compose["volumes"])
+    assert networks == set(compose["networks"])
+
+
+def test_waits_only_for_services_that_report_their_health(services: dict[str, dict[str, Any]]) -> None:
+    for service in services.values():
+        for other, how in service.get("depends_on", {}).items():
+            assert how == {"condition": "service_healthy"}
+            assert "healthcheck" in services[other]
+
+
+def test_builds_targets_that_the_dockerfile_has(services: dict[str, dict[str, Any]], dockerfile: str) -> None:
+    stages = set(re.findall(r"^FROM \S+ AS (\w+)$", dockerfile, re.MULTILINE))
+    targets = {service["build"]["target"] for service in services.values() if "build" in service}
+    assert targets == {"server", "worker"}
+    assert targets <= stages
+
+
+def test_pins_every_image_by_name_and_version(services: dict[str, dict[str, Any]], dockerfile: str) -> None:
+    stages = set(re.findall(r"^FROM \S+ AS (\w+)$", dockerfile, re.MULTILINE))
+    images = set(re.findall(r"^FROM (\S+) AS", dockerfile, re.MULTILINE)) - stages
+    images |= {service["image"] for service in services.values() if "image" in service}
+    assert images
+    assert all(re.fullmatch(r"[a-z]+:\d[\w.]*-\w[\w-]*", image) for image in images), images
+
+
+def test_sets_only_settings_that_exist(services: dict[str, dict[str, Any]], dockerfile: str) -> None:
+    known = {f"VITAC_{name.upper()}" for name in Settings.model_fields} | {"VITAC_CACHE_DIR"}
+    used = {name for service in services.values() for name in service.get("environment", {}) if "POSTGRES_" not in name}
+    used |= set(re.findall(r"\b(VITAC_[A-Z_]+)=", dockerfile))
+    assert "VITAC_DATABASE_URL" in used
+    assert not used - known
+
+
+def test_has_no_secret_of_its_own(repository: Path, services: dict[str, dict[str, Any]]) -> None:
+    assert services["postgres"]["environment"]["POSTGRES_PASSWORD"].startswith("${VITAC_POSTGRES_PASSWORD:?")
+    assert "VITAC_POSTGRES_PASSWORD:?" in services["server"]["environment"]["VITAC_DATABASE_URL"]
+
+
+def test_every_variable_is_explained(repository: Path) -> None:
+    asked = {name for name, _ in VARIABLE.findall((repository / "docker-compose.yml").read_text())}
+    manual = (repository / "docs" / "deployment.md").read_text()
+    assert asked
+    assert {name for name in asked if f"`{name}`" not in manual} == set()
+
+
+def test_services_of_ours_run_without_privileges(services: dict[str, dict[str, Any]], dockerfile: str) -> None:
+    for name in ("server", "worker"):
+        assert services[name]["cap_drop"] == ["ALL"]
+        assert services[name]["read_only"] is True
+        assert "no-new-privileges:true" in services[name]["security_opt"]
+        last_user = re.findall(r"^USER (\w+)$", dockerfile.split(f"AS {name}\n")[1].split("\nFROM ")[0], re.MULTILINE)
+        assert (last_user or ["vitac"])[-1] == "vitac"
+
+
+def test_only_the_worker_may_build_sandboxes(services: dict[str, dict[str, Any]]) -> None:
+    loosened = {"seccomp=unconfined", "apparmor=unconfined", "systempaths=unconfined"}
+    assert loosened <= set(services["worker"]["security_opt"])
+    assert all(not loosened & set(services[name].get("security_opt", ())) for name in ("postgres", "server"))
+
+
+def test_worker_reaches_nothing_outside(compose: dict[str, Any], services: dict[str, dict[str, Any]]) -> None:
+    assert services["worker"]["networks"] == ["inside"]
+    assert compose["networks"]["inside"] == {"internal": True}
+    assert "ports" not in services["worker"]
+
+
+def test_server_listens_on_this_machine_unless_told_otherwise(services: dict[str, dict[str, Any]]) -> None:
+    assert services["server"]["ports"] == ["${VITAC_BIND:-127.0.0.1:8000}:8000"]
+
+
+def test_image_context_holds_what_the_wheel_is_built_from(repository: Path) -> None:
+    lines = (repository / ".dockerignore").read_text().splitlines()
+    assert "*" in lines
+    folders = {"cli", "envs", "evaluator", "migrations", "server", "web", "worker"}
+    kept = {line[1:] for line in lines if line.startswith("!")}
+    assert kept == folders | {"LICENSE", "NOTICE", "README.md", "pyproject.toml", "requirements"}

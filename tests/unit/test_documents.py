@@ -1,0 +1,63 @@
+"""What the documents say exists: files that they link to, commands that they show, settings that they name."""
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from vitac.cli.main import NOUNS
+from vitac.server.settings import Settings
+
+READERS = ("cli/**/*.py", "evaluator/**/*.py", "envs/**/*.py", "setup/*.sh", "tests/conftest.py", "docker-compose.yml")
+
+
+def documents(repository: Path) -> Iterator[Path]:
+    yield from sorted(repository.glob("*.md"))
+    yield from sorted((repository / "docs").rglob("*.md"))
+
+
+def headings(document: Path) -> set[str]:
+    """The anchors of a document's headings, as the usual renderers make them."""
+    titles = re.findall(r"^#+ (.+)$", document.read_text(), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", title.lower()).strip().replace(" ", "-") for title in titles}
+
+
+def test_links_lead_somewhere(repository: Path) -> None:
+    broken = []
+    for document in documents(repository):
+        for target in re.findall(r"\]\(([^)\s]+)\)", document.read_text()):
+            if "://" in target:
+                continue
+            name, _, anchor = target.partition("#")
+            file = (document.parent / name).resolve() if name else document
+            if not file.exists() or (anchor and anchor not in headings(file)):
+                broken.append(f"{document.relative_to(repository)}: {target}")
+    assert broken == []
+
+
+def test_commands_shown_exist(repository: Path) -> None:
+    known = {noun.name for noun in NOUNS}
+    unknown = []
+    for document in documents(repository):
+        for noun in re.findall(r"(?:^|`|\./)vitac ([a-z]+)", document.read_text(), re.MULTILINE):
+            if noun not in known | {"test"}:
+                unknown.append(f"{document.relative_to(repository)}: vitac {noun}")
+    assert unknown == []
+
+
+def test_settings_named_exist(repository: Path) -> None:
+    known = {f"VITAC_{name.upper()}" for name in Settings.model_fields}
+    for pattern in READERS:
+        for file in repository.glob(pattern):
+            known |= set(re.findall(r"\bVITAC_[A-Z_]+\b", file.read_text()))
+    unknown = []
+    for document in documents(repository):
+        for variable in re.findall(r"\bVITAC_[A-Z_]+\b", document.read_text()):
+            if variable not in known:
+                unknown.append(f"{document.relative_to(repository)}: {variable}")
+    assert unknown == []
+
+
+@pytest.mark.parametrize("folder", ["cli", "envs", "evaluator", "migrations", "server", "web", "worker"])
+def test_architecture_places_every_folder(repository: Path, folder: str) -> None:
+    assert f"| `{folder}/` | `vitac.{folder}` |" in (repository / "docs" / "architecture.md").read_text()

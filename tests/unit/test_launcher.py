@@ -1,0 +1,327 @@
+"""The launcher's set-up, run for real against an interpreter that only pretends to install."""
+
+import os
+import shutil
+import stat
+import subprocess
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+
+# Stands in for python3.11: real for `-c`, and in place of venv and pip it writes what those would leave behind.
+FAKE_PYTHON = f"""#!/bin/sh
+case "$*" in
+  "-I -c "*) if [ -n "${{FAKE_ANSWER-}}" ]; then echo "$FAKE_ANSWER"; else exec '{sys.executable}' "$@"; fi ;;
+  "-I -m venv "*)
+    echo "venv" >>"$FAKE_CALLS"
+    mkdir -p "$4/bin" && ln -s "$(readlink -f "$0")" "$4/bin/python" ;;
+  *"pip "*"--require-hashes"*)
+    for last; do :; done
+    echo "pip ${{last##*/}}" >>"$FAKE_CALLS"
+    if [ -n "${{FAKE_GATE-}}" ]; then read -r opened <"$FAKE_GATE"; fi
+    if [ -n "${{FAKE_PIP_ERROR-}}" ]; then echo "$FAKE_PIP_ERROR"; exit 1; fi
+    for program in vitac pytest; do
+      printf '#!/bin/sh\\nfor word; do printf "<%%s>" "$word"; done; pwd; exit 7\\n' >"${{0%/*}}/$program"
+      chmod +x "${{0%/*}}/$program"
+    done ;;
+esac
+"""
+
+TOOLS = (
+    *("awk", "cat", "chmod", "cksum", "cp", "date", "df", "dirname", "grep", "id", "ln", "mkdir", "mv", "readlink"),
+    *("rm", "sed", "sh", "sort", "tail", "touch", "tr"),
+)
+
+# Stands in for apt-get and dpkg-deb: knows bubblewrap and one library, once the lists have been updated.
+FAKE_APT = """#!/bin/sh
+for last; do :; done
+here=${0%/*}
+echo "apt-get" "$@" >>"$FAKE_CALLS"
+case " $* " in
+  *" update "*) touch "$FAKE_CALLS.lists" ;;
+  *) if [ ! -e "$FAKE_CALLS.lists" ]; then echo "E: Unable to locate package $last"; exit 100; fi ;;
+esac
+case " $* " in
+  *" -s install "*) echo "Inst libcap2 (1 stable)"; echo "Inst $last (0.8 stable [amd64])"; echo "Conf $last" ;;
+  *" install "*) printf '#!/bin/sh\\n' >"$here/bwrap"; chmod +x "$here/bwrap" ;;
+  *" download libcap2 bubblewrap "* | *" download bubblewrap libcap2 "*) touch libcap2_1.deb bubblewrap_2.deb ;;
+esac
+"""
+FAKE_DPKG = """#!/bin/sh
+case $2 in
+  *bubblewrap*)
+    mkdir -p "$3/usr/bin"
+    printf '#!/bin/sh\\necho "$LD_LIBRARY_PATH" "$@"\\n' >"$3/usr/bin/bwrap"
+    chmod +x "$3/usr/bin/bwrap" ;;
+  *) mkdir -p "$3/usr/lib/x86_64-linux-gnu" ;;
+esac
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Checkout:
+    """A repository with the launcher in it, and a PATH on which only the pretended interpreter is a Python."""
+
+    root: Path
+    calls_file: Path
+    environment: dict[str, str] = field(repr=False)
+
+    def start(self, *command: str, cwd: Path | None = None, **variables: str) -> subprocess.Popen[str]:
+        return subprocess.Popen(
+            command or (str(self.root / "vitac"), "status"),
+            cwd=cwd or self.root,
+            env=self.environment | variables,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+
+    def run(self, *command: str, cwd: Path | None = None, **variables: str) -> subprocess.CompletedProcess[str]:
+        process = self.start(*command, cwd=cwd, **variables)
+        output, errors = process.communicate()
+        return subprocess.CompletedProcess(process.args, process.returncode, output, errors)
+
+    @property
+    def calls(self) -> list[str]:
+        return self.calls_file.read_text().splitlines() if self.calls_file.exists() else []
+
+
+def program(path: Path, text: str) -> None:
+    path.write_text(text)
+    path.chmod(path.stat().st_mode | stat.S_IXUSR | stat.S_IXGRP | stat.S_IXOTH)
+
+
+@pytest.fixture
+def checkout(repository: Path, tmp_path: Path) -> Checkout:
+    root = tmp_path / "a checkout"
+    shutil.copytree(repository / "setup", root / "setup")
+    shutil.copytree(repository / "requirements", root / "requirements")
+    for name in ("vitac", "pyproject.toml"):
+        shutil.copy(repository / name, root / name)
+    binaries = tmp_path / "bin"
+    binaries.mkdir()
+    for tool in TOOLS:
+        found = shutil.which(tool)
+        assert found is not None, tool
+        (binaries / tool).symlink_to(found)
+    program(binaries / "python3.11", FAKE_PYTHON)
+    program(binaries / "bwrap", "#!/bin/sh\n")
+    program(binaries / "chromium", "#!/bin/sh\n")
+    environment = {"PATH": str(binaries), "HOME": str(tmp_path), "FAKE_CALLS": str(tmp_path / "calls")}
+    return Checkout(root=root, calls_file=tmp_path / "calls", environment=environment)
+
+
+def test_installs_once_then_runs_the_command(checkout: Checkout) -> None:
+    first, second = checkout.run(), checkout.run()
+    assert checkout.calls == ["venv", "pip base.lock"]
+    assert (first.stdout, first.returncode) == (f"<status>{checkout.root}\n", 7)
+    assert (second.stdout, second.returncode) == (first.stdout, first.returncode)
+    assert "Python packages are ready" in first.stderr
+    assert second.stderr == ""
+
+
+def test_passes_words_unchanged_and_keeps_the_callers_folder(checkout: Checkout, tmp_path: Path) -> None:
+    ran = checkout.run(str(checkout.root / "vitac"), "status", "two words", "", "*", cwd=tmp_path)
+    assert ran.stdout == f"<status><two words><><*>{tmp_path}\n"
+
+
+def test_runs_through_symlinks(checkout: Checkout, tmp_path: Path) -> None:
+    (tmp_path / "far").symlink_to(checkout.root / "vitac")
+    (tmp_path / "bin" / "arena").symlink_to("../far")
+    assert checkout.run("arena", "status", cwd=tmp_path).stdout == f"<status>{tmp_path}\n"
+    assert (checkout.root / ".venv" / "vitac-stamp").is_file()
+
+
+def test_test_command_adds_the_dev_packages_and_runs_in_the_repository(checkout: Checkout, tmp_path: Path) -> None:
+    checkout.run()
+    ran = checkout.run(str(checkout.root / "vitac"), "test", "-k", "two words", cwd=tmp_path)
+    assert checkout.calls == ["venv", "pip base.lock", "pip dev.lock"]
+    assert ran.stdout == f"<-k><two words>{checkout.root}\n"
+
+
+def test_base_commands_are_content_with_the_dev_packages(checkout: Checkout) -> None:
+    checkout.run(str(checkout.root / "vitac"), "test")
+    checkout.run()
+    assert checkout.calls == ["venv", "pip dev.lock"]
+
+
+def test_drawing_adds_its_packages_and_later_commands_keep_them(checkout: Checkout) -> None:
+    for command in ("status", "show", "status", "test", "show"):
+        checkout.run(str(checkout.root / "vitac"), command)
+    assert checkout.calls == ["venv", "pip base.lock", "pip show.lock", "pip dev.lock"]
+
+
+@pytest.mark.parametrize("changed", ["pyproject.toml", "requirements/base.lock"])
+def test_updates_in_place_when_what_is_wanted_changes(checkout: Checkout, changed: str) -> None:
+    checkout.run()
+    with (checkout.root / changed).open("a") as file:
+        file.write("# changed\n")
+    checkout.run()
+    assert checkout.calls == ["venv", "pip base.lock", "pip base.lock"]
+
+
+def test_an_update_keeps_the_dev_packages(checkout: Checkout) -> None:
+    checkout.run(str(checkout.root / "vitac"), "test")
+    with (checkout.root / "pyproject.toml").open("a") as file:
+        file.write("# changed\n")
+    checkout.run()
+    assert checkout.calls == ["venv", "pip dev.lock", "pip dev.lock"]
+
+
+def test_remakes_an_environment_that_was_cut_off(checkout: Checkout) -> None:
+    checkout.run(FAKE_PIP_ERROR="Killed")
+    assert not (checkout.root / ".venv" / "vitac-stamp").exists()
+    (checkout.root / ".venv" / "leftover").touch()
+    assert checkout.run().returncode == 7
+    assert checkout.calls == ["venv", "pip base.lock"] * 2
+    assert not (checkout.root / ".venv" / "leftover").exists()
+
+
+def test_remakes_an_environment_whose_interpreter_is_gone(checkout: Checkout) -> None:
+    checkout.run()
+    (checkout.root / ".venv" / "bin" / "python").unlink()
+    checkout.run()
+    assert checkout.calls == ["venv", "pip base.lock"] * 2
+
+
+def test_remakes_the_environment_after_the_folder_moved(checkout: Checkout) -> None:
+    checkout.run()
+    moved = checkout.root.rename(checkout.root.with_name("moved"))
+    assert checkout.run(str(moved / "vitac"), "status", cwd=moved).returncode == 7
+    assert checkout.calls == ["venv", "pip base.lock"] * 2
+
+
+def test_second_set_up_waits_for_the_first(checkout: Checkout, tmp_path: Path) -> None:
+    gate = tmp_path / "gate"
+    os.mkfifo(gate)
+    first = checkout.start(FAKE_GATE=str(gate))
+    with gate.open("w") as opened:  # returns when the first set-up's pip waits at the gate
+        second = checkout.start()
+        assert second.stderr is not None
+        assert "waiting" in second.stderr.readline()
+        opened.write("go\n")
+    first.communicate()
+    second.communicate()
+    assert (first.returncode, second.returncode) == (7, 7)
+    assert checkout.calls == ["venv", "pip base.lock"]
+
+
+@pytest.mark.parametrize(
+    ("pip_says", "told"),
+    [
+        ("WARNING: Retrying: Temporary failure in name resolution", "cannot be reached"),
+        ("NewConnectionError: Failed to establish a new connection: [Errno 101]", "cannot be reached"),
+        ("ERROR: [Errno 28] No space left on device", "disk is full"),
+        ("ERROR: THESE PACKAGES DO NOT MATCH THE HASHES FROM THE REQUIREMENTS FILE.", "differs from"),
+        ("something never seen before", "something never seen before"),
+    ],
+)
+def test_a_failed_installation_names_cause_and_remedy(checkout: Checkout, pip_says: str, told: str) -> None:
+    ran = checkout.run(FAKE_PIP_ERROR=pip_says)
+    assert ran.returncode == 1
+    assert told in ran.stderr
+    assert not (checkout.root / ".venv" / "vitac-stamp").exists()
+
+
+@pytest.mark.parametrize(
+    ("answer", "told"),
+    [
+        ("venv 3.11", "without its venv module"),
+        ("version 3.9", "python3.11 is 3.9."),
+        ("version 3.19", "python3.11 is 3.19."),
+    ],
+)
+def test_an_unfit_python_is_named(checkout: Checkout, answer: str, told: str) -> None:
+    ran = checkout.run(FAKE_ANSWER=answer)
+    assert ran.returncode == 1
+    assert told in ran.stderr
+    assert "apt-get install" in ran.stderr
+    assert not (checkout.root / ".venv").exists()
+
+
+def test_a_named_python_is_the_only_one_tried(checkout: Checkout, tmp_path: Path) -> None:
+    ran = checkout.run(VITAC_PYTHON=str(tmp_path / "absent"))
+    assert ran.returncode == 1
+    assert f"none among {tmp_path / 'absent'}" in ran.stderr
+
+
+def test_settings_for_other_installations_do_not_reach_pip(checkout: Checkout, tmp_path: Path) -> None:
+    program(tmp_path / "bin" / "python3.11", FAKE_PYTHON.replace("#!/bin/sh", '#!/bin/sh\nenv >>"$FAKE_CALLS.env"', 1))
+    (tmp_path / "bin" / "env").symlink_to(shutil.which("env") or "")
+    checkout.run(PIP_TARGET="/elsewhere", PIP_USER="1", PYTHONHOME="/elsewhere")
+    seen = (tmp_path / "calls.env").read_text()
+    assert "/elsewhere" not in seen
+    assert "PIP_USER=1" not in seen
+
+
+def test_exports_the_sandbox_program_it_found(checkout: Checkout, tmp_path: Path) -> None:
+    checkout.run()
+    program(checkout.root / ".venv" / "bin" / "vitac", '#!/bin/sh\necho "$VITAC_BWRAP"\n')
+    assert checkout.run(str(checkout.root / "vitac"), "demo").stdout == f"{tmp_path / 'bin' / 'bwrap'}\n"
+    assert checkout.run(str(checkout.root / "vitac"), "demo", VITAC_BWRAP="/own/bwrap").stdout == "/own/bwrap\n"
+
+
+@pytest.mark.parametrize("words", ["demo", "evaluate folder", "check folder", "worker", "log audit"])
+def test_refuses_to_run_policies_without_a_sandbox(checkout: Checkout, tmp_path: Path, words: str) -> None:
+    (tmp_path / "bin" / "bwrap").unlink()
+    ran = checkout.run(str(checkout.root / "vitac"), *words.split())
+    assert ran.returncode == 1
+    assert "bubblewrap is missing" in ran.stderr
+    assert "apt-get install bubblewrap" in ran.stderr
+
+
+@pytest.mark.parametrize("words", ["status", "log show", "serve", "doctor", ""])
+def test_other_commands_run_without_a_sandbox(checkout: Checkout, tmp_path: Path, words: str) -> None:
+    (tmp_path / "bin" / "bwrap").unlink()
+    assert checkout.run(str(checkout.root / "vitac"), *words.split()).returncode == 7
+
+
+def test_names_the_package_managers_own_command(checkout: Checkout, tmp_path: Path) -> None:
+    (tmp_path / "bin" / "bwrap").unlink()
+    program(tmp_path / "bin" / "dnf", "#!/bin/sh\n")
+    assert "dnf install bubblewrap" in checkout.run(str(checkout.root / "vitac"), "demo").stderr
+
+
+@pytest.fixture
+def debian(checkout: Checkout, tmp_path: Path) -> Checkout:
+    """The same checkout on a machine with apt-get and without bubblewrap."""
+    (tmp_path / "bin" / "bwrap").unlink()
+    program(tmp_path / "bin" / "apt-get", FAKE_APT)
+    program(tmp_path / "bin" / "dpkg-deb", FAKE_DPKG)
+    return checkout
+
+
+def become(user_id: int, tmp_path: Path) -> None:
+    (tmp_path / "bin" / "id").unlink()
+    program(tmp_path / "bin" / "id", f"#!/bin/sh\necho {user_id}\n")
+
+
+def test_root_installs_the_debian_package_with_fresh_lists(debian: Checkout, tmp_path: Path) -> None:
+    become(0, tmp_path)
+    assert debian.run(str(debian.root / "vitac"), "demo").returncode == 7
+    asked = [call.split()[-1] for call in debian.calls if call.startswith("apt-get")]
+    assert asked == ["bubblewrap", "update", "bubblewrap"]
+    assert debian.run(str(debian.root / "vitac"), "demo").stderr == ""
+
+
+def test_a_normal_user_gets_the_package_unpacked_with_its_libraries(debian: Checkout, tmp_path: Path) -> None:
+    become(1000, tmp_path)
+    debian.run()
+    program(debian.root / ".venv" / "bin" / "vitac", '#!/bin/sh\necho "$VITAC_BWRAP"\n')
+    ran = debian.run(str(debian.root / "vitac"), "demo")
+    wrapper = debian.root / ".system" / "bin" / "bwrap"
+    assert ran.stdout == f"{wrapper}\n"
+    libraries = debian.root / ".system" / "root" / "usr" / "lib" / "x86_64-linux-gnu"
+    assert debian.run(str(wrapper), "--ro-bind", "a b").stdout == f"{libraries} --ro-bind a b\n"
+    assert not (debian.root / ".system" / "apt").exists()
+
+
+def test_a_failing_package_manager_is_quoted(debian: Checkout, tmp_path: Path) -> None:
+    program(tmp_path / "bin" / "apt-get", "#!/bin/sh\necho 'E: Could not get lock'; exit 100\n")
+    ran = debian.run(str(debian.root / "vitac"), "demo")
+    assert ran.returncode == 1
+    assert "E: Could not get lock" in ran.stderr
+    assert "bubblewrap is missing" in ran.stderr

@@ -1,0 +1,212 @@
+"""What is installed: every package and data file, hash-checked locks, light imports, no address of one machine."""
+
+import ast
+import os
+import re
+import subprocess
+import sys
+import tomllib
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+FOLDERS = ("cli", "envs", "evaluator", "migrations", "server", "web", "worker")
+NOT_SHIPPED = {"__pycache__", "node_modules"}
+URL_HOSTS = {
+    "arxiv.org",
+    "creativecommons.org",
+    "doi.org",
+    "docs.astral.sh",
+    "github.com",
+    "json-schema.org",
+    "keepachangelog.com",
+    "localhost",
+    "semver.org",
+    "spec.openapis.org",
+    "www.apache.org",
+    "www.rfc-editor.org",
+    "www.w3.org",
+}
+RESERVED_HOST = re.compile(r"\w+|(.*\.)?(example|test|invalid)(\.(com|org|net))?|127(\.\d+){3}|\[::1\]|0\.0\.0\.0")
+
+
+@pytest.fixture(scope="module")
+def project(repository: Path) -> dict[str, Any]:
+    return tomllib.loads((repository / "pyproject.toml").read_text())
+
+
+def shipped_files(repository: Path) -> Iterator[Path]:
+    for folder in FOLDERS:
+        for path in (repository / folder).rglob("*"):
+            if path.is_file() and not NOT_SHIPPED & set(path.relative_to(repository).parts):
+                yield path.relative_to(repository)
+
+
+def committed_files(repository: Path) -> list[Path]:
+    listed = subprocess.run(["git", "ls-files", "-z"], cwd=repository, capture_output=True, check=False)
+    if listed.returncode != 0:
+        pytest.skip("not a git checkout: there is no list of committed files")
+    return [repository / name for name in listed.stdout.decode().split("\0") if name and (repository / name).is_file()]
+
+
+def committed_texts(repository: Path) -> Iterator[tuple[Path, str]]:
+    for path in committed_files(repository):
+        data = path.read_bytes()
+        if b"\0" not in data:
+            yield path.relative_to(repository), data.decode()
+
+
+def modules_loaded_by(statement: str) -> set[str]:
+    """The top-level modules of a fresh process after a statement."""
+    code = f"{statement}\nimport sys\nprint(*sorted({{name.partition('.')[0] for name in sys.modules}}))"
+    done = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return set(done.stdout.split())
+
+
+def modules_below(repository: Path, folder: str) -> list[str]:
+    paths = (path for path in shipped_files(repository) if path.parts[0] == folder and path.suffix == ".py")
+    names = ("vitac." + ".".join(path.with_suffix("").parts).removesuffix(".__init__") for path in paths)
+    return sorted(name for name in names if name.replace(".", "").isidentifier())
+
+
+def test_every_folder_with_modules_is_a_listed_package(repository: Path, project: dict[str, Any]) -> None:
+    folders = {path.parent for path in shipped_files(repository) if path.suffix == ".py"}
+    assert sorted(project["tool"]["setuptools"]["packages"]) == sorted(
+        "vitac." + ".".join(folder.parts) for folder in folders
+    )
+
+
+def test_every_top_level_package_is_mapped_to_its_folder(project: dict[str, Any]) -> None:
+    assert project["tool"]["setuptools"]["package-dir"] == {f"vitac.{folder}": folder for folder in FOLDERS}
+
+
+def test_wheel_holds_every_module_and_data_file(repository: Path, tmp_path: Path) -> None:
+    source = tmp_path / "source"
+    source.mkdir()
+    for name in ("pyproject.toml", "README.md", "LICENSE", "NOTICE", *FOLDERS):
+        (source / name).symlink_to(repository / name)
+    code = "import sys; from setuptools import build_meta; print(build_meta.build_wheel(sys.argv[1]))"
+    built = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path)], cwd=source, capture_output=True, text=True, check=False
+    )
+    assert built.returncode == 0, built.stderr
+    with zipfile.ZipFile(next(tmp_path.glob("*.whl"))) as wheel:
+        held = {name.removeprefix("vitac/") for name in wheel.namelist() if name.startswith("vitac/")}
+    assert held == {path.as_posix() for path in shipped_files(repository)}
+
+
+def test_server_imports_without_simulation_or_learning_libraries(repository: Path) -> None:
+    loaded = modules_loaded_by("import " + ", ".join(modules_below(repository, "server")))
+    assert "vitac" in loaded
+    assert not loaded & {"torch", "sapien", "numba"}
+
+
+def test_evaluator_imports_simulation_only_to_run(repository: Path) -> None:
+    loaded = modules_loaded_by("import " + ", ".join(modules_below(repository, "evaluator")))
+    assert not loaded & {"torch", "sapien", "numba"}
+
+
+def test_no_module_imports_a_folder_by_its_bare_name(repository: Path) -> None:
+    bare = []
+    for path in shipped_files(repository):
+        if path.suffix == ".py":
+            for node in ast.walk(ast.parse((repository / path).read_text())):
+                names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+                if isinstance(node, ast.ImportFrom) and node.level == 0:
+                    names.append(node.module or "")
+                bare += [f"{path}:{name}" for name in names if name.partition(".")[0] in FOLDERS]
+    assert bare == []
+
+
+def locked(repository: Path, profile: str) -> dict[str, set[str]]:
+    """Versions by canonical name; several where a marker chooses between them."""
+    text = (repository / "requirements" / f"{profile}.lock").read_text()
+    versions: dict[str, set[str]] = {}
+    for name, version in re.findall(r"^([A-Za-z0-9._-]+)(?:\[[^\]]*\])?==([^ \\;]+)", text, re.MULTILINE):
+        versions.setdefault(canonicalize_name(name), set()).add(version)
+    return versions
+
+
+@pytest.mark.parametrize("profile", ["base", "show", "dev"])
+def test_lock_satisfies_the_project(repository: Path, project: dict[str, Any], profile: str) -> None:
+    wanted = list(project["project"]["dependencies"])
+    wanted += project["build-system"]["requires"]
+    wanted += project["project"]["optional-dependencies"].get(profile, [])
+    versions = locked(repository, profile)
+    for requirement in map(Requirement, wanted):
+        chosen = versions.get(canonicalize_name(requirement.name), set())
+        assert chosen, f"{requirement} is not in requirements/{profile}.lock: run setup/lock.sh"
+        assert all(requirement.specifier.contains(version) for version in chosen), f"{requirement}: locked {chosen}"
+
+
+@pytest.mark.parametrize(("smaller", "larger"), [("base", "show"), ("show", "dev")])
+def test_larger_lock_extends_the_smaller_one(repository: Path, smaller: str, larger: str) -> None:
+    held = locked(repository, larger)
+    assert {name: held.get(name) for name in locked(repository, smaller)} == locked(repository, smaller)
+
+
+@pytest.mark.parametrize("profile", ["base", "show", "dev"])
+def test_lock_has_a_hash_for_every_package_and_names_no_index(repository: Path, profile: str) -> None:
+    text = (repository / "requirements" / f"{profile}.lock").read_text()
+    pinned = re.findall(r"^\S+==.*\\\n    --hash=sha256:[0-9a-f]{64}", text, re.MULTILINE)
+    assert len(pinned) == len(re.findall(r"^\S+==", text, re.MULTILINE))
+    assert "://" not in text
+    assert "--index" not in text
+
+
+def test_lock_leaves_out_what_only_extras_need(repository: Path) -> None:
+    assert not set(locked(repository, "dev")) & {"torch", "sapien", "mani-skill"}
+
+
+def test_committed_files_name_only_known_hosts(repository: Path) -> None:
+    unknown = []
+    for path, text in committed_texts(repository):
+        if path.parts[0] == "tests":  # hosts there are made up
+            continue
+        for host in re.findall(r"https?://(\[[0-9a-f:]+\]|[A-Za-z0-9.-]+)", text):
+            if host.lower() not in URL_HOSTS and not RESERVED_HOST.fullmatch(host.lower()):
+                unknown.append(f"{path}: {host}")
+    assert unknown == [], "add a host that documents something to URL_HOSTS; package indexes are never named"
+
+
+def test_committed_files_name_no_package_index(repository: Path) -> None:
+    indexes = re.compile(r"\b(pypi|pythonhosted|npmjs|yarnpkg|debian|ubuntu)\.(org|com)\b")
+    named = [str(path) for path, text in committed_texts(repository) if indexes.search(text)]
+    assert named == []
+
+
+def test_committed_files_name_no_folder_of_one_machine(repository: Path) -> None:
+    machine = re.compile(r"(?<![\w.])/(work|home/[a-z]+|Users)/[a-z]")
+    named = [f"{path}: {found[0]}" for path, text in committed_texts(repository) if (found := machine.search(text))]
+    assert named == []
+
+
+@pytest.mark.skipif("VITAC_EXPECT_WHEEL" not in os.environ, reason="looks at an installed wheel (.ci/run sets it up)")
+def test_packages_come_from_the_wheel(repository: Path) -> None:
+    code = "import vitac.envs, vitac.server, vitac.cli; print(vitac.envs.__file__, vitac.server.__file__, sep='\\n')"
+    done = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, text=True, check=True)
+    assert all("site-packages" in line for line in done.stdout.splitlines())
+    assert str(repository / "envs") not in done.stdout
+
+
+def test_tests_do_not_see_the_callers_settings(repository: Path) -> None:
+    test = "tests/unit/test_packaging.py::test_top_level_environment_is_clean"
+    done = subprocess.run(
+        [sys.executable, "-P", "-m", "pytest", "-q", "-p", "no:cacheprovider", test],
+        cwd=repository,
+        env=os.environ | {"VITAC_DATABASE_URL": "postgresql://somebody@example.org/precious"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout
+
+
+def test_top_level_environment_is_clean() -> None:
+    assert "VITAC_DATABASE_URL" not in os.environ

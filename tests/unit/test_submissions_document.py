@@ -1,0 +1,65 @@
+"""docs/submissions.md: its tables are those of the track and the verdicts, its example is a policy that answers."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from vitac.evaluator.agent.verdicts import VerdictCode
+from vitac.evaluator.submission import parse_manifest
+from vitac.evaluator.tracks import Task, load_track
+
+
+@pytest.fixture(scope="module")
+def manual(repository: Path) -> str:
+    return (repository / "docs" / "submissions.md").read_text()
+
+
+@pytest.fixture(scope="module")
+def task() -> Task:
+    return load_track("track_1").tasks["peg-insertion"]
+
+
+def block(manual: str, language: str) -> str:
+    found = re.search(rf"```{language}\n(.*?)```", manual, re.DOTALL)
+    assert found is not None
+    return found[1]
+
+
+def test_the_manifest_shown_is_accepted(manual: str) -> None:
+    manifest = parse_manifest(block(manual, "yaml").encode())
+    assert (manifest.track, manifest.tasks, manifest.entry_point) == ("track_1", ("peg-insertion",), "policy:Policy")
+
+
+def test_names_every_verdict_with_its_sentence(manual: str) -> None:
+    shown = dict(re.findall(r"^\| `(\w+)` \| (.+) \|$", manual.split("## When it fails")[1], re.MULTILINE))
+    assert shown == {str(code): code.sentence for code in VerdictCode}
+
+
+def test_shows_the_observations_of_the_track(manual: str, task: Task) -> None:
+    shown = set(re.findall(r"^\| `(\w+)` \| (\([\d, ]+\)) (\w+) \|", manual, re.MULTILINE))
+    assert shown == {(row.key, str(tuple(row.shape)), row.dtype) for row in task.observations}
+
+
+def test_shows_the_actions_of_the_track(manual: str, task: Task) -> None:
+    shown = re.findall(r"^\| (\w+) \| (\d+) (mm|degrees) \|", manual, re.MULTILINE)
+    units = {"degree": "degrees"}
+    assert shown == [(row.name, f"{row.scale:g}", units.get(row.unit, row.unit)) for row in task.actions]
+
+
+def test_the_example_answers_with_a_valid_action(manual: str) -> None:
+    namespace: dict[str, Any] = {}
+    exec(compile(block(manual, "python"), "docs/submissions.md", "exec"), namespace)  # noqa: S102 - our own document
+    policy = namespace["Policy"]()
+    policy.reset("peg-insertion")
+    random = np.random.default_rng(1)
+    action = policy.act(
+        {
+            "marker_flow": random.uniform(0, 320, (2, 2, 128, 2)).astype(np.float32),
+            "relative_motion": np.zeros(4, np.float32),
+        }
+    )
+    assert action.shape == (3,)
+    assert action.dtype == np.float32
+    assert np.all(np.abs(action) <= 1)

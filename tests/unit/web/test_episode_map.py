@@ -1,0 +1,54 @@
+import pytest
+from vitac.evaluator.records import EpisodeOutcome
+from vitac.evaluator.tracks import load_track
+from vitac.server.views import EpisodeView
+from vitac.web.episode_map import episode_map
+
+TASK = load_track("track_1").tasks["peg-insertion"]
+
+
+def an_end(number: int, outcome: EpisodeOutcome, env_steps: int = 3) -> EpisodeView:
+    success = outcome is EpisodeOutcome.SUCCESS
+    return EpisodeView(
+        task="peg-insertion", episode=number, shape="cuboid", outcome=outcome, success=success, env_steps=env_steps
+    )
+
+
+def test_lays_starts_out_as_columns_and_repeats_as_rows() -> None:
+    laid_out = episode_map("peg-insertion", TASK, {})
+    assert [shape.name for shape in laid_out.shapes] == ["cuboid", "trapezoid", "concave1"]
+    for shape in laid_out.shapes:
+        assert (shape.columns, shape.rows, shape.total) == (30, 3, 90)
+        assert len({(cell.column, cell.row) for cell in shape.cells}) == 90
+
+
+def test_every_episode_has_one_cell() -> None:
+    labels = [cell.label for shape in episode_map("peg-insertion", TASK, {}).shapes for cell in shape.cells]
+    numbers = sorted(int(label.removeprefix("Episode ").partition(",")[0]) for label in labels)
+    assert numbers == list(range(1, len(TASK.episodes) + 1))
+
+
+def test_an_episode_that_has_not_run_waits() -> None:
+    shape = episode_map("peg-insertion", TASK, {}).shapes[0]
+    assert {cell.kind for cell in shape.cells} == {"waiting"}
+    assert (shape.done, shape.successes) == (0, 0)
+    assert shape.cells[0].label.endswith("not run yet")
+
+
+def test_shows_how_an_episode_ended() -> None:
+    ends = {1: an_end(1, EpisodeOutcome.SUCCESS, 4), 2: an_end(2, EpisodeOutcome.TACTILE, 2)}
+    laid_out = episode_map("peg-insertion", TASK, ends)
+    cells = {cell.label: cell.kind for shape in laid_out.shapes for cell in shape.cells if cell.kind != "waiting"}
+    assert cells == {
+        "Episode 1, start (-4, -4, -8): success at env step 4": "success",
+        "Episode 2, start (-4, -4, -8): tactile at env step 2": "other",
+    }
+    assert laid_out.outcomes == {"success": 1, "tactile": 1}
+
+
+@pytest.mark.parametrize("outcome", list(EpisodeOutcome))
+def test_only_a_success_counts_as_success(outcome: EpisodeOutcome) -> None:
+    ends = {episode.number: an_end(episode.number, outcome) for episode in TASK.episodes}
+    shapes = episode_map("peg-insertion", TASK, ends).shapes
+    assert sum(shape.successes for shape in shapes) == (270 if outcome is EpisodeOutcome.SUCCESS else 0)
+    assert sum(shape.done for shape in shapes) == 270

@@ -1,0 +1,93 @@
+from datetime import UTC, datetime, timedelta, timezone
+
+import jinja2
+import pytest
+from vitac.web import rendering
+from vitac.web.rendering import STATIC, environment, static_url
+
+
+@pytest.mark.parametrize(("fraction", "text"), [(0.0, "0.0 %"), (0.41481, "41.5 %"), (1.0, "100.0 %"), (None, "–")])
+def test_writes_a_fraction_as_percentage(fraction: float | None, text: str) -> None:
+    assert rendering.percent(fraction).replace("\N{NO-BREAK SPACE}", " ") == text
+
+
+def test_writes_times_in_utc_with_a_machine_readable_value() -> None:
+    in_berlin = datetime(2026, 11, 21, 1, 30, 5, tzinfo=timezone(timedelta(hours=1)))
+    html = rendering.timestamp(in_berlin)
+    assert 'datetime="2026-11-21T00:30:05Z"' in html
+    assert ">2026-11-21 00:30 UTC</time>" in html
+    assert rendering.timestamp(in_berlin.astimezone(UTC)) == html
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [
+        (0, "0 s"),
+        (41.6, "42 s"),
+        (59.7, "1 min 00 s"),
+        (185, "3 min 05 s"),
+        (7800, "2 h 10 min"),
+        (-3, "0 s"),
+        (None, "–"),
+    ],
+)
+def test_writes_a_length_of_time(seconds: float | None, text: str) -> None:
+    assert rendering.duration(seconds) == text
+
+
+@pytest.mark.parametrize(("fraction", "text"), [(0.5, "50.00%"), (-1.0, "0.00%"), (2.0, "100.00%"), (None, "0.00%")])
+def test_positions_stay_inside_the_drawing(fraction: float | None, text: str) -> None:
+    assert rendering.across(fraction) == text
+
+
+def test_mean_steps_without_success_is_a_dash() -> None:
+    assert rendering.steps(None) == "–"
+    assert rendering.steps(4.9234) == "4.92"
+
+
+def test_words_and_short_digests() -> None:
+    assert rendering.words("not_converged") == "not converged"
+    assert rendering.words("peg-insertion") == "peg insertion"
+    assert rendering.short("0123456789abcdef") == "0123456789ab"
+    assert rendering.short(None) == "–"
+
+
+def test_backticks_become_code_and_everything_is_escaped() -> None:
+    assert rendering.prose("use `<b>` or <i>") == "use <code>&lt;b&gt;</code> or &lt;i&gt;"
+
+
+def test_static_address_changes_with_the_content_only() -> None:
+    name, _, digest = static_url("arena.css").partition("?v=")
+    assert name == "/static/arena.css"
+    assert len(digest) == 12
+    assert static_url("arena.css") == static_url("arena.css")
+
+
+def test_an_undefined_name_is_an_error() -> None:
+    with pytest.raises(jinja2.UndefinedError):
+        environment().from_string("{{ nobody }}").render()
+
+
+def test_every_template_compiles() -> None:
+    names = environment().list_templates()
+    assert {"layout.html", "leaderboard.html", "submission_live.html"} <= set(names)
+    for name in names:
+        environment().get_template(name)
+
+
+def test_pages_name_no_other_host() -> None:
+    """Pages load nothing from elsewhere: no CDN, no font service."""
+    texts = [path.read_text() for path in (*STATIC.iterdir(), *(STATIC.parent / "templates").iterdir())]
+    for text in texts:
+        without_namespace = text.replace("http://www.w3.org/2000/svg", "")
+        assert "http://" not in without_namespace
+        assert "https://" not in without_namespace
+
+
+def test_templates_hold_no_inline_script_or_style() -> None:
+    for path in (STATIC.parent / "templates").iterdir():
+        html = path.read_text()
+        assert " style=" not in html
+        assert "<style" not in html
+        assert " onclick=" not in html
+        assert "<script>" not in html

@@ -1,0 +1,42 @@
+from collections.abc import Iterable
+
+from service_factories import ISOLATION
+from vitac.evaluator.agent.self_test import PROBES, Outcome, Probe, ProbeState
+from vitac.worker.isolation import SLOW_PROBES, probe_isolation
+
+
+class FakeProbes:
+    def __init__(self, states: dict[str, ProbeState]) -> None:
+        self.states = states
+        self.tried: list[str] = []
+
+    def __call__(self, probes: tuple[Probe, ...]) -> Iterable[Outcome]:
+        for probe in probes:
+            self.tried.append(probe.name)
+            state = self.states.get(probe.name, ProbeState.HELD)
+            isolation = None if state is ProbeState.FAILED else ISOLATION
+            yield Outcome(name=probe.name, state=state, detail="what came", isolation=isolation)
+
+
+def test_machine_that_holds_every_probe_is_sound_and_its_level_is_named() -> None:
+    probes = FakeProbes({})
+    report = probe_isolation(probes)
+    assert report.is_sound
+    assert report.level.startswith("user: root, memory: cgroup-v1")
+    assert set(probes.tried) == {probe.name for probe in PROBES} - SLOW_PROBES
+
+
+def test_slow_probes_are_probes() -> None:
+    assert {probe.name for probe in PROBES} >= SLOW_PROBES
+
+
+def test_one_escape_or_a_sandbox_that_does_not_start_makes_the_machine_unsound() -> None:
+    for state in (ProbeState.ESCAPED, ProbeState.FAILED):
+        report = probe_isolation(FakeProbes({"network refused": state}))
+        assert not report.is_sound
+        assert report.problems == (f"network refused: {state} (what came)",)
+
+
+def test_this_machine_is_sound() -> None:
+    report = probe_isolation()
+    assert report.problems == ()

@@ -1,0 +1,107 @@
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import pytest
+from service_factories import make_principal, make_upload
+from sqlalchemy import select
+from vitac.evaluator.version import evaluator_version
+from vitac.server import submissions
+from vitac.server.db.models import Worker
+from vitac.server.db.states import EvaluationState, WorkerState
+from vitac.server.services import Services
+from vitac.server.workers import workers_alive
+from vitac.worker import main
+from vitac.worker.isolation import IsolationReport
+from worker_fakes import FakeShards, eventually
+
+SOUND = IsolationReport(level="user: root", problems=())
+LEAKY = IsolationReport(level="user: root", problems=("network refused: escaped (reached 1).",))
+
+
+@contextmanager
+def signalled_when(holds: Callable[[], bool], number: int = signal.SIGTERM) -> Iterator[None]:
+    """Sends this process a signal as soon as something holds; work() runs in the main thread meanwhile."""
+
+    def wait() -> None:
+        try:
+            eventually(holds)
+        finally:
+            os.kill(os.getpid(), number)
+
+    thread = threading.Thread(target=wait)
+    thread.start()
+    yield
+    thread.join()
+
+
+def rows(services: Services) -> list[Worker]:
+    with services.database.transaction() as session:
+        return list(session.scalars(select(Worker)))
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_worker_registers_evaluates_and_says_goodbye_on_a_signal(
+    services: Services, archive_sha256: str, number: int
+) -> None:
+    with services.database.transaction() as session:
+        principal = make_principal(session)
+        submission = submissions.create(session, principal, make_upload(archive_sha256=archive_sha256))[0]
+
+    def is_completed() -> bool:
+        with services.database.transaction() as session:
+            return submissions.newest_evaluation(session, submission).state is EvaluationState.COMPLETED
+
+    before = signal.getsignal(number)
+    with signalled_when(is_completed, number):
+        main.work(services, start=FakeShards(), probe=lambda: SOUND)
+    assert signal.getsignal(number) is before
+    worker = rows(services)[0]
+    assert (worker.state, worker.isolation, worker.pid) == (WorkerState.STOPPED, "user: root", os.getpid())
+    assert worker.evaluator_version == evaluator_version()
+    assert list(services.settings.scratch_dir.glob("worker-*")) == []
+
+
+def test_living_worker_is_counted_and_its_heartbeat_goes_on(services: Services) -> None:
+    seen = []
+
+    def beats() -> bool:
+        with services.database.transaction() as session:
+            alive = workers_alive(session, services.settings)
+        if alive.alive == 1 and alive.last_heartbeat_at not in seen:
+            seen.append(alive.last_heartbeat_at)
+        return len(seen) == 3
+
+    with signalled_when(beats):
+        main.work(services, start=FakeShards(), probe=lambda: SOUND)
+    assert len(seen) == 3
+
+
+def test_worker_on_a_machine_that_leaks_takes_nothing_and_says_why(services: Services, archive_sha256: str) -> None:
+    with services.database.transaction() as session:
+        submissions.create(session, make_principal(session), make_upload(archive_sha256=archive_sha256))
+    shards = FakeShards()
+
+    def refuses() -> bool:
+        return any(row.state is WorkerState.REFUSING for row in rows(services))
+
+    with signalled_when(refuses):
+        main.work(services, start=shards, probe=lambda: LEAKY)
+    assert shards.started == []
+    assert "network refused: escaped" in rows(services)[0].message
+    with services.database.transaction() as session:
+        assert workers_alive(session, services.settings).alive == 0
+
+
+def test_worker_goes_to_work_when_the_machine_was_mended(services: Services, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(main, "PROBE_AGAIN_S", 0.05)
+    reports = iter([LEAKY, SOUND])
+
+    def is_ready() -> bool:
+        return any(row.state is WorkerState.READY for row in rows(services))
+
+    with signalled_when(is_ready):
+        main.work(services, start=FakeShards(), probe=lambda: next(reports))
+    assert sorted(str(row.isolation) for row in rows(services)) == ["user: root"] * 2

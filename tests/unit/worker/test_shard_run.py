@@ -1,0 +1,255 @@
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from datetime import datetime
+
+import pytest
+from service_factories import (
+    claim,
+    make_failed_record,
+    make_principal,
+    make_record,
+    make_upload,
+    play,
+    shard_ids,
+    state_of,
+    store,
+    submit,
+)
+from sqlalchemy import select, text
+from vitac.evaluator.shard_process import ShardProcessFailed
+from vitac.server import submissions
+from vitac.server.auth.principals import Principal
+from vitac.server.db.models import EpisodeResult, Shard, Submission
+from vitac.server.db.states import EvaluationState, Role, ShardState
+from vitac.server.queue.leases import Lease
+from vitac.server.services import Services
+from vitac.worker.shard_run import RunEnd, ShardRun
+from vitac.worker.staging import SubmissionStage
+from worker_fakes import FakeShards, eventually
+
+
+@pytest.fixture
+def submission(services: Services, archive_sha256: str) -> Submission:
+    with services.database.transaction() as session:
+        upload = make_upload(archive_sha256=archive_sha256)
+        return submissions.create(session, make_principal(session), upload)[0]
+
+
+@pytest.fixture
+def stage(services: Services) -> Iterator[SubmissionStage]:
+    stage = SubmissionStage(services.blobs, services.settings.scratch_dir, services.settings.limits)
+    yield stage
+    stage.close()
+
+
+def first_shard(services: Services, submission: Submission) -> int:
+    with services.database.transaction() as session:
+        return shard_ids(session, submission)[0]
+
+
+@pytest.fixture
+def lease(services: Services, submission: Submission) -> Lease:
+    return claim(services.database, first_shard(services, submission), lease_s=services.settings.lease_s)
+
+
+def run_in_thread(run: ShardRun) -> Callable[[], RunEnd]:
+    """Starts it; the returned function waits for its end."""
+    ends: list[RunEnd] = []
+    thread = threading.Thread(target=lambda: ends.append(run.run()))
+    thread.start()
+
+    def wait() -> RunEnd:
+        thread.join(30.0)
+        assert ends, "the run did not end"
+        return ends[0]
+
+    return wait
+
+
+def stored_numbers(services: Services) -> list[int]:
+    with services.database.transaction() as session:
+        return sorted(session.scalars(select(EpisodeResult.episode)))
+
+
+def test_shard_is_run_from_the_unpacked_submission_and_ended(
+    services: Services, stage: SubmissionStage, lease: Lease
+) -> None:
+    shards = FakeShards()
+    seen = []
+    shards.gate = lambda number: seen.append((shards.started[0].order.submission_dir / "policy.py").is_file())
+    assert ShardRun(services, stage, lease, shards).run() is RunEnd.FINISHED
+    assert seen == [True] * 30
+    assert stored_numbers(services) == list(range(1, 31))
+    with services.database.transaction() as session:
+        shard = session.get_one(Shard, lease.shard_id)
+        assert (shard.state, shard.isolation) == (
+            ShardState.DONE,
+            "user: root, memory: cgroup-v1, episodes: frozen-copy, process ids repeat: True",
+        )
+
+
+def test_each_episode_is_stored_as_soon_as_it_is_over(services: Services, stage: SubmissionStage, lease: Lease) -> None:
+    def gate(number: int) -> None:
+        assert stored_numbers(services) == list(range(1, number))
+
+    assert ShardRun(services, stage, lease, FakeShards(gate=gate)).run() is RunEnd.FINISHED
+
+
+def test_half_done_shard_is_resumed_from_its_stored_episodes(
+    services: Services, stage: SubmissionStage, lease: Lease
+) -> None:
+    store(services.database, lease, [make_record(3), make_failed_record(8)])
+    shards = FakeShards()
+    ShardRun(services, stage, lease, shards).run()
+    order = shards.started[0].order
+    assert order.skip == (3, 8)
+    assert [failure.message for failure in order.earlier_failures] == ["failed in 8"]
+    assert stored_numbers(services) == list(range(1, 31))
+
+
+def test_shard_whose_episodes_are_all_stored_starts_no_process(
+    services: Services, stage: SubmissionStage, submission: Submission, archive_sha256: str
+) -> None:
+    play(services.database, first_shard(services, submission))
+    with services.database.transaction() as session:
+        other = submit(session, make_principal(session, "Team B"))
+    lease = claim(services.database, first_shard(services, other))
+    shards = FakeShards()
+    assert ShardRun(services, stage, lease, shards).run() is RunEnd.FINISHED
+    assert shards.started == []
+
+
+def test_policy_that_breaks_a_shard_fails_the_evaluation(
+    services: Services, stage: SubmissionStage, lease: Lease, submission: Submission
+) -> None:
+    shards = FakeShards(record_of=make_failed_record)
+    assert ShardRun(services, stage, lease, shards).run() is RunEnd.FINISHED
+    with services.database.transaction() as session:
+        assert submissions.newest_evaluation(session, submission).state is EvaluationState.FAILED
+    assert stored_numbers(services) == [1, 2, 3]
+
+
+def test_cancel_kills_the_process_within_a_renewal(
+    services: Services, stage: SubmissionStage, lease: Lease, submission: Submission
+) -> None:
+    running = threading.Event()
+    shards = FakeShards()
+
+    def gate(number: int) -> None:
+        if number == 5:
+            running.set()
+            assert shards.started[0].killed.wait(20.0)
+
+    shards.gate = gate
+    wait = run_in_thread(ShardRun(services, stage, lease, shards))
+    running.wait(20.0)
+    with services.database.transaction() as session:
+        submissions.cancel(session, make_principal_of(submission), submission.id)
+    assert wait() is RunEnd.LOST
+    assert stored_numbers(services) == [1, 2, 3, 4]
+
+
+def make_principal_of(submission: Submission) -> Principal:
+    return Principal(role=Role.TEAM, team_id=submission.team_id, team_name="Team A")
+
+
+def test_lease_is_kept_alive_during_a_long_episode(services: Services, stage: SubmissionStage, lease: Lease) -> None:
+    def expiry() -> datetime:
+        with services.database.transaction() as session:
+            expires_at = session.get_one(Shard, lease.shard_id).lease_expires_at
+            assert expires_at is not None
+            return expires_at
+
+    first = expiry()
+
+    def gate(number: int) -> None:
+        if number == 1:
+            eventually(lambda: expiry() > first)
+
+    assert ShardRun(services, stage, lease, FakeShards(gate=gate)).run() is RunEnd.FINISHED
+
+
+def test_stopped_worker_gives_the_shard_back_without_an_attempt(
+    services: Services, stage: SubmissionStage, lease: Lease
+) -> None:
+    shards = FakeShards()
+    running = threading.Event()
+
+    def gate(number: int) -> None:
+        if number == 3:
+            running.set()
+            assert shards.started[0].killed.wait(20.0)
+
+    shards.gate = gate
+    run = ShardRun(services, stage, lease, shards)
+    wait = run_in_thread(run)
+    running.wait(20.0)
+    run.stop()
+    assert wait() is RunEnd.HANDED_BACK
+    with services.database.transaction() as session:
+        shard = session.get_one(Shard, lease.shard_id)
+        assert (shard.state, shard.attempts) == (ShardState.QUEUED, 0)
+
+
+def test_machine_that_cannot_run_a_shard_costs_an_attempt_and_the_third_ends_by_name(
+    services: Services, stage: SubmissionStage, lease: Lease, submission: Submission
+) -> None:
+    def gate(number: int) -> None:
+        raise ShardProcessFailed("SandboxFailed: bubblewrap did not start")
+
+    for attempt in (1, 2, 3):
+        assert lease.attempt == attempt
+        assert ShardRun(services, stage, lease, FakeShards(gate=gate)).run() is RunEnd.BROKE
+        if attempt < 3:
+            lease = claim(services.database, lease.shard_id)
+    with services.database.transaction() as session:
+        evaluation = submissions.newest_evaluation(session, submission)
+        assert evaluation.state is EvaluationState.FAILED
+        assert evaluation.verdict_code == "machine_failed"
+        assert "bubblewrap did not start" in (evaluation.verdict_message or "")
+        assert state_of(session, lease.shard_id) is ShardState.CANCELLED
+
+
+def test_process_that_hangs_is_ended_and_reported(
+    services: Services, stage: SubmissionStage, lease: Lease, submission: Submission
+) -> None:
+    impatient = replace(services, settings=services.settings.model_copy(update={"shard_silence_s": 0.3}))
+    shards = FakeShards()
+
+    def gate(number: int) -> None:
+        if number == 4:
+            assert shards.started[-1].killed.wait(20.0)
+
+    shards.gate = gate
+    last = replace(lease, attempt=services.settings.shard_attempts)
+    assert ShardRun(impatient, stage, last, shards).run() is RunEnd.BROKE
+    assert stored_numbers(services) == [1, 2, 3]
+    with services.database.transaction() as session:
+        message = submissions.newest_evaluation(session, submission).verdict_message
+    assert message is not None
+    assert message.endswith("No episode ended within 0.3 s.")
+
+
+def test_database_that_drops_all_connections_in_the_middle_changes_nothing(
+    services: Services, stage: SubmissionStage, lease: Lease
+) -> None:
+    def gate(number: int) -> None:
+        if number % 7 == 0:
+            with services.database.transaction() as session:
+                session.execute(
+                    text(
+                        "SELECT pg_terminate_backend(pid) FROM pg_stat_activity "
+                        "WHERE datname = current_database() AND pid <> pg_backend_pid()"
+                    )
+                )
+
+    assert ShardRun(services, stage, lease, FakeShards(gate=gate)).run() is RunEnd.FINISHED
+    assert stored_numbers(services) == list(range(1, 31))
+
+
+def test_archive_that_is_gone_from_the_store_is_reported_as_a_broken_machine(
+    services: Services, stage: SubmissionStage, lease: Lease
+) -> None:
+    services.blobs.delete(lease.archive_sha256)
+    assert ShardRun(services, stage, lease, FakeShards()).run() is RunEnd.BROKE

@@ -1,0 +1,96 @@
+import hashlib
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from service_client import make_archive
+from service_factories import sha256
+from vitac.server.errors import ServiceError
+from vitac.server.services import Services
+from vitac.worker.staging import KEPT_IDLE, SubmissionStage
+
+
+@pytest.fixture
+def stage(services: Services) -> Iterator[SubmissionStage]:
+    stage = SubmissionStage(services.blobs, services.settings.scratch_dir, services.settings.limits)
+    yield stage
+    stage.close()
+
+
+def put(services: Services, folder: Path, policy: str) -> str:
+    path = folder / f"{sha256(policy)}.zip"
+    path.write_bytes(make_archive(policy=policy))
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    services.blobs.put(path, digest)
+    return digest
+
+
+def test_submission_is_unpacked_once_for_shards_at_the_same_time(
+    services: Services, stage: SubmissionStage, archive_sha256: str
+) -> None:
+    folders: list[Path] = []
+    barrier = threading.Barrier(4)
+
+    def use() -> None:
+        barrier.wait()
+        with stage.submission(archive_sha256) as folder:
+            folders.append(folder)
+            barrier.wait()
+
+    threads = [threading.Thread(target=use) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(folders) == 4
+    assert len(set(folders)) == 1
+    assert (folders[0] / "submission.yaml").is_file()
+
+
+def test_only_a_few_idle_submissions_stay_on_disk_and_used_ones_always(
+    services: Services, stage: SubmissionStage, tmp_path: Path
+) -> None:
+    digests = [put(services, tmp_path, f"x = {n}") for n in range(KEPT_IDLE + 3)]
+    with stage.submission(digests[0]) as used:
+        for digest in digests[1:]:
+            with stage.submission(digest):
+                pass
+        on_disk = {path.name for path in services.settings.scratch_dir.glob("worker-*/*")}
+        assert on_disk == {digests[0], *digests[-KEPT_IDLE:]}
+        assert (used / "policy.py").is_file()
+
+
+def test_missing_file_is_refused_and_can_be_staged_later(
+    services: Services, stage: SubmissionStage, archive_sha256: str, tmp_path: Path
+) -> None:
+    services.blobs.delete(archive_sha256)
+    with pytest.raises(ServiceError, match="is gone"), stage.submission(archive_sha256):
+        pass
+    services.blobs.put(tmp_path / "archive.zip", archive_sha256)
+    with stage.submission(archive_sha256) as folder:
+        assert (folder / "policy.py").is_file()
+
+
+def test_altered_file_is_refused(services: Services, stage: SubmissionStage, archive_sha256: str) -> None:
+    stored = next(path for path in (services.settings.state_dir / "blobs").rglob(archive_sha256))
+    stored.write_bytes(make_archive(policy="import os"))
+    with pytest.raises(ServiceError, match="was altered"), stage.submission(archive_sha256):
+        pass
+
+
+def test_folders_of_killed_workers_are_removed_and_those_of_living_ones_kept(
+    services: Services, stage: SubmissionStage
+) -> None:
+    dead = subprocess.run(
+        [sys.executable, "-c", "import os; print(os.getpid())"], capture_output=True, text=True, check=True
+    )
+    scratch = services.settings.scratch_dir
+    leftover = scratch / f"worker-{os.uname().nodename}-{int(dead.stdout)}-x"
+    leftover.mkdir()
+    SubmissionStage(services.blobs, scratch, services.settings.limits).close()
+    assert not leftover.exists()
+    assert len(list(scratch.glob("worker-*"))) == 1

@@ -1,0 +1,1 @@
+"""Server-rendered pages: leaderboards, submissions, track rules."""

@@ -1,0 +1,43 @@
+"""The whole HTTP application: the server's API with the pages on it. Called by `vitac serve` and `vitac demo`."""
+
+from __future__ import annotations
+
+from importlib.metadata import version
+from typing import TYPE_CHECKING
+
+from vitac.evaluator.tracks import list_tracks
+from vitac.server.api.app import create_app
+
+from . import pages, session
+from .service_data import ServiceData
+from .session import SessionSigner
+from .site import Site
+
+if TYPE_CHECKING:
+    from fastapi import FastAPI
+    from vitac.server.services import Services
+    from vitac.server.settings import Settings
+
+KEY_FILE = "session.key"
+
+
+def create(services: Services) -> FastAPI:
+    """Return the application over open services; they are left open at its end."""
+    settings = services.settings
+    app = create_app(settings, services=services)
+    site = Site(
+        data=ServiceData(database=services.database, settings=settings),
+        signer=SessionSigner(key=signing_key(settings)),
+        version=version("vitac-arena"),
+        tracks=list_tracks(),
+        public_url=settings.public_url,
+    )
+    pages.install(app, site)
+    return app
+
+
+def signing_key(settings: Settings) -> bytes:
+    """Return the key that signs page sessions: the configured one, else the state directory's."""
+    if settings.session_key is not None:
+        return settings.session_key.get_secret_value().encode()
+    return session.load_key(settings.state_dir / KEY_FILE)

@@ -1,0 +1,55 @@
+"""Reads the small forms of the pages and refuses those that another site sent. Called by the pages that take a POST."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+from urllib.parse import parse_qsl, urlsplit
+
+from starlette.exceptions import HTTPException
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from starlette.requests import Request
+
+FORM_LIMIT_BYTES = 8192
+MEDIA_TYPE = "application/x-www-form-urlencoded"
+
+
+async def read_form(request: Request) -> Mapping[str, str]:
+    """Return the fields of a form that one of our own pages sent; the last of equal names counts.
+
+    Raises:
+        HTTPException: 403 where another site sent it, 413 where it is too large, 415 where it is no form.
+    """
+    require_same_site(request)
+    media_type = request.headers.get("content-type", "").partition(";")[0].strip().lower()
+    if media_type != MEDIA_TYPE:
+        raise HTTPException(415, f"This form is sent as {MEDIA_TYPE}; it came as {media_type or 'nothing'}.")
+    body = bytearray()
+    async for chunk in request.stream():
+        body += chunk
+        if len(body) > FORM_LIMIT_BYTES:
+            raise HTTPException(413, f"This form is at most {FORM_LIMIT_BYTES} bytes long. Send only its own fields.")
+    return dict(parse_qsl(body.decode("utf-8", errors="replace"), keep_blank_values=True))
+
+
+def require_same_site(request: Request) -> None:
+    """Refuse a POST that the browser says comes from another site (Fetch metadata, else the Origin header).
+
+    Raises:
+        HTTPException: 403.
+    """
+    site = request.headers.get("sec-fetch-site")
+    origin = request.headers.get("origin")
+    foreign_site = site is not None and site not in {"same-origin", "none"}
+    foreign_origin = site is None and origin is not None and urlsplit(origin).netloc != request.headers.get("host")
+    if foreign_site or foreign_origin:
+        raise HTTPException(403, "This form came from another site. Open the page here and send it again.")
+
+
+def local_target(target: str) -> str:
+    """Return where to go after signing in: the path if it lies on this site, else the submissions."""
+    parts = urlsplit(target)
+    is_local = target.startswith("/") and not target.startswith("//") and not parts.netloc and "\\" not in target
+    return target if is_local and target.isprintable() else "/submissions"

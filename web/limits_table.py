@@ -1,0 +1,51 @@
+"""The limits in force as rows for the rules page. Called by `service_data`."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from .page_data import LimitRow
+
+if TYPE_CHECKING:
+    from vitac.evaluator.agent.limits import Limits
+
+UNITS = (("GiB", 1 << 30), ("MiB", 1 << 20), ("KiB", 1 << 10))
+
+
+def limit_rows(limits: Limits) -> tuple[LimitRow, ...]:
+    """Return the limits on a submission, in the order in which a team meets them."""
+    rows = {
+        "Archive, packed": size(limits.archive_packed_bytes),
+        "Archive, unpacked": size(limits.archive_unpacked_bytes),
+        "Files in the archive": f"{limits.archive_files:,}".replace(",", "\N{NARROW NO-BREAK SPACE}"),
+        "Folder depth in the archive": str(limits.archive_depth),
+        "Unpacked over packed size": f"{limits.archive_ratio:g}",
+        "Start (import and load)": time_limits(limits.start_cpu_s, limits.start_wall_s),
+        "One action": time_limits(limits.action_cpu_s, limits.action_wall_s),
+        "One episode": time_limits(limits.episode_cpu_s, None),
+        "Memory of the policy and its children": size(limits.memory_bytes),
+        "Address space of one process": size(limits.address_space_bytes),
+        "Processes and threads": str(limits.processes),
+        "Open files": str(limits.open_files),
+        "Size of one written file": size(limits.file_size_bytes),
+        "Files in /tmp": size(limits.tmp_bytes),
+        "Shared memory": size(limits.shm_bytes),
+        "Output kept for the team": size(limits.output_kept_bytes),
+        "Output at which the policy is stopped": size(limits.output_killed_bytes),
+        "Network": "none",
+    }
+    return tuple(LimitRow(title=title, value=value) for title, value in rows.items())
+
+
+def size(count: int) -> str:
+    """Write a number of bytes in the largest unit that it fills: `512 MiB`."""
+    for unit, unit_bytes in UNITS:
+        if count >= unit_bytes:
+            return f"{count / unit_bytes:.4g} {unit}"
+    return f"{count} bytes"
+
+
+def time_limits(cpu_s: float, wall_s: float | None) -> str:
+    """Write a limit on processor time and, where there is one, on the clock [s]."""
+    processor = f"{cpu_s:g} s of CPU time"
+    return processor if wall_s is None else f"{processor}, {wall_s:g} s by the clock"

@@ -1,0 +1,59 @@
+"""Mounts the pages on the server's application. Called by `vitac serve`; the server itself does not know the pages."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from fastapi import APIRouter
+from starlette.staticfiles import StaticFiles
+
+from . import error_pages, sign_in_pages, submission_pages, track_pages
+from .headers import SecurityHeaders
+from .rendering import STATIC
+
+if TYPE_CHECKING:
+    from fastapi import FastAPI
+    from starlette.responses import Response
+    from starlette.types import Scope
+
+    from .site import Site
+
+ONE_YEAR_S = 365 * 24 * 3600
+
+
+class VersionedStaticFiles(StaticFiles):
+    """Static files that browsers keep for ever when asked for with their digest (`?v=`)."""
+
+    async def get_response(self, path: str, scope: Scope) -> Response:
+        """Answer with the file and how long it may be kept."""
+        answer = await super().get_response(path, scope)
+        versioned = scope["query_string"].startswith(b"v=") and answer.status_code == 200
+        answer.headers["Cache-Control"] = f"public, max-age={ONE_YEAR_S}, immutable" if versioned else "no-cache"
+        return answer
+
+
+def install(app: FastAPI, site: Site) -> None:
+    """Add pages, static files, error pages and security headers to an application."""
+    app.state.site = site
+    app.include_router(_router())
+    app.mount("/static", VersionedStaticFiles(directory=STATIC), name="static")
+    app.add_middleware(SecurityHeaders)
+    error_pages.install(app)
+
+
+def _router() -> APIRouter:
+    router = APIRouter()
+    for path, page, method in (
+        ("/", track_pages.home, "GET"),
+        ("/tracks/{track}", track_pages.leaderboard, "GET"),
+        ("/tracks/{track}/rules", track_pages.rules, "GET"),
+        ("/submissions", submission_pages.submissions, "GET"),
+        ("/submissions/{submission_id}", submission_pages.submission, "GET"),
+        ("/submissions/{submission_id}/events", submission_pages.events, "GET"),
+        ("/submissions/{submission_id}/cancel", submission_pages.cancel, "POST"),
+        ("/sign-in", sign_in_pages.sign_in_form, "GET"),
+        ("/sign-in", sign_in_pages.sign_in, "POST"),
+        ("/sign-out", sign_in_pages.sign_out, "POST"),
+    ):
+        router.add_route(path, page, methods=[method], include_in_schema=False)
+    return router

@@ -1,0 +1,120 @@
+"""The Jinja environment of the pages: escaping on, undefined names refused, filters for rates and times.
+
+Called by `site`.
+"""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from functools import cache
+from hashlib import sha256
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
+from markupsafe import Markup
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+
+STATIC = Path(__file__).parent / "static"
+
+
+@cache
+def environment() -> Environment:
+    """Return the one environment of this process; an undefined name in a template is an error."""
+    jinja = Environment(
+        loader=PackageLoader("vitac.web", "templates"),
+        autoescape=select_autoescape(default=True, default_for_string=True),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    jinja.filters.update(
+        percent=percent,
+        timestamp=timestamp,
+        steps=steps,
+        duration=duration,
+        words=words,
+        short=short,
+        across=across,
+        prose=prose,
+    )
+    return jinja
+
+
+def render(template: str, request: Request, **values: object) -> str:
+    """Render a template; `static_url` and `path` are available in every one.
+
+    Args:
+        template: file name inside `templates/`.
+        request: the request being answered.
+        values: what the template shows.
+    """
+    return (
+        environment()
+        .get_template(template)
+        .render(path=request.url.path, static_url=static_url, request=request, **values)
+    )
+
+
+@cache
+def static_url(name: str) -> str:
+    """Return the address of a static file, with its digest, so that browsers may keep it for ever."""
+    digest = sha256((STATIC / name).read_bytes()).hexdigest()[:12]
+    return f"/static/{name}?v={digest}"
+
+
+def percent(fraction: float | None) -> str:
+    """Write a fraction in [0, 1] as a percentage with one decimal; a missing one as a dash."""
+    return "–" if fraction is None else f"{100 * fraction:.1f} %".replace(" ", "\N{NO-BREAK SPACE}")
+
+
+def steps(mean: float | None) -> str:
+    """Write a mean number of env steps with two decimals; a missing one (no success) as a dash."""
+    return "–" if mean is None else f"{mean:.2f}"
+
+
+def timestamp(moment: datetime | None) -> Markup:
+    """Write an aware time as a `<time>` element in UTC, to the minute."""
+    if moment is None:
+        return Markup("–")
+    utc = moment.astimezone(UTC)
+    return Markup('<time class="nowrap" datetime="{}">{}</time>').format(
+        utc.strftime("%Y-%m-%dT%H:%M:%SZ"), utc.strftime("%Y-%m-%d %H:%M UTC")
+    )
+
+
+def duration(seconds: float | None) -> str:
+    """Write a length of time as people say it: `42 s`, `3 min 05 s`, `2 h 10 min`."""
+    if seconds is None:
+        return "–"
+    whole = max(0, round(seconds))
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60:02d} s"
+    return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
+
+
+def words(name: str) -> str:
+    """Write an identifier as words: `peg-insertion` and `not_converged` become `peg insertion` and `not converged`."""
+    return name.replace("_", " ").replace("-", " ")
+
+
+def short(digest: str | None) -> str:
+    """Write the first twelve characters of a digest; the full one stands on the submission's page."""
+    return "–" if digest is None else digest[:12]
+
+
+def prose(text: str) -> Markup:
+    """Write a sentence of a track file: what stands between backticks becomes code."""
+    parts = text.split("`")
+    return Markup("").join(
+        Markup("<code>{}</code>").format(part) if odd % 2 else part for odd, part in enumerate(parts)
+    )
+
+
+def across(fraction: float | None) -> str:
+    """Write a fraction in [0, 1] as a horizontal position inside an SVG: `41.48%`."""
+    return f"{100 * min(1.0, max(0.0, fraction or 0.0)):.2f}%"

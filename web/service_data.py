@@ -1,0 +1,91 @@
+"""Answers the pages' questions from the service layer; its calls block, so each runs in a thread.
+
+Made by `application`.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeVar
+
+from vitac.server import leaderboards, submissions
+from vitac.server.auth import tokens
+from vitac.server.errors import ProblemCode, ServiceError
+
+from .limits_table import limit_rows
+from .page_data import Visitor
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from uuid import UUID
+
+    from sqlalchemy.orm import Session
+    from vitac.server.auth.principals import Principal
+    from vitac.server.db.engine import Database
+    from vitac.server.settings import Settings
+    from vitac.server.views import EpisodeView, LeaderboardView, SubmissionListView, SubmissionView
+
+    from .page_data import LimitRow
+
+ResultT = TypeVar("ResultT")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ServiceData:
+    """The service as the pages see it; implements `PageData`."""
+
+    database: Database
+    settings: Settings
+
+    async def visitor_with_token(self, token: str) -> Visitor | None:
+        """Return whose API token this is."""
+        return await self._visitor(lambda session: tokens.authenticate(session, token))
+
+    async def visitor_with_token_id(self, token_id: UUID) -> Visitor | None:
+        """Return the holder of a token that signed in before."""
+        return await self._visitor(lambda session: tokens.principal_of_token_id(session, token_id))
+
+    async def leaderboard(self, track: str) -> LeaderboardView:
+        """Return the leaderboard of a track."""
+        return await self._ask(lambda session: leaderboards.leaderboard(session, track))
+
+    async def submission(self, visitor: Visitor, submission_id: UUID) -> SubmissionView:
+        """Return one submission."""
+        return await self._ask(
+            lambda session: submissions.get(session, self.settings, visitor.principal, submission_id)
+        )
+
+    async def submissions(self, visitor: Visitor, before: UUID | None) -> SubmissionListView:
+        """Return a page of submissions."""
+        return await self._ask(
+            lambda session: submissions.list_submissions(session, self.settings, visitor.principal, before=before)
+        )
+
+    async def episodes(self, visitor: Visitor, submission_id: UUID) -> Sequence[EpisodeView]:
+        """Return how the finished episodes ended."""
+        return await self._ask(lambda session: submissions.episodes(session, visitor.principal, submission_id))
+
+    async def cancel(self, visitor: Visitor, submission_id: UUID) -> None:
+        """Cancel an evaluation."""
+        await self._ask(lambda session: submissions.cancel(session, visitor.principal, submission_id))
+
+    def limits(self) -> Sequence[LimitRow]:
+        """Return the limits in force."""
+        return limit_rows(self.settings.limits)
+
+    async def _visitor(self, authenticate: Callable[[Session], Principal]) -> Visitor | None:
+        try:
+            principal = await self._ask(authenticate)
+        except ServiceError as error:
+            if error.code is ProblemCode.INVALID_CREDENTIALS:
+                return None
+            raise
+        return None if principal.token_id is None else Visitor(principal=principal, token_id=principal.token_id)
+
+    async def _ask(self, question: Callable[[Session], ResultT]) -> ResultT:
+        return await asyncio.to_thread(self._answer, question)
+
+    def _answer(self, question: Callable[[Session], ResultT]) -> ResultT:
+        with self.database.transaction() as session:
+            return question(session)

@@ -1,0 +1,92 @@
+"""The browser's signed session: which API token signed in, until when. Called by `pages`.
+
+The cookie holds the token's row id and an expiry, signed; never the token. The row is looked up at each request, so a
+revoked or expired token ends its sessions at once.
+"""
+
+from __future__ import annotations
+
+import hmac
+import os
+import secrets
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from hashlib import sha256
+from typing import TYPE_CHECKING
+from uuid import UUID
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+COOKIE = "vitac_session"
+LIFETIME = timedelta(hours=12)
+KEY_BYTES = 32
+
+
+@dataclass(frozen=True, kw_only=True)
+class BrowserSession:
+    """A signed-in browser.
+
+    Attributes:
+        token_id: row id of the API token that signed in.
+        expires_at: when the session ends, aware UTC.
+    """
+
+    token_id: UUID
+    expires_at: datetime
+
+
+@dataclass(frozen=True, kw_only=True)
+class SessionSigner:
+    """Signs and reads session cookies and the form tokens bound to them, with one secret key."""
+
+    key: bytes
+
+    def sign(self, session: BrowserSession) -> str:
+        """Return the cookie's value for a session."""
+        payload = f"{session.token_id}.{int(session.expires_at.timestamp())}"
+        return f"{payload}.{self._mac('session', payload)}"
+
+    def read(self, cookie: str | None, *, now: datetime) -> BrowserSession | None:
+        """Return the session of a cookie, or None where it is missing, altered or over."""
+        if cookie is None:
+            return None
+        payload, _, mac = cookie.rpartition(".")
+        token_id, _, expiry = payload.rpartition(".")
+        if not token_id or not hmac.compare_digest(mac.encode(), self._mac("session", payload).encode()):
+            return None
+        expires_at = datetime.fromtimestamp(int(expiry), UTC)
+        return BrowserSession(token_id=UUID(token_id), expires_at=expires_at) if now < expires_at else None
+
+    def form_token(self, cookie: str) -> str:
+        """Return the value that a form must send back: it proves that the form came from a page of this session."""
+        return self._mac("form", cookie)
+
+    def accepts_form_token(self, cookie: str | None, token: str) -> bool:
+        """Tell whether `token` was made for this session."""
+        return cookie is not None and hmac.compare_digest(token.encode(), self.form_token(cookie).encode())
+
+    def _mac(self, purpose: str, text: str) -> str:
+        return hmac.new(self.key, f"{purpose}:{text}".encode(), sha256).hexdigest()
+
+
+def begin(token_id: UUID, *, now: datetime) -> BrowserSession:
+    """Start a session of `LIFETIME` for a token."""
+    return BrowserSession(token_id=token_id, expires_at=now + LIFETIME)
+
+
+def load_key(path: Path) -> bytes:
+    """Return the signing key kept in `path`, made (mode 0600) on first use; servers started at once agree on one."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    draft = path.with_name(f"{path.name}.{secrets.token_hex(8)}")
+    if not path.exists():
+        descriptor = os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+        with os.fdopen(descriptor, "wb") as file:
+            file.write(secrets.token_bytes(KEY_BYTES))
+        try:
+            os.link(draft, path)
+        except FileExistsError:
+            pass
+        finally:
+            draft.unlink()
+    return path.read_bytes()

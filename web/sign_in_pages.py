@@ -1,0 +1,57 @@
+"""Signing in with an API token, and out again."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING
+
+from starlette.responses import RedirectResponse
+
+from . import session
+from .forms import local_target, read_form
+from .site import page, require_form_token, site_of, viewer_of
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+    from starlette.responses import Response
+
+WRONG_TOKEN = "This token is unknown, revoked or expired. Check that all of it was pasted."  # noqa: S105 - a sentence
+
+
+async def sign_in_form(request: Request) -> Response:
+    """Show the sign-in form."""
+    target = local_target(request.query_params.get("next", ""))
+    return page(request, "sign_in.html", viewer=await viewer_of(request), section="/sign-in", next=target, wrong=None)
+
+
+async def sign_in(request: Request) -> Response:
+    """Check the token and begin a session."""
+    fields = await read_form(request)
+    site = site_of(request)
+    target = local_target(fields.get("next", ""))
+    visitor = await site.data.visitor_with_token(fields.get("token", "").strip())
+    if visitor is None:
+        return page(
+            request, "sign_in.html", viewer=None, section="/sign-in", status=401, next=target, wrong=WRONG_TOKEN
+        )
+    answer = RedirectResponse(target, status_code=303)
+    answer.set_cookie(
+        session.COOKIE,
+        site.signer.sign(session.begin(visitor.token_id, now=datetime.now(UTC))),
+        max_age=int(session.LIFETIME.total_seconds()),
+        httponly=True,
+        samesite="strict",
+        secure=request.url.scheme == "https",
+    )
+    return answer
+
+
+async def sign_out(request: Request) -> Response:
+    """End the session."""
+    fields = await read_form(request)
+    viewer = await viewer_of(request)
+    if viewer is not None:
+        require_form_token(request, fields, viewer)
+    answer = RedirectResponse("/", status_code=303)
+    answer.delete_cookie(session.COOKIE, httponly=True, samesite="strict", secure=request.url.scheme == "https")
+    return answer

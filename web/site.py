@@ -1,0 +1,128 @@
+"""What every page shares: data, signer, the visitor of a request, and the answer made from a template."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Any, cast
+from urllib.parse import quote
+
+from starlette.exceptions import HTTPException
+from starlette.responses import HTMLResponse, RedirectResponse
+
+from . import session
+from .rendering import render
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from starlette.requests import Request
+    from starlette.responses import Response
+
+    from .page_data import PageData, Visitor
+    from .session import SessionSigner
+
+
+@dataclass(frozen=True, kw_only=True)
+class Site:
+    """The pages of one server.
+
+    Attributes:
+        data: what the pages show.
+        signer: signs the sessions.
+        version: the distribution's version, shown in the foot.
+        tracks: names of the tracks, the first one is the home page.
+        public_url: address that people use; None: the one the browser asked for.
+    """
+
+    data: PageData
+    signer: SessionSigner
+    version: str
+    tracks: tuple[str, ...]
+    public_url: str | None = None
+
+    def address(self, request: Request) -> str:
+        """Return the address to give to the command line."""
+        return (self.public_url or str(request.base_url)).rstrip("/")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Viewer:
+    """The signed-in visitor as templates see it."""
+
+    visitor: Visitor
+    form_token: str
+
+    @property
+    def name(self) -> str:
+        """The team's name, or the organizer's label."""
+        return self.visitor.name
+
+    @property
+    def is_organizer(self) -> bool:
+        """Whether every team's submissions are shown."""
+        return self.visitor.is_organizer
+
+    def may_see(self, team: str) -> bool:
+        """Tell whether the submissions of a team are shown."""
+        return self.visitor.may_see(team)
+
+
+def site_of(request: Request) -> Site:
+    """Return the site that `pages.install` put on the application."""
+    return cast("Site", request.app.state.site)
+
+
+async def viewer_of(request: Request) -> Viewer | None:
+    """Return who is signed in, or None; a session ends with its token."""
+    site = site_of(request)
+    cookie = request.cookies.get(session.COOKIE)
+    found = site.signer.read(cookie, now=datetime.now(UTC))
+    if cookie is None or found is None:
+        return None
+    visitor = await site.data.visitor_with_token_id(found.token_id)
+    return None if visitor is None else Viewer(visitor=visitor, form_token=site.signer.form_token(cookie))
+
+
+async def require_viewer(request: Request) -> Viewer | RedirectResponse:
+    """Return who is signed in, or the way to the sign-in page."""
+    viewer = await viewer_of(request)
+    return viewer or RedirectResponse(f"/sign-in?next={quote(request.url.path)}", status_code=303)
+
+
+def require_form_token(request: Request, fields: Mapping[str, str], viewer: Viewer) -> None:
+    """Refuse a form that was not made for this session.
+
+    Raises:
+        HTTPException: 403.
+    """
+    token = fields.get("form_token", "")
+    if not site_of(request).signer.accepts_form_token(request.cookies.get(session.COOKIE), token):
+        raise HTTPException(403, f"This form was not made for {viewer.name}'s session. Load the page again and repeat.")
+
+
+def page(
+    request: Request, template: str, *, viewer: Viewer | None, section: str = "", status: int = 200, **values: Any
+) -> Response:
+    """Answer with a page; browsers may keep none that shows who is signed in."""
+    site = site_of(request)
+    html = render(
+        template,
+        request,
+        viewer=viewer,
+        section=section,
+        navigation=navigation(site, viewer),
+        version=site.version,
+        address=site.address(request),
+        **values,
+    )
+    caching = "no-cache" if viewer is None else "no-store"
+    return HTMLResponse(html, status_code=status, headers={"Cache-Control": caching, "Vary": "Cookie"})
+
+
+def navigation(site: Site, viewer: Viewer | None) -> tuple[tuple[str, str], ...]:
+    """Return targets and labels of the navigation."""
+    links = [("/", "Leaderboard"), (f"/tracks/{site.tracks[0]}/rules", "Rules")]
+    if viewer is not None:
+        links.append(("/submissions", "Submissions"))
+    return tuple(links)

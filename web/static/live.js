@@ -1,0 +1,29 @@
+// Keeps a running submission's page current. Without this file the page reloads itself (see the noscript refresh).
+"use strict";
+
+(() => {
+  const live = document.getElementById("live");
+  const announcement = document.getElementById("announcement");
+  if (live === null || !live.dataset.events || typeof EventSource === "undefined") return;
+
+  const source = new EventSource(live.dataset.events);
+
+  const show = (event) => {
+    const scrolled = live.querySelector("pre.log")?.scrollTop;
+    live.innerHTML = event.data;
+    const log = live.querySelector("pre.log");
+    if (log !== null && scrolled !== undefined) log.scrollTop = scrolled;
+    const state = live.querySelector("[data-state]")?.dataset.state ?? "";
+    if (state !== live.dataset.state) {
+      live.dataset.state = state;
+      announcement.textContent = live.querySelector("[data-state]")?.textContent ?? "";
+    }
+  };
+
+  source.addEventListener("view", show);
+  // The last view of a finished evaluation: the rest of the page (title, buttons) is stale too, so load it afresh once.
+  source.addEventListener("end", () => {
+    source.close();
+    window.location.reload();
+  });
+})();

@@ -1,0 +1,127 @@
+"""Pages of a team's submissions: the list, one submission, its running changes, and the cancel button."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING, Any
+from uuid import UUID
+
+from sse_starlette import EventSourceResponse, ServerSentEvent
+from starlette.responses import RedirectResponse, Response
+from vitac.evaluator.tracks import load_track
+from vitac.server.db.states import TERMINAL_EVALUATION_STATES
+from vitac.server.errors import not_found
+
+from .episode_map import episode_map
+from .forms import read_form
+from .rendering import render
+from .site import page, require_form_token, require_viewer, site_of, viewer_of
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncIterator
+
+    from starlette.requests import Request
+    from vitac.server.views import SubmissionView
+
+    from .site import Viewer
+
+POLL_S = 1.0  # between two looks at a running evaluation; a page changes at most that often
+
+
+async def submissions(request: Request) -> Response:
+    """List the visitor's submissions."""
+    viewer = await require_viewer(request)
+    if isinstance(viewer, Response):
+        return viewer
+    before = request.query_params.get("before")
+    found = await site_of(request).data.submissions(viewer.visitor, None if before is None else as_id(before))
+    return page(
+        request,
+        "submissions.html",
+        viewer=viewer,
+        section="/submissions",
+        submissions=found.items,
+        older=found.next_before,
+    )
+
+
+async def submission(request: Request) -> Response:
+    """Show one submission; while its evaluation runs, the page keeps itself current."""
+    viewer = await require_viewer(request)
+    if isinstance(viewer, Response):
+        return viewer
+    values = await _values(request, viewer)
+    refresh = request.query_params.get("refresh") != "off"
+    return page(request, "submission.html", viewer=viewer, section="/submissions", refresh=refresh, **values)
+
+
+async def events(request: Request) -> Response:
+    """Send the changing part of a submission's page whenever it changed, and `end` after its last change."""
+    viewer = await viewer_of(request)
+    if viewer is None:
+        return Response(status_code=204)  # tells EventSource not to come back
+    await _values(request, viewer)  # a submission that may not be seen is an answer, not a stream
+    return EventSourceResponse(_changes(request), headers={"Cache-Control": "no-store", "X-Accel-Buffering": "no"})
+
+
+async def cancel(request: Request) -> Response:
+    """Cancel the evaluation of a submission."""
+    viewer = await require_viewer(request)
+    if isinstance(viewer, Response):
+        return viewer
+    require_form_token(request, await read_form(request), viewer)
+    submission_id = as_id(request.path_params["submission_id"])
+    await site_of(request).data.cancel(viewer.visitor, submission_id)
+    return RedirectResponse(f"/submissions/{submission_id}", status_code=303)
+
+
+async def _changes(request: Request) -> AsyncIterator[ServerSentEvent]:
+    shown = ""
+    while (viewer := await viewer_of(request)) is not None:
+        values = await _values(request, viewer)
+        html = render("submission_live.html", request, viewer=viewer, **values)
+        if html != shown:
+            shown = html
+            yield ServerSentEvent(event="view", data=html)
+        if not values["active"]:
+            break
+        await asyncio.sleep(POLL_S)
+    yield ServerSentEvent(event="end", data="")
+
+
+async def _values(request: Request, viewer: Viewer) -> dict[str, Any]:
+    data = site_of(request).data
+    submission_id = as_id(request.path_params["submission_id"])
+    found = await data.submission(viewer.visitor, submission_id)
+    ends = await data.episodes(viewer.visitor, submission_id)
+    track = load_track(found.track)
+    return {
+        "submission": found,
+        "track": track,
+        "active": found.evaluation.state not in TERMINAL_EVALUATION_STATES,
+        "took": seconds_taken(found),
+        "maps": [
+            episode_map(name, track.tasks[name], {end.episode: end for end in ends if end.task == name})
+            for name in found.tasks
+        ],
+    }
+
+
+def as_id(text: str) -> UUID:
+    """Return the id in an address.
+
+    Raises:
+        ServiceError: it is none, so there is no such submission.
+    """
+    try:
+        return UUID(text)
+    except ValueError as error:
+        raise not_found("submission", text) from error
+
+
+def seconds_taken(found: SubmissionView) -> float | None:
+    """Return how long the evaluation ran [s], or None before its end."""
+    evaluation = found.evaluation
+    if evaluation.started_at is None or evaluation.finished_at is None:
+        return None
+    return (evaluation.finished_at - evaluation.started_at).total_seconds()

@@ -1,0 +1,44 @@
+"""Decides at the start of a worker whether this machine may run other people's code, by trying to break out."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass
+
+from vitac.evaluator.agent.self_test import PROBES, Outcome, Probe, ProbeState
+from vitac.evaluator.agent.self_test import run as run_probes
+
+SLOW_PROBES = frozenset({"memory of many processes capped", "CPU time capped", "wall time capped"})
+"""They wait for a limit and take seconds each: `vitac doctor` tries them, a worker's start does not."""
+
+RunProbes = Callable[[tuple[Probe, ...]], Iterable[Outcome]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class IsolationReport:
+    """What the probes found. `problems` is empty on a machine that holds them all."""
+
+    level: str
+    problems: tuple[str, ...]
+
+    @property
+    def is_sound(self) -> bool:
+        """Whether untrusted work may run here."""
+        return not self.problems
+
+
+def probe_isolation(run: RunProbes = run_probes) -> IsolationReport:
+    """Runs the quick probes in real sandboxes."""
+    outcomes = list(run(tuple(probe for probe in PROBES if probe.name not in SLOW_PROBES)))
+    return IsolationReport(level=_level_of(outcomes), problems=tuple(_sentences(outcomes)))
+
+
+def _sentences(outcomes: Iterable[Outcome]) -> Iterable[str]:
+    for outcome in outcomes:
+        if outcome.state is not ProbeState.HELD:
+            yield f"{outcome.name}: {outcome.state} ({outcome.detail})"
+
+
+def _level_of(outcomes: Iterable[Outcome]) -> str:
+    levels = [outcome.isolation for outcome in outcomes if outcome.isolation is not None]
+    if not levels:
+        return "none"
+    return ", ".join(f"{name.replace('_', ' ')}: {value}" for name, value in asdict(levels[0]).items())

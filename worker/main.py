@@ -1,0 +1,101 @@
+"""Entry point of a worker process; `vitac worker` calls `run`."""
+
+import asyncio
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+
+import structlog
+from vitac.evaluator.shard_process import running_shard
+from vitac.server.db.states import WorkerState
+from vitac.server.housekeeping import Housekeeping
+from vitac.server.services import Services, open_services
+from vitac.server.settings import Settings
+
+from .isolation import IsolationReport, probe_isolation
+from .presence import Presence
+from .shard_run import StartShard
+from .staging import SubmissionStage
+from .worker import QueueWorker
+
+logger = structlog.get_logger(__name__)
+
+ProbeIsolation = Callable[[], IsolationReport]
+
+PROBE_AGAIN_S = 60.0
+"""Pause of a worker that refuses: what kept it from isolating policies may have been mended."""
+
+
+def run(settings: Settings) -> None:
+    """Evaluates what is in the queue until SIGTERM or SIGINT; shards at work are given back then.
+
+    Raises:
+        VitacError: database or file store cannot be used.
+    """
+    with open_services(settings) as services:
+        work(services)
+
+
+def work(services: Services, *, start: StartShard = running_shard, probe: ProbeIsolation = probe_isolation) -> None:
+    """Runs one worker on open services; must be called in the main thread."""
+    stopping = threading.Event()
+    with _stopped_by_signals(stopping):
+        while not stopping.is_set():
+            report = probe()
+            if report.is_sound:
+                _take_shards(services, report, start, stopping)
+            else:
+                _refuse(services, report, stopping)
+
+
+def _take_shards(services: Services, report: IsolationReport, start: StartShard, stopping: threading.Event) -> None:
+    """Works until it is told to stop."""
+    with ExitStack() as stack:
+        presence = Presence(services, state=WorkerState.READY, isolation=report.level)
+        presence.start()
+        stack.callback(presence.stop)
+        stage = SubmissionStage(services.blobs, services.settings.scratch_dir, services.settings.limits)
+        stack.callback(stage.close)
+        housekeeping = Housekeeping(services)
+        housekeeping.start()
+        stack.callback(housekeeping.stop)
+        worker = QueueWorker(services, stage, presence.worker_id, start)
+        # A thread, not the signal's handler: that may interrupt whoever holds the locks which `stop` needs.
+        threading.Thread(target=_stop_when, args=(stopping, worker), name="stop", daemon=True).start()
+        logger.info("worker_started", worker=str(presence.worker_id), slots=services.settings.worker_slots)
+        asyncio.run(worker.run())
+        logger.info("worker_stopped", worker=str(presence.worker_id))
+
+
+def _refuse(services: Services, report: IsolationReport, stopping: threading.Event) -> None:
+    """Says on the organizers' pages why nothing is taken here, until it is time to probe again."""
+    message = f"The sandbox of this machine is not sound: {' '.join(report.problems)} Run `vitac doctor`."
+    logger.error("worker_refuses", message=message)
+    presence = Presence(services, state=WorkerState.REFUSING, isolation=report.level, message=message)
+    presence.start()
+    stopping.wait(PROBE_AGAIN_S)
+    presence.stop()
+
+
+def _stop_when(stopping: threading.Event, worker: QueueWorker) -> None:
+    stopping.wait()
+    worker.stop()
+
+
+@contextmanager
+def _stopped_by_signals(stopping: threading.Event) -> Iterator[None]:
+    """Sets the event on SIGTERM or SIGINT while the block runs; a second one of the kind ends the process at once."""
+
+    def handle(number: int, _frame: object) -> None:
+        signal.signal(number, before[signal.Signals(number)])
+        stopping.set()
+
+    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
+    for number in before:
+        signal.signal(number, handle)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -1,0 +1,65 @@
+"""The worker's row: registered at its start, a heartbeat from a thread of its own, its last word at the end."""
+
+import os
+import platform
+import threading
+from uuid import UUID, uuid4
+
+import structlog
+from sqlalchemy.exc import DBAPIError
+from vitac.evaluator.version import evaluator_version, platform_class
+from vitac.server import workers
+from vitac.server.db.models import Worker
+from vitac.server.db.states import WorkerState
+from vitac.server.services import Services
+
+logger = structlog.get_logger(__name__)
+
+
+class Presence:
+    """Tells the service that this worker is there, from `start` to `stop`."""
+
+    def __init__(self, services: Services, *, state: WorkerState, isolation: str, message: str = "") -> None:
+        self.worker_id: UUID = uuid4()
+        self._services = services
+        self._state = state
+        self._isolation = isolation
+        self._message = message
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="presence", daemon=True)
+
+    def start(self) -> None:
+        """Registers the worker and begins."""
+        with self._services.database.transaction() as session:
+            workers.register(session, self._row())
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Says goodbye."""
+        self._stopping.set()
+        self._thread.join()
+        self._beat(WorkerState.STOPPED)
+
+    def _run(self) -> None:
+        while not self._stopping.wait(self._services.settings.worker_heartbeat_s):
+            self._beat(self._state)
+
+    def _beat(self, state: WorkerState) -> None:
+        try:
+            with self._services.database.transaction() as session:
+                workers.heartbeat(session, self.worker_id, state, self._message)
+        except DBAPIError as error:
+            logger.warning("heartbeat_failed", error=" ".join(str(error).split())[:200])
+
+    def _row(self) -> Worker:
+        return Worker(
+            id=self.worker_id,
+            host=platform.node(),
+            pid=os.getpid(),
+            slots=self._services.settings.worker_slots,
+            state=self._state,
+            evaluator_version=evaluator_version(),
+            platform_class=platform_class(),
+            isolation=self._isolation,
+            message=self._message,
+        )

@@ -1,0 +1,185 @@
+"""One claimed shard: run in a process of its own, each episode stored at once, the lease kept alive meanwhile."""
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
+from enum import StrEnum
+from pathlib import Path
+from typing import Protocol, TypeVar
+
+import structlog
+from sqlalchemy.orm import Session
+from vitac.envs.errors import VitacError
+from vitac.evaluator.records import EpisodeRecord, Manifest
+from vitac.evaluator.shard_process import ShardOrder, running_shard
+from vitac.evaluator.shards import ShardEnd, ShardResult, is_broken
+from vitac.server.evaluations import finish_shard, report_broken_machine
+from vitac.server.queue import leases
+from vitac.server.queue.leases import Lease, LeaseLost, StoredEpisodes
+from vitac.server.services import Services
+
+from .staging import SubmissionStage
+
+logger = structlog.get_logger(__name__)
+ResultT = TypeVar("ResultT")
+
+DATABASE_PATIENCE_S = 600.0
+"""So long a worker keeps what it has while the database is away."""
+
+
+class RunningShard(Protocol):
+    """What a shard's process offers (`evaluator.shard_process.ShardProcess`)."""
+
+    def records(self) -> Iterator[EpisodeRecord]:
+        """Each record as soon as its episode is over."""
+
+    @property
+    def result(self) -> ShardResult:
+        """What the shard ended with."""
+
+    def kill(self) -> None:
+        """Ends it at once."""
+
+
+StartShard = Callable[[ShardOrder], AbstractContextManager[RunningShard]]
+
+
+class RunEnd(StrEnum):
+    """How the work on a claimed shard ended."""
+
+    FINISHED = "finished"  # all its episodes are stored and the shard is ended
+    LOST = "lost"  # another worker has it, or its evaluation was ended
+    HANDED_BACK = "handed_back"  # this worker stops
+    BROKE = "broke"  # the machine could not run it; reported
+
+
+class ShardRun:
+    """The work on one lease. `run` does it; `stop` may be called from any thread."""
+
+    def __init__(
+        self, services: Services, stage: SubmissionStage, lease: Lease, start: StartShard = running_shard
+    ) -> None:
+        self._services = services
+        self._stage = stage
+        self._lease = lease
+        self._start = start
+        self._lock = threading.Lock()
+        self._process: RunningShard | None = None
+        self._stopping = threading.Event()
+        self._lost = threading.Event()
+        self._over = threading.Event()
+        self._silent = threading.Event()
+        self._heard_at = time.monotonic()
+
+    def run(self) -> RunEnd:
+        """Works until the shard is finished, lost, handed back or reported as broken."""
+        renewing = threading.Thread(target=self._keep_lease, name=f"lease-{self._lease.shard_id}", daemon=True)
+        renewing.start()
+        try:
+            return self._run()
+        except LeaseLost:
+            return RunEnd.LOST
+        except (VitacError, OSError) as error:
+            return self._end_early(error)
+        finally:
+            self._over.set()
+            renewing.join()
+
+    def stop(self) -> None:
+        """Ends the process; `run` gives the shard back."""
+        self._stopping.set()
+        self._kill()
+
+    def _run(self) -> RunEnd:
+        stored = self._database(lambda session: leases.stored_episodes(session, self._lease))
+        result = self._result_without_running(stored) or self._play(stored)
+        self._database(lambda session: finish_shard(session, self._lease, result))
+        return RunEnd.FINISHED
+
+    def _result_without_running(self, stored: StoredEpisodes) -> ShardResult | None:
+        """The shard's end when nothing is left to play; None when something is, or nobody has played the task yet."""
+        broken = is_broken(stored.failures)
+        if not broken and not stored.numbers.issuperset(self._lease.episodes):
+            return None
+        manifest: Manifest | None = self._database(lambda session: leases.known_manifest(session, self._lease))
+        if manifest is None:
+            return None
+        end = ShardEnd.BROKEN if broken else ShardEnd.COMPLETE
+        return ShardResult(index=self._lease.number, end=end, manifest=manifest, isolation=None)
+
+    def _play(self, stored: StoredEpisodes) -> ShardResult:
+        with (
+            self._stage.submission(self._lease.archive_sha256) as submission_dir,
+            self._start(self._order(submission_dir, stored)) as process,
+        ):
+            with self._lock:
+                self._process = process
+            if self._stopping.is_set() or self._lost.is_set():
+                process.kill()
+            for record in process.records():
+                self._store(record)
+            return process.result
+
+    def _order(self, submission_dir: Path, stored: StoredEpisodes) -> ShardOrder:
+        return ShardOrder(
+            submission_dir=submission_dir,
+            track=self._lease.key.track,
+            task=self._lease.task,
+            shard=self._lease.number,
+            episodes=self._lease.episodes,
+            limits=self._services.settings.limits,
+            skip=tuple(sorted(stored.numbers)),
+            earlier_failures=stored.failures,
+        )
+
+    def _store(self, record: EpisodeRecord) -> None:
+        self._heard_at = time.monotonic()
+        self._database(lambda session: leases.store_episode(session, self._lease, record))
+
+    def _keep_lease(self) -> None:
+        settings = self._services.settings
+        while not self._over.wait(settings.lease_renewal_s):
+            try:
+                self._database(lambda session: leases.renew(session, self._lease, settings.lease_s))
+                self._end_silence()
+            except LeaseLost:
+                self._lost.set()
+                self._kill()
+                return
+            except Exception as error:  # noqa: BLE001 - whatever it is, the work itself goes on and will tell
+                logger.warning("lease_not_renewed", shard=self._lease.shard_id, error=str(error))
+
+    def _end_silence(self) -> None:
+        """Ends a process that hangs: its limits bound the policy, but nothing else bounds the simulation."""
+        if time.monotonic() - self._heard_at > self._services.settings.shard_silence_s:
+            self._silent.set()
+            self._kill()
+
+    def _end_early(self, error: Exception) -> RunEnd:
+        """Says what became of a shard whose process ended before its time."""
+        if self._lost.is_set():
+            return RunEnd.LOST
+        try:
+            if self._stopping.is_set():
+                self._database(lambda session: leases.hand_back(session, self._lease, counts_as_attempt=False))
+                return RunEnd.HANDED_BACK
+            message = " ".join(str(error).split())[:1000]
+            if self._silent.is_set():
+                message = f"No episode ended within {self._services.settings.shard_silence_s:g} s."
+            logger.error("shard_broke", shard=self._lease.shard_id, attempt=self._lease.attempt, error=message)
+            settings = self._services.settings
+            self._database(lambda session: report_broken_machine(session, settings, self._lease, message))
+        except LeaseLost:
+            return RunEnd.LOST
+        return RunEnd.BROKE
+
+    def _database(self, work: Callable[[Session], ResultT]) -> ResultT:
+        """Runs a transaction, again and again while the database is away and the worker is not told to stop."""
+        patience_s = 5.0 if self._stopping.is_set() else DATABASE_PATIENCE_S
+        return self._services.database.retrying(work, give_up_after_s=patience_s)
+
+    def _kill(self) -> None:
+        with self._lock:
+            if self._process is not None:
+                self._process.kill()

@@ -1,0 +1,123 @@
+"""Takes shards from the queue and runs them, some at a time, until it is told to stop."""
+
+import asyncio
+import contextlib
+import threading
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from uuid import UUID
+
+import structlog
+from procrastinate.exceptions import ProcrastinateException
+from sqlalchemy.exc import DBAPIError
+from vitac.evaluator.shard_process import running_shard
+from vitac.evaluator.version import evaluator_version
+from vitac.server.queue import leases
+from vitac.server.queue.jobs import RUN_SHARD, make_worker_app, queue_name
+from vitac.server.queue.leases import Lease
+from vitac.server.services import Services
+
+from .shard_run import DATABASE_PATIENCE_S, RunEnd, ShardRun, StartShard
+from .staging import SubmissionStage
+
+logger = structlog.get_logger(__name__)
+
+POLL_S = 1.0
+"""A notification wakes the worker at once; polling finds jobs that were enqueued for later."""
+RECONNECT_PAUSE_S = 0.5
+
+
+class QueueWorker:
+    """Runs shards of the queue. `run` returns after `stop`, which may be called from any thread."""
+
+    def __init__(
+        self, services: Services, stage: SubmissionStage, worker_id: UUID, start: StartShard = running_shard
+    ) -> None:
+        self._services = services
+        self._stage = stage
+        self._worker_id = worker_id
+        self._start = start
+        self._slots = services.settings.worker_slots
+        self._lock = threading.Lock()
+        self._runs: set[ShardRun] = set()
+        self._stopping = False
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._stopped: asyncio.Event | None = None
+
+    async def run(self) -> None:
+        """Works until `stop`; connects again whenever the database went away."""
+        self._loop, self._stopped = asyncio.get_running_loop(), asyncio.Event()
+        if self._stopping:
+            return
+        with ThreadPoolExecutor(self._slots, thread_name_prefix="shard") as threads:
+            while not self._stopped.is_set():
+                try:
+                    await self._work_while_connected(threads, self._stopped)
+                except (ProcrastinateException, OSError) as error:
+                    logger.warning("queue_away", error=" ".join(repr(error.__cause__ or error).split())[:200])
+                with contextlib.suppress(TimeoutError):
+                    await asyncio.wait_for(self._stopped.wait(), RECONNECT_PAUSE_S)
+
+    def stop(self) -> None:
+        """Gives all shards back and ends."""
+        with self._lock:
+            self._stopping = True
+            running = list(self._runs)
+        for run in running:
+            run.stop()
+        if self._loop is not None and self._stopped is not None:
+            self._loop.call_soon_threadsafe(self._stopped.set)
+
+    async def _work_while_connected(self, threads: ThreadPoolExecutor, stopped: asyncio.Event) -> None:
+        app = make_worker_app(self._services.database.address)
+
+        @app.task(name=RUN_SHARD)
+        async def run_shard(shard_id: int) -> None:
+            await asyncio.get_running_loop().run_in_executor(threads, self._run_shard, shard_id)
+
+        async with app.open_async():
+            working = asyncio.create_task(
+                app.run_worker_async(
+                    queues=[queue_name(evaluator_version())],
+                    concurrency=self._slots,
+                    fetch_job_polling_interval=POLL_S,
+                    delete_jobs="always",
+                    install_signal_handlers=False,
+                )
+            )
+            waiting = asyncio.create_task(stopped.wait())
+            await asyncio.wait({working, waiting}, return_when=asyncio.FIRST_COMPLETED)
+            waiting.cancel()
+            working.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await working
+
+    def _run_shard(self, shard_id: int) -> None:
+        """One job, in a thread: the shard's row decides whether there is something to do."""
+        lease = self._claim(shard_id)
+        if lease is None:
+            return
+        run = ShardRun(self._services, self._stage, lease, self._start)
+        with self._lock:
+            self._runs.add(run)
+            stop_at_once = self._stopping
+        if stop_at_once:
+            run.stop()
+        try:
+            end = run.run()
+        except DBAPIError as error:
+            # The lease runs out and the sweep gives the shard to somebody else.
+            logger.error("shard_left", shard=shard_id, error=" ".join(str(error).split())[:300])
+            return
+        finally:
+            with self._lock:
+                self._runs.discard(run)
+        log: Callable[..., object] = logger.info if end is RunEnd.FINISHED else logger.warning
+        log("shard_ended", shard=shard_id, task=lease.task, number=lease.number, attempt=lease.attempt, end=str(end))
+
+    def _claim(self, shard_id: int) -> Lease | None:
+        lease_s = self._services.settings.lease_s
+        return self._services.database.retrying(
+            lambda session: leases.claim(session, shard_id, self._worker_id, lease_s),
+            give_up_after_s=DATABASE_PATIENCE_S,
+        )
