@@ -72,6 +72,7 @@ def copy_binaries(binaries: PostgresBinaries, destination: Path) -> PostgresBina
         unfinished = target.with_name(f"{target.name}.unfinished")
         shutil.rmtree(unfinished, ignore_errors=True)
         _copy_installation(binaries, unfinished)
+        destination.chmod(0o755)  # made under the caller's umask, as all below it
         _let_everybody_read(unfinished)
         unfinished.rename(target)
     return PostgresBinaries(bin_dir=_root_in_copy(binaries, target) / "bin", major=binaries.major)

