@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 def warm_up() -> None:
-    """Play one env step of the demo's task: Numba compiles what it needs and keeps it on disk."""
+    """Play one env step of each task: Numba compiles what it needs and keeps it on disk."""
     import gymnasium
     import vitac.envs  # noqa: F401 - registers the environments
     from vitac.evaluator.tracks import load_track

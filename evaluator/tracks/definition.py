@@ -112,12 +112,16 @@ class Task(StrictModel):
 
 
 class Track(StrictModel):
-    """One track: what is scored, how it is ranked, and its tasks by name."""
+    """One track: what is scored, how it is ranked, and its tasks by name.
+
+    `ranking_rule` orders the submissions of one task, `combination_rule` those of all tasks together.
+    """
 
     name: str
     title: str
     summary: str
     ranking_rule: str
+    combination_rule: str | None = None
     scoring_notes: tuple[str, ...] = ()
     tasks: dict[str, Task] = Field(min_length=1)
 
@@ -126,4 +130,10 @@ class Track(StrictModel):
         wrong = [key for key, task in self.tasks.items() if task.name != key]
         if wrong:
             raise ValueError(f"tasks.{wrong[0]}.name is {self.tasks[wrong[0]].name!r}; it must be {wrong[0]!r}")
+        return self
+
+    @model_validator(mode="after")
+    def _several_tasks_need_a_combination(self) -> Self:
+        if (self.combination_rule is not None) != (len(self.tasks) > 1):
+            raise ValueError("combination_rule must be given where there are several tasks, and only there")
         return self

@@ -34,17 +34,30 @@ def test_peg_list_has_three_repeats_of_thirty_offsets_of_three_shapes() -> None:
     assert [episode.offset for episode in episodes[::3]] == OFFSETS * 3
 
 
+def test_lock_list_has_four_keys_with_two_repeats_of_twenty_offsets() -> None:
+    episodes = load_track("track_1").tasks["lock-opening"].episodes
+    assert [episode.number for episode in episodes] == list(range(1, 161))
+    assert [episode.shape for episode in episodes] == [
+        key for key in ("key1", "key2", "key3", "key4") for _ in range(40)
+    ]
+    assert [episode.offset for episode in episodes] == [(0.25 * step, 0, 0) for step in range(20)] * 8
+
+
 def test_every_episode_has_its_own_random_seed() -> None:
     episodes = load_track("track_1").tasks["peg-insertion"].episodes
     assert len({episode.options["rng_seed"] for episode in episodes}) == 270
     assert episodes[41].options == {"shape": "concave1", "offset_mm_deg": (-1.0, 3.0, 4.0), "rng_seed": (0, 42)}
+    lock = load_track("track_1").tasks["lock-opening"].episodes
+    assert lock[41].options == {"shape": "key2", "offset_mm": (0.25, 0.0, 0.0), "rng_seed": (0, 42)}
 
 
-def test_list_order_matches_the_organizers_log(reference_dir: Path) -> None:
-    lines = (reference_dir / "logs" / "track1_peg_insertion.repeat0.jsonl").read_text().splitlines()
+@pytest.mark.parametrize(("task", "log"), [("peg-insertion", "peg_insertion"), ("lock-opening", "open_lock")])
+def test_list_order_matches_the_organizers_log(task: str, log: str, reference_dir: Path) -> None:
+    lines = (reference_dir / "logs" / f"track1_{log}.repeat0.jsonl").read_text().splitlines()
     logged = [json.loads(line) for line in lines]
-    episodes = load_track("track_1").tasks["peg-insertion"].episodes[: len(logged)]
-    assert [(e["shape"], tuple(e["initial_offset"])) for e in logged] == [(e.shape, e.offset) for e in episodes]
+    episodes = load_track("track_1").tasks[task].episodes
+    listed = [episodes[e["episode"] - 1] for e in logged]
+    assert [(e["shape"], tuple(e["initial_offset"])) for e in logged] == [(e.shape, e.offset) for e in listed]
 
 
 def test_loops_set_the_nesting(content: dict[str, object]) -> None:
@@ -103,7 +116,7 @@ def test_unknown_key_names_the_nearest(
 
 
 def test_unlike_key_lists_all_valid_ones(content: dict[str, object]) -> None:
-    with pytest.raises(DocumentRejected, match="valid keys are name, ranking_rule, scoring_notes, summary"):
+    with pytest.raises(DocumentRejected, match="valid keys are combination_rule, name, ranking_rule"):
         parse(content | {"zzzz": 1})
 
 
@@ -135,6 +148,16 @@ def test_loops_must_name_each_once(content: dict[str, object]) -> None:
     content["tasks"]["peg-insertion"]["episode_list"]["loops"] = ["repeat", "repeat", "shape"]  # type: ignore[index]
     with pytest.raises(DocumentRejected, match="once each"):
         parse(content)
+
+
+def test_several_tasks_need_a_combination_rule_and_one_has_none(content: dict[str, object]) -> None:
+    rule = content.pop("combination_rule")
+    with pytest.raises(DocumentRejected, match="combination_rule must be given where there are several tasks"):
+        parse(content)
+    del content["tasks"]["lock-opening"]  # type: ignore[attr-defined]
+    assert parse(content).combination_rule is None
+    with pytest.raises(DocumentRejected, match="and only there"):
+        parse(content | {"combination_rule": rule})
 
 
 def test_task_must_carry_the_name_of_its_key(content: dict[str, object]) -> None:
