@@ -15,6 +15,12 @@ def pytest_configure() -> None:
         del os.environ[name]
 
 
+def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
+    """Two processes for the whole suite, which was written for two cores; none for tests that were named or chosen."""
+    chosen = config.option.file_or_dir or config.option.keyword
+    return 0 if chosen else min(2, os.cpu_count() or 1)
+
+
 @pytest.fixture(scope="session")
 def repository() -> Path:
     """The repository's root, for tests of its files (locks, packaging, documents)."""
