@@ -7,8 +7,11 @@ differs between versions and between the CPU variants that one version picks at 
 
 import numba
 import numpy as np
+from numpy.typing import NDArray
 
 from .compilation import kernel
+
+FloatArray = NDArray[np.float64]
 
 _LN2_HIGH = 6.93147180369123816490e-01
 _LN2_LOW = 1.90821492927058770002e-10
@@ -17,6 +20,7 @@ _TWO_OVER_PI = 0.6366197723675814
 _HALF_PI_HIGH = 1.5707963267341256
 _HALF_PI_LOW = 6.077100506506192e-11
 _LARGEST_ANGLE_RAD = 1.0e4
+_TWO_PI = 6.283185307179586
 
 
 @kernel
@@ -70,6 +74,22 @@ def sine_cosine(angle_rad: float) -> tuple[float, float]:
     if quadrant == 2:
         return -sine, -cosine
     return -cosine, sine
+
+
+@kernel
+def normal_pairs(uniform: FloatArray) -> FloatArray:
+    """Independent standard normal numbers from numbers drawn uniformly from [0, 1), both of shape [n, 2].
+
+    Box & Muller, A Note on the Generation of Random Normal Deviates (1958): radius sqrt(-2 ln (1 - p)), angle 2 pi q.
+    NumPy's own normal numbers come from libm's logarithm where they lie far out.
+    """
+    normal = np.empty_like(uniform)
+    for i in range(len(uniform)):
+        radius = np.sqrt(-2.0 * natural_log(1.0 - uniform[i, 0]))
+        sine, cosine = sine_cosine(_TWO_PI * uniform[i, 1])
+        normal[i, 0] = radius * cosine
+        normal[i, 1] = radius * sine
+    return normal
 
 
 @numba.extending.intrinsic

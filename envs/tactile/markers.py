@@ -6,7 +6,7 @@ in this order per sensor, left sensor first:
 1. interval, rotation, translation x, translation y: one uniform each;
 2. for the n markers of the grid, x fastest: n uniforms for the shifts along x, then n along y;
 3. for the m markers that are on the sensing surface and in the picture: m uniforms; below the probability is lost;
-4. for the k that remain: normals of shape [2, k, 2], reference before current, u before v;
+4. for the k that remain: uniforms of shape [2 k, 2], reference before current, whose `normal_pairs` move u and v;
 5. only if k >= 128: a choice of 128 of k without replacement.
 """
 
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compilation import kernel
-from ..deterministic_math import sine_cosine
+from ..deterministic_math import normal_pairs, sine_cosine
 from ..errors import VitacError
 from ..fem.mesh import GelMesh
 from .camera import project
@@ -120,7 +120,7 @@ def marker_flow(
     current = project(_interpolated(current_m, corners, weights))
     flow = np.stack([reference, current])[:, _in_picture(reference)]
     flow = flow[:, random.random(flow.shape[1]) >= settings.loss_probability]
-    flow += settings.noise_px * random.standard_normal(flow.shape)
+    flow += settings.noise_px * normal_pairs(random.random((flow.size // 2, 2))).reshape(flow.shape)
     return _of_fixed_count(flow, random)
 
 

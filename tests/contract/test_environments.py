@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import vitac.envs
 from gymnasium.utils.env_checker import check_env
+from trajectories import digests as trajectory_digests
 from trajectories import trajectory_digest
 from vitac.envs.errors import VitacError
 from vitac.envs.task_env import ActionError, ResetOptionsError
@@ -117,7 +118,7 @@ def test_refusals_are_ours_and_name_the_environment(env: Any, env_id: str) -> No
 
 @pytest.fixture(scope="module")
 def digests() -> dict[str, str]:
-    return {env_id: trajectory_digest(env_id, 5, 2) for env_id in ENV_IDS}
+    return trajectory_digests()
 
 
 def test_same_seed_and_actions_repeat_bit_for_bit_in_one_process(env_id: str, digests: dict[str, str]) -> None:

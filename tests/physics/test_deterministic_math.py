@@ -5,7 +5,8 @@ from decimal import Decimal, localcontext
 
 import numpy as np
 import pytest
-from vitac.envs.deterministic_math import natural_log, sine_cosine
+from scipy import stats
+from vitac.envs.deterministic_math import natural_log, normal_pairs, sine_cosine
 
 SMALLEST_NORMAL = 2.2250738585072014e-308
 
@@ -71,3 +72,19 @@ def test_no_turn_is_exact() -> None:
 @pytest.mark.parametrize("x", [1.1e4, -math.inf, math.nan])
 def test_angles_out_of_range_give_nan(x: float) -> None:
     assert all(math.isnan(value) for value in sine_cosine(x))
+
+
+def test_normal_pairs_are_normal_and_independent() -> None:
+    normal = normal_pairs(np.random.default_rng(3).random((50_000, 2)))
+    assert stats.kstest(normal.ravel(), "norm").pvalue > 0.01
+    assert abs(np.corrcoef(normal.T)[0, 1]) < 0.01
+    assert abs(np.corrcoef((normal**2).T)[0, 1]) < 0.01
+
+
+def test_normal_pairs_follow_box_and_muller_from_end_to_end() -> None:
+    largest = math.nextafter(1.0, 0.0)
+    uniform = np.array([[0.0, 0.3], [0.5, 0.0], [0.9, 0.125], [largest, largest]])
+    radius = np.sqrt(-2 * np.log(1 - uniform[:, 0]))
+    angle = 2 * np.pi * uniform[:, 1]
+    expected = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
+    np.testing.assert_allclose(normal_pairs(uniform), expected, rtol=1e-14, atol=1e-14)

@@ -1,11 +1,17 @@
-"""Plays a fixed trajectory of an environment and digests every bit of it; run in this and in other processes."""
+"""Plays a fixed trajectory of an environment and digests every bit of it; run in this and in other processes.
+
+As a script it prints the digests of all environments, and what the surroundings really were, as JSON.
+"""
 
 import hashlib
+import json
+import os
+import sys
 from typing import Any
 
 import gymnasium
 import numpy as np
-import vitac.envs  # noqa: F401 - registers the ids
+import vitac.envs
 
 
 def trajectory_digest(env_id: str, seed: int, env_steps: int) -> str:
@@ -25,3 +31,31 @@ def trajectory_digest(env_id: str, seed: int, env_steps: int) -> str:
         observation, reward, terminated, truncated, info = env.step(action)
         add(observation, reward, terminated, truncated, info["end_reason"], info["surface_diff_m"].tolist())
     return digest.hexdigest()
+
+
+def digests() -> dict[str, str]:
+    """Digest of a trajectory of each environment."""
+    return {env_id: trajectory_digest(env_id, 5, 2) for env_id in sorted(vitac.envs.ENVIRONMENTS)}
+
+
+def numpy_simd() -> list[str]:
+    """Sets of vector instructions beyond its baseline that NumPy uses in this process."""
+    from numpy._core._multiarray_umath import __cpu_dispatch__, __cpu_features__  # type: ignore[import-not-found]
+
+    return [name for name in __cpu_dispatch__ if __cpu_features__[name]]
+
+
+def main() -> None:
+    import numba
+
+    surroundings = {
+        "folder": os.getcwd(),  # noqa: PTH109 - as the process sees it
+        "hash_of_a_word": hash("word"),
+        "numpy_simd": numpy_simd(),
+        "compiled_for": numba.config.CPU_NAME,  # type: ignore[attr-defined]
+    }
+    sys.stdout.write(json.dumps({"digests": digests(), "surroundings": surroundings}))
+
+
+if __name__ == "__main__":
+    main()

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from vitac.envs.deterministic_math import normal_pairs
 from vitac.envs.fem.mesh import GelMesh
 from vitac.envs.tactile import markers
 from vitac.envs.tactile.camera import camera_frame, project
@@ -14,18 +15,18 @@ STILL = MarkerSettings(
 )
 
 GOLDEN_UNIFORM = 2.127947758255627
-GOLDEN_NORMALS = [-0.9805271710302613, -0.8174783249223175, -1.027881871299033]
-GOLDEN_CHOICE = [25, 6, 85, 5, 23]
+GOLDEN_NORMALS = [0.40132416438466556, -1.2115829652075492, 2.3362059921482046, 0.9015351524853598]
+GOLDEN_CHOICE = [77, 22, 24, 25, 6]
 GOLDEN_FLOW = [
     [
-        [36.865296545007986, 43.81890828728723],
-        [136.7507651449825, 137.87651578281788],
-        [266.35173599214056, 234.80429885544905],
+        [35.92232693017762, 43.12051384098301],
+        [136.41041342945294, 138.63928141657968],
+        [267.06710050752525, 234.05729057009117],
     ],
     [
-        [37.52696805425177, 42.41410083545166],
-        [135.57150961653514, 137.7576238966903],
-        [266.19592371784245, 234.08030687469238],
+        [37.46838254127844, 42.90633892658705],
+        [135.9078820016589, 138.24477706842026],
+        [267.20887889841333, 234.2950880479664],
     ],
 ]
 
@@ -153,7 +154,7 @@ def test_draws_come_in_the_documented_order() -> None:
         trial = np.random.Generator(np.random.PCG64())
         trial.bit_generator.state = replay.bit_generator.state
         kept = int((trial.random(visible) >= 0.01).sum())
-        trial.standard_normal((2, kept, 2))
+        trial.random((2 * kept, 2))
         matches.append(kept == seen and trial.bit_generator.state == random.bit_generator.state)
     assert any(matches)
     assert abs(angle) <= 0.1
@@ -163,7 +164,7 @@ def test_golden_draws_are_pinned() -> None:
     """NumPy's generator belongs to the evaluator version: other numbers here mean that every score may differ."""
     random = np.random.Generator(np.random.PCG64(np.random.SeedSequence([0, 1])))
     assert random.uniform(1.95, 2.15) == GOLDEN_UNIFORM
-    assert random.standard_normal(3).tolist() == GOLDEN_NORMALS
+    assert normal_pairs(random.random((2, 2))).ravel().tolist() == GOLDEN_NORMALS
     assert random.choice(100, 5, replace=False).tolist() == GOLDEN_CHOICE
 
 
