@@ -108,6 +108,7 @@ class SolverSettings:
         residual_tolerance_n: largest force left on a node, friction taken at the solution [N].
         newton_iterations: most Newton iterations of one solve.
         phase_iterations: length of a turn of free Newton iterations, and of the first cautious one.
+        first_substep_level: how often the driven motion is halved from the start.
         substep_levels: how often the driven motion may be halved when a step does not converge.
         candidate_margin_m: relative motion that a list of candidate pairs stays good for [m].
     """
@@ -116,6 +117,7 @@ class SolverSettings:
     residual_tolerance_n: float = 1e-4
     newton_iterations: int = 228
     phase_iterations: int = 12
+    first_substep_level: int = 0
     substep_levels: int = 4
     candidate_margin_m: float = 2e-4
 
@@ -198,7 +200,7 @@ class Scene:
         counts = np.zeros(len(Counter), dtype=np.int64)
         measures = np.zeros(len(Measure))
         substeps, solved = 1, False
-        for level in range(self._solver.substep_levels + 1):
+        for level in range(self._solver.first_substep_level, self._solver.substep_levels + 1):
             substeps = 2**level
             self._x[:] = start
             solved = self._solve_in_parts(substeps, start, x_hat, target, counts, measures)

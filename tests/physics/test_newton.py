@@ -1,0 +1,99 @@
+"""How an IPC step is solved: what is done where plain Newton iterations do not lead there, and what is reported."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from block_meshes import box_gel, box_surface
+from numpy.typing import NDArray
+from small_scenes import IDENTITY, Grip, driven_positions_m
+from vitac.envs.fem.scene import GelBody, RigidBody, Scene, SolverSettings, StepReport, StepStatus
+
+FloatArray = NDArray[np.float64]
+STANDARD = SolverSettings()
+# Two solutions of the same step, each stopped at a move of 1e-8 m.
+SAME_M = 1e-7
+
+
+def pushed(solver: SolverSettings) -> tuple[StepReport, FloatArray]:
+    """A gripped box is squeezed and pushed by millimetres in one IPC step: report and node positions."""
+    grip = Grip(solver=STANDARD)
+    grip.squeeze(2e-4)
+    scene = Scene(gels=grip.gels, bodies=[grip.body], time_step_s=0.1, solver=solver)
+    scene._x[:], scene._velocity[:] = grip.scene._x, grip.scene._velocity
+    lower, upper = np.array([4e-3, 2e-3, 3e-4]), np.array([2e-3, 1e-3, -3e-4])
+    report = scene.step(driven_targets_m=[grip.targets_m[0] + lower, grip.targets_m[1] + upper])
+    return report, scene._x.copy()
+
+
+@pytest.fixture(scope="module")
+def plain() -> tuple[StepReport, FloatArray]:
+    report, x = pushed(STANDARD)
+    assert report.status is StepStatus.CONVERGED
+    assert report.projected_iterations == 0
+    return report, x
+
+
+def test_cautious_iterations_fall_back_on_the_projected_matrix_and_find_the_same_state(
+    plain: tuple[StepReport, FloatArray],
+) -> None:
+    """A free turn of one iteration only, then cautious ones."""
+    report, x = pushed(replace(STANDARD, phase_iterations=1, newton_iterations=1000))
+    assert report.status is StepStatus.CONVERGED
+    assert report.projected_iterations > 0
+    assert report.newton_iterations > plain[0].newton_iterations
+    np.testing.assert_allclose(x, plain[1], rtol=0, atol=SAME_M)
+
+
+def test_a_step_that_takes_too_many_iterations_is_divided_and_ends_in_the_same_state(
+    plain: tuple[StepReport, FloatArray],
+) -> None:
+    report, x = pushed(replace(STANDARD, newton_iterations=plain[0].newton_iterations - 1))
+    assert report.status is StepStatus.SUBSTEPPED
+    assert report.substeps > 1
+    np.testing.assert_allclose(x, plain[1], rtol=0, atol=SAME_M)
+
+
+def test_a_step_can_be_divided_from_the_start(plain: tuple[StepReport, FloatArray]) -> None:
+    report, x = pushed(replace(STANDARD, first_substep_level=2))
+    assert report.status is StepStatus.SUBSTEPPED
+    assert report.substeps == 4
+    np.testing.assert_allclose(x, plain[1], rtol=0, atol=SAME_M)
+
+
+def test_what_is_not_solved_is_called_so_and_stays_apart() -> None:
+    report, _ = pushed(replace(STANDARD, newton_iterations=2, substep_levels=1))
+    assert report.status is StepStatus.NOT_CONVERGED
+    assert report.residual_n > STANDARD.residual_tolerance_n
+    assert report.smallest_gap_m > 0
+    assert report.smallest_det_f > 0
+
+
+@pytest.mark.parametrize("margin_m", [1e-9, 1e-5, 1e-3])
+def test_the_answer_does_not_depend_on_the_margin_of_the_candidate_list(
+    plain: tuple[StepReport, FloatArray], margin_m: float
+) -> None:
+    """With next to no margin every iteration makes a new list; with a wide one the first list holds."""
+    report, x = pushed(replace(STANDARD, candidate_margin_m=margin_m))
+    assert report.active_contacts == plain[0].active_contacts
+    np.testing.assert_allclose(x, plain[1], rtol=0, atol=SAME_M)
+
+
+def test_a_body_that_flies_far_in_one_step_is_caught_by_what_was_not_listed_at_its_start() -> None:
+    """A box 5 mm above a plate is thrown at it with 100 mm per step, 500 times the candidate list's margin."""
+    gel = GelBody(
+        mesh=box_gel((0.004, 0.004, 0.004), (1, 1, 2)), rotation=IDENTITY, translation_m=np.array([1.0, 1.0, 1.0])
+    )
+    plate = box_surface((0.04, 0.04, 0.002), (-0.02, -0.02, -0.002), "plate")
+    box = box_surface((0.01, 0.01, 0.01), (-0.005, -0.005, 0.0), "box")
+    flying = RigidBody(mesh=box, rotation=IDENTITY, translation_m=np.array([0, 0, 0.005]), friction=0.3)
+    scene = Scene(
+        gels=[gel],
+        bodies=[RigidBody(mesh=plate, rotation=IDENTITY, translation_m=np.zeros(3), fixed=True), flying],
+        time_step_s=0.1,
+    )
+    scene._velocity[-4:, 2] = -1.0
+    report = scene.step(driven_targets_m=[driven_positions_m(gel)])
+    assert report.status is not StepStatus.NOT_CONVERGED
+    assert report.active_contacts > 0
+    assert 0 < scene.body_vertices_m(1)[:, 2].min() < 1e-4
