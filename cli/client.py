@@ -79,9 +79,9 @@ class Client:
         """Return the newest submissions that the token may see."""
         return list(self._json("GET", "/api/v1/submissions", params={"limit": limit})["items"])
 
-    def leaderboard(self, track: str) -> Json:
-        """Return the leaderboard of a track."""
-        return self._json("GET", f"/api/v1/leaderboards/{track}")
+    def leaderboard(self, track: str, *, task: str | None = None) -> Json:
+        """Return the leaderboard of a track, or of one of its tasks."""
+        return self._json("GET", f"/api/v1/leaderboards/{track}", params={"task": task} if task else {})
 
     def upload(
         self,

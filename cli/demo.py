@@ -198,11 +198,13 @@ class Demo:
         return found
 
     def _show(self, client: Client, found: Json) -> None:
-        self.display.leaderboard(client.leaderboard(TRACK), TEAM)
+        # A submission of one task would stand on the board of all tasks with 0 in the others.
+        task = found["tasks"][0] if len(found["tasks"]) == 1 else None
+        self.display.leaderboard(client.leaderboard(TRACK, task=task), TEAM)
         self.display.addresses(
             {
                 "Result hash": found["evaluation"]["result_hash"],
-                "Leaderboard": f"{client.server}/",
+                "Leaderboard": f"{client.server}/" + (f"tracks/{TRACK}?task={task}" if task else ""),
                 "Submission": f"{client.server}/submissions/{found['id']}",
                 "Sign in": f"{client.server}/sign-in with the token in {self.settings.state_dir / TOKEN_FILE}",
             }

@@ -90,9 +90,10 @@ class DemoDisplay:
         self.remark(f"Stopped. Finished episodes are kept; {program_name()} demo goes on with the rest.")
 
     def leaderboard(self, board: Json, team: str) -> None:
-        """Print the standings, the demo team's line in bold, and its rate for each shape."""
+        """Print the standings, the demo team's line in bold, and its rate for each task or each shape."""
         self.console.print()
-        self.console.print(Text(f"{' ' * INDENT}{board['title']}: leaderboard", style="bold"))
+        of = ", all tasks" if board["task"] is None else f", {board['task']}"
+        self.console.print(Text(f"{' ' * INDENT}{board['title']}{of}: leaderboard", style="bold"))
         self.console.print()
         table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="dim")
         table.add_column(" " * (INDENT - 1), width=INDENT - 1)
@@ -107,7 +108,7 @@ class DemoDisplay:
         self.console.print(table)
         own = next((entry for entry in board["entries"] if entry["team"] == team), None)
         if own is not None:
-            self._shapes(own)
+            self._parts(own)
 
     def addresses(self, pairs: Mapping[str, str]) -> None:
         """Print names and addresses below each other, never broken over two lines."""
@@ -128,20 +129,22 @@ class DemoDisplay:
 
     def _entry(self, entry: Json) -> tuple[str | Text, ...]:
         rank = "-" if entry["rank"] is None else str(entry["rank"])
-        low, high = entry["success_rate_interval"] or (entry["success_rate"],) * 2
+        low, high = entry["success_rate_interval"]
         steps = "-" if entry["mean_steps"] is None else f"{entry['mean_steps']:.2f}"
         bar = interval_bar(entry["success_rate"], low, high)
         interval = f"{100 * low:.1f} to {100 * high:.1f} %"
         return rank, entry["team"], percent(entry["success_rate"]) or "-", bar, interval, steps
 
-    def _shapes(self, entry: Json) -> None:
-        parts = [
-            f"{shape['shape']} {percent(shape['success_rate'])}"
-            for score in entry["scores"]
-            for shape in score["shapes"]
-        ]
+    def _parts(self, entry: Json) -> None:
+        several = len(entry["scores"]) > 1
+        by_task = [(score["task"], score) for score in entry["scores"]]
+        by_shape = [(shape["shape"], shape) for score in entry["scores"] for shape in score["shapes"]]
+        parts = ", ".join(
+            f"{name} {percent(part['success_rate'])}" for name, part in (by_task if several else by_shape)
+        )
+        by = "task" if several else "shape"
         self.console.print()
-        self.console.print(Text(f"{' ' * INDENT}{entry['team']} by shape: {', '.join(parts)}", style="dim"))
+        self.console.print(Text(f"{' ' * INDENT}{entry['team']} by {by}: {parts}", style="dim"))
 
     def _line(self, label: str, result: str, took_s: float) -> None:
         took = f"  {took_s:.1f} s" if took_s >= 0.05 else ""

@@ -111,21 +111,50 @@ def show(found: Json) -> None:
         "queue": evaluation["queue_position"],
         "episodes": f"{done['episodes_done']} of {done['episodes_total']}, {done['episodes_reused']} from the store",
     }
-    for score in evaluation["scores"]:
-        low, high = score["success_rate_interval"]
-        pairs |= {
-            f"{score['task']}": f"{percent(score['success_rate'])} ({percent(low)} to {percent(high)})",
-            "mean steps": score["mean_steps"],
-        }
-    if found["rank"] is not None:
-        pairs["rank"] = f"{found['rank']['rank']} of {found['rank']['of']}"
-    if evaluation["result_hash"] is not None:
-        pairs["result hash"] = evaluation["result_hash"]
+    pairs |= _scores(found) if evaluation["scores"] else _progress_of_tasks(done)
+    if found["missing_tasks"]:
+        pairs["not played"] = f"{', '.join(found['missing_tasks'])} (counts as 0 in the ranking of all tasks)"
     if evaluation["verdict"] is not None:
-        pairs["verdict"] = f"{evaluation['verdict']['code']}: {evaluation['verdict']['message']}"
+        pairs["verdict"] = _verdict(evaluation["verdict"])
     print_pairs(pairs)
     if evaluation["log_tail"]:
         print(f"\noutput of the policy, its last lines:\n{evaluation['log_tail']}")
+
+
+def _scores(found: Json) -> dict[str, object]:
+    """Score, rank and result hash of each task, and of all together where the track has several."""
+    evaluation, ranks = found["evaluation"], found["task_ranks"]
+    lines: dict[str, object] = {
+        score["task"]: _score(score, ranks.get(score["task"])) for score in evaluation["scores"]
+    }
+    several = len(found["tasks"]) + len(found["missing_tasks"]) > 1
+    if several:
+        lines["all tasks"] = _score(evaluation, found["rank"])
+    if len(evaluation["scores"]) > 1:
+        lines |= {f"hash, {score['task']}": score["result_hash"] for score in evaluation["scores"]}
+    return lines | {"result hash": evaluation["result_hash"]}
+
+
+def _score(score: Json, rank: Json | None) -> str:
+    low, high = score["success_rate_interval"]
+    steps = "no mean of steps" if score["mean_steps"] is None else f"{score['mean_steps']:.2f} steps"
+    place = "" if rank is None else f", rank {rank['rank']} of {rank['of']}"
+    return f"{percent(score['success_rate'])} ({percent(low)} to {percent(high)}), {steps}{place}"
+
+
+def _progress_of_tasks(progress: Json) -> dict[str, object]:
+    """How far each task is, where there are several."""
+    tasks = progress["tasks"]
+    return {
+        task["task"]: f"{task['episodes_done']} of {task['episodes_total']}, {task['successes']} successes"
+        for task in tasks
+        if len(tasks) > 1
+    }
+
+
+def _verdict(verdict: Json) -> str:
+    where = f" ({verdict['task']}, episode {verdict['episode']})" if verdict["task"] else ""
+    return f"{verdict['code']}: {verdict['message']}{where}"
 
 
 def to_the_second(time: str) -> str:
@@ -135,8 +164,8 @@ def to_the_second(time: str) -> str:
 
 def _row(item: Json) -> list[object]:
     evaluation = item["evaluation"]
-    progress, scores = evaluation["progress"], evaluation["scores"]
-    rate = scores[0]["success_rate"] if len(scores) == 1 else None
+    progress = evaluation["progress"]
+    rates = [f"{score['task']} {percent(score['success_rate'])}" for score in evaluation["scores"]]
     done = f"{progress['episodes_done']}/{progress['episodes_total']}"
     return [
         item["id"],
@@ -144,6 +173,6 @@ def _row(item: Json) -> list[object]:
         item["team"]["name"],
         evaluation["state"],
         done,
-        percent(rate),
+        ", ".join(rates),
         to_the_second(item["submitted_at"]),
     ]

@@ -1,11 +1,12 @@
 """The order of a leaderboard, a pure function of standings; called by the server."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from math import inf, isfinite
+from statistics import fmean
 
-from .scoring import Score
+from .scoring import Interval, Score, interval_of_mean
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,14 +40,31 @@ def rank(standings: Iterable[Standing]) -> list[Ranked]:
     return [Ranked(rank=place, standing=standing) for place, standing in enumerate(rankable, start=1)]
 
 
-def combine(scores: Sequence[Score]) -> tuple[float, float | None]:
-    """Success rate and mean env steps of a track with several tasks.
+@dataclass(frozen=True, kw_only=True)
+class CombinedScore:
+    """What a submission reached in all tasks of a track together. `mean_steps` is None where a task has none."""
 
-    The mean of the tasks' success rates, and the mean of their mean steps; None if a task has no success.
+    success_rate: float
+    interval: Interval
+    mean_steps: float | None
+
+
+def combine(tasks: Collection[str], scores: Mapping[str, Score]) -> CombinedScore:
+    """The combination of a track's tasks: the mean of their success rates, and the mean of their mean env steps.
+
+    A task without a score counts as 0 successes and has no mean of steps.
+
+    Args:
+        tasks: all tasks of the track.
+        scores: by task, of those that were played.
     """
-    steps = [score.mean_steps for score in scores if score.mean_steps is not None]
-    mean_steps = sum(steps) / len(steps) if len(steps) == len(scores) else None
-    return sum(score.success_rate for score in scores) / len(scores), mean_steps
+    played = [scores[task] for task in tasks if task in scores]
+    steps = [score.mean_steps for score in played if score.mean_steps is not None]
+    return CombinedScore(
+        success_rate=sum(score.success_rate for score in played) / len(tasks),
+        interval=interval_of_mean(played, of=len(tasks)),
+        mean_steps=fmean(steps) if len(steps) == len(tasks) else None,
+    )
 
 
 def _is_rankable(standing: Standing) -> bool:

@@ -1,8 +1,8 @@
 """The score of an evaluation, a pure function of its records; used by the CLI, the leaderboards and the pages."""
 
 from collections import Counter
-from collections.abc import Collection, Iterable
-from math import sqrt
+from collections.abc import Collection, Iterable, Sequence
+from math import hypot, sqrt
 from statistics import NormalDist, fmean
 
 from pydantic import Field, NonNegativeInt, PositiveInt
@@ -49,6 +49,20 @@ def wilson_interval(successes: int, episodes: int, confidence: float = 0.95) -> 
     low, high = (centre - half_width) / (1 + spread), (centre + half_width) / (1 + spread)
     # Rounding may leave the exact bounds 0 (no success) and 1 (no failure) by one unit in the last place.
     return Interval(low=0.0 if successes == 0 else low, high=1.0 if successes == episodes else high)
+
+
+def interval_of_mean(rates: Sequence[Rate], *, of: int) -> Interval:
+    """Interval of the mean of `of` rates of independent episodes, those not given being 0 by rule.
+
+    With rates p_i and their intervals [l_i, u_i], from the variances recovered out of the single intervals:
+    mean p - sqrt(sum (p_i - l_i)^2) / n to mean p + sqrt(sum (u_i - p_i)^2) / n. It lies within [0, 1] as they do.
+    G. Y. Zou and A. Donner, Construction of confidence limits about effect measures: a general approach,
+    Statistics in Medicine 27 (2008) 1693-1702, section 2.
+    """
+    mean = sum(rate.success_rate for rate in rates) / of
+    below = hypot(*(rate.success_rate - rate.interval.low for rate in rates)) / of
+    above = hypot(*(rate.interval.high - rate.success_rate for rate in rates)) / of
+    return Interval(low=max(0.0, mean - below), high=min(1.0, mean + above))
 
 
 def rate(successes: int, episodes: int) -> Rate:

@@ -34,6 +34,7 @@ class ProblemCode(StrEnum):
     TEAM_EXISTS = "team_exists"
     TEAM_REQUIRED = "team_required"
     TOO_MANY_REQUESTS = "too_many_requests"
+    UNKNOWN_TASK = "unknown_task"
     UNKNOWN_TEAM = "unknown_team"
     UNKNOWN_TRACK = "unknown_track"
     UNSUPPORTED_CONTENT_TYPE = "unsupported_content_type"
@@ -64,6 +65,7 @@ STATUS_OF_CODE: Mapping[ProblemCode, HTTPStatus] = MappingProxyType(
         ProblemCode.TEAM_EXISTS: HTTPStatus.CONFLICT,
         ProblemCode.TEAM_REQUIRED: HTTPStatus.UNPROCESSABLE_ENTITY,
         ProblemCode.TOO_MANY_REQUESTS: HTTPStatus.TOO_MANY_REQUESTS,
+        ProblemCode.UNKNOWN_TASK: HTTPStatus.NOT_FOUND,
         ProblemCode.UNKNOWN_TEAM: HTTPStatus.NOT_FOUND,
         ProblemCode.UNKNOWN_TRACK: HTTPStatus.NOT_FOUND,
         ProblemCode.UNSUPPORTED_CONTENT_TYPE: HTTPStatus.UNSUPPORTED_MEDIA_TYPE,

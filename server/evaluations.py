@@ -6,9 +6,8 @@ from datetime import UTC, datetime
 from sqlalchemy import func, select, update
 from sqlalchemy.orm import Session
 from vitac.envs.errors import VitacError
-from vitac.evaluator.ranking import combine
 from vitac.evaluator.records import EpisodeRecord, Manifest, PolicyFailure, result_hash
-from vitac.evaluator.scoring import Score, score
+from vitac.evaluator.scoring import score
 from vitac.evaluator.shards import ShardEnd, ShardResult, breaking_failure, cut
 from vitac.evaluator.tracks import load_track
 from vitac.evaluator.version import evaluator_hash, evaluator_version
@@ -26,6 +25,7 @@ from vitac.server.queue.leases import (
     stored_episodes,
 )
 from vitac.server.result_hashes import combine_hashes
+from vitac.server.scores import store_scores
 from vitac.server.settings import Settings
 from vitac.server.verdicts import ServiceVerdict
 
@@ -174,17 +174,11 @@ def _conclude(session: Session, evaluation: Evaluation) -> None:
 def _complete(session: Session, evaluation: Evaluation, records: dict[str, list[EpisodeRecord]]) -> None:
     manifests = {task: _manifest_of(session, evaluation, task) for task in records}
     hashes = {task: result_hash(manifests[task], records[task]) for task in records}
-    scores = {task: score(records[task]) for task in records}
-    evaluation.scores = [_score_row(task, scores[task], hashes[task]) for task in records]
-    evaluation.success_rate, evaluation.mean_steps = combine(list(scores.values()))
+    store_scores(evaluation, {task: score(records[task]) for task in records}, hashes)
     evaluation.result_hash = combine_hashes(hashes)
     evaluation.platform_class = next(iter(manifests.values())).platform_class
     evaluation.state = EvaluationState.COMPLETED
     evaluation.finished_at = datetime.now(UTC)
-
-
-def _score_row(task: str, task_score: Score, task_hash: str) -> dict[str, object]:
-    return {"task": task, "result_hash": task_hash, **task_score.model_dump(mode="json")}
 
 
 def _manifest_of(session: Session, evaluation: Evaluation, task: str) -> Manifest:

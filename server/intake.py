@@ -15,6 +15,7 @@ from pathlib import Path
 from vitac.evaluator.archive import unpack
 from vitac.evaluator.archive_names import ArchiveRejected
 from vitac.evaluator.submission import ManifestRejected, SubmissionManifest, load_manifest, submission_digest
+from vitac.evaluator.tracks import load_track
 from vitac.server.db.states import SubmissionKind
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.services import Services
@@ -99,7 +100,7 @@ def accept(services: Services, received: ReceivedFile, *, track: str | None) -> 
     return CheckedUpload(
         kind=SubmissionKind.MODEL,
         track=manifest.track,
-        tasks=manifest.tasks,
+        tasks=tuple(task for task in load_track(manifest.track).tasks if task in manifest.tasks),
         name=manifest.name,
         digest=digest,
         archive_sha256=received.sha256,

@@ -1,17 +1,18 @@
 """Makes the view of a submission out of its rows; called by `submissions` for the API and the pages."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import partial
-from uuid import UUID
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session
+from vitac.evaluator.tracks import load_track
 from vitac.server.db.models import EpisodeResult, Evaluation, Shard, Submission, Team
 from vitac.server.db.states import TERMINAL_EVALUATION_STATES, EvaluationState
 from vitac.server.evaluations import LOG_TAIL_CHARACTERS
-from vitac.server.leaderboards import places, score_views
+from vitac.server.leaderboards import PlacesOfBoards, places
 from vitac.server.progress import progress_of, queue_position, seconds_to_end
 from vitac.server.queue.leases import key_of
+from vitac.server.scores import bounds, combined_score, score_views
 from vitac.server.settings import Settings
 from vitac.server.verdicts import sentence_of
 from vitac.server.views import (
@@ -25,7 +26,7 @@ from vitac.server.views import (
 )
 from vitac.server.workers import WorkersAlive, workers_alive
 
-PlacesOf = Callable[[str], Mapping[UUID, RankView]]
+PlacesOf = Callable[[str], PlacesOfBoards]
 
 
 def submission_view(
@@ -37,7 +38,7 @@ def submission_view(
         session: of the transaction.
         settings: of this process.
         submission: whose view.
-        places_of: gives the places of a track, for those who show many submissions and read them once.
+        places_of: gives the places on a track's boards, for those who show many submissions and read them once.
     """
     places_of = places_of or partial(places, session)
     history = session.scalars(
@@ -48,12 +49,14 @@ def submission_view(
     ).all()
     newest = history[0]
     workers = workers_alive(session, settings, newest.evaluator_version)
+    ranks = _ranks(submission, newest, places_of)
     return SubmissionView(
         id=submission.id,
         team=team_view(submission.team),
         kind=submission.kind,
         track=submission.track,
         tasks=submission.tasks,
+        missing_tasks=[task for task in load_track(submission.track).tasks if task not in submission.tasks],
         name=submission.name,
         digest=submission.digest,
         archive_sha256=submission.archive_sha256,
@@ -62,7 +65,8 @@ def submission_view(
         evaluation=_evaluation_view(session, newest, submission, workers),
         evaluations=[_summary(evaluation) for evaluation in history],
         workers=WorkersView(alive=workers.alive, last_heartbeat_at=workers.last_heartbeat_at),
-        rank=places_of(submission.track).get(submission.id) if newest.state is EvaluationState.COMPLETED else None,
+        rank=ranks.get(None),
+        task_ranks={task: place for task, place in ranks.items() if task is not None},
     )
 
 
@@ -71,27 +75,31 @@ def team_view(team: Team) -> TeamView:
     return TeamView(id=team.id, name=team.name, created_at=team.created_at)
 
 
+def _ranks(submission: Submission, newest: Evaluation, places_of: PlacesOf) -> dict[str | None, RankView]:
+    """Places of the submission by task; under None that of all tasks together."""
+    if newest.state is not EvaluationState.COMPLETED:
+        return {}
+    boards = places_of(submission.track)
+    return {task: places[submission.id] for task, places in boards.items() if submission.id in places}
+
+
 def _evaluation_view(
     session: Session, evaluation: Evaluation, submission: Submission, workers: WorkersAlive
 ) -> EvaluationView:
     progress = progress_of(session, evaluation, submission)
+    combined = combined_score(evaluation)
     return EvaluationView(
-        id=evaluation.id,
-        run=evaluation.run,
-        state=evaluation.state,
-        created_at=evaluation.created_at,
+        **dict(_summary(evaluation)),
         started_at=evaluation.started_at,
-        finished_at=evaluation.finished_at,
         queue_position=queue_position(session, evaluation),
         eta_s=seconds_to_end(session, evaluation, progress, workers.slots),
         progress=progress,
         verdict=_verdict(evaluation),
         log_tail=_log_tail(session, evaluation, submission),
-        result_hash=evaluation.result_hash,
-        success_rate=evaluation.success_rate,
-        mean_steps=evaluation.mean_steps,
-        scores=score_views(evaluation.scores or []),
-        evaluator_version=evaluation.evaluator_version,
+        success_rate=combined.success_rate if combined else None,
+        success_rate_interval=bounds(combined.interval) if combined else None,
+        mean_steps=combined.mean_steps if combined else None,
+        scores=score_views(evaluation),
         evaluator_hash=evaluation.evaluator_hash,
         platform_class=evaluation.platform_class,
         isolation=_isolation(session, evaluation),
@@ -129,12 +137,4 @@ def _isolation(session: Session, evaluation: Evaluation) -> list[str]:
 
 
 def _summary(evaluation: Evaluation) -> EvaluationSummaryView:
-    return EvaluationSummaryView(
-        id=evaluation.id,
-        run=evaluation.run,
-        state=evaluation.state,
-        evaluator_version=evaluation.evaluator_version,
-        created_at=evaluation.created_at,
-        finished_at=evaluation.finished_at,
-        result_hash=evaluation.result_hash,
-    )
+    return EvaluationSummaryView.model_validate(evaluation, from_attributes=True)

@@ -19,6 +19,7 @@ def track_view(track: Track, settings: Settings) -> TrackView:
         title=track.title,
         summary=track.summary,
         ranking_rule=track.ranking_rule,
+        combination_rule=track.combination_rule,
         tasks=[
             TrackTaskView(
                 name=name, title=task.title, env_id=task.env_id, episodes=len(task.episodes), max_steps=task.max_steps

@@ -111,30 +111,6 @@ class VerdictView(View):
     episode: int | None
 
 
-class EvaluationView(View):
-    """One run of the evaluator over a submission."""
-
-    id: UUID
-    run: int
-    state: EvaluationState
-    created_at: datetime
-    started_at: datetime | None
-    finished_at: datetime | None
-    queue_position: int | None = Field(description="1 is next; null unless queued.")
-    eta_s: float | None = Field(description="Seconds to the end; null when finished or not known.")
-    progress: ProgressView
-    verdict: VerdictView | None
-    log_tail: str = Field(description="The end of what the policy printed in episodes that it failed in.")
-    result_hash: str | None
-    success_rate: float | None
-    mean_steps: float | None
-    scores: list[TaskScoreView]
-    evaluator_version: str
-    evaluator_hash: str
-    platform_class: str | None
-    isolation: list[str] = Field(description="How the policy was isolated, on each kind of worker machine.")
-
-
 class EvaluationSummaryView(View):
     """A line of a submission's history."""
 
@@ -147,6 +123,24 @@ class EvaluationSummaryView(View):
     result_hash: str | None
 
 
+class EvaluationView(EvaluationSummaryView):
+    """One run of the evaluator over a submission."""
+
+    started_at: datetime | None
+    queue_position: int | None = Field(description="1 is next; null unless queued.")
+    eta_s: float | None = Field(description="Seconds to the end; null when finished or not known.")
+    progress: ProgressView
+    verdict: VerdictView | None
+    log_tail: str = Field(description="The end of what the policy printed in episodes that it failed in.")
+    success_rate: float | None = Field(description="Mean over all tasks of the track; a task not played counts as 0.")
+    success_rate_interval: tuple[float, float] | None = Field(description="Of that mean, 95 %.")
+    mean_steps: float | None = Field(description="Mean of all tasks' mean steps; null where a task has none.")
+    scores: list[TaskScoreView]
+    evaluator_hash: str
+    platform_class: str | None
+    isolation: list[str] = Field(description="How the policy was isolated, on each kind of worker machine.")
+
+
 class WorkersView(View):
     """Whether anybody works on evaluations."""
 
@@ -155,7 +149,7 @@ class WorkersView(View):
 
 
 class RankView(View):
-    """Place of the team's best entry, when it is this submission."""
+    """Place on a leaderboard of the team's best entry there, when it is this submission."""
 
     rank: int
     of: int
@@ -169,6 +163,7 @@ class SubmissionView(View):
     kind: SubmissionKind
     track: str
     tasks: list[str]
+    missing_tasks: list[str] = Field(description="Tasks of the track that it does not play; each counts as 0.")
     name: str
     digest: str = Field(description="SHA-256 over the unpacked files; equal for a folder and its zip.")
     archive_sha256: str
@@ -177,7 +172,8 @@ class SubmissionView(View):
     evaluation: EvaluationView
     evaluations: list[EvaluationSummaryView] = Field(description="All runs, newest first.")
     workers: WorkersView
-    rank: RankView | None
+    rank: RankView | None = Field(description="On the leaderboard of all tasks together.")
+    task_ranks: dict[str, RankView] = Field(description="On the leaderboards of single tasks.")
 
 
 class SubmissionListView(View):
@@ -211,20 +207,23 @@ class LeaderboardEntryView(View):
     evaluated_at: datetime
     episodes: int
     successes: int
-    success_rate: float
-    success_rate_interval: tuple[float, float] | None = Field(description="Null where several tasks are combined.")
-    mean_steps: float | None
-    scores: list[TaskScoreView]
+    success_rate: float = Field(description="Of the task; without one the mean over all tasks, one not played being 0.")
+    success_rate_interval: tuple[float, float] = Field(description="95 % interval of that.")
+    mean_steps: float | None = Field(
+        description="Of the task, or the mean of all tasks' means; null where one is missing."
+    )
+    scores: list[TaskScoreView] = Field(description="Of the tasks that it plays and this leaderboard ranks.")
     result_hash: str
     evaluator_version: str
 
 
 class LeaderboardView(View):
-    """Standings of one track."""
+    """Standings of one track, or of one of its tasks."""
 
     track: str
     title: str
-    tasks: list[str]
+    tasks: list[str] = Field(description="All tasks of the track.")
+    task: str | None = Field(description="The task that is ranked; null: all together.")
     ranking_rule: str
     evaluator_version: str
     generated_at: datetime
@@ -248,7 +247,8 @@ class TrackView(View):
     name: str
     title: str
     summary: str
-    ranking_rule: str
+    ranking_rule: str = Field(description="Order on the leaderboard of a task.")
+    combination_rule: str | None = Field(description="Order on the leaderboard of all tasks; null where there is one.")
     tasks: list[TrackTaskView]
     limits: dict[str, float] = Field(description="Most that an upload and its policy may use; bytes, seconds, numbers.")
 

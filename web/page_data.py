@@ -57,8 +57,8 @@ class PageData(Protocol):
     async def visitor_with_token_id(self, token_id: UUID) -> Visitor | None:
         """Return the holder of a token that signed in before, or None where it is no longer valid."""
 
-    async def leaderboard(self, track: str) -> LeaderboardView:
-        """Return the leaderboard of a track."""
+    async def leaderboard(self, track: str, task: str | None) -> LeaderboardView:
+        """Return the leaderboard of a track, or of one of its tasks."""
 
     async def submission(self, visitor: Visitor, submission_id: UUID) -> SubmissionView:
         """Return one submission."""

@@ -46,9 +46,9 @@ class ServiceData:
         """Return the holder of a token that signed in before."""
         return await self._visitor(lambda session: tokens.principal_of_token_id(session, token_id))
 
-    async def leaderboard(self, track: str) -> LeaderboardView:
-        """Return the leaderboard of a track."""
-        return await self._ask(lambda session: leaderboards.leaderboard(session, track))
+    async def leaderboard(self, track: str, task: str | None) -> LeaderboardView:
+        """Return the leaderboard of a track, or of one of its tasks."""
+        return await self._ask(lambda session: leaderboards.leaderboard(session, track, task=task))
 
     async def submission(self, visitor: Visitor, submission_id: UUID) -> SubmissionView:
         """Return one submission."""

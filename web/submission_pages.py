@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 from uuid import UUID
 
@@ -18,14 +19,25 @@ from .rendering import render
 from .site import page, require_form_token, require_viewer, site_of, viewer_of
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator
+    from collections.abc import AsyncIterator, Sequence
 
     from starlette.requests import Request
-    from vitac.server.views import SubmissionView
+    from vitac.evaluator.tracks import Track
+    from vitac.server.views import EpisodeView, RankView, SubmissionView, TaskProgressView, TaskScoreView
 
+    from .episode_map import EpisodeMap
     from .site import Viewer
-
 POLL_S = 1.0  # between two looks at a running evaluation; a page changes at most that often
+
+
+@dataclass(frozen=True, kw_only=True)
+class TaskPart:
+    """What the page shows of one task: its progress, its episodes, and when all are there its score and place."""
+
+    map: EpisodeMap
+    progress: TaskProgressView
+    score: TaskScoreView | None
+    rank: RankView | None
 
 
 async def submissions(request: Request) -> Response:
@@ -100,11 +112,20 @@ async def _values(request: Request, viewer: Viewer) -> dict[str, Any]:
         "track": track,
         "active": found.evaluation.state not in TERMINAL_EVALUATION_STATES,
         "took": seconds_taken(found),
-        "maps": [
-            episode_map(name, track.tasks[name], {end.episode: end for end in ends if end.task == name})
-            for name in found.tasks
-        ],
+        "parts": [task_part(found, track, name, ends) for name in found.tasks],
+        "missing": [track.tasks[name].title for name in found.missing_tasks],
     }
+
+
+def task_part(found: SubmissionView, track: Track, task: str, ends: Sequence[EpisodeView]) -> TaskPart:
+    """Return what is shown of one task of a submission."""
+    evaluation = found.evaluation
+    return TaskPart(
+        map=episode_map(task, track.tasks[task], {end.episode: end for end in ends if end.task == task}),
+        progress=next(progress for progress in evaluation.progress.tasks if progress.task == task),
+        score=next((score for score in evaluation.scores if score.task == task), None),
+        rank=found.task_ranks.get(task),
+    )
 
 
 def as_id(text: str) -> UUID:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from starlette.exceptions import HTTPException
 from vitac.evaluator.tracks import UnknownTrack, load_track
 
-from .rendering import words
+from .rendering import steps, words
 from .site import page, site_of, viewer_of
 
 if TYPE_CHECKING:
@@ -19,22 +19,39 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ShapeColumn:
-    """A column of the leaderboard: the rate of one shape of one task."""
+class Tab:
+    """A link to one of the boards of a track."""
 
-    task: str
-    shape: str
     title: str
+    target: str
+    current: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class Column:
+    """A column of a leaderboard: the rate in one task, or in one shape of it."""
+
+    title: str
+    task: str
+    shape: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cell:
+    """What an entry has in a column; no rate where it does not play the task."""
+
+    rate: float | None = None
+    notes: tuple[str, ...] = ()
 
 
 async def home(request: Request) -> Response:
     """Show the leaderboard of the first track."""
-    return await _leaderboard(request, site_of(request).tracks[0], section="/")
+    return await _leaderboard(request, site_of(request).tracks[0])
 
 
 async def leaderboard(request: Request) -> Response:
-    """Show the leaderboard of a track."""
-    return await _leaderboard(request, request.path_params["track"], section="")
+    """Show the leaderboard of a track, or with `?task=` that of one of its tasks."""
+    return await _leaderboard(request, request.path_params["track"])
 
 
 async def rules(request: Request) -> Response:
@@ -50,39 +67,69 @@ async def rules(request: Request) -> Response:
     )
 
 
-def shape_columns(track: Track) -> tuple[ShapeColumn, ...]:
-    """Return the per-shape columns; with several tasks a title also names the task."""
-    several = len(track.tasks) > 1
+def tabs(track: Track, task: str | None) -> tuple[Tab, ...]:
+    """Return the boards of a track: all tasks together, then each; none where there is but one."""
+    if len(track.tasks) == 1:
+        return ()
+    address = f"/tracks/{track.name}"
+    own = (
+        Tab(title=definition.title, target=f"{address}?task={name}", current=name == task)
+        for name, definition in track.tasks.items()
+    )
+    return (Tab(title="All tasks", target=address, current=task is None), *own)
+
+
+def columns(track: Track, task: str | None) -> tuple[Column, ...]:
+    """Return what a board shows beside the rate that it ranks by: the tasks, or the shapes of the only one."""
+    if _is_combined(track, task):
+        return tuple(Column(title=definition.title, task=name) for name, definition in track.tasks.items())
+    only = track.tasks[task or next(iter(track.tasks))]
     return tuple(
-        ShapeColumn(
-            task=name, shape=shape, title=f"{task.title}: {words(shape)}" if several else words(shape).capitalize()
-        )
-        for name, task in track.tasks.items()
-        for shape in task.episode_list.shapes
+        Column(title=words(shape).capitalize(), task=only.name, shape=shape) for shape in only.episode_list.shapes
     )
 
 
-def shape_rates(columns: tuple[ShapeColumn, ...], entry: LeaderboardEntryView) -> list[float | None]:
-    """Return the success rates of an entry in the order of the columns; None where it has no episode of that shape."""
-    rates = {(score.task, shape.shape): shape.success_rate for score in entry.scores for shape in score.shapes}
-    return [rates.get((column.task, column.shape)) for column in columns]
+def cells(shown: tuple[Column, ...], entry: LeaderboardEntryView) -> list[Cell]:
+    """Return what an entry has in the columns."""
+    return [_cell(column, entry) for column in shown]
 
 
-async def _leaderboard(request: Request, name: str, *, section: str) -> Response:
+def _cell(column: Column, entry: LeaderboardEntryView) -> Cell:
+    score = next((score for score in entry.scores if score.task == column.task), None)
+    if score is None:
+        return Cell(notes=("not played",))
+    if column.shape is None:
+        notes = (f"{score.successes} of {score.episodes}",)
+        return Cell(
+            rate=score.success_rate,
+            notes=notes if score.mean_steps is None else (*notes, f"{steps(score.mean_steps)} steps"),
+        )
+    return Cell(rate=next((part.success_rate for part in score.shapes if part.shape == column.shape), None))
+
+
+def _is_combined(track: Track, task: str | None) -> bool:
+    return task is None and len(track.tasks) > 1
+
+
+async def _leaderboard(request: Request, name: str) -> Response:
     track = _track(name)
-    board = await site_of(request).data.leaderboard(name)
-    columns = shape_columns(track)
+    site, task = site_of(request), request.query_params.get("task")
+    board = await site.data.leaderboard(name, task)
+    shown = columns(track, task)
+    counted = track.tasks.values() if task is None else [track.tasks[task]]
     return page(
         request,
         "leaderboard.html",
         viewer=await viewer_of(request),
-        section=section,
+        section="/" if name == site.tracks[0] else "",
         board=board,
         track=track,
+        tabs=tabs(track, task),
+        combined=_is_combined(track, task),
         ranked=[entry for entry in board.entries if entry.rank is not None],
-        episodes=sum(len(task.episodes) for task in track.tasks.values()),
-        shapes=columns,
-        shape_rates=lambda entry: shape_rates(columns, entry),
+        episodes=sum(len(definition.episodes) for definition in counted),
+        columns=shown,
+        cells=lambda entry: cells(shown, entry),
     )
 
 

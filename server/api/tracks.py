@@ -1,6 +1,8 @@
 """Routes that anybody may read: tracks and leaderboards."""
 
-from fastapi import APIRouter
+from typing import Annotated
+
+from fastapi import APIRouter, Query
 from vitac.server.leaderboards import leaderboard, load_known_track
 from vitac.server.tracks import track_view, track_views
 from vitac.server.views import LeaderboardView, TrackListView, TrackView
@@ -24,7 +26,12 @@ def get_track(services: ServicesOf, track: str) -> TrackView:
 
 
 @router.get("/leaderboards/{track}")
-def get_leaderboard(services: ServicesOf, track: str) -> LeaderboardView:
-    """Standings of a track: the best completed evaluation of each team."""
+def get_leaderboard(
+    services: ServicesOf,
+    track: str,
+    *,
+    task: Annotated[str | None, Query(description="Rank by this task alone; all tasks together without it.")] = None,
+) -> LeaderboardView:
+    """Standings of a track or of one of its tasks: the best completed evaluation of each team."""
     with services.database.transaction() as session:
-        return leaderboard(session, track)
+        return leaderboard(session, track, task=task)

@@ -6,8 +6,11 @@ from collections.abc import Iterator
 
 import pytest
 from page_fixtures import (
+    LOCK,
+    TASK,
     FixedData,
     a_leaderboard,
+    a_score,
     a_submission,
     a_visitor,
     an_application,
@@ -17,7 +20,7 @@ from playwright.sync_api import Browser, Page, sync_playwright
 from site_under_test import SiteUnderTest
 from vitac.cli.web_server import WebServer, address_of, bind
 from vitac.server.db.states import EvaluationState, Role
-from vitac.server.views import VerdictView
+from vitac.server.views import LeaderboardView, VerdictView
 
 ARGUMENTS = (
     "--disable-background-networking",
@@ -47,20 +50,38 @@ def browser() -> Iterator[Browser]:
         browser.close()
 
 
+def boards() -> dict[str | None, LeaderboardView]:
+    """The board of all tasks and that of each, with the same teams."""
+    teams = (
+        ("Tactile Bears", "bear-sac-v4", (a_score((84, 80, 77), 4.31), a_score((40, 38, 35, 40), 9.12, LOCK))),
+        ("Gelbots", "marker transformer with a long name", (a_score((80, 74, 80), 4.92),)),
+        ("demo", "peg insertion heuristic", (a_score((20, 11, 9), 6.02), a_score((0, 0, 0, 0), None, LOCK))),
+    )
+    return {
+        task: a_leaderboard(
+            *(
+                an_entry(rank, team, *scores, name=name, task=task)
+                for rank, (team, name, scores) in enumerate(teams, 1)
+            ),
+            an_entry(None, "Old Team", a_score((60, 60, 60), 5.0), task=task),
+            task=task,
+        )
+        for task in (None, TASK)
+    }
+
+
 @pytest.fixture
 def site() -> Iterator[SiteUnderTest]:
     data = FixedData(
         visitors=[a_visitor("Gelbots"), a_visitor("Bears"), a_visitor("organizers", Role.ORGANIZER)],
-        board=a_leaderboard(
-            an_entry(1, "Tactile Bears", (84, 80, 77), 4.31, "bear-sac-v4"),
-            an_entry(2, "Gelbots", (80, 74, 80), 4.92, "marker transformer with a long name"),
-            an_entry(3, "demo", (20, 11, 9), 6.02, "peg insertion heuristic"),
-            an_entry(None, "Old Team", (60, 60, 60), 5.0),
-        ),
+        board=boards()[None],
+        task_boards={TASK: boards()[TASK]},
         found=[
             a_submission("Gelbots", EvaluationState.QUEUED, name="waits", workers=0),
             a_submission("Gelbots", EvaluationState.RUNNING, name="runs", done=137),
             a_submission("Gelbots", EvaluationState.COMPLETED, name="done"),
+            a_submission("Gelbots", EvaluationState.COMPLETED, name="both", tasks=(TASK, LOCK)),
+            a_submission("Gelbots", EvaluationState.RUNNING, name="halfway", tasks=(TASK, LOCK), done=301),
             a_submission(
                 "Gelbots",
                 EvaluationState.FAILED,

@@ -1,12 +1,14 @@
 """Views with made-up but consistent numbers, and a service that answers the pages with them; imported by page tests."""
 
 import random
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from uuid import UUID, uuid5
 
 from fastapi import FastAPI
-from vitac.evaluator.scoring import rate
+from vitac.evaluator.ranking import CombinedScore, combine
+from vitac.evaluator.scoring import Score, rate
 from vitac.evaluator.tracks import load_track
 from vitac.server.auth.principals import Principal
 from vitac.server.db.states import EvaluationState, Role, SubmissionKind
@@ -35,8 +37,9 @@ from vitac.web.site import Site
 
 NOW = datetime(2026, 11, 21, 3, 15, tzinfo=UTC)
 NAMESPACE = UUID("5ecf6a5e-8f3c-4b0e-9d5e-000000000000")
-SHAPES = ("cuboid", "trapezoid", "concave1")
 TASK = "peg-insertion"
+LOCK = "lock-opening"
+TASKS = load_track("track_1").tasks
 SIGNER = SessionSigner(key=b"k" * 32)
 
 
@@ -50,13 +53,15 @@ def a_team(name: str) -> TeamView:
     return TeamView(id=an_id(name), name=name, created_at=NOW)
 
 
-def a_score(successes: tuple[int, int, int], mean_steps: float | None) -> TaskScoreView:
-    """A score with so many successes of 90 for each shape."""
-    whole = rate(sum(successes), 270)
-    shapes = [(shape, rate(count, 90)) for shape, count in zip(SHAPES, successes, strict=True)]
+def a_score(successes: tuple[int, ...], mean_steps: float | None, task: str = TASK) -> TaskScoreView:
+    """A score with so many successes for each shape of a task."""
+    shapes, total = TASKS[task].episode_list.shapes, len(TASKS[task].episodes)
+    each = total // len(shapes)
+    whole = rate(sum(successes), total)
+    parts = [(shape, rate(count, each)) for shape, count in zip(shapes, successes, strict=True)]
     return TaskScoreView(
-        task=TASK,
-        episodes=270,
+        task=task,
+        episodes=total,
         successes=whole.successes,
         success_rate=whole.success_rate,
         success_rate_interval=(whole.interval.low, whole.interval.high),
@@ -64,23 +69,39 @@ def a_score(successes: tuple[int, int, int], mean_steps: float | None) -> TaskSc
         shapes=[
             ShapeScoreView(
                 shape=shape,
-                episodes=90,
+                episodes=each,
                 successes=part.successes,
                 success_rate=part.success_rate,
                 success_rate_interval=(part.interval.low, part.interval.high),
             )
-            for shape, part in shapes
+            for shape, part in parts
         ],
-        outcomes={"success": whole.successes, "tactile": 270 - whole.successes},
-        result_hash="9f3b" * 16,
+        outcomes={"success": whole.successes, "tactile": total - whole.successes},
+        result_hash="9f3b" * 16 if task == TASK else "5c7e" * 16,
+    )
+
+
+def combined(scores: Sequence[TaskScoreView]) -> CombinedScore:
+    """What scores make together."""
+    return combine(
+        TASKS,
+        {
+            score.task: Score(
+                **dict(rate(score.successes, score.episodes)), mean_steps=score.mean_steps, by_shape={}, outcomes={}
+            )
+            for score in scores
+        },
     )
 
 
 def an_entry(
-    rank: int | None, team: str, successes: tuple[int, int, int], mean_steps: float | None, name: str = "policy"
+    rank: int | None, team: str, *scores: TaskScoreView, name: str = "policy", task: str | None = None
 ) -> LeaderboardEntryView:
-    """A line of the leaderboard; without a rank it is from another evaluator version."""
-    score = a_score(successes, mean_steps)
+    """A line of a leaderboard; without a rank it is from another evaluator version."""
+    ranked = [score for score in scores if task in {None, score.task}]
+    whole = combined(scores)
+    result = ranked[0] if task else whole
+    interval = ranked[0].success_rate_interval if task else (whole.interval.low, whole.interval.high)
     return LeaderboardEntryView(
         rank=rank,
         stale=rank is None,
@@ -90,25 +111,26 @@ def an_entry(
         kind=SubmissionKind.MODEL,
         submitted_at=NOW - timedelta(hours=3),
         evaluated_at=NOW,
-        episodes=score.episodes,
-        successes=score.successes,
-        success_rate=score.success_rate,
-        success_rate_interval=score.success_rate_interval,
-        mean_steps=mean_steps,
-        scores=[score],
-        result_hash=score.result_hash,
+        episodes=sum(score.episodes for score in ranked),
+        successes=sum(score.successes for score in ranked),
+        success_rate=result.success_rate,
+        success_rate_interval=interval,
+        mean_steps=result.mean_steps,
+        scores=ranked,
+        result_hash="9f3b" * 16,
         evaluator_version="1+0123456789ab" if rank else "1+ba9876543210",
     )
 
 
-def a_leaderboard(*entries: LeaderboardEntryView) -> LeaderboardView:
-    """A leaderboard of Track 1."""
+def a_leaderboard(*entries: LeaderboardEntryView, task: str | None = None) -> LeaderboardView:
+    """A leaderboard of Track 1, or of one of its tasks."""
     track = load_track("track_1")
     return LeaderboardView(
         track=track.name,
         title=track.title,
         tasks=list(track.tasks),
-        ranking_rule=track.ranking_rule,
+        task=task,
+        ranking_rule=track.ranking_rule if task else track.combination_rule or "",
         evaluator_version="1+0123456789ab",
         generated_at=NOW,
         teams=len(entries),
@@ -121,37 +143,39 @@ def a_submission(
     state: EvaluationState,
     *,
     name: str = "policy",
+    tasks: Sequence[str] = (TASK,),
     done: int = 0,
     workers: int = 1,
     verdict: VerdictView | None = None,
     log_tail: str = "",
     reused: int = 0,
 ) -> SubmissionView:
-    """A submission whose evaluation is in a state; a completed one has all episodes and a score."""
+    """A submission whose evaluation is in a state; a completed one has all episodes and its scores."""
     completed = state is EvaluationState.COMPLETED
     active = state in {EvaluationState.QUEUED, EvaluationState.RUNNING}
-    done = 270 if completed else done
-    scores = [a_score((80, 74, 80), 4.92)] if completed else []
-    tasks = [TaskProgressView(task=TASK, episodes_done=done, episodes_total=270, successes=done // 2)]
-    evaluation = EvaluationView(
+    scores = [MADE_UP_SCORES[task] for task in tasks] if completed else []
+    result = combined(scores) if completed else None
+    summary = EvaluationSummaryView(
         id=an_id(f"{team}/{name}/evaluation"),
         run=1,
         state=state,
+        evaluator_version="1+0123456789ab",
         created_at=NOW,
-        started_at=None if state is EvaluationState.QUEUED else NOW,
         finished_at=None if active else NOW + timedelta(seconds=54),
+        result_hash="9f3b" * 16 if completed else None,
+    )
+    evaluation = EvaluationView(
+        **dict(summary),
+        started_at=None if state is EvaluationState.QUEUED else NOW,
         queue_position=2 if state is EvaluationState.QUEUED else None,
         eta_s=41.0 if state is EvaluationState.RUNNING else None,
-        progress=ProgressView(
-            episodes_done=done, episodes_total=270, episodes_reused=reused, successes=done // 2, tasks=tasks
-        ),
+        progress=a_progress(tasks, None if completed else done, reused),
         verdict=verdict,
         log_tail=log_tail,
-        result_hash=scores[0].result_hash if completed else None,
-        success_rate=scores[0].success_rate if completed else None,
-        mean_steps=scores[0].mean_steps if completed else None,
+        success_rate=result.success_rate if result else None,
+        success_rate_interval=(result.interval.low, result.interval.high) if result else None,
+        mean_steps=result.mean_steps if result else None,
         scores=scores,
-        evaluator_version="1+0123456789ab",
         evaluator_hash="01234567" * 8,
         platform_class="x86_64-linux",
         isolation=[] if state is EvaluationState.QUEUED else ["user-namespace, memory by cgroup-v2"],
@@ -161,43 +185,55 @@ def a_submission(
         team=a_team(team),
         kind=SubmissionKind.MODEL,
         track="track_1",
-        tasks=[TASK],
+        tasks=list(tasks),
+        missing_tasks=[task for task in TASKS if task not in tasks],
         name=name,
         digest="c0ffee00" * 8,
         archive_sha256="00" * 32,
         archive_bytes=1234,
         submitted_at=NOW,
         evaluation=evaluation,
-        evaluations=[
-            EvaluationSummaryView(
-                id=evaluation.id,
-                run=1,
-                state=state,
-                evaluator_version=evaluation.evaluator_version,
-                created_at=NOW,
-                finished_at=evaluation.finished_at,
-                result_hash=evaluation.result_hash,
-            )
-        ],
+        evaluations=[summary],
         workers=WorkersView(alive=workers, last_heartbeat_at=NOW),
         rank=RankView(rank=2, of=4) if completed else None,
+        task_ranks={task: RankView(rank=1, of=3) for task in tasks} if completed else {},
     )
 
 
-def some_episodes(count: int) -> list[EpisodeView]:
-    """The first episodes of the list, most of them successful."""
+MADE_UP_SCORES = {TASK: a_score((80, 74, 80), 4.92), LOCK: a_score((31, 24, 40, 1), 12.5, LOCK)}
+
+
+def a_progress(tasks: Sequence[str], done: int | None, reused: int) -> ProgressView:
+    """So many finished episodes (None: all), the first task's first, every second one a success."""
+    views = []
+    for task in tasks:
+        total = len(TASKS[task].episodes)
+        of_task = total if done is None else min(done, total)
+        done = None if done is None else done - of_task
+        views.append(TaskProgressView(task=task, episodes_done=of_task, episodes_total=total, successes=of_task // 2))
+    return ProgressView(
+        episodes_done=sum(view.episodes_done for view in views),
+        episodes_total=sum(view.episodes_total for view in views),
+        episodes_reused=reused,
+        successes=sum(view.successes for view in views),
+        tasks=views,
+    )
+
+
+def some_episodes(task: str, count: int) -> list[EpisodeView]:
+    """The first episodes of a task's list, most of them successful."""
     chance = random.Random(3)  # noqa: S311 - made-up outcomes
     outcomes = chance.choices(["success", "tactile", "steps", "error"], [80, 10, 6, 2], k=count)
     return [
         EpisodeView(
-            task=TASK,
+            task=task,
             episode=episode.number,
             shape=episode.shape,
             outcome=outcome,
             success=outcome == "success",
             env_steps=chance.randint(3, 8),
         )
-        for episode, outcome in zip(load_track("track_1").tasks[TASK].episodes[:count], outcomes, strict=True)
+        for episode, outcome in zip(TASKS[task].episodes[:count], outcomes, strict=True)
     ]
 
 
@@ -214,6 +250,7 @@ class FixedData:
 
     visitors: list[Visitor] = field(default_factory=list)
     board: LeaderboardView = field(default_factory=a_leaderboard)
+    task_boards: dict[str, LeaderboardView] = field(default_factory=dict)
     found: list[SubmissionView] = field(default_factory=list)
     next_before: UUID | None = None
     cancelled: list[UUID] = field(default_factory=list)
@@ -224,8 +261,10 @@ class FixedData:
     async def visitor_with_token_id(self, token_id: UUID) -> Visitor | None:
         return next((visitor for visitor in self.visitors if visitor.token_id == token_id), None)
 
-    async def leaderboard(self, track: str) -> LeaderboardView:
-        return self.board
+    async def leaderboard(self, track: str, task: str | None) -> LeaderboardView:
+        if task is not None and task not in TASKS:
+            raise ServiceError(ProblemCode.UNKNOWN_TASK, f"There is no task {task!r}.")
+        return self.board if task is None else self.task_boards.get(task, a_leaderboard(task=task))
 
     async def submission(self, visitor: Visitor, submission_id: UUID) -> SubmissionView:
         for submission in self.found:
@@ -238,7 +277,8 @@ class FixedData:
         return SubmissionListView(items=seen, next_before=self.next_before)
 
     async def episodes(self, visitor: Visitor, submission_id: UUID) -> list[EpisodeView]:
-        return some_episodes((await self.submission(visitor, submission_id)).evaluation.progress.episodes_done)
+        progress = (await self.submission(visitor, submission_id)).evaluation.progress
+        return [end for task in progress.tasks for end in some_episodes(task.task, task.episodes_done)]
 
     async def cancel(self, visitor: Visitor, submission_id: UUID) -> None:
         submission = await self.submission(visitor, submission_id)

@@ -19,9 +19,9 @@ from vitac.server.settings import load_settings
 ISOLATION = "user: root, memory: cgroup-v1, episodes: frozen-copy"
 
 
-def record_of(episode: int) -> EpisodeRecord:
+def record_of(episode: int, *, task: str) -> EpisodeRecord:
     """Two of three succeed."""
-    return make_record(episode, EpisodeOutcome.TACTILE if episode % 3 == 0 else EpisodeOutcome.SUCCESS)
+    return make_record(episode, EpisodeOutcome.TACTILE if episode % 3 == 0 else EpisodeOutcome.SUCCESS, task)
 
 
 def main() -> None:

@@ -1,8 +1,9 @@
 """Makes teams, submissions and records for tests of the service, without any simulation."""
 
 import hashlib
-from collections.abc import Callable, Iterable
-from typing import Any
+from collections.abc import Iterable, Mapping
+from datetime import UTC, datetime
+from typing import Any, Protocol
 from uuid import UUID, uuid4
 
 import numpy as np
@@ -20,6 +21,7 @@ from vitac.evaluator.records import (
     PolicyFailure,
     Timings,
 )
+from vitac.evaluator.scoring import Score, rate
 from vitac.evaluator.shards import ShardEnd, ShardResult
 from vitac.evaluator.tracks import load_track
 from vitac.evaluator.version import evaluator_hash, evaluator_version, platform_class
@@ -28,13 +30,15 @@ from vitac.server.auth import teams, tokens
 from vitac.server.auth.principals import CONSOLE, Principal
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Shard, Submission
-from vitac.server.db.states import Role, SubmissionKind
+from vitac.server.db.states import EvaluationState, Role, SubmissionKind
 from vitac.server.queue import leases
 from vitac.server.queue.leases import Lease
+from vitac.server.scores import store_scores
 from vitac.server.settings import Settings
 
 TRACK = "track_1"
 TASK = "peg-insertion"
+LOCK = "lock-opening"
 ISOLATION = Isolation(
     user=UserIsolation.ROOT,
     memory=MemoryIsolation.CGROUP_V1,
@@ -75,16 +79,38 @@ def make_upload(content: str = "content", **changes: Any) -> submissions.Checked
     return submissions.CheckedUpload(**(values | changes))
 
 
-def submit(session: Session, principal: Principal, content: str = "content", **options: Any) -> Submission:
-    return submissions.create(session, principal, make_upload(content), **options)[0]
+def submit(
+    session: Session, principal: Principal, content: str = "content", tasks: Iterable[str] = (TASK,), **options: Any
+) -> Submission:
+    return submissions.create(session, principal, make_upload(content, tasks=tuple(tasks)), **options)[0]
 
 
-def make_record(episode: int, outcome: EpisodeOutcome = EpisodeOutcome.SUCCESS, **changes: Any) -> EpisodeRecord:
-    listed = load_track(TRACK).tasks[TASK].episodes[episode - 1]
+def make_score(successes: int, episodes: int = 100, mean_steps: float | None = 4.0) -> Score:
+    return Score(**dict(rate(successes, episodes)), mean_steps=mean_steps, by_shape={}, outcomes={})
+
+
+def submit_scored(session: Session, principal: Principal, name: str, scores: Mapping[str, Score]) -> Submission:
+    """A submission whose evaluation is complete with these scores, without the episodes behind them."""
+    upload = make_upload(name, name=name, tasks=tuple(scores))
+    submission = submissions.create(session, principal, upload)[0]
+    evaluation = submissions.newest_evaluation(session, submission)
+    evaluation.state = EvaluationState.RUNNING
+    session.flush()
+    store_scores(evaluation, scores, {task: sha256(f"{name} {task}") for task in scores})
+    evaluation.result_hash = sha256(name)
+    evaluation.finished_at = datetime.now(UTC)
+    evaluation.state = EvaluationState.COMPLETED
+    return submission
+
+
+def make_record(
+    episode: int, outcome: EpisodeOutcome = EpisodeOutcome.SUCCESS, task: str = TASK, **changes: Any
+) -> EpisodeRecord:
+    listed = load_track(TRACK).tasks[task].episodes[episode - 1]
     steps = 3
     values: dict[str, Any] = {
         "episode": episode,
-        "task": TASK,
+        "task": task,
         "shape": listed.shape,
         "initial_offset": listed.offset,
         "outcome": outcome,
@@ -104,15 +130,16 @@ def make_failed_record(
     stage: FailureStage = FailureStage.EPISODE,
     code: VerdictCode = VerdictCode.CRASHED,
     output: str = "Traceback",
+    task: str = TASK,
 ) -> EpisodeRecord:
     failure = PolicyFailure(stage=stage, code=code, message=f"failed in {episode}", output_tail=output)
-    return make_record(episode, EpisodeOutcome.POLICY_FAILED, failure=failure)
+    return make_record(episode, EpisodeOutcome.POLICY_FAILED, task, failure=failure)
 
 
-def make_manifest() -> Manifest:
+def make_manifest(task: str = TASK) -> Manifest:
     return Manifest(
         track=TRACK,
-        task=TASK,
+        task=task,
         list_seed=0,
         task_hash=sha256("task"),
         evaluator_version=evaluator_version(),
@@ -143,20 +170,24 @@ def store(database: Database, lease: Lease, records: Iterable[EpisodeRecord]) ->
 
 def finish(database: Database, lease: Lease, end: ShardEnd = ShardEnd.COMPLETE) -> None:
     with database.transaction() as session:
-        result = ShardResult(index=lease.number, end=end, manifest=make_manifest(), isolation=ISOLATION)
+        result = ShardResult(index=lease.number, end=end, manifest=make_manifest(lease.task), isolation=ISOLATION)
         evaluations.finish_shard(session, lease, result)
 
 
-def play(database: Database, shard_id: int, record_of: Callable[[int], EpisodeRecord] = make_record) -> None:
+class RecordOf(Protocol):
+    """Makes up the record of an episode of a task."""
+
+    def __call__(self, episode: int, *, task: str) -> EpisodeRecord: ...
+
+
+def play(database: Database, shard_id: int, record_of: RecordOf = make_record) -> None:
     """Runs a shard from claim to end, as a worker does."""
     lease = claim(database, shard_id)
-    store(database, lease, (record_of(episode) for episode in lease.episodes))
+    store(database, lease, (record_of(episode, task=lease.task) for episode in lease.episodes))
     finish(database, lease)
 
 
-def play_all(
-    database: Database, submission: Submission, record_of: Callable[[int], EpisodeRecord] = make_record
-) -> None:
+def play_all(database: Database, submission: Submission, record_of: RecordOf = make_record) -> None:
     with database.transaction() as session:
         ids = shard_ids(session, submission)
     for shard_id in ids:

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from page_fixtures import FixedData
+from page_fixtures import TASK, FixedData
 from playwright.sync_api import Page
 
 
@@ -20,7 +20,15 @@ class SiteUnderTest:
     def paths(self) -> list[str]:
         """One of each kind of page."""
         submissions = [self.path_of(submission.name) for submission in self.data.found]
-        return ["/", "/tracks/track_1/rules", "/sign-in", "/submissions", "/nothing-here", *submissions]
+        return [
+            "/",
+            f"/tracks/track_1?task={TASK}",
+            "/tracks/track_1/rules",
+            "/sign-in",
+            "/submissions",
+            "/nothing-here",
+            *submissions,
+        ]
 
     def sign_in(self, page: Page, name: str = "Gelbots") -> None:
         """Signs in by the form."""

@@ -8,11 +8,11 @@ from vitac.cli.evaluation_progress import EvaluationProgress, situation
 
 
 def board(*entries: dict[str, object]) -> dict[str, object]:
-    return {"title": "Tactile manipulation", "entries": list(entries)}
+    return {"title": "Tactile manipulation", "task": None, "entries": list(entries)}
 
 
 def entry(
-    rank: int | None, team: str, rate: float, interval: tuple[float, float] | None = (0.4, 0.6)
+    rank: int | None, team: str, rate: float, interval: tuple[float, float] = (0.4, 0.6), tasks: int = 1
 ) -> dict[str, object]:
     shapes = [{"shape": "cuboid", "success_rate": rate}]
     return {
@@ -21,7 +21,7 @@ def entry(
         "success_rate": rate,
         "success_rate_interval": interval,
         "mean_steps": None if rate == 0 else 4.5,
-        "scores": [{"shapes": shapes}],
+        "scores": [{"task": f"task-{n}", "success_rate": rate, "shapes": shapes} for n in range(tasks)],
     }
 
 
@@ -74,11 +74,18 @@ def test_marks_are_plain_where_the_encoding_has_no_others() -> None:
 @pytest.mark.parametrize("terminal", [True, False])
 def test_the_leaderboard_fits_eighty_columns(terminal: bool) -> None:
     display, raw = shown(terminal=terminal)
-    display.leaderboard(board(entry(1, "demo", 0.5), entry(None, "a team with a very long name", 0.0, None)), "demo")
+    display.leaderboard(board(entry(1, "demo", 0.5), entry(None, "a team with a very long name", 0.0)), "demo")
     printed = plain(raw)
     assert max(len(line) for line in printed.splitlines()) <= 80
     for part in ("50.0 %", "40.0 to 60.0 %", "4.50", "demo by shape: cuboid 50.0 %", "…"):
         assert part in printed
+
+
+def test_of_several_tasks_the_leaderboard_says_the_rate_of_each() -> None:
+    display, raw = shown(terminal=False)
+    display.leaderboard(board(entry(1, "demo", 0.5, tasks=2)), "demo")
+    assert "demo by task: task-0 50.0 %, task-1 50.0 %" in plain(raw)
+    assert "all tasks: leaderboard" in plain(raw)
 
 
 @pytest.mark.parametrize(("rate", "place"), [(0.0, 0), (0.5, BAR_WIDTH // 2), (1.0, BAR_WIDTH - 1)])

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from vitac.evaluator.ranking import Standing, combine, rank
 from vitac.evaluator.records import EpisodeOutcome
-from vitac.evaluator.scoring import score
+from vitac.evaluator.scoring import interval_of_mean, score
 
 NOON = datetime(2025, 1, 31, 12, tzinfo=UTC)
 
@@ -95,12 +95,29 @@ def test_missing_steps_never_outrank_finite_ones_of_the_same_rate(entries: list[
             assert better.mean_steps <= worse.mean_steps
 
 
+PEG, LOCK = "peg-insertion", "lock-opening"
+
+
 def test_tasks_combine_by_the_mean() -> None:
     peg = score([make_record(1, env_steps=4), make_record(2, EpisodeOutcome.STEPS)])
     lock = score([make_record(1, env_steps=7)])
-    assert combine([peg, lock]) == (0.75, 5.5)
+    combined = combine([PEG, LOCK], {PEG: peg, LOCK: lock})
+    assert (combined.success_rate, combined.mean_steps) == (0.75, 5.5)
+    assert combined.interval == interval_of_mean([peg, lock], of=2)
 
 
 def test_combination_has_no_steps_where_a_task_has_none() -> None:
-    peg = score([make_record(1, EpisodeOutcome.STEPS)])
-    assert combine([peg, score([make_record(1)])]) == (0.5, None)
+    scores = {PEG: score([make_record(1, EpisodeOutcome.STEPS)]), LOCK: score([make_record(1)])}
+    combined = combine([PEG, LOCK], scores)
+    assert (combined.success_rate, combined.mean_steps) == (0.5, None)
+
+
+def test_a_task_that_is_not_played_counts_as_nothing() -> None:
+    peg = score([make_record(1)])
+    combined = combine([PEG, LOCK], {PEG: peg})
+    assert (combined.success_rate, combined.mean_steps) == (0.5, None)
+    assert (combined.interval.low, combined.interval.high) == pytest.approx((peg.interval.low / 2, 0.5))
+
+
+def test_a_task_of_another_track_does_not_count() -> None:
+    assert combine([PEG], {PEG: score([make_record(1)]), LOCK: score([make_record(1)])}).success_rate == 1.0

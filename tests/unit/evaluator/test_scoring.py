@@ -1,12 +1,13 @@
 import random
 
+import numpy as np
 import pytest
 from evaluation_records import make_record
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.stats import binomtest
+from scipy.stats import binom, binomtest
 from vitac.evaluator.records import EpisodeOutcome
-from vitac.evaluator.scoring import score, wilson_interval
+from vitac.evaluator.scoring import interval_of_mean, rate, score, wilson_interval
 
 
 @given(st.integers(1, 1000).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n))))
@@ -26,6 +27,23 @@ def test_interval_of_the_organizers_result() -> None:
 def test_interval_shrinks_with_episodes() -> None:
     few, many = wilson_interval(3, 10), wilson_interval(300, 1000)
     assert few.low < many.low < many.high < few.high
+
+
+@pytest.mark.parametrize(("first", "second"), [(0.5, 0.5), (0.15, 0.6), (0.9, 0.05), (0.98, 0.97)])
+def test_interval_of_a_mean_covers_it_as_often_as_it_says(first: float, second: float) -> None:
+    rates = [[rate(successes, episodes) for successes in range(episodes + 1)] for episodes in (90, 60)]
+    chances = [np.atleast_1d(binom.pmf(range(91), 90, first)), np.atleast_1d(binom.pmf(range(61), 60, second))]
+    covered = 0.0
+    for one, chance in zip(rates[0], chances[0], strict=True):
+        for other, chance_of_other in zip(rates[1], chances[1], strict=True):
+            interval = interval_of_mean([one, other], of=2)
+            covered += chance * chance_of_other * (interval.low <= (first + second) / 2 <= interval.high)
+    assert 0.93 < covered < 0.97  # as Wilson's own: counts are whole, so it cannot be met everywhere
+
+
+def test_interval_of_a_mean_of_one_is_its_own() -> None:
+    mean, own = interval_of_mean([rate(3, 10)], of=1), wilson_interval(3, 10)
+    assert (mean.low, mean.high) == pytest.approx((own.low, own.high))
 
 
 def test_score_counts_successes_and_averages_only_their_steps() -> None:

@@ -1,5 +1,6 @@
 import pytest
 from service_factories import (
+    LOCK,
     TASK,
     claim,
     finish,
@@ -26,14 +27,16 @@ from vitac.server.db.models import EpisodeResult
 from vitac.server.db.states import EvaluationState, ShardState
 from vitac.server.evaluations import EpisodesMissing
 from vitac.server.queue.leases import LeaseLost, key_of
+from vitac.server.result_hashes import combine_hashes
+from vitac.server.scores import scores_of
 
 
 def outcome_of(episode: int) -> EpisodeOutcome:
     return EpisodeOutcome.SUCCESS if episode % 3 == 0 else EpisodeOutcome.STEPS
 
 
-def some_record(episode: int) -> EpisodeRecord:
-    return make_record(episode, outcome_of(episode))
+def some_record(episode: int, *, task: str = TASK) -> EpisodeRecord:
+    return make_record(episode, outcome_of(episode), task)
 
 
 def test_a_new_evaluation_has_the_fixed_shards_and_a_job_for_each(database: Database) -> None:
@@ -70,8 +73,9 @@ def test_last_shard_scores_the_evaluation_with_the_evaluators_own_functions(data
     with database.transaction() as session:
         evaluation = submissions.newest_evaluation(session, submission)
         assert evaluation.state is EvaluationState.COMPLETED
-        assert evaluation.success_rate == score(records).success_rate == 90 / 270
-        assert evaluation.mean_steps == 3.0
+        assert scores_of(evaluation) == {TASK: score(records)}
+        assert evaluation.success_rate == score(records).success_rate / 2  # of the track's two tasks
+        assert evaluation.mean_steps is None
         assert evaluation.result_hash == result_hash(make_manifest(), records)
         assert evaluation.scores is not None
         assert evaluation.scores[0]["task"] == TASK
@@ -112,14 +116,49 @@ def test_broken_policy_fails_the_evaluation_with_the_first_failure_whatever_the_
         assert evaluation.result_hash is None
 
 
+def test_two_tasks_are_scored_each_and_together(database: Database) -> None:
+    with database.transaction() as session:
+        submission = submit(session, make_principal(session), tasks=(TASK, LOCK))
+        shards = submissions.newest_evaluation(session, submission).shards
+        assert [len(shard.episodes) for shard in shards] == [30] * 9 + [20] * 8
+    play_all(database, submission, lambda n, task: make_record(n, task=task) if task == LOCK else some_record(n))
+    with database.transaction() as session:
+        evaluation = submissions.newest_evaluation(session, submission)
+        scores = scores_of(evaluation)
+        assert [(task, score.episodes, score.successes) for task, score in scores.items()] == [
+            (TASK, 270, 90),
+            (LOCK, 160, 160),
+        ]
+        assert evaluation.success_rate == pytest.approx((1 / 3 + 1) / 2)
+        assert evaluation.mean_steps == 3.0
+        hashes = {row["task"]: row["result_hash"] for row in evaluation.scores or []}
+        expected = [make_record(episode, task=LOCK) for episode in range(1, 161)]
+        assert hashes[LOCK] == result_hash(make_manifest(LOCK), expected)
+        assert evaluation.result_hash == combine_hashes(hashes) != hashes[TASK]
+
+
+def test_a_policy_that_is_broken_in_one_task_fails_with_that_task_named(database: Database) -> None:
+    with database.transaction() as session:
+        submission = submit(session, make_principal(session), tasks=(TASK, LOCK))
+        ids = shard_ids(session, submission)
+    lease = claim(database, ids[9])
+    store(database, lease, [make_failed_record(episode, task=LOCK) for episode in (1, 2, 3)])
+    finish(database, lease, ShardEnd.BROKEN)
+    for shard_id in ids[:9]:
+        play(database, shard_id)
+    with database.transaction() as session:
+        evaluation = submissions.newest_evaluation(session, submission)
+        assert (evaluation.verdict_code, evaluation.verdict_task, evaluation.verdict_episode) == ("crashed", LOCK, 1)
+
+
 def test_a_few_policy_failures_are_unsuccessful_episodes_of_a_completed_evaluation(database: Database) -> None:
     with database.transaction() as session:
         submission = submit(session, make_principal(session))
-    play_all(database, submission, lambda n: make_failed_record(n) if n in (5, 100) else make_record(n))
+    play_all(database, submission, lambda n, task: make_failed_record(n) if n in (5, 100) else make_record(n))
     with database.transaction() as session:
         evaluation = submissions.newest_evaluation(session, submission)
         assert evaluation.state is EvaluationState.COMPLETED
-        assert evaluation.success_rate == 268 / 270
+        assert scores_of(evaluation)[TASK].successes == 268
         assert "[peg-insertion, episode 5: crashed]" in evaluation.log_tail
 
 

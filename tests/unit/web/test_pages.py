@@ -5,10 +5,13 @@ import psycopg
 import pytest
 from asgi_browser import AsgiBrowser
 from page_fixtures import (
+    LOCK,
     NOW,
     SIGNER,
+    TASK,
     FixedData,
     a_leaderboard,
+    a_score,
     a_submission,
     a_visitor,
     an_application,
@@ -24,12 +27,13 @@ from vitac.web.headers import HEADERS
 GELBOTS, BEARS, ORGANIZERS = a_visitor("Gelbots"), a_visitor("Bears"), a_visitor("organizers", Role.ORGANIZER)
 RUNNING = a_submission("Gelbots", EvaluationState.RUNNING, name="runs", done=137)
 COMPLETED = a_submission("Gelbots", EvaluationState.COMPLETED, name="done")
+BOTH = a_submission("Gelbots", EvaluationState.COMPLETED, name="both", tasks=(TASK, LOCK))
 FAILED = a_submission(
     "Gelbots",
     EvaluationState.FAILED,
     name="broke",
     done=30,
-    verdict=VerdictView(code="crashed", title="The policy crashed.", message="ValueError", task=None, episode=4),
+    verdict=VerdictView(code="crashed", title="The policy crashed.", message="ValueError", task=LOCK, episode=4),
     log_tail="<script>alert(1)</script>",
 )
 QUEUED = a_submission("Bears", EvaluationState.QUEUED, name="waits", workers=0)
@@ -37,7 +41,7 @@ QUEUED = a_submission("Bears", EvaluationState.QUEUED, name="waits", workers=0)
 
 @pytest.fixture
 def data() -> FixedData:
-    return FixedData(visitors=[GELBOTS, BEARS, ORGANIZERS], found=[RUNNING, COMPLETED, FAILED, QUEUED])
+    return FixedData(visitors=[GELBOTS, BEARS, ORGANIZERS], found=[RUNNING, COMPLETED, BOTH, FAILED, QUEUED])
 
 
 @pytest.fixture
@@ -71,12 +75,37 @@ class Outline(HTMLParser):
 # ---- leaderboard and rules ----
 
 
-def test_home_is_the_leaderboard_with_rates_and_intervals(data: FixedData, browser: AsgiBrowser) -> None:
-    data.board = a_leaderboard(an_entry(1, "Bears", (84, 80, 77), 4.31), an_entry(2, "Gelbots", (20, 11, 9), 6.02))
+BEARS_PEG, BEARS_LOCK = a_score((84, 80, 77), 4.31), a_score((40, 38, 2, 0), 11.5, LOCK)
+GELBOTS_PEG = a_score((20, 11, 9), 6.02)
+
+
+def test_home_ranks_all_tasks_together_and_shows_each(data: FixedData, browser: AsgiBrowser) -> None:
+    data.board = a_leaderboard(an_entry(1, "Bears", BEARS_PEG, BEARS_LOCK), an_entry(2, "Gelbots", GELBOTS_PEG))
     html = browser.get("/").text.replace("\N{NO-BREAK SPACE}", " ")
-    for shown in ("Bears", "89.3 %", "85.0 % to 92.4 %", "241 of 270", "4.31", "93.3 %", "14.8 %"):
+    for shown in (
+        "69.6 %",
+        "65.2 % to 73.8 %",
+        "7.90",
+        "89.3 %",
+        "241 of 270",
+        "4.31 steps",
+        "80 of 160",
+        "11.50 steps",
+    ):
         assert shown in html
-    assert html.index("Bears") < html.index("Gelbots")
+    assert html.index("Bears") < html.index("7.4 %") < html.index("not played")
+    assert "mean of the success rates of all tasks" in html
+
+
+def test_a_task_has_a_leaderboard_of_its_own_with_rates_by_shape(data: FixedData, browser: AsgiBrowser) -> None:
+    data.task_boards[TASK] = a_leaderboard(an_entry(1, "Bears", BEARS_PEG, BEARS_LOCK, task=TASK), task=TASK)
+    assert f'href="/tracks/track_1?task={TASK}"' in browser.get("/").text
+    html = browser.get(f"/tracks/track_1?task={TASK}").text.replace("\N{NO-BREAK SPACE}", " ")
+    for shown in ("Trapezoid", "85.0 % to 92.4 %, 241 of 270", "4.31", "93.3 %", "<dd>270</dd>"):
+        assert shown in html
+    assert "Key1" not in html
+    assert f'href="/tracks/track_1?task={TASK}" aria-current="page"' in html
+    assert browser.get("/tracks/track_1?task=nothing").status_code == 404
 
 
 def test_home_says_so_while_nothing_is_evaluated(browser: AsgiBrowser) -> None:
@@ -84,26 +113,26 @@ def test_home_says_so_while_nothing_is_evaluated(browser: AsgiBrowser) -> None:
 
 
 def test_entry_of_another_evaluator_version_has_no_rank(data: FixedData, browser: AsgiBrowser) -> None:
-    data.board = a_leaderboard(an_entry(None, "Old Team", (84, 80, 77), 4.31))
+    data.board = a_leaderboard(an_entry(None, "Old Team", a_score((84, 80, 77), 4.31)))
     html = browser.get("/").text
     assert "evaluator 1+ba9876543210, not ranked" in html
     assert "<dt>Teams ranked</dt><dd>0</dd>" in html
 
 
 def test_an_entry_without_success_has_no_mean_steps(data: FixedData, browser: AsgiBrowser) -> None:
-    data.board = a_leaderboard(an_entry(1, "Bears", (0, 0, 0), None))
+    data.board = a_leaderboard(an_entry(1, "Bears", a_score((0, 0, 0), None)))
     assert "–" in browser.get("/").text
 
 
 def test_team_names_are_escaped(data: FixedData, browser: AsgiBrowser) -> None:
-    data.board = a_leaderboard(an_entry(1, "<b>Bears</b>", (1, 0, 0), 4.0))
+    data.board = a_leaderboard(an_entry(1, "<b>Bears</b>", a_score((1, 0, 0), 4.0)))
     html = browser.get("/").text
     assert "&lt;b&gt;Bears" in html
     assert "<b>Bears" not in html
 
 
 def test_submission_is_linked_for_its_own_team_only(data: FixedData, browser: AsgiBrowser) -> None:
-    data.board = a_leaderboard(an_entry(1, "Bears", (84, 80, 77), 4.31))
+    data.board = a_leaderboard(an_entry(1, "Bears", a_score((84, 80, 77), 4.31)))
     link = f'href="/submissions/{an_id("Bears/policy")}"'
     assert link not in browser.get("/").text
     sign_in(browser, "Gelbots")
@@ -286,10 +315,44 @@ def test_completed_submission_shows_its_score_and_stands_still(browser: AsgiBrow
         assert gone not in html
 
 
+def test_a_submission_of_one_task_says_which_it_lacks(browser: AsgiBrowser) -> None:
+    sign_in(browser, "Gelbots")
+    html = browser.get(f"/submissions/{COMPLETED.id}").text
+    assert "Lock opening: not played by this submission" in html
+    assert "not played" not in browser.get(f"/submissions/{BOTH.id}").text
+
+
+def test_a_submission_of_two_tasks_shows_each_with_rank_and_hash(browser: AsgiBrowser) -> None:
+    sign_in(browser, "Gelbots")
+    html = browser.get(f"/submissions/{BOTH.id}").text.replace("\N{NO-BREAK SPACE}", " ")
+    for shown in (
+        "73.3 %",
+        "8.71",
+        "86.7 %",
+        "60.0 %",
+        "96 of 160",
+        "12.50",
+        f'?task={LOCK}">1 of 3',
+        "5c7e" * 16,
+        "9f3b" * 16,
+    ):
+        assert shown in html
+    assert html.index('id="task-peg-insertion"') < html.index("Trapezoid") < html.index('id="task-lock-opening"')
+    assert 'aria-label="Key4: ' in html
+
+
+def test_a_running_submission_of_two_tasks_shows_the_progress_of_each(data: FixedData, browser: AsgiBrowser) -> None:
+    data.found.append(a_submission("Gelbots", EvaluationState.RUNNING, name="two", tasks=(TASK, LOCK), done=300))
+    sign_in(browser, "Gelbots")
+    html = browser.get(f"/submissions/{data.found[-1].id}").text
+    for shown in ("300 of 430", "270 of 270", "30 of 160"):
+        assert shown in html
+
+
 def test_failed_submission_shows_verdict_and_escaped_output(browser: AsgiBrowser) -> None:
     sign_in(browser, "Gelbots")
     html = browser.get(f"/submissions/{FAILED.id}").text
-    for shown in ("The policy crashed.", "crashed", "episode 4", "&lt;script&gt;alert(1)&lt;/script&gt;"):
+    for shown in ("The policy crashed.", "crashed", "lock opening, episode 4", "&lt;script&gt;alert(1)&lt;/script&gt;"):
         assert shown in html
     assert "<script>alert" not in html
 
@@ -340,9 +403,15 @@ def test_events_need_a_session_and_do_not_come_back_without(browser: AsgiBrowser
 
 # ---- every page ----
 
-PAGES = ["/", "/tracks/track_1", "/tracks/track_1/rules", "/sign-in", "/submissions", "/nothing-here"] + [
-    f"/submissions/{submission.id}" for submission in (RUNNING, COMPLETED, FAILED)
-]
+PAGES = [
+    "/",
+    "/tracks/track_1",
+    f"/tracks/track_1?task={LOCK}",
+    "/tracks/track_1/rules",
+    "/sign-in",
+    "/submissions",
+    "/nothing-here",
+] + [f"/submissions/{submission.id}" for submission in (RUNNING, COMPLETED, BOTH, FAILED)]
 
 
 @pytest.mark.parametrize("path", PAGES)
@@ -351,8 +420,9 @@ def test_every_page_has_landmarks_one_heading_and_unique_ids(browser: AsgiBrowse
     html = browser.get(path).text
     outline = Outline(html)
     assert html.startswith('<!doctype html>\n<html lang="en">')
-    for once in ("h1", "main", "nav", "header", "footer", "head"):
+    for once in ("h1", "main", "header", "footer", "head"):
         assert outline.tags.count(once) == 1, once
+    assert "nav" in outline.tags
     assert len(outline.ids) == len(set(outline.ids))
 
 
@@ -381,7 +451,7 @@ def test_static_files_are_kept_for_ever_under_their_digest_only(browser: AsgiBro
 
 
 def test_times_are_utc_and_machine_readable(data: FixedData, browser: AsgiBrowser) -> None:
-    data.board = a_leaderboard(an_entry(1, "Bears", (84, 80, 77), 4.31))
+    data.board = a_leaderboard(an_entry(1, "Bears", a_score((84, 80, 77), 4.31)))
     submitted = (NOW - timedelta(hours=3)).strftime("%Y-%m-%dT%H:%M:%SZ")
     assert f'datetime="{submitted}"' in browser.get("/").text
 
@@ -411,7 +481,7 @@ def test_a_crash_is_a_page_that_tells_nothing_of_the_inside(data: FixedData, bro
 
 
 def test_database_that_is_away_is_a_page_that_says_when_to_come_back(data: FixedData, browser: AsgiBrowser) -> None:
-    async def away(track: str) -> LeaderboardView:
+    async def away(track: str, task: str | None) -> LeaderboardView:
         raise OperationalError("SELECT 1", {}, psycopg.OperationalError("connection refused"))
 
     data.leaderboard = away  # type: ignore[method-assign]

@@ -1,16 +1,12 @@
-from collections.abc import Callable
-
 from service_client import Service, make_archive, problem_of
-from service_factories import TASK, TRACK, make_record, play_all
+from service_factories import LOCK, TASK, TRACK, RecordOf, make_record, play_all
 from sqlalchemy import text
-from vitac.evaluator.records import EpisodeOutcome, EpisodeRecord
+from vitac.evaluator.records import EpisodeOutcome
 from vitac.server.db.models import Submission
-
-RecordOf = Callable[[int], EpisodeRecord]
 
 
 def successes_below(limit: int) -> RecordOf:
-    return lambda n: make_record(n, EpisodeOutcome.SUCCESS if n < limit else EpisodeOutcome.STEPS)
+    return lambda n, task: make_record(n, EpisodeOutcome.SUCCESS if n < limit else EpisodeOutcome.STEPS, task)
 
 
 def evaluated(service: Service, token: str, policy: str, record_of: RecordOf) -> str:
@@ -34,6 +30,8 @@ def test_empty_leaderboard_has_no_entries_and_unknown_one_is_refused(service: Se
     board = service.client.get(f"/api/v1/leaderboards/{TRACK}").json()
     assert (board["entries"], board["teams"], board["track"]) == ([], 0, TRACK)
     problem_of(service.client.get("/api/v1/leaderboards/none"), 404, "unknown_track")
+    problem = problem_of(service.client.get(f"/api/v1/leaderboards/{TRACK}?task=none"), 404, "unknown_task")
+    assert problem["tasks"] == [TASK, LOCK]
 
 
 def test_leaderboard_shows_the_best_completed_entry_of_each_team(service: Service) -> None:
@@ -42,7 +40,7 @@ def test_leaderboard_shows_the_best_completed_entry_of_each_team(service: Servic
     evaluated(service, service.token, "x = 3", successes_below(50))
     winner = evaluated(service, service.other_token, "x = 4", successes_below(201))
     service.upload(make_archive(policy="x = 5"), service.other_token)
-    board = service.client.get(f"/api/v1/leaderboards/{TRACK}").json()
+    board = service.client.get(f"/api/v1/leaderboards/{TRACK}?task={TASK}").json()
     assert [(entry["rank"], entry["submission_id"]) for entry in board["entries"]] == [(1, winner), (2, best)]
     first = board["entries"][0]
     assert (first["team"], first["episodes"], first["successes"], first["mean_steps"]) == ("Team B", 270, 200, 3.0)
