@@ -23,12 +23,13 @@ from uuid import UUID, uuid4
 from sqlalchemy import func, select
 from vitac.evaluator.records import EpisodeRecord
 from vitac.server import evaluations, submissions, workers
+from vitac.server.acceptance import accept
 from vitac.server.auth import teams
 from vitac.server.auth.principals import CONSOLE, Principal
 from vitac.server.db.models import Evaluation, Shard, Worker
-from vitac.server.db.states import TERMINAL_EVALUATION_STATES, EvaluationState, Role
+from vitac.server.db.states import TERMINAL_EVALUATION_STATES, EvaluationState, Role, SubmissionKind
 from vitac.server.housekeeping import Housekeeping
-from vitac.server.intake import ReceivedFile, accept
+from vitac.server.intake import ReceivedFile
 from vitac.server.queue import leases
 from vitac.server.queue.jobs import withdraw_jobs
 from vitac.server.services import Services, open_services
@@ -175,7 +176,7 @@ def upload(services: Services, principal: Principal, note: str = "") -> UUID:
         archive = Path(shutil.make_archive(str(Path(name) / "archive"), "zip", folder.parent))
         content = archive.read_bytes()
         received = ReceivedFile(path=archive, sha256=hashlib.sha256(content).hexdigest(), n_bytes=len(content))
-        checked = accept(services, received, track=None)
+        checked = accept(services, received, kind=SubmissionKind.MODEL, track=None, owner="benchmark")
     with services.database.transaction() as session:
         submission, _ = submissions.create(session, principal, checked)
         return submission.id

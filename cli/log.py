@@ -112,11 +112,12 @@ def import_(
     json: AsJson = False,
 ) -> None:
     """Read a text log of the 2025 challenge, check all that can be checked, and convert it."""
+    from vitac.evaluator.packed_logs import open_log
     from vitac.evaluator.text_logs import read_text_log, summarize, to_json_lines
 
     from .output import print_json
 
-    with file.open("rb") as stream:
+    with open_log(file) as stream:
         log = read_text_log(stream)
     kind, summary = summarize(log)
     if output:
@@ -175,8 +176,9 @@ def audit(
 
 def _read(log: Path) -> tuple["LogHeader", list["EpisodeRecord"]]:
     from vitac.evaluator.logs import LogReader
+    from vitac.evaluator.packed_logs import open_log
 
-    with log.open("rb") as stream:
+    with open_log(log) as stream:
         reader = LogReader(stream)
         return reader.header, list(reader.records())
 

@@ -1,6 +1,7 @@
 """How many of a log's actions does a model give? Called by `vitac log audit`, and by the server for a later model."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from itertools import takewhile
 
 import numpy as np
 from pydantic import NonNegativeInt
@@ -8,7 +9,7 @@ from pydantic import NonNegativeInt
 from .agent.verdicts import PolicyFailed
 from .episodes import Environment, OpenSession, Policy, Session, public_part
 from .recordings import Recording, recording_of
-from .records import EpisodeRecord
+from .records import ActionSequence, EpisodeRecord
 from .strict_model import StrictModel
 from .tracks import Task
 
@@ -69,6 +70,25 @@ def audit(
         audited.append(_audit_episode(env, task, recording_of(record, task), session))
         on_episode(audited[-1])
     return Audit(episodes=tuple(audited))
+
+
+def compare_actions(log: Mapping[int, ActionSequence], model: Mapping[int, ActionSequence]) -> Audit:
+    """Compares a log with what a model did from the same starts, by episode number, without playing anything.
+
+    Up to the first other action of an episode both saw the same. What comes after it cannot be compared, and counts as
+    not reproduced.
+    """
+    return Audit(episodes=tuple(_compare_episode(number, log[number], model.get(number)) for number in sorted(log)))
+
+
+def _compare_episode(number: int, log: ActionSequence, model: ActionSequence | None) -> AuditedEpisode:
+    ours, theirs = log.to_array(), model.to_array() if model else np.empty((0, log.shape[1]), np.float32)
+    equal = (one.tobytes() == other.tobytes() for one, other in zip(ours, theirs, strict=False))
+    reproduced = sum(takewhile(bool, equal))
+    complete = len(ours) == len(theirs) == reproduced
+    return AuditedEpisode(
+        episode=number, actions=len(ours), reproduced=reproduced, first_other=None if complete else reproduced + 1
+    )
 
 
 def _audit_episode(env: Environment, task: Task, recording: Recording, session: Session) -> AuditedEpisode:

@@ -15,6 +15,7 @@ from typing import Annotated, Any, BinaryIO, Literal, TypeVar
 from pydantic import Field, NonNegativeInt, ValidationError, field_validator
 from vitac.envs.errors import VitacError
 
+from .packed_logs import open_log
 from .records import EpisodeRecord, Manifest, canonical_json
 from .strict_model import StrictModel, Word, explain
 
@@ -101,8 +102,8 @@ def write_log(stream: BinaryIO, header: LogHeader, records: Iterable[EpisodeReco
 
 
 def is_log(path: Path) -> bool:
-    """Whether a file starts like one of our logs."""
-    with path.open("rb") as stream:
+    """Whether a file starts like one of our logs, packed or not."""
+    with open_log(path) as stream:
         return b'"vitac-log"' in stream.readline(MAX_LINE_BYTES)
 
 
@@ -121,6 +122,16 @@ class LogReader:
         self._line = 0
         self._digest = ""
         self.header = self._header(self._next_line())
+
+    @property
+    def line(self) -> int:
+        """Number of the line that was read last."""
+        return self._line
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 [hex] of the log up to the line that was read last; after `records`, of the whole log."""
+        return self._digest
 
     def records(self) -> Iterator[EpisodeRecord]:
         """The records in their order; a log is whole and unaltered only once this has come to its end."""

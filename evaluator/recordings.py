@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, JsonValue, PositiveInt
 from vitac.envs.errors import VitacError
 
 from .logs import MAX_LINE_BYTES, LogReader, is_log
+from .packed_logs import open_log
 from .records import EpisodeRecord
 from .strict_model import DocumentRejected, validate
 from .tracks import Episode, Task
@@ -69,10 +70,10 @@ def read_recordings(path: Path, task: Task) -> Iterator[Recording]:
         LogRejected: one of our logs is damaged.
     """
     if is_log(path):
-        with path.open("rb") as stream:
+        with open_log(path) as stream:
             yield from (recording_of(record, task) for record in LogReader(stream).records())
         return
-    with path.open("rb") as stream:
+    with open_log(path) as stream:
         lines = enumerate(iter(lambda: stream.readline(MAX_LINE_BYTES + 1), b""), start=1)
         yield from (_recording_in(line, number, task) for number, line in lines)
 

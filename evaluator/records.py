@@ -41,6 +41,8 @@ class EpisodeOutcome(StrEnum):
     """The physics found no solution for an IPC step, even in smaller pieces."""
     POLICY_FAILED = "policy_failed"
     """The policy crashed, broke a limit or answered wrongly."""
+    ACTIONS_ENDED = "actions_ended"
+    """The recorded actions of a 2025 text log came to their end before the episode did."""
 
 
 class ActionSequence(StrictModel):

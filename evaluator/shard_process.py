@@ -9,19 +9,21 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import MappingProxyType
-from typing import IO
+from typing import IO, Self
 
-from pydantic import NonNegativeInt
+from pydantic import NonNegativeInt, model_validator
 from vitac.envs.errors import VitacError
 
 from .agent.limits import Limits
+from .log_shards import resimulate_log
 from .records import EpisodeRecord, PolicyFailure
 from .shards import ShardResult, cut, run_shard
 from .strict_model import StrictModel
+from .text_log_shards import resimulate_text_log
 from .tracks import load_track
 
 _ONE_THREAD = MappingProxyType(
@@ -38,9 +40,11 @@ class ShardProcessFailed(VitacError):
 
 
 class ShardOrder(StrictModel):
-    """What a shard process has to do."""
+    """What a shard process has to do: play a submission, or re-simulate an uploaded log."""
 
-    submission_dir: Path
+    submission_dir: Path | None = None
+    log: Path | None = None
+    text_log: Path | None = None
     track: str
     task: str
     shard: NonNegativeInt
@@ -50,6 +54,12 @@ class ShardOrder(StrictModel):
     assets_dir: Path | None = None
     skip: tuple[int, ...] = ()
     earlier_failures: tuple[PolicyFailure, ...] = ()
+
+    @model_validator(mode="after")
+    def _names_one_source(self) -> Self:
+        if sum(source is not None for source in (self.submission_dir, self.log, self.text_log)) != 1:
+            raise ValueError("exactly one of submission_dir, log and text_log must be given")
+        return self
 
 
 class ShardMessage(StrictModel):
@@ -147,26 +157,39 @@ def _run(order: ShardOrder, answer: IO[str]) -> None:
         answer.write(message.model_dump_json(exclude_unset=True) + "\n")
         answer.flush()
 
-    track = load_track(order.track)
-    task = track.tasks[order.task]
-    shard = next(shard for shard in cut(task, order.episodes) if shard.index == order.shard)
     try:
-        result = run_shard(
-            submission_dir=order.submission_dir,
-            track=track,
-            task=task,
-            shard=shard,
-            on_episode=lambda record: send(ShardMessage(record=record)),
-            limits=order.limits,
-            slot=order.slot,
-            assets_dir=order.assets_dir,
-            skip=order.skip,
-            earlier_failures=order.earlier_failures,
-        )
+        result = _result_of(order, lambda record: send(ShardMessage(record=record)))
     except VitacError as error:
         send(ShardMessage(error=f"{type(error).__name__}: {error}"))
     else:
         send(ShardMessage(result=result))
+
+
+def _result_of(order: ShardOrder, on_episode: Callable[[EpisodeRecord], None]) -> ShardResult:
+    track = load_track(order.track)
+    task = track.tasks[order.task]
+    shard = next(shard for shard in cut(task, order.episodes) if shard.index == order.shard)
+    if order.log is not None:
+        return resimulate_log(
+            log=order.log, track=track, task=task, shard=shard, on_episode=on_episode, skip=order.skip
+        )
+    if order.text_log is not None:
+        return resimulate_text_log(
+            log=order.text_log, track=track, task=task, shard=shard, on_episode=on_episode, skip=order.skip
+        )
+    assert order.submission_dir is not None  # noqa: S101 - the order names one source
+    return run_shard(
+        submission_dir=order.submission_dir,
+        track=track,
+        task=task,
+        shard=shard,
+        on_episode=on_episode,
+        limits=order.limits,
+        slot=order.slot,
+        assets_dir=order.assets_dir,
+        skip=order.skip,
+        earlier_failures=order.earlier_failures,
+    )
 
 
 def main() -> None:

@@ -15,6 +15,7 @@ from vitac.envs.errors import VitacError
 from .agent.limits import Limits
 from .agent.session import Isolation, PolicySession
 from .episodes import Environment, Session, make_environment, run_episode
+from .log_findings import LogFinding
 from .records import EpisodeRecord, FailureStage, Manifest, PolicyFailure
 from .strict_model import StrictModel
 from .submission import load_manifest
@@ -52,6 +53,8 @@ class ShardEnd(StrEnum):
     """All its episodes have a record."""
     BROKEN = "broken"
     """The policy cannot be loaded or failed too often; the rest was not played."""
+    REFUTED = "refuted"
+    """What was re-simulated is not true; the finding says why, and the rest was not re-simulated."""
     CANCELLED = "cancelled"
     """The caller asked to stop."""
 
@@ -64,6 +67,8 @@ class ShardResult(StrictModel):
     manifest: Manifest
     isolation: Isolation | None
     """How strongly the policy was isolated; None if it was not started or did not load."""
+    finding: LogFinding | None = None
+    """Why a log is not true; None for models and as long as the log holds."""
 
 
 def cut(task: Task, episodes: Iterable[int] | None = None) -> tuple[Shard, ...]:

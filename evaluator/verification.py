@@ -1,47 +1,22 @@
-"""Is a log true? Its actions are checked and re-simulated; called by `vitac log verify` and the server.
+"""Is a log true? Its actions are checked and re-simulated; called by `vitac log verify` and the service's workers.
 
 Re-simulation proves the actions, not that a policy chose them.
 """
 
 from collections.abc import Callable, Collection
-from enum import StrEnum
-
-import numpy as np
-from pydantic import JsonValue
+from dataclasses import dataclass
 
 from .episodes import Environment
+from .log_checks import must_agree, why_impossible
+from .log_findings import Divergence, LogFinding, LogVerdict, comparable
 from .logs import LogHeader
-from .recordings import RecordingRejected, recording_of
+from .recordings import recording_of
 from .records import EpisodeOutcome, EpisodeRecord, Manifest, Timings
 from .replay import Resimulated, resimulate
 from .scoring import Score, score
 from .shards import make_manifest
 from .strict_model import StrictModel
 from .tracks import Task, Track
-
-
-class LogVerdict(StrEnum):
-    """What re-simulation says of a log."""
-
-    VERIFIED = "verified"
-    """Every state hash is equal."""
-    WITHIN_TOLERANCE = "verified within tolerance"
-    """Made on another class of machines; states differ in their last bits, all outcomes are equal."""
-    DIVERGED = "diverged"
-    """The actions do not lead where the log says."""
-    IMPOSSIBLE = "impossible"
-    """No evaluation of this list can have made it."""
-
-
-class Divergence(StrictModel):
-    """The first env step of the first episode whose state is not the recorded one; step 0 is after the reset."""
-
-    episode: int
-    env_step: int
-    recorded_state: str | None
-    recorded_info: dict[str, JsonValue] | None
-    resimulated_state: str | None
-    resimulated_info: dict[str, JsonValue] | None
 
 
 class Verification(StrictModel):
@@ -62,6 +37,22 @@ class Verification(StrictModel):
     def score(self) -> Score | None:
         """The score that the actions earn; None unless the log is verified."""
         return score(self.records) if self.records else None
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckedEpisode:
+    """A record of a log after its re-simulation.
+
+    Attributes:
+        record: the log's, with states, infos and rewards as they came here.
+        divergence: where the states first differ; None if they are all equal.
+        holds: whether the episode counts: equal to the last bit, or in all but the last bits where the log was made on
+            another class of machines.
+    """
+
+    record: EpisodeRecord
+    divergence: Divergence | None
+    holds: bool
 
 
 def verify(
@@ -86,23 +77,17 @@ def verify(
         on_episode: gets each re-simulated record.
     """
     manifest = make_manifest(track, task, env)
-    impossible = why_impossible(manifest, task, header, records, episodes)
+    impossible = why_impossible(must_agree(manifest), task, header, records, episodes)
     if impossible:
-        return Verification(verdict=LogVerdict.IMPOSSIBLE, reason=impossible, manifest=manifest)
-    same_machines = header.manifest.platform_class == manifest.platform_class
+        return _without_score(manifest, LogFinding.impossible(impossible))
     played: list[EpisodeRecord] = []
     first: Divergence | None = None
     for record in records:
-        recording = recording_of(record, task)
-        result = resimulate(env, recording.episode, recording.actions)
-        divergence = find_divergence(record, result)
-        first = first or divergence
-        if divergence and (same_machines or not _ended_as_recorded(record, result)):
-            place = f"episode {divergence.episode} env step {divergence.env_step}"
-            return Verification(
-                verdict=LogVerdict.DIVERGED, reason=f"diverged at {place}", manifest=manifest, divergence=divergence
-            )
-        played.append(_with_our_states(record, result))
+        checked = check_episode(env, task, manifest, header, record)
+        first = first or checked.divergence
+        if checked.divergence and not checked.holds:
+            return _without_score(manifest, LogFinding.diverged(checked.divergence))
+        played.append(checked.record)
         on_episode(played[-1])
     return Verification(
         verdict=LogVerdict.WITHIN_TOLERANCE if first else LogVerdict.VERIFIED,
@@ -113,26 +98,27 @@ def verify(
     )
 
 
-def why_impossible(
-    manifest: Manifest,
-    task: Task,
-    header: LogHeader,
-    records: Collection[EpisodeRecord],
-    episodes: Collection[int] | None = None,
-) -> str | None:
-    """Why no evaluation with this manifest can have made the log, in one sentence; None if one can."""
-    for key in ("track", "task", "list_seed", "task_hash", "evaluator_version", "solver_version", "mesh_hash"):
-        came, expected = getattr(header.manifest, key), getattr(manifest, key)
-        if came != expected:
-            return f"The log was made with {key} {came!r}, here it is {expected!r}; evaluate again."
-    wanted = {episode.number for episode in task.episodes} if episodes is None else set(episodes)
-    missing = sorted(wanted - {record.episode for record in records})
-    if missing:
-        return (
-            f"Episode {missing[0]} is missing, {len(missing)} of {len(wanted)} in all; a log must hold the whole list."
-        )
-    problems = (_why_record_impossible(task, record) for record in records)
-    return next((problem for problem in problems if problem), None)
+def check_episode(
+    env: Environment, task: Task, manifest: Manifest, header: LogHeader, record: EpisodeRecord
+) -> CheckedEpisode:
+    """Re-simulates one record of a log.
+
+    Args:
+        env: the task's environment.
+        task: what was played.
+        manifest: what re-simulates it.
+        header: of the log.
+        record: one that is possible.
+    """
+    recording = recording_of(record, task)
+    played = resimulate(env, recording.episode, recording.actions)
+    divergence = find_divergence(record, played)
+    elsewhere = header.manifest.platform_class != manifest.platform_class
+    return CheckedEpisode(
+        record=_with_our_states(record, played),
+        divergence=divergence,
+        holds=divergence is None or (elsewhere and _ended_as_recorded(record, played)),
+    )
 
 
 def find_divergence(record: EpisodeRecord, played: Resimulated) -> Divergence | None:
@@ -142,36 +128,21 @@ def find_divergence(record: EpisodeRecord, played: Resimulated) -> Divergence | 
     if step is None and _ended_as_recorded(record, played):
         return None
     step = record.env_steps if step is None else step
+    recorded, ours = (record.infos[step - 1], played.infos[step - 1]) if step else (None, None)
     return Divergence(
         episode=record.episode,
         env_step=step,
         recorded_state=record.state_hashes[step],
-        recorded_info=record.infos[step - 1] if step else None,
+        recorded_info=recorded and ours and {key: comparable(recorded.get(key), ours[key]) for key in ours},
         resimulated_state=played.state_hashes[step],
-        resimulated_info=played.infos[step - 1] if step else None,
+        resimulated_info=ours,
     )
 
 
-def _why_record_impossible(task: Task, record: EpisodeRecord) -> str | None:
-    place = f"Episode {record.episode}"
-    try:
-        actions = recording_of(record, task).actions
-    except RecordingRejected as error:
-        return str(error)
-    if record.episode > len(task.episodes):
-        return f"{place} is not in the list, which ends with {len(task.episodes)}."
-    listed = task.episodes[record.episode - 1]
-    if (record.shape, record.initial_offset) != (listed.shape, listed.offset):
-        came, expected = f"{record.shape} at {record.initial_offset}", f"{listed.shape} at {listed.offset}"
-        return f"{place} starts with {came}, in the list with {expected}."
-    if record.env_steps > task.max_steps:
-        return f"{place} has {record.env_steps} env steps; the task ends after {task.max_steps}."
-    outside = np.argwhere(np.abs(actions) > 1)
-    if len(outside):
-        step, component = outside[0]
-        came = f"{task.actions[component].name} = {actions[step, component]:g}"
-        return f"{place} has the action {came} at env step {step + 1}; actions lie within -1 and 1."
-    return None
+def _without_score(manifest: Manifest, finding: LogFinding) -> Verification:
+    return Verification(
+        verdict=finding.verdict, reason=finding.reason, manifest=manifest, divergence=finding.divergence
+    )
 
 
 def _ended_as_recorded(record: EpisodeRecord, played: Resimulated) -> bool:
@@ -181,11 +152,16 @@ def _ended_as_recorded(record: EpisodeRecord, played: Resimulated) -> bool:
 
 
 def _with_our_states(record: EpisodeRecord, played: Resimulated) -> EpisodeRecord:
+    """The record as it came here; what the log tells beside actions and ends is left out."""
+    failure = record.failure and record.failure.model_copy(
+        update={"message": "The log says so; the policy was not seen.", "output_tail": ""}
+    )
     return record.model_copy(
         update={
             "state_hashes": played.state_hashes,
             "infos": played.infos,
             "total_reward": played.total_reward,
+            "failure": failure,
             "timings": Timings(),
         }
     )

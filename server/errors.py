@@ -23,12 +23,16 @@ class ProblemCode(StrEnum):
     INVALID_CREDENTIALS = "invalid_credentials"
     INVALID_REQUEST = "invalid_request"
     LENGTH_INVALID = "length_invalid"
+    LOG_IMPOSSIBLE = "log_impossible"
+    LOG_REJECTED = "log_rejected"
+    LOG_TEAM_MISMATCH = "log_team_mismatch"
     MANIFEST_REJECTED = "manifest_rejected"
     METHOD_NOT_ALLOWED = "method_not_allowed"
     MISSING_CREDENTIALS = "missing_credentials"
     NOT_CANCELLABLE = "not_cancellable"
     NOT_FOUND = "not_found"
     NOT_REQUEUABLE = "not_requeuable"
+    NO_LOG = "no_log"
     REGISTRATION_CLOSED = "registration_closed"
     STORAGE_UNAVAILABLE = "storage_unavailable"
     TEAM_EXISTS = "team_exists"
@@ -54,12 +58,16 @@ STATUS_OF_CODE: Mapping[ProblemCode, HTTPStatus] = MappingProxyType(
         ProblemCode.INVALID_CREDENTIALS: HTTPStatus.UNAUTHORIZED,
         ProblemCode.INVALID_REQUEST: HTTPStatus.UNPROCESSABLE_ENTITY,
         ProblemCode.LENGTH_INVALID: HTTPStatus.BAD_REQUEST,
+        ProblemCode.LOG_IMPOSSIBLE: HTTPStatus.UNPROCESSABLE_ENTITY,
+        ProblemCode.LOG_REJECTED: HTTPStatus.UNPROCESSABLE_ENTITY,
+        ProblemCode.LOG_TEAM_MISMATCH: HTTPStatus.UNPROCESSABLE_ENTITY,
         ProblemCode.MANIFEST_REJECTED: HTTPStatus.UNPROCESSABLE_ENTITY,
         ProblemCode.METHOD_NOT_ALLOWED: HTTPStatus.METHOD_NOT_ALLOWED,
         ProblemCode.MISSING_CREDENTIALS: HTTPStatus.UNAUTHORIZED,
         ProblemCode.NOT_CANCELLABLE: HTTPStatus.CONFLICT,
         ProblemCode.NOT_FOUND: HTTPStatus.NOT_FOUND,
         ProblemCode.NOT_REQUEUABLE: HTTPStatus.CONFLICT,
+        ProblemCode.NO_LOG: HTTPStatus.CONFLICT,
         ProblemCode.REGISTRATION_CLOSED: HTTPStatus.FORBIDDEN,
         ProblemCode.STORAGE_UNAVAILABLE: HTTPStatus.SERVICE_UNAVAILABLE,
         ProblemCode.TEAM_EXISTS: HTTPStatus.CONFLICT,

@@ -6,6 +6,7 @@ from datetime import UTC, datetime
 from sqlalchemy import func, select, update
 from sqlalchemy.orm import Session
 from vitac.envs.errors import VitacError
+from vitac.evaluator.log_findings import LogFinding
 from vitac.evaluator.records import EpisodeRecord, Manifest, PolicyFailure, result_hash
 from vitac.evaluator.scoring import score
 from vitac.evaluator.shards import ShardEnd, ShardResult, breaking_failure, cut
@@ -89,9 +90,9 @@ def finish_shard(session: Session, lease: Lease, result: ShardResult) -> None:
             f"The worker runs evaluator {result.manifest.evaluator_version}, the evaluation needs "
             f"{evaluation.evaluator_version}. Restart the worker."
         )
-    broken = result.end is ShardEnd.BROKEN
-    end_shard(session, lease, ShardState.FAILED if broken else ShardState.DONE, result)
-    if not broken:
+    done = result.end is ShardEnd.COMPLETE
+    end_shard(session, lease, ShardState.DONE if done else ShardState.FAILED, result)
+    if done:
         _require_all_stored(session, lease)
     else:
         # Earlier shards run on: the verdict is the first one's, whatever the order in which they end.
@@ -156,8 +157,33 @@ def count_stored(session: Session, key: EpisodeKey) -> int:
     return session.scalar(select(func.count()).select_from(EpisodeResult).where(*key.conditions())) or 0
 
 
+def manifest_of(session: Session, evaluation: Evaluation, task: str) -> Manifest:
+    """What a completed evaluation played a task with."""
+    found = session.scalars(
+        select(Shard.manifest).where(
+            Shard.evaluation_id == evaluation.id, Shard.task == task, Shard.state == ShardState.DONE
+        )
+    ).first()
+    return Manifest.model_validate(found)
+
+
+def first_refuted_shard(session: Session, evaluation: Evaluation) -> Shard | None:
+    """The first shard in which an uploaded log was found to be untrue, whatever the order in which shards ended."""
+    return session.scalars(
+        select(Shard)
+        .where(Shard.evaluation_id == evaluation.id, Shard.finding.is_not(None))
+        .order_by(Shard.id)
+        .limit(1)
+        .execution_options(populate_existing=True)
+    ).first()
+
+
 def _conclude(session: Session, evaluation: Evaluation) -> None:
-    """Scores a finished evaluation, or gives it the verdict of the first shard in which the policy was broken."""
+    """Scores a finished evaluation, or gives it the verdict of its first shard that broke a policy or refuted a log."""
+    refuted = first_refuted_shard(session, evaluation)
+    if refuted is not None:
+        _fail_by_log(evaluation, refuted)
+        return
     submission = evaluation.submission
     track = load_track(submission.track)
     key = key_of(evaluation, submission)
@@ -172,22 +198,13 @@ def _conclude(session: Session, evaluation: Evaluation) -> None:
 
 
 def _complete(session: Session, evaluation: Evaluation, records: dict[str, list[EpisodeRecord]]) -> None:
-    manifests = {task: _manifest_of(session, evaluation, task) for task in records}
+    manifests = {task: manifest_of(session, evaluation, task) for task in records}
     hashes = {task: result_hash(manifests[task], records[task]) for task in records}
     store_scores(evaluation, {task: score(records[task]) for task in records}, hashes)
     evaluation.result_hash = combine_hashes(hashes)
     evaluation.platform_class = next(iter(manifests.values())).platform_class
     evaluation.state = EvaluationState.COMPLETED
     evaluation.finished_at = datetime.now(UTC)
-
-
-def _manifest_of(session: Session, evaluation: Evaluation, task: str) -> Manifest:
-    found = session.scalars(
-        select(Shard.manifest).where(
-            Shard.evaluation_id == evaluation.id, Shard.task == task, Shard.state == ShardState.DONE
-        )
-    ).first()
-    return Manifest.model_validate(found)
 
 
 def _fail_by_policy(
@@ -198,6 +215,13 @@ def _fail_by_policy(
     evaluation.verdict_episode = episode
     evaluation.log_tail = failure.output_tail[-LOG_TAIL_CHARACTERS:]
     _fail(evaluation, failure.code.value, failure.message)
+
+
+def _fail_by_log(evaluation: Evaluation, shard: Shard) -> None:
+    finding = LogFinding.model_validate(shard.finding)
+    evaluation.verdict_task = shard.task
+    evaluation.verdict_episode = finding.episode
+    _fail(evaluation, ServiceVerdict(finding.verdict.value), finding.reason)
 
 
 def _fail(evaluation: Evaluation, code: str, message: str) -> None:

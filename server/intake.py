@@ -1,6 +1,6 @@
-"""From an uploaded body to a checked, stored submission; nothing is left behind when any step refuses.
+"""Receives an uploaded body into a folder of its own; nothing is left behind when anything refuses it.
 
-The body is received by the event loop, the checks run in a thread. Nothing of the archive is imported or unpickled.
+Called by the API's upload route, in the event loop. `acceptance` checks what came.
 """
 
 import asyncio
@@ -12,18 +12,11 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from vitac.evaluator.archive import unpack
-from vitac.evaluator.archive_names import ArchiveRejected
-from vitac.evaluator.submission import ManifestRejected, SubmissionManifest, load_manifest, submission_digest
-from vitac.evaluator.tracks import load_track
 from vitac.server.db.states import SubmissionKind
 from vitac.server.errors import ProblemCode, ServiceError
-from vitac.server.services import Services
 from vitac.server.settings import Settings
-from vitac.server.submissions import CheckedUpload
 
-_ARCHIVE_NAME = "archive.zip"
-_UNPACKED_NAME = "unpacked"
+_FILE_NAME = "upload"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,67 +39,42 @@ def upload_folder(settings: Settings) -> Iterator[Path]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def check_announced_size(n_bytes: int | None, settings: Settings) -> None:
+def most_bytes(kind: SubmissionKind, settings: Settings) -> int:
+    """How large a body of this kind may be."""
+    return settings.limits.archive_packed_bytes if kind is SubmissionKind.MODEL else settings.log_bytes
+
+
+def check_announced_size(n_bytes: int | None, limit_bytes: int) -> None:
     """Refuses a body that is too large before the first byte is read.
 
     Raises:
         ServiceError: larger than the limit, which the problem names.
     """
-    if n_bytes is not None and n_bytes > settings.limits.archive_packed_bytes:
-        raise _too_large(settings, f"{n_bytes} bytes were announced")
+    if n_bytes is not None and n_bytes > limit_bytes:
+        raise _too_large(limit_bytes, f"{n_bytes} bytes were announced")
 
 
 async def receive(
-    body: AsyncIterator[bytes], folder: Path, settings: Settings, *, announced_bytes: int | None
+    body: AsyncIterator[bytes], folder: Path, *, limit_bytes: int, silence_s: float, announced_bytes: int | None
 ) -> ReceivedFile:
     """Writes a body to disk while counting and hashing it.
 
     Raises:
         ServiceError: larger than the limit, shorter than announced, silent for too long, or empty.
     """
-    path = folder / _ARCHIVE_NAME
+    path = folder / _FILE_NAME
     digest, n_bytes = hashlib.sha256(), 0
     with path.open("xb") as file:
-        async for chunk in _without_silence(body, settings.upload_silence_s):
+        async for chunk in _without_silence(body, silence_s):
             n_bytes += len(chunk)
-            if n_bytes > settings.limits.archive_packed_bytes:
-                raise _too_large(settings, "more came")
+            if n_bytes > limit_bytes:
+                raise _too_large(limit_bytes, "more came")
             digest.update(chunk)
             file.write(chunk)
     if n_bytes == 0 or (announced_bytes is not None and n_bytes != announced_bytes):
         expected = "at least one" if announced_bytes is None else str(announced_bytes)
         raise truncated(f"{n_bytes} bytes came, expected {expected}")
     return ReceivedFile(path=path, sha256=digest.hexdigest(), n_bytes=n_bytes)
-
-
-def accept(services: Services, received: ReceivedFile, *, track: str | None) -> CheckedUpload:
-    """Checks a received archive by all rules and stores it. Slow: call it in a thread.
-
-    Args:
-        services: of this process.
-        received: the body.
-        track: what the request named; the manifest must name the same.
-
-    Raises:
-        ServiceError: a rule is broken, or the file store is away.
-    """
-    manifest, digest = _inspect(received.path, services.settings)
-    if track is not None and manifest.track != track:
-        raise ServiceError(
-            ProblemCode.MANIFEST_REJECTED,
-            f"The request is for {track!r}, but submission.yaml says track {manifest.track!r}. Make them agree.",
-        )
-    services.blobs.put(received.path, received.sha256)
-    return CheckedUpload(
-        kind=SubmissionKind.MODEL,
-        track=manifest.track,
-        tasks=tuple(task for task in load_track(manifest.track).tasks if task in manifest.tasks),
-        name=manifest.name,
-        digest=digest,
-        archive_sha256=received.sha256,
-        archive_bytes=received.n_bytes,
-        manifest=manifest.model_dump(mode="json"),
-    )
 
 
 def check_digest(received: ReceivedFile, claimed: str | None) -> None:
@@ -130,22 +98,11 @@ def truncated(what: str) -> ServiceError:
     )
 
 
-def _inspect(archive: Path, settings: Settings) -> tuple[SubmissionManifest, str]:
-    try:
-        folder = unpack(archive, archive.with_name(_UNPACKED_NAME), settings.limits)
-        return load_manifest(folder), submission_digest(folder, settings.limits)
-    except ArchiveRejected as error:
-        raise ServiceError(ProblemCode.ARCHIVE_REJECTED, error.message, reason=error.code.value) from error
-    except ManifestRejected as error:
-        raise ServiceError(ProblemCode.MANIFEST_REJECTED, str(error)) from error
-
-
-def _too_large(settings: Settings, what: str) -> ServiceError:
-    limit = settings.limits.archive_packed_bytes
+def _too_large(limit_bytes: int, what: str) -> ServiceError:
     return ServiceError(
         ProblemCode.UPLOAD_TOO_LARGE,
-        f"An archive may have at most {limit} bytes; {what}. Make it smaller.",
-        limit_bytes=limit,
+        f"An upload of this kind may have at most {limit_bytes} bytes; {what}. Make it smaller.",
+        limit_bytes=limit_bytes,
     )
 
 

@@ -1,11 +1,12 @@
 """Scores as they are stored with an evaluation and as they are shown; called where evaluations end and are read."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 from vitac.evaluator.ranking import CombinedScore, combine
 from vitac.evaluator.scoring import Interval, Rate, Score
 from vitac.evaluator.tracks import load_track
 from vitac.server.db.models import Evaluation
+from vitac.server.db.states import SubmissionKind
 from vitac.server.views import ShapeScoreView, TaskScoreView
 
 
@@ -14,7 +15,7 @@ def store_scores(evaluation: Evaluation, scores: Mapping[str, Score], hashes: Ma
     evaluation.scores = [
         {"task": task, "result_hash": hashes[task], **score.model_dump(mode="json")} for task, score in scores.items()
     ]
-    combined = combine(load_track(evaluation.submission.track).tasks, scores)
+    combined = combine(_tasks_that_count(evaluation), scores)
     evaluation.success_rate, evaluation.mean_steps = combined.success_rate, combined.mean_steps
 
 
@@ -29,7 +30,7 @@ def scores_of(evaluation: Evaluation) -> dict[str, Score]:
 def combined_score(evaluation: Evaluation) -> CombinedScore | None:
     """The score over all tasks of the track, by today's rule; None without a score."""
     scores = scores_of(evaluation)
-    return combine(load_track(evaluation.submission.track).tasks, scores) if scores else None
+    return combine(_tasks_that_count(evaluation), scores) if scores else None
 
 
 def score_views(evaluation: Evaluation) -> list[TaskScoreView]:
@@ -41,6 +42,12 @@ def score_views(evaluation: Evaluation) -> list[TaskScoreView]:
 def bounds(interval: Interval) -> tuple[float, float]:
     """Both ends of an interval, as views hold them."""
     return interval.low, interval.high
+
+
+def _tasks_that_count(evaluation: Evaluation) -> Collection[str]:
+    """All tasks of the track for a model; a log is of one task, and ranks on that one's board only."""
+    submission = evaluation.submission
+    return load_track(submission.track).tasks if submission.kind is SubmissionKind.MODEL else submission.tasks
 
 
 def _score_view(task: str, score: Score, result_hash: str) -> TaskScoreView:

@@ -61,6 +61,10 @@ class Settings(BaseSettings):
         default_factory=Limits,
         description="On archives and policies; one by one (VITAC_LIMITS__MEMORY_BYTES) or as JSON (VITAC_LIMITS).",
     )
+    log_bytes: PositiveInt = Field(
+        default=32 << 20,
+        description="Largest log that may be uploaded, packed and unpacked; a whole one has about 2 MB.",
+    )
     uploads_at_once: PositiveInt = Field(default=2, description="Uploads that one team may send at the same time.")
     upload_silence_s: PositiveFloat = Field(default=30.0, description="An upload that stops for so long is given up.")
     event_streams: PositiveInt = Field(default=200, description="Event streams that one server process keeps open.")

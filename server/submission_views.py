@@ -7,9 +7,10 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 from vitac.evaluator.tracks import load_track
 from vitac.server.db.models import EpisodeResult, Evaluation, Shard, Submission, Team
-from vitac.server.db.states import TERMINAL_EVALUATION_STATES, EvaluationState
+from vitac.server.db.states import TERMINAL_EVALUATION_STATES, EvaluationState, SubmissionKind
 from vitac.server.evaluations import LOG_TAIL_CHARACTERS
 from vitac.server.leaderboards import PlacesOfBoards, places
+from vitac.server.log_views import log_view
 from vitac.server.progress import progress_of, queue_position, seconds_to_end
 from vitac.server.queue.leases import key_of
 from vitac.server.scores import bounds, combined_score, score_views
@@ -56,7 +57,7 @@ def submission_view(
         kind=submission.kind,
         track=submission.track,
         tasks=submission.tasks,
-        missing_tasks=[task for task in load_track(submission.track).tasks if task not in submission.tasks],
+        missing_tasks=_missing_tasks(submission),
         name=submission.name,
         digest=submission.digest,
         archive_sha256=submission.archive_sha256,
@@ -67,7 +68,15 @@ def submission_view(
         workers=WorkersView(alive=workers.alive, last_heartbeat_at=workers.last_heartbeat_at),
         rank=ranks.get(None),
         task_ranks={task: place for task, place in ranks.items() if task is not None},
+        log=log_view(session, submission, newest) if submission.kind is not SubmissionKind.MODEL else None,
     )
+
+
+def _missing_tasks(submission: Submission) -> list[str]:
+    """What a model does not play; a log is of one task and no other is missed."""
+    if submission.kind is not SubmissionKind.MODEL:
+        return []
+    return [task for task in load_track(submission.track).tasks if task not in submission.tasks]
 
 
 def team_view(team: Team) -> TeamView:

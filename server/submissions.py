@@ -28,7 +28,7 @@ from vitac.server.leaderboards import places
 from vitac.server.queue.leases import key_of, lock_evaluation
 from vitac.server.settings import Settings
 from vitac.server.submission_views import submission_view
-from vitac.server.verdicts import ServiceVerdict
+from vitac.server.verdicts import VERDICTS_ON_LOGS, ServiceVerdict
 from vitac.server.views import EpisodeView, SubmissionListView, SubmissionView
 
 WATCH_INTERVAL_S = 0.5
@@ -70,13 +70,22 @@ def create(
     return submission, True
 
 
+def owner_name(session: Session, by: Principal, team: str | None) -> str:
+    """Name of the team whose submission an upload becomes.
+
+    Raises:
+        ServiceError: an organizer named no team, or none that exists.
+    """
+    return _owner(session, by, team).name
+
+
 def get(session: Session, settings: Settings, by: Principal, submission_id: UUID) -> SubmissionView:
     """One submission with its newest evaluation.
 
     Raises:
         ServiceError: there is none that the principal may see.
     """
-    return submission_view(session, settings, _visible(session, by, submission_id))
+    return submission_view(session, settings, visible(session, by, submission_id))
 
 
 def list_submissions(
@@ -105,7 +114,7 @@ def list_submissions(
     if state is not None:
         query = query.where(_newest_state() == state)
     if before is not None:
-        last = _visible(session, by, before)
+        last = visible(session, by, before)
         query = query.where(tuple_(Submission.submitted_at, Submission.id) < tuple_(last.submitted_at, last.id))
     found = session.scalars(query.order_by(Submission.submitted_at.desc(), Submission.id.desc()).limit(limit + 1)).all()
     places_of = cache(partial(places, session))
@@ -121,7 +130,7 @@ def cancel(session: Session, by: Principal, submission_id: UUID) -> None:
     Raises:
         ServiceError: there is no such submission, or its evaluation has ended.
     """
-    submission = _visible(session, by, submission_id)
+    submission = visible(session, by, submission_id)
     evaluation = lock_evaluation(session, newest_evaluation(session, submission).id)
     if evaluation.state in TERMINAL_EVALUATION_STATES:
         raise ServiceError(
@@ -140,7 +149,7 @@ def run_again(session: Session, by: Principal, submission_id: UUID) -> Submissio
         ServiceError: not an organizer, no such submission, or its evaluation is still active.
     """
     by.require_organizer()
-    submission = _visible(session, by, submission_id)
+    submission = visible(session, by, submission_id)
     session.execute(select(Submission.id).where(Submission.id == submission.id).with_for_update(key_share=True))
     run = _next_run(session, submission, again=True)
     if run is None:
@@ -158,7 +167,7 @@ def episodes(session: Session, by: Principal, submission_id: UUID) -> list[Episo
     Raises:
         ServiceError: there is no such submission.
     """
-    submission = _visible(session, by, submission_id)
+    submission = visible(session, by, submission_id)
     key = key_of(newest_evaluation(session, submission), submission)
     rows = session.execute(
         select(
@@ -173,6 +182,18 @@ def episodes(session: Session, by: Principal, submission_id: UUID) -> list[Episo
         .order_by(EpisodeResult.task, EpisodeResult.episode)
     )
     return [EpisodeView(**dict(zip(EpisodeView.model_fields, row, strict=True))) for row in rows]
+
+
+def visible(session: Session, by: Principal, submission_id: UUID) -> Submission:
+    """The submission of that id.
+
+    Raises:
+        ServiceError: there is none that the principal may see.
+    """
+    submission = session.get(Submission, submission_id, options=[joinedload(Submission.team)])
+    if submission is None or not by.may_see(submission.team_id):
+        raise not_found("submission", submission_id)
+    return submission
 
 
 def newest_evaluation(session: Session, submission: Submission) -> Evaluation:
@@ -244,7 +265,10 @@ def _find_or_add(session: Session, owner: Team, upload: CheckedUpload) -> Submis
 
 
 def _next_run(session: Session, submission: Submission, *, again: bool) -> int | None:
-    """Number of the run to start, or None when the existing evaluation answers the request."""
+    """Number of the run to start, or None when the existing evaluation answers the request.
+
+    A score answers it, and so does what was found against a log: its actions would lead to the same states again.
+    """
     current = evaluator_version()
     history = session.scalars(_history(submission)).all()
     if any(evaluation.state in ACTIVE_EVALUATION_STATES for evaluation in history):
@@ -253,7 +277,7 @@ def _next_run(session: Session, submission: Submission, *, again: bool) -> int |
     if not same_version:
         return 1
     newest = same_version[0]
-    if newest.state is EvaluationState.COMPLETED and not again:
+    if not again and (newest.state is EvaluationState.COMPLETED or newest.verdict_code in VERDICTS_ON_LOGS):
         return None
     if not again and _can_be_taken_up(newest):
         return newest.run
@@ -263,13 +287,6 @@ def _next_run(session: Session, submission: Submission, *, again: bool) -> int |
 def _can_be_taken_up(evaluation: Evaluation) -> bool:
     by_machines = evaluation.verdict_code == ServiceVerdict.MACHINE_FAILED
     return evaluation.state is EvaluationState.CANCELLED or by_machines
-
-
-def _visible(session: Session, by: Principal, submission_id: UUID) -> Submission:
-    submission = session.get(Submission, submission_id, options=[joinedload(Submission.team)])
-    if submission is None or not by.may_see(submission.team_id):
-        raise not_found("submission", submission_id)
-    return submission
 
 
 def _history(submission: Submission) -> Select[Evaluation]:

@@ -3,6 +3,7 @@
 from dataclasses import asdict
 
 from vitac.evaluator.tracks import Track, list_tracks, load_track
+from vitac.server.db.states import SubmissionKind
 from vitac.server.settings import Settings
 from vitac.server.views import TrackListView, TrackTaskView, TrackView
 
@@ -20,11 +21,13 @@ def track_view(track: Track, settings: Settings) -> TrackView:
         summary=track.summary,
         ranking_rule=track.ranking_rule,
         combination_rule=track.combination_rule,
+        accepts=[SubmissionKind(kind.value) for kind in track.accepts],
         tasks=[
             TrackTaskView(
                 name=name, title=task.title, env_id=task.env_id, episodes=len(task.episodes), max_steps=task.max_steps
             )
             for name, task in track.tasks.items()
         ],
+        log_bytes=settings.log_bytes,
         limits=asdict(settings.limits),
     )

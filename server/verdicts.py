@@ -6,17 +6,33 @@ from vitac.evaluator.agent.verdicts import VerdictCode
 
 
 class ServiceVerdict(StrEnum):
-    """Ends of an evaluation that are not the policy's fault."""
+    """Ends of an evaluation that are not a policy's fault: those of the machines, and what is found against a log."""
 
     MACHINE_FAILED = "machine_failed"
+    DIVERGED = "diverged"
+    IMPOSSIBLE = "impossible"
 
     @property
     def sentence(self) -> str:
         """What happened and what to do about it."""
-        return (
-            "The machines that ran this evaluation failed several times; it is not the policy's fault. "
-            "Submit it again or ask the organizers."
-        )
+        return _SENTENCES[self]
+
+
+_SENTENCES = {
+    ServiceVerdict.MACHINE_FAILED: (
+        "The machines that ran this evaluation failed several times; it is not the policy's fault. "
+        "Submit it again or ask the organizers."
+    ),
+    ServiceVerdict.DIVERGED: (
+        "The log's actions do not lead where it says; it is not ranked. `vitac log verify` shows the same at home."
+    ),
+    ServiceVerdict.IMPOSSIBLE: (
+        "No evaluation by this evaluator can have made the log; evaluate again with its version and upload the new log."
+    ),
+}
+
+
+VERDICTS_ON_LOGS = frozenset({ServiceVerdict.DIVERGED, ServiceVerdict.IMPOSSIBLE})
 
 
 def sentence_of(code: str) -> str:

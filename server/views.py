@@ -5,6 +5,7 @@ from typing import Any
 from uuid import UUID
 
 from pydantic import BaseModel, ConfigDict, Field
+from vitac.evaluator.log_findings import LogVerdict
 from vitac.server.db.states import EvaluationState, Role, SubmissionKind
 
 
@@ -148,6 +149,61 @@ class WorkersView(View):
     last_heartbeat_at: datetime | None
 
 
+class DivergenceView(View):
+    """The first env step at which a log's actions led elsewhere; step 0 is after the reset."""
+
+    episode: int
+    env_step: int
+    recorded_state: str | None = Field(description="SHA-256 of the state, as the log has it.")
+    recorded_info: dict[str, Any] | None = Field(description="What the log tells of that env step, in our form.")
+    resimulated_state: str | None
+    resimulated_info: dict[str, Any] | None
+
+
+class LogView(View):
+    """What an uploaded log claims, and what its re-simulation says of it."""
+
+    label: str = Field(description="What a score of it is worth, in a few words.")
+    verdict: LogVerdict | None = Field(description="Null before the end, and always for a 2025 text log.")
+    reason: str | None = Field(description="The verdict in a sentence.")
+    divergence: DivergenceView | None
+    claimed_episodes: int
+    claimed_successes: int
+    claimed_success_rate: float
+    claimed_mean_steps: float | None
+    claimed_result_hash: str | None = Field(description="Follows from the log's records; null for a 2025 text log.")
+    team_named: str | None
+    submission_digest_named: str | None = Field(description="Digest of the model that the log says it is of.")
+    made_on: str | None = Field(description="Platform class that the log says it was made on.")
+    problems: list[str] = Field(description="Numbers of a 2025 text log that do not follow from each other.")
+
+
+class AuditedEpisodeView(View):
+    """How far a model's own episode went along with the log's."""
+
+    episode: int
+    actions: int
+    reproduced: int
+    first_other: int | None = Field(description="Env step of the first other action; null if there is none.")
+
+
+class AuditView(View):
+    """How many of a log's actions a model that the team uploaded gives.
+
+    Both were played from the same starts. Up to the first other action of an episode both saw the same; what comes
+    after it cannot be compared, so it counts as not reproduced.
+    """
+
+    submission_id: UUID
+    submission_name: str
+    evaluated_at: datetime
+    actions: int
+    reproduced: int
+    episodes: int
+    episodes_reproduced: int
+    others: list[AuditedEpisodeView] = Field(description="The episodes with an other action.")
+
+
 class RankView(View):
     """Place on a leaderboard of the team's best entry there, when it is this submission."""
 
@@ -163,9 +219,9 @@ class SubmissionView(View):
     kind: SubmissionKind
     track: str
     tasks: list[str]
-    missing_tasks: list[str] = Field(description="Tasks of the track that it does not play; each counts as 0.")
+    missing_tasks: list[str] = Field(description="Tasks of the track that a model does not play; each counts as 0.")
     name: str
-    digest: str = Field(description="SHA-256 over the unpacked files; equal for a folder and its zip.")
+    digest: str = Field(description="SHA-256 of the content; equal for a folder and its zip, a log and its gzip.")
     archive_sha256: str
     archive_bytes: int
     submitted_at: datetime
@@ -174,6 +230,7 @@ class SubmissionView(View):
     workers: WorkersView
     rank: RankView | None = Field(description="On the leaderboard of all tasks together.")
     task_ranks: dict[str, RankView] = Field(description="On the leaderboards of single tasks.")
+    log: LogView | None = Field(description="Null for a model.")
 
 
 class SubmissionListView(View):
@@ -231,6 +288,62 @@ class LeaderboardView(View):
     entries: list[LeaderboardEntryView]
 
 
+class LogEntryView(View):
+    """Best verified log of one team for one task."""
+
+    rank: int | None = Field(description="Null for an entry that another evaluator version made: it is not comparable.")
+    stale: bool
+    team: str
+    submission_id: UUID
+    submission_name: str
+    verdict: LogVerdict
+    submitted_at: datetime
+    episodes: int
+    successes: int
+    success_rate: float
+    success_rate_interval: tuple[float, float]
+    mean_steps: float | None
+    result_hash: str
+    evaluator_version: str
+
+
+class LogBoardView(View):
+    """Verified logs of one task, ranked among themselves."""
+
+    task: str
+    title: str
+    entries: list[LogEntryView]
+
+
+class TextLogEntryView(View):
+    """A 2025 text log: what it claims, and what our physics makes of its actions. Not ranked."""
+
+    team: str
+    task: str
+    submission_id: UUID
+    submission_name: str
+    submitted_at: datetime
+    claimed_success_rate: float
+    claimed_mean_steps: float | None
+    success_rate: float
+    mean_steps: float | None
+    problems: int
+    evaluator_version: str
+
+
+class LogBoardsView(View):
+    """All logs of a track, apart from the evaluated models."""
+
+    track: str
+    title: str
+    label: str
+    ranking_rule: str
+    evaluator_version: str
+    generated_at: datetime
+    boards: list[LogBoardView]
+    text_logs: list[TextLogEntryView]
+
+
 class TrackTaskView(View):
     """One task of a track."""
 
@@ -249,7 +362,9 @@ class TrackView(View):
     summary: str
     ranking_rule: str = Field(description="Order on the leaderboard of a task.")
     combination_rule: str | None = Field(description="Order on the leaderboard of all tasks; null where there is one.")
+    accepts: list[SubmissionKind] = Field(description="What may be submitted.")
     tasks: list[TrackTaskView]
+    log_bytes: int = Field(description="Largest log that may be uploaded, packed and unpacked.")
     limits: dict[str, float] = Field(description="Most that an upload and its policy may use; bytes, seconds, numbers.")
 
 

@@ -14,6 +14,7 @@ from vitac.envs.errors import VitacError
 from vitac.evaluator.records import EpisodeRecord, Manifest
 from vitac.evaluator.shard_process import ShardOrder, running_shard
 from vitac.evaluator.shards import ShardEnd, ShardResult, is_broken
+from vitac.server.db.states import SubmissionKind
 from vitac.server.evaluations import finish_shard, report_broken_machine
 from vitac.server.queue import leases
 from vitac.server.queue.leases import Lease, LeaseLost, StoredEpisodes
@@ -110,8 +111,8 @@ class ShardRun:
 
     def _play(self, stored: StoredEpisodes) -> ShardResult:
         with (
-            self._stage.submission(self._lease.archive_sha256) as submission_dir,
-            self._start(self._order(submission_dir, stored)) as process,
+            self._stage.submission(self._lease.kind, self._lease.archive_sha256) as path,
+            self._start(self._order(path, stored)) as process,
         ):
             with self._lock:
                 self._process = process
@@ -121,9 +122,12 @@ class ShardRun:
                 self._store(record)
             return process.result
 
-    def _order(self, submission_dir: Path, stored: StoredEpisodes) -> ShardOrder:
+    def _order(self, path: Path, stored: StoredEpisodes) -> ShardOrder:
+        kind = self._lease.kind
         return ShardOrder(
-            submission_dir=submission_dir,
+            submission_dir=path if kind is SubmissionKind.MODEL else None,
+            log=path if kind is SubmissionKind.LOG else None,
+            text_log=path if kind is SubmissionKind.TEXT_LOG else None,
             track=self._lease.key.track,
             task=self._lease.task,
             shard=self._lease.number,

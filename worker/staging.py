@@ -1,4 +1,4 @@
-"""Submissions on the worker's disk: fetched, checked and unpacked once while several shards of them run."""
+"""Submissions on the worker's disk: fetched once, archives also unpacked, while several shards of them run."""
 
 import os
 import shutil
@@ -12,6 +12,7 @@ from pathlib import Path
 
 from vitac.evaluator.agent.limits import Limits
 from vitac.evaluator.archive import unpack
+from vitac.server.db.states import SubmissionKind
 from vitac.server.storage.blobs import BlobStore
 
 KEPT_IDLE = 2
@@ -21,10 +22,10 @@ _PREFIX = "worker"
 
 @dataclass(kw_only=True)
 class _Staged:
-    """One submission on disk; `ready` is set once it is unpacked, `users` counts running shards."""
+    """One submission on disk; `path` is set once it is there, `users` counts running shards."""
 
     folder: Path
-    submission_dir: Path | None = None
+    path: Path | None = None
     users: int = 0
     lock: threading.Lock = field(default_factory=threading.Lock)
 
@@ -42,21 +43,22 @@ class SubmissionStage:
         self._folder = Path(tempfile.mkdtemp(prefix=prefix, dir=scratch_dir))
 
     @contextmanager
-    def submission(self, archive_sha256: str) -> Iterator[Path]:
-        """The folder of an unpacked submission, there as long as the block runs.
+    def submission(self, kind: SubmissionKind, archive_sha256: str) -> Iterator[Path]:
+        """The folder of an unpacked model, or the file of a log, there as long as the block runs.
 
         Raises:
             ServiceError: the stored file cannot be read.
             ArchiveRejected: it breaks a rule, although the upload checked it.
         """
+        name = f"{kind}-{archive_sha256}"
         with self._lock:
-            staged = self._staged.setdefault(archive_sha256, _Staged(folder=self._folder / archive_sha256))
+            staged = self._staged.setdefault(name, _Staged(folder=self._folder / name))
             staged.users += 1
         try:
             with staged.lock:
-                if staged.submission_dir is None:
-                    staged.submission_dir = self._unpack(archive_sha256, staged.folder)
-            yield staged.submission_dir
+                if staged.path is None:
+                    staged.path = self._fetch(kind, archive_sha256, staged.folder)
+            yield staged.path
         finally:
             with self._lock:
                 staged.users -= 1
@@ -66,19 +68,21 @@ class SubmissionStage:
         """Removes everything."""
         shutil.rmtree(self._folder, ignore_errors=True)
 
-    def _unpack(self, archive_sha256: str, folder: Path) -> Path:
+    def _fetch(self, kind: SubmissionKind, archive_sha256: str, folder: Path) -> Path:
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir()
-        archive = folder / "archive.zip"
-        self._blobs.fetch(archive_sha256, archive)
-        submission_dir = unpack(archive, folder / "unpacked", self._limits)
-        archive.unlink()
+        upload = folder / "upload"
+        self._blobs.fetch(archive_sha256, upload)
+        if kind is not SubmissionKind.MODEL:
+            return upload
+        submission_dir = unpack(upload, folder / "unpacked", self._limits)
+        upload.unlink()
         return submission_dir
 
     def _forget_idle(self) -> None:
-        idle = [digest for digest, staged in self._staged.items() if not staged.users]
-        for digest in idle[:-KEPT_IDLE]:
-            shutil.rmtree(self._staged.pop(digest).folder, ignore_errors=True)
+        idle = [name for name, staged in self._staged.items() if not staged.users]
+        for name in idle[:-KEPT_IDLE]:
+            shutil.rmtree(self._staged.pop(name).folder, ignore_errors=True)
 
 
 def remove_leftovers(scratch_dir: Path) -> None:

@@ -23,7 +23,15 @@ _PREFIX = re.compile(
 
 
 class TextLogRejected(VitacError):
-    """The file is not a text log of the challenge; the message names the line and the reason."""
+    """The file is not a text log of the challenge; the message names the line and the reason.
+
+    Attributes:
+        line: number of the line, from 1; None where it is the whole file.
+    """
+
+    def __init__(self, message: str, *, line: int | None = None) -> None:
+        super().__init__(message)
+        self.line = line
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,14 +59,18 @@ def messages(stream: BinaryIO) -> Iterator[Message]:
                 yield _message(*first, text)
             first, text, length = (number, match), [match[6]], len(line)
         elif first is None:
-            raise TextLogRejected(f"Line {number} does not start like a log line, `<date> <time> | INFO | ...`.")
+            raise TextLogRejected(
+                f"Line {number} does not start like a log line, `<date> <time> | INFO | ...`.", line=number
+            )
         else:
             text.append(line)
             length += len(line) + 1
             if length > MAX_MESSAGE_CHARACTERS:
-                raise TextLogRejected(f"Line {number} belongs to a message longer than {MAX_MESSAGE_CHARACTERS}.")
+                raise TextLogRejected(
+                    f"Line {number} belongs to a message longer than {MAX_MESSAGE_CHARACTERS}.", line=number
+                )
     if first is None:
-        raise TextLogRejected("Line 1: the file is empty.")
+        raise TextLogRejected("Line 1: the file is empty.", line=1)
     yield _message(*first, text)
 
 
@@ -142,13 +154,15 @@ def _lines(stream: BinaryIO) -> Iterator[tuple[int, str]]:
     while line := stream.readline(MAX_LINE_BYTES + 1):
         number, total = number + 1, total + len(line)
         if len(line) > MAX_LINE_BYTES or total > MAX_LOG_BYTES:
-            raise TextLogRejected(f"Line {number} is longer than {MAX_LINE_BYTES} bytes, or the file too large.")
+            raise TextLogRejected(
+                f"Line {number} is longer than {MAX_LINE_BYTES} bytes, or the file too large.", line=number
+            )
         try:
             text = line.decode("utf-8")
         except UnicodeDecodeError as error:
-            raise TextLogRejected(f"Line {number} is not UTF-8 text.") from error
+            raise TextLogRejected(f"Line {number} is not UTF-8 text.", line=number) from error
         if "\x00" in text:
-            raise TextLogRejected(f"Line {number} holds binary data.")
+            raise TextLogRejected(f"Line {number} holds binary data.", line=number)
         yield number, text.rstrip("\r\n")
 
 
@@ -156,9 +170,9 @@ def _message(line: int, prefix: re.Match[str], text: list[str]) -> Message:
     try:
         time = datetime.strptime(prefix[1], "%Y-%m-%d %H:%M:%S.%f")
     except ValueError as error:
-        raise TextLogRejected(f"Line {line}: {prefix[1]} is no date and time.") from error
+        raise TextLogRejected(f"Line {line}: {prefix[1]} is no date and time.", line=line) from error
     return Message(line=line, time=time, text="\n".join(text))
 
 
 def _rejected(message: Message, reason: str) -> TextLogRejected:
-    return TextLogRejected(f"Line {message.line}: {reason}.")
+    return TextLogRejected(f"Line {message.line}: {reason}.", line=message.line)

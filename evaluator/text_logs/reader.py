@@ -42,7 +42,7 @@ class TextEpisode:
 
 @dataclass(kw_only=True)
 class TextLog:
-    """A whole log. `problems` are sentences about what is out of place."""
+    """A whole log. `problems` are sentences about what is out of place, `misplaced` the numbers of their lines."""
 
     team: str | None = None
     script_md5: str | None = None
@@ -54,6 +54,7 @@ class TextLog:
     claimed_average_steps: float | None = None
     has_totals: bool = False
     problems: list[str] = field(default_factory=list)
+    misplaced: list[int] = field(default_factory=list)
 
 
 def read_text_log(stream: BinaryIO) -> TextLog:
@@ -69,7 +70,9 @@ def read_text_log(stream: BinaryIO) -> TextLog:
     for message in messages(stream):
         reader.take(message)
     if reader.log.team is None or not reader.log.environment:
-        raise TextLogRejected("Line 1: no `#KEY` and no environment; this is not an evaluation log of the challenge.")
+        raise TextLogRejected(
+            "Line 1: no `#KEY` and no environment; this is not an evaluation log of the challenge.", line=1
+        )
     return reader.log
 
 
@@ -115,7 +118,7 @@ class _Reader:
             self._problem(message, "a second log begins here")
             return
         if not match[1].isprintable():
-            raise TextLogRejected(f"Line {message.line}: the team's name holds control characters.")
+            raise TextLogRejected(f"Line {message.line}: the team's name holds control characters.", line=message.line)
         self.log.team = match[1].strip()
 
     def _md5(self, _: Message, match: re.Match[str]) -> None:
@@ -221,5 +224,8 @@ class _Reader:
 
     def _problem(self, message: Message, what: str) -> None:
         self.log.problems.append(f"line {message.line}: {what}")
+        self.log.misplaced.append(message.line)
         if len(self.log.problems) > MAX_PROBLEMS:
-            raise TextLogRejected(f"Line {message.line}: more than {MAX_PROBLEMS} lines are out of place.")
+            raise TextLogRejected(
+                f"Line {message.line}: more than {MAX_PROBLEMS} lines are out of place.", line=message.line
+            )

@@ -3,6 +3,7 @@
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from enum import StrEnum
 from functools import cached_property
 from itertools import product
 from typing import Literal, Self
@@ -111,8 +112,19 @@ class Task(StrictModel):
         return hashlib.sha256(self.model_dump_json().encode()).hexdigest()
 
 
+class Accepted(StrEnum):
+    """What a track takes. Logs only make sense where the episode list is public: their makers must know the starts."""
+
+    MODEL = "model"
+    """A policy, which the service runs."""
+    LOG = "log"
+    """An evaluation log of ours, which is verified by re-simulation."""
+    TEXT_LOG = "text_log"
+    """A text log of the 2025 challenge, which is shown outside the ranking."""
+
+
 class Track(StrictModel):
-    """One track: what is scored, how it is ranked, and its tasks by name.
+    """One track: what is scored, how it is ranked, what may be submitted, and its tasks by name.
 
     `ranking_rule` orders the submissions of one task, `combination_rule` those of all tasks together.
     """
@@ -122,6 +134,7 @@ class Track(StrictModel):
     summary: str
     ranking_rule: str
     combination_rule: str | None = None
+    accepts: tuple[Accepted, ...] = Field(min_length=1)
     scoring_notes: tuple[str, ...] = ()
     tasks: dict[str, Task] = Field(min_length=1)
 

@@ -3,9 +3,10 @@
 import base64
 import binascii
 import json
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Mapping
 from contextlib import aclosing
 from http import HTTPStatus
+from types import MappingProxyType
 from typing import Annotated
 from uuid import UUID
 
@@ -13,23 +14,35 @@ from fastapi import APIRouter, Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
 from sse_starlette import EventSourceResponse, ServerSentEvent
 from starlette.requests import ClientDisconnect
-from vitac.server import intake, submissions
+from vitac.server import intake, log_audits, submissions
+from vitac.server.acceptance import accept, check_kind
 from vitac.server.auth.principals import Principal
 from vitac.server.db.states import EvaluationState, SubmissionKind
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.leaderboards import load_known_track
+from vitac.server.log_export import export_log
 from vitac.server.services import Services
 from vitac.server.submissions import CheckedUpload
-from vitac.server.views import EpisodeView, SubmissionListView, SubmissionView
+from vitac.server.views import AuditView, EpisodeView, SubmissionListView, SubmissionView
 
 from .access import PrincipalOf, ServicesOf
 from .problems import RESPONSES
 
 router = APIRouter(prefix="/submissions", tags=["submissions"], responses=RESPONSES)
 
-ARCHIVE_TYPE = "application/zip"
+LOG_TYPE = "application/x-ndjson"
+GZIP_TYPE = "application/gzip"
+TYPES_OF_KIND: Mapping[SubmissionKind, tuple[str, ...]] = MappingProxyType(
+    {
+        SubmissionKind.MODEL: ("application/zip",),
+        SubmissionKind.LOG: (LOG_TYPE, "application/jsonl", GZIP_TYPE),
+        SubmissionKind.TEXT_LOG: ("text/plain", GZIP_TYPE),
+    }
+)
+"""How the body of each kind is announced; the first is the usual one."""
 PING_S = 15
-_BODY = {"required": True, "content": {ARCHIVE_TYPE: {"schema": {"type": "string", "format": "binary"}}}}
+_BINARY = {"schema": {"type": "string", "format": "binary"}}
+_BODY = {"required": True, "content": {name: _BINARY for names in TYPES_OF_KIND.values() for name in names}}
 
 
 @router.post(
@@ -46,20 +59,25 @@ async def post_submission(
     services: ServicesOf,
     principal: PrincipalOf,
     *,
-    track: Annotated[str | None, Query(description="Must agree with submission.yaml.")] = None,
+    track: Annotated[str | None, Query(description="Must agree with submission.yaml or the log's header.")] = None,
     kind: Annotated[SubmissionKind, Query(description="What the body is.")] = SubmissionKind.MODEL,
     team: Annotated[str | None, Query(description="For organizers: whose submission this is.")] = None,
     again: Annotated[bool, Query(description="Play all episodes anew although results are stored.")] = False,
 ) -> SubmissionView:
-    """Uploads a zip with one folder `Track_1` and starts its evaluation.
+    """Uploads a submission and starts its evaluation.
 
-    The body is the zip itself. A body over the limit is refused by its `Content-Length` before any of it is read (send
+    The body of a `model` is a zip with one folder `Track_1`. Where the track takes them, the body of a `log` is what
+    `vitac evaluate --log` writes, and that of a `text_log` a log of the 2025 challenge; either may be gzip. Logs are
+    re-simulated from their actions and rank apart: `log` in the answer has the verdict.
+
+    A body over the limit is refused by its `Content-Length` before any of it is read (send
     `Expect: 100-continue` to be told first). `X-Content-SHA256: <hex>` or `Content-Digest: sha-256=:<base64>:` is
     verified. The same content from the same team is the same submission: 200 with it while it is evaluated or done.
     """
     _check_head(request, services, track, kind)
+    owner = await run_in_threadpool(_owner_name, services, principal, team)
     with request.app.state.upload_limiter.one(principal.actor, "uploads at the same time"):
-        upload = await _take_in(request, services, track)
+        upload = await _take_in(request, services, kind, track, owner)
     view, is_new = await run_in_threadpool(_create, services, principal, upload, team, again)
     response.status_code = HTTPStatus.ACCEPTED if is_new else HTTPStatus.OK
     response.headers["Location"] = f"{request.url.path}/{view.id}"
@@ -96,6 +114,31 @@ def get_episodes(services: ServicesOf, principal: PrincipalOf, submission_id: UU
     """How each finished episode ended."""
     with services.database.transaction() as session:
         return submissions.episodes(session, principal, submission_id)
+
+
+@router.get("/{submission_id}/audits")
+def get_audits(services: ServicesOf, principal: PrincipalOf, submission_id: UUID) -> list[AuditView]:
+    """How many of a verified log's actions each later model of the team gives; empty for everything but a log."""
+    with services.database.transaction() as session:
+        return log_audits.audits(session, principal, submission_id)
+
+
+@router.get(
+    "/{submission_id}/log",
+    response_class=Response,
+    responses={200: {"content": {LOG_TYPE: {}}, "description": "The log, one JSON object a line."}},
+)
+def get_log(
+    services: ServicesOf,
+    principal: PrincipalOf,
+    submission_id: UUID,
+    task: Annotated[str | None, Query(description="Needed where the submission plays several.")] = None,
+) -> Response:
+    """What was played, as `vitac evaluate --log` writes it: enough to play it again without the policy."""
+    with services.database.transaction() as session:
+        content = export_log(session, principal, submission_id, task)
+    name = f"{submission_id}-{task or 'log'}.jsonl"
+    return Response(content, media_type=LOG_TYPE, headers={"Content-Disposition": f'attachment; filename="{name}"'})
 
 
 @router.post("/{submission_id}/cancel")
@@ -144,31 +187,40 @@ async def _events(
 def _check_head(request: Request, services: Services, track: str | None, kind: SubmissionKind) -> None:
     """Refuses by headers and query alone, before any of the body is read."""
     came = request.headers.get("content-type", "").partition(";")[0].strip().lower()
-    if came != ARCHIVE_TYPE:
+    types = TYPES_OF_KIND[kind]
+    if came not in types:
         raise ServiceError(
             ProblemCode.UNSUPPORTED_CONTENT_TYPE,
-            f"The body must be a zip with `Content-Type: {ARCHIVE_TYPE}`; came {came or 'none'!r}.",
-            supported=[ARCHIVE_TYPE],
+            f"The body of a {kind} must have `Content-Type: {'` or `'.join(types)}`; came {came or 'none'!r}.",
+            supported=list(types),
         )
-    if kind is not SubmissionKind.MODEL:
-        raise ServiceError(
-            ProblemCode.UNSUPPORTED_SUBMISSION_KIND, f"Submissions of kind {kind} are not taken here; send a model."
-        )
-    intake.check_announced_size(_announced_bytes(request), services.settings)
+    intake.check_announced_size(_announced_bytes(request), intake.most_bytes(kind, services.settings))
     if track is not None:
-        load_known_track(track)
+        check_kind(kind, load_known_track(track))
 
 
-async def _take_in(request: Request, services: Services, track: str | None) -> CheckedUpload:
-    with intake.upload_folder(services.settings) as folder:
+def _owner_name(services: Services, principal: Principal, team: str | None) -> str:
+    with services.database.transaction() as session:
+        return submissions.owner_name(session, principal, team)
+
+
+async def _take_in(
+    request: Request, services: Services, kind: SubmissionKind, track: str | None, owner: str
+) -> CheckedUpload:
+    settings = services.settings
+    with intake.upload_folder(settings) as folder:
         try:
             received = await intake.receive(
-                request.stream(), folder, services.settings, announced_bytes=_announced_bytes(request)
+                request.stream(),
+                folder,
+                limit_bytes=intake.most_bytes(kind, settings),
+                silence_s=settings.upload_silence_s,
+                announced_bytes=_announced_bytes(request),
             )
         except ClientDisconnect as error:
             raise intake.truncated("the connection was closed") from error
         intake.check_digest(received, _claimed_sha256(request))
-        return await run_in_threadpool(intake.accept, services, received, track=track)
+        return await run_in_threadpool(accept, services, received, kind=kind, track=track, owner=owner)
 
 
 def _create(

@@ -4,8 +4,9 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query
 from vitac.server.leaderboards import leaderboard, load_known_track
+from vitac.server.log_boards import log_boards
 from vitac.server.tracks import track_view, track_views
-from vitac.server.views import LeaderboardView, TrackListView, TrackView
+from vitac.server.views import LeaderboardView, LogBoardsView, TrackListView, TrackView
 
 from .access import ServicesOf
 from .problems import RESPONSES
@@ -35,3 +36,10 @@ def get_leaderboard(
     """Standings of a track or of one of its tasks: the best completed evaluation of each team."""
     with services.database.transaction() as session:
         return leaderboard(session, track, task=task)
+
+
+@router.get("/leaderboards/{track}/logs")
+def get_log_boards(services: ServicesOf, track: str) -> LogBoardsView:
+    """Verified logs of a track, ranked among themselves by task, and 2025 text logs, which are not ranked."""
+    with services.database.transaction() as session:
+        return log_boards(session, track)

@@ -188,7 +188,10 @@ class Evaluation(Base):
 
 
 class Shard(Base):
-    """A fixed piece of an evaluation, the unit of queue work. `token` rises with each claim: it fences off others."""
+    """A fixed piece of an evaluation, the unit of queue work. `token` rises with each claim: it fences off others.
+
+    `finding` says why an uploaded log is not true (`evaluator.log_findings.LogFinding`).
+    """
 
     __tablename__ = "shards"
     __table_args__ = (
@@ -198,6 +201,7 @@ class Shard(Base):
         CheckConstraint("attempts >= 0 AND token >= attempts", name="each_attempt_has_a_token"),
         CheckConstraint("cardinality(episodes) > 0", name="has_episodes"),
         CheckConstraint("(state = 'done') <= (manifest IS NOT NULL)", name="done_has_a_manifest"),
+        CheckConstraint("(finding IS NOT NULL) <= (state = 'failed')", name="finding_is_a_failure"),
         Index("ix_shards_open", "state", postgresql_where=text("state IN ('queued', 'running')")),
     )
     id: Mapped[int] = mapped_column(BigInteger, Identity(always=True), primary_key=True)
@@ -212,6 +216,7 @@ class Shard(Base):
     lease_expires_at: Mapped[datetime | None]
     manifest: Mapped[dict[str, Any] | None] = mapped_column(JSONB(none_as_null=True))
     isolation: Mapped[str | None]
+    finding: Mapped[dict[str, Any] | None] = mapped_column(JSONB(none_as_null=True))
     queued_at: Mapped[datetime] = mapped_column(server_default=func.now())
     started_at: Mapped[datetime | None]
     finished_at: Mapped[datetime | None]

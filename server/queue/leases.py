@@ -211,6 +211,7 @@ def end_shard(session: Session, lease: Lease, state: ShardState, result: ShardRe
         state=state,
         manifest=result.manifest.model_dump(mode="json"),
         isolation=_isolation_of(result),
+        finding=result.finding.model_dump(mode="json") if result.finding else None,
         lease_expires_at=None,
         finished_at=func.clock_timestamp(),
     )

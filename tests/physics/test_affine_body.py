@@ -9,8 +9,6 @@ from vitac.envs.fem.affine_body import (
     affine_columns,
     frame_mass,
     frame_weights,
-)
-from vitac.envs.fem.orthogonality import (
     orthogonality_block,
     orthogonality_energy,
     orthogonality_error,

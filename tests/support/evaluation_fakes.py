@@ -11,7 +11,7 @@ from vitac.evaluator.agent.bubblewrap import UserIsolation
 from vitac.evaluator.agent.cgroup import MemoryIsolation
 from vitac.evaluator.agent.session import EpisodeIsolation, Isolation
 from vitac.evaluator.agent.verdicts import PolicyFailed, VerdictCode
-from vitac.evaluator.tracks import Track, load_track
+from vitac.evaluator.tracks import Task, Track, load_track
 
 Answer = Callable[[int, int], NDArray[np.float32]]
 
@@ -23,7 +23,8 @@ def small_track(repeats: int = 1, shard_size: int = 4, offsets: int = 4) -> Trac
     episode_list = task.episode_list.model_copy(
         update={"repeats": repeats, "offsets": task.episode_list.offsets[:offsets]}
     )
-    small = task.model_copy(update={"episode_list": episode_list, "shard_size": shard_size})
+    # A new one, not a copy: that would bring the whole list along once somebody has asked for it.
+    small = Task(**{**task.model_dump(), "episode_list": episode_list, "shard_size": shard_size})
     return track.model_copy(update={"tasks": {"peg-insertion": small}})
 
 

@@ -195,6 +195,7 @@ def a_submission(
         evaluation=evaluation,
         evaluations=[summary],
         workers=WorkersView(alive=workers, last_heartbeat_at=NOW),
+        log=None,
         rank=RankView(rank=2, of=4) if completed else None,
         task_ranks={task: RankView(rank=1, of=3) for task in tasks} if completed else {},
     )

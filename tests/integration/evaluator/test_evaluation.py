@@ -7,12 +7,13 @@ import pytest
 from vitac.evaluator.agent.verdicts import VerdictCode
 from vitac.evaluator.episodes import make_environment
 from vitac.evaluator.evaluation import Evaluation, evaluate
+from vitac.evaluator.log_findings import LogVerdict
 from vitac.evaluator.logs import LogHeader
 from vitac.evaluator.records import EpisodeOutcome, result_hash
 from vitac.evaluator.replay import resimulate
 from vitac.evaluator.shard_process import ShardOrder, running_shard
 from vitac.evaluator.tracks import find_task
-from vitac.evaluator.verification import LogVerdict, verify
+from vitac.evaluator.verification import verify
 
 TRACK, TASK = find_task("peg-insertion")
 

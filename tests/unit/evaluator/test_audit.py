@@ -8,9 +8,9 @@ import pytest
 from evaluation_fakes import Answer, FakeEnvironment, FakePolicy, FakeSession, action, fail, small_track, succeed
 from numpy.typing import NDArray
 from vitac.evaluator.agent.verdicts import PolicyFailed, VerdictCode
-from vitac.evaluator.audit import Audit, audit
+from vitac.evaluator.audit import Audit, audit, compare_actions
 from vitac.evaluator.episodes import run_episode
-from vitac.evaluator.records import EpisodeRecord
+from vitac.evaluator.records import ActionSequence, EpisodeRecord
 
 TASK = small_track().tasks["peg-insertion"]
 
@@ -81,3 +81,21 @@ def test_model_that_cannot_be_loaded_is_refused() -> None:
 
     with pytest.raises(PolicyFailed):
         audit(env=FakeEnvironment(), task=TASK, records=log_of(succeed), open_session=cannot_load)
+
+
+def actions_of(answer: Answer) -> dict[int, ActionSequence]:
+    return {record.episode: record.actions for record in log_of(answer)}
+
+
+def test_models_own_episodes_are_compared_up_to_the_first_other_action() -> None:
+    log, other = actions_of(succeed), actions_of(lambda _, step: action(0.25 if step == 2 else succeed(1, step)[0]))
+    assert [episode.first_other for episode in compare_actions(log, log).episodes] == [None, None]
+    parted = compare_actions(log, {**log, 2: other[2]})
+    assert [(episode.reproduced, episode.first_other) for episode in parted.episodes] == [(3, None), (1, 2)]
+
+
+def test_episode_that_goes_on_or_is_missing_is_another() -> None:
+    log = actions_of(succeed)
+    longer = ActionSequence.from_array(np.vstack([log[1].to_array(), action(0.5)]))
+    compared = compare_actions(log, {1: longer})
+    assert [(episode.reproduced, episode.first_other) for episode in compared.episodes] == [(3, 4), (0, 1)]

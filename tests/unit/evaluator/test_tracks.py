@@ -116,7 +116,7 @@ def test_unknown_key_names_the_nearest(
 
 
 def test_unlike_key_lists_all_valid_ones(content: dict[str, object]) -> None:
-    with pytest.raises(DocumentRejected, match="valid keys are combination_rule, name, ranking_rule"):
+    with pytest.raises(DocumentRejected, match="valid keys are accepts, combination_rule, name, ranking_rule"):
         parse(content | {"zzzz": 1})
 
 

@@ -5,11 +5,12 @@ import numpy as np
 import pytest
 from evaluation_fakes import FakeEnvironment, FakeSession, action, fail, small_track, succeed
 from vitac.evaluator.episodes import run_episode
+from vitac.evaluator.log_findings import LogVerdict, comparable
 from vitac.evaluator.logs import LogHeader
 from vitac.evaluator.records import ActionSequence, EpisodeOutcome, EpisodeRecord, Manifest, result_hash
 from vitac.evaluator.scoring import score
 from vitac.evaluator.shards import make_manifest
-from vitac.evaluator.verification import LogVerdict, Verification, verify
+from vitac.evaluator.verification import Verification, verify
 
 TRACK = small_track(offsets=1)
 TASK = TRACK.tasks["peg-insertion"]
@@ -60,7 +61,17 @@ def test_each_record_is_told_as_it_is_verified() -> None:
 
 def test_claims_beside_the_states_are_replaced_by_ours() -> None:
     lie = with_record(1, total_reward=1000.0, infos=({"steps": 99},) * RECORDS[0].env_steps)
-    assert [record.record_digest() for record in check(lie).records] == [record.record_digest() for record in RECORDS]
+    assert [record.record_digest() for record in check(lie).records] == [
+        record.record_digest() for record in check().records
+    ]
+    assert check(lie).records[0].record_digest() == RECORDS[0].record_digest()
+
+
+def test_messages_of_a_failed_policy_are_not_taken_over() -> None:
+    failure = check().records[2].failure
+    assert failure is not None
+    assert (failure.code, failure.output_tail) == ("crashed", "")
+    assert "signal 11" not in failure.message
 
 
 @pytest.mark.parametrize("step", [0, 2])
@@ -177,3 +188,31 @@ def test_action_out_of_bounds_is_impossible() -> None:
 def test_action_of_another_size_is_impossible() -> None:
     wide = ActionSequence.from_array(np.zeros((RECORDS[1].env_steps, 4), np.float32))
     assert check(with_record(2, actions=wide)).verdict is LogVerdict.IMPOSSIBLE
+
+
+def test_three_failures_of_the_policy_in_one_shard_are_impossible() -> None:
+    failed = RECORDS[2]
+    records = [
+        failed.model_copy(update={"episode": record.episode, "shape": record.shape, "failure": failed.failure})
+        for record in RECORDS
+    ]
+    verification = check(records)
+    assert verification.verdict is LogVerdict.IMPOSSIBLE
+    assert verification.reason.startswith("The policy failed too often from episode 1 on")
+
+
+@pytest.mark.parametrize(
+    ("recorded", "ours", "shown"),
+    [
+        ({"is_success": True, "colour": "red"}, {"is_success": False}, {"is_success": True}),
+        ({"is_success": 1}, {"is_success": False}, {"is_success": None}),
+        ({"offset": [1.0, 2]}, {"offset": [0.5, 0.25]}, {"offset": [1.0, 2]}),
+        ({"offset": [1.0] * 1000}, {"offset": [0.5, 0.25]}, {"offset": None}),
+        ({"end_reason": "x" * 1000}, {"end_reason": None}, {"end_reason": None}),
+        ({"end_reason": "a\x00b"}, {"end_reason": "steps"}, {"end_reason": None}),
+        ({"end_reason": "success"}, {"end_reason": None}, {"end_reason": "success"}),
+        ({}, {"steps": 3}, {"steps": None}),
+    ],
+)
+def test_of_a_recorded_info_only_what_has_our_form_is_shown(recorded: Any, ours: Any, shown: Any) -> None:
+    assert comparable(recorded, ours) == shown

@@ -9,9 +9,12 @@ from pathlib import Path
 import pytest
 from service_client import make_archive
 from service_factories import sha256
+from vitac.server.db.states import SubmissionKind
 from vitac.server.errors import ServiceError
 from vitac.server.services import Services
 from vitac.worker.staging import KEPT_IDLE, SubmissionStage
+
+MODEL = SubmissionKind.MODEL
 
 
 @pytest.fixture
@@ -37,7 +40,7 @@ def test_submission_is_unpacked_once_for_shards_at_the_same_time(
 
     def use() -> None:
         barrier.wait()
-        with stage.submission(archive_sha256) as folder:
+        with stage.submission(MODEL, archive_sha256) as folder:
             folders.append(folder)
             barrier.wait()
 
@@ -55,12 +58,12 @@ def test_only_a_few_idle_submissions_stay_on_disk_and_used_ones_always(
     services: Services, stage: SubmissionStage, tmp_path: Path
 ) -> None:
     digests = [put(services, tmp_path, f"x = {n}") for n in range(KEPT_IDLE + 3)]
-    with stage.submission(digests[0]) as used:
+    with stage.submission(MODEL, digests[0]) as used:
         for digest in digests[1:]:
-            with stage.submission(digest):
+            with stage.submission(MODEL, digest):
                 pass
         on_disk = {path.name for path in services.settings.scratch_dir.glob("worker-*/*")}
-        assert on_disk == {digests[0], *digests[-KEPT_IDLE:]}
+        assert on_disk == {f"model-{digest}" for digest in (digests[0], *digests[-KEPT_IDLE:])}
         assert (used / "policy.py").is_file()
 
 
@@ -68,17 +71,17 @@ def test_missing_file_is_refused_and_can_be_staged_later(
     services: Services, stage: SubmissionStage, archive_sha256: str, tmp_path: Path
 ) -> None:
     services.blobs.delete(archive_sha256)
-    with pytest.raises(ServiceError, match="is gone"), stage.submission(archive_sha256):
+    with pytest.raises(ServiceError, match="is gone"), stage.submission(MODEL, archive_sha256):
         pass
     services.blobs.put(tmp_path / "archive.zip", archive_sha256)
-    with stage.submission(archive_sha256) as folder:
+    with stage.submission(MODEL, archive_sha256) as folder:
         assert (folder / "policy.py").is_file()
 
 
 def test_altered_file_is_refused(services: Services, stage: SubmissionStage, archive_sha256: str) -> None:
     stored = next(path for path in (services.settings.state_dir / "blobs").rglob(archive_sha256))
     stored.write_bytes(make_archive(policy="import os"))
-    with pytest.raises(ServiceError, match="was altered"), stage.submission(archive_sha256):
+    with pytest.raises(ServiceError, match="was altered"), stage.submission(MODEL, archive_sha256):
         pass
 
 

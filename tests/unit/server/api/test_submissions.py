@@ -187,11 +187,6 @@ def test_unknown_track_is_refused_with_the_list_of_tracks(service: Service, quer
     assert_nothing_left(service)
 
 
-@pytest.mark.parametrize("kind", ["log", "text_log"])
-def test_kinds_that_are_not_taken_yet_are_refused_by_name(service: Service, kind: str) -> None:
-    problem_of(service.upload(ARCHIVE, query=f"?kind={kind}"), 422, "unsupported_submission_kind")
-
-
 def test_digest_that_came_along_is_verified(service: Service) -> None:
     digest = hashlib.sha256(ARCHIVE)
     good = f"sha-512=:AAAA:, sha-256=:{base64.b64encode(digest.digest()).decode()}:"

@@ -82,6 +82,7 @@ def test_every_route_of_the_api_but_the_public_ones_needs_a_token(service: Servi
         ("get", "/api/v1/tracks"),
         ("get", "/api/v1/tracks/{track}"),
         ("get", "/api/v1/leaderboards/{track}"),
+        ("get", "/api/v1/leaderboards/{track}/logs"),
         ("get", "/health"),
         ("get", "/ready"),
     }

@@ -1,0 +1,117 @@
+"""Logs of a track, apart from its evaluated models: verified ones ranked by task, 2025 text logs beside their claims.
+
+A log proves its actions, not that a policy chose them, so it never ranks together with models.
+"""
+
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from uuid import UUID
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session, joinedload
+from vitac.evaluator.log_findings import LogVerdict
+from vitac.evaluator.version import evaluator_version
+from vitac.server.db.models import Evaluation, Submission
+from vitac.server.db.states import EvaluationState, SubmissionKind
+from vitac.server.leaderboards import Result, best_of_teams, load_known_track, results_on
+from vitac.server.log_claims import LogClaim
+from vitac.server.log_views import LABELS, verdict_of
+from vitac.server.scores import score_views
+from vitac.server.views import LogBoardsView, LogBoardView, LogEntryView, TextLogEntryView
+
+RANKING_RULE = (
+    "Higher success rate first; then fewer mean env steps of the successful episodes; then the earlier submission. "
+    "Only verified logs are ranked, the best of each team, task by task, and never together with models."
+)
+MOST_TEXT_LOGS = 200
+
+
+def log_boards(session: Session, track_name: str) -> LogBoardsView:
+    """The logs of a track.
+
+    Raises:
+        ServiceError: there is no such track.
+    """
+    track = load_known_track(track_name)
+    verified = _completed(session, track_name, SubmissionKind.LOG)
+    return LogBoardsView(
+        track=track.name,
+        title=track.title,
+        label=LABELS[SubmissionKind.LOG],
+        ranking_rule=RANKING_RULE,
+        evaluator_version=evaluator_version(),
+        generated_at=datetime.now(UTC),
+        boards=[
+            LogBoardView(task=name, title=task.title, entries=_entries(verified, name))
+            for name, task in track.tasks.items()
+        ],
+        text_logs=[_text_log(e) for e in _newest_of_each(_completed(session, track_name, SubmissionKind.TEXT_LOG))],
+    )
+
+
+def _completed(session: Session, track: str, kind: SubmissionKind) -> Sequence[Evaluation]:
+    """Completed evaluations, newest first."""
+    return session.scalars(
+        select(Evaluation)
+        .join(Submission)
+        .options(joinedload(Evaluation.submission).joinedload(Submission.team))
+        .where(Evaluation.state == EvaluationState.COMPLETED, Submission.track == track, Submission.kind == kind)
+        .order_by(Evaluation.created_at.desc(), Evaluation.id)
+    ).all()
+
+
+def _entries(evaluations: Sequence[Evaluation], task: str) -> list[LogEntryView]:
+    """The best log of each team that this evaluator verified; then those of teams that only have older ones."""
+    results, current = results_on(evaluations, task), evaluator_version()
+    ranked = best_of_teams(result for result in results if result.evaluation.evaluator_version == current)
+    teams = {result.team_id for result in ranked}
+    stale = best_of_teams(result for result in results if result.team_id not in teams)
+    entries = [_entry(result, place) for place, result in enumerate(ranked, start=1)]
+    return entries + [_entry(result, None) for result in stale]
+
+
+def _entry(result: Result, place: int | None) -> LogEntryView:
+    evaluation, submission = result.evaluation, result.evaluation.submission
+    score = score_views(evaluation)[0]
+    claim = LogClaim.model_validate(submission.manifest)
+    return LogEntryView(
+        rank=place,
+        stale=place is None,
+        team=submission.team.name,
+        submission_id=submission.id,
+        submission_name=submission.name,
+        verdict=verdict_of(submission.kind, claim, evaluation) or LogVerdict.WITHIN_TOLERANCE,
+        submitted_at=evaluation.created_at,
+        episodes=score.episodes,
+        successes=score.successes,
+        success_rate=score.success_rate,
+        success_rate_interval=score.success_rate_interval,
+        mean_steps=score.mean_steps,
+        result_hash=score.result_hash,
+        evaluator_version=evaluation.evaluator_version,
+    )
+
+
+def _newest_of_each(evaluations: Sequence[Evaluation]) -> list[Evaluation]:
+    newest: dict[UUID, Evaluation] = {}
+    for evaluation in evaluations:
+        newest.setdefault(evaluation.submission_id, evaluation)
+    return list(newest.values())[:MOST_TEXT_LOGS]
+
+
+def _text_log(evaluation: Evaluation) -> TextLogEntryView:
+    submission = evaluation.submission
+    claim, score = LogClaim.model_validate(submission.manifest), score_views(evaluation)[0]
+    return TextLogEntryView(
+        team=submission.team.name,
+        task=score.task,
+        submission_id=submission.id,
+        submission_name=submission.name,
+        submitted_at=submission.submitted_at,
+        claimed_success_rate=claim.success_rate,
+        claimed_mean_steps=claim.mean_steps,
+        success_rate=score.success_rate,
+        mean_steps=score.mean_steps,
+        problems=len(claim.problems),
+        evaluator_version=evaluation.evaluator_version,
+    )

@@ -1,0 +1,293 @@
+"""What comes in the place of a log, and how each is refused: by a stable code, the line and the reason."""
+
+import base64
+import gzip
+import json
+import resource
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from service_client import Service, problem_of, running_service
+from service_factories import TRACK, make_failed_record, make_record
+from sqlalchemy import text
+from uploaded_logs import a_log, a_text_log, packed, some_records, upload_log
+from vitac.evaluator.records import ActionSequence, EpisodeRecord
+from vitac.evaluator.tracks import Accepted, load_track
+from vitac.server import leaderboards
+from vitac.server.db.engine import Database
+
+LOG = a_log()
+LINES = LOG.splitlines(keepends=True)
+TEXT_LOG = a_text_log()
+TEXT_LINES = TEXT_LOG.splitlines(keepends=True)
+GIGABYTE = 1 << 30
+
+
+def count(service: Service, table: str) -> int:
+    with service.database.transaction() as session:
+        return session.scalar(text(f"SELECT count(*) FROM {table}")) or 0  # noqa: S608 - fixed names
+
+
+def assert_nothing_left(service: Service) -> None:
+    assert service.leftovers() == []
+    assert count(service, "submissions") == count(service, "evaluations") == count(service, "procrastinate_jobs") == 0
+
+
+def altered(line: int, change: Callable[[dict[str, Any]], object]) -> bytes:
+    """The log with one line (from 1) changed, its digest left as it was."""
+    content = json.loads(LINES[line - 1])
+    change(content)
+    return b"".join([*LINES[: line - 1], json.dumps(content).encode() + b"\n", *LINES[line:]])
+
+
+def with_record(episode: int, **changes: Any) -> list[EpisodeRecord]:
+    """All records, one of them another."""
+    return [make_record(n, **(changes if n == episode else {})) for n in range(1, 271)]
+
+
+def with_actions(value: float) -> list[EpisodeRecord]:
+    actions = np.zeros((3, 3), np.float32)
+    actions[1, 2] = value
+    return with_record(5, actions=ActionSequence.from_array(actions))
+
+
+def nan_actions() -> bytes:
+    """The log with NaN in the fifth episode; its bytes have to be put in place, for no record takes them."""
+    good = some_records()[4].actions.float32_base64.encode()
+    bad = base64.b64encode(np.full((3, 3), np.nan, "<f4").tobytes())
+    assert LINES[5].count(good) == 1
+    return LOG.replace(good, bad)
+
+
+def failures(episodes: set[int]) -> list[EpisodeRecord]:
+    return [make_failed_record(n) if n in episodes else make_record(n) for n in range(1, 271)]
+
+
+def test_log_is_accepted_with_its_claims_and_jobs(service: Service) -> None:
+    answer = upload_log(service, LOG)
+    assert answer.status_code == 202, answer.text
+    found = answer.json()
+    assert (found["kind"], found["tasks"], found["evaluation"]["state"]) == ("log", ["peg-insertion"], "queued")
+    claimed = found["log"]
+    assert (claimed["label"], claimed["verdict"]) == ("actions verified, policy not seen", None)
+    assert (claimed["claimed_episodes"], claimed["claimed_success_rate"]) == (270, 1.0)
+    assert (claimed["team_named"], claimed["made_on"]) == ("Team A", "x86_64-linux")
+    assert count(service, "procrastinate_jobs") == 9
+
+
+@pytest.mark.parametrize("team", [None, "  team  a "])
+def test_log_may_name_no_team_or_its_own_in_another_spelling(service: Service, team: str | None) -> None:
+    assert upload_log(service, a_log(team=team)).status_code == 202
+
+
+def test_packed_log_is_the_same_submission(service: Service) -> None:
+    first, second = upload_log(service, LOG), upload_log(service, packed(LOG))
+    assert (first.status_code, second.status_code) == (202, 200)
+    assert first.json()["id"] == second.json()["id"]
+    assert count(service, "evaluations") == 1
+
+
+def test_same_log_at_the_same_time_is_one_submission(service: Service) -> None:
+    answers = []
+    threads = [threading.Thread(target=lambda: answers.append(upload_log(service, LOG))) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert sorted(answer.status_code for answer in answers) == [200, 202]
+    assert count(service, "submissions") == count(service, "evaluations") == 1
+
+
+def test_log_that_names_another_team_is_refused_also_from_an_organizer(service: Service) -> None:
+    for token, query in ((service.other_token, ""), (service.organizer_token, "&team=Team B")):
+        problem = problem_of(upload_log(service, LOG, token=token, query=query), 422, "log_team_mismatch")
+        assert problem["line"] == 1
+        assert "'Team A'" in problem["detail"]
+        assert "'Team B'" in problem["detail"]
+    assert_nothing_left(service)
+    assert upload_log(service, LOG, token=service.organizer_token, query="&team=Team A").status_code == 202
+
+
+@pytest.mark.parametrize(
+    ("log", "reason", "line"),
+    [
+        (b"\x00\xff\xfe\x80" * 100, "not_a_log", 1),
+        (b"{}\n", "not_a_log", 1),
+        (altered(1, lambda content: content.update(version=2)), "unknown_version", 1),
+        (altered(1, lambda content: content.update(colour="red")), "invalid", 1),
+        (altered(3, lambda content: content["record"].update(colour="red")), "invalid", 3),
+        (altered(3, lambda content: content["record"].update(total_reward=99.5)), "altered", 3),
+        (LOG.replace(LINES[5], LINES[5].replace(b'"total_reward":1.0', b'"total_reward":NaN')), "not_json", 6),
+        (nan_actions(), "invalid", 6),
+        (b"".join([*LINES[:3], LINES[4], LINES[3], *LINES[5:]]), "altered", 4),
+        (b"".join([*LINES[:3], LINES[2], *LINES[3:]]), "altered", 4),
+        (b"".join(LINES[:100]), "truncated", 101),
+        (LOG[:-20], "truncated", 272),
+        (LOG + LOG, "trailing", 273),
+        (a_log([*some_records(), make_record(1)]), "episode_repeated", 272),
+        (packed(LOG)[:-100], "damaged", None),
+        (packed(LOG) + packed(LOG), "trailing", 273),
+    ],
+    ids=[
+        "junk", "no header", "other format", "unknown key", "unknown key in a record", "altered", "NaN", "NaN actions",
+        "reordered", "line twice", "truncated", "cut in a line", "two logs", "episode twice", "cut gzip", "two gzips",
+    ],
+)  # fmt: skip
+def test_damaged_log_is_refused_by_line_and_reason(service: Service, log: bytes, reason: str, line: int | None) -> None:
+    problem = problem_of(upload_log(service, log), 422, "log_rejected")
+    assert (problem["reason"], problem["line"]) == (reason, line), problem["detail"]
+    assert line is None or problem["detail"].startswith(f"Line {line}: ")
+    assert_nothing_left(service)
+
+
+@pytest.mark.parametrize(
+    ("log", "reason", "line", "episode"),
+    [
+        (a_log(track="track_9"), "other_evaluation", 1, None),
+        (a_log(task="peg-removal"), "other_evaluation", 1, None),
+        (a_log(task="lock-opening"), "other_evaluation", 1, None),
+        (a_log(evaluator_version="0+old"), "other_evaluation", 1, None),
+        (a_log(list_seed=7), "other_evaluation", 1, None),
+        (a_log(some_records()[1:]), "episode_missing", 271, 1),
+        (a_log([]), "episode_missing", 2, 1),
+        (a_log([*some_records(), make_record(1).model_copy(update={"episode": 271})]), "not_in_list", 272, 271),
+        (a_log(with_record(5, shape="concave1")), "other_start", 6, 5),
+        (a_log(with_record(5, task="lock-opening")), "other_task", 6, 5),
+        (a_log(with_actions(1.5)), "wrong_action", 6, 5),
+        (a_log(failures({1, 2, 3})), "broken_policy", 272, 1),
+    ],
+    ids=[
+        "track", "task", "other task's list", "version", "seed", "missing", "empty", "unlisted", "start",
+        "foreign record", "bounds", "broken policy",
+    ],
+)  # fmt: skip
+def test_log_that_no_evaluation_can_have_made_is_refused_at_once(
+    service: Service, log: bytes, reason: str, line: int, episode: int | None
+) -> None:
+    problem = problem_of(upload_log(service, log), 422, "log_impossible")
+    assert (problem["reason"], problem["line"], problem["episode"]) == (reason, line, episode), problem["detail"]
+    assert_nothing_left(service)
+
+
+def test_policy_may_fail_in_an_episode_of_a_log(service: Service) -> None:
+    assert upload_log(service, a_log(failures({1, 2, 31}))).status_code == 202
+
+
+def endless_line() -> Iterator[bytes]:
+    piece = b'{"format":"vitac-log",' + b" " * (1 << 20)
+    for _ in range(GIGABYTE // len(piece)):
+        yield piece
+
+
+def peak_bytes() -> int:
+    return 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+
+
+def test_line_of_a_gigabyte_is_cut_off_at_the_limit_on_disk_and_in_memory(service: Service) -> None:
+    before = peak_bytes()
+    problem = problem_of(upload_log(service, endless_line()), 413, "upload_too_large")
+    assert problem["limit_bytes"] == service.settings.log_bytes
+    assert peak_bytes() - before < 100 << 20
+    assert_nothing_left(service)
+
+
+def test_size_that_is_announced_is_refused_before_the_body(service: Service) -> None:
+    problem = problem_of(upload_log(service, endless_line(), Content_Length=str(GIGABYTE)), 413, "upload_too_large")
+    assert str(GIGABYTE) in problem["detail"]
+
+
+@pytest.mark.parametrize(("kind", "reason"), [("log", "line_too_long"), ("text_log", "not_a_text_log")])
+def test_line_of_a_gigabyte_hidden_in_a_small_gzip_is_refused_in_little_memory(
+    service: Service, kind: str, reason: str
+) -> None:
+    bomb = gzip.compress(b"{" * (1 << 20)) * 1024
+    before = peak_bytes()
+    problem = problem_of(upload_log(service, bomb, kind), 422, "log_rejected")
+    assert (problem["reason"], problem["line"]) == (reason, 1)
+    assert peak_bytes() - before < 100 << 20
+    assert_nothing_left(service)
+
+
+def test_gzip_that_unpacks_to_more_than_the_limit_is_refused(database: Database, tmp_path: Path) -> None:
+    with running_service(database, tmp_path, log_bytes=len(LOG) - 1) as service:
+        problem = problem_of(upload_log(service, packed(LOG)), 422, "log_rejected")
+        assert (problem["reason"], problem["line"]) == ("too_large", None)
+        assert_nothing_left(service)
+
+
+def test_wrong_content_type_says_which_are_right(service: Service) -> None:
+    problem = problem_of(service.upload(LOG, query="?kind=log"), 415, "unsupported_content_type")
+    assert problem["supported"] == ["application/x-ndjson", "application/jsonl", "application/gzip"]
+
+
+def test_request_and_log_must_agree_on_the_track(service: Service) -> None:
+    problem_of(upload_log(service, LOG, query="&track=track_9"), 404, "unknown_track")
+    assert upload_log(service, LOG, query="&track=track_1").status_code == 202
+
+
+def test_kinds_that_a_track_does_not_take_are_refused_by_name(
+    service: Service, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    only_models = load_track(TRACK).model_copy(update={"accepts": (Accepted.MODEL,)})
+    monkeypatch.setattr(leaderboards, "load_track", lambda _: only_models)
+    for query in ("&track=track_1", ""):
+        problem = problem_of(upload_log(service, LOG, query=query), 422, "unsupported_submission_kind")
+        assert problem["supported"] == ["model"]
+    assert_nothing_left(service)
+
+
+# ---- 2025 text logs ----
+
+
+def test_text_log_is_accepted_with_what_it_claims_and_what_is_wrong_with_it(service: Service) -> None:
+    answer = upload_log(service, TEXT_LOG, "text_log")
+    assert answer.status_code == 202, answer.text
+    found = answer.json()
+    assert (found["kind"], found["tasks"]) == ("text_log", ["peg-insertion"])
+    assert (found["log"]["label"], found["log"]["verdict"]) == ("2025 text log", None)
+    assert (found["log"]["claimed_success_rate"], found["log"]["claimed_mean_steps"]) == (0.0481, 2.0)
+    assert any("the action does not lead to offset" in problem for problem in found["log"]["problems"])
+    assert upload_log(service, packed(TEXT_LOG), "text_log").json()["id"] == found["id"]
+
+
+def changed_test(number: int, old: bytes, new: bytes) -> bytes:
+    """The text log with something replaced in one test."""
+    before, mark, after = TEXT_LOG.partition(f"#### Test No. {number} ####".encode())
+    return before + mark + after.replace(old, new, 1)
+
+
+@pytest.mark.parametrize(
+    ("log", "code", "reason"),
+    [
+        (b"\x00\xff" * 100, "log_rejected", "not_a_text_log"),
+        (LOG, "log_rejected", "not_a_text_log"),
+        (changed_test(3, b"0.25", b"nan"), "log_rejected", "not_a_text_log"),
+        (TEXT_LOG + TEXT_LOG, "log_rejected", "not_a_text_log"),
+        (TEXT_LOG + b"".join(TEXT_LINES[:20]), "log_rejected", "out_of_place"),
+        (b"".join(TEXT_LINES[:-2]), "log_rejected", "truncated"),
+        (changed_test(3, b"0.25", b"1.25"), "log_impossible", "wrong_action"),
+        (changed_test(2, b"Test No. 3 ", b"Test No. 2 "), "log_rejected", "out_of_place"),
+        (changed_test(3, b"Initial offset: [-4.", b"Initial offset: [-3."), "log_impossible", "other_start"),
+        (a_text_log(totals=(), episodes=[]), "log_impossible", "episode_missing"),
+        (TEXT_LOG.replace(b"z_step_size_mm", b"other_key"), "log_rejected", "not_a_text_log"),
+    ],
+    ids=[
+        "junk", "our log", "NaN", "two logs", "log and a half", "truncated", "bounds", "test twice", "start", "empty",
+        "other kind",
+    ],
+)  # fmt: skip
+def test_text_log_that_is_not_one_whole_evaluation_is_refused(
+    service: Service, log: bytes, code: str, reason: str
+) -> None:
+    problem = problem_of(upload_log(service, log, "text_log"), 422, code)
+    assert problem["reason"] == reason, problem["detail"]
+    assert_nothing_left(service)
+
+
+def test_text_log_of_another_team_is_refused(service: Service) -> None:
+    problem_of(upload_log(service, a_text_log(team="Touch"), "text_log"), 422, "log_team_mismatch")
+    assert_nothing_left(service)
