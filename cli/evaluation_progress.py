@@ -1,4 +1,4 @@
-"""Shows a running evaluation: a bar on a terminal, a line per tenth in a pipe.
+"""Shows a running evaluation: a bar for each task on a terminal, a line per tenth in a pipe.
 
 Called by `status`, `submit` and `demo`.
 """
@@ -35,13 +35,14 @@ class EvaluationProgress:
         self._indent = " " * indent
         self._lines_said = 0
         self._bar: Progress | None = None
-        self._task: TaskID | None = None
+        self._tasks: dict[str, TaskID] = {}
 
     def __enter__(self) -> Self:
         if not self._quiet and self._console.is_terminal:
             self._bar = Progress(
                 TextColumn(self._indent.removesuffix(" ")),
                 SpinnerColumn(style="cyan"),
+                TextColumn("{task.fields[name]}"),
                 BarColumn(bar_width=40, complete_style="cyan", finished_style="green"),
                 MofNCompleteColumn(),
                 TextColumn("[green]{task.fields[successes]}[/green] [dim]successes[/dim]"),
@@ -68,19 +69,30 @@ class EvaluationProgress:
         if self._bar is None:
             self._say_line(progress)
             return
-        total, done = progress["episodes_total"], progress["episodes_done"]
-        if self._task is None:
-            self._task = self._bar.add_task("", total=total, successes=0)
-        self._bar.update(self._task, completed=done, successes=progress["successes"], description=situation(found))
+        several = len(progress["tasks"]) > 1
+        for task in progress["tasks"]:
+            self._update_bar(self._bar, task, name=task["task"] if several else "", description=situation(found))
+
+    def _update_bar(self, bar: Progress, task: Json, *, name: str, description: str) -> None:
+        total, done = task["episodes_total"], task["episodes_done"]
+        if task["task"] not in self._tasks:
+            self._tasks[task["task"]] = bar.add_task("", total=total, successes=0, name=name)
+        shown = description if done < total else ""
+        bar.update(self._tasks[task["task"]], completed=done, successes=task["successes"], description=shown)
 
     def _say_line(self, progress: Json) -> None:
         done, total = progress["episodes_done"], progress["episodes_total"]
         tenth = LINES_PER_EVALUATION * done // total
         if tenth > self._lines_said:
             self._lines_said = tenth
-            self._console.print(
-                f"{self._indent}{done}/{total} episodes, {progress['successes']} successes", highlight=False
-            )
+            line = f"{self._indent}{done}/{total} episodes, {progress['successes']} successes"
+            self._console.print(line + _by_task(progress["tasks"]), highlight=False, soft_wrap=True)
+
+
+def _by_task(tasks: list[Json]) -> str:
+    """How far each task is, where there are several."""
+    parts = [f"{task['task']} {task['episodes_done']}/{task['episodes_total']}" for task in tasks]
+    return f" ({', '.join(parts)})" if len(parts) > 1 else ""
 
 
 def situation(found: Json) -> str:

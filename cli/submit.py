@@ -83,5 +83,10 @@ def describe(client: Client, answer: Json) -> None:
     position = evaluation["queue_position"]
     print(f"submission  {answer['id']}")
     print(f"state       {evaluation['state']}" + (f", number {position} in the queue" if position else ""))
+    print(f"tasks       {', '.join(answer['tasks'])}" + _missing(answer["missing_tasks"]))
     print(f"page        {client.server}/submissions/{answer['id']}")
     print("\nThe page needs a sign-in with the same token. `vitac status ID --watch` follows it here.")
+
+
+def _missing(tasks: list[str]) -> str:
+    return f" (not {', '.join(tasks)}: counts as 0 in the ranking of all tasks)" if tasks else ""

@@ -36,7 +36,8 @@ def plain(raw: io.BytesIO, encoding: str = "utf-8") -> str:
 
 
 def found(state: str = "running", done: int = 0, alive: int = 1, eta: float | None = None) -> dict[str, object]:
-    progress = {"episodes_done": done, "episodes_total": 270, "successes": done // 2}
+    counts = {"episodes_done": done, "episodes_total": 270, "successes": done // 2}
+    progress = counts | {"tasks": [counts | {"task": "peg-insertion"}]}
     evaluation = {"state": state, "progress": progress, "queue_position": 3, "eta_s": eta}
     return {"evaluation": evaluation, "workers": {"alive": alive}}
 
@@ -111,6 +112,20 @@ def test_a_terminal_gets_one_bar() -> None:
         progress.update(found(done=135, eta=41.2))
     assert "135/270" in file.getvalue()
     assert "about 41 s left" in file.getvalue()
+
+
+def test_each_of_several_tasks_has_its_bar_and_its_share_of_a_line() -> None:
+    running = found(done=135)
+    waiting = {"task": "lock-opening", "episodes_done": 0, "episodes_total": 160, "successes": 0}
+    running["evaluation"]["progress"]["tasks"].append(waiting)  # type: ignore[index]
+    bars, lines = io.StringIO(), io.StringIO()
+    with EvaluationProgress(console=Console(file=bars, width=120, force_terminal=True)) as progress:
+        progress.update(running)
+    with EvaluationProgress(console=Console(file=lines, width=40)) as progress:
+        progress.update(running)
+    for part in ("peg-insertion", "135/270", "lock-opening", "0/160"):
+        assert part in bars.getvalue()
+    assert lines.getvalue().endswith("67 successes (peg-insertion 135/270, lock-opening 0/160)\n")
 
 
 def test_quiet_is_quiet() -> None:
