@@ -14,6 +14,7 @@ from vitac.envs.errors import VitacError
 
 from .agent.limits import Limits
 from .agent.session import Isolation, PolicySession
+from .agent.verdicts import VerdictCode
 from .episodes import Environment, Session, make_environment, run_episode
 from .log_findings import LogFinding
 from .records import EpisodeRecord, FailureStage, Manifest, PolicyFailure
@@ -94,22 +95,26 @@ def cut(task: Task, episodes: Iterable[int] | None = None) -> tuple[Shard, ...]:
 
 def is_broken(failures: Collection[PolicyFailure]) -> bool:
     """Whether a policy with these failures in one shard is given up."""
-    cannot_load = any(failure.stage is FailureStage.LOAD for failure in failures)
-    return cannot_load or len(failures) >= FAILURES_THAT_END_A_SHARD
+    return any(map(_ends_at_once, failures)) or len(failures) >= FAILURES_THAT_END_A_SHARD
 
 
 def breaking_failure(shards: Sequence[Shard], records: Iterable[EpisodeRecord]) -> PolicyFailure | None:
     """The failure that ends an evaluation as failed, or None while the policy works well enough to be scored.
 
-    That is the first failure of the first shard that is broken: a function of the records and the fixed cut only, so
-    the same for any number of workers and for a resumed evaluation.
+    That is the first failure of the first shard that is broken, or there the one that ended it at once: a function of
+    the records and the fixed cut only, so the same for any number of workers and for a resumed evaluation.
     """
     failures = {record.episode: record.failure for record in records if record.failure}
     for shard in sorted(shards, key=lambda shard: shard.index):
         in_shard = [failures[number] for number in sorted(shard.numbers & failures.keys())]
         if is_broken(in_shard):
-            return in_shard[0]
+            return next(filter(_ends_at_once, in_shard), in_shard[0])
     return None
+
+
+def _ends_at_once(failure: PolicyFailure) -> bool:
+    """Whether no other episode of the shard could be played after this failure."""
+    return failure.stage is FailureStage.LOAD or failure.code is VerdictCode.SHARD_TIME
 
 
 def make_manifest(track: Track, task: Task, env: Environment) -> Manifest:

@@ -23,6 +23,7 @@ def limit_rows(limits: Limits) -> tuple[LimitRow, ...]:
         "Start (import and load)": time_limits(limits.start_cpu_s, limits.start_wall_s),
         "One action": time_limits(limits.action_cpu_s, limits.action_wall_s),
         "One episode": time_limits(limits.episode_cpu_s, None),
+        "All episodes of a shard, with loading": time_limits(limits.shard_cpu_s, limits.shard_wall_s),
         "Memory of the policy and its children": size(limits.memory_bytes),
         "Address space of one process": size(limits.address_space_bytes),
         "Processes and threads": str(limits.processes),

@@ -36,6 +36,10 @@ class Limits:
     """One answer: an action, or the end of reset()."""
     action_wall_s: float = 10.0
     episode_cpu_s: float = 30.0
+    shard_cpu_s: float = 300.0
+    """All episodes of a shard together, with every load."""
+    shard_wall_s: float = 900.0
+    """Waiting for the policy in all episodes of a shard together, with every load."""
 
     output_kept_bytes: int = 64 * KIB
     """The end of the policy's output, kept for its team."""

@@ -24,6 +24,7 @@ from .limits import Limits
 from .loaded_copy import LoadedCopy
 from .process_ids import ProcessIds
 from .sandbox import Sandbox
+from .shard_time import ShardTime
 from .tracing import TracedProcessGone
 from .verdicts import PolicyFailed, SandboxFailed, VerdictCode
 
@@ -93,6 +94,7 @@ class PolicySession:
         self._loaded: LoadedCopy | None = None
         self._loaded_pid = 0
         self._isolation: Isolation | None = None
+        self._shard_time = ShardTime(self._limits)
         self.starts = 0
         """How often the policy was loaded."""
 
@@ -122,7 +124,9 @@ class PolicySession:
         """
         sandbox, process = self._start_episode()
         try:
-            policy = EpisodePolicy(sandbox, process, limits=self._limits, action_shape=action_shape)
+            policy = EpisodePolicy(
+                sandbox, process, limits=self._limits, shard_time=self._shard_time, action_shape=action_shape
+            )
             policy.reset(task)
             yield policy
             policy.check_silent()
@@ -159,6 +163,7 @@ class PolicySession:
         sandbox.channel.start_afresh()
 
     def _start(self) -> Sandbox:
+        self._shard_time.check()
         self.starts += 1
         try:
             sandbox = self._exits.enter_context(
@@ -189,7 +194,12 @@ class PolicySession:
             cpu_s=self._limits.start_cpu_s,
             wall_verdict=VerdictCode.START_TIMEOUT,
         )
-        answer = exchange.ask(QuestionKind.LOAD, self._entry_point, {}, AnswerKind.LOADED, deadlines)
+        started = time.perf_counter()
+        try:
+            answer = exchange.ask(QuestionKind.LOAD, self._entry_point, {}, AnswerKind.LOADED, deadlines)
+        finally:
+            self._shard_time.cpu_s += sandbox.cpu_s()
+            self._shard_time.wall_s += time.perf_counter() - started
         self._loaded_pid = answer.sender_pid
         if self._episodes is EpisodeIsolation.FROZEN_COPY:
             self._freeze(sandbox, exchange)
@@ -217,10 +227,17 @@ class EpisodePolicy:
     """One episode's copy of the policy."""
 
     def __init__(
-        self, sandbox: Sandbox, process: EpisodeProcess, *, limits: Limits, action_shape: tuple[int, ...]
+        self,
+        sandbox: Sandbox,
+        process: EpisodeProcess,
+        *,
+        limits: Limits,
+        shard_time: ShardTime,
+        action_shape: tuple[int, ...],
     ) -> None:
         self._sandbox = sandbox
         self._limits = limits
+        self._shard_time = shard_time
         self._action_shape = action_shape
         self._exchange = Exchange(sandbox, limits=limits, process=process)
         self._cpu_start_s = sandbox.cpu_s()
@@ -264,10 +281,8 @@ class EpisodePolicy:
         self, kind: QuestionKind, text: str, arrays: Mapping[str, Array], expected: AnswerKind, what: str
     ) -> Answer:
         self._count_cpu()
+        self._check_time_left()
         left_s = self._limits.episode_cpu_s - self.cpu_s
-        if left_s <= 0:
-            message = f"The episode used more than {self._limits.episode_cpu_s:g} s of CPU time."
-            raise self._exchange.failure(VerdictCode.CPU_TIME, message)
         deadlines = Deadlines(
             what=what, wall_s=self._limits.action_wall_s, cpu_s=min(self._limits.action_cpu_s, left_s)
         )
@@ -276,11 +291,24 @@ class EpisodePolicy:
             return self._exchange.ask(kind, text, arrays, expected, deadlines)
         finally:
             self._count_cpu()
-            self.channel_s += max(0.0, time.perf_counter() - started - (self.cpu_s - cpu_before_s))
+            wall_s = time.perf_counter() - started
+            self._shard_time.wall_s += wall_s
+            self.channel_s += max(0.0, wall_s - (self.cpu_s - cpu_before_s))
+
+    def _check_time_left(self) -> None:
+        if self.cpu_s >= self._limits.episode_cpu_s:
+            message = f"The episode used more than {self._limits.episode_cpu_s:g} s of CPU time."
+            raise self._exchange.failure(VerdictCode.CPU_TIME, message)
+        try:
+            self._shard_time.check()
+        except PolicyFailed as failure:
+            raise self._exchange.failure(failure.verdict, failure.message) from None
 
     def _count_cpu(self) -> None:
         """Take the time used so far; without a control group, that of processes which have ended is not in it."""
-        self.cpu_s = max(self.cpu_s, self._sandbox.cpu_s() - self._cpu_start_s)
+        now_s = max(self.cpu_s, self._sandbox.cpu_s() - self._cpu_start_s)
+        self._shard_time.cpu_s += now_s - self.cpu_s
+        self.cpu_s = now_s
 
 
 def _report_came(sandbox: Sandbox, process: EpisodeProcess) -> bool:

@@ -18,6 +18,7 @@ class VerdictCode(StrEnum):
     OUT_OF_MEMORY = "out_of_memory"
     CPU_TIME = "cpu_time"
     WALL_TIME = "wall_time"
+    SHARD_TIME = "shard_time"
     OUTPUT_FLOOD = "output_flood"
     TOO_MANY_PROCESSES = "too_many_processes"
     BAD_ACTION_TYPE = "bad_action_type"
@@ -51,6 +52,9 @@ _SENTENCES = {
     VerdictCode.OUT_OF_MEMORY: "The policy and its children used too much memory; use smaller models or batches.",
     VerdictCode.CPU_TIME: "The policy used more CPU time than allowed; make reset() and act() cheaper.",
     VerdictCode.WALL_TIME: "No answer came within the wall time allowed; look for a wait, a sleep or a deadlock.",
+    VerdictCode.SHARD_TIME: (
+        "All episodes of a shard together took more time than allowed, with loading; make the policy cheaper."
+    ),
     VerdictCode.OUTPUT_FLOOD: "The policy printed more than allowed; print less.",
     VerdictCode.TOO_MANY_PROCESSES: "The policy started more processes and threads than allowed; start fewer.",
     VerdictCode.BAD_ACTION_TYPE: "The action is not an array of real numbers; return a float32 NumPy array.",

@@ -100,6 +100,30 @@ def test_time_between_questions_counts_as_well(make: Make) -> None:
     assert caught.value.verdict is VerdictCode.CPU_TIME
 
 
+BUSY = "end = time.process_time() + 0.1\nwhile time.process_time() < end: pass\n"
+
+
+@pytest.mark.parametrize(
+    ("top", "act", "limits"),
+    [
+        ("", BUSY, Limits(shard_cpu_s=0.35)),
+        ("", "time.sleep(0.1)\n", Limits(shard_wall_s=0.35)),
+        (BUSY, "open('/tmp/left', 'w')\n", Limits(shard_cpu_s=0.35)),
+    ],
+    ids=["computing", "sleeping", "loading again and again"],
+)
+def test_time_of_all_episodes_together_is_limited(make: Make, top: str, act: str, limits: Limits) -> None:
+    folder = make(f"{act}return [0, 0, 0]", f"import os, time\n{top}")
+    with PolicySession(folder, limits=limits) as session, pytest.raises(PolicyFailed) as caught:
+        act_in_episodes(session, 10)
+    assert caught.value.verdict is VerdictCode.SHARD_TIME
+
+
+def act_in_episodes(session: PolicySession, count: int) -> None:
+    for _ in range(count):
+        act_once(session)
+
+
 def act_slowly_until(policy: EpisodePolicy, *, cpu_s: float) -> None:
     while policy.cpu_s < cpu_s:
         policy.act(OBSERVATION)

@@ -179,9 +179,20 @@ def test_verdict_is_of_the_first_broken_shard_in_any_order(stages: list[FailureS
     for shard in SHARDS:
         failures = [record.failure for record in records if record.episode in shard.numbers and record.failure]
         if expected is None and is_broken(failures):
-            expected = failures[0]
+            at_once = [failure for failure in failures if failure.stage is FailureStage.LOAD]
+            expected = (at_once or failures)[0]
     shuffler.shuffle(records)
     assert breaking_failure(SHARDS, records) == expected
+
+
+def test_time_of_the_shard_that_is_used_up_ends_it_at_once_and_is_the_verdict() -> None:
+    failures = {1: make_failure(), 3: make_failure(code=VerdictCode.SHARD_TIME)}
+    result, records = run(FakeSession(succeed).load, skip=set(failures), earlier_failures=list(failures.values()))
+    assert (result.end, records) == (ShardEnd.BROKEN, {})
+    failed = [
+        make_record(number, EpisodeOutcome.POLICY_FAILED, failure=failure) for number, failure in failures.items()
+    ]
+    assert breaking_failure(SHARDS, failed) == failures[3]
 
 
 def test_failures_spread_over_shards_do_not_end_an_evaluation() -> None:
