@@ -29,6 +29,8 @@ _READING: Final = (0, 45, 47)
 """read, recvfrom, recvmsg: where a policy process waits for the next question."""
 _INTERRUPTED: Final = (-512, -513, -514, -516)
 """ERESTARTSYS and its like: the call had not read anything yet and can be made again."""
+_SIGNAL_CAME_FIRST: Final = -513
+"""ERESTARTNOINTR of a fork: a signal waited, nothing was copied; made again it drops the signal."""
 _STOPS_MAX: Final = 20_000
 """Signals that one system call may be interrupted by, before the process counts as lost."""
 _FREEZE_DEADLINE_S: Final = 30.0
@@ -138,7 +140,11 @@ class TracedProcess:
             OSError: the copy could not be made.
         """
         self._forked_pid = 0
-        inside_pid = self.call(SYS_CLONE, flags, 0, 0, child_tid_address, 0)
+        inside_pid = _SIGNAL_CAME_FIRST
+        for _ in range(_STOPS_MAX):
+            if inside_pid != _SIGNAL_CAME_FIRST:
+                break
+            inside_pid = self.call(SYS_CLONE, flags, 0, 0, child_tid_address, 0)
         if inside_pid < 0:
             raise OSError(-inside_pid, os.strerror(-inside_pid))
         child = self._forked_pid

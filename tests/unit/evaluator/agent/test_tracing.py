@@ -69,6 +69,23 @@ def test_copies_answer_and_the_frozen_process_does_not(waiting: Waiting) -> None
     traced.end()
 
 
+def test_a_signal_in_the_middle_of_a_copy_does_not_hinder_it(waiting: Waiting, monkeypatch: pytest.MonkeyPatch) -> None:
+    traced = TracedProcess(waiting.process.pid)
+    run, signals = traced._run_to_syscall_stop, iter([signal.SIGUSR1])
+
+    def run_and_signal() -> None:
+        run()
+        for number in signals:
+            os.kill(waiting.process.pid, number)
+
+    monkeypatch.setattr(traced, "_run_to_syscall_stop", run_and_signal)
+    outside, _ = traced.fork(signal.SIGCHLD, 0)
+    waiting.channel.sendall(b"question")
+    assert waiting.channel.recv(100) == b"%d question" % outside
+    os.kill(outside, signal.SIGKILL)
+    traced.end()
+
+
 def test_signals_do_not_wake_it(waiting: Waiting) -> None:
     traced = TracedProcess(waiting.process.pid)
     for number in (signal.SIGCONT, signal.SIGUSR1, signal.SIGSTOP, signal.SIGTERM, signal.SIGCONT):
