@@ -26,7 +26,7 @@ import numpy as np
 from ..compilation import kernel
 from .distance import Coefficients, Sliding
 from .friction import slip_factor
-from .neo_hookean import Mat3
+from .mat3 import Mat3, add_matrices, apply_rows, identity_and_outer, multiply_rows
 from .vec3 import Vec3, add, combine, dot, scale, subtract
 
 Vec4 = Coefficients
@@ -43,7 +43,7 @@ class SlidingDirection(NamedTuple):
     slip: Vec3  # w_k = sum_i dc_i (x_i - x_i at start)
 
 
-class ContactTerms(NamedTuple):
+class Contact(NamedTuple):
     """What the forces and Jacobian blocks of a contact are made of."""
 
     force: Vec3  # phi - N n
@@ -117,7 +117,7 @@ def contact_terms(
     first: SlidingDirection,
     second: SlidingDirection,
     projected: bool,
-) -> ContactTerms:
+) -> Contact:
     """Force and Jacobian factors of a contact.
 
     Args:
@@ -138,16 +138,16 @@ def contact_terms(
     coulomb = friction * force_n
     phi = scale(coulomb * a, u)
     force = subtract(phi, scale(force_n, n))
-    Q = _isotropic_plus_outer(coulomb * a, coulomb * slope, u)
+    Q = identity_and_outer(coulomb * a, coulomb * slope, u)
     slide = scale(force_n * d, n)
     zero = (0.0, 0.0, 0.0)
     if projected:
-        P = _isotropic_plus_outer(1.0, -1.0, n)
-        base = _sum(_isotropic_plus_outer(0.0, stiffness_n_m, n), _product(P, _product(Q, P)))
+        P = identity_and_outer(1.0, -1.0, n)
+        base = add_matrices(identity_and_outer(0.0, stiffness_n_m, n), multiply_rows(P, multiply_rows(Q, P)))
         left_c = (scale(force_n, first.tangent), scale(force_n, second.tangent))
-        return ContactTerms(force, base, left_c, slide, zero)
-    barrier = _isotropic_plus_outer(-force_n / d, stiffness_n_m + force_n / d, n)
-    du = _isotropic_plus_outer(1.0 - w_n / d, w_n / d - 1.0, n)
+        return Contact(force, base, left_c, slide, zero)
+    barrier = identity_and_outer(-force_n / d, stiffness_n_m + force_n / d, n)
+    du = identity_and_outer(1.0 - w_n / d, w_n / d - 1.0, n)
     lean = scale(1.0 / d, u)
     du = (
         subtract(du[0], scale(n[0], lean)),
@@ -155,8 +155,8 @@ def contact_terms(
         subtract(du[2], scale(n[2], lean)),
     )
     grip = scale(-friction * a * stiffness_n_m, u)
-    base = _sum(
-        _sum(barrier, _product(Q, du)),
+    base = add_matrices(
+        add_matrices(barrier, multiply_rows(Q, du)),
         (scale(grip[0], n), scale(grip[1], n), scale(grip[2], n)),
     )
     left_c = (
@@ -166,7 +166,7 @@ def contact_terms(
             _friction_by_sliding(Q, second, n, w, w_n, d),
         ),
     )
-    return ContactTerms(force, base, left_c, subtract(slide, scale(d, phi)), scale(friction * a, u))
+    return Contact(force, base, left_c, subtract(slide, scale(d, phi)), scale(friction * a, u))
 
 
 @kernel
@@ -174,34 +174,3 @@ def _friction_by_sliding(Q: Mat3, k: SlidingDirection, n: Vec3, w: Vec3, w_n: fl
     """D phi / d s_k at held C dx: Q (-d P w_k + (w . n) T_k + (w . T_k) n)."""
     across = subtract(k.slip, scale(dot(k.slip, n), n))
     return apply_rows(Q, combine(-d, across, w_n, k.tangent, dot(k.tangent, w), n))
-
-
-@kernel
-def apply_rows(rows: Mat3, v: Vec3) -> Vec3:
-    """Matrix, given by its rows, times vector."""
-    return dot(rows[0], v), dot(rows[1], v), dot(rows[2], v)
-
-
-@kernel
-def _isotropic_plus_outer(s: float, t: float, u: Vec3) -> Mat3:
-    """Rows of s I + t u u^T."""
-    return (
-        (s + t * u[0] * u[0], t * u[0] * u[1], t * u[0] * u[2]),
-        (t * u[1] * u[0], s + t * u[1] * u[1], t * u[1] * u[2]),
-        (t * u[2] * u[0], t * u[2] * u[1], s + t * u[2] * u[2]),
-    )
-
-
-@kernel
-def _sum(a: Mat3, b: Mat3) -> Mat3:
-    return add(a[0], b[0]), add(a[1], b[1]), add(a[2], b[2])
-
-
-@kernel
-def _product(a: Mat3, b: Mat3) -> Mat3:
-    """Rows of a product of matrices given by their rows."""
-    return (
-        combine(a[0][0], b[0], a[0][1], b[1], a[0][2], b[2]),
-        combine(a[1][0], b[0], a[1][1], b[1], a[1][2], b[2]),
-        combine(a[2][0], b[0], a[2][1], b[1], a[2][2], b[2]),
-    )

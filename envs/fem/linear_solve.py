@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compilation import kernel
-from .neo_hookean import Mat3
+from .mat3 import Mat3
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

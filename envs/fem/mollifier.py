@@ -6,7 +6,7 @@ u, v are the edge vectors. Li et al., Incremental Potential Contact (ACM TOG 202
 """
 
 from ..compilation import kernel
-from .neo_hookean import Mat3
+from .mat3 import Mat3, identity_and_outer, identity_and_outers
 from .vec3 import Vec3, cross, dot, scale, subtract
 
 
@@ -42,30 +42,9 @@ def squared_cross_norm_blocks(u: Vec3, v: Vec3) -> tuple[Mat3, Mat3, Mat3]:
 
     They are 2 (|v|^2 I - v v^T), 4 u v^T - 2 v u^T - 2 (u . v) I and 2 (|u|^2 I - u u^T).
     """
+    uu, vv, uv = dot(u, u), dot(v, v), dot(u, v)
     return (
-        _spread(2.0 * dot(v, v), -2.0, v, v, 0.0),
-        _spread(-2.0 * dot(u, v), 4.0, u, v, -2.0),
-        _spread(2.0 * dot(u, u), -2.0, u, u, 0.0),
-    )
-
-
-@kernel
-def _spread(diagonal: float, p: float, a: Vec3, b: Vec3, q: float) -> Mat3:
-    """Rows of diagonal I + p a b^T + q b a^T."""
-    return (
-        (
-            diagonal + (p + q) * a[0] * b[0],
-            p * a[0] * b[1] + q * b[0] * a[1],
-            p * a[0] * b[2] + q * b[0] * a[2],
-        ),
-        (
-            p * a[1] * b[0] + q * b[1] * a[0],
-            diagonal + (p + q) * a[1] * b[1],
-            p * a[1] * b[2] + q * b[1] * a[2],
-        ),
-        (
-            p * a[2] * b[0] + q * b[2] * a[0],
-            p * a[2] * b[1] + q * b[2] * a[1],
-            diagonal + (p + q) * a[2] * b[2],
-        ),
+        identity_and_outer(2.0 * vv, -2.0, v),
+        identity_and_outers(-2.0 * uv, 4.0, u, v, -2.0),
+        identity_and_outer(2.0 * uu, -2.0, u),
     )

@@ -11,9 +11,8 @@ the rest gradients of the linear shape functions. With h_a = F^-T g_a the nodal 
 
 from ..compilation import kernel
 from ..deterministic_math import natural_log
+from .mat3 import Mat3, add_matrices, identity_and_outers, scale_matrix
 from .vec3 import Vec3, add, combine, cross, dot, scale, subtract
-
-Mat3 = tuple[Vec3, Vec3, Vec3]
 
 
 def lame_parameters_pa(youngs_modulus_pa: float, poisson_ratio: float) -> tuple[float, float]:
@@ -50,12 +49,6 @@ def strain_energy_density(F: Mat3, J: float, mu: float, lam: float) -> float:
 
 
 @kernel
-def apply(columns: Mat3, v: Vec3) -> Vec3:
-    """Matrix (given by its columns) times vector."""
-    return combine(v[0], columns[0], v[1], columns[1], v[2], columns[2])
-
-
-@kernel
 def nodal_gradient(volume: float, mu: float, pressure: float, Fg: Vec3, h: Vec3) -> Vec3:
     """dE/dx_a [N] from F g_a, h_a = F^-T g_a and pressure = lambda ln J - mu [Pa]."""
     return add(scale(volume * mu, Fg), scale(volume * pressure, h))
@@ -64,26 +57,7 @@ def nodal_gradient(volume: float, mu: float, pressure: float, Fg: Vec3, h: Vec3)
 @kernel
 def stiffness_block(volume: float, mu: float, lam: float, pressure: float, gg: float, ha: Vec3, hb: Vec3) -> Mat3:
     """Rows of d2E/dx_a dx_b [N/m]; gg = g_a . g_b [1/m^2], pressure = lambda ln J - mu [Pa]."""
-    isotropic = volume * mu * gg
-    p = volume * lam
-    q = -volume * pressure
-    return (
-        (
-            isotropic + p * ha[0] * hb[0] + q * hb[0] * ha[0],
-            p * ha[0] * hb[1] + q * hb[0] * ha[1],
-            p * ha[0] * hb[2] + q * hb[0] * ha[2],
-        ),
-        (
-            p * ha[1] * hb[0] + q * hb[1] * ha[0],
-            isotropic + p * ha[1] * hb[1] + q * hb[1] * ha[1],
-            p * ha[1] * hb[2] + q * hb[1] * ha[2],
-        ),
-        (
-            p * ha[2] * hb[0] + q * hb[2] * ha[0],
-            p * ha[2] * hb[1] + q * hb[2] * ha[1],
-            isotropic + p * ha[2] * hb[2] + q * hb[2] * ha[2],
-        ),
-    )
+    return identity_and_outers(volume * mu * gg, volume * lam, ha, hb, -volume * pressure)
 
 
 @kernel
@@ -106,8 +80,4 @@ def projected_stiffness_block(
     q = -volume * pressure
     block = stiffness_block(volume, mu, lam, -0.5 * q / volume, gg, ha, hb)
     s = 0.5 * abs(q) * gg
-    return (
-        add(block[0], scale(s, inverse_b[0])),
-        add(block[1], scale(s, inverse_b[1])),
-        add(block[2], scale(s, inverse_b[2])),
-    )
+    return add_matrices(block, scale_matrix(s, inverse_b))

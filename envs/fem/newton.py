@@ -20,11 +20,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compilation import kernel
-from .assembly import Workspace, assemble, point_positions
+from .assembly import assemble
 from .broad_phase import Candidates, find_candidates, relative_motion
 from .ccd import contact_free_fraction, inversion_free_fraction
 from .linear_solve import has_negative_determinant, solve
 from .model import PRESCRIBED, Model
+from .points import point_positions
+from .workspace import EXACT_MATRIX, NO_MATRIX, PROJECTED_MATRIX, Workspace
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
@@ -190,13 +192,13 @@ def _find_direction(
     left: float,
 ) -> bool:
     """Write the Newton step of the unknowns into s.solution; False if even the projected matrix is singular."""
-    assemble(model, candidates, x, x_hat, s.y, s.y_start, s.prescribed_move, workspace, False)
+    assemble(model, candidates, x, x_hat, s.y, s.y_start, s.prescribed_move, workspace, EXACT_MATRIX)
     if solve(model.system, workspace.entries, s.solution, cautious):
         uphill = cautious and left == 0.0 and _force_along(model, s.solution, workspace.gradient) >= 0.0
         if not uphill:
             return True
     counts[Counter.PROJECTED_ITERATIONS] += 1
-    assemble(model, candidates, x, x_hat, s.y, s.y_start, s.prescribed_move, workspace, True)
+    assemble(model, candidates, x, x_hat, s.y, s.y_start, s.prescribed_move, workspace, PROJECTED_MATRIX)
     return solve(model.system, workspace.entries, s.solution, True)
 
 
@@ -215,17 +217,7 @@ def _without_overshoot(
     for _ in range(_SHORTENINGS):
         s.trial[:] = x + fraction * s.move
         point_positions(model.points, s.trial, s.y_other)
-        assemble(
-            model,
-            candidates,
-            s.trial,
-            x_hat,
-            s.y_other,
-            s.y_start,
-            s.prescribed_move,
-            workspace,
-            False,
-        )
+        assemble(model, candidates, s.trial, x_hat, s.y_other, s.y_start, s.prescribed_move, workspace, NO_MATRIX)
         there = _force_along(model, s.solution, workspace.gradient)
         if there <= -_OVERSHOOT * here:
             break

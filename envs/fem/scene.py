@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from ..errors import VitacError
 from .affine_body import frame_mass, frame_weights
-from .assembly import new_workspace, point_positions
 from .linear_solve import SystemLayout, system_layout
 from .mesh import GelMesh, SurfaceMesh
 from .model import (
@@ -25,6 +24,8 @@ from .model import (
 from .neo_hookean import lame_parameters_pa
 from .newton import Counter, Measure, Tolerances, solve_step
 from .overlap import find_overlap
+from .points import point_positions
+from .workspace import new_workspace
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

@@ -15,6 +15,14 @@ def load(rows: NDArray[np.float64], i: int) -> Vec3:
 
 
 @kernel
+def add_to_row(rows: NDArray[np.float64], i: int, v: Vec3) -> None:
+    """Add a vector to row i of an array of shape [n, 3]."""
+    rows[i, 0] += v[0]
+    rows[i, 1] += v[1]
+    rows[i, 2] += v[2]
+
+
+@kernel
 def add(a: Vec3, b: Vec3) -> Vec3:
     """Sum a + b."""
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]

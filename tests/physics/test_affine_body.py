@@ -9,6 +9,8 @@ from vitac.envs.fem.affine_body import (
     affine_columns,
     frame_mass,
     frame_weights,
+)
+from vitac.envs.fem.orthogonality import (
     orthogonality_block,
     orthogonality_energy,
     orthogonality_error,

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from vectors import columns3, differences, random_rotation, vec3
+from vitac.envs.fem.mat3 import apply_columns
 from vitac.envs.fem.neo_hookean import (
-    apply,
     cofactors,
     deformation_gradient,
     lame_parameters_pa,
@@ -84,7 +84,7 @@ def test_cofactors_are_determinant_times_inverse_transpose() -> None:
     cofactor, J = cofactors(columns3(matrix))
     assert pytest.approx(np.linalg.det(matrix), rel=1e-12) == J
     np.testing.assert_allclose(np.array(cofactor).T, J * np.linalg.inv(matrix).T, rtol=1e-10)
-    np.testing.assert_allclose(apply(columns3(matrix), (1.0, 2.0, 3.0)), matrix @ [1.0, 2.0, 3.0])
+    np.testing.assert_allclose(apply_columns(columns3(matrix), (1.0, 2.0, 3.0)), matrix @ [1.0, 2.0, 3.0])
 
 
 def test_energy_density_follows_the_formula_and_vanishes_at_rest() -> None:

@@ -4,11 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from vitac.envs.fem.assembly import Workspace, assemble, new_workspace, point_positions
+from vitac.envs.fem.assembly import assemble
 from vitac.envs.fem.broad_phase import Candidates, find_candidates
 from vitac.envs.fem.linear_solve import BlockLayout, SystemLayout
 from vitac.envs.fem.model import PRESCRIBED, Model
+from vitac.envs.fem.points import point_positions
 from vitac.envs.fem.scene import Scene
+from vitac.envs.fem.workspace import EXACT_MATRIX, PROJECTED_MATRIX, Workspace, new_workspace
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
@@ -61,7 +63,9 @@ class Probe:
         near = self.candidates(x_m, self.model.parameters.d_hat_m * 1.5)
         y, y_start = self.points_m(x_m), self.points_m(self.start_m)
         w = self._workspace
-        assemble(self.model, near, x_m, self.x_hat_m, y, y_start, move, w, projected)
+        assemble(
+            self.model, near, x_m, self.x_hat_m, y, y_start, move, w, PROJECTED_MATRIX if projected else EXACT_MATRIX
+        )
         return Assembled(
             forces_n=w.gradient[self.unknown_nodes].ravel().copy(),
             all_forces_n=w.gradient.copy(),

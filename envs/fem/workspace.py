@@ -1,0 +1,43 @@
+"""What every term of the energy adds to: the forces and the Newton system of one state."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .linear_solve import SystemLayout
+from .stencil import Stencil, new_stencil
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
+MaskArray = NDArray[np.bool_]
+
+# Which matrix goes with the forces: none, the exact Jacobian, or its positive semi-definite replacement.
+NO_MATRIX = 0
+EXACT_MATRIX = 1
+PROJECTED_MATRIX = 2
+
+
+class Workspace(NamedTuple):
+    """Arrays that `assemble` fills, term by term."""
+
+    entries: FloatArray  # the system, see `linear_solve`
+    gradient: FloatArray  # [n, 3] dE/dx [N], prescribed nodes included
+    coupling: FloatArray  # [n, 3] Jacobian times the prescribed motion [N]
+    moves: MaskArray  # [1] whether prescribed nodes move, so that there is a coupling
+    smallest: FloatArray  # [2] smallest gap [m], smallest det F
+    active: IndexArray  # [1] pairs closer than d_hat
+    stencil: Stencil  # of one contact at a time
+
+
+def new_workspace(layout: SystemLayout, nodes: int) -> Workspace:
+    """Uninitialised arrays for a system of this layout and so many nodes."""
+    return Workspace(
+        entries=np.empty(layout.size),
+        gradient=np.empty((nodes, 3)),
+        coupling=np.empty((nodes, 3)),
+        moves=np.empty(1, dtype=np.bool_),
+        smallest=np.empty(2),
+        active=np.empty(1, dtype=np.int64),
+        stencil=new_stencil(),
+    )
