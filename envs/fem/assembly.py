@@ -28,6 +28,7 @@ FloatArray = NDArray[np.float64]
 def assemble(
     model: Model,
     candidates: Candidates,
+    motion: FloatArray,
     x: FloatArray,
     x_hat: FloatArray,
     y: FloatArray,
@@ -38,7 +39,8 @@ def assemble(
 ) -> None:
     """Write the forces, and the system with the matrix asked for, at nodes x [m] with points y.
 
-    The right-hand side also carries the prescribed nodes' motion [m], of shape [n, 3], moved to the known side.
+    Bodies may have moved against each other by `motion` [m] since the candidates were listed, see `broad_phase`. The
+    right-hand side also carries the prescribed nodes' motion [m], of shape [n, 3], moved to the known side.
     """
     workspace.gradient[:] = 0.0
     if matrix != NO_MATRIX:
@@ -48,7 +50,7 @@ def assemble(
     workspace.smallest[1] = add_elasticity(model.elastic, x, prescribed_move, workspace, matrix)
     add_inertia(model, x, x_hat, workspace, matrix)
     add_orthogonality(model.affine, model.system.block, x, workspace, matrix)
-    add_contacts(model, candidates, y, y_start, prescribed_move, workspace, matrix)
+    add_contacts(model, candidates, motion, y, y_start, prescribed_move, workspace, matrix)
     if matrix != NO_MATRIX:
         _write_right_hand_side(model, workspace)
 

@@ -29,13 +29,23 @@ _REMAINING_VOLUME = 0.1
 @kernel
 def contact_free_fraction(
     candidates: Candidates,
+    motion: FloatArray,
+    motion_ahead: FloatArray,
     y: FloatArray,
     move: FloatArray,
     gap_fraction: float,
     allowed: float,
 ) -> float:
-    """Largest part, at most `allowed`, of a point move [m], shape [p, 3]; it leaves 1 - gap_fraction of each gap."""
+    """Largest part, at most `allowed`, of a point move [m], shape [p, 3]; it leaves 1 - gap_fraction of each gap.
+
+    Bodies have moved against each other by `motion` [m], shape [k], since the candidates were listed, and by
+    `motion_ahead` at the end of the move; a pair that cannot have closed that part of its gap is passed over.
+    """
     for k in range(len(candidates.kind)):
+        now, ahead = motion[candidates.bodies[k]], motion_ahead[candidates.bodies[k]]
+        listed = candidates.distance_m[k]
+        if listed - max(now, ahead) >= (1.0 - gap_fraction) * (listed + now):
+            continue
         allowed = _pair_fraction(candidates, k, y, move, gap_fraction, allowed)
     return allowed
 

@@ -43,13 +43,17 @@ FloatArray = NDArray[np.float64]
 def add_contacts(
     model: Model,
     candidates: Candidates,
+    motion: FloatArray,
     y: FloatArray,
     y_start: FloatArray,
     prescribed_move: FloatArray,
     workspace: Workspace,
     matrix: int,
 ) -> None:
-    """Add all pairs closer than d_hat at points y [m], with friction measured from points y_start [m]."""
+    """Add all pairs closer than d_hat at points y [m], with friction measured from points y_start [m].
+
+    `motion` [k] bounds how far each pair of bodies has moved since the candidates were listed [m].
+    """
     kinds, points = candidates.kind, candidates.points
     d_hat = model.parameters.d_hat_m
     target = Target(
@@ -63,6 +67,8 @@ def add_contacts(
     smallest = np.inf
     active = 0
     for k in range(len(kinds)):
+        if candidates.distance_m[k] - motion[candidates.bodies[k]] >= d_hat:
+            continue
         corners = points[k]
         x = (load(y, corners[0]), load(y, corners[1]), load(y, corners[2]), load(y, corners[3]))
         c, sliding, r = closest_points(kinds[k], x[0], x[1], x[2], x[3])

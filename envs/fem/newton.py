@@ -63,12 +63,14 @@ _OVERSHOOT = 0.5
 _SHORTENINGS = 8
 # One iteration moves bodies against each other by at most this much [m]: a free body's first guess can be metres.
 _LONGEST_MOVE_M = 2e-3
+# A new list stays complete for so many times the move that asked for it.
+_MARGIN = 1.5
 # Below this size [m] a cautious step is not checked: rounding would decide.
 _UNCHECKED_STEP_M = 1e-7
 
 
 class _Scratch(NamedTuple):
-    """Arrays of one solve; [p, 3] of surface points, [n, 3] of nodes, [b] of bodies."""
+    """Arrays of one solve; [p, 3] of surface points, [n, 3] of nodes, [k] of pairs of bodies."""
 
     y: FloatArray  # [p, 3] points at the current iterate [m]
     y_start: FloatArray  # [p, 3] at the start of the IPC step
@@ -79,13 +81,16 @@ class _Scratch(NamedTuple):
     prescribed_move: FloatArray  # [n, 3] motion left for the prescribed nodes
     trial: FloatArray  # [n, 3]
     solution: FloatArray  # [3 u]
-    mean: FloatArray  # [b, 3]
-    spread: FloatArray  # [b]
+    motion: FloatArray  # [k] of pairs of bodies against each other since the list was made [m]
+    motion_ahead: FloatArray  # [k] the same at the end of the current step
+    motion_largest: FloatArray  # [k] the larger of both
+    margin: FloatArray  # [k] motion that the list stays complete for [m]
+    reach: FloatArray  # [k] distance up to which pairs are listed [m]
 
 
 @kernel
 def _new_scratch(model: Model, nodes: int) -> _Scratch:
-    points, bodies = len(model.points.node_count), len(model.surfaces.point_start) - 1
+    points, pairs = len(model.points.node_count), len(model.surfaces.pairs)
     return _Scratch(
         np.empty((points, 3)),
         np.empty((points, 3)),
@@ -96,8 +101,11 @@ def _new_scratch(model: Model, nodes: int) -> _Scratch:
         np.zeros((nodes, 3)),
         np.empty((nodes, 3)),
         np.empty(3 * len(model.unknowns.node)),
-        np.empty((bodies, 3)),
-        np.empty(bodies),
+        np.zeros(pairs),
+        np.zeros(pairs),
+        np.zeros(pairs),
+        np.full(pairs, model.parameters.candidate_margin_m),
+        np.empty(pairs),
     )
 
 
@@ -121,9 +129,7 @@ def solve_step(
     s = _new_scratch(model, len(x))
     point_positions(model.points, x_start, s.y_start)
     point_positions(model.points, x, s.y)
-    margin = model.parameters.candidate_margin_m
-    candidates = find_candidates(model.surfaces, s.y, model.parameters.d_hat_m + margin)
-    s.y_listed[:] = s.y
+    candidates = _listed(model, s)
     for iteration in range(tolerances.iterations):
         left = _remaining_motion(model, x, x_target, s.prescribed_move)
         cautious = _is_cautious(iteration, tolerances.phase_iterations)
@@ -144,19 +150,33 @@ def solve_step(
         point_positions(model.points, s.move, s.y_move)
         longest = _shorten_long_move(model, s)
         s.y_other[:] = s.y + s.y_move - s.y_listed
-        if relative_motion(model.surfaces, s.y_other, s.mean, s.spread) > margin:
-            margin = max(model.parameters.candidate_margin_m, 1.5 * min(longest, _LONGEST_MOVE_M))
-            candidates = find_candidates(model.surfaces, s.y, model.parameters.d_hat_m + margin)
-            s.y_listed[:] = s.y
+        relative_motion(model.surfaces, s.y_other, s.motion_ahead)
+        if np.any(s.motion_ahead > s.margin):
+            relative_motion(model.surfaces, s.y_move, s.motion_ahead)
+            s.margin[:] = np.maximum(model.parameters.candidate_margin_m, _MARGIN * s.motion_ahead)
+            candidates = _listed(model, s)
         fraction = inversion_free_fraction(model.elastic, x, s.move, 1.0)
-        fraction = contact_free_fraction(candidates, s.y, s.y_move, model.parameters.ccd_gap_fraction, fraction)
+        fraction = contact_free_fraction(
+            candidates, s.motion, s.motion_ahead, s.y, s.y_move, model.parameters.ccd_gap_fraction, fraction
+        )
         if cautious and left == 0.0 and step > _UNCHECKED_STEP_M:
             fraction = _without_overshoot(model, candidates, x, x_hat, s, workspace, fraction)
         x += fraction * s.move
         if fraction == 1.0 and longest <= _LONGEST_MOVE_M:
             _place_prescribed(model, x_target, x)
         point_positions(model.points, x, s.y)
+        s.y_other[:] = s.y - s.y_listed
+        relative_motion(model.surfaces, s.y_other, s.motion)
     return False
+
+
+@kernel
+def _listed(model: Model, s: _Scratch) -> Candidates:
+    """List the candidates at the current iterate, with the present margin."""
+    s.reach[:] = model.parameters.d_hat_m + s.margin
+    s.y_listed[:] = s.y
+    s.motion[:] = 0.0
+    return find_candidates(model.surfaces, s.y, s.reach)
 
 
 @kernel
@@ -172,7 +192,7 @@ def _is_cautious(iteration: int, length: int) -> bool:
 @kernel
 def _shorten_long_move(model: Model, s: _Scratch) -> float:
     """Cut the move down to the longest allowed; returns how far it would have moved bodies against each other [m]."""
-    longest = relative_motion(model.surfaces, s.y_move, s.mean, s.spread)
+    longest = relative_motion(model.surfaces, s.y_move, s.motion_ahead)
     if longest > _LONGEST_MOVE_M:
         s.move[:] = (_LONGEST_MOVE_M / longest) * s.move
         s.y_move[:] = (_LONGEST_MOVE_M / longest) * s.y_move
@@ -192,13 +212,13 @@ def _find_direction(
     left: float,
 ) -> bool:
     """Write the Newton step of the unknowns into s.solution; False if even the projected matrix is singular."""
-    assemble(model, candidates, x, x_hat, s.y, s.y_start, s.prescribed_move, workspace, EXACT_MATRIX)
+    assemble(model, candidates, s.motion, x, x_hat, s.y, s.y_start, s.prescribed_move, workspace, EXACT_MATRIX)
     if solve(model.system, workspace.entries, s.solution, cautious):
         uphill = cautious and left == 0.0 and _force_along(model, s.solution, workspace.gradient) >= 0.0
         if not uphill:
             return True
     counts[Counter.PROJECTED_ITERATIONS] += 1
-    assemble(model, candidates, x, x_hat, s.y, s.y_start, s.prescribed_move, workspace, PROJECTED_MATRIX)
+    assemble(model, candidates, s.motion, x, x_hat, s.y, s.y_start, s.prescribed_move, workspace, PROJECTED_MATRIX)
     return solve(model.system, workspace.entries, s.solution, True)
 
 
@@ -214,10 +234,22 @@ def _without_overshoot(
 ) -> float:
     """Part of the step at whose end the forces along it have not turned round by more than half; by regula falsi."""
     here = _force_along(model, s.solution, workspace.gradient)
+    s.motion_largest[:] = np.maximum(s.motion, s.motion_ahead)
     for _ in range(_SHORTENINGS):
         s.trial[:] = x + fraction * s.move
         point_positions(model.points, s.trial, s.y_other)
-        assemble(model, candidates, s.trial, x_hat, s.y_other, s.y_start, s.prescribed_move, workspace, NO_MATRIX)
+        assemble(
+            model,
+            candidates,
+            s.motion_largest,
+            s.trial,
+            x_hat,
+            s.y_other,
+            s.y_start,
+            s.prescribed_move,
+            workspace,
+            NO_MATRIX,
+        )
         there = _force_along(model, s.solution, workspace.gradient)
         if there <= -_OVERSHOOT * here:
             break

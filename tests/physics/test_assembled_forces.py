@@ -118,3 +118,11 @@ def test_contact_forces_on_all_bodies_sum_to_zero(probe: Probe) -> None:
         inertia += (probe.model.affine.mass_kg[i] @ offsets).sum(axis=0) / h2
     total = probe_at_rest.all_forces_n.sum(axis=0)
     np.testing.assert_allclose(total, inertia, atol=1e-9 * np.abs(probe_at_rest.all_forces_n).sum())
+
+
+def test_pairs_that_are_still_too_far_apart_are_not_missed(probe: Probe) -> None:
+    """Forces from an old list, told how far bodies have moved since, are those from a new one."""
+    moved_m = probe.x_m + moved(probe, probe.unknown_nodes, np.random.default_rng(5)) * 1e-6
+    new, old = probe.at(moved_m), probe.at(moved_m, listed_at_m=probe.x_m)
+    np.testing.assert_allclose(old.all_forces_n, new.all_forces_n, atol=1e-12 * np.abs(new.all_forces_n).max())
+    assert old.active_contacts == new.active_contacts

@@ -17,9 +17,24 @@ GAP_FRACTION = 0.7
 kinds = pytest.mark.parametrize("kind", [POINT_TRIANGLE, EDGE_EDGE])
 
 
+def listed(kinds: list[int], points: list[list[int]], x: FloatArray) -> Candidates:
+    """Candidates of one pair of bodies, listed at points x [m]."""
+    distances = [distance(kind, x[corners]) for kind, corners in zip(kinds, points, strict=True)]
+    pairs = len(kinds)
+    return Candidates(
+        np.array(kinds),
+        np.array(points),
+        np.ones(pairs),
+        np.zeros(pairs),
+        np.array(distances),
+        np.zeros(pairs, dtype=np.int64),
+    )
+
+
 def fraction(kind: int, x: FloatArray, move: FloatArray, gap_fraction: float = GAP_FRACTION) -> float:
-    candidates = Candidates(np.array([kind]), np.array([[0, 1, 2, 3]]), np.ones(1), np.zeros(1))
-    return contact_free_fraction(candidates, x, move, gap_fraction, 1.0)
+    candidates = listed([kind], [[0, 1, 2, 3]], x)
+    far = np.full(1, np.inf)
+    return contact_free_fraction(candidates, far, far, x, move, gap_fraction, 1.0)
 
 
 def distance(kind: int, x: FloatArray) -> float:
@@ -95,10 +110,20 @@ def test_the_most_restrictive_pair_decides() -> None:
     x = np.array([[0.2, 0.2, 0.1], [0, 0, 0], [1, 0, 0], [0, 1, 0.0], [0.3, 0.3, 0.05]])
     move = np.zeros((5, 3))
     move[[0, 4], 2] = -0.2
-    both = Candidates(
-        np.array([POINT_TRIANGLE, POINT_TRIANGLE]), np.array([[0, 1, 2, 3], [4, 1, 2, 3]]), np.ones(2), np.zeros(2)
-    )
-    assert contact_free_fraction(both, x, move, GAP_FRACTION, 1.0) == pytest.approx(0.175, rel=1e-3)
+    both = listed([POINT_TRIANGLE, POINT_TRIANGLE], [[0, 1, 2, 3], [4, 1, 2, 3]], x)
+    far = np.full(1, np.inf)
+    assert contact_free_fraction(both, far, far, x, move, GAP_FRACTION, 1.0) == pytest.approx(0.175, rel=1e-3)
+
+
+def test_a_pair_is_passed_over_only_when_its_bodies_cannot_have_closed_that_part_of_its_gap() -> None:
+    """Listed at 0.1, moved 0.02 since: at least 0.08 and at most 0.12 apart now, of which 0.036 must be left."""
+    x = np.array([[0.2, 0.2, 0.1], [0, 0, 0], [1, 0, 0], [0, 1, 0.0]])
+    candidates = listed([POINT_TRIANGLE], [[0, 1, 2, 3]], x)
+    closing = np.zeros((4, 3))
+    closing[0, 2] = -0.2
+    now = np.array([0.02])
+    allowed = [contact_free_fraction(candidates, now, np.array([m]), x, closing, 0.7, 1.0) for m in (0.063, 0.065)]
+    assert allowed == [1.0, pytest.approx(0.35, rel=1e-3)]
 
 
 @pytest.fixture(scope="module")

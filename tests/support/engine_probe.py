@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from vitac.envs.fem.assembly import assemble
-from vitac.envs.fem.broad_phase import Candidates, find_candidates
+from vitac.envs.fem.broad_phase import Candidates, find_candidates, relative_motion
 from vitac.envs.fem.linear_solve import BlockLayout, SystemLayout
 from vitac.envs.fem.model import PRESCRIBED, Model
 from vitac.envs.fem.points import point_positions
@@ -55,17 +55,27 @@ class Probe:
 
     def candidates(self, x_m: FloatArray, reach_m: float) -> Candidates:
         """Candidate pairs within reach."""
-        return find_candidates(self.model.surfaces, self.points_m(x_m), reach_m)
+        reaches_m = np.full(len(self.model.surfaces.pairs), reach_m)
+        return find_candidates(self.model.surfaces, self.points_m(x_m), reaches_m)
 
-    def at(self, x_m: FloatArray, *, prescribed_move_m: FloatArray | None = None, projected: bool = False) -> Assembled:
-        """Forces and matrix at node positions [m], shape [n, 3]."""
+    def at(
+        self,
+        x_m: FloatArray,
+        *,
+        prescribed_move_m: FloatArray | None = None,
+        projected: bool = False,
+        listed_at_m: FloatArray | None = None,
+    ) -> Assembled:
+        """Forces and matrix at node positions [m], shape [n, 3]; contacts may be listed at other positions."""
         move = np.zeros_like(x_m) if prescribed_move_m is None else prescribed_move_m
-        near = self.candidates(x_m, self.model.parameters.d_hat_m * 1.5)
+        listed_m = x_m if listed_at_m is None else listed_at_m
+        near = self.candidates(listed_m, self.model.parameters.d_hat_m * 1.5)
         y, y_start = self.points_m(x_m), self.points_m(self.start_m)
+        motion = np.empty(len(self.model.surfaces.pairs))
+        relative_motion(self.model.surfaces, y - self.points_m(listed_m), motion)
+        matrix = PROJECTED_MATRIX if projected else EXACT_MATRIX
         w = self._workspace
-        assemble(
-            self.model, near, x_m, self.x_hat_m, y, y_start, move, w, PROJECTED_MATRIX if projected else EXACT_MATRIX
-        )
+        assemble(self.model, near, motion, x_m, self.x_hat_m, y, y_start, move, w, matrix)
         return Assembled(
             forces_n=w.gradient[self.unknown_nodes].ravel().copy(),
             all_forces_n=w.gradient.copy(),
