@@ -1,74 +1,108 @@
-"""Does the example policy beat doing nothing and doing anything? On 270 random blocked starts outside the public list.
+"""Do the example policies beat doing nothing and doing anything? On random starts and on the public list of their task.
 
-Run it as `python benchmarks/example_policy.py [--json FILE]`.
+Usage: python benchmarks/example_policy.py [--task TASK] [--starts N] [--json FILE]
+
+Random starts come from a seed that no example was made with.
 """
 
 import argparse
 import json
-import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
+from runpy import run_path
 from typing import Any
 
-import gymnasium
 import numpy as np
-import vitac.envs  # noqa: F401 - registers the environment
 from numpy.typing import NDArray
+from vitac.evaluator.episodes import make_environment
 from vitac.evaluator.scoring import Rate, rate
+from vitac.evaluator.tracks import Task, load_track
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "examples" / "peg_insertion_heuristic" / "Track_1"))
-from policy import Policy
-
+EXAMPLES = Path(__file__).parents[1] / "examples"
+FOLDERS = {"peg-insertion": "peg_insertion_heuristic", "lock-opening": "lock_opening_heuristic"}
 STARTS = 270
 SEED = 2
-Act = Callable[[dict[str, Any]], NDArray[np.float32]]
+Act = Callable[[Mapping[str, Any]], NDArray[np.float32]]
+MakeAct = Callable[[int], Act]
 
 
 def main() -> None:
-    """Plays the three policies from the same starts and prints their rates."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    """Plays the three policies of each task from the same starts and prints their rates."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--task", choices=FOLDERS, action="append", help="all by default")
+    parser.add_argument("--starts", type=int, default=STARTS, help="random starts")
     parser.add_argument("--json", type=Path, help="write the rates to this file")
-    parser.add_argument("--starts", type=int, default=STARTS)
     arguments = parser.parse_args()
-    env: Any = gymnasium.make("ViTac/PegInsertion-v1", disable_env_checker=True).unwrapped
-    rates = {name: play(env, arguments.starts, name) for name in ("example", "zero", "random")}
-    for name, result in rates.items():
-        print(f"{name:8} {result.success_rate:6.1%}  [{result.interval.low:.1%}, {result.interval.high:.1%}]")
-    beaten = all(rates["example"].interval.low > rates[name].interval.high for name in ("zero", "random"))
-    print("The example's interval lies above both others." if beaten else "The intervals overlap.")
+    track = load_track("track_1")
+    content = {name: compared(track.tasks[name], arguments.starts) for name in arguments.task or FOLDERS}
     if arguments.json:
-        content = {name: result.model_dump() for name, result in rates.items()}
         arguments.json.write_text(json.dumps(content, indent=1) + "\n")
 
 
-def play(env: Any, starts: int, name: str) -> Rate:
-    """Success rate of one policy."""
-    successes = 0
-    for number in range(starts):
-        observation, _ = env.reset(options={"rng_seed": (SEED, number)})
-        successes += episode(env, observation, actor(name, number))
-    return rate(successes, starts)
+def compared(task: Task, starts: int) -> dict[str, Any]:
+    """Rates of all policies on both sets of starts, printed as they come."""
+    sets: dict[str, list[Mapping[str, object]]] = {
+        "random starts": [{"rng_seed": (SEED, number)} for number in range(starts)],
+        "public list": [episode.options for episode in task.episodes],
+    }
+    content: dict[str, Any] = {}
+    for where, options in sets.items():
+        print(f"{task.name}, {len(options)} starts: {where}")
+        results = {name: play(task, name, options, make) for name, make in actors(task).items()}
+        beaten = all(results["example"].interval.low > results[name].interval.high for name in ("zero", "random"))
+        print("  The example's interval lies above both others." if beaten else "  The intervals overlap.")
+        content[where] = {name: result.model_dump() for name, result in results.items()}
+    return content
 
 
-def actor(name: str, number: int) -> Act:
-    """What acts in one episode."""
-    if name == "example":
-        policy = Policy()
-        policy.reset("peg-insertion")
+def actors(task: Task) -> dict[str, MakeAct]:
+    """What acts in an episode, by name."""
+    size = len(task.actions)
+
+    def anything(number: int) -> Act:
+        random = np.random.default_rng([SEED, number])
+        return lambda _: random.uniform(-1, 1, size).astype(np.float32)
+
+    return {
+        "example": example(task.name),
+        "zero": lambda _: lambda _: np.zeros(size, dtype=np.float32),
+        "random": anything,
+    }
+
+
+def example(task: str) -> MakeAct:
+    """The task's example policy."""
+    policy = run_path(str(EXAMPLES / FOLDERS[task] / "Track_1" / "policy.py"))["Policy"]()
+
+    def begun(_: int) -> Act:
+        policy.reset(task)
         act: Act = policy.act
         return act
-    if name == "zero":
-        return lambda _: np.zeros(3, dtype=np.float32)
-    random = np.random.default_rng([SEED, number])
-    return lambda _: random.uniform(-1, 1, 3).astype(np.float32)
+
+    return begun
 
 
-def episode(env: Any, observation: dict[str, Any], act: Act) -> bool:
-    """Plays to the end; whether the peg went in."""
+def play(task: Task, name: str, starts: Iterable[Mapping[str, object]], make: MakeAct) -> Rate:
+    """Success rate of one policy, printed with the mean env steps of its successes."""
+    env = make_environment(task)
+    lengths = [episode(env, options, make(number)) for number, options in enumerate(starts)]
+    solved = [length for length in lengths if length]
+    result = rate(len(solved), len(lengths))
+    interval = f"[{result.interval.low:.1%}, {result.interval.high:.1%}]"
+    steps = f", {sum(solved) / len(solved):.2f} env steps" if solved else ""
+    print(f"  {name:8} {result.successes:3} {result.success_rate:6.1%}  {interval}{steps}", flush=True)
+    return result
+
+
+def episode(env: Any, options: Mapping[str, object], act: Act) -> int:
+    """Plays to the end; the env steps of a success, 0 for any other end."""
+    observation, _ = env.reset(options=options)
+    length = 0
     while True:
         observation, _, terminated, truncated, _ = env.step(act(observation))
+        length += 1
         if terminated or truncated:
-            return bool(terminated)
+            return length if terminated else 0
 
 
 if __name__ == "__main__":

@@ -25,7 +25,7 @@ def command(
     """Play recorded actions through the physics, all of them, also those after the end of an episode.
 
     For each env step it prints ours and, behind a stroke, what was recorded [mm]: movement of the gel surfaces (left,
-    right) and height of the peg's bottom vertices over the plate.
+    right), and height of the peg's bottom vertices over the plate, or of the key's teeth.
     """
     from vitac.envs.assets import assets_dir_from_environment
     from vitac.evaluator.episodes import make_environment
@@ -64,10 +64,13 @@ def _lines(recording: "Recording", played: "ReportedEpisode") -> Iterator[str]:
 
 
 def _step_line(ours: "ReportedStep", recorded: "ReportedStep") -> str:
-    return (
-        f"  step {ours.n:2}  surface {_numbers(ours.surface_diff_mm)} | {_numbers(recorded.surface_diff_mm)}"
-        f"  peg {_numbers(ours.peg_relative_z_mm)} | {_numbers(recorded.peg_relative_z_mm)}"
-    )
+    columns = {
+        "surface": (ours.surface_diff_mm, recorded.surface_diff_mm),
+        "peg": (ours.peg_relative_z_mm, recorded.peg_relative_z_mm),
+        "teeth": (ours.tooth_z_mm, recorded.tooth_z_mm),
+    }
+    shown = (f"  {name} {_numbers(a)} | {_numbers(b)}" for name, (a, b) in columns.items() if a or b)
+    return f"  step {ours.n:2}" + "".join(shown)
 
 
 def _numbers(values: tuple[float, ...] | None) -> str:

@@ -12,14 +12,19 @@ from .replay import Resimulated, resimulate
 from .strict_model import StrictModel
 
 _FLAGS = ("is_success", "tactile_movement_too_large", "error_too_large")
+_TEETH = ("key1_pts_m", "key2_pts_m")
 
 
 class ReportedStep(StrictModel):
-    """One env step, lengths in mm. Quantities that the task does not have are left out of the JSON."""
+    """One env step, lengths in mm. Quantities that the task does not have are left out of the JSON.
+
+    `tooth_z_mm` is the height of the lowest top corner of the rear and of the front measured tooth.
+    """
 
     n: int
     surface_diff_mm: tuple[float, ...] | None = None
     peg_relative_z_mm: tuple[float, ...] | None = None
+    tooth_z_mm: tuple[float, ...] | None = None
     is_success: bool | None = None
     tactile_movement_too_large: bool | None = None
     error_too_large: bool | None = None
@@ -66,6 +71,9 @@ def reported_step(number: int, info: dict[str, JsonValue]) -> ReportedStep:
     if "surface_diff_m" in info:
         metres: Any = info["surface_diff_m"]
         known["surface_diff_mm"] = tuple(1000 * value for value in metres)
+    if all(key in info for key in _TEETH):
+        teeth: Any = [info[key] for key in _TEETH]
+        known["tooth_z_mm"] = tuple(1000 * min(z for _, _, z in tooth) for tooth in teeth)
     return ReportedStep.model_validate({"n": number, **known})
 
 

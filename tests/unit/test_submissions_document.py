@@ -16,9 +16,13 @@ def manual(repository: Path) -> str:
     return (repository / "docs" / "submissions.md").read_text()
 
 
-@pytest.fixture(scope="module")
-def task() -> Task:
-    return load_track("track_1").tasks["peg-insertion"]
+TASKS = list(load_track("track_1").tasks.values())
+
+
+def section(manual: str, title: str) -> str:
+    found = re.search(rf"^## {title}\n(.*?)(?=^## )", manual, re.DOTALL | re.MULTILINE)
+    assert found is not None, title
+    return found[1]
 
 
 def block(manual: str, language: str) -> str:
@@ -37,13 +41,17 @@ def test_names_every_verdict_with_its_sentence(manual: str) -> None:
     assert shown == {str(code): code.sentence for code in VerdictCode}
 
 
+@pytest.mark.parametrize("task", TASKS, ids=lambda task: task.name)
 def test_shows_the_observations_of_the_track(manual: str, task: Task) -> None:
-    shown = set(re.findall(r"^\| `(\w+)` \| (\([\d, ]+\)) (\w+) \|", manual, re.MULTILINE))
+    own = section(manual, f"Track 1, {task.title.lower()}")
+    shown = set(re.findall(r"^\| `(\w+)` \| (\([\d, ]+\)) (\w+) \|", own, re.MULTILINE))
     assert shown == {(row.key, str(tuple(row.shape)), row.dtype) for row in task.observations}
 
 
+@pytest.mark.parametrize("task", TASKS, ids=lambda task: task.name)
 def test_shows_the_actions_of_the_track(manual: str, task: Task) -> None:
-    shown = re.findall(r"^\| (\w+) \| (\d+) (mm|degrees) \|", manual, re.MULTILINE)
+    own = section(manual, f"Track 1, {task.title.lower()}")
+    shown = re.findall(r"^\| (\w+) \| (\d+) (mm|degrees) \|", own, re.MULTILINE)
     units = {"degree": "degrees"}
     assert shown == [(row.name, f"{row.scale:g}", units.get(row.unit, row.unit)) for row in task.actions]
 

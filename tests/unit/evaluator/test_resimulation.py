@@ -1,6 +1,7 @@
 import json
 
 import numpy as np
+import pytest
 from evaluation_fakes import FakeEnvironment, small_track
 from vitac.evaluator.recordings import Recording
 from vitac.evaluator.resimulation import report, reported_step, resimulate_all
@@ -60,3 +61,11 @@ def test_step_turns_metres_into_millimetres_and_keeps_millimetres() -> None:
         "peg_relative_z_mm": (0.5, -0.25),
         "error_too_large": True,
     }
+
+
+def test_step_of_a_lock_holds_the_lowest_corner_of_each_tooth() -> None:
+    rear = [[0.03, 0.003, 0.0301], [0.03, -0.003, 0.0299]]
+    front = [[0.01, 0.003, 0.0310], [0.01, -0.003, 0.0312]]
+    info = {"key1_pts_m": rear, "key2_pts_m": front}
+    assert reported_step(1, info).tooth_z_mm == pytest.approx((29.9, 31.0))  # type: ignore[arg-type]
+    assert reported_step(1, {"key1_pts_m": rear}).tooth_z_mm is None  # type: ignore[dict-item]

@@ -1,4 +1,3 @@
-import importlib.util
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -6,17 +5,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
+from example_policies import flow, load
 from vitac.evaluator.submission import load_manifest
-
-
-def load(path: Path) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(f"example_{path.stem}", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 @pytest.fixture(scope="module")
@@ -27,17 +17,6 @@ def example(repository: Path) -> Path:
 @pytest.fixture(scope="module")
 def policy(example: Path) -> ModuleType:
     return load(example / "Track_1" / "policy.py")
-
-
-def flow(motion: NDArray[np.float64], noise: float = 0.0, seed: int = 0) -> NDArray[np.float32]:
-    """Markers of one sensor that move by an affine map [constant, along u, along v], shape [2, 128, 2]; 70 are seen."""
-    random = np.random.default_rng(seed)
-    place = random.uniform([10, 10], [310, 230], (70, 2))
-    columns = np.concatenate([np.ones((70, 1)), (place - [160, 125]) / 100], axis=1)
-    both = np.stack(
-        [place, place + columns @ motion + random.normal(0, noise, (70, 2)) if noise else place + columns @ motion]
-    )
-    return np.concatenate([both, np.repeat(both[:, -1:], 58, axis=1)], axis=1).astype(np.float32)
 
 
 def observation(seed: int = 0) -> dict[str, Any]:
