@@ -12,6 +12,8 @@ from typing import Any
 import httpx
 from vitac.envs.errors import VitacError
 
+from .upload_kind import UploadKind, content_type
+
 DEFAULT_SERVER = "http://127.0.0.1:8000"
 CHUNK_BYTES = 1 << 18
 TIMEOUT = httpx.Timeout(30.0, connect=10.0)
@@ -21,6 +23,9 @@ HINTS = {
     "forbidden": "This token may not do that; use one of the right team, or an organizer's.",
     "not_found": "Check the id (vitac status lists yours) and the token.",
     "unknown_track": "Check the track's name in submission.yaml and with --track.",
+    "log_rejected": "Make the log again with `vitac evaluate --log`, and upload one log at a time, unaltered.",
+    "log_impossible": "Run `vitac log verify` on the log; it tells the same at home.",
+    "log_team_mismatch": "Use the token of the team that the log names, or evaluate with --team.",
     "archive_rejected": "Run `vitac check` on the submission; it tells everything that would be refused.",
     "digest_mismatch": "The upload was damaged on its way; send it again.",
     "upload_truncated": "The upload broke off; send it again.",
@@ -88,15 +93,17 @@ class Client:
         archive: Path,
         *,
         track: str,
+        kind: UploadKind = UploadKind.MODEL,
         team: str | None = None,
         again: bool = False,
         on_bytes: Callable[[int], None],
     ) -> Json:
-        """Upload an archive; the server compares its SHA-256 with what arrived.
+        """Upload an archive or a log; the server compares its SHA-256 with what arrived.
 
         Args:
-            archive: the zip file.
+            archive: the file.
             track: name of the track.
+            kind: what the file is.
             team: for an organizer's token: the team that submits.
             again: run all episodes, also those that were evaluated before.
             on_bytes: told the number of bytes after each piece.
@@ -104,11 +111,15 @@ class Client:
         with archive.open("rb") as file:
             digest = hashlib.file_digest(file, "sha256").hexdigest()
         headers = {
-            "Content-Type": "application/zip",
+            "Content-Type": content_type(archive, kind),
             "Content-Length": str(archive.stat().st_size),
             "X-Content-SHA256": digest,
         }
-        params = {"track": track} | ({"team": team} if team else {}) | ({"again": "true"} if again else {})
+        params = (
+            {"track": track, "kind": kind.value}
+            | ({"team": team} if team else {})
+            | ({"again": "true"} if again else {})
+        )
         return self._json(
             "POST", "/api/v1/submissions", params=params, headers=headers, content=_pieces(archive, on_bytes)
         )

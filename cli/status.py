@@ -111,6 +111,8 @@ def show(found: Json) -> None:
         "queue": evaluation["queue_position"],
         "episodes": f"{done['episodes_done']} of {done['episodes_total']}, {done['episodes_reused']} from the store",
     }
+    if found["log"]:
+        pairs |= _log(found["log"])
     pairs |= _scores(found) if evaluation["scores"] else _progress_of_tasks(done)
     if found["missing_tasks"]:
         pairs["not played"] = f"{', '.join(found['missing_tasks'])} (counts as 0 in the ranking of all tasks)"
@@ -119,6 +121,20 @@ def show(found: Json) -> None:
     print_pairs(pairs)
     if evaluation["log_tail"]:
         print(f"\noutput of the policy, its last lines:\n{evaluation['log_tail']}")
+
+
+def _log(log: Json) -> dict[str, object]:
+    """Verdict and claims of a log."""
+    claimed = f"{percent(log['claimed_success_rate'])}, {log['claimed_successes']} of {log['claimed_episodes']}"
+    lines: dict[str, object] = {"kind": log["label"], "claimed": claimed}
+    if log["verdict"] is not None:
+        lines["log"] = f"{log['verdict']}: {log['reason']}"
+    if log["divergence"] is not None:
+        lines["state in the log"] = log["divergence"]["recorded_state"]
+        lines["re-simulated"] = log["divergence"]["resimulated_state"]
+    if log["problems"]:
+        lines["problems"] = f"{len(log['problems'])}, the first: {log['problems'][0]}"
+    return lines
 
 
 def _scores(found: Json) -> dict[str, object]:

@@ -1,4 +1,4 @@
-"""`vitac submit`: uploads a submission to a service."""
+"""`vitac submit`: uploads a model or a log to a service."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import typer
 from .client import client_from
 from .output import print_json
 from .packing import pack
+from .upload_kind import UploadKind, kind_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -22,10 +23,15 @@ DEFAULT_TRACK = "track_1"
 
 
 def command(
-    submission: Annotated[Path, typer.Argument(exists=True, help="A submission's folder or zip.")],
+    submission: Annotated[
+        Path, typer.Argument(exists=True, help="Folder or zip of a model, FILE.jsonl or FILE.log (.gz).")
+    ],
     track: Annotated[str, typer.Option(help="Track to submit to.")] = DEFAULT_TRACK,
     server: Annotated[str | None, typer.Option(help="Address of the service; default: VITAC_SERVER.")] = None,
     token_file: Annotated[Path | None, typer.Option(help="File with the API token; default: VITAC_TOKEN.")] = None,
+    kind: Annotated[
+        UploadKind | None, typer.Option(help="What the file is; by its name if not given: .jsonl log, .log text log.")
+    ] = None,
     team: Annotated[str | None, typer.Option(help="For organizers: the team that submits.")] = None,
     again: Annotated[bool, typer.Option("--again", help="Run all episodes, also those evaluated before.")] = False,
     watch: Annotated[bool, typer.Option("--watch", help="Stay and show the progress.")] = False,
@@ -33,12 +39,16 @@ def command(
 ) -> None:
     """Upload a submission and print its id and page.
 
-    A folder is packed first, always into the same bytes. Exit code 0: accepted (with --watch: completed), 1: refused,
-    2: wrong usage.
+    A folder is packed first, always into the same bytes. A log of `vitac evaluate --log` or of the 2025 challenge is
+    re-simulated from its actions and ranks apart from models.
+
+    Exit code 0: accepted (with --watch: completed), 1: refused, 2: wrong usage.
     """
     client = client_from(server, token_file)
     with packed(submission) as archive, upload_bar(archive.stat().st_size, shown=not as_json) as on_bytes:
-        answer = client.upload(archive, track=track, team=team, again=again, on_bytes=on_bytes)
+        answer = client.upload(
+            archive, track=track, kind=kind or kind_of(submission), team=team, again=again, on_bytes=on_bytes
+        )
     if as_json and not watch:
         print_json(answer)
     if not as_json:
@@ -51,7 +61,7 @@ def command(
 
 @contextmanager
 def packed(submission: Path) -> Iterator[Path]:
-    """Give the archive of a submission: a zip as it is, a folder packed into a temporary file."""
+    """Give the file to upload: a file as it is, a folder packed into a temporary zip."""
     if submission.is_file():
         yield submission
         return
@@ -82,6 +92,8 @@ def describe(client: Client, answer: Json) -> None:
     evaluation = answer["evaluation"]
     position = evaluation["queue_position"]
     print(f"submission  {answer['id']}")
+    if answer["log"]:
+        print(f"kind        {answer['log']['label']}")
     print(f"state       {evaluation['state']}" + (f", number {position} in the queue" if position else ""))
     print(f"tasks       {', '.join(answer['tasks'])}" + _missing(answer["missing_tasks"]))
     print(f"page        {client.server}/submissions/{answer['id']}")

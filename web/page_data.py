@@ -10,7 +10,14 @@ if TYPE_CHECKING:
     from uuid import UUID
 
     from vitac.server.auth.principals import Principal
-    from vitac.server.views import EpisodeView, LeaderboardView, SubmissionListView, SubmissionView
+    from vitac.server.views import (
+        AuditView,
+        EpisodeView,
+        LeaderboardView,
+        LogBoardsView,
+        SubmissionListView,
+        SubmissionView,
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,6 +67,9 @@ class PageData(Protocol):
     async def leaderboard(self, track: str, task: str | None) -> LeaderboardView:
         """Return the leaderboard of a track, or of one of its tasks."""
 
+    async def log_boards(self, track: str) -> LogBoardsView:
+        """Return the logs of a track, verified ones and those of 2025."""
+
     async def submission(self, visitor: Visitor, submission_id: UUID) -> SubmissionView:
         """Return one submission."""
 
@@ -69,8 +79,14 @@ class PageData(Protocol):
     async def episodes(self, visitor: Visitor, submission_id: UUID) -> Sequence[EpisodeView]:
         """Return how the finished episodes of a submission's newest evaluation ended."""
 
+    async def audits(self, visitor: Visitor, submission_id: UUID) -> Sequence[AuditView]:
+        """Return how far the team's models go along with a log; nothing for other submissions."""
+
     async def cancel(self, visitor: Visitor, submission_id: UUID) -> None:
         """Cancel the running or waiting evaluation of a submission."""
+
+    def log_size(self) -> str:
+        """Return how large a log may be, in words."""
 
     def limits(self) -> Sequence[LimitRow]:
         """Return the limits in force on this server."""

@@ -46,6 +46,7 @@ def _router() -> APIRouter:
     for path, page, method in (
         ("/", track_pages.home, "GET"),
         ("/tracks/{track}", track_pages.leaderboard, "GET"),
+        ("/tracks/{track}/logs", track_pages.logs, "GET"),
         ("/tracks/{track}/rules", track_pages.rules, "GET"),
         ("/submissions", submission_pages.submissions, "GET"),
         ("/submissions/{submission_id}", submission_pages.submission, "GET"),

@@ -39,6 +39,7 @@ def environment() -> Environment:
         short=short,
         across=across,
         prose=prose,
+        quantity=quantity,
     )
     return jinja
 
@@ -100,6 +101,17 @@ def duration(seconds: float | None) -> str:
 def words(name: str) -> str:
     """Write an identifier as words: `peg-insertion` and `not_converged` become `peg insertion` and `not converged`."""
     return name.replace("_", " ").replace("-", " ")
+
+
+def quantity(value: object) -> str:
+    """Write a value of an env step's info: numbers with four figures, lists with commas, a missing one as a dash."""
+    if value is None:
+        return "–"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, list | tuple):
+        return ", ".join(quantity(item) for item in value)
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def short(digest: str | None) -> str:

@@ -9,11 +9,11 @@ import asyncio
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
-from vitac.server import leaderboards, submissions
+from vitac.server import leaderboards, log_audits, log_boards, submissions
 from vitac.server.auth import tokens
 from vitac.server.errors import ProblemCode, ServiceError
 
-from .limits_table import limit_rows
+from .limits_table import limit_rows, size
 from .page_data import Visitor
 
 if TYPE_CHECKING:
@@ -24,7 +24,14 @@ if TYPE_CHECKING:
     from vitac.server.auth.principals import Principal
     from vitac.server.db.engine import Database
     from vitac.server.settings import Settings
-    from vitac.server.views import EpisodeView, LeaderboardView, SubmissionListView, SubmissionView
+    from vitac.server.views import (
+        AuditView,
+        EpisodeView,
+        LeaderboardView,
+        LogBoardsView,
+        SubmissionListView,
+        SubmissionView,
+    )
 
     from .page_data import LimitRow
 
@@ -50,6 +57,10 @@ class ServiceData:
         """Return the leaderboard of a track, or of one of its tasks."""
         return await self._ask(lambda session: leaderboards.leaderboard(session, track, task=task))
 
+    async def log_boards(self, track: str) -> LogBoardsView:
+        """Return the logs of a track."""
+        return await self._ask(lambda session: log_boards.log_boards(session, track))
+
     async def submission(self, visitor: Visitor, submission_id: UUID) -> SubmissionView:
         """Return one submission."""
         return await self._ask(
@@ -66,9 +77,17 @@ class ServiceData:
         """Return how the finished episodes ended."""
         return await self._ask(lambda session: submissions.episodes(session, visitor.principal, submission_id))
 
+    async def audits(self, visitor: Visitor, submission_id: UUID) -> Sequence[AuditView]:
+        """Return how far the team's models go along with a log."""
+        return await self._ask(lambda session: log_audits.audits(session, visitor.principal, submission_id))
+
     async def cancel(self, visitor: Visitor, submission_id: UUID) -> None:
         """Cancel an evaluation."""
         await self._ask(lambda session: submissions.cancel(session, visitor.principal, submission_id))
+
+    def log_size(self) -> str:
+        """Return how large a log may be."""
+        return size(self.settings.log_bytes)
 
     def limits(self) -> Sequence[LimitRow]:
         """Return the limits in force."""

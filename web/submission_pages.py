@@ -113,6 +113,8 @@ async def _values(request: Request, viewer: Viewer) -> dict[str, Any]:
         "active": found.evaluation.state not in TERMINAL_EVALUATION_STATES,
         "took": seconds_taken(found),
         "parts": [task_part(found, track, name, ends) for name in found.tasks],
+        "several": len(found.tasks) + len(found.missing_tasks) > 1,
+        "audits": await data.audits(viewer.visitor, submission_id),
         "missing": [track.tasks[name].title for name in found.missing_tasks],
     }
 

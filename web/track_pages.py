@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from starlette.exceptions import HTTPException
-from vitac.evaluator.tracks import UnknownTrack, load_track
+from vitac.evaluator.tracks import Accepted, UnknownTrack, load_track
 
 from .rendering import steps, words
 from .site import page, site_of, viewer_of
@@ -54,6 +54,21 @@ async def leaderboard(request: Request) -> Response:
     return await _leaderboard(request, request.path_params["track"])
 
 
+async def logs(request: Request) -> Response:
+    """Show the logs of a track: verified ones by task, and those of 2025 beside what they claim."""
+    track = _track(request.path_params["track"])
+    site = site_of(request)
+    return page(
+        request,
+        "logs.html",
+        viewer=await viewer_of(request),
+        section="/" if track.name == site.tracks[0] else "",
+        track=track,
+        tabs=tabs(track, None, logs=True),
+        found=await site.data.log_boards(track.name),
+    )
+
+
 async def rules(request: Request) -> Response:
     """Show the rules of a track, all read from its file and from the limits in force."""
     track = _track(request.path_params["track"])
@@ -64,19 +79,28 @@ async def rules(request: Request) -> Response:
         section=f"/tracks/{track.name}/rules",
         track=track,
         limits=site_of(request).data.limits(),
+        takes_logs=takes_logs(track),
+        log_size=site_of(request).data.log_size(),
     )
 
 
-def tabs(track: Track, task: str | None) -> tuple[Tab, ...]:
-    """Return the boards of a track: all tasks together, then each; none where there is but one."""
-    if len(track.tasks) == 1:
-        return ()
+def tabs(track: Track, task: str | None, *, logs: bool = False) -> tuple[Tab, ...]:
+    """Return the boards of a track: all tasks together, each task, and the logs; none where there is but one board."""
     address = f"/tracks/{track.name}"
-    own = (
+    whole = Tab(title="All tasks", target=address, current=task is None and not logs)
+    by_task = (
         Tab(title=definition.title, target=f"{address}?task={name}", current=name == task)
         for name, definition in track.tasks.items()
     )
-    return (Tab(title="All tasks", target=address, current=task is None), *own)
+    shown = [whole] if len(track.tasks) == 1 else [whole, *by_task]
+    if takes_logs(track):
+        shown.append(Tab(title="Logs", target=f"{address}/logs", current=logs))
+    return tuple(shown) if len(shown) > 1 else ()
+
+
+def takes_logs(track: Track) -> bool:
+    """Tell whether a track takes logs of any kind."""
+    return any(kind is not Accepted.MODEL for kind in track.accepts)
 
 
 def columns(track: Track, task: str | None) -> tuple[Column, ...]:

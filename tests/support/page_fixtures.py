@@ -4,9 +4,11 @@ import random
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
+from typing import Any
 from uuid import UUID, uuid5
 
 from fastapi import FastAPI
+from vitac.evaluator.log_findings import LogVerdict
 from vitac.evaluator.ranking import CombinedScore, combine
 from vitac.evaluator.scoring import Score, rate
 from vitac.evaluator.tracks import load_track
@@ -14,11 +16,17 @@ from vitac.server.auth.principals import Principal
 from vitac.server.db.states import EvaluationState, Role, SubmissionKind
 from vitac.server.errors import ProblemCode, ServiceError, not_found
 from vitac.server.views import (
+    AuditView,
+    DivergenceView,
     EpisodeView,
     EvaluationSummaryView,
     EvaluationView,
     LeaderboardEntryView,
     LeaderboardView,
+    LogBoardsView,
+    LogBoardView,
+    LogEntryView,
+    LogView,
     ProgressView,
     RankView,
     ShapeScoreView,
@@ -27,6 +35,7 @@ from vitac.server.views import (
     TaskProgressView,
     TaskScoreView,
     TeamView,
+    TextLogEntryView,
     VerdictView,
     WorkersView,
 )
@@ -36,6 +45,7 @@ from vitac.web.session import SessionSigner
 from vitac.web.site import Site
 
 NOW = datetime(2026, 11, 21, 3, 15, tzinfo=UTC)
+WITHIN_TOLERANCE = LogVerdict.WITHIN_TOLERANCE
 NAMESPACE = UUID("5ecf6a5e-8f3c-4b0e-9d5e-000000000000")
 TASK = "peg-insertion"
 LOCK = "lock-opening"
@@ -238,6 +248,104 @@ def some_episodes(task: str, count: int) -> list[EpisodeView]:
     ]
 
 
+def a_log(
+    state: EvaluationState, verdict: LogVerdict | None, *, kind: SubmissionKind = SubmissionKind.LOG, **changes: Any
+) -> SubmissionView:
+    """A log of the Gelbots; `changes` are those of its `LogView`."""
+    text_log = kind is SubmissionKind.TEXT_LOG
+    values: dict[str, Any] = {
+        "label": "2025 text log" if text_log else "actions verified, policy not seen",
+        "verdict": verdict,
+        "reason": None,
+        "divergence": None,
+        "claimed_episodes": 270,
+        "claimed_successes": 243,
+        "claimed_success_rate": 0.9,
+        "claimed_mean_steps": 4.5,
+        "claimed_result_hash": None if text_log else "9f3b" * 16,
+        "team_named": "Gelbots",
+        "submission_digest_named": None,
+        "made_on": None if text_log else "x86_64-linux",
+        "problems": [],
+    }
+    log = LogView(**(values | changes))
+    submission = a_submission("Gelbots", state, name=f"{log.label}, {verdict or state}")
+    scores = submission.evaluation.scores[:1]
+    return submission.model_copy(
+        update={
+            "kind": kind,
+            "log": log,
+            "tasks": [TASK],
+            "missing_tasks": [],
+            "evaluation": submission.evaluation.model_copy(update={"scores": scores}),
+        }
+    )
+
+
+DIVERGENCE = DivergenceView(
+    episode=31,
+    env_step=2,
+    recorded_state="ab" * 32,
+    recorded_info={"is_success": True, "surface_diff_m": None},
+    resimulated_state="cd" * 32,
+    resimulated_info={"is_success": False, "surface_diff_m": [0.0004321987, 0.0005]},
+)
+
+
+def some_log_boards() -> LogBoardsView:
+    """Two verified logs of the peg task, none of the lock's, and a 2025 text log."""
+    track = load_track("track_1")
+    entries = [a_log_entry(1, "Gelbots", 243, LogVerdict.VERIFIED), a_log_entry(2, "Bears", 40, WITHIN_TOLERANCE)]
+    return LogBoardsView(
+        track=track.name,
+        title=track.title,
+        label="actions verified, policy not seen",
+        ranking_rule="Higher success rate first.",
+        evaluator_version="1+0123456789ab",
+        generated_at=NOW,
+        boards=[
+            LogBoardView(task=name, title=task.title, entries=entries if name == TASK else [])
+            for name, task in track.tasks.items()
+        ],
+        text_logs=[
+            TextLogEntryView(
+                team="Touch",
+                task="lock-opening",
+                submission_id=an_id("text log"),
+                submission_name="2025 text log 0a1b2c3d",
+                submitted_at=NOW,
+                claimed_success_rate=0.9063,
+                claimed_mean_steps=6.34,
+                success_rate=0.85,
+                mean_steps=6.51,
+                problems=1,
+                evaluator_version="1+0123456789ab",
+            )
+        ],
+    )
+
+
+def a_log_entry(place: int, team: str, successes: int, verdict: LogVerdict) -> LogEntryView:
+    """A line of the logs' ranking."""
+    whole = rate(successes, 270)
+    return LogEntryView(
+        rank=place,
+        stale=False,
+        team=team,
+        submission_id=an_id(f"log of {team}"),
+        submission_name="log 0a1b2c3d",
+        verdict=verdict,
+        submitted_at=NOW,
+        episodes=270,
+        successes=successes,
+        success_rate=whole.success_rate,
+        success_rate_interval=(whole.interval.low, whole.interval.high),
+        mean_steps=4.5,
+        result_hash="9f3b" * 16,
+        evaluator_version="1+0123456789ab",
+    )
+
+
 def a_visitor(name: str, role: Role = Role.TEAM) -> Visitor:
     """Somebody with a token of a team (or of the organizers)."""
     team = name if role is Role.TEAM else None
@@ -254,6 +362,8 @@ class FixedData:
     task_boards: dict[str, LeaderboardView] = field(default_factory=dict)
     found: list[SubmissionView] = field(default_factory=list)
     next_before: UUID | None = None
+    logs: LogBoardsView = field(default_factory=some_log_boards)
+    audited: list[AuditView] = field(default_factory=list)
     cancelled: list[UUID] = field(default_factory=list)
 
     async def visitor_with_token(self, token: str) -> Visitor | None:
@@ -266,6 +376,9 @@ class FixedData:
         if task is not None and task not in TASKS:
             raise ServiceError(ProblemCode.UNKNOWN_TASK, f"There is no task {task!r}.")
         return self.board if task is None else self.task_boards.get(task, a_leaderboard(task=task))
+
+    async def log_boards(self, track: str) -> LogBoardsView:
+        return self.logs
 
     async def submission(self, visitor: Visitor, submission_id: UUID) -> SubmissionView:
         for submission in self.found:
@@ -281,11 +394,17 @@ class FixedData:
         progress = (await self.submission(visitor, submission_id)).evaluation.progress
         return [end for task in progress.tasks for end in some_episodes(task.task, task.episodes_done)]
 
+    async def audits(self, visitor: Visitor, submission_id: UUID) -> list[AuditView]:
+        return self.audited if (await self.submission(visitor, submission_id)).log else []
+
     async def cancel(self, visitor: Visitor, submission_id: UUID) -> None:
         submission = await self.submission(visitor, submission_id)
         if submission.evaluation.finished_at is not None:
             raise ServiceError(ProblemCode.NOT_CANCELLABLE, "The evaluation has ended.")
         self.cancelled.append(submission_id)
+
+    def log_size(self) -> str:
+        return "32 MiB"
 
     def limits(self) -> list[LimitRow]:
         return [LimitRow(title="Processes and threads", value="64")]

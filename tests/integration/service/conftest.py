@@ -14,7 +14,7 @@ from service_database import state_directory
 from service_factories import TASK, TRACK
 from short_evaluation import StartWorker
 from vitac.evaluator.archive import unpack
-from vitac.evaluator.evaluation import evaluate
+from vitac.evaluator.evaluation import Evaluation, evaluate
 from vitac.evaluator.tracks import load_track
 from vitac.server import evaluations
 from vitac.server.settings import load_settings
@@ -52,14 +52,19 @@ def start_worker(live: Service) -> Iterator[StartWorker]:
 
 
 @pytest.fixture(scope="session")
-def undisturbed_hash(tmp_path_factory: pytest.TempPathFactory) -> str:
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Evaluation:
     """What `vitac evaluate` gives for the same submission and episodes."""
     folder = tmp_path_factory.mktemp("submission")
     (folder / "archive.zip").write_bytes(HONEST)
     submission_dir = unpack(folder / "archive.zip", folder / "unpacked")
     track = load_track(TRACK)
-    result = evaluate(
+    return evaluate(
         submission_dir=submission_dir, track=track, task=track.tasks[TASK], episodes=short_evaluation.EPISODES
     )
-    assert result.result_hash is not None, result.failure
-    return result.result_hash
+
+
+@pytest.fixture(scope="session")
+def undisturbed_hash(undisturbed: Evaluation) -> str:
+    """The hash of that evaluation."""
+    assert undisturbed.result_hash is not None, undisturbed.failure
+    return undisturbed.result_hash

@@ -8,8 +8,11 @@ from typing import Any
 
 from honest_policy import HONEST
 from service_client import Service
-from service_factories import TRACK
+from service_factories import TRACK, make_record
 from short_evaluation import EPISODES, StartWorker
+from uploaded_logs import EPISODES as LISTED
+from uploaded_logs import a_log, upload_log
+from vitac.evaluator.evaluation import Evaluation
 from worker_fakes import eventually
 
 LIMIT_S = 240.0
@@ -125,3 +128,23 @@ def child_of(process: "subprocess.Popen[bytes]", module: str) -> int:
 
     eventually(look)
     return found[0]
+
+
+def test_kill_of_the_worker_in_the_middle_of_a_log_changes_nothing(
+    live: Service, start_worker: StartWorker, undisturbed: Evaluation
+) -> None:
+    """Only the short list is re-simulated; the other episodes, which a log must hold, are made up."""
+    played = {record.episode: record for record in undisturbed.records}
+    log = a_log([played.get(episode, make_record(episode)) for episode in LISTED], **dict(undisturbed.manifest))
+    answer = upload_log(live, log)
+    assert answer.status_code == 202, answer.text
+    submission = str(answer.json()["id"])
+    first = start_worker()
+    wait_for_episodes(live, submission, 2)
+    first.send_signal(signal.SIGKILL)
+    first.wait()
+    start_worker()
+    assert undisturbed.result_hash is not None
+    assert_same_result(live, submission, undisturbed.result_hash)
+    boards = live.get(f"/leaderboards/{TRACK}/logs").json()["boards"]
+    assert [entry["result_hash"] for entry in boards[0]["entries"]] == [undisturbed.result_hash]

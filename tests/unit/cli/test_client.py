@@ -44,7 +44,7 @@ def test_uploads_with_length_and_digest_and_tells_the_progress(tmp_path: Path) -
     told: list[int] = []
     assert client(answer).upload(archive, track="track_1", again=True, on_bytes=told.append) == {"id": "17"}
     assert got["body"] == archive.read_bytes()
-    assert got["url"] == "http://arena.test/api/v1/submissions?track=track_1&again=true"
+    assert got["url"] == "http://arena.test/api/v1/submissions?track=track_1&kind=model&again=true"
     headers = got["headers"]
     assert isinstance(headers, httpx.Headers)
     assert headers["content-length"] == "700000"

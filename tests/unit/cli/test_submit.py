@@ -3,7 +3,11 @@ from pathlib import Path
 
 import pytest
 from cli_service import CliService, submission_folder, zip_of
+from quick_worker import record_of
+from service_factories import TASK
+from uploaded_logs import EPISODES, a_log, a_text_log, packed
 from vitac.cli.client import RequestRefused, ServiceUnreachable
+from vitac.cli.upload_kind import kind_of
 from vitac.evaluator.submission import NoSubmission, submission_digest
 
 
@@ -96,3 +100,42 @@ def test_every_command_explains_itself(service: CliService, command: str) -> Non
     done = service.run(command, "--help")
     assert done.exit_code == 0
     assert "Usage" in done.stdout
+
+
+def test_submits_a_log_and_shows_its_verdict(service: CliService, tmp_path: Path) -> None:
+    log = tmp_path / "mine.jsonl.gz"
+    log.write_bytes(packed(a_log([record_of(episode, task=TASK) for episode in EPISODES])))
+    with service.playing():
+        done = service.run("submit", str(log), "--watch")
+    assert done.exit_code == 0, done.output
+    for shown in ("actions verified, policy not seen", "verified: all states are equal", "66.7 %, 180 of 270"):
+        assert shown in done.stdout
+    listed = json.loads(service.run("status", "--json").stdout)
+    assert [(item["kind"], item["log"]["verdict"]) for item in listed] == [("log", "verified")]
+
+
+def test_submits_a_text_log_and_shows_both_rates(service: CliService, tmp_path: Path) -> None:
+    log = tmp_path / "mine.log"
+    log.write_bytes(a_text_log())
+    with service.playing():
+        done = service.run("submit", str(log), "--watch")
+    assert done.exit_code == 0, done.output
+    for shown in ("2025 text log", "4.8 %, 13 of 270", "66.7 %", "problems"):
+        assert shown in done.stdout
+
+
+def test_a_refused_log_tells_line_and_hint(service: CliService, tmp_path: Path) -> None:
+    log = tmp_path / "mine.jsonl"
+    log.write_bytes(a_log()[:-500])
+    refused = service.run("submit", str(log))
+    for shown in ("log_rejected", "Line 271", "vitac evaluate --log"):
+        assert shown in str(refused.exception)
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [("a.zip", "model"), ("a", "model"), ("a.jsonl", "log"), ("a.JSONL.gz", "log"), ("a.log", "text_log"),
+     ("a.log.gz", "text_log"), ("a.txt", "text_log"), ("a.gz", "model")],
+)  # fmt: skip
+def test_a_file_is_told_by_its_name(tmp_path: Path, name: str, kind: str) -> None:
+    assert kind_of(tmp_path / name) == kind

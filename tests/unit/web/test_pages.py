@@ -5,12 +5,14 @@ import psycopg
 import pytest
 from asgi_browser import AsgiBrowser
 from page_fixtures import (
+    DIVERGENCE,
     LOCK,
     NOW,
     SIGNER,
     TASK,
     FixedData,
     a_leaderboard,
+    a_log,
     a_score,
     a_submission,
     a_visitor,
@@ -19,8 +21,9 @@ from page_fixtures import (
     an_id,
 )
 from sqlalchemy.exc import OperationalError
-from vitac.server.db.states import EvaluationState, Role
-from vitac.server.views import LeaderboardView, VerdictView
+from vitac.evaluator.log_findings import LogVerdict
+from vitac.server.db.states import EvaluationState, Role, SubmissionKind
+from vitac.server.views import AuditedEpisodeView, AuditView, LeaderboardView, SubmissionView, VerdictView
 from vitac.web import session
 from vitac.web.headers import HEADERS
 
@@ -495,3 +498,74 @@ def test_wrong_method_is_a_page(browser: AsgiBrowser) -> None:
     answer = browser.post("/tracks/track_1")
     assert answer.status_code == 405
     assert "GET" in answer.headers["allow"]
+
+
+# ---- logs ----
+
+VERIFIED = a_log(EvaluationState.COMPLETED, LogVerdict.VERIFIED, reason="all states are equal")
+DIVERGED = a_log(EvaluationState.FAILED, LogVerdict.DIVERGED, divergence=DIVERGENCE)
+TEXT_LOG = a_log(
+    EvaluationState.COMPLETED,
+    None,
+    kind=SubmissionKind.TEXT_LOG,
+    problems=["test 3: <b>step 2</b> lacks an offset"] * 30,
+)
+
+
+def page_of(data: FixedData, browser: AsgiBrowser, submission: SubmissionView) -> str:
+    data.found = [submission]
+    sign_in(browser, "Gelbots")
+    return browser.get(f"/submissions/{submission.id}").text.replace("\N{NO-BREAK SPACE}", " ")
+
+
+def test_logs_of_a_track_rank_apart_and_text_logs_stand_beside_their_claims(browser: AsgiBrowser) -> None:
+    html = browser.get("/tracks/track_1/logs").text.replace("\N{NO-BREAK SPACE}", " ")
+    for shown in ("actions verified, policy not seen", "90.0 %", "verified within tolerance", "243 of 270"):
+        assert shown in html
+    assert "No verified log of this task yet" in html
+    for shown in ("does not reproduce itself", "90.6 %", "85.0 %", "lock opening", "not ranked"):
+        assert shown in html
+    assert 'href="/tracks/track_1/logs" aria-current="page"' in html
+
+
+def test_leaderboard_leads_to_the_logs(browser: AsgiBrowser) -> None:
+    assert '<a href="/tracks/track_1/logs">Logs</a>' in browser.get("/").text
+
+
+def test_rules_say_what_a_log_is_worth(browser: AsgiBrowser) -> None:
+    html = browser.get("/tracks/track_1/rules").text
+    assert "not that a policy chose them" in html
+    assert "at most 32 MiB" in html
+
+
+def test_verified_log_says_what_that_proves(data: FixedData, browser: AsgiBrowser) -> None:
+    html = page_of(data, browser, VERIFIED)
+    for shown in ("Verified:", "all states are equal", "not that a policy chose them", "Nobody knows yet"):
+        assert shown in html
+    assert "Isolation" not in html
+
+
+def test_models_that_give_the_actions_of_a_log_are_named(data: FixedData, browser: AsgiBrowser) -> None:
+    other = AuditedEpisodeView(episode=5, actions=3, reproduced=1, first_other=2)
+    data.audited = [
+        AuditView(
+            submission_id=an_id("model"), submission_name="my model", evaluated_at=NOW, actions=810, reproduced=808,
+            episodes=270, episodes_reproduced=269, others=[other],
+        )
+    ]  # fmt: skip
+    html = page_of(data, browser, VERIFIED)
+    for shown in ("my model", "808 of 810", "269 of 270", "episode 5, env step 2"):
+        assert shown in html
+
+
+def test_diverged_log_shows_both_states(data: FixedData, browser: AsgiBrowser) -> None:
+    html = page_of(data, browser, DIVERGED)
+    for shown in ("Episode 31, env step 2", "ab" * 6, "cd" * 6, "surface_diff_m", "0.0004322, 0.0005"):
+        assert shown in html
+
+
+def test_text_log_says_why_it_cannot_be_verified(data: FixedData, browser: AsgiBrowser) -> None:
+    html = page_of(data, browser, TEXT_LOG)
+    for shown in ("cannot be verified", "6 to 12 of 100", "90.0 %", "and 10 more"):
+        assert shown in html
+    assert "<b>step 2</b>" not in html

@@ -91,3 +91,19 @@ def test_templates_hold_no_inline_script_or_style() -> None:
         assert "<style" not in html
         assert " onclick=" not in html
         assert "<script>" not in html
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (None, "–"),
+        (True, "yes"),
+        (False, "no"),
+        (3, "3"),
+        (0.000432198, "0.0004322"),
+        ([1.0, [2.5]], "1, 2.5"),
+        ("x", "x"),
+    ],
+)
+def test_writes_a_value_of_an_info_with_four_figures(value: object, text: str) -> None:
+    assert rendering.quantity(value) == text
