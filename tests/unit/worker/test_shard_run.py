@@ -1,3 +1,4 @@
+import hashlib
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -21,7 +22,7 @@ from vitac.evaluator.shard_process import ShardProcessFailed
 from vitac.server import submissions
 from vitac.server.auth.principals import Principal
 from vitac.server.db.models import EpisodeResult, Shard, Submission
-from vitac.server.db.states import EvaluationState, Role, ShardState
+from vitac.server.db.states import EvaluationState, Role, ShardState, SubmissionKind
 from vitac.server.queue.leases import Lease
 from vitac.server.services import Services
 from vitac.worker.shard_run import RunEnd, ShardRun
@@ -77,7 +78,12 @@ def test_shard_is_run_from_the_unpacked_submission_and_ended(
 ) -> None:
     shards = FakeShards()
     seen = []
-    shards.gate = lambda number: seen.append((shards.started[0].order.submission_dir / "policy.py").is_file())
+
+    def gate(number: int) -> None:
+        folder = shards.started[0].order.submission_dir
+        seen.append(folder is not None and (folder / "policy.py").is_file())
+
+    shards.gate = gate
     assert ShardRun(services, stage, lease, shards).run() is RunEnd.FINISHED
     assert seen == [True] * 30
     assert stored_numbers(services) == list(range(1, 31))
@@ -118,6 +124,27 @@ def test_shard_whose_episodes_are_all_stored_starts_no_process(
     shards = FakeShards()
     assert ShardRun(services, stage, lease, shards).run() is RunEnd.FINISHED
     assert shards.started == []
+
+
+@pytest.mark.parametrize("kind", [SubmissionKind.LOG, SubmissionKind.TEXT_LOG])
+def test_shard_of_a_log_gets_its_file_and_the_episodes_that_are_stored(
+    services: Services, stage: SubmissionStage, lease: Lease, kind: SubmissionKind, archive_sha256: str
+) -> None:
+    store(services.database, lease, [make_record(3)])
+    shards = FakeShards()
+    seen: list[bytes | None] = []
+
+    def gate(number: int) -> None:
+        order = shards.started[0].order
+        file = order.log if kind is SubmissionKind.LOG else order.text_log
+        seen.append(file and file.read_bytes())
+
+    shards.gate = gate
+    assert ShardRun(services, stage, replace(lease, kind=kind), shards).run() is RunEnd.FINISHED
+    order = shards.started[0].order
+    assert (order.submission_dir, order.skip) == (None, (3,))
+    assert {hashlib.sha256(content or b"").hexdigest() for content in seen} == {archive_sha256}
+    assert stored_numbers(services) == list(range(1, 31))
 
 
 def test_policy_that_breaks_a_shard_fails_the_evaluation(
