@@ -9,7 +9,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from shlex import quote
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Annotated, Literal, cast
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 import typer
 from vitac.envs.errors import VitacError
@@ -173,12 +173,12 @@ def _listed(task: "Task", episode: "Episode") -> Start:
     return Start(env_id=task.env_id, title=title, options=episode.options, listed=(task, episode))
 
 
-def _environment(env_id: str, assets: Path | None) -> "TactileTaskEnv":
+def _environment(env_id: str, assets: Path | None) -> "TactileTaskEnv[Any, Any]":
     import gymnasium
     from vitac.envs.assets import assets_dir_from_environment
 
     env = gymnasium.make(env_id, disable_env_checker=True, assets_dir=assets or assets_dir_from_environment())
-    return cast("TactileTaskEnv", env.unwrapped)
+    return cast("TactileTaskEnv[Any, Any]", env.unwrapped)
 
 
 @contextmanager

@@ -7,14 +7,17 @@ from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any, ClassVar, cast
+from pathlib import Path
+from typing import Any, ClassVar, Generic, Protocol, TypeVar, cast
 
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
+from .assets import Meshes, mesh_hash
 from .errors import VitacError
 from .fem import SOLVER_VERSION
+from .fem.mesh import SurfaceMesh
 from .grasped_scene import Clocks, GraspedScene
 from .settings import nearest
 from .stopwatch import Stopwatch
@@ -68,11 +71,32 @@ class Verdict:
     info: Info
 
 
-class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
+class TaskScene(Protocol):
+    """A task's parts between the gels, and the motions of the gripper that the task knows."""
+
+    grasped: GraspedScene
+
+    def grasp(self) -> None:
+        """Close on the held part, take the references, and go to where the first env step starts."""
+
+
+SceneT = TypeVar("SceneT", bound=TaskScene)
+SettingsT = TypeVar("SettingsT")
+
+
+class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[SceneT, SettingsT]):
     """Base of the tactile tasks.
 
     `step` goes on after an end, so that recorded actions can be played past it. Counters and clocks are sums over all
     episodes.
+
+    Args:
+        settings: what the task leaves open.
+        privileged: add the privileged entries to the observation.
+        assets_dir: folder with the challenge's own meshes, or None.
+
+    Attributes:
+        settings: as given.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": []}  # type: ignore[misc]
@@ -81,20 +105,30 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     action_names: ClassVar[tuple[str, ...]]
     # Options of `reset` beside `rng_seed`.
     option_names: ClassVar[tuple[str, ...]]
+    # Length of `relative_motion`, and shapes of the privileged entries by name, in the order of the observation.
+    motion_size: ClassVar[int]
+    privileged_shapes: ClassVar[Mapping[str, tuple[int, ...]]]
 
     solver_version = SOLVER_VERSION
 
-    def __init__(self) -> None:
+    def __init__(self, *, settings: SettingsT, privileged: bool, assets_dir: str | Path | None) -> None:
+        self.settings = settings
+        self._privileged = privileged
+        self._meshes = Meshes(assets_dir)
         self._clocks = Clocks(physics=Stopwatch(), markers=Stopwatch())
-        self._scene: GraspedScene | None = None
+        self._scene: SceneT | None = None
+        self._env_steps = 0
+        self._error_before = 0.0
         self._earlier_ipc_steps = 0
         self._episode_random: np.random.Generator | None = None
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (len(self.action_names),), np.float32)
+        shapes = {**(self.privileged_shapes if privileged else {}), "relative_motion": (self.motion_size,)}
+        self.observation_space = _observation_space(shapes | {"marker_flow": (2, 2, MARKER_COUNT, 2)})
 
     @property
     def ipc_steps(self) -> int:
         """IPC steps solved so far."""
-        return self._earlier_ipc_steps + (0 if self._scene is None else self._scene.ipc_steps)
+        return self._earlier_ipc_steps + (0 if self._scene is None else self._scene.grasped.ipc_steps)
 
     @property
     def physics_cpu_s(self) -> float:
@@ -107,15 +141,24 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         return self._clocks.markers.elapsed_s
 
     @property
-    def scene(self) -> GraspedScene:
-        """The scene of the running episode."""
+    def task_scene(self) -> SceneT:
+        """The task's scene of the running episode."""
         if self._scene is None:
             raise NotReset(f"{self.env_id} has no scene yet; call reset first.")
         return self._scene
 
+    @property
+    def scene(self) -> GraspedScene:
+        """The scene of the running episode, as every task has it."""
+        return self.task_scene.grasped
+
     def state_hash(self) -> str:
         """SHA-256 [hex] of the physical state after the last reset or env step."""
         return self.scene.state_hash()
+
+    def mesh_hash(self) -> str:
+        """SHA-256 [hex] of the meshes, materials and settings in use."""
+        return mesh_hash(self._meshes.gel(), self._solids(), self.settings)
 
     def reset(self, *, seed: int | None = None, options: Mapping[str, Any] | None = None) -> tuple[Observation, Info]:
         """Start an episode; see the class for the options.
@@ -128,10 +171,11 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._refuse_unknown(chosen)
         self._episode_random = self._generator(chosen.pop(RNG_SEED, None))
         self._earlier_ipc_steps = self.ipc_steps
-        self._scene = self._start(chosen, self._episode_random)
-        info = self._reset_info()
-        end_reason = None if self._scene.solved else EndReason.NOT_CONVERGED
-        return self._observation(), self._completed(info, end_reason)
+        self._scene, self._env_steps = self._start(chosen, self._episode_random), 0
+        self._scene.grasp()
+        self._error_before = self._error()
+        end_reason = None if self.scene.solved else EndReason.NOT_CONVERGED
+        return self._observation(), self._completed(self._reset_info(), end_reason)
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, Info]:
         """Play one env step.
@@ -140,8 +184,11 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             ActionError: the action has another shape than the action space or is not finite.
         """
         command = self._checked(action)
+        self._env_steps += 1
         self._move(command)
-        verdict = self._judge()
+        error_now = self._error()
+        verdict = self._judge(self._error_before - error_now)
+        self._error_before = error_now
         end_reason = self._end_reason(verdict)
         succeeded = end_reason is EndReason.SUCCESS
         truncated = not self.scene.solved or verdict.failure is not None
@@ -149,12 +196,16 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         return self._observation(), verdict.reward, succeeded, truncated, info
 
     @abstractmethod
-    def mesh_hash(self) -> str:
-        """SHA-256 [hex] of the meshes, materials and settings in use."""
+    def _solids(self) -> list[SurfaceMesh]:
+        """All rigid parts that an episode may have, in a fixed order."""
 
     @abstractmethod
-    def _start(self, options: dict[str, Any], random: np.random.Generator) -> GraspedScene:
-        """Build the scene of a new episode, grasp, and capture the references."""
+    def _start(self, options: dict[str, Any], random: np.random.Generator) -> SceneT:
+        """Build the scene of a new episode, with the gripper still open."""
+
+    @abstractmethod
+    def _error(self) -> float:
+        """How far the episode is from its goal, the error e of the reward."""
 
     @abstractmethod
     def _reset_info(self) -> Info:
@@ -162,20 +213,26 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     @abstractmethod
     def _move(self, command: FloatArray) -> None:
-        """Enter an action, values as given, in the books and drive the gripper there."""
+        """Drive the gripper as an action says, values as given, and enter it in the books."""
 
     @abstractmethod
-    def _judge(self) -> Verdict:
-        """Judge the env step that was just played."""
+    def _judge(self, progress: float) -> Verdict:
+        """Judge the env step that was just played, which has brought the error down by `progress`."""
 
     @abstractmethod
-    def _task_observation(self) -> Observation:
-        """Observation entries other than the marker flow, in the order of the observation space."""
+    def _relative_motion(self) -> FloatArray:
+        """Motion of the gripper since the reset, shape [motion_size]."""
+
+    @abstractmethod
+    def _privileged_observation(self) -> Mapping[str, FloatArray]:
+        """The truth that only training sees."""
 
     def _observation(self) -> Observation:
         assert self._episode_random is not None  # noqa: S101 - set by reset
+        own = self._privileged_observation() if self._privileged else {}
+        known = {**own, "relative_motion": self._relative_motion()}
         flow = self.scene.marker_flow(self._episode_random)
-        return self._task_observation() | {"marker_flow": flow}
+        return {key: value.astype(np.float32) for key, value in known.items()} | {"marker_flow": flow}
 
     def _completed(self, info: Info, end_reason: EndReason | None) -> Info:
         return info | {
@@ -220,13 +277,8 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         return command
 
 
-def full_range(*shape: int) -> gymnasium.spaces.Box:
-    """Space of all finite float32 arrays of a shape."""
+def _observation_space(shapes: Mapping[str, tuple[int, ...]]) -> "gymnasium.Space[Observation]":
+    """All finite float32 arrays of these shapes."""
     largest = np.finfo(np.float32).max
-    return gymnasium.spaces.Box(-largest, largest, shape, np.float32)
-
-
-def observation_space(own: Mapping[str, gymnasium.spaces.Box]) -> "gymnasium.Space[Observation]":
-    """A task's own entries and `marker_flow`: [sensor left, right][reference, current][marker][u, v] in pixels."""
-    flow = full_range(2, 2, MARKER_COUNT, 2)
-    return cast("gymnasium.Space[Observation]", gymnasium.spaces.Dict({**own, "marker_flow": flow}))
+    boxes = [(key, gymnasium.spaces.Box(-largest, largest, shape, np.float32)) for key, shape in shapes.items()]
+    return cast("gymnasium.Space[Observation]", gymnasium.spaces.Dict(boxes))

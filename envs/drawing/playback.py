@@ -82,7 +82,7 @@ class Playback:
 
 
 def record(
-    env: TactileTaskEnv, *, options: Mapping[str, Any], next_action: NextAction, pace: Pace = Pace.ENV_STEP
+    env: TactileTaskEnv[Any, Any], *, options: Mapping[str, Any], next_action: NextAction, pace: Pace = Pace.ENV_STEP
 ) -> Playback:
     """Play an episode until it ends or no action comes, and keep it.
 
@@ -126,7 +126,7 @@ def _moment(scene: GraspedScene, env_step: int, observation: Observation, info: 
     )
 
 
-def _playback(env: TactileTaskEnv, moments: tuple[Moment, ...]) -> Playback:
+def _playback(env: TactileTaskEnv[Any, Any], moments: tuple[Moment, ...]) -> Playback:
     scene = env.scene
     fixed = scene.fixed
     return Playback(

@@ -1,24 +1,15 @@
 """`ViTac/LockOpening-v1`: align a key in its lock and lift it, holding it between two tactile sensors."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 
-from ..assets import Meshes, mesh_hash
+from ..fem.mesh import SurfaceMesh
 from ..geometry.keys import KeyShape
-from ..grasped_scene import GraspedScene
 from ..settings import settings_from
-from ..task_env import (
-    FloatArray,
-    Info,
-    NotReset,
-    Observation,
-    TactileTaskEnv,
-    Verdict,
-    full_range,
-    observation_space,
-)
+from ..task_env import FloatArray, Info, TactileTaskEnv, Verdict
 from .scene import SENSOR_X_MM, LockScene
 from .settings import LockOpeningSettings
 from .task import CEILING_Z_M, LockState, alignment_error, judge_flags, reward
@@ -29,7 +20,7 @@ _RECORDED_GRASP_X_MM = 49.5
 _POINT_SCALE_PER_M = 200.0
 
 
-class LockOpeningEnv(TactileTaskEnv):
+class LockOpeningEnv(TactileTaskEnv[LockScene, LockOpeningSettings]):
     """Pull a key outwards until its teeth stand below the slots of its lock, then lift it, by touch alone.
 
     The key starts up to 6.5 mm too deep in its lock, and the sensors grip its handle up to 2 mm off along the key and
@@ -75,54 +66,45 @@ class LockOpeningEnv(TactileTaskEnv):
     env_id: ClassVar[str] = ENV_ID
     action_names: ClassVar[tuple[str, ...]] = ("in_mm", "down_mm")
     option_names: ClassVar[tuple[str, ...]] = (SHAPE, OFFSET, JITTER)
+    motion_size: ClassVar[int] = 3
+    privileged_shapes: ClassVar[Mapping[str, tuple[int, ...]]] = {
+        **dict.fromkeys(("key_side_pts", "lock1_pts", "lock2_pts", "lock_side_pts"), (4, 3)),
+        **dict.fromkeys(("key1", "key2"), (3,)),
+    }
 
     def __init__(self, *, privileged: bool = False, assets_dir: str | Path | None = None, **overrides: Any) -> None:
-        super().__init__()
-        self._privileged = privileged
-        self._meshes = Meshes(assets_dir)
-        self._settings = settings_from(LockOpeningSettings, overrides)
-        self._lock_scene: LockScene | None = None
-        self._env_steps = 0
+        settings = settings_from(LockOpeningSettings, overrides)
+        super().__init__(settings=settings, privileged=privileged, assets_dir=assets_dir)
         self._shape = KeyShape.KEY1
-        self._error_before = 0.0
-        points = dict.fromkeys(("key_side_pts", "lock1_pts", "lock2_pts", "lock_side_pts"), full_range(4, 3))
-        own = points | dict.fromkeys(("key1", "key2"), full_range(3)) if privileged else {}
-        self.observation_space = observation_space(own | {"relative_motion": full_range(3)})
 
-    def mesh_hash(self) -> str:
-        """SHA-256 [hex] of the gel, all keys and locks, and the settings."""
-        solids = [solid for shape in KeyShape for solid in (self._meshes.key(shape), self._meshes.lock(shape))]
-        return mesh_hash(self._meshes.gel(), solids, self._settings)
+    def _solids(self) -> list[SurfaceMesh]:
+        return [solid for shape in KeyShape for solid in (self._meshes.key(shape), self._meshes.lock(shape))]
 
-    def _start(self, options: dict[str, Any], random: np.random.Generator) -> GraspedScene:
-        settings = self._settings
+    def _start(self, options: dict[str, Any], random: np.random.Generator) -> LockScene:
+        settings = self.settings
         start = choose_start(options, random, x_mm=settings.random_x_mm, jitter_mm=settings.jitter_mm)
         self._shape = start.shape
-        self._env_steps = 0
-        self._lock_scene = LockScene(start=start, meshes=self._meshes, settings=settings, clocks=self._clocks)
-        self._lock_scene.grasp()
-        self._error_before = alignment_error(self._lock_scene.state(0))
-        return self._lock_scene.grasped
+        return LockScene(start=start, meshes=self._meshes, settings=settings, clocks=self._clocks)
+
+    def _error(self) -> float:
+        return alignment_error(self._state())
 
     def _move(self, command: FloatArray) -> None:
-        inwards_mm, down_mm = (np.clip(command, -1.0, 1.0) * np.array(self._settings.action_scale_mm)).tolist()
-        self._env_steps += 1
-        self._held().travel(-inwards_mm, -down_mm)
+        inwards_mm, down_mm = (np.clip(command, -1.0, 1.0) * np.array(self.settings.action_scale_mm)).tolist()
+        self.task_scene.travel(-inwards_mm, -down_mm)
 
-    def _judge(self) -> Verdict:
-        settings = self._settings
-        state = self._held().state(self._env_steps)
+    def _judge(self, progress: float) -> Verdict:
+        settings = self.settings
+        state = self._state()
         flags = judge_flags(state, max_steps=settings.max_steps)
-        error_now = alignment_error(state)
         gained = reward(
             flags,
             state.surface_diff_m,
-            progress=self._error_before - error_now,
+            progress=progress,
             step_penalty=settings.step_penalty,
             final_reward=settings.final_reward,
             failure_penalty=settings.failure_penalty,
         )
-        self._error_before = error_now
         success = flags.is_success and self.scene.solved
         info = self._info(
             state,
@@ -133,8 +115,10 @@ class LockOpeningEnv(TactileTaskEnv):
         return Verdict(success=success, failure=flags.failure, reward=gained, info=info)
 
     def _reset_info(self) -> Info:
-        state = self._held().state(self._env_steps)
-        return self._info(state, tactile_movement_too_large=False, error_too_large=False, is_success=False)
+        return self._info(self._state(), tactile_movement_too_large=False, error_too_large=False, is_success=False)
+
+    def _state(self) -> LockState:
+        return self.task_scene.state(self._env_steps)
 
     def _info(
         self, state: LockState, *, tactile_movement_too_large: bool, error_too_large: bool, is_success: bool
@@ -143,7 +127,7 @@ class LockOpeningEnv(TactileTaskEnv):
             "steps": state.env_steps,
             "key1_pts_m": state.rear_tooth_m,
             "key2_pts_m": state.front_tooth_m,
-            "key_side_pts_m": self._held().tip_m(),
+            "key_side_pts_m": self.task_scene.tip_m(),
             "lock1_pts_m": state.rear_slot_m,
             "lock2_pts_m": state.front_slot_m,
             "lock_side_pts_m": state.entrance_m,
@@ -154,22 +138,16 @@ class LockOpeningEnv(TactileTaskEnv):
             "is_success": is_success,
         }
 
-    def _task_observation(self) -> Observation:
-        observation = self._privileged_observation() if self._privileged else {}
-        return observation | {"relative_motion": self._relative_motion().astype(np.float32)}
-
-    def _privileged_observation(self) -> Observation:
-        held = self._held()
-        state = held.state(self._env_steps)
-        values = {
-            "key_side_pts": held.tip_m(),
+    def _privileged_observation(self) -> Mapping[str, FloatArray]:
+        state = self._state()
+        return {
+            "key_side_pts": self.task_scene.tip_m(),
             "lock1_pts": state.rear_slot_m,
             "lock2_pts": state.front_slot_m,
             "lock_side_pts": state.entrance_m,
             "key1": _tooth_from_slot(state.rear_tooth_m, state.rear_slot_m),
             "key2": _tooth_from_slot(state.front_tooth_m, state.front_slot_m),
         }
-        return {key: value.astype(np.float32) for key, value in values.items()}
 
     def _relative_motion(self) -> FloatArray:
         """Motion of the gripper's centre since the reset [mm], shape [3].
@@ -177,15 +155,10 @@ class LockOpeningEnv(TactileTaskEnv):
         The 2025 code measures from a wrong grasp centre after the first env step, so that x jumps by 20.5, 25.5, 20.5
         or 30.5 mm and gives the key away (challenge-facts 14.2); only `reference_quirks` does so here.
         """
-        motion_mm = self._held().relative_motion_mm()
-        if self._settings.reference_quirks and self._env_steps > 0:
+        motion_mm = self.task_scene.relative_motion_mm()
+        if self.settings.reference_quirks and self._env_steps > 0:
             motion_mm[0] += SENSOR_X_MM[self._shape] - _RECORDED_GRASP_X_MM
         return motion_mm
-
-    def _held(self) -> LockScene:
-        if self._lock_scene is None:
-            raise NotReset(f"{self.env_id} has no scene yet; call reset first.")
-        return self._lock_scene
 
 
 def _tooth_from_slot(tooth_m: FloatArray, slot_m: FloatArray) -> FloatArray:

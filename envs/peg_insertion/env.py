@@ -1,33 +1,24 @@
 """`ViTac/PegInsertion-v1`: insert a peg that is held between two tactile sensors."""
 
+from collections.abc import Mapping
 from math import radians
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 
-from ..assets import Meshes, mesh_hash
 from ..deterministic_math import sine_cosine
+from ..fem.mesh import SurfaceMesh
 from ..geometry.pegs import PegShape
-from ..grasped_scene import GraspedScene
 from ..settings import settings_from
-from ..task_env import (
-    FloatArray,
-    Info,
-    NotReset,
-    Observation,
-    TactileTaskEnv,
-    Verdict,
-    full_range,
-    observation_space,
-)
+from ..task_env import FloatArray, Info, TactileTaskEnv, Verdict
 from .scene import PegScene
 from .settings import PegInsertionSettings
 from .task import PegState, judge_flags, reward
 from .variation import ENV_ID, OFFSET, SHAPE, PegOffset, choose_start
 
 
-class PegInsertionEnv(TactileTaskEnv):
+class PegInsertionEnv(TactileTaskEnv[PegScene, PegInsertionSettings]):
     """Insert a peg into the hole of a plate, by touch alone.
 
     The peg hangs between two gels, displaced from its hole by a few millimetres and degrees that the policy is not
@@ -70,43 +61,34 @@ class PegInsertionEnv(TactileTaskEnv):
     env_id: ClassVar[str] = ENV_ID
     action_names: ClassVar[tuple[str, ...]] = ("dx_mm", "dy_mm", "dtheta_deg")
     option_names: ClassVar[tuple[str, ...]] = (SHAPE, OFFSET)
+    motion_size: ClassVar[int] = 4
+    privileged_shapes: ClassVar[Mapping[str, tuple[int, ...]]] = {"gt_offset": (3,)}
 
     def __init__(self, *, privileged: bool = False, assets_dir: str | Path | None = None, **overrides: Any) -> None:
-        super().__init__()
-        self._privileged = privileged
-        self._meshes = Meshes(assets_dir)
-        self._settings = settings_from(PegInsertionSettings, overrides)
-        self._peg_scene: PegScene | None = None
-        self._env_steps = 0
+        settings = settings_from(PegInsertionSettings, overrides)
+        super().__init__(settings=settings, privileged=privileged, assets_dir=assets_dir)
         self._initial = self._offset = PegOffset(x_mm=0.0, y_mm=0.0, theta_deg=0.0)
-        self._error_before = 0.0
-        own = {"gt_offset": full_range(3)} if privileged else {}
-        self.observation_space = observation_space(own | {"relative_motion": full_range(4)})
 
-    def mesh_hash(self) -> str:
-        """SHA-256 [hex] of the gel, all pegs and plates, and the settings."""
-        solids = [solid for shape in PegShape for solid in (self._meshes.peg(shape), self._meshes.hole(shape))]
-        return mesh_hash(self._meshes.gel(), solids, self._settings)
+    def _solids(self) -> list[SurfaceMesh]:
+        return [solid for shape in PegShape for solid in (self._meshes.peg(shape), self._meshes.hole(shape))]
 
-    def _start(self, options: dict[str, Any], random: np.random.Generator) -> GraspedScene:
-        settings = self._settings
+    def _start(self, options: dict[str, Any], random: np.random.Generator) -> PegScene:
+        settings = self.settings
         start = choose_start(options, random, xy_mm=settings.random_xy_mm, theta_deg=settings.random_theta_deg)
         self._initial = self._offset = start.offset
-        self._env_steps = 0
-        self._error_before = start.offset.magnitude()
-        self._peg_scene = PegScene(start=start, meshes=self._meshes, settings=settings, clocks=self._clocks)
-        self._peg_scene.grasp()
-        return self._peg_scene.grasped
+        return PegScene(start=start, meshes=self._meshes, settings=settings, clocks=self._clocks)
+
+    def _error(self) -> float:
+        return self._offset.magnitude()
 
     def _move(self, command: FloatArray) -> None:
         before = self._offset
         self._offset = self._commanded(command)
-        self._env_steps += 1
-        self._held().travel(before, self._offset)
+        self.task_scene.travel(before, self._offset)
 
     def _commanded(self, command: FloatArray) -> PegOffset:
         """Books after an action: scaled, clipped, and x and y turned by the angle before the env step."""
-        scale = np.array(self._settings.action_scale_mm_deg)
+        scale = np.array(self.settings.action_scale_mm_deg)
         dx, dy, dtheta = np.clip(command * scale, -scale, scale).tolist()
         sine, cosine = sine_cosine(radians(self._offset.theta_deg))
         return PegOffset(
@@ -115,21 +97,18 @@ class PegInsertionEnv(TactileTaskEnv):
             theta_deg=self._offset.theta_deg + dtheta,
         )
 
-    def _judge(self) -> Verdict:
-        settings = self._settings
+    def _judge(self, progress: float) -> Verdict:
+        settings = self.settings
         state = self._state()
         flags = judge_flags(state, max_steps=settings.max_steps, z_step_mm=settings.z_step_mm)
-        error_now = self._offset.magnitude()
         gained = reward(
             flags,
-            error_before=self._error_before,
-            error_now=error_now,
+            progress=progress,
             env_steps=self._env_steps,
             max_steps=settings.max_steps,
             step_penalty=settings.step_penalty,
             final_reward=settings.final_reward,
         )
-        self._error_before = error_now
         success = flags.is_success and self.scene.solved
         info = self._info(
             state,
@@ -154,7 +133,7 @@ class PegInsertionEnv(TactileTaskEnv):
             env_steps=self._env_steps,
             offset=self._offset,
             surface_diff_m=self.scene.surface_diff_m(),
-            peg_relative_z_mm=self._held().peg_relative_z_mm(),
+            peg_relative_z_mm=self.task_scene.peg_relative_z_mm(),
         )
 
     def _info(
@@ -178,22 +157,16 @@ class PegInsertionEnv(TactileTaskEnv):
             "gt_offset_mm_deg": self._offset_array(),
         }
 
-    def _task_observation(self) -> Observation:
-        observation = {"gt_offset": self._offset_array().astype(np.float32)} if self._privileged else {}
-        return observation | {"relative_motion": self._relative_motion().astype(np.float32)}
+    def _privileged_observation(self) -> Mapping[str, FloatArray]:
+        return {"gt_offset": self._offset_array()}
 
     def _relative_motion(self) -> FloatArray:
         """Commanded x, y, theta, z since the reset [mm, mm, deg, mm]; the descent of the reset is not counted."""
         now, initial = self._offset, self._initial
-        descent_mm = -self._env_steps * self._settings.z_step_mm
+        descent_mm = -self._env_steps * self.settings.z_step_mm
         return np.array(
             [now.x_mm - initial.x_mm, now.y_mm - initial.y_mm, now.theta_deg - initial.theta_deg, descent_mm]
         )
 
     def _offset_array(self) -> FloatArray:
         return np.array([self._offset.x_mm, self._offset.y_mm, self._offset.theta_deg])
-
-    def _held(self) -> PegScene:
-        if self._peg_scene is None:
-            raise NotReset(f"{self.env_id} has no scene yet; call reset first.")
-        return self._peg_scene

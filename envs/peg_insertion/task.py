@@ -75,8 +75,7 @@ def judge_flags(state: PegState, *, max_steps: int, z_step_mm: float) -> PegFlag
 def reward(
     flags: PegFlags,
     *,
-    error_before: float,
-    error_now: float,
+    progress: float,
     env_steps: int,
     max_steps: int,
     step_penalty: float,
@@ -92,4 +91,4 @@ def reward(
         final = -2.0 * step_penalty * (max_steps - env_steps) + step_penalty
     elif flags.is_success:
         final = final_reward
-    return error_before - error_now - step_penalty + final
+    return progress - step_penalty + final

@@ -46,7 +46,7 @@ class FuzzedStep:
     past_end: bool  # played after a flag had ended the episode, as only a re-simulation does
 
 
-def fuzzed_environment(task: str, random: np.random.Generator, assets_dir: Path | None) -> TactileTaskEnv:
+def fuzzed_environment(task: str, random: np.random.Generator, assets_dir: Path | None) -> TactileTaskEnv[Any, Any]:
     """An environment with friction and indentation drawn over their training ranges (challenge-facts 3)."""
     indentation_mm = float(random.uniform(0.5, 1.25))
     gel_friction = float(random.uniform(50, 125))

@@ -26,10 +26,25 @@ EPISODES: dict[str, dict[str, Any]] = {
         "options": {"shape": "concave1", "offset_mm_deg": (2, -1, 4), "rng_seed": (0, 3)},
         "actions": [(-0.8, 0.4, -0.7), (0.0, 0.0, 0.0)],
     },
+    "lock key1": {
+        "env_id": "ViTac/LockOpening-v1",
+        "options": {"shape": "key1", "offset_mm": (0, 0, 0), "sensor_jitter_mm": (1.5, -1), "rng_seed": (0, 5)},
+        "actions": [(-0.5, -1.0), (0.25, -0.75)],
+    },
     "lock key2": {
         "env_id": "ViTac/LockOpening-v1",
         "options": {"shape": "key2", "offset_mm": (1, 0, 0), "sensor_jitter_mm": (0, 0), "rng_seed": (0, 4)},
         "actions": [(-1.0, -1.0), (-1.0, -0.3)],
+    },
+    "lock key3": {
+        "env_id": "ViTac/LockOpening-v1",
+        "options": {"shape": "key3", "offset_mm": (4.75, 0, 0), "sensor_jitter_mm": (-2, 2), "rng_seed": (0, 6)},
+        "actions": [(-1.0, -1.0), (-1.0, -0.5)],
+    },
+    "lock key4": {
+        "env_id": "ViTac/LockOpening-v1",
+        "options": {"shape": "key4", "offset_mm": (2.5, 0, 0), "sensor_jitter_mm": (0.5, 0.5), "rng_seed": (0, 7)},
+        "actions": [(0.5, -1.0), (-0.25, -0.5)],
     },
 }
 

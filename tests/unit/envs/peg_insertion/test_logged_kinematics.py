@@ -39,7 +39,9 @@ def test_flags_and_rewards_follow_from_the_logged_measurements(
         env.reset(options={"shape": episode["shape"], "offset_mm_deg": episode["initial_offset"]})
         for step in episode["steps"]:
             monkeypatch.setattr(env.scene, "surface_diff_m", lambda step=step: np.array(step["surface_diff_m"]))
-            monkeypatch.setattr(env._held(), "peg_relative_z_mm", lambda step=step: np.array(step["peg_relative_z_mm"]))
+            monkeypatch.setattr(
+                env.task_scene, "peg_relative_z_mm", lambda step=step: np.array(step["peg_relative_z_mm"])
+            )
             _, reward, terminated, truncated, info = env.step(np.array(step["action"], dtype=np.float32))
             for flag in ("tactile_movement_too_large", "too_many_steps", "error_too_large", "is_success"):
                 assert info[flag] == step[flag], (episode["episode"], step["n"], flag)

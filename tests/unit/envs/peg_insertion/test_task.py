@@ -76,8 +76,7 @@ def test_first_of_several_flags_names_the_end() -> None:
 def gained(raised: PegFlags, env_steps: int) -> float:
     return reward(
         raised,
-        error_before=5.0,
-        error_now=4.0,
+        progress=1.0,
         env_steps=env_steps,
         max_steps=8,
         step_penalty=1.0,
