@@ -12,10 +12,11 @@ EPISODES = int(os.environ.get("FUZZ_EPISODES", "4"))
 
 
 @pytest.mark.parametrize("task", [PEG, LOCK])
-def test_no_random_episode_makes_bodies_intersect_or_invert_or_stop_unsolved(task: str) -> None:
+def test_no_random_episode_makes_bodies_intersect_or_invert_or_overlooks_a_contact_or_stops_unsolved(task: str) -> None:
     steps = [step for seed in range(EPISODES) for step in fuzz_episode(task, seed)]
     found = summary(steps)
     assert found["intersections"] == 0
+    assert found["overlooked"] == 0
     assert found["smallest_det_f"] > 0
     assert found["smallest_gap_m"] > 0
     assert found["largest_residual_n"] <= 1e-4

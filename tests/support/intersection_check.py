@@ -1,4 +1,4 @@
-"""Looks for intersections between the bodies of a scene with the IPC Toolkit, which shares no code with the engine."""
+"""Whether bodies intersect and how near they are, by the IPC Toolkit, which shares no code with the engine."""
 
 from collections.abc import Sequence
 
@@ -36,6 +36,15 @@ class IntersectionCheck:
         """Whether the bodies intersect at these world positions [m] of all nodes or vertices."""
         return bool(ipctk.has_intersections(self.mesh, np.asfortranarray(np.concatenate(positions_m))))
 
+    def smallest_distance_m(self, positions_m: Sequence[FloatArray], reach_m: float) -> float:
+        """Smallest distance of two different bodies [m], infinite if that is beyond the reach."""
+        vertices, candidates = np.asfortranarray(np.concatenate(positions_m)), ipctk.Candidates()
+        candidates.build(self.mesh, vertices, reach_m)
+        found = [*candidates.fv_candidates, *candidates.ee_candidates]
+        squared = [pair.compute_distance(vertices, self.mesh.edges, self.mesh.faces) for pair in found]
+        nearest_m = float(np.sqrt(min(squared, default=np.inf)))
+        return nearest_m if nearest_m < reach_m else np.inf
+
 
 class GraspedSceneCheck:
     """The check for a part held between two gels."""
@@ -45,7 +54,14 @@ class GraspedSceneCheck:
 
     def intersects(self, grasped: GraspedScene) -> bool:
         """Whether the scene, as it stands, has intersecting bodies."""
-        gels = [grasped.gel_nodes_m(0), grasped.gel_nodes_m(1)]
-        held = grasped.held_vertices_m(np.arange(len(grasped.held.mesh.vertices_m)))
-        fixed = (grasped.fixed.rotation[None] * grasped.fixed.mesh.vertices_m[:, None]).sum(axis=2)
-        return self._check.intersects([*gels, held, fixed + grasped.fixed.translation_m])
+        return self._check.intersects(_positions_m(grasped))
+
+    def smallest_gap_m(self, grasped: GraspedScene) -> float:
+        """Smallest distance of two bodies [m], infinite where the barrier does not reach."""
+        return self._check.smallest_distance_m(_positions_m(grasped), grasped.physics.contact.d_hat_m)
+
+
+def _positions_m(grasped: GraspedScene) -> list[FloatArray]:
+    held = grasped.held_vertices_m(np.arange(len(grasped.held.mesh.vertices_m)))
+    fixed = (grasped.fixed.rotation[None] * grasped.fixed.mesh.vertices_m[:, None]).sum(axis=2)
+    return [grasped.gel_nodes_m(0), grasped.gel_nodes_m(1), held, fixed + grasped.fixed.translation_m]
