@@ -97,3 +97,20 @@ def test_a_body_that_flies_far_in_one_step_is_caught_by_what_was_not_listed_at_i
     assert report.status is not StepStatus.NOT_CONVERGED
     assert report.active_contacts > 0
     assert 0 < scene.body_vertices_m(1)[:, 2].min() < 1e-4
+
+
+def test_a_compressed_column_that_stays_straight_is_refused_as_unstable() -> None:
+    """A slender column beyond its buckling load balances when straight, but moves away from there by itself."""
+    length_m = 0.03
+    gel = GelBody(
+        mesh=box_gel((0.002, 0.004, length_m), (1, 2, 12), driven="ends"),
+        rotation=IDENTITY,
+        translation_m=np.zeros(3),
+    )
+    scene = Scene(gels=[gel], bodies=[], time_step_s=10.0)
+    targets = driven_positions_m(gel)
+    targets[targets[:, 2] > 0.9 * length_m, 2] -= 0.1 * length_m
+    report = scene.step(driven_targets_m=[targets])
+    bow_m = np.abs(scene.gel_positions_m(0)[:, 0] - gel.mesh.rest_position_m[:, 0]).max()
+    assert report.unstable_solutions > 0
+    assert report.status is StepStatus.NOT_CONVERGED or bow_m > 1e-3
