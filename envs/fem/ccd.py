@@ -18,6 +18,7 @@ from .model import Elastic
 from .vec3 import Vec3, add, cross, dot, load, scale, subtract
 
 FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
 
 _ADVANCES = 100
 # Stop advancing once a further advance would add less than this part of the move.
@@ -41,26 +42,25 @@ def contact_free_fraction(
     Bodies have moved against each other by `motion` [m], shape [k], since the candidates were listed, and by
     `motion_ahead` at the end of the move; a pair that cannot have closed that part of its gap is passed over.
     """
-    for k in range(len(candidates.kind)):
-        now, ahead = motion[candidates.bodies[k]], motion_ahead[candidates.bodies[k]]
-        listed = candidates.distance_m[k]
+    kinds, points, distances, bodies = candidates.kind, candidates.points, candidates.distance_m, candidates.bodies
+    for k in range(len(kinds)):
+        now, ahead, listed = motion[bodies[k]], motion_ahead[bodies[k]], distances[k]
         if listed - max(now, ahead) >= (1.0 - gap_fraction) * (listed + now):
             continue
-        allowed = _pair_fraction(candidates, k, y, move, gap_fraction, allowed)
+        allowed = _pair_fraction(kinds[k], points, k, y, move, gap_fraction, allowed)
     return allowed
 
 
 @kernel
 def _pair_fraction(
-    candidates: Candidates,
+    kind: int,
+    points: IndexArray,
     k: int,
     y: FloatArray,
     move: FloatArray,
     gap_fraction: float,
     allowed: float,
 ) -> float:
-    kind = candidates.kind[k]
-    points = candidates.points
     p0, p1, p2, p3 = points[k, 0], points[k, 1], points[k, 2], points[k, 3]
     v0, v1, v2, v3 = load(move, p0), load(move, p1), load(move, p2), load(move, p3)
     x0, x1, x2, x3 = load(y, p0), load(y, p1), load(y, p2), load(y, p3)
@@ -109,13 +109,9 @@ def inversion_free_fraction(elastic: Elastic, x: FloatArray, move: FloatArray, a
     Along the move a volume is a cubic in time; dropping its growing terms gives a falling lower bound, which is
     bisected.
     """
-    for t in range(len(elastic.nodes)):
-        n0, n1, n2, n3 = (
-            elastic.nodes[t, 0],
-            elastic.nodes[t, 1],
-            elastic.nodes[t, 2],
-            elastic.nodes[t, 3],
-        )
+    nodes = elastic.nodes
+    for t in range(len(nodes)):
+        n0, n1, n2, n3 = nodes[t, 0], nodes[t, 1], nodes[t, 2], nodes[t, 3]
         a = subtract(load(x, n1), load(x, n0))
         b = subtract(load(x, n2), load(x, n0))
         c = subtract(load(x, n3), load(x, n0))

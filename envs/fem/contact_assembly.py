@@ -22,7 +22,6 @@ from .stencil import (
     PLAIN_MODES,
     SECOND,
     C,
-    Stencil,
     Target,
     U,
     V,
@@ -54,7 +53,10 @@ def add_contacts(
 
     `motion` [k] bounds how far each pair of bodies has moved since the candidates were listed [m].
     """
-    kinds, points = candidates.kind, candidates.points
+    kinds, points, distances, bodies = candidates.kind, candidates.points, candidates.distance_m, candidates.bodies
+    frictions, thresholds = candidates.friction, candidates.mollifier_eps_m4
+    stencil, gradient = workspace.stencil, workspace.gradient
+    weights, forces, jacobian = stencil.point_weights, stencil.force, stencil.jacobian
     d_hat = model.parameters.d_hat_m
     target = Target(
         model.system.block,
@@ -67,31 +69,43 @@ def add_contacts(
     smallest = np.inf
     active = 0
     for k in range(len(kinds)):
-        if candidates.distance_m[k] - motion[candidates.bodies[k]] >= d_hat:
+        if distances[k] - motion[bodies[k]] >= d_hat:
             continue
-        corners = points[k]
-        x = (load(y, corners[0]), load(y, corners[1]), load(y, corners[2]), load(y, corners[3]))
+        p0, p1, p2, p3 = points[k, 0], points[k, 1], points[k, 2], points[k, 3]
+        x = (load(y, p0), load(y, p1), load(y, p2), load(y, p3))
         c, sliding, r = closest_points(kinds[k], x[0], x[1], x[2], x[3])
         squared = dot(r, r)
-        if squared < d_hat * d_hat:
-            d = np.sqrt(squared)
-            smallest = min(smallest, d)
-            active += 1
-            moves = (
-                subtract(x[0], load(y_start, corners[0])),
-                subtract(x[1], load(y_start, corners[1])),
-                subtract(x[2], load(y_start, corners[2])),
-                subtract(x[3], load(y_start, corners[3])),
-            )
-            eps = candidates.mollifier_eps_m4[k] if kinds[k] == EDGE_EDGE else 0.0
-            modes = _write_modes(
-                model.parameters, candidates.friction[k], eps, x, moves, c, sliding, d, r, workspace.stencil, matrix
-            )
-            split = 2 if kinds[k] == EDGE_EDGE else 1
-            count = collect_nodes(model.points, corners, split, modes, workspace.stencil)
-            add_forces(workspace.stencil, count, modes, workspace.gradient)
-            if matrix != NO_MATRIX:
-                add_blocks(workspace.stencil, count, PLAIN_MODES if matrix == PROJECTED_MATRIX else modes, target)
+        if squared >= d_hat * d_hat:
+            continue
+        d = np.sqrt(squared)
+        smallest = min(smallest, d)
+        active += 1
+        moves = (
+            subtract(x[0], load(y_start, p0)),
+            subtract(x[1], load(y_start, p1)),
+            subtract(x[2], load(y_start, p2)),
+            subtract(x[3], load(y_start, p3)),
+        )
+        modes = _write_modes(
+            model.parameters,
+            frictions[k],
+            thresholds[k],
+            x,
+            moves,
+            c,
+            sliding,
+            d,
+            r,
+            weights,
+            forces,
+            jacobian,
+            matrix,
+        )
+        split = 2 if kinds[k] == EDGE_EDGE else 1
+        count = collect_nodes(model.points, points, k, split, modes, stencil)
+        add_forces(stencil, count, modes, gradient)
+        if matrix != NO_MATRIX:
+            add_blocks(stencil, count, PLAIN_MODES if matrix == PROJECTED_MATRIX else modes, target)
     workspace.smallest[0] = smallest
     workspace.active[0] = active
 
@@ -107,7 +121,9 @@ def _write_modes(
     sliding: Sliding,
     d: float,
     r: Vec3,
-    stencil: Stencil,
+    weights: FloatArray,
+    forces: FloatArray,
+    jacobian: FloatArray,
     matrix: int,
 ) -> int:
     """Write weights, forces and blocks of a contact's modes; returns their number.
@@ -122,7 +138,9 @@ def _write_modes(
         sliding: which coefficients can move.
         d: distance [m].
         r: separation [m].
-        stencil: written.
+        weights: of the points in the modes; written, like the next two.
+        forces: on the modes [N].
+        jacobian: of the modes [N/m].
         matrix: which one is asked for.
     """
     kappa = parameters.barrier_stiffness_n_m
@@ -145,34 +163,47 @@ def _write_modes(
         second,
         matrix == PROJECTED_MATRIX,
     )
-    set_point_weights(stencil, C, c)
-    set_point_weights(stencil, FIRST, first.dc)
-    set_point_weights(stencil, SECOND, second.dc)
-    set_mode_force(stencil, C, contact.force)
+    set_point_weights(weights, C, c)
+    set_point_weights(weights, FIRST, first.dc)
+    set_point_weights(weights, SECOND, second.dc)
+    set_mode_force(forces, C, contact.force)
     if matrix != NO_MATRIX:
-        _write_plain_blocks(contact, first.tangent, second.tangent, n, d, stencil)
+        _write_plain_blocks(contact, first.tangent, second.tangent, n, d, jacobian)
     if e == 1.0:
         return PLAIN_MODES
-    _write_mollifier(contact, u, v, n, kappa * b * e_first, kappa * b_first * e_first, kappa * b * e_second, stencil)
+    _write_mollifier(
+        contact,
+        u,
+        v,
+        n,
+        kappa * b * e_first,
+        kappa * b_first * e_first,
+        kappa * b * e_second,
+        weights,
+        forces,
+        jacobian,
+    )
     return ALL_MODES
 
 
 @kernel
-def _write_plain_blocks(contact: Contact, tangent0: Vec3, tangent1: Vec3, n: Vec3, d: float, stencil: Stencil) -> None:
+def _write_plain_blocks(
+    contact: Contact, tangent0: Vec3, tangent1: Vec3, n: Vec3, d: float, jacobian: FloatArray
+) -> None:
     """Write base and left_k v_k^T of `contact`, sorted by the modes they act between."""
     lean0, lean1 = scale(1.0 / d, tangent0), scale(1.0 / d, tangent1)
     left0, left1, left_dc = contact.left_c[0], contact.left_c[1], contact.left_dc
     bent = add_matrices(outer(left0, lean0), outer(left1, lean1))
     zero = scale_matrix(0.0, bent)
-    set_mode_block(stencil, C, C, add_matrices(contact.base, bent))
-    set_mode_block(stencil, C, FIRST, outer(left0, n))
-    set_mode_block(stencil, C, SECOND, outer(left1, n))
-    set_mode_block(stencil, FIRST, C, outer(left_dc, lean0))
-    set_mode_block(stencil, FIRST, FIRST, outer(left_dc, n))
-    set_mode_block(stencil, FIRST, SECOND, zero)
-    set_mode_block(stencil, SECOND, C, outer(left_dc, lean1))
-    set_mode_block(stencil, SECOND, FIRST, zero)
-    set_mode_block(stencil, SECOND, SECOND, outer(left_dc, n))
+    set_mode_block(jacobian, C, C, add_matrices(contact.base, bent))
+    set_mode_block(jacobian, C, FIRST, outer(left0, n))
+    set_mode_block(jacobian, C, SECOND, outer(left1, n))
+    set_mode_block(jacobian, FIRST, C, outer(left_dc, lean0))
+    set_mode_block(jacobian, FIRST, FIRST, outer(left_dc, n))
+    set_mode_block(jacobian, FIRST, SECOND, zero)
+    set_mode_block(jacobian, SECOND, C, outer(left_dc, lean1))
+    set_mode_block(jacobian, SECOND, FIRST, zero)
+    set_mode_block(jacobian, SECOND, SECOND, outer(left_dc, n))
 
 
 @kernel
@@ -184,7 +215,9 @@ def _write_mollifier(
     slope: float,
     force_rate: float,
     curvature: float,
-    stencil: Stencil,
+    weights: FloatArray,
+    forces: FloatArray,
+    jacobian: FloatArray,
 ) -> None:
     """Write the derivatives of the mollifier e(c) in the energy B e(c), B = (kappa / h^2) b.
 
@@ -195,17 +228,17 @@ def _write_mollifier(
     gu, gv = squared_cross_norm_gradient(u, v)
     uu, uv, vv = squared_cross_norm_blocks(u, v)
     rate = scale(force_rate, subtract(n, contact.phi_per_newton))
-    set_point_weights(stencil, U, (-1.0, 1.0, 0.0, 0.0))
-    set_point_weights(stencil, V, (0.0, 0.0, -1.0, 1.0))
-    set_mode_force(stencil, U, scale(slope, gu))
-    set_mode_force(stencil, V, scale(slope, gv))
-    set_mode_block(stencil, C, U, outer(rate, gu))
-    set_mode_block(stencil, C, V, outer(rate, gv))
-    set_mode_block(stencil, U, C, scale_matrix(force_rate, outer(gu, n)))
-    set_mode_block(stencil, V, C, scale_matrix(force_rate, outer(gv, n)))
-    set_mode_block(stencil, U, U, add_matrices(scale_matrix(curvature, outer(gu, gu)), scale_matrix(slope, uu)))
-    set_mode_block(stencil, U, V, add_matrices(scale_matrix(curvature, outer(gu, gv)), scale_matrix(slope, uv)))
+    set_point_weights(weights, U, (-1.0, 1.0, 0.0, 0.0))
+    set_point_weights(weights, V, (0.0, 0.0, -1.0, 1.0))
+    set_mode_force(forces, U, scale(slope, gu))
+    set_mode_force(forces, V, scale(slope, gv))
+    set_mode_block(jacobian, C, U, outer(rate, gu))
+    set_mode_block(jacobian, C, V, outer(rate, gv))
+    set_mode_block(jacobian, U, C, scale_matrix(force_rate, outer(gu, n)))
+    set_mode_block(jacobian, V, C, scale_matrix(force_rate, outer(gv, n)))
+    set_mode_block(jacobian, U, U, add_matrices(scale_matrix(curvature, outer(gu, gu)), scale_matrix(slope, uu)))
+    set_mode_block(jacobian, U, V, add_matrices(scale_matrix(curvature, outer(gu, gv)), scale_matrix(slope, uv)))
     set_mode_block(
-        stencil, V, U, add_matrices(scale_matrix(curvature, outer(gv, gu)), scale_matrix(slope, transpose(uv)))
+        jacobian, V, U, add_matrices(scale_matrix(curvature, outer(gv, gu)), scale_matrix(slope, transpose(uv)))
     )
-    set_mode_block(stencil, V, V, add_matrices(scale_matrix(curvature, outer(gv, gv)), scale_matrix(slope, vv)))
+    set_mode_block(jacobian, V, V, add_matrices(scale_matrix(curvature, outer(gv, gv)), scale_matrix(slope, vv)))

@@ -28,18 +28,21 @@ def add_elasticity(
     Prescribed corners, which move by prescribed_move [m], are added to the coupling where they act on unknown ones.
     """
     nodes, places, stride = elastic.nodes, elastic.places, elastic.stride
-    entries, coupling, moves = workspace.entries, workspace.coupling, workspace.moves[0]
+    volumes, mus, lams = elastic.volume_m3, elastic.mu_pa, elastic.lambda_pa
+    gradients, reaction = elastic.gradients_1_m, elastic.reaction
+    entries, gradient, coupling = workspace.entries, workspace.gradient, workspace.coupling
+    moves = workspace.moves[0]
     rest, bent = np.empty((4, 3)), np.empty((4, 3))
     smallest = np.inf
-    for t in range(len(elastic.volume_m3)):
-        g1, g2, g3 = _rest_gradient(elastic, t, 1), _rest_gradient(elastic, t, 2), _rest_gradient(elastic, t, 3)
+    for t in range(len(volumes)):
+        g1, g2, g3 = _rest_gradient(gradients, t, 1), _rest_gradient(gradients, t, 2), _rest_gradient(gradients, t, 3)
         g = (scale(-1.0, add(add(g1, g2), g3)), g1, g2, g3)
         F = deformation_gradient(
             load(x, nodes[t, 0]), load(x, nodes[t, 1]), load(x, nodes[t, 2]), load(x, nodes[t, 3]), g1, g2, g3
         )
         cofactor, J = cofactors(F)
         smallest = min(smallest, J)
-        volume, mu, lam = elastic.volume_m3[t], elastic.mu_pa[t], elastic.lambda_pa[t]
+        volume, mu, lam = volumes[t], mus[t], lams[t]
         pressure = lam * natural_log(J) - mu
         inverse_transpose = scale_matrix(1.0 / J, cofactor)
         inverse_b = outer_square(inverse_transpose)
@@ -47,14 +50,14 @@ def add_elasticity(
             _store(rest, a, g[a])
             _store(bent, a, apply_columns(inverse_transpose, g[a]))
             force = nodal_gradient(volume, mu, pressure, apply_columns(F, g[a]), load(bent, a))
-            add_to_row(workspace.gradient, nodes[t, a], force)
+            add_to_row(gradient, nodes[t, a], force)
         if matrix == NO_MATRIX:
             continue
         for a in range(4):
             ga, ha = load(rest, a), load(bent, a)
             for b in range(a, 4):
                 place, mirrored = places[t, 4 * a + b], places[t, 4 * b + a]
-                if place < 0 and not (moves and elastic.reaction[t, 4 * a + b]):
+                if place < 0 and not (moves and reaction[t, 4 * a + b]):
                     continue
                 gg, hb = dot(ga, load(rest, b)), load(bent, b)
                 if matrix == PROJECTED_MATRIX:
@@ -73,8 +76,7 @@ def add_elasticity(
 
 
 @kernel
-def _rest_gradient(elastic: Elastic, t: int, a: int) -> Vec3:
-    gradients = elastic.gradients_1_m
+def _rest_gradient(gradients: FloatArray, t: int, a: int) -> Vec3:
     return gradients[t, a, 0], gradients[t, a, 1], gradients[t, a, 2]
 
 

@@ -22,33 +22,29 @@ FloatArray = NDArray[np.float64]
 def add_inertia(model: Model, x: FloatArray, x_hat: FloatArray, workspace: Workspace, matrix: int) -> None:
     """Add the force m (x - x_hat) / h^2 [N] and the matrix m / h^2 [N/m] of free nodes and movable bodies."""
     inverse_h2 = 1.0 / (model.parameters.time_step_s * model.parameters.time_step_s)
-    for u in range(model.system.block.n // 3):
-        node = model.unknowns.node[u]
-        _add_mass(model, node, node, u, u, model.unknowns.node_mass_kg[node] * inverse_h2, x, x_hat, workspace, matrix)
+    gradient, entries, system = workspace.gradient, workspace.entries, model.system.block
+    unknown_nodes, masses = model.unknowns.node, model.unknowns.node_mass_kg
+    for u in range(system.n // 3):
+        node = unknown_nodes[u]
+        m = masses[node] * inverse_h2
+        add_to_row(gradient, node, scale(m, subtract(load(x, node), load(x_hat, node))))
+        if matrix != NO_MATRIX:
+            place, stride = block_place(system, u, u)
+            _add_multiple_of_identity(entries, place, stride, m)
     affine = model.affine
     for i in range(len(affine.first_node)):
         node, unknown = affine.first_node[i], affine.first_unknown[i]
         for k in range(4):
             for j in range(4):
-                mass = affine.mass_kg[i, k, j] * inverse_h2
-                _add_mass(model, node + k, node + j, unknown + k, unknown + j, mass, x, x_hat, workspace, matrix)
+                m = affine.mass_kg[i, k, j] * inverse_h2
+                offset = subtract(load(x, node + j), load(x_hat, node + j))
+                add_to_row(gradient, node + k, scale(m, offset))
+                if matrix != NO_MATRIX:
+                    place, stride = block_place(system, unknown + k, unknown + j)
+                    _add_multiple_of_identity(entries, place, stride, m)
 
 
 @kernel
-def _add_mass(
-    model: Model,
-    node_a: int,
-    node_b: int,
-    a: int,
-    b: int,
-    m: float,
-    x: FloatArray,
-    x_hat: FloatArray,
-    workspace: Workspace,
-    matrix: int,
-) -> None:
-    add_to_row(workspace.gradient, node_a, scale(m, subtract(load(x, node_b), load(x_hat, node_b))))
-    if matrix != NO_MATRIX:
-        place, stride = block_place(model.system.block, a, b)
-        for k in range(3):
-            workspace.entries[place + k * (stride + 1)] += m
+def _add_multiple_of_identity(entries: FloatArray, place: int, stride: int, m: float) -> None:
+    for k in range(3):
+        entries[place + k * (stride + 1)] += m

@@ -68,69 +68,67 @@ def new_stencil() -> Stencil:
 
 
 @kernel
-def set_point_weights(stencil: Stencil, mode: int, w: Coefficients) -> None:
-    """Set the weights of the contact's four points in a mode."""
-    weights = stencil.point_weights
+def set_point_weights(weights: FloatArray, mode: int, w: Coefficients) -> None:
+    """Set the weights of the contact's four points in a mode, in `Stencil.point_weights`."""
     weights[mode, 0], weights[mode, 1], weights[mode, 2], weights[mode, 3] = w
 
 
 @kernel
-def set_mode_force(stencil: Stencil, mode: int, force: Vec3) -> None:
-    """Set the force on a mode [N]."""
-    stencil.force[mode, 0], stencil.force[mode, 1], stencil.force[mode, 2] = force
+def set_mode_force(forces: FloatArray, mode: int, force: Vec3) -> None:
+    """Set the force on a mode [N], in `Stencil.force`."""
+    forces[mode, 0], forces[mode, 1], forces[mode, 2] = force
 
 
 @kernel
-def set_mode_block(stencil: Stencil, mode: int, by: int, block: Mat3) -> None:
-    """Set the derivative of the force on a mode by another mode [N/m], given by its rows."""
-    for k in range(3):
-        row = stencil.jacobian[3 * mode + k]
-        row[3 * by], row[3 * by + 1], row[3 * by + 2] = block[k]
+def set_mode_block(jacobian: FloatArray, mode: int, by: int, block: Mat3) -> None:
+    """Set the derivative of the force on a mode by another [N/m], given by its rows, in `Stencil.jacobian`."""
+    i, j = 3 * mode, 3 * by
+    jacobian[i, j], jacobian[i, j + 1], jacobian[i, j + 2] = block[0]
+    jacobian[i + 1, j], jacobian[i + 1, j + 1], jacobian[i + 1, j + 2] = block[1]
+    jacobian[i + 2, j], jacobian[i + 2, j + 1], jacobian[i + 2, j + 2] = block[2]
 
 
 @kernel
-def collect_nodes(points: Points, corners: IndexArray, split: int, modes: int, stencil: Stencil) -> int:
-    """Write the nodes and weights of a contact whose second side begins at corner `split`; returns their number."""
-    count = _collect_side(points, corners, 0, split, modes, stencil, 0)
-    return _collect_side(points, corners, split, 4, modes, stencil, count)
-
-
-@kernel
-def _collect_side(
-    points: Points, corners: IndexArray, low: int, high: int, modes: int, stencil: Stencil, count: int
-) -> int:
-    """Append one side; a gel node without weight (the far corner of a triangle touched at an edge) is left out."""
-    first = corners[low]
-    if points.node_count[first] == 1:
-        for i in range(low, high):
-            used = False
-            for t in range(modes):
-                weight = stencil.point_weights[t, i]
-                stencil.weights[t, count] = weight
-                used = used or weight != 0.0
-            if used:
-                stencil.nodes[count] = points.nodes[corners[i], 0]
-                count += 1
-        return count
-    for k in range(_FRAME_POINTS):
-        stencil.nodes[count + k] = points.nodes[first, k]
-        for t in range(modes):
-            total = 0.0
+def collect_nodes(points: Points, pairs: IndexArray, pair: int, split: int, modes: int, stencil: Stencil) -> int:
+    """Write the nodes and weights of a pair [k, 4] whose second side begins at point `split`; returns their number."""
+    node_count, point_nodes, point_weights = points.node_count, points.nodes, points.weights
+    given, nodes, weights = stencil.point_weights, stencil.nodes, stencil.weights
+    count = 0
+    for side in range(2):
+        low, high = (0, split) if side == 0 else (split, 4)
+        first = pairs[pair, low]
+        if node_count[first] == 1:
             for i in range(low, high):
-                total += stencil.point_weights[t, i] * points.weights[corners[i], k]
-            stencil.weights[t, count + k] = total
-    return count + _FRAME_POINTS
+                # A node without weight, like the far corner of a triangle touched at an edge, is left out.
+                used = False
+                for t in range(modes):
+                    weights[t, count] = given[t, i]
+                    used = used or given[t, i] != 0.0
+                if used:
+                    nodes[count] = point_nodes[pairs[pair, i], 0]
+                    count += 1
+        else:
+            for k in range(_FRAME_POINTS):
+                nodes[count + k] = point_nodes[first, k]
+                for t in range(modes):
+                    total = 0.0
+                    for i in range(low, high):
+                        total += given[t, i] * point_weights[pairs[pair, i], k]
+                    weights[t, count + k] = total
+            count += _FRAME_POINTS
+    return count
 
 
 @kernel
 def add_forces(stencil: Stencil, count: int, modes: int, gradient: FloatArray) -> None:
     """Add sum_t w_ti f_t to the nodes; of the plain modes only C carries a force."""
+    nodes, weights, force = stencil.nodes, stencil.weights, stencil.force
     for i in range(count):
-        node, w = stencil.nodes[i], stencil.weights[C, i]
+        node = nodes[i]
         for k in range(3):
-            total = w * stencil.force[C, k]
+            total = weights[C, i] * force[C, k]
             if modes == ALL_MODES:
-                total += stencil.weights[U, i] * stencil.force[U, k] + stencil.weights[V, i] * stencil.force[V, k]
+                total += weights[U, i] * force[U, k] + weights[V, i] * force[V, k]
             gradient[node, k] += total
 
 
@@ -139,6 +137,7 @@ def add_blocks(stencil: Stencil, count: int, modes: int, target: Target) -> None
     """Add the blocks of all pairs of a contact's nodes to the system, and those of prescribed ones to the coupling."""
     _expand(stencil.weights, stencil.jacobian, count, modes, stencil.rows, stencil.block)
     nodes, block, entries, slot, system = stencil.nodes, stencil.block, target.entries, target.slot, target.system
+    coupling, prescribed_move = target.coupling, target.prescribed_move
     for i in range(count):
         a = slot[nodes[i]]
         if a == PRESCRIBED:
@@ -147,7 +146,7 @@ def add_blocks(stencil: Stencil, count: int, modes: int, target: Target) -> None
         while j < count:
             b = slot[nodes[j]]
             if b == PRESCRIBED:
-                _add_coupling(block, i, j, target.coupling, nodes[i], target.prescribed_move, nodes[j])
+                _add_coupling(block, i, j, coupling, nodes[i], prescribed_move, nodes[j])
                 j += 1
             elif 3 * b >= system.n:
                 place, stride = block_place(system, a, b)
@@ -179,13 +178,12 @@ def _expand(
     for i in range(count):
         w0, w1, w2 = weights[C, i], weights[FIRST, i], weights[SECOND, i]
         for k in range(3):
-            row, row0, row1, row2 = block[3 * i + k], rows[k], rows[3 + k], rows[6 + k]
-            for column in range(3 * count):
-                row[column] = w0 * row0[column] + w1 * row1[column] + w2 * row2[column]
+            for j in range(3 * count):
+                block[3 * i + k, j] = w0 * rows[k, j] + w1 * rows[3 + k, j] + w2 * rows[6 + k, j]
             if modes == ALL_MODES:
-                w3, w4, row3, row4 = weights[U, i], weights[V, i], rows[9 + k], rows[12 + k]
-                for column in range(3 * count):
-                    row[column] += w3 * row3[column] + w4 * row4[column]
+                w3, w4 = weights[U, i], weights[V, i]
+                for j in range(3 * count):
+                    block[3 * i + k, j] += w3 * rows[9 + k, j] + w4 * rows[12 + k, j]
 
 
 @kernel
@@ -199,10 +197,8 @@ def _add_gel_block(block: FloatArray, row: int, column: int, entries: FloatArray
 def _add_frame_run(block: FloatArray, row: int, column: int, entries: FloatArray, place: int, stride: int) -> None:
     """Add the blocks of a body's four frame points, whose columns adjoin."""
     for k in range(3):
-        into = entries[place + k * stride : place + k * stride + 3 * _FRAME_POINTS]
-        source = block[row + k, column : column + 3 * _FRAME_POINTS]
         for m in range(3 * _FRAME_POINTS):
-            into[m] += source[m]
+            entries[place + k * stride + m] += block[row + k, column + m]
 
 
 @kernel
