@@ -6,20 +6,24 @@ from collections.abc import Iterator
 
 import pytest
 from page_fixtures import (
+    DIVERGENCE,
     LOCK,
     TASK,
     FixedData,
     a_leaderboard,
+    a_log,
     a_score,
     a_submission,
     a_visitor,
     an_application,
+    an_audit,
     an_entry,
 )
 from playwright.sync_api import Browser, Page, sync_playwright
 from site_under_test import SiteUnderTest
 from vitac.cli.web_server import WebServer, address_of, bind
-from vitac.server.db.states import EvaluationState, Role
+from vitac.evaluator.log_findings import LogVerdict
+from vitac.server.db.states import EvaluationState, Role, SubmissionKind
 from vitac.server.views import LeaderboardView, VerdictView
 
 ARGUMENTS = (
@@ -76,7 +80,11 @@ def site() -> Iterator[SiteUnderTest]:
         visitors=[a_visitor("Gelbots"), a_visitor("Bears"), a_visitor("organizers", Role.ORGANIZER)],
         board=boards()[None],
         task_boards={TASK: boards()[TASK]},
+        audited=[an_audit()],
         found=[
+            a_log(EvaluationState.COMPLETED, LogVerdict.VERIFIED, reason="all states are equal"),
+            a_log(EvaluationState.FAILED, LogVerdict.DIVERGED, divergence=DIVERGENCE),
+            a_log(EvaluationState.COMPLETED, None, kind=SubmissionKind.TEXT_LOG, problems=["test 3: no step"] * 30),
             a_submission("Gelbots", EvaluationState.QUEUED, name="waits", workers=0),
             a_submission("Gelbots", EvaluationState.RUNNING, name="runs", done=137),
             a_submission("Gelbots", EvaluationState.COMPLETED, name="done"),

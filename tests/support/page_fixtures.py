@@ -16,6 +16,7 @@ from vitac.server.auth.principals import Principal
 from vitac.server.db.states import EvaluationState, Role, SubmissionKind
 from vitac.server.errors import ProblemCode, ServiceError, not_found
 from vitac.server.views import (
+    AuditedEpisodeView,
     AuditView,
     DivergenceView,
     EpisodeView,
@@ -290,6 +291,20 @@ DIVERGENCE = DivergenceView(
     resimulated_state="cd" * 32,
     resimulated_info={"is_success": False, "surface_diff_m": [0.0004321987, 0.0005]},
 )
+
+
+def an_audit() -> AuditView:
+    """A model that gives all but two of a log's actions."""
+    return AuditView(
+        submission_id=an_id("model"),
+        submission_name="my model",
+        evaluated_at=NOW,
+        actions=810,
+        reproduced=808,
+        episodes=270,
+        episodes_reproduced=269,
+        others=[AuditedEpisodeView(episode=5, actions=3, reproduced=1, first_other=2)],
+    )
 
 
 def some_log_boards() -> LogBoardsView:

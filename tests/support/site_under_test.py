@@ -23,6 +23,7 @@ class SiteUnderTest:
         return [
             "/",
             f"/tracks/track_1?task={TASK}",
+            "/tracks/track_1/logs",
             "/tracks/track_1/rules",
             "/sign-in",
             "/submissions",

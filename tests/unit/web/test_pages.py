@@ -17,13 +17,14 @@ from page_fixtures import (
     a_submission,
     a_visitor,
     an_application,
+    an_audit,
     an_entry,
     an_id,
 )
 from sqlalchemy.exc import OperationalError
 from vitac.evaluator.log_findings import LogVerdict
 from vitac.server.db.states import EvaluationState, Role, SubmissionKind
-from vitac.server.views import AuditedEpisodeView, AuditView, LeaderboardView, SubmissionView, VerdictView
+from vitac.server.views import LeaderboardView, SubmissionView, VerdictView
 from vitac.web import session
 from vitac.web.headers import HEADERS
 
@@ -546,13 +547,7 @@ def test_verified_log_says_what_that_proves(data: FixedData, browser: AsgiBrowse
 
 
 def test_models_that_give_the_actions_of_a_log_are_named(data: FixedData, browser: AsgiBrowser) -> None:
-    other = AuditedEpisodeView(episode=5, actions=3, reproduced=1, first_other=2)
-    data.audited = [
-        AuditView(
-            submission_id=an_id("model"), submission_name="my model", evaluated_at=NOW, actions=810, reproduced=808,
-            episodes=270, episodes_reproduced=269, others=[other],
-        )
-    ]  # fmt: skip
+    data.audited = [an_audit()]
     html = page_of(data, browser, VERIFIED)
     for shown in ("my model", "808 of 810", "269 of 270", "episode 5, env step 2"):
         assert shown in html

@@ -137,7 +137,7 @@ def test_shard_of_a_log_gets_its_file_and_the_episodes_that_are_stored(
     def gate(number: int) -> None:
         order = shards.started[0].order
         file = order.log if kind is SubmissionKind.LOG else order.text_log
-        seen.append(file and file.read_bytes())
+        seen.append(file.read_bytes() if file else None)
 
     shards.gate = gate
     assert ShardRun(services, stage, replace(lease, kind=kind), shards).run() is RunEnd.FINISHED
