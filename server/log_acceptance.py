@@ -62,7 +62,7 @@ def require_own_team(named: str | None, owner: str) -> None:
     if named is not None and name_key(named) != name_key(owner):
         raise ServiceError(
             ProblemCode.LOG_TEAM_MISMATCH,
-            f"Line 1: the log names the team {named!r:.80}, the upload is {owner!r}'s. A team may upload its own only.",
+            f"Line 1: the log names the team {named!r:.80}, but is uploaded for {owner!r}; upload it as its own team.",
             line=1,
         )
 
