@@ -1,98 +1,67 @@
-"""Speed of the physics on the organizers' logged peg episodes, and its agreement with settled states, as JSON.
+"""The figures of docs/physics.md: speed, convergence, accuracy against speed, and agreement with other simulators.
 
-Usage: python benchmarks/physics.py REFERENCE_DIR [--episodes N] [--json FILE]
+Usage: python benchmarks/physics.py REFERENCE_DIR [--episodes N] [--ledger] [--write-docs] [--fuzz FILE ...]
 
-REFERENCE_DIR holds assets/track1, logs/track1_peg_insertion.repeat0.jsonl and physics_truth.json. One thread, no GPU;
-run it twice, for the first run also compiles the kernels. `docs/physics.md` says what the figures were.
+Plays the organizers' logged peg episodes and prints JSON. REFERENCE_DIR holds assets/track1,
+logs/track1_peg_insertion.repeat0.jsonl and physics_truth.json. One thread, no GPU, about half a minute; run it twice,
+for the first run also compiles the kernels. `--ledger` also plays half of the episodes with every solver setting, some
+minutes. `--write-docs` does all of it, keeps the figures in benchmarks/physics.json and writes the tables of
+docs/physics.md from them; `--fuzz` puts results of tests/support/physics_fuzz.py in.
 """
 
 import argparse
 import json
 import sys
-from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from vitac.envs.fem.scene import StepReport
-from vitac.envs.peg_insertion.env import PegInsertionEnv
+from physics_figures import against_logs, agreement, convergence, deviation_mm, misses, outcomes, speed
+from physics_ledger import ledger
+from physics_pieces import pieces
+from physics_replay import Reference, Replay, read_reference
+from physics_tables import with_tables
+from vitac.envs.fem.scene import SolverSettings
 
-Episode = dict[str, Any]
-AGREEMENT_MM = 0.03
-
-
-class Replay:
-    """Plays logged episodes and keeps what every IPC step took."""
-
-    def __init__(self, assets_dir: Path) -> None:
-        self.env = PegInsertionEnv(assets_dir=assets_dir)
-        self.reports: list[StepReport] = []
-        self.step_ms: list[float] = []
-        self.reset_ms: list[float] = []
-        self._clock_s = 0.0
-
-    def play(self, episode: Episode) -> list[np.ndarray[Any, np.dtype[np.float64]]]:
-        """Surface motion of both sensors after each env step [mm]."""
-        before_s = self.env.physics_cpu_s
-        _, info = self.env.reset(options={"shape": episode["shape"], "offset_mm_deg": episode["initial_offset"]})
-        self.reset_ms.append((self.env.physics_cpu_s - before_s) * 1e3)
-        self.reports.extend(info["step_reports"])
-        self.env.scene.after_ipc_step = self._lap
-        motions = []
-        for step in episode["steps"]:
-            self._clock_s = self.env.physics_cpu_s
-            *_, info = self.env.step(np.array(step["action"], dtype=np.float32))
-            self.reports.extend(info["step_reports"])
-            motions.append(info["surface_diff_m"] * 1e3)
-        return motions
-
-    def _lap(self) -> None:
-        now_s = self.env.physics_cpu_s
-        self.step_ms.append((now_s - self._clock_s) * 1e3)
-        self._clock_s = now_s
+Figures = dict[str, Any]
+REPOSITORY = Path(__file__).resolve().parents[1]
+FIGURES = REPOSITORY / "benchmarks" / "physics.json"
+DOCUMENT = REPOSITORY / "docs" / "physics.md"
+LEDGER_EPISODES = 45
+LEDGER_ENV_STEPS = 3
 
 
-def speed(replay: Replay) -> dict[str, float]:
-    """CPU time and Newton iterations per IPC step."""
-    ms, iterations = np.array(replay.step_ms), np.array([report.newton_iterations for report in replay.reports])
+def measured(reference: Reference, episodes: int) -> Figures:
+    """Figures of the standard setting, measured when kernels are compiled and meshes are read."""
+    for episode in reference.log[:3]:
+        Replay(reference.assets_dir).play(episode)
+    replay = Replay(reference.assets_dir)
+    for episode in reference.log[:episodes]:
+        replay.play(episode)
     return {
-        "ipc_steps": len(replay.reports),
-        "mean_ms": float(ms.mean()),
-        "median_ms": float(np.median(ms)),
-        "p99_ms": float(np.percentile(ms, 99)),
-        "mean_reset_ms": float(np.mean(replay.reset_ms)),
-        "mean_newton_iterations": float(iterations.mean()),
-        "most_newton_iterations": int(iterations.max()),
-        "physics_cpu_s": replay.env.physics_cpu_s,
+        "speed": speed(replay),
+        "pieces": pieces(replay, reference),
+        "convergence": convergence(replay.reports),
+        "agreement": agreement(replay, reference),
+        "misses": [row | {"in_parts_mm": in_parts_mm(reference, row)} for row in misses(replay, reference)],
+        "logs": against_logs(replay, reference),
+        "outcomes": outcomes(replay, reference),
     }
 
 
-def convergence(reports: list[StepReport]) -> dict[str, Any]:
-    """How steps ended and what they left."""
-    return {
-        "status": dict(Counter(str(report.status) for report in reports)),
-        "largest_residual_n": max(report.residual_n for report in reports),
-        "median_residual_n": float(np.median([report.residual_n for report in reports])),
-        "largest_net_force_n": max(report.net_force_n for report in reports),
-        "smallest_gap_m": min(report.smallest_gap_m for report in reports),
-        "smallest_det_f": min(report.smallest_det_f for report in reports),
-    }
+def in_parts_mm(reference: Reference, miss: Figures) -> list[float]:
+    """How far a missed env step ends from the reference when every driven motion is divided into 2, 4, 8, 16 parts."""
+    key, found = (miss["episode"], miss["env_step"]), []
+    for level in (1, 2, 3, 4):
+        replay = Replay(reference.assets_dir, replace(SolverSettings(), first_substep_level=level))
+        replay.play(reference.log[miss["episode"] - 1], first_steps=miss["env_step"])
+        found.append(deviation_mm(replay.by_step()[key], reference.settled[key]))
+    return found
 
 
-def agreement(rows: list[tuple[int, float, float]]) -> dict[str, dict[str, float]]:
-    """Deviation from the settled states by env step, from (env step, deviation, spread) [mm]."""
-    result = {}
-    for n in (1, 2, 3):
-        deviation = np.array([d for step, d, _ in rows if step == n])
-        certain = np.array([d for step, d, spread in rows if step == n and spread < AGREEMENT_MM])
-        result[f"env_step_{n}"] = {
-            "episodes": len(deviation),
-            "median_mm": float(np.median(deviation)),
-            "largest_mm": float(deviation.max()),
-            "certain_episodes": len(certain),
-            "part_within_0.03_mm": float((certain <= AGREEMENT_MM).mean()),
-        }
-    return result
+def fuzz_results(files: list[Path], saved: Figures) -> list[Figures]:
+    """Results of random episodes, those of before where no new ones are given."""
+    return [json.loads(file.read_text()) for file in files] or list(saved.get("fuzz", []))
 
 
 def main() -> None:
@@ -100,24 +69,20 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("reference_dir", type=Path)
     parser.add_argument("--episodes", type=int, default=90)
-    parser.add_argument("--json", type=Path)
+    parser.add_argument("--ledger", action="store_true")
+    parser.add_argument("--write-docs", action="store_true")
+    parser.add_argument("--fuzz", type=Path, nargs="+", default=[], metavar="FILE")
     arguments = parser.parse_args()
-    folder: Path = arguments.reference_dir
-    log = (folder / "logs" / "track1_peg_insertion.repeat0.jsonl").read_text().splitlines()
-    truth = {e["episode"]: e["steps"] for e in json.loads((folder / "physics_truth.json").read_text())["episodes"]}
-    replay = Replay(folder / "assets" / "track1")
-    rows = []
-    for line in log[: arguments.episodes]:
-        episode: Episode = json.loads(line)
-        motions = replay.play(episode)
-        for motion, settled in zip(motions, truth.get(episode["episode"], []), strict=False):
-            spread = max(settled["spread_tolerance_mm"], settled["spread_coplanar_edges_mm"])
-            rows.append((settled["n"], float(np.abs(motion - settled["S_mm"]).max()), spread))
-    result = {"speed": speed(replay), "convergence": convergence(replay.reports), "agreement": agreement(rows)}
-    text = json.dumps(result, indent=1)
-    sys.stdout.write(text + "\n")
-    if arguments.json:
-        arguments.json.write_text(text + "\n")
+    reference = read_reference(arguments.reference_dir)
+    figures = measured(reference, arguments.episodes)
+    if arguments.ledger or arguments.write_docs:
+        figures["ledger"] = ledger(reference, episodes=LEDGER_EPISODES, env_steps=LEDGER_ENV_STEPS)
+    if arguments.write_docs:
+        saved = json.loads(FIGURES.read_text()) if FIGURES.exists() else {}
+        figures["fuzz"] = fuzz_results(arguments.fuzz, saved)
+        FIGURES.write_text(json.dumps(figures, indent=1) + "\n")
+        DOCUMENT.write_text(with_tables(DOCUMENT.read_text(), figures))
+    sys.stdout.write(json.dumps(figures, indent=1) + "\n")
 
 
 if __name__ == "__main__":

@@ -1,0 +1,94 @@
+"""What an IPC step's CPU time goes into: its kernels, called one by one on states of played episodes.
+
+A piece's time is that of one call, at where an IPC step starts and along the way it goes, times the mean number of
+Newton iterations; the candidate list is made once. What is left of the measured time is `other`: inertia and
+orthogonality, second assemblies of cautious iterations, further candidate lists, and what depends on the iterate.
+"""
+
+from collections.abc import Callable
+from time import thread_time
+from typing import Any
+
+import numpy as np
+from physics_replay import Reference, Replay
+from vitac.envs.fem.assembly import assemble
+from vitac.envs.fem.broad_phase import find_candidates, relative_motion
+from vitac.envs.fem.ccd import contact_free_fraction, inversion_free_fraction
+from vitac.envs.fem.contact_assembly import add_contacts
+from vitac.envs.fem.elasticity import add_elasticity
+from vitac.envs.fem.linear_solve import solve
+from vitac.envs.fem.points import point_positions
+from vitac.envs.fem.scene import Scene
+from vitac.envs.fem.workspace import EXACT_MATRIX, new_workspace
+
+Figures = dict[str, Any]
+FloatArray = np.ndarray[Any, np.dtype[np.float64]]
+EPISODES = 3
+_CALLS = 20
+ONCE = "candidates"
+OTHER = "other"
+
+
+def pieces(replay: Replay, reference: Reference) -> list[Figures]:
+    """CPU time per IPC step by piece [ms], most of it first, `other` last."""
+    samples: list[dict[str, float]] = []
+    for episode in reference.log[:EPISODES]:
+        sampled = Replay(reference.assets_dir)
+        sampled.play(episode, first_steps=0)
+        scene = sampled.env.scene
+        before = [scene._scene._x.copy()]
+
+        def look(scene: Scene = scene._scene, before: list[FloatArray] = before) -> None:
+            samples.append(call_times_ms(scene, before[0], scene._x))
+            before[0] = scene._x.copy()
+
+        scene.after_ipc_step = look
+        for logged in episode["steps"]:
+            sampled.env.step(np.array(logged["action"], dtype=np.float32))
+    iterations = np.mean([report.newton_iterations for report in replay.reports])
+    times = {
+        name: float(np.mean([sample[name] for sample in samples])) * (1 if name == ONCE else float(iterations))
+        for name in samples[0]
+    }
+    rows = [{"piece": name, "ms": ms} for name, ms in sorted(times.items(), key=lambda item: -item[1])]
+    return [*rows, {"piece": OTHER, "ms": float(np.mean(replay.step_ms)) - sum(times.values())}]
+
+
+def call_times_ms(scene: Scene, x: FloatArray, x_end: FloatArray) -> dict[str, float]:
+    """CPU time of one call of each kernel at the start x [m] of an IPC step that ends at x_end [ms]."""
+    model, w = scene._model, new_workspace(scene._model.system, len(x))
+    y, y_move = np.empty((2, len(model.points.node_count), 3))
+    point_positions(model.points, x, y)
+    point_positions(model.points, x_end - x, y_move)
+    move = np.zeros_like(x)
+    reach_m = np.full(len(model.surfaces.pairs), model.parameters.d_hat_m + model.parameters.candidate_margin_m)
+    near = find_candidates(model.surfaces, y, reach_m)
+    still, motion = np.zeros_like(reach_m), np.empty_like(reach_m)
+    relative_motion(model.surfaces, y_move, motion)
+    assemble(model, near, still, x, x, y, y, move, w, EXACT_MATRIX)
+    entries, solution = w.entries.copy(), np.empty(3 * len(model.unknowns.node))
+
+    def solve_again() -> None:
+        w.entries[:] = entries
+        solve(model.system, w.entries, solution, False)
+
+    def ccd() -> None:
+        inversion_free_fraction(model.elastic, x, x_end - x, 1.0)
+        contact_free_fraction(near, still, motion, y, y_move, model.parameters.ccd_gap_fraction, 1.0)
+
+    calls: dict[str, Callable[[], object]] = {
+        "linear solve": solve_again,
+        "elasticity": lambda: add_elasticity(model.elastic, x, move, w, EXACT_MATRIX),
+        "contacts": lambda: add_contacts(model, near, still, y, y, move, w, EXACT_MATRIX),
+        "CCD and inversion": ccd,
+        ONCE: lambda: find_candidates(model.surfaces, y, reach_m),
+    }
+    return {name: _time_ms(call) for name, call in calls.items()}
+
+
+def _time_ms(call: Callable[[], object]) -> float:
+    call()
+    began_s = thread_time()
+    for _ in range(_CALLS):
+        call()
+    return (thread_time() - began_s) / _CALLS * 1e3
