@@ -1,13 +1,14 @@
 """Re-simulation: recorded actions through the physics again; under `vitac resimulate` and log verification."""
 
 from dataclasses import dataclass
+from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import JsonValue
 
 from .episodes import Environment, json_info
-from .records import EpisodeOutcome
+from .records import EpisodeOutcome, Timings
 from .tracks import Episode
 
 
@@ -23,6 +24,7 @@ class Resimulated:
     total_reward: float
     outcome: EpisodeOutcome | None
     end_step: int | None
+    timings: Timings
 
 
 def resimulate(env: Environment, episode: Episode, actions: NDArray[np.float32]) -> Resimulated:
@@ -36,6 +38,7 @@ def resimulate(env: Environment, episode: Episode, actions: NDArray[np.float32])
     Returns:
         What happened; the reward is that up to the end of the episode.
     """
+    started, physics_s, markers_s = perf_counter(), env.physics_cpu_s, env.marker_cpu_s
     env.reset(options=episode.options)
     state_hashes, infos = [env.state_hash()], []
     total_reward, outcome, end_step = 0.0, None, None
@@ -53,4 +56,9 @@ def resimulate(env: Environment, episode: Episode, actions: NDArray[np.float32])
         total_reward=total_reward,
         outcome=outcome,
         end_step=end_step,
+        timings=Timings(
+            physics_s=env.physics_cpu_s - physics_s,
+            markers_s=env.marker_cpu_s - markers_s,
+            wall_s=perf_counter() - started,
+        ),
     )

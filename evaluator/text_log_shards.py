@@ -72,4 +72,5 @@ def _record(task: Task, recording: Recording, played: Resimulated) -> EpisodeRec
         actions=ActionSequence.from_array(recording.actions[:steps]),
         state_hashes=played.state_hashes[: steps + 1],
         infos=played.infos[:steps],
+        timings=played.timings,
     )

@@ -11,7 +11,7 @@ from .log_checks import must_agree, why_impossible
 from .log_findings import Divergence, LogFinding, LogVerdict, comparable
 from .logs import LogHeader
 from .recordings import recording_of
-from .records import EpisodeOutcome, EpisodeRecord, Manifest, Timings
+from .records import EpisodeOutcome, EpisodeRecord, Manifest
 from .replay import Resimulated, resimulate
 from .scoring import Score, score
 from .shards import make_manifest
@@ -162,6 +162,6 @@ def _with_our_states(record: EpisodeRecord, played: Resimulated) -> EpisodeRecor
             "infos": played.infos,
             "total_reward": played.total_reward,
             "failure": failure,
-            "timings": Timings(),
+            "timings": played.timings,
         }
     )

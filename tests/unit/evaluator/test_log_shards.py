@@ -65,6 +65,7 @@ def test_shards_of_a_true_log_give_the_records_of_its_evaluation(tmp_path: Path)
         assert [record.record_digest() for record in records] == [
             record.record_digest() for record in RECORDS[6 * shard : 6 * shard + 6]
         ]
+        assert all(record.timings.wall_s > 0 for record in records)  # They tell how long the queue still takes.
 
 
 def test_stored_episodes_are_left_out(tmp_path: Path) -> None:
