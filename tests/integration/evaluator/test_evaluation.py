@@ -144,3 +144,21 @@ def test_nothing_privileged_reaches_a_policy(submission: Path) -> None:
     evaluation = run(submission, episodes=(1,))
     assert evaluation.failure is None
     assert evaluation.records[0].failure is None
+
+
+def test_lock_opening_is_evaluated_and_its_log_verified(submission: Path, repository: Path) -> None:
+    track, task = find_task("lock-opening")
+    (submission / "submission.yaml").write_text("{track: track_1, tasks: [lock-opening], name: test}")
+    example = repository / "examples" / "lock_opening_heuristic" / "Track_1" / "policy.py"
+    (submission / "policy.py").write_text(example.read_text())
+    evaluation = evaluate(submission_dir=submission, track=track, task=task, episodes=(1, 160))
+    assert [record.outcome for record in evaluation.records] == [EpisodeOutcome.SUCCESS] * 2
+    verification = verify(
+        env=make_environment(task),
+        track=track,
+        task=task,
+        header=LogHeader(manifest=evaluation.manifest),
+        records=evaluation.records,
+        episodes=(1, 160),
+    )
+    assert (verification.verdict, verification.score) == (LogVerdict.VERIFIED, evaluation.score)

@@ -25,6 +25,18 @@ def test_a_good_submission_passes(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert text.count("played") == 2
 
 
+def test_a_submission_of_two_tasks_is_tried_in_both(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    act = "np.zeros({'peg-insertion': 3, 'lock-opening': 2}[self.task], np.float32)"
+    policy = (
+        "import numpy as np\nclass Policy:\n    def reset(self, task): self.task = task\n"
+        f"    def act(self, observation): return {act}\n"
+    )
+    manifest = MANIFEST.replace("[peg-insertion]", "[peg-insertion, lock-opening]")
+    code, text = check(with_files(tmp_path, policy__py=policy, submission__yaml=manifest), capsys)
+    assert code == 0
+    assert (text.count("peg-insertion, episode"), text.count("lock-opening, episode")) == (2, 2)
+
+
 def test_a_zip_and_its_folder_have_the_same_digest(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     archive = tmp_path / "s.zip"
     archive.write_bytes(submission_zip())
