@@ -1,4 +1,4 @@
-"""Our own structured tetrahedral mesh of the GelSight Mini elastomer (challenge-facts 1.5, docs/gel-mesh.md)."""
+"""Our own structured gel meshes, above all the GelSight Mini elastomer (challenge-facts 1.5, docs/gel-mesh.md)."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -9,19 +9,24 @@ from numpy.typing import NDArray
 
 from ..fem.mesh import GelMesh
 
+FloatArray = NDArray[np.float64]
+
 MILLIMETRE_M = 1e-3
+# Height of the sensing face's highest point in a gel's frame; grippers rely on it (`gripper.GEL_HALF_THICKNESS_MM`).
+SENSING_HEIGHT_MM = 2.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class GelDimensions:
-    """A box with a bevelled upper rim; frame: origin at the centre of the bounding box, z out of the sensing face.
+    """A box with a bevelled upper rim; frame: z out of the sensing face, which is at z = 2 mm, x and y centred.
 
     Attributes:
         length_mm: extent along x.
         width_mm: extent along y.
         thickness_mm: extent along z.
-        bevel_height_mm: how far below the sensing face the bevel begins.
+        bevel_height_mm: how far below the sensing face the bevel ends.
         bevel_inset_mm: how far the sensing face stands back from the walls on each side.
+        dome_mm: how far the sensing face falls from its centre to its rim; 0 is flat.
     """
 
     length_mm: float = 25.25
@@ -29,10 +34,25 @@ class GelDimensions:
     thickness_mm: float = 4.0
     bevel_height_mm: float = 1.0
     bevel_inset_mm: float = 3.0
+    dome_mm: float = 0.0
 
 
-# Cells between the bevels along x and y; with one more for each bevel both counts are even, as the pattern needs.
-SENSING_CELLS = (6, 6)
+@dataclass(frozen=True, kw_only=True)
+class GelCells:
+    """Hexahedral cells of a structured gel.
+
+    Attributes:
+        x: between the bevels along x.
+        y: between the bevels along y.
+        bevel: across each bevel.
+        layers: through the thickness.
+    """
+
+    x: int = 6
+    y: int = 6
+    bevel: int = 1
+    layers: int = 1
+
 
 # Corners (x, y, z) of a cell's central tetrahedron, whose upper edge runs along the diagonal x = y; the other four
 # tetrahedra cut off the remaining corners. Neighbouring cells use the mirrored choice, so their faces match.
@@ -45,49 +65,66 @@ def gelsight_mini_mesh() -> GelMesh:
     """Mesh of the elastomer every 2025 task uses: 162 nodes, 320 tetrahedra, 81 driven and 49 sensing nodes.
 
     One layer of hexahedral cells spans the thickness: 6 x 6 between back and sensing face, and a ring of cells below
-    the bevel, so that walls and bevel planes are met exactly. Each cell is cut into five tetrahedra, mirrored from cell
-    to cell like a chessboard; the mesh is symmetric about both vertical mid planes, and in the corner cells the cut
-    runs along the edge where two bevel planes meet.
+    the bevel, so that walls and bevel planes are met exactly. The numbers of cells along x and y are even, so the mesh
+    is symmetric about both vertical mid planes, and in the corner cells the cut runs along the edge where two bevel
+    planes meet.
     """
-    size = GelDimensions()
-    x_mm = _grid_lines(size.length_mm, size.bevel_inset_mm, SENSING_CELLS[0])
-    y_mm = _grid_lines(size.width_mm, size.bevel_inset_mm, SENSING_CELLS[1])
-    columns = len(x_mm) * len(y_mm)
+    return structured_gel(name="generated GelSight Mini gel")
+
+
+def structured_gel(*, name: str, size: GelDimensions | None = None, cells: GelCells | None = None) -> GelMesh:
+    """A gel of hexahedral cells, each cut into five tetrahedra, mirrored from cell to cell like a chessboard.
+
+    The back face is driven, the face between the bevels is sensing.
+    """
+    size, cells = size or GelDimensions(), cells or GelCells()
+    x_mm, x_rise = _grid_lines(size.length_mm, size.bevel_inset_mm, cells.x, cells.bevel)
+    y_mm, y_rise = _grid_lines(size.width_mm, size.bevel_inset_mm, cells.y, cells.bevel)
     grid = np.array([(x, y) for y, x in product(y_mm, x_mm)])
-    inner = np.array(
-        [0 < i < len(x_mm) - 1 and 0 < j < len(y_mm) - 1 for j, i in product(range(len(y_mm)), range(len(x_mm)))]
-    )
-    top_mm = 0.5 * size.thickness_mm
-    upper_z_mm = np.where(inner, top_mm, top_mm - size.bevel_height_mm)
-    nodes_mm = np.concatenate([np.column_stack([grid, np.full(columns, -top_mm)]), np.column_stack([grid, upper_z_mm])])
-    nowhere = np.zeros(columns, dtype=np.bool_)
+    rise = np.array([min(x, y) for y, x in product(y_rise, x_rise)])
+    bottom_mm = SENSING_HEIGHT_MM - size.thickness_mm
+    upper_z_mm = SENSING_HEIGHT_MM - size.dome_mm * (1.0 - _dome(grid, size)) - size.bevel_height_mm * (1.0 - rise)
+    layers = [bottom_mm + (layer / cells.layers) * (upper_z_mm - bottom_mm) for layer in range(cells.layers)]
+    nodes_mm = np.concatenate([np.column_stack([grid, z_mm]) for z_mm in (*layers, upper_z_mm)])
+    inside = np.zeros((cells.layers + 1, len(grid)), dtype=np.bool_)
+    driven, sensing = inside.copy(), inside.copy()
+    driven[0] = True
+    sensing[-1] = rise == 1.0
     return GelMesh(
         rest_position_m=nodes_mm * MILLIMETRE_M,
-        tetrahedra=_oriented(nodes_mm, _cut_cells(len(x_mm), len(y_mm))),
-        driven=np.concatenate([~nowhere, nowhere]),
-        sensing=np.concatenate([nowhere, inner]),
-        name="generated GelSight Mini gel",
+        tetrahedra=_oriented(nodes_mm, _cut_cells(len(x_mm), len(y_mm), cells.layers)),
+        driven=driven.ravel(),
+        sensing=sensing.ravel(),
+        name=name,
     )
 
 
-def _grid_lines(extent_mm: float, inset_mm: float, cells: int) -> NDArray[np.float64]:
-    """Grid coordinates along one axis: the wall, equal cells between the bevels, the other wall."""
+def _grid_lines(extent_mm: float, inset_mm: float, cells: int, bevel_cells: int) -> tuple[FloatArray, FloatArray]:
+    """Grid coordinates along one axis from wall to wall, and how high up the bevel each is, from 0 to 1."""
     edge_mm = 0.5 * extent_mm
     between = np.linspace(-(edge_mm - inset_mm), edge_mm - inset_mm, cells + 1)
-    return np.concatenate([[-edge_mm], between, [edge_mm]])
+    rise = np.arange(bevel_cells) / bevel_cells
+    outer = -edge_mm + inset_mm * rise
+    return np.concatenate([outer, between, -outer[::-1]]), np.concatenate([rise, np.ones(cells + 1), rise[::-1]])
 
 
-def _cut_cells(x_lines: int, y_lines: int) -> NDArray[np.int64]:
-    """Five tetrahedra for every cell between the lower and the upper layer of grid nodes, shape [t, 4]."""
+def _dome(grid_mm: FloatArray, size: GelDimensions) -> FloatArray:
+    """Height of a dome over the sensing face: 1 at its centre, 0 at its rim and beyond."""
+    half_mm = 0.5 * np.array([size.length_mm, size.width_mm]) - size.bevel_inset_mm
+    return np.asarray(np.maximum(1.0 - (grid_mm / half_mm) ** 2, 0.0).prod(axis=1))
+
+
+def _cut_cells(x_lines: int, y_lines: int, layers: int) -> NDArray[np.int64]:
+    """Five tetrahedra for every cell between the layers of grid nodes, shape [t, 4]."""
 
     def node(i: int, j: int, layer: int) -> int:
         return layer * x_lines * y_lines + j * x_lines + i
 
     tetrahedra = []
-    for j, i in product(range(y_lines - 1), range(x_lines - 1)):
-        centre, outer = (_RISING, _FALLING) if (i + j) % 2 == 0 else (_FALLING, _RISING)
+    for layer, j, i in product(range(layers), range(y_lines - 1), range(x_lines - 1)):
+        centre, outer = (_RISING, _FALLING) if (i + j + layer) % 2 == 0 else (_FALLING, _RISING)
         cells = [centre, *((corner, *_neighbours(corner)) for corner in outer)]
-        tetrahedra += [[node(i + x, j + y, z) for x, y, z in cell] for cell in cells]
+        tetrahedra += [[node(i + x, j + y, layer + z) for x, y, z in cell] for cell in cells]
     return np.array(tetrahedra, dtype=np.int64)
 
 

@@ -4,7 +4,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from vitac.envs.fem.mesh import GelMesh, signed_volumes_m3
-from vitac.envs.tactile.gel import gelsight_mini_mesh
+from vitac.envs.gripper import GEL_HALF_THICKNESS_MM
+from vitac.envs.tactile.gel import GelCells, GelDimensions, gelsight_mini_mesh, structured_gel
 from vitac.envs.tactile.gel_files import read_gel
 
 CUBIC_MILLIMETRE_M3 = 1e-9
@@ -102,3 +103,30 @@ def test_counts_are_near_those_of_the_challenges_mesh(reference_dir: Path) -> No
     assert ours.sensing.sum() == pytest.approx(theirs.sensing.sum(), abs=4)
     assert edge_lengths_mm(ours).mean() == pytest.approx(edge_lengths_mm(theirs).mean(), rel=0.1)
     assert quality(ours).min() > quality(theirs).min()
+
+
+@pytest.mark.parametrize("cells", [GelCells(x=8, y=7, layers=2), GelCells(x=5, y=4, bevel=3, layers=4)])
+def test_other_cells_fill_the_same_shape(cells: GelCells) -> None:
+    """Up to the four corners of the bevel, where the cut follows the meeting of two planes only in part."""
+    mesh = structured_gel(name="gel", cells=cells)
+    lines = (cells.x + 2 * cells.bevel + 1, cells.y + 2 * cells.bevel + 1)
+    assert len(mesh.driven) == lines[0] * lines[1] * (cells.layers + 1)
+    assert int(mesh.sensing.sum()) == (cells.x + 1) * (cells.y + 1)
+    assert volumes_mm3(mesh).sum() == pytest.approx(1969.75, rel=3e-3)
+
+
+@pytest.mark.parametrize("thickness_mm", [2.5, 4.0, 8.0])
+def test_sensing_face_is_where_grippers_expect_it_at_any_thickness(thickness_mm: float) -> None:
+    mesh = structured_gel(name="gel", size=GelDimensions(thickness_mm=thickness_mm))
+    np.testing.assert_allclose(mesh.rest_position_m[mesh.sensing, 2] * 1e3, GEL_HALF_THICKNESS_MM, rtol=1e-15)
+    np.testing.assert_allclose(mesh.rest_position_m[mesh.driven, 2] * 1e3, GEL_HALF_THICKNESS_MM - thickness_mm)
+
+
+def test_a_domed_face_falls_from_its_centre_to_its_rim() -> None:
+    mesh = structured_gel(name="gel", size=GelDimensions(dome_mm=0.5))
+    sensing_mm = mesh.rest_position_m[mesh.sensing] * 1e3
+    centre = np.abs(sensing_mm[:, :2]).max(axis=1) < 1e-9
+    rim = (np.abs(sensing_mm[:, 0]) > 9.6) | (np.abs(sensing_mm[:, 1]) > 7.3)
+    assert sensing_mm[centre, 2] == pytest.approx(2.0)
+    np.testing.assert_allclose(sensing_mm[rim, 2], 1.5)
+    assert (sensing_mm[~centre & ~rim, 2] < 2.0).all()
