@@ -57,14 +57,8 @@ def assemble(
 
 @kernel
 def _write_right_hand_side(model: Model, workspace: Workspace) -> None:
-    layout = model.system.block
-    n, m = layout.n, layout.m
-    entries, gradient, coupling = workspace.entries, workspace.gradient, workspace.coupling
+    gradient, coupling = workspace.gradient, workspace.coupling
     for u in range(len(model.unknowns.node)):
-        node, row = model.unknowns.node[u], 3 * u
+        node = model.unknowns.node[u]
         for k in range(3):
-            value = -gradient[node, k] - coupling[node, k]
-            if row < n:
-                entries[layout.right + (row + k) * (m + 1) + m] = value
-            else:
-                entries[layout.corner + (row + k - n) * (m + 1) + m] = value
+            workspace.right_hand_side[3 * u + k] = -gradient[node, k] - coupling[node, k]

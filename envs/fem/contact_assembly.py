@@ -60,6 +60,7 @@ def add_contacts(
     d_hat = model.parameters.d_hat_m
     target = Target(
         model.system.block,
+        model.system.neighbours,
         model.unknowns.slot,
         workspace.entries,
         workspace.gradient,

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..compilation import kernel
 from ..deterministic_math import natural_log
-from .linear_solve import add_block
+from .linear_system import GEL_STRIDE, add_block
 from .mat3 import apply_columns, apply_rows, outer_square, scale_matrix, transpose
 from .model import Elastic
 from .neo_hookean import cofactors, deformation_gradient, nodal_gradient, projected_stiffness_block, stiffness_block
@@ -27,7 +27,7 @@ def add_elasticity(
 
     Prescribed corners, which move by prescribed_move [m], are added to the coupling where they act on unknown ones.
     """
-    nodes, places, stride = elastic.nodes, elastic.places, elastic.stride
+    nodes, places = elastic.nodes, elastic.places
     volumes, mus, lams = elastic.volume_m3, elastic.mu_pa, elastic.lambda_pa
     gradients, reaction = elastic.gradients_1_m, elastic.reaction
     entries, gradient, coupling = workspace.entries, workspace.gradient, workspace.coupling
@@ -65,9 +65,9 @@ def add_elasticity(
                 else:
                     block = stiffness_block(volume, mu, lam, pressure, gg, ha, hb)
                 if place >= 0:
-                    add_block(entries, place, stride, block)
+                    add_block(entries, place, GEL_STRIDE, block)
                     if b > a:
-                        add_block(entries, mirrored, stride, transpose(block))
+                        add_block(entries, mirrored, GEL_STRIDE, transpose(block))
                 else:
                     m, n = nodes[t, a], nodes[t, b]
                     add_to_row(coupling, m, apply_rows(block, load(prescribed_move, n)))

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compilation import kernel
-from .linear_solve import block_place
+from .linear_system import block_place
 from .model import Model
 from .vec3 import add_to_row, load, scale, subtract
 from .workspace import NO_MATRIX, Workspace
@@ -24,7 +24,7 @@ def add_inertia(model: Model, x: FloatArray, x_hat: FloatArray, workspace: Works
     inverse_h2 = 1.0 / (model.parameters.time_step_s * model.parameters.time_step_s)
     gradient, entries, system = workspace.gradient, workspace.entries, model.system.block
     unknown_nodes, masses = model.unknowns.node, model.unknowns.node_mass_kg
-    for u in range(system.n // 3):
+    for u in range(system.nodes):
         node = unknown_nodes[u]
         m = masses[node] * inverse_h2
         add_to_row(gradient, node, scale(m, subtract(load(x, node), load(x_hat, node))))

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import VitacError
-from .ordering import Elimination, bandwidth, elimination_reach, reverse_cuthill_mckee
+from .fronts import Elimination, plan_elimination
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
@@ -119,17 +119,14 @@ class GelMesh:
 
     @cached_property
     def elimination(self) -> Elimination:
-        """Order of the free nodes that keeps the stiffness matrix narrow."""
+        """How the free nodes are eliminated so that little fills in."""
         free = np.flatnonzero(~self.driven)
         number = np.full(len(self.driven), -1, dtype=np.int64)
         number[free] = np.arange(len(free))
         edges = np.concatenate([self.tetrahedra[:, pair] for pair in _EDGES])
         edges = np.unique(np.sort(number[edges], axis=1), axis=0)
         edges = edges[edges[:, 0] >= 0]
-        order = reverse_cuthill_mckee(edges, len(free))
-        position = np.empty(len(free), dtype=np.int64)
-        position[order] = np.arange(len(free))
-        return Elimination(free[order], bandwidth(edges, position), elimination_reach(edges, position))
+        return plan_elimination(free, edges, self.rest_position_m[free])
 
     @cached_property
     def driven_nodes(self) -> IndexArray:

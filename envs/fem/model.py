@@ -1,9 +1,9 @@
 """The arrays a scene is made of, laid out for the kernels; built once, never changed while stepping.
 
 *Nodes* are what moves: all mesh nodes of every gel, then four frame points of every affine body. *Unknowns* are the
-nodes to solve for: free gel nodes first (band part), then the frame points of movable bodies (border). *Points* are the
-surface points that can touch: a gel's surface nodes and a body's vertices; a point is a weighted sum of one or four
-nodes.
+nodes to solve for: free gel nodes first, in order of elimination, then the frame points of movable bodies (border).
+*Points* are the surface points that can touch: a gel's surface nodes and a body's vertices; a point is a weighted sum
+of one or four nodes.
 """
 
 from typing import NamedTuple
@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .linear_solve import SystemLayout
+from .linear_system import SystemLayout
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
@@ -28,8 +28,7 @@ class Elastic(NamedTuple):
     volume_m3: FloatArray  # [t]
     mu_pa: FloatArray  # [t]
     lambda_pa: FloatArray  # [t]
-    places: IndexArray  # [t, 16] place of the block of corners (a, b) in the system at 4 a + b, or PRESCRIBED
-    stride: int  # row stride of those blocks
+    places: IndexArray  # [t, 16] place of the block of corners (a, b) in the system at 4 a + b, or NO_PLACE
     reaction: MaskArray  # [t, 16] whether exactly one of the two corners is prescribed
 
 

@@ -23,7 +23,7 @@ from ..compilation import kernel
 from .assembly import assemble
 from .broad_phase import Candidates, find_candidates, relative_motion
 from .ccd import contact_free_fraction, inversion_free_fraction
-from .linear_solve import has_negative_determinant, solve
+from .linear_solve import factorise, has_negative_determinant, substitute
 from .model import PRESCRIBED, Model
 from .points import point_positions
 from .workspace import EXACT_MATRIX, NO_MATRIX, PROJECTED_MATRIX, Workspace
@@ -143,7 +143,7 @@ def solve_step(
         measures[Measure.SMALLEST_GAP_M] = workspace.smallest[0]
         measures[Measure.SMALLEST_DET_F] = workspace.smallest[1]
         if left == 0.0 and step <= tolerances.step_m and residual <= tolerances.residual_n:
-            if not has_negative_determinant(model.system, workspace.entries):
+            if not has_negative_determinant(workspace.factor):
                 return True
             counts[Counter.UNSTABLE] += 1
             return False
@@ -213,13 +213,22 @@ def _find_direction(
 ) -> bool:
     """Write the Newton step of the unknowns into s.solution; False if even the projected matrix is singular."""
     assemble(model, candidates, s.motion, x, x_hat, s.y, s.y_start, s.prescribed_move, workspace, EXACT_MATRIX)
-    if solve(model.system, workspace.entries, s.solution, cautious):
+    if _solve(model, workspace, s.solution, cautious):
         uphill = cautious and left == 0.0 and _force_along(model, s.solution, workspace.gradient) >= 0.0
         if not uphill:
             return True
     counts[Counter.PROJECTED_ITERATIONS] += 1
     assemble(model, candidates, s.motion, x, x_hat, s.y, s.y_start, s.prescribed_move, workspace, PROJECTED_MATRIX)
-    return solve(model.system, workspace.entries, s.solution, True)
+    return _solve(model, workspace, s.solution, True)
+
+
+@kernel
+def _solve(model: Model, workspace: Workspace, solution: FloatArray, positive: bool) -> bool:
+    if not factorise(model.system, workspace.entries, workspace.factor, positive):
+        return False
+    solution[:] = workspace.right_hand_side
+    substitute(model.system, workspace.factor, solution)
+    return True
 
 
 @kernel

@@ -1,82 +1,96 @@
-"""Node ordering with a small bandwidth."""
+"""In which order to eliminate the nodes of a mesh, so that little fills in: nested dissection, then minimum degree."""
 
-from collections import deque
-from typing import NamedTuple
+from heapq import heapify, heappop, heappush
 
 import numpy as np
 from numpy.typing import NDArray
 
+FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
+MaskArray = NDArray[np.bool_]
+
+# Parts of up to so many nodes are ordered by minimum degree, which is the better one there.
+_SMALL_PART = 100
+# Places of the planes that are tried, as parts of the nodes on one side.
+_CUTS = (0.3, 0.35, 0.4, 0.45, 0.5, 0.55, 0.6, 0.65, 0.7)
 
 
-class Elimination(NamedTuple):
-    """In which order to eliminate nodes, and how far their rows then reach."""
+def elimination_order(edges: IndexArray, positions_m: FloatArray) -> IndexArray:
+    """Order of the nodes of a mesh graph with undirected `edges` [e, 2] and node positions [m], shape [n, 3].
 
-    nodes: IndexArray  # [n] in order
-    bandwidth: int  # largest distance in the order between two coupled nodes
-    last: IndexArray  # [n] last place that eliminating a place couples to
-
-
-def reverse_cuthill_mckee(edges: IndexArray, count: int) -> IndexArray:
-    """Order of the nodes 0 .. count - 1 of a graph with undirected `edges` [e, 2]; George & Liu (1981), section 4.3.
-
-    Each component starts at a pseudo-peripheral node; ties go to the smaller node number, so the order is unique.
+    Nested dissection (George 1973): planes across the coordinate axes cut the mesh into two parts and a separator that
+    is eliminated after them, again and again. It depends on nothing but the arguments, and not on the order of edges.
     """
-    neighbours: list[list[int]] = [[] for _ in range(count)]
+    neighbours: list[set[int]] = [set() for _ in positions_m]
     for a, b in edges.tolist():
-        neighbours[a].append(b)
-        neighbours[b].append(a)
-    degree = [len(n) for n in neighbours]
-    for adjacent in neighbours:
-        adjacent.sort(key=lambda node: (degree[node], node))
+        neighbours[a].add(b)
+        neighbours[b].add(a)
     order: list[int] = []
-    seen = [False] * count
-    for start in sorted(range(count), key=lambda node: (degree[node], node)):
-        if not seen[start]:
-            component = _breadth_first(_peripheral_node(start, neighbours, degree), neighbours)
-            for node in component[0]:
-                seen[node] = True
-            order.extend(component[0])
-    return np.array(order[::-1], dtype=np.int64)
+    _dissect(np.arange(len(positions_m)), edges, positions_m, neighbours, order)
+    return np.array(order, dtype=np.int64)
 
 
-def bandwidth(edges: IndexArray, position: IndexArray) -> int:
-    """Largest distance in the order between two adjacent nodes; position[node] is a node's place."""
-    if len(edges) == 0:
-        return 0
-    return int(np.abs(position[edges[:, 0]] - position[edges[:, 1]]).max())
+def minimum_degree(nodes: list[int], neighbours: list[set[int]]) -> list[int]:
+    """Order of some nodes that takes next the one coupled to fewest others then; ties go to the smaller number.
 
-
-def elimination_reach(edges: IndexArray, position: IndexArray) -> IndexArray:
-    """Last place that eliminating each place couples to, fill included, shape [n]: a running maximum."""
-    last = np.arange(len(position))
-    first, second = position[edges[:, 0]], position[edges[:, 1]]
-    np.maximum.at(last, np.minimum(first, second), np.maximum(first, second))
-    return np.maximum.accumulate(last)
-
-
-def _breadth_first(start: int, neighbours: list[list[int]]) -> tuple[list[int], int, list[int]]:
-    """Nodes in breadth-first order, the number of levels, and the nodes of the last level."""
-    level = {start: 0}
-    queue = deque([start])
+    The others of their neighbours count, but are eliminated later.
+    """
+    coupled = {node: set(neighbours[node]) for node in nodes}
+    queue = [(len(others), node) for node, others in coupled.items()]
+    heapify(queue)
     order = []
     while queue:
-        node = queue.popleft()
+        degree, node = heappop(queue)
+        if node not in coupled or degree != len(coupled[node]):
+            continue
         order.append(node)
-        for other in neighbours[node]:
-            if other not in level:
-                level[other] = level[node] + 1
-                queue.append(other)
-    depth = level[order[-1]]
-    return order, depth, [node for node in order if level[node] == depth]
+        others = coupled.pop(node)
+        for other in others:
+            if other in coupled:
+                coupled[other] |= others
+                coupled[other] -= {node, other}
+                heappush(queue, (len(coupled[other]), other))
+    return order
 
 
-def _peripheral_node(start: int, neighbours: list[list[int]], degree: list[int]) -> int:
-    """A node of nearly greatest eccentricity, by repeated breadth-first search from the last level."""
-    _, depth, last = _breadth_first(start, neighbours)
-    while True:
-        candidate = min(last, key=lambda node: (degree[node], node))
-        _, new_depth, last = _breadth_first(candidate, neighbours)
-        if new_depth <= depth:
-            return candidate
-        depth = new_depth
+def _dissect(
+    nodes: IndexArray, edges: IndexArray, positions_m: FloatArray, neighbours: list[set[int]], order: list[int]
+) -> None:
+    """Append an order of `nodes`, among which are `edges`."""
+    separated = None if len(nodes) <= _SMALL_PART else _best_separator(nodes, edges, positions_m)
+    if separated is None:
+        order += minimum_degree(nodes.tolist(), neighbours)
+        return
+    lower, separator = separated
+    inside = np.zeros(len(positions_m), dtype=np.bool_)
+    for part in (nodes[lower[nodes] & ~separator[nodes]], nodes[~lower[nodes] & ~separator[nodes]]):
+        inside[:] = False
+        inside[part] = True
+        _dissect(part, edges[inside[edges].all(axis=1)], positions_m, neighbours, order)
+    order += nodes[separator[nodes]].tolist()
+
+
+def _best_separator(
+    nodes: IndexArray, edges: IndexArray, positions_m: FloatArray
+) -> tuple[MaskArray, MaskArray] | None:
+    """Masks of the nodes below a plane and of its separator: few nodes between two parts of about equal size."""
+    best = None
+    smallest = len(nodes) ** 2
+    for axis in range(3):
+        along = positions_m[:, axis]
+        ordered = np.sort(along[nodes])
+        for cut in np.unique(ordered[[int(part * (len(nodes) - 1)) for part in _CUTS]]):
+            lower = along <= cut
+            crossing = edges[lower[edges[:, 0]] != lower[edges[:, 1]]].ravel()
+            below = int(lower[nodes].sum())
+            for side in (True, False):
+                separator = np.unique(crossing[lower[crossing] == side])
+                parts = (below - side * len(separator), len(nodes) - below - (not side) * len(separator))
+                score = len(separator) * max(parts)
+                if min(parts) > 0 and score < smallest:
+                    smallest, best = score, (lower, separator)
+    if best is None:
+        return None
+    mask = np.zeros(len(positions_m), dtype=np.bool_)
+    mask[best[1]] = True
+    return best[0], mask

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..compilation import kernel
 from .affine_body import affine_columns
-from .linear_solve import BlockLayout, add_block, block_place
+from .linear_system import BlockLayout, add_block, block_place
 from .mat3 import Mat3, add_matrices, apply_columns, identity_and_outers, scale_matrix
 from .model import Affine
 from .vec3 import Vec3, add_to_row, dot, scale

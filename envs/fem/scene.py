@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..errors import VitacError
 from .affine_body import frame_mass, frame_weights
-from .linear_solve import SystemLayout, system_layout
+from .linear_system import SystemLayout, gel_block_places, system_layout
 from .mesh import GelMesh, SurfaceMesh
 from .model import (
     PRESCRIBED,
@@ -400,16 +400,13 @@ def _build_elastic(gels: tuple[GelBody, ...], layout: _Layout, unknowns: Unknown
     all_nodes = np.concatenate(nodes)
     slots = unknowns.slot[all_nodes]
     first, second = np.repeat(slots, 4, axis=1), np.tile(slots, 4)
-    half_width = system.block.w
-    known = (first != PRESCRIBED) & (second != PRESCRIBED)
     return Elastic(
         nodes=all_nodes,
         gradients_1_m=np.concatenate(gradients),
         volume_m3=np.concatenate(volumes),
         mu_pa=np.concatenate(mu),
         lambda_pa=np.concatenate(lam),
-        places=np.where(known, 2 * half_width * 3 * first + half_width + 3 * second, PRESCRIBED),
-        stride=2 * half_width,
+        places=gel_block_places(system.neighbours, first, second),
         reaction=(first == PRESCRIBED) != (second == PRESCRIBED),
     )
 
@@ -514,22 +511,17 @@ def _build_unknowns(
     slot = np.full(total, PRESCRIBED, dtype=np.int64)
     mass = np.zeros(total)
     order: list[int] = []
-    reach: list[int] = []
-    width = 0
     for gel, rows in zip(gels, layout.gel_slices, strict=True):
         np.add.at(
             mass,
             gel.mesh.tetrahedra + rows.start,
             0.25 * gel.density_kg_m3 * gel.mesh.volumes_m3[:, None],
         )
-        elimination = gel.mesh.elimination
-        reach.extend((elimination.last + len(order)).tolist())
-        order.extend((elimination.nodes + rows.start).tolist())
-        width = max(width, elimination.bandwidth)
+        order.extend((gel.mesh.elimination.nodes + rows.start).tolist())
     gel_unknowns = len(order)
     for body, rows in zip(bodies, layout.body_slices, strict=True):
         if not body.fixed:
             order.extend(range(rows.start, rows.stop))
     slot[order] = np.arange(len(order))
-    system = system_layout(np.array(reach, dtype=np.int64), width, 3 * (len(order) - gel_unknowns))
+    system = system_layout([gel.mesh.elimination for gel in gels], len(order) - gel_unknowns)
     return Unknowns(slot=slot, node=np.array(order, dtype=np.int64), node_mass_kg=mass), system

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..compilation import kernel
 from .distance import Coefficients
-from .linear_solve import BlockLayout, block_place
+from .linear_system import GEL_STRIDE, NO_PLACE, BlockLayout, Neighbours, block_place, gel_block_place
 from .mat3 import Mat3
 from .model import PRESCRIBED, Points
 from .vec3 import Vec3
@@ -47,6 +47,7 @@ class Target(NamedTuple):
     """Where a contact's forces and blocks go."""
 
     system: BlockLayout
+    neighbours: Neighbours
     slot: IndexArray  # [n] unknown of a node, or PRESCRIBED
     entries: FloatArray
     gradient: FloatArray  # [n, 3]
@@ -138,6 +139,7 @@ def add_blocks(stencil: Stencil, count: int, modes: int, target: Target) -> None
     _expand(stencil.weights, stencil.jacobian, count, modes, stencil.rows, stencil.block)
     nodes, block, entries, slot, system = stencil.nodes, stencil.block, target.entries, target.slot, target.system
     coupling, prescribed_move = target.coupling, target.prescribed_move
+    start, neighbour = target.neighbours
     for i in range(count):
         a = slot[nodes[i]]
         if a == PRESCRIBED:
@@ -148,16 +150,17 @@ def add_blocks(stencil: Stencil, count: int, modes: int, target: Target) -> None
             if b == PRESCRIBED:
                 _add_coupling(block, i, j, coupling, nodes[i], prescribed_move, nodes[j])
                 j += 1
-            elif 3 * b >= system.n:
+            elif b >= system.nodes:
                 place, stride = block_place(system, a, b)
                 _add_frame_run(block, 3 * i, 3 * j, entries, place, stride)
                 j += _FRAME_POINTS
             else:
-                if max(a, b) < system.n // 3 and abs(a - b) > system.band_width:
-                    _add_bound(block, i, j, entries, block_place(system, a, a), block_place(system, b, b))
+                within = a < system.nodes
+                place = gel_block_place(start, neighbour, a, b) if within else block_place(system, a, b)[0]
+                if place == NO_PLACE:
+                    _add_bound(block, i, j, entries, block_place(system, a, a)[0], block_place(system, b, b)[0])
                 else:
-                    place, stride = block_place(system, a, b)
-                    _add_gel_block(block, 3 * i, 3 * j, entries, place, stride)
+                    _add_gel_block(block, 3 * i, 3 * j, entries, place)
                 j += 1
 
 
@@ -187,10 +190,10 @@ def _expand(
 
 
 @kernel
-def _add_gel_block(block: FloatArray, row: int, column: int, entries: FloatArray, place: int, stride: int) -> None:
+def _add_gel_block(block: FloatArray, row: int, column: int, entries: FloatArray, place: int) -> None:
     for k in range(3):
         for m in range(3):
-            entries[place + k * stride + m] += block[row + k, column + m]
+            entries[place + k * GEL_STRIDE + m] += block[row + k, column + m]
 
 
 @kernel
@@ -212,12 +215,10 @@ def _add_coupling(
 
 
 @kernel
-def _add_bound(
-    block: FloatArray, i: int, j: int, entries: FloatArray, of_a: tuple[int, int], of_b: tuple[int, int]
-) -> None:
-    """Replace a coupling outside the band (two gels that touch) by a bound on it, which only slows convergence."""
+def _add_bound(block: FloatArray, i: int, j: int, entries: FloatArray, of_a: int, of_b: int) -> None:
+    """Replace a coupling outside the pattern (two gels that touch) by a bound on it, which only slows convergence."""
     for k in range(3):
         for m in range(3):
             half = 0.5 * abs(block[3 * i + k, 3 * j + m])
-            entries[of_a[0] + k * (of_a[1] + 1)] += half
-            entries[of_b[0] + m * (of_b[1] + 1)] += half
+            entries[of_a + k * (GEL_STRIDE + 1)] += half
+            entries[of_b + m * (GEL_STRIDE + 1)] += half

@@ -5,7 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .linear_solve import SystemLayout
+from .linear_solve import Factor, new_factor
+from .linear_system import SystemLayout
 from .stencil import Stencil, new_stencil
 
 FloatArray = NDArray[np.float64]
@@ -21,7 +22,9 @@ PROJECTED_MATRIX = 2
 class Workspace(NamedTuple):
     """Arrays that `assemble` fills, term by term."""
 
-    entries: FloatArray  # the system, see `linear_solve`
+    entries: FloatArray  # the matrix, see `linear_system`
+    right_hand_side: FloatArray  # [3 u] [N]
+    factor: Factor
     gradient: FloatArray  # [n, 3] dE/dx [N], prescribed nodes included
     coupling: FloatArray  # [n, 3] Jacobian times the prescribed motion [N]
     moves: MaskArray  # [1] whether prescribed nodes move, so that there is a coupling
@@ -34,6 +37,8 @@ def new_workspace(layout: SystemLayout, nodes: int) -> Workspace:
     """Uninitialised arrays for a system of this layout and so many nodes."""
     return Workspace(
         entries=np.empty(layout.size),
+        right_hand_side=np.empty(layout.block.n + layout.block.m),
+        factor=new_factor(layout),
         gradient=np.empty((nodes, 3)),
         coupling=np.empty((nodes, 3)),
         moves=np.empty(1, dtype=np.bool_),

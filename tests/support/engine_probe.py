@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from vitac.envs.fem.assembly import assemble
 from vitac.envs.fem.broad_phase import Candidates, find_candidates, relative_motion
-from vitac.envs.fem.linear_solve import BlockLayout, SystemLayout
+from vitac.envs.fem.linear_system import GEL_STRIDE, NO_PLACE, SystemLayout, block_place, gel_block_place
 from vitac.envs.fem.model import PRESCRIBED, Model
 from vitac.envs.fem.points import point_positions
 from vitac.envs.fem.scene import Scene
@@ -87,28 +87,19 @@ class Probe:
 
 def dense_matrix(system: SystemLayout, entries: FloatArray) -> FloatArray:
     """The system's matrix from its flat entries, shape [n + m, n + m]."""
-    layout: BlockLayout = system.block
-    n, m, w = layout.n, layout.m, layout.w
-    matrix = np.zeros((n + m, n + m))
-    for i in range(n):
-        low, high = max(0, i - w), min(n, i + w + 1)
-        matrix[i, low:high] = entries[2 * w * i + w + low : 2 * w * i + w + high]
-        right = layout.right + i * (m + 1)
-        matrix[i, n:] = entries[right : right + m]
-    for i in range(m):
-        bottom, corner = layout.bottom + i * n, layout.corner + i * (m + 1)
-        matrix[n + i, :n] = entries[bottom : bottom + n]
-        matrix[n + i, n:] = entries[corner : corner + m]
-    # Entries of one row's band that reach into the next rows' storage stand outside the elimination's reach.
-    reach = np.repeat(3 * (system.last + 1), 3)
-    for i in range(n):
-        matrix[i, reach[i] : n] = 0.0
-        matrix[reach[i] : n, i] = 0.0
+    total = (system.block.n + system.block.m) // 3
+    matrix = np.zeros((3 * total, 3 * total))
+    for a in range(total):
+        for b in range(total):
+            place, stride = system_place(system, a, b)
+            if place != NO_PLACE:
+                rows = entries[place : place + 2 * stride + 3]
+                matrix[3 * a : 3 * a + 3, 3 * b : 3 * b + 3] = [rows[k * stride : k * stride + 3] for k in range(3)]
     return matrix
 
 
-def right_hand_side(system: SystemLayout, entries: FloatArray) -> FloatArray:
-    """The system's right-hand side from its flat entries, shape [n + m]."""
-    n, m = system.block.n, system.block.m
-    rows = [entries[system.block.right + i * (m + 1) + m] for i in range(n)]
-    return np.array(rows + [entries[system.block.corner + i * (m + 1) + m] for i in range(m)])
+def system_place(system: SystemLayout, a: int, b: int) -> tuple[int, int]:
+    """Place and row stride of any block; NO_PLACE for gel nodes that are not coupled."""
+    if max(a, b) < system.block.nodes:
+        return gel_block_place(system.neighbours.start, system.neighbours.node, a, b), GEL_STRIDE
+    return block_place(system.block, a, b)
