@@ -16,7 +16,7 @@ from vitac.envs.fem.broad_phase import find_candidates, relative_motion
 from vitac.envs.fem.ccd import contact_free_fraction, inversion_free_fraction
 from vitac.envs.fem.contact_assembly import add_contacts
 from vitac.envs.fem.elasticity import add_elasticity
-from vitac.envs.fem.linear_solve import solve
+from vitac.envs.fem.linear_solve import factorise, substitute
 from vitac.envs.fem.points import point_positions
 from vitac.envs.fem.scene import Scene
 from vitac.envs.fem.workspace import EXACT_MATRIX, new_workspace
@@ -66,18 +66,17 @@ def call_times_ms(scene: Scene, x: FloatArray, x_end: FloatArray) -> dict[str, f
     still, motion = np.zeros_like(reach_m), np.empty_like(reach_m)
     relative_motion(model.surfaces, y_move, motion)
     assemble(model, near, still, x, x, y, y, move, w, EXACT_MATRIX)
-    entries, solution = w.entries.copy(), np.empty(3 * len(model.unknowns.node))
 
-    def solve_again() -> None:
-        w.entries[:] = entries
-        solve(model.system, w.entries, solution, False)
+    def solve() -> None:
+        factorise(model.system, w.entries, w.factor, False)
+        substitute(model.system, w.factor, w.right_hand_side.copy())
 
     def ccd() -> None:
         inversion_free_fraction(model.elastic, x, x_end - x, 1.0)
         contact_free_fraction(near, still, motion, y, y_move, model.parameters.ccd_gap_fraction, 1.0)
 
     calls: dict[str, Callable[[], object]] = {
-        "linear solve": solve_again,
+        "linear solve": solve,
         "elasticity": lambda: add_elasticity(model.elastic, x, move, w, EXACT_MATRIX),
         "contacts": lambda: add_contacts(model, near, still, y, y, move, w, EXACT_MATRIX),
         "CCD and inversion": ccd,
