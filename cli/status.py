@@ -124,10 +124,10 @@ def show(found: Json) -> None:
 
 
 def _log(log: Json) -> dict[str, object]:
-    """Verdict and claims of a log."""
+    """Claims of a log and that it is verified; what was found against it is the evaluation's verdict."""
     claimed = f"{percent(log['claimed_success_rate'])}, {log['claimed_successes']} of {log['claimed_episodes']}"
     lines: dict[str, object] = {"kind": log["label"], "claimed": claimed}
-    if log["verdict"] is not None:
+    if log["verdict"] is not None and log["verdict"].startswith("verified"):
         lines["log"] = f"{log['verdict']}: {log['reason']}"
     if log["divergence"] is not None:
         lines["state in the log"] = log["divergence"]["recorded_state"]
