@@ -26,7 +26,7 @@ def test_a_good_submission_passes(tmp_path: Path, capsys: pytest.CaptureFixture[
 
 
 def test_a_submission_of_two_tasks_is_tried_in_both(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    act = "np.zeros({'peg-insertion': 3, 'lock-opening': 2}[self.task], np.float32)"
+    act = "np.ones({'peg-insertion': 3, 'lock-opening': 2}[self.task], np.float32)"
     policy = (
         "import numpy as np\nclass Policy:\n    def reset(self, task): self.task = task\n"
         f"    def act(self, observation): return {act}\n"
