@@ -19,6 +19,8 @@ Row3 = tuple[float, float, float]
 
 # A pivot this small [N/m] against elastic ones of 1e2 to 1e6 N/m means a singular matrix.
 _SMALLEST_PIVOT_N_M = 1e-6
+# Pivot rows in a panel: with the width of large fronts these fit the second-level cache.
+_PANEL_ROWS = 48
 
 
 class Factor(NamedTuple):
@@ -28,6 +30,7 @@ class Factor(NamedTuple):
     negative_pivots: IndexArray  # [1]
     front: FloatArray  # the front at work, row by row
     stack: FloatArray  # what fronts have passed on
+    inverse_pivots: FloatArray  # [w] of the front at work
     near: FloatArray  # [w] solution at the rows of a front
 
 
@@ -39,6 +42,7 @@ def new_factor(system: SystemLayout) -> Factor:
         negative_pivots=np.zeros(1, dtype=np.int64),
         front=np.empty(fronts.widest**2),
         stack=np.empty(fronts.stack),
+        inverse_pivots=np.empty(fronts.widest),
         near=np.empty(fronts.widest),
     )
 
@@ -59,7 +63,7 @@ def factorise(system: SystemLayout, entries: FloatArray, factor: Factor, positiv
         _load(system.block, system.neighbours.start, fronts, f, entries, front, size)
         for c in range(fronts.child_start[f], fronts.child_start[f + 1]):
             _add_child(fronts, fronts.children[c], factor.stack, front, size)
-        if not _eliminate(front, size, pivots, factor.negative_pivots, positive):
+        if not _eliminate(front, size, pivots, factor.inverse_pivots, factor.negative_pivots, positive):
             return False
         _store(front, size, pivots, factor.entries[fronts.factor[f] :], factor.stack[fronts.passed[f] :])
     return True
@@ -143,36 +147,48 @@ def _add_child(fronts: Fronts, child: int, stack: FloatArray, front: FloatArray,
 
 
 @kernel
-def _eliminate(front: FloatArray, size: int, pivots: int, negative_pivots: IndexArray, positive: bool) -> bool:
-    """Eliminate the pivots, node by node; multipliers take the place of what they eliminate."""
-    for k in range(0, pivots, 3):
-        row = k * size
-        u0, u1, u2 = (
-            front[row + k : row + size],
-            front[row + size + k : row + 2 * size],
-            front[row + 2 * size + k : row + 3 * size],
-        )
-        if not _eliminate_within_node(u0, u1, u2, negative_pivots, positive):
-            return False
-        a, b, c = 1.0 / u0[0], 1.0 / u1[1], 1.0 / u2[2]
-        for i in range(k + 3, size, 3):
-            row = i * size
-            r0, r1, r2 = (
-                front[row + k : row + size],
-                front[row + size + k : row + 2 * size],
-                front[row + 2 * size + k : row + 3 * size],
-            )
-            f0 = _multipliers(r0, u0, u1, a, b, c)
-            f1 = _multipliers(r1, u0, u1, a, b, c)
-            f2 = _multipliers(r2, u0, u1, a, b, c)
-            _subtract_products(r0[3:], r1[3:], r2[3:], f0, f1, f2, u0[3:], u1[3:], u2[3:])
+def _eliminate(
+    front: FloatArray,
+    size: int,
+    pivots: int,
+    inverse_pivots: FloatArray,
+    negative_pivots: IndexArray,
+    positive: bool,
+) -> bool:
+    """Eliminate the pivots; multipliers take the place of what they eliminate.
+
+    A panel of pivot rows stays in the cache while all rows below pass by; the size of panels changes no bit.
+    """
+    for start in range(0, pivots, _PANEL_ROWS):
+        stop = min(start + _PANEL_ROWS, pivots)
+        for i in range(start, size, 3):
+            for k in range(start, min(i, stop), 3):
+                _eliminate_node(front, size, i, k, inverse_pivots)
+            if i < stop and not _eliminate_within_node(front, size, i, inverse_pivots, negative_pivots, positive):
+                return False
     return True
 
 
 @kernel
+def _eliminate_node(front: FloatArray, size: int, i: int, k: int, inverse_pivots: FloatArray) -> None:
+    """Eliminate the pivots of the node at row k from the three rows at i."""
+    u, r = k * size, i * size
+    u0, u1, u2 = front[u + k : u + size], front[u + size + k : u + 2 * size], front[u + 2 * size + k : u + 3 * size]
+    r0, r1, r2 = front[r + k : r + size], front[r + size + k : r + 2 * size], front[r + 2 * size + k : r + 3 * size]
+    a, b, c = inverse_pivots[k], inverse_pivots[k + 1], inverse_pivots[k + 2]
+    f0 = _multipliers(r0, u0, u1, a, b, c)
+    f1 = _multipliers(r1, u0, u1, a, b, c)
+    f2 = _multipliers(r2, u0, u1, a, b, c)
+    _subtract_products(r0[3:], r1[3:], r2[3:], f0, f1, f2, u0[3:], u1[3:], u2[3:])
+
+
+@kernel
 def _eliminate_within_node(
-    u0: FloatArray, u1: FloatArray, u2: FloatArray, negative_pivots: IndexArray, positive: bool
+    front: FloatArray, size: int, k: int, inverse_pivots: FloatArray, negative_pivots: IndexArray, positive: bool
 ) -> bool:
+    """Eliminate a node's own three pivots from each other's rows and write their inverses."""
+    u = k * size
+    u0, u1, u2 = front[u + k : u + size], front[u + size + k : u + 2 * size], front[u + 2 * size + k : u + 3 * size]
     if not _usable(u0[0], negative_pivots, positive):
         return False
     f = u1[0] / u0[0]
@@ -187,6 +203,7 @@ def _eliminate_within_node(
     u2[1] = g
     for j in range(2, len(u0)):
         u2[j] -= g * u1[j]
+    inverse_pivots[k], inverse_pivots[k + 1], inverse_pivots[k + 2] = 1.0 / u0[0], 1.0 / u1[1], 1.0 / u2[2]
     return _usable(u2[2], negative_pivots, positive)
 
 
