@@ -6,7 +6,8 @@ from uuid import UUID
 import typer
 
 from .admin_submission import known_state
-from .output import moment, percent, print_json, print_pairs, print_table, require_consent
+from .consent import Yes, consented_transaction
+from .output import AsJson, moment, percent, print_json, print_pairs, print_table
 from .service_database import transaction
 
 if TYPE_CHECKING:
@@ -15,12 +16,14 @@ if TYPE_CHECKING:
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
+EvaluationId = Annotated[UUID, typer.Argument(help="Id of the evaluation.")]
+
 
 @app.command("list")
 def list_evaluations(
     state: Annotated[str | None, typer.Option(help="queued, running, completed, failed or cancelled.")] = None,
     limit: Annotated[int, typer.Option(min=1, max=1000, help="At most so many.")] = 50,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """List evaluations, newest first."""
     from sqlalchemy import select
@@ -41,8 +44,8 @@ def list_evaluations(
 
 @app.command()
 def show(
-    evaluation: Annotated[UUID, typer.Argument(help="Id of the evaluation.")],
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    evaluation: EvaluationId,
+    as_json: AsJson = False,
 ) -> None:
     """Show an evaluation with its shards."""
     with transaction() as session:
@@ -59,31 +62,29 @@ def show(
 
 @app.command()
 def requeue(
-    evaluation: Annotated[UUID, typer.Argument(help="Id of the evaluation.")],
-    yes: Annotated[bool, typer.Option("--yes", help="Do not ask.")] = False,
+    evaluation: EvaluationId,
+    yes: Yes = False,
 ) -> None:
     """Start a new run of the same submission, all episodes anew; this evaluation stays as it is."""
     from vitac.server import submissions
     from vitac.server.auth.principals import CONSOLE
 
-    require_consent(f"Run the submission of evaluation {evaluation} once more?", yes=yes)
-    with transaction() as session:
+    with consented_transaction(f"Run the submission of evaluation {evaluation} once more?", yes=yes) as session:
         submission_id = submissions.run_again(session, CONSOLE, _find(session, evaluation).submission_id).id
     print(f"queued submission {submission_id} again")
 
 
 @app.command()
 def cancel(
-    evaluation: Annotated[UUID, typer.Argument(help="Id of the evaluation.")],
-    yes: Annotated[bool, typer.Option("--yes", help="Do not ask.")] = False,
+    evaluation: EvaluationId,
+    yes: Yes = False,
 ) -> None:
     """Cancel an evaluation that waits or runs."""
     from vitac.server import submissions
     from vitac.server.auth.principals import CONSOLE
     from vitac.server.errors import ProblemCode, ServiceError
 
-    require_consent(f"Cancel evaluation {evaluation}?", yes=yes)
-    with transaction() as session:
+    with consented_transaction(f"Cancel evaluation {evaluation}?", yes=yes) as session:
         found = _find(session, evaluation)
         if submissions.newest_evaluation(session, found.submission).id != evaluation:
             raise ServiceError(

@@ -5,8 +5,9 @@ from uuid import UUID
 
 import typer
 
-from .output import moment, percent, print_json, print_table, require_consent
-from .service_database import load_settings, open_service, transaction
+from .consent import Yes, consented_transaction
+from .output import AsJson, moment, percent, print_json, print_table
+from .service_database import load_settings, open_service
 
 if TYPE_CHECKING:
     from vitac.server.db.states import EvaluationState
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
+SubmissionId = Annotated[UUID, typer.Argument(help="Id of the submission.")]
 COLUMNS = ("submission", "team", "name", "track", "state", "episodes", "success", "steps", "submitted")
 
 
@@ -24,7 +26,7 @@ def list_submissions(
     state: Annotated[str | None, typer.Option(help="queued, running, completed, failed or cancelled.")] = None,
     limit: Annotated[int, typer.Option(min=1, max=1000, help="At most so many.")] = 50,
     before: Annotated[UUID | None, typer.Option(help="Only those older than this submission.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """List submissions, newest first."""
     from vitac.server import submissions
@@ -46,8 +48,8 @@ def list_submissions(
 
 @app.command()
 def show(
-    submission: Annotated[UUID, typer.Argument(help="Id of the submission.")],
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    submission: SubmissionId,
+    as_json: AsJson = False,
 ) -> None:
     """Show a submission with its newest evaluation."""
     from vitac.server import submissions
@@ -66,30 +68,28 @@ def show(
 
 @app.command()
 def requeue(
-    submission: Annotated[UUID, typer.Argument(help="Id of the submission.")],
-    yes: Annotated[bool, typer.Option("--yes", help="Do not ask.")] = False,
+    submission: SubmissionId,
+    yes: Yes = False,
 ) -> None:
     """Evaluate a submission once more, all episodes anew. Earlier results stay; the newest run is the one shown."""
     from vitac.server import submissions
     from vitac.server.auth.principals import CONSOLE
 
-    require_consent(f"Evaluate submission {submission} once more?", yes=yes)
-    with transaction() as session:
+    with consented_transaction(f"Evaluate submission {submission} once more?", yes=yes) as session:
         submissions.run_again(session, CONSOLE, submission)
     print(f"queued {submission} again")
 
 
 @app.command()
 def cancel(
-    submission: Annotated[UUID, typer.Argument(help="Id of the submission.")],
-    yes: Annotated[bool, typer.Option("--yes", help="Do not ask.")] = False,
+    submission: SubmissionId,
+    yes: Yes = False,
 ) -> None:
     """Cancel the evaluation of a submission; its workers stop within seconds."""
     from vitac.server import submissions
     from vitac.server.auth.principals import CONSOLE
 
-    require_consent(f"Cancel the evaluation of submission {submission}?", yes=yes)
-    with transaction() as session:
+    with consented_transaction(f"Cancel the evaluation of submission {submission}?", yes=yes) as session:
         submissions.cancel(session, CONSOLE, submission)
     print(f"cancelled {submission}")
 

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .output import moment, print_json, print_pairs, print_table
+from .output import AsJson, moment, print_json, print_pairs, print_record, print_records
 from .service_database import load_settings, open_service, transaction
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 def add(
     name: Annotated[str, typer.Argument(help="The team's name, 2 to 64 characters.")],
     contact: Annotated[str | None, typer.Option(help="Where organizers reach the team.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Add a team and print its API token, which is shown only now."""
     from vitac.server.auth import teams, tokens
@@ -45,33 +45,27 @@ def add(
 
 
 @app.command("list")
-def list_teams(as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False) -> None:
+def list_teams(as_json: AsJson = False) -> None:
     """List all teams."""
     from vitac.server.auth import teams
 
     with transaction() as session:
         found = [to_json(team) for team in teams.list_teams(session)]
-    if as_json:
-        print_json(found)
-        return
-    rows = [[team["name"], team["contact"], team["created_at"], team["id"]] for team in found]
-    print_table(["team", "contact", "since", "id"], rows, none="No team yet; `vitac admin team add NAME` makes one.")
+    none = "No team yet; `vitac admin team add NAME` makes one."
+    print_records(found, ("name", "contact", "created_at", "id"), none=none, as_json=as_json)
 
 
 @app.command()
 def show(
     team: Annotated[str, typer.Argument(help="Name or id.")],
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Show one team."""
     from vitac.server.auth import teams
 
     with transaction() as session:
         found = to_json(teams.find(session, team))
-    if as_json:
-        print_json(found)
-    else:
-        print_pairs(found)
+    print_record(found, as_json=as_json)
 
 
 def to_json(team: "Team") -> dict[str, str | None]:

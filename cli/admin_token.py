@@ -6,7 +6,8 @@ from uuid import UUID
 
 import typer
 
-from .output import moment, print_json, print_pairs, print_table, require_consent
+from .consent import Yes, consented_transaction
+from .output import AsJson, moment, print_json, print_pairs, print_records
 from .service_database import load_settings, open_service, transaction
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ def add(
     days: Annotated[
         int | None, typer.Option(min=1, help="Days until it expires; default: VITAC_TOKEN_LIFETIME_DAYS.")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Add a token and print it, which happens only now."""
     from vitac.server.auth import teams, tokens
@@ -51,31 +52,27 @@ def add(
 
 
 @app.command("list")
-def list_tokens(as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False) -> None:
+def list_tokens(as_json: AsJson = False) -> None:
     """List all tokens, without their secrets."""
     from vitac.server.auth import tokens
     from vitac.server.auth.principals import CONSOLE
 
     with transaction() as session:
         found = [to_json(token) for token in tokens.list_tokens(session, CONSOLE)]
-    if as_json:
-        print_json(found)
-        return
-    columns = ["id", "role", "team", "label", "expires_at", "revoked_at", "last_used_at"]
-    print_table(columns, [[token[name] for name in columns] for token in found], none="No token yet.")
+    columns = ("id", "role", "team", "label", "expires_at", "revoked_at", "last_used_at")
+    print_records(found, columns, none="No token yet.", as_json=as_json)
 
 
 @app.command()
 def revoke(
     token: Annotated[UUID, typer.Argument(help="Id of the token (not its secret).")],
-    yes: Annotated[bool, typer.Option("--yes", help="Do not ask.")] = False,
+    yes: Yes = False,
 ) -> None:
     """End a token at once, for good."""
     from vitac.server.auth import tokens
     from vitac.server.auth.principals import CONSOLE
 
-    require_consent(f"Revoke token {token} for good?", yes=yes)
-    with transaction() as session:
+    with consented_transaction(f"Revoke token {token} for good?", yes=yes) as session:
         tokens.revoke(session, CONSOLE, token)
     print(f"revoked {token}")
 

@@ -5,7 +5,7 @@ from uuid import UUID
 
 import typer
 
-from .output import moment, print_json, print_pairs, print_table
+from .output import AsJson, moment, print_record, print_records
 from .service_database import transaction
 
 if TYPE_CHECKING:
@@ -15,24 +15,21 @@ app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
 
 @app.command("list")
-def list_workers(as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False) -> None:
+def list_workers(as_json: AsJson = False) -> None:
     """List the workers of the last week, the one heard last first."""
     from vitac.server import workers
 
     with transaction() as session:
         found = [to_json(worker) for worker in workers.list_workers(session)]
-    if as_json:
-        print_json(found)
-        return
-    columns = ["id", "host", "pid", "slots", "state", "isolation", "heartbeat_at", "message"]
-    rows = [[row[key] for key in columns] for row in found]
-    print_table(columns, rows, none="No worker was heard in the last week; `vitac worker` starts one.")
+    columns = ("id", "host", "pid", "slots", "state", "isolation", "heartbeat_at", "message")
+    none = "No worker was heard in the last week; `vitac worker` starts one."
+    print_records(found, columns, none=none, as_json=as_json)
 
 
 @app.command()
 def show(
     worker: Annotated[UUID, typer.Argument(help="Id of the worker.")],
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Show a worker and what it says about itself."""
     from vitac.server.db.models import Worker
@@ -43,10 +40,7 @@ def show(
         if found is None:
             raise not_found("worker", worker)
         shown = to_json(found)
-    if as_json:
-        print_json(shown)
-    else:
-        print_pairs(shown)
+    print_record(shown, as_json=as_json)
 
 
 def to_json(worker: "Worker") -> dict[str, Any]:

@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import json
-import sys
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.cells import cell_len
-from vitac.envs.errors import VitacError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from datetime import datetime
 
 GAP = "  "
-
-
-class ConsentMissing(VitacError):
-    """The command changes something for good, and nobody is there to ask: give --yes."""
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+"""The option of a command that reads."""
 
 
 def print_json(content: object) -> None:
@@ -51,18 +47,27 @@ def print_pairs(pairs: Mapping[str, object]) -> None:
         print(f"{name:<{width}}{GAP}{_cell(value)}")
 
 
-def require_consent(question: str, *, yes: bool) -> None:
-    """Ask before something is changed for good.
+def print_record(record: Mapping[str, object], *, as_json: bool) -> None:
+    """Print what was found: as JSON, or its fields below each other."""
+    if as_json:
+        print_json(record)
+    else:
+        print_pairs(record)
 
-    Raises:
-        ConsentMissing: nobody can be asked.
-        typer.Abort: the answer was no.
+
+def print_records(records: Sequence[Mapping[str, object]], columns: Sequence[str], *, none: str, as_json: bool) -> None:
+    """Print what was found: as JSON, or some of the fields in a table.
+
+    Args:
+        records: what was found.
+        columns: fields of the table.
+        none: sentence where nothing was found.
+        as_json: all fields as JSON.
     """
-    if yes:
-        return
-    if not sys.stdin.isatty():
-        raise ConsentMissing(f"{question} Nobody can be asked here; repeat with --yes.")
-    typer.confirm(question, abort=True)
+    if as_json:
+        print_json(records)
+    else:
+        print_table(columns, [[record[name] for name in columns] for record in records], none=none)
 
 
 def moment(when: datetime | None) -> str | None:

@@ -3,10 +3,13 @@
 import os
 import signal
 import subprocess
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import pytest
 from honest_policy import HONEST
+from httpx import Response
 from service_client import Service
 from service_factories import TRACK, make_record
 from short_evaluation import EPISODES, StartWorker
@@ -18,98 +21,118 @@ from worker_fakes import eventually
 LIMIT_S = 240.0
 
 
-def submit(live: Service) -> str:
-    answer = live.upload(HONEST)
+@dataclass(frozen=True, kw_only=True)
+class Attempt:
+    """An evaluation on a live service, and what it has to end with whatever happens meanwhile."""
+
+    live: Service
+    submission: str
+    undisturbed_hash: str
+
+    @property
+    def evaluation(self) -> dict[str, Any]:
+        found: dict[str, Any] = self.live.get(f"/submissions/{self.submission}").json()["evaluation"]
+        return found
+
+    def wait_for_episodes(self, at_least: int) -> None:
+        eventually(lambda: self.evaluation["progress"]["episodes_done"] >= at_least, LIMIT_S)
+        assert self.evaluation["finished_at"] is None, "too late: the evaluation is over"
+
+    def assert_same_result(self) -> None:
+        eventually(lambda: self.evaluation["finished_at"] is not None, LIMIT_S)
+        final = self.evaluation
+        assert (final["state"], final["verdict"]) == ("completed", None)
+        assert final["progress"]["episodes_done"] == len(EPISODES)
+        assert final["result_hash"] == self.undisturbed_hash
+
+
+@pytest.fixture
+def attempt(live: Service, undisturbed_hash: str) -> Attempt:
+    """Submitted; no worker has been started."""
+    return begun(live, live.upload(HONEST), undisturbed_hash)
+
+
+def begun(live: Service, answer: Response, undisturbed_hash: str) -> Attempt:
     assert answer.status_code == 202, answer.text
-    return str(answer.json()["id"])
+    return Attempt(live=live, submission=answer.json()["id"], undisturbed_hash=undisturbed_hash)
 
 
-def evaluation(live: Service, submission: str) -> dict[str, Any]:
-    found: dict[str, Any] = live.get(f"/submissions/{submission}").json()["evaluation"]
-    return found
+@pytest.fixture
+def worker(attempt: Attempt, start_worker: StartWorker) -> "subprocess.Popen[bytes]":
+    """A worker in the middle of the evaluation."""
+    process = start_worker()
+    attempt.wait_for_episodes(2)
+    return process
 
 
-def wait_for_episodes(live: Service, submission: str, at_least: int) -> None:
-    eventually(lambda: evaluation(live, submission)["progress"]["episodes_done"] >= at_least, LIMIT_S)
-    assert evaluation(live, submission)["finished_at"] is None, "too late: the evaluation is over"
-
-
-def assert_same_result(live: Service, submission: str, undisturbed_hash: str) -> None:
-    eventually(lambda: evaluation(live, submission)["finished_at"] is not None, LIMIT_S)
-    final = evaluation(live, submission)
-    assert (final["state"], final["verdict"]) == ("completed", None)
-    assert final["progress"]["episodes_done"] == len(EPISODES)
-    assert final["result_hash"] == undisturbed_hash
-
-
-def test_server_and_local_evaluation_give_the_same_hash(
-    live: Service, start_worker: StartWorker, undisturbed_hash: str
-) -> None:
-    submission = submit(live)
+def test_server_and_local_evaluation_give_the_same_hash(attempt: Attempt, start_worker: StartWorker) -> None:
     start_worker()
-    assert_same_result(live, submission, undisturbed_hash)
-    board = live.get(f"/leaderboards/{TRACK}").json()
+    attempt.assert_same_result()
+    board = attempt.live.get(f"/leaderboards/{TRACK}").json()
     assert [(entry["rank"], entry["team"], entry["result_hash"]) for entry in board["entries"]] == [
-        (1, "Team A", undisturbed_hash)
+        (1, "Team A", attempt.undisturbed_hash)
     ]
 
 
-def test_two_workers_give_the_same_hash(live: Service, start_worker: StartWorker, undisturbed_hash: str) -> None:
-    submission = submit(live)
+def test_two_workers_give_the_same_hash(attempt: Attempt, start_worker: StartWorker) -> None:
     start_worker()
     start_worker()
-    assert_same_result(live, submission, undisturbed_hash)
+    attempt.assert_same_result()
 
 
 def test_kill_of_the_worker_in_the_middle_changes_nothing(
-    live: Service, start_worker: StartWorker, undisturbed_hash: str
+    attempt: Attempt, worker: "subprocess.Popen[bytes]", start_worker: StartWorker
 ) -> None:
-    submission = submit(live)
-    first = start_worker()
-    wait_for_episodes(live, submission, 2)
-    first.send_signal(signal.SIGKILL)
-    first.wait()
+    worker.send_signal(signal.SIGKILL)
+    worker.wait()
     start_worker()
-    assert_same_result(live, submission, undisturbed_hash)
+    attempt.assert_same_result()
 
 
-def test_kill_of_the_database_in_the_middle_changes_nothing(
-    live: Service, start_worker: StartWorker, undisturbed_hash: str
-) -> None:
-    submission = submit(live)
-    start_worker()
-    wait_for_episodes(live, submission, 2)
-    postgres = live.services.postgres
+@pytest.mark.usefixtures("worker")
+def test_kill_of_the_database_in_the_middle_changes_nothing(attempt: Attempt) -> None:
+    postgres = attempt.live.services.postgres
     assert postgres is not None
     killed = postgres.server_pid
     assert killed is not None
     os.kill(killed, signal.SIGKILL)
     eventually(lambda: postgres.server_pid not in (None, killed))
-    eventually(lambda: live.client.get("/ready").status_code == 200)
-    assert_same_result(live, submission, undisturbed_hash)
+    eventually(lambda: attempt.live.client.get("/ready").status_code == 200)
+    attempt.assert_same_result()
 
 
 def test_kill_of_the_shards_own_process_in_the_middle_changes_nothing(
-    live: Service, start_worker: StartWorker, undisturbed_hash: str
+    attempt: Attempt, worker: "subprocess.Popen[bytes]"
 ) -> None:
-    submission = submit(live)
-    worker = start_worker()
-    wait_for_episodes(live, submission, 2)
     os.kill(child_of(worker, "vitac.evaluator.shard_process"), signal.SIGKILL)
-    assert_same_result(live, submission, undisturbed_hash)
+    attempt.assert_same_result()
 
 
 def test_stopped_worker_leaves_the_rest_to_the_next_one(
-    live: Service, start_worker: StartWorker, undisturbed_hash: str
+    attempt: Attempt, worker: "subprocess.Popen[bytes]", start_worker: StartWorker
 ) -> None:
-    submission = submit(live)
-    first = start_worker()
-    wait_for_episodes(live, submission, 2)
-    first.terminate()
-    assert first.wait(30.0) == 0
-    eventually(lambda: live.get(f"/submissions/{submission}").json()["workers"]["alive"] == 0)
+    worker.terminate()
+    assert worker.wait(30.0) == 0
+    eventually(lambda: attempt.live.get(f"/submissions/{attempt.submission}").json()["workers"]["alive"] == 0)
     start_worker()
-    assert_same_result(live, submission, undisturbed_hash)
+    attempt.assert_same_result()
+
+
+def test_kill_of_the_worker_in_the_middle_of_a_log_changes_nothing(
+    live: Service, start_worker: StartWorker, undisturbed: Evaluation, undisturbed_hash: str
+) -> None:
+    """Only the short list is re-simulated; the other episodes, which a log must hold, are made up."""
+    played = {record.episode: record for record in undisturbed.records}
+    log = a_log([played.get(episode, make_record(episode)) for episode in LISTED], **dict(undisturbed.manifest))
+    attempt = begun(live, upload_log(live, log), undisturbed_hash)
+    worker = start_worker()
+    attempt.wait_for_episodes(2)
+    worker.send_signal(signal.SIGKILL)
+    worker.wait()
+    start_worker()
+    attempt.assert_same_result()
+    boards = live.get(f"/leaderboards/{TRACK}/logs").json()["boards"]
+    assert [entry["result_hash"] for entry in boards[0]["entries"]] == [undisturbed_hash]
 
 
 def child_of(process: "subprocess.Popen[bytes]", module: str) -> int:
@@ -128,23 +151,3 @@ def child_of(process: "subprocess.Popen[bytes]", module: str) -> int:
 
     eventually(look)
     return found[0]
-
-
-def test_kill_of_the_worker_in_the_middle_of_a_log_changes_nothing(
-    live: Service, start_worker: StartWorker, undisturbed: Evaluation
-) -> None:
-    """Only the short list is re-simulated; the other episodes, which a log must hold, are made up."""
-    played = {record.episode: record for record in undisturbed.records}
-    log = a_log([played.get(episode, make_record(episode)) for episode in LISTED], **dict(undisturbed.manifest))
-    answer = upload_log(live, log)
-    assert answer.status_code == 202, answer.text
-    submission = str(answer.json()["id"])
-    first = start_worker()
-    wait_for_episodes(live, submission, 2)
-    first.send_signal(signal.SIGKILL)
-    first.wait()
-    start_worker()
-    assert undisturbed.result_hash is not None
-    assert_same_result(live, submission, undisturbed.result_hash)
-    boards = live.get(f"/leaderboards/{TRACK}/logs").json()["boards"]
-    assert [entry["result_hash"] for entry in boards[0]["entries"]] == [undisturbed.result_hash]

@@ -4,7 +4,6 @@ from uuid import UUID
 
 import pytest
 from vitac.cli import output
-from vitac.cli.output import ConsentMissing
 
 
 def test_columns_are_as_wide_as_their_widest_cell_and_numbers_go_right(capsys: pytest.CaptureFixture[str]) -> None:
@@ -28,10 +27,3 @@ def test_json_writes_times_and_ids_as_text(capsys: pytest.CaptureFixture[str]) -
 def test_times_are_utc() -> None:
     assert output.moment(datetime(2026, 11, 21, 1, 0, tzinfo=timezone(timedelta(hours=1)))) == "2026-11-21 00:00:00Z"
     assert output.moment(None) is None
-
-
-def test_consent_is_needed_where_nobody_can_be_asked(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sys.stdin.isatty", lambda: False, raising=False)
-    with pytest.raises(ConsentMissing, match="--yes"):
-        output.require_consent("Cancel?", yes=False)
-    output.require_consent("Cancel?", yes=True)
