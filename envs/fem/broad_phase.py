@@ -228,8 +228,9 @@ def relative_motion(surfaces: Surfaces, displacement: FloatArray, motion: FloatA
     """
     bodies = len(surfaces.point_start) - 1
     mean, spread = np.empty((bodies, 3)), np.zeros(bodies)
+    starts, pairs = surfaces.point_start, surfaces.pairs
     for body in range(bodies):
-        first, last = surfaces.point_start[body], surfaces.point_start[body + 1]
+        first, last = starts[body], starts[body + 1]
         total = (0.0, 0.0, 0.0)
         for p in range(first, last):
             total = add(total, load(displacement, p))
@@ -240,8 +241,8 @@ def relative_motion(surfaces: Surfaces, displacement: FloatArray, motion: FloatA
             spread[body] = max(spread[body], dot(away, away))
         spread[body] = np.sqrt(spread[body])
     largest = 0.0
-    for k in range(len(surfaces.pairs)):
-        a, b = surfaces.pairs[k, 0], surfaces.pairs[k, 1]
+    for k in range(len(pairs)):
+        a, b = pairs[k, 0], pairs[k, 1]
         motion[k] = _length(subtract(load(mean, a), load(mean, b))) + spread[a] + spread[b]
         largest = max(largest, motion[k])
     return largest

@@ -9,8 +9,11 @@ and there is no energy to descend. Newton's iterations come in turns of two kind
   positive semi-definite, and shorten a step that would overshoot: the forces' component along it may not have turned
   round by more than half. They lead out of the cycles and past the saddle points that trap free iterations.
 
-A solution whose Jacobian has a negative determinant has a direction in which it moves away by itself: it is refused,
-and the caller looks for another by dividing the driven motion.
+Near the solution free iterations use the last matrix's factors again as long as the forces fall fast (the chord method:
+Kelley, Iterative Methods for Linear and Nonlinear Equations, 1995, section 5.4), which spares most of their work.
+
+A solution whose Jacobian, as last factorised, has a negative determinant has a direction in which it moves away by
+itself: it is refused, and the caller looks for another by dividing the driven motion.
 """
 
 from enum import IntEnum
@@ -48,6 +51,7 @@ class Counter(IntEnum):
     PROJECTED_ITERATIONS = 1
     ACTIVE_CONTACTS = 2
     UNSTABLE = 3
+    REUSING_ITERATIONS = 4
 
 
 class Measure(IntEnum):
@@ -65,6 +69,9 @@ _SHORTENINGS = 8
 _LONGEST_MOVE_M = 2e-3
 # A new list stays complete for so many times the move that asked for it.
 _MARGIN = 1.5
+# Factors are used again after a whole step of at most this size [m], as long as the forces fall to this part.
+_REUSING_STEP_M = 1e-5
+_REUSING_DROP = 0.1
 # Below this size [m] a cautious step is not checked: rounding would decide.
 _UNCHECKED_STEP_M = 1e-7
 
@@ -130,11 +137,17 @@ def solve_step(
     point_positions(model.points, x_start, s.y_start)
     point_positions(model.points, x, s.y)
     candidates = _listed(model, s)
-    for iteration in range(tolerances.iterations):
+    turn, residual, matrix, reusable = 0, np.inf, NO_MATRIX, False
+    while turn < tolerances.iterations:
         left = _remaining_motion(model, x, x_target, s.prescribed_move)
-        cautious = _is_cautious(iteration, tolerances.phase_iterations)
-        if not _find_direction(model, candidates, x, x_hat, s, workspace, counts, cautious, left):
-            return False
+        cautious = _is_cautious(turn, tolerances.phase_iterations)
+        reused = reusable and not cautious and _reuse_factors(model, candidates, x, x_hat, s, workspace, residual)
+        if not reused:
+            matrix = _find_direction(model, candidates, x, x_hat, s, workspace, counts, cautious, left)
+            if matrix == NO_MATRIX:
+                return False
+            turn += 1
+        counts[Counter.REUSING_ITERATIONS] += int(reused)
         step = _node_move(model, s.solution, s.prescribed_move, s.move)
         residual = _largest_residual(model, workspace.gradient)
         counts[Counter.ITERATIONS] += 1
@@ -162,6 +175,8 @@ def solve_step(
         if cautious and left == 0.0 and step > _UNCHECKED_STEP_M:
             fraction = _without_overshoot(model, candidates, x, x_hat, s, workspace, fraction)
         x += fraction * s.move
+        whole = fraction == 1.0 and left == 0.0
+        reusable = whole and matrix == EXACT_MATRIX and not cautious and step <= _REUSING_STEP_M
         if fraction == 1.0 and longest <= _LONGEST_MOVE_M:
             _place_prescribed(model, x_target, x)
         point_positions(model.points, x, s.y)
@@ -200,6 +215,28 @@ def _shorten_long_move(model: Model, s: _Scratch) -> float:
 
 
 @kernel
+def _reuse_factors(
+    model: Model,
+    candidates: Candidates,
+    x: FloatArray,
+    x_hat: FloatArray,
+    s: _Scratch,
+    workspace: Workspace,
+    residual_before: float,
+) -> bool:
+    """Write a step with the factors of an earlier iteration; False if the last one did not reduce the forces enough."""
+    assemble(model, candidates, s.motion, x, x_hat, s.y, s.y_start, s.prescribed_move, workspace, NO_MATRIX)
+    if _largest_residual(model, workspace.gradient) > _REUSING_DROP * residual_before:
+        return False
+    for u in range(len(model.unknowns.node)):
+        node = model.unknowns.node[u]
+        for k in range(3):
+            s.solution[3 * u + k] = -workspace.gradient[node, k]
+    substitute(model.system, workspace.factor, s.solution)
+    return True
+
+
+@kernel
 def _find_direction(
     model: Model,
     candidates: Candidates,
@@ -210,16 +247,16 @@ def _find_direction(
     counts: IndexArray,
     cautious: bool,
     left: float,
-) -> bool:
-    """Write the Newton step of the unknowns into s.solution; False if even the projected matrix is singular."""
+) -> int:
+    """Write the Newton step of the unknowns into s.solution; returns which matrix gave it, NO_MATRIX if none could."""
     assemble(model, candidates, s.motion, x, x_hat, s.y, s.y_start, s.prescribed_move, workspace, EXACT_MATRIX)
     if _solve(model, workspace, s.solution, cautious):
         uphill = cautious and left == 0.0 and _force_along(model, s.solution, workspace.gradient) >= 0.0
         if not uphill:
-            return True
+            return EXACT_MATRIX
     counts[Counter.PROJECTED_ITERATIONS] += 1
     assemble(model, candidates, s.motion, x, x_hat, s.y, s.y_start, s.prescribed_move, workspace, PROJECTED_MATRIX)
-    return _solve(model, workspace, s.solution, True)
+    return PROJECTED_MATRIX if _solve(model, workspace, s.solution, True) else NO_MATRIX
 
 
 @kernel
