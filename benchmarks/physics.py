@@ -21,7 +21,7 @@ from physics_ledger import ledger
 from physics_pieces import pieces
 from physics_replay import Reference, Replay, read_reference
 from physics_tables import with_tables
-from vitac.envs.fem.scene import SolverSettings
+from vitac.envs.fem.settings import SolverSettings
 
 Figures = dict[str, Any]
 REPOSITORY = Path(__file__).resolve().parents[1]

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from vitac.envs.fem.scene import SolverSettings, StepReport
+from vitac.envs.fem.scene import StepReport
+from vitac.envs.fem.settings import SolverSettings
 from vitac.envs.grasped_scene import PhysicsSettings
 from vitac.envs.peg_insertion.env import PegInsertionEnv
 

@@ -7,8 +7,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from .fem.bodies import GelBody, RigidBody
 from .fem.mesh import GelMesh, SurfaceMesh
-from .fem.scene import ContactSettings, GelBody, RigidBody, Scene, SolverSettings, StepReport, StepStatus
+from .fem.scene import Scene, StepReport, StepStatus
+from .fem.settings import ContactSettings, SolverSettings
 from .gripper import Gripper, GripperPose, SensorMount, SensorPose
 from .stopwatch import Stopwatch
 from .tactile.markers import MarkerSettings

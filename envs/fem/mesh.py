@@ -118,6 +118,18 @@ class GelMesh:
         return signed_volumes_m3(self.rest_position_m[self.tetrahedra])
 
     @cached_property
+    def rest_gradients_1_m(self) -> FloatArray:
+        """Rest gradients of the tetrahedra's linear shape functions [1/m], shape [t, 4, 3].
+
+        The gradient of node a is the inward normal of the face opposite to it, over 6 V.
+        """
+        corners = self.rest_position_m[self.tetrahedra]
+        e1, e2, e3 = (corners[:, i] - corners[:, 0] for i in (1, 2, 3))
+        six_volumes = (e1 * np.cross(e2, e3)).sum(axis=1)[:, None]
+        inner = np.stack([np.cross(e2, e3), np.cross(e3, e1), np.cross(e1, e2)], axis=1) / six_volumes[:, None]
+        return np.concatenate([-inner.sum(axis=1, keepdims=True), inner], axis=1)
+
+    @cached_property
     def elimination(self) -> Elimination:
         """How the free nodes are eliminated so that little fills in."""
         free = np.flatnonzero(~self.driven)

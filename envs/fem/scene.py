@@ -1,34 +1,28 @@
 """A scene: gels and affine bodies that are stepped together, one IPC step at a time."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import VitacError
-from .affine_body import frame_mass, frame_weights
-from .linear_system import SystemLayout, gel_block_places, system_layout
-from .mesh import GelMesh, SurfaceMesh
-from .model import (
-    PRESCRIBED,
-    Affine,
-    Elastic,
-    Model,
-    Parameters,
-    Points,
-    Surfaces,
-    Unknowns,
-)
-from .neo_hookean import lame_parameters_pa
+from .bodies import GelBody, RigidBody
+from .model_builder import build_model
 from .newton import Counter, Measure, Tolerances, solve_step
+from .node_layout import NodeLayout
 from .overlap import find_overlap
 from .points import point_positions
+from .settings import ContactSettings, SolverSettings
 from .workspace import new_workspace
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
+
+
+# Coordinates that follow x, y and z, and those that follow these: of a vector product, without numpy's slow one.
+_NEXT, _LAST = [1, 2, 0], [2, 0, 1]
 
 
 class SceneError(VitacError):
@@ -43,86 +37,6 @@ class StepStatus(StrEnum):
     NOT_CONVERGED = "not_converged"  # not solved; the state is free of intersections but is not a minimum
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class GelBody:
-    """A gel in a scene, placed by world = rotation @ rest + translation.
-
-    Attributes:
-        mesh: tetrahedral mesh.
-        rotation: shape [3, 3].
-        translation_m: [m], shape [3].
-        youngs_modulus_pa: Young's modulus [Pa].
-        poisson_ratio: Poisson's ratio [-].
-        density_kg_m3: density [kg/m^3].
-        friction: friction coefficient [-]; a pair of bodies uses the mean of its two.
-    """
-
-    mesh: GelMesh
-    rotation: FloatArray
-    translation_m: FloatArray
-    youngs_modulus_pa: float = 3e5
-    poisson_ratio: float = 0.3
-    density_kg_m3: float = 1000.0
-    friction: float = 87.5
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class RigidBody:
-    """A rigid part in a scene (an affine body), placed by world = rotation @ body + translation.
-
-    A fixed one never moves.
-    """
-
-    mesh: SurfaceMesh
-    rotation: FloatArray
-    translation_m: FloatArray
-    density_kg_m3: float = 500.0
-    friction: float = 1.0
-    fixed: bool = False
-
-
-@dataclass(frozen=True, kw_only=True)
-class ContactSettings:
-    """Contact of all pairs of different bodies; defaults are the peg task's (challenge-facts 3).
-
-    Attributes:
-        d_hat_m: distance at which the barrier sets in [m].
-        kappa: barrier stiffness, times h^2 [N s^2 / m].
-        kappa_affine: stiffness of the orthogonality energy [Pa s^2].
-        friction_velocity_m_s: sliding speed at which friction is fully developed, eps_v [m/s].
-        ccd_gap_fraction: part of a gap that one Newton iteration may close.
-    """
-
-    d_hat_m: float = 1e-4
-    kappa: float = 100.0
-    kappa_affine: float = 1e5
-    friction_velocity_m_s: float = 0.01
-    ccd_gap_fraction: float = 0.7
-
-
-@dataclass(frozen=True, kw_only=True)
-class SolverSettings:
-    """The `converged` profile: when an IPC step counts as solved.
-
-    Attributes:
-        step_tolerance_m: largest move of the last Newton iteration [m].
-        residual_tolerance_n: largest force left on a node, friction taken at the solution [N].
-        newton_iterations: most Newton iterations of one solve.
-        phase_iterations: length of a turn of free Newton iterations, and of the first cautious one.
-        first_substep_level: how often the driven motion is halved from the start.
-        substep_levels: how often the driven motion may be halved when a step does not converge.
-        candidate_margin_m: relative motion that a list of candidate pairs stays good for [m].
-    """
-
-    step_tolerance_m: float = 1e-8
-    residual_tolerance_n: float = 1e-4
-    newton_iterations: int = 228
-    phase_iterations: int = 12
-    first_substep_level: int = 0
-    substep_levels: int = 4
-    candidate_margin_m: float = 2e-4
-
-
 @dataclass(frozen=True, kw_only=True)
 class StepReport:
     """What one IPC step took and left.
@@ -131,6 +45,7 @@ class StepReport:
         status: how it ended; a caller must not go on after NOT_CONVERGED.
         newton_iterations: Newton iterations, all sub-steps together.
         substeps: parts the driven motion was divided into.
+        reusing_iterations: iterations that solved with the factors of an earlier one, among the Newton iterations.
         projected_iterations: iterations whose Hessian had to be projected to be positive definite.
         unstable_solutions: equilibria that were refused because the determinant of their Jacobian is negative.
         residual_n: largest force left on a node [N].
@@ -144,6 +59,7 @@ class StepReport:
     status: StepStatus
     newton_iterations: int
     substeps: int
+    reusing_iterations: int
     projected_iterations: int
     unstable_solutions: int
     residual_n: float
@@ -176,8 +92,8 @@ class Scene:
         self._solver = solver or SolverSettings()
         if not self._gels:
             raise SceneError("A scene needs at least one gel, got none.")
-        self._layout = _Layout(self._gels, self._bodies)
-        self._model = _build_model(
+        self._layout = NodeLayout(self._gels, self._bodies)
+        self._model = build_model(
             self._gels,
             self._bodies,
             self._layout,
@@ -216,6 +132,7 @@ class Scene:
             status=status,
             newton_iterations=int(counts[Counter.ITERATIONS]),
             substeps=substeps,
+            reusing_iterations=int(counts[Counter.REUSING_ITERATIONS]),
             projected_iterations=int(counts[Counter.PROJECTED_ITERATIONS]),
             unstable_solutions=int(counts[Counter.UNSTABLE]),
             residual_n=float(measures[Measure.RESIDUAL_N]),
@@ -309,219 +226,8 @@ class Scene:
         force, torque = 0.0, 0.0
         for body, rows in zip(self._bodies, self._layout.body_slices, strict=True):
             if not body.fixed:
-                loads, arms = gradient[rows], self._x[rows] - self._x[rows][0]
+                loads, arms = gradient[rows], self._x[rows] - self._x[rows.start]
+                turning = arms[:, _NEXT] * loads[:, _LAST] - arms[:, _LAST] * loads[:, _NEXT]
                 force = max(force, float(np.sqrt((loads.sum(axis=0) ** 2).sum())))
-                torque = max(
-                    torque,
-                    float(np.sqrt((np.cross(arms, loads).sum(axis=0) ** 2).sum())),
-                )
+                torque = max(torque, float(np.sqrt((turning.sum(axis=0) ** 2).sum())))
         return force, torque
-
-
-@dataclass(frozen=True, eq=False)
-class _Layout:
-    """Where the bodies' nodes stand in the scene's node array."""
-
-    gels: tuple[GelBody, ...]
-    bodies: tuple[RigidBody, ...]
-    gel_slices: list[slice] = field(init=False, default_factory=list)
-    body_slices: list[slice] = field(init=False, default_factory=list)
-    body_weights: list[FloatArray] = field(init=False, default_factory=list)
-    body_centroids_m: list[FloatArray] = field(init=False, default_factory=list)
-    body_lengths_m: list[float] = field(init=False, default_factory=list)
-
-    def __post_init__(self) -> None:
-        count = 0
-        for gel in self.gels:
-            self.gel_slices.append(slice(count, count + len(gel.mesh.rest_position_m)))
-            count += len(gel.mesh.rest_position_m)
-        for body in self.bodies:
-            volume, first, _ = body.mesh.moments
-            centroid = first / volume
-            length = float(np.abs(body.mesh.vertices_m - centroid).max())
-            self.body_slices.append(slice(count, count + 4))
-            self.body_centroids_m.append(centroid)
-            self.body_lengths_m.append(length)
-            self.body_weights.append(frame_weights(body.mesh.vertices_m, centroid, length))
-            count += 4
-
-    def initial_positions_m(self) -> FloatArray:
-        """Node positions [m] of shape [n, 3] as the bodies were placed."""
-        parts = [_placed(gel.mesh.rest_position_m, gel) for gel in self.gels]
-        for body, centroid, length in zip(self.bodies, self.body_centroids_m, self.body_lengths_m, strict=True):
-            frame = centroid + length * np.concatenate([np.zeros((1, 3)), np.eye(3)])
-            parts.append(_placed(frame, body))
-        return np.concatenate(parts)
-
-
-def _placed(points_m: FloatArray, body: GelBody | RigidBody) -> FloatArray:
-    """Points in the world: rotation @ point + translation, without BLAS."""
-    return np.asarray((body.rotation[None, :, :] * points_m[:, None, :]).sum(axis=2) + body.translation_m)
-
-
-def _build_model(
-    gels: tuple[GelBody, ...],
-    bodies: tuple[RigidBody, ...],
-    layout: _Layout,
-    time_step_s: float,
-    contact: ContactSettings,
-    solver: SolverSettings,
-) -> Model:
-    h2 = time_step_s * time_step_s
-    unknowns, system = _build_unknowns(gels, bodies, layout)
-    return Model(
-        elastic=_build_elastic(gels, layout, unknowns, system),
-        affine=_build_affine(bodies, layout, unknowns, contact.kappa_affine / h2),
-        points=_build_points(gels, bodies, layout),
-        surfaces=_build_surfaces(gels, bodies),
-        unknowns=unknowns,
-        system=system,
-        parameters=Parameters(
-            time_step_s=time_step_s,
-            d_hat_m=contact.d_hat_m,
-            barrier_stiffness_n_m=contact.kappa / h2,
-            slip_scale_m=contact.friction_velocity_m_s * time_step_s,
-            ccd_gap_fraction=contact.ccd_gap_fraction,
-            candidate_margin_m=solver.candidate_margin_m,
-        ),
-    )
-
-
-def _build_elastic(gels: tuple[GelBody, ...], layout: _Layout, unknowns: Unknowns, system: SystemLayout) -> Elastic:
-    nodes, gradients, volumes, mu, lam = [], [], [], [], []
-    for gel, rows in zip(gels, layout.gel_slices, strict=True):
-        corners = gel.mesh.rest_position_m[gel.mesh.tetrahedra]
-        mu_pa, lambda_pa = lame_parameters_pa(gel.youngs_modulus_pa, gel.poisson_ratio)
-        nodes.append(gel.mesh.tetrahedra + rows.start)
-        gradients.append(_rotated_gradients(corners, gel.rotation))
-        volumes.append(gel.mesh.volumes_m3)
-        mu.append(np.full(len(corners), mu_pa))
-        lam.append(np.full(len(corners), lambda_pa))
-    all_nodes = np.concatenate(nodes)
-    slots = unknowns.slot[all_nodes]
-    first, second = np.repeat(slots, 4, axis=1), np.tile(slots, 4)
-    return Elastic(
-        nodes=all_nodes,
-        gradients_1_m=np.concatenate(gradients),
-        volume_m3=np.concatenate(volumes),
-        mu_pa=np.concatenate(mu),
-        lambda_pa=np.concatenate(lam),
-        places=gel_block_places(system.neighbours, first, second),
-        reaction=(first == PRESCRIBED) != (second == PRESCRIBED),
-    )
-
-
-def _rotated_gradients(corners_m: FloatArray, rotation: FloatArray) -> FloatArray:
-    """Rest gradients of the shape functions [1/m], shape [t, 4, 3], in the frame the gel was placed in.
-
-    The gradient of node a is the inward normal of the face opposite to it, over 6 V.
-    """
-    e1, e2, e3 = (corners_m[:, i] - corners_m[:, 0] for i in (1, 2, 3))
-    six_volumes = (e1 * np.cross(e2, e3)).sum(axis=1)[:, None]
-    inner = np.stack([np.cross(e2, e3), np.cross(e3, e1), np.cross(e1, e2)], axis=1) / six_volumes[:, None]
-    gradients = np.concatenate([-inner.sum(axis=1, keepdims=True), inner], axis=1)
-    return np.asarray((rotation[None, None, :, :] * gradients[:, :, None, :]).sum(axis=3))
-
-
-def _build_affine(
-    bodies: tuple[RigidBody, ...],
-    layout: _Layout,
-    unknowns: Unknowns,
-    kappa_over_h2: float,
-) -> Affine:
-    movable = [i for i, body in enumerate(bodies) if not body.fixed]
-    masses = [
-        frame_mass(
-            bodies[i].mesh,
-            layout.body_centroids_m[i],
-            layout.body_lengths_m[i],
-            bodies[i].density_kg_m3,
-        )
-        for i in movable
-    ]
-    first_node = np.array([layout.body_slices[i].start for i in movable], dtype=np.int64)
-    return Affine(
-        first_node=first_node,
-        first_unknown=unknowns.slot[first_node],
-        frame_length_m=np.array([layout.body_lengths_m[i] for i in movable]),
-        mass_kg=np.stack(masses) if masses else np.empty((0, 4, 4)),
-        stiffness_j=np.array([kappa_over_h2 * bodies[i].mesh.volume_m3 for i in movable]),
-    )
-
-
-def _build_points(gels: tuple[GelBody, ...], bodies: tuple[RigidBody, ...], layout: _Layout) -> Points:
-    nodes, weights, counts = [], [], []
-    for gel, rows in zip(gels, layout.gel_slices, strict=True):
-        surface = gel.mesh.surface_nodes + rows.start
-        nodes.append(np.repeat(surface[:, None], 4, axis=1))
-        weights.append(np.tile([1.0, 0.0, 0.0, 0.0], (len(surface), 1)))
-        counts.append(np.ones(len(surface), dtype=np.int64))
-    for body, rows, body_weights in zip(bodies, layout.body_slices, layout.body_weights, strict=True):
-        vertices = len(body.mesh.vertices_m)
-        nodes.append(np.tile(np.arange(rows.start, rows.start + 4), (vertices, 1)))
-        weights.append(body_weights)
-        counts.append(np.full(vertices, 4, dtype=np.int64))
-    return Points(np.concatenate(nodes), np.concatenate(weights), np.concatenate(counts))
-
-
-def _build_surfaces(gels: tuple[GelBody, ...], bodies: tuple[RigidBody, ...]) -> Surfaces:
-    point_start, edge_start, triangle_start = [0], [0], [0]
-    edges, lengths, triangles = [], [], []
-    members = [(*gel.mesh.surface, gel.mesh.surface_edges) for gel in gels]
-    members += [(body.mesh.vertices_m, body.mesh.triangles, body.mesh.edges) for body in bodies]
-    for rest, body_triangles, body_edges in members:
-        vectors = rest[body_edges[:, 1]] - rest[body_edges[:, 0]]
-        edges.append(body_edges + point_start[-1])
-        lengths.append((vectors**2).sum(axis=1))
-        triangles.append(body_triangles + point_start[-1])
-        point_start.append(point_start[-1] + len(rest))
-        edge_start.append(edge_start[-1] + len(body_edges))
-        triangle_start.append(triangle_start[-1] + len(body_triangles))
-    pairs, friction = _touching_pairs(gels, bodies)
-    return Surfaces(
-        point_start=np.array(point_start, dtype=np.int64),
-        edges=np.concatenate(edges),
-        edge_start=np.array(edge_start, dtype=np.int64),
-        edge_squared_length_m2=np.concatenate(lengths),
-        triangles=np.concatenate(triangles),
-        triangle_start=np.array(triangle_start, dtype=np.int64),
-        pairs=pairs,
-        pair_friction=friction,
-    )
-
-
-def _touching_pairs(gels: tuple[GelBody, ...], bodies: tuple[RigidBody, ...]) -> tuple[IndexArray, FloatArray]:
-    """Pairs of different bodies of which at least one can move, and the mean of their friction coefficients."""
-    members: list[GelBody | RigidBody] = [*gels, *bodies]
-    pairs, friction = [], []
-    for a, first in enumerate(members):
-        for b in range(a + 1, len(members)):
-            second = members[b]
-            if isinstance(first, RigidBody) and first.fixed and isinstance(second, RigidBody) and second.fixed:
-                continue
-            pairs.append((a, b))
-            friction.append(0.5 * (first.friction + second.friction))
-    return np.array(pairs, dtype=np.int64).reshape(-1, 2), np.array(friction)
-
-
-def _build_unknowns(
-    gels: tuple[GelBody, ...], bodies: tuple[RigidBody, ...], layout: _Layout
-) -> tuple[Unknowns, SystemLayout]:
-    total = layout.body_slices[-1].stop if bodies else layout.gel_slices[-1].stop
-    slot = np.full(total, PRESCRIBED, dtype=np.int64)
-    mass = np.zeros(total)
-    order: list[int] = []
-    for gel, rows in zip(gels, layout.gel_slices, strict=True):
-        np.add.at(
-            mass,
-            gel.mesh.tetrahedra + rows.start,
-            0.25 * gel.density_kg_m3 * gel.mesh.volumes_m3[:, None],
-        )
-        order.extend((gel.mesh.elimination.nodes + rows.start).tolist())
-    gel_unknowns = len(order)
-    for body, rows in zip(bodies, layout.body_slices, strict=True):
-        if not body.fixed:
-            order.extend(range(rows.start, rows.stop))
-    slot[order] = np.arange(len(order))
-    system = system_layout([gel.mesh.elimination for gel in gels], len(order) - gel_unknowns)
-    return Unknowns(slot=slot, node=np.array(order, dtype=np.int64), node_mass_kg=mass), system

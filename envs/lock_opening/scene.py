@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..assets import Meshes
-from ..fem.scene import RigidBody
+from ..fem.bodies import RigidBody
 from ..geometry.keys import KEY_HALF_THICKNESS_MM, KeyShape, key_control_points
 from ..geometry.locks import lock_control_points
 from ..geometry.solid import nearest_vertices

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from math import isfinite
 
-from ..fem.scene import ContactSettings
+from ..fem.settings import ContactSettings
 from ..grasped_scene import PhysicsSettings
 from ..settings import require
 from ..tactile.markers import MarkerSettings

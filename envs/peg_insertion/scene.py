@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from ..assets import Meshes
 from ..deterministic_math import sine_cosine
-from ..fem.scene import RigidBody
+from ..fem.bodies import RigidBody
 from ..geometry.pegs import GRIPPED_WIDTH_MM, PEG_HEIGHT_MM, PLATE_THICKNESS_MM, bottom_vertices
 from ..grasped_scene import Clocks, GraspedScene, fixed_at_origin
 from ..gripper import GEL_HALF_THICKNESS_MM, GripperPose, SensorMount

@@ -7,8 +7,9 @@ import pytest
 from block_meshes import box_gel, box_surface
 from numpy.typing import NDArray
 from small_scenes import IDENTITY
+from vitac.envs.fem.bodies import GelBody, RigidBody
 from vitac.envs.fem.mesh import GelMesh, MeshError
-from vitac.envs.fem.scene import GelBody, RigidBody, Scene, SceneError
+from vitac.envs.fem.scene import Scene, SceneError
 
 BLOCK = box_gel((0.006, 0.005, 0.004), (2, 2, 2), name="block.msh")
 BOX = box_surface((0.01, 0.01, 0.01), name="box.stl")

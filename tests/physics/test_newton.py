@@ -7,7 +7,9 @@ import pytest
 from block_meshes import box_gel, box_surface
 from numpy.typing import NDArray
 from small_scenes import IDENTITY, Grip, driven_positions_m
-from vitac.envs.fem.scene import GelBody, RigidBody, Scene, SolverSettings, StepReport, StepStatus
+from vitac.envs.fem.bodies import GelBody, RigidBody
+from vitac.envs.fem.scene import Scene, StepReport, StepStatus
+from vitac.envs.fem.settings import SolverSettings
 
 FloatArray = NDArray[np.float64]
 STANDARD = SolverSettings()

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import splu
 from vitac.envs.fem.mesh import SurfaceMesh
-from vitac.envs.fem.scene import ContactSettings
+from vitac.envs.fem.settings import ContactSettings
 from vitac.envs.grasped_scene import GraspedScene
 
 FloatArray = NDArray[np.float64]

@@ -3,8 +3,10 @@
 import numpy as np
 from block_meshes import box_gel, box_surface
 from numpy.typing import NDArray
+from vitac.envs.fem.bodies import GelBody, RigidBody
 from vitac.envs.fem.mesh import GelMesh
-from vitac.envs.fem.scene import ContactSettings, GelBody, RigidBody, Scene, SolverSettings, StepReport
+from vitac.envs.fem.scene import Scene, StepReport
+from vitac.envs.fem.settings import ContactSettings, SolverSettings
 
 FloatArray = NDArray[np.float64]
 IDENTITY = np.eye(3)

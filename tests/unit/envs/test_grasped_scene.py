@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 from fake_scene import FakeScene
 from vitac.envs.assets import Meshes
-from vitac.envs.fem.scene import RigidBody, StepStatus
+from vitac.envs.fem.bodies import RigidBody
+from vitac.envs.fem.scene import StepStatus
 from vitac.envs.geometry.pegs import PegShape
 from vitac.envs.grasped_scene import Clocks, GraspedScene, PhysicsSettings
 from vitac.envs.gripper import GripperPose
