@@ -1,0 +1,198 @@
+"""What the number of gel nodes costs: the peg task's grasp and two env steps on structured gels of many sizes, as JSON.
+
+Usage: python benchmarks/gel_size.py [--most-nodes N] [--only NAME ...] [--json FILE] [--png FILE]
+
+Three families: refined in all directions, one layer thick (a sheet), and odd ones (thick, domed). Exponents are slopes
+of log(CPU time) by log(nodes) within a family. One thread, no GPU; run it twice, for the first run also compiles the
+kernels. `docs/physics.md` says what the figures were.
+"""
+
+import argparse
+import json
+import sys
+from itertools import pairwise
+from pathlib import Path
+from time import process_time
+from typing import Any
+
+import numpy as np
+from vitac.envs.assets import Meshes
+from vitac.envs.fem.linear_solve import factorise
+from vitac.envs.fem.mesh import GelMesh
+from vitac.envs.fem.scene import StepReport
+from vitac.envs.geometry.pegs import PegShape
+from vitac.envs.grasped_scene import Clocks
+from vitac.envs.peg_insertion.scene import PegScene
+from vitac.envs.peg_insertion.settings import PegInsertionSettings
+from vitac.envs.peg_insertion.variation import PegOffset, PegStart
+from vitac.envs.stopwatch import Stopwatch
+from vitac.envs.tactile.gel import GelCells, GelDimensions, structured_gel
+
+THICK, DOMED = GelDimensions(thickness_mm=8.0), GelDimensions(dome_mm=0.5)
+GELS: dict[str, dict[str, tuple[GelCells, GelDimensions]]] = {
+    "refined": {
+        "162": (GelCells(x=6, y=6, bevel=1, layers=1), GelDimensions()),
+        "330": (GelCells(x=8, y=7, bevel=1, layers=2), GelDimensions()),
+        "720": (GelCells(x=13, y=12, bevel=1, layers=2), GelDimensions()),
+        "1216": (GelCells(x=14, y=11, bevel=2, layers=3), GelDimensions()),
+        "2016": (GelCells(x=19, y=16, bevel=2, layers=3), GelDimensions()),
+        "5022": (GelCells(x=24, y=20, bevel=3, layers=5), GelDimensions()),
+    },
+    "sheet": {
+        "338": (GelCells(x=10, y=10, bevel=1, layers=1), GelDimensions()),
+        "722": (GelCells(x=16, y=16, bevel=1, layers=1), GelDimensions()),
+        "1250": (GelCells(x=20, y=20, bevel=2, layers=1), GelDimensions()),
+        "2048": (GelCells(x=27, y=27, bevel=2, layers=1), GelDimensions()),
+        "5000": (GelCells(x=43, y=43, bevel=3, layers=1), GelDimensions()),
+    },
+    "odd": {
+        "thick": (GelCells(x=8, y=7, bevel=1, layers=4), THICK),
+        "domed": (GelCells(x=8, y=7, bevel=1, layers=2), DOMED),
+    },
+}
+OFFSETS = (
+    PegOffset(x_mm=-4.0, y_mm=1.0, theta_deg=-6.0),
+    PegOffset(x_mm=-3.0, y_mm=0.5, theta_deg=-4.0),
+    PegOffset(x_mm=-2.0, y_mm=0.0, theta_deg=-2.0),
+)
+
+
+class OwnGel(Meshes):
+    """Generated pegs and plates, and a gel of our choice."""
+
+    def __init__(self, gel: GelMesh) -> None:
+        super().__init__()
+        self._gel = gel
+
+    def gel(self) -> GelMesh:
+        """The gel of both sensors."""
+        return self._gel
+
+
+def measure(name: str, cells: GelCells, size: GelDimensions) -> dict[str, Any]:
+    """Play the scene on one gel."""
+    begun_s = process_time()
+    gel = structured_gel(name=name, size=size, cells=cells)
+    plan = gel.elimination
+    clocks = Clocks(physics=Stopwatch(), markers=Stopwatch())
+    scene = PegScene(
+        start=PegStart(shape=PegShape.CUBOID, offset=OFFSETS[0]),
+        meshes=OwnGel(gel),
+        settings=PegInsertionSettings(),
+        clocks=clocks,
+    )
+    set_up_s = process_time() - begun_s
+    before_s = clocks.physics.elapsed_s
+    scene.grasp()
+    for here, there in pairwise(OFFSETS):
+        scene.travel(here, there)
+    physics_s = clocks.physics.elapsed_s - before_s
+    reports: tuple[StepReport, ...] = scene.grasped.take_reports()
+    iterations = sum(report.newton_iterations for report in reports)
+    fronts = np.diff(plan.first) + np.array([len(rows) for rows in plan.rows])
+    return {
+        "nodes": len(gel.driven),
+        "free_nodes": len(plan.nodes),
+        "tetrahedra": len(gel.tetrahedra),
+        "set_up_ms": set_up_s * 1e3,
+        "ms_per_ipc_step": physics_s / len(reports) * 1e3,
+        "ms_per_newton_iteration": physics_s / iterations * 1e3,
+        "ms_per_factorisation": factorisation_s(scene) * 1e3,
+        "newton_iterations_per_ipc_step": iterations / len(reports),
+        "ipc_steps": len(reports),
+        "status": sorted({str(report.status) for report in reports}),
+        "active_contacts": reports[-1].active_contacts,
+        "largest_front_nodes": int(fronts.max()),
+        "solver_mb": solver_bytes(scene) * 1e-6,
+        "surface_diff_mm": (scene.grasped.surface_diff_m() * 1e3).tolist(),
+    }
+
+
+def factorisation_s(scene: PegScene) -> float:
+    """CPU time of one factorisation of the last matrix, the shortest of five."""
+    engine = scene.grasped._scene
+    system, workspace = engine._model.system, engine._workspace
+    times_s = []
+    for _ in range(5):
+        begun_s = process_time()
+        factorise(system, workspace.entries, workspace.factor, False)
+        times_s.append(process_time() - begun_s)
+    return min(times_s)
+
+
+def solver_bytes(scene: PegScene) -> int:
+    """Size of the matrix, its factors and what makes them."""
+    workspace = scene.grasped._scene._workspace
+    factor = workspace.factor
+    return sum(part.nbytes for part in (workspace.entries, factor.entries, factor.front, factor.stack))
+
+
+def exponent(rows: list[dict[str, Any]], key: str) -> float:
+    """Slope of log(value) by log(nodes), least squares."""
+    nodes, values = np.log([row["nodes"] for row in rows]), np.log([row[key] for row in rows])
+    nodes = nodes - nodes.mean()
+    return float((nodes * values).sum() / (nodes * nodes).sum())
+
+
+def main() -> None:
+    """Measure, print and write."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--most-nodes", type=int, default=10**6)
+    parser.add_argument("--only", nargs="*")
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--png", type=Path)
+    arguments = parser.parse_args()
+    result: dict[str, Any] = {"exponents": {}}
+    measure("warm-up", *GELS["refined"]["162"])
+    for family, gels in GELS.items():
+        result[family] = {}
+        for name, (cells, size) in gels.items():
+            if (arguments.only and name not in arguments.only) or node_count(cells) > arguments.most_nodes:
+                continue
+            result[family][name] = measure(name, cells, size)
+            sys.stderr.write(f"{family} {name}: {result[family][name]['ms_per_ipc_step']:.1f} ms per IPC step\n")
+    smallest = result["refined"].get("162")
+    for family in ("refined", "sheet"):
+        rows = list(result[family].values())
+        rows = [smallest, *rows] if smallest and family == "sheet" else rows
+        if len(rows) > 1:
+            keys = ("ms_per_ipc_step", "ms_per_newton_iteration", "ms_per_factorisation")
+            result["exponents"][family] = {key: exponent(rows, key) for key in keys}
+    text = json.dumps(result, indent=1)
+    sys.stdout.write(text + "\n")
+    if arguments.json:
+        arguments.json.write_text(text + "\n")
+    if arguments.png:
+        draw(result, arguments.png)
+
+
+def draw(result: dict[str, Any], path: Path) -> None:
+    """The curves of both families, on logarithmic axes."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(5.0, 3.2), layout="constrained")
+    axes = figure.subplots()
+    smallest = result["refined"]["162"]
+    for rows, label, marker in (
+        (list(result["refined"].values()), "refined in all directions", "o"),
+        ([smallest, *result["sheet"].values()], "one layer thick", "s"),
+    ):
+        nodes = [row["nodes"] for row in rows]
+        axes.loglog(nodes, [row["ms_per_ipc_step"] for row in rows], marker=marker, label=label)
+    ends = np.array([162.0, 5000.0])
+    axes.loglog(ends, smallest["ms_per_ipc_step"] * ends / 162.0, "k:", linewidth=1.0, label="linear")
+    axes.set(xlabel="nodes per gel", ylabel="CPU time per IPC step [ms]")
+    axes.set_xticks([200, 500, 1000, 2000, 5000], ["200", "500", "1000", "2000", "5000"])
+    axes.tick_params(which="minor", bottom=False, labelbottom=False)
+    axes.grid(alpha=0.3)
+    axes.legend()
+    figure.savefig(path, dpi=110)
+
+
+def node_count(cells: GelCells) -> int:
+    """Nodes of a gel of these cells."""
+    return (cells.x + 2 * cells.bevel + 1) * (cells.y + 2 * cells.bevel + 1) * (cells.layers + 1)
+
+
+if __name__ == "__main__":
+    main()
