@@ -4,6 +4,7 @@ Called by `shard_process`. No policy runs, so no sandbox is needed.
 """
 
 from collections.abc import Callable, Collection
+from dataclasses import dataclass
 from pathlib import Path
 
 from .episodes import Environment, make_environment
@@ -16,63 +17,70 @@ from .shards import Shard, ShardEnd, ShardResult, make_manifest
 from .tracks import Task, Track
 from .verification import check_episode
 
-MakeEnvironment = Callable[[Task, Path | None], Environment]
 
+@dataclass(frozen=True, kw_only=True)
+class LogShard:
+    """A shard of an uploaded log that is to be re-simulated.
 
-def resimulate_log(
-    *,
-    log: Path,
-    track: Track,
-    task: Task,
-    shard: Shard,
-    on_episode: Callable[[EpisodeRecord], None],
-    skip: Collection[int] = (),
-    make_env: MakeEnvironment = make_environment,
-) -> ShardResult:
-    """Re-simulates a shard of one of our logs, in the order of its episodes and until one diverges.
-
-    Args:
+    Attributes:
         log: the file, packed or not.
         track: the track of the task.
         task: what was played.
         shard: which episodes.
-        on_episode: gets each record that holds, as it came here.
-        skip: episodes that have a record already.
+        skip: those of them that have a record already.
         make_env: gives the environment.
+    """
+
+    log: Path
+    track: Track
+    task: Task
+    shard: Shard
+    skip: Collection[int] = ()
+    make_env: Callable[[Task, Path | None], Environment] = make_environment
+
+    @property
+    def numbers(self) -> frozenset[int]:
+        """Episodes that are left to re-simulate."""
+        return self.shard.numbers - set(self.skip)
+
+    def result(self, manifest: Manifest, finding: LogFinding | None) -> ShardResult:
+        """What the shard ends with."""
+        end = ShardEnd.REFUTED if finding else ShardEnd.COMPLETE
+        return ShardResult(index=self.shard.index, end=end, manifest=manifest, isolation=None, finding=finding)
+
+
+def resimulate_log(part: LogShard, on_episode: Callable[[EpisodeRecord], None]) -> ShardResult:
+    """Re-simulates a shard of one of our logs, in the order of its episodes and until one diverges.
+
+    Args:
+        part: what is re-simulated.
+        on_episode: gets each record that holds, as it came here.
 
     Raises:
         LogRejected: the log cannot be read.
     """
-    env = make_env(task, None)
-    manifest = make_manifest(track, task, env)
-    finding = _why_impossible(log, manifest, task)
-    if finding is None:
-        finding = _first_divergence(log, env, manifest, task, shard.numbers - set(skip), on_episode)
-    end = ShardEnd.REFUTED if finding else ShardEnd.COMPLETE
-    return ShardResult(index=shard.index, end=end, manifest=manifest, isolation=None, finding=finding)
+    env = part.make_env(part.task, None)
+    manifest = make_manifest(part.track, part.task, env)
+    finding = _why_impossible(part, manifest) or _first_divergence(part, env, manifest, on_episode)
+    return part.result(manifest, finding)
 
 
-def _why_impossible(log: Path, manifest: Manifest, task: Task) -> LogFinding | None:
+def _why_impossible(part: LogShard, manifest: Manifest) -> LogFinding | None:
     """The upload was checked, but not against the mesh and the solver, which only an environment knows."""
-    with open_log(log) as stream:
+    with open_log(part.log) as stream:
         reader = LogReader(stream)
-        found = why_impossible(must_agree(manifest), task, reader.header, reader.records())
+        found = why_impossible(must_agree(manifest), part.task, reader.header, reader.records())
     return LogFinding.impossible(found) if found else None
 
 
 def _first_divergence(
-    log: Path,
-    env: Environment,
-    manifest: Manifest,
-    task: Task,
-    numbers: Collection[int],
-    on_episode: Callable[[EpisodeRecord], None],
+    part: LogShard, env: Environment, manifest: Manifest, on_episode: Callable[[EpisodeRecord], None]
 ) -> LogFinding | None:
-    with open_log(log) as stream:
+    with open_log(part.log) as stream:
         reader = LogReader(stream)
-        ours = sorted((record for record in reader.records() if record.episode in numbers), key=_number)
+        ours = sorted((record for record in reader.records() if record.episode in part.numbers), key=_number)
         for record in ours:
-            checked = check_episode(env, task, manifest, reader.header, record)
+            checked = check_episode(env, part.task, manifest, reader.header, record)
             if checked.divergence and not checked.holds:
                 return LogFinding.diverged(checked.divergence)
             on_episode(checked.record)

@@ -19,12 +19,12 @@ from pydantic import NonNegativeInt, model_validator
 from vitac.envs.errors import VitacError
 
 from .agent.limits import Limits
-from .log_shards import resimulate_log
+from .log_shards import LogShard, resimulate_log
 from .records import EpisodeRecord, PolicyFailure
-from .shards import ShardResult, cut, run_shard
+from .shards import Shard, ShardResult, cut, run_shard
 from .strict_model import StrictModel
 from .text_log_shards import resimulate_text_log
-from .tracks import load_track
+from .tracks import Task, Track, load_track
 
 _ONE_THREAD = MappingProxyType(
     dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
@@ -169,15 +169,8 @@ def _result_of(order: ShardOrder, on_episode: Callable[[EpisodeRecord], None]) -
     track = load_track(order.track)
     task = track.tasks[order.task]
     shard = next(shard for shard in cut(task, order.episodes) if shard.index == order.shard)
-    if order.log is not None:
-        return resimulate_log(
-            log=order.log, track=track, task=task, shard=shard, on_episode=on_episode, skip=order.skip
-        )
-    if order.text_log is not None:
-        return resimulate_text_log(
-            log=order.text_log, track=track, task=task, shard=shard, on_episode=on_episode, skip=order.skip
-        )
-    assert order.submission_dir is not None  # noqa: S101 - the order names one source
+    if order.submission_dir is None:
+        return _resimulate(order, track, task, shard, on_episode)
     return run_shard(
         submission_dir=order.submission_dir,
         track=track,
@@ -190,6 +183,14 @@ def _result_of(order: ShardOrder, on_episode: Callable[[EpisodeRecord], None]) -
         skip=order.skip,
         earlier_failures=order.earlier_failures,
     )
+
+
+def _resimulate(
+    order: ShardOrder, track: Track, task: Task, shard: Shard, on_episode: Callable[[EpisodeRecord], None]
+) -> ShardResult:
+    log, resimulate = (order.log, resimulate_log) if order.log else (order.text_log, resimulate_text_log)
+    assert log is not None  # noqa: S101 - the order names one source
+    return resimulate(LogShard(log=log, track=track, task=task, shard=shard, skip=order.skip), on_episode)
 
 
 def main() -> None:

@@ -4,58 +4,41 @@ Nothing of it can be verified: the 2025 simulator does not reproduce itself. Wha
 the same actions.
 """
 
-from collections.abc import Callable, Collection
-from pathlib import Path
+from collections.abc import Callable
 
-from .episodes import make_environment
 from .log_findings import LogFinding
-from .log_shards import MakeEnvironment
+from .log_shards import LogShard
 from .packed_logs import open_log
 from .recordings import Recording
 from .records import ActionSequence, EpisodeOutcome, EpisodeRecord
 from .replay import Resimulated, resimulate
-from .shards import Shard, ShardEnd, ShardResult, make_manifest
+from .shards import ShardResult, make_manifest
 from .text_log_recordings import text_log_recordings, why_not_resimulated
 from .text_logs import read_text_log, summarize
-from .tracks import Task, Track
+from .tracks import Task
 
 
-def resimulate_text_log(
-    *,
-    log: Path,
-    track: Track,
-    task: Task,
-    shard: Shard,
-    on_episode: Callable[[EpisodeRecord], None],
-    skip: Collection[int] = (),
-    make_env: MakeEnvironment = make_environment,
-) -> ShardResult:
+def resimulate_text_log(part: LogShard, on_episode: Callable[[EpisodeRecord], None]) -> ShardResult:
     """Re-simulates a shard of a text log.
 
     Args:
-        log: the file, packed or not.
-        track: the track of the task.
-        task: ours that belongs to the log.
-        shard: which episodes.
+        part: what is re-simulated.
         on_episode: gets each record as it came here.
-        skip: episodes that have a record already.
-        make_env: gives the environment.
 
     Raises:
         TextLogRejected: the log cannot be read.
     """
-    with open_log(log) as stream:
+    with open_log(part.log) as stream:
         text_log = read_text_log(stream)
-    env = make_env(task, None)
-    manifest = make_manifest(track, task, env)
-    impossible = why_not_resimulated(text_log, summarize(text_log)[0], task)
+    env = part.make_env(part.task, None)
+    manifest = make_manifest(part.track, part.task, env)
+    impossible = why_not_resimulated(text_log, summarize(text_log)[0], part.task)
     if impossible:
-        finding = LogFinding.impossible(impossible)
-        return ShardResult(index=shard.index, end=ShardEnd.REFUTED, manifest=manifest, isolation=None, finding=finding)
-    for recording in text_log_recordings(text_log, task):
-        if recording.episode.number in shard.numbers - set(skip):
-            on_episode(_record(task, recording, resimulate(env, recording.episode, recording.actions)))
-    return ShardResult(index=shard.index, end=ShardEnd.COMPLETE, manifest=manifest, isolation=None)
+        return part.result(manifest, LogFinding.impossible(impossible))
+    for recording in text_log_recordings(text_log, part.task):
+        if recording.episode.number in part.numbers:
+            on_episode(_record(part.task, recording, resimulate(env, recording.episode, recording.actions)))
+    return part.result(manifest, None)
 
 
 def _record(task: Task, recording: Recording, played: Resimulated) -> EpisodeRecord:

@@ -7,7 +7,7 @@ import pytest
 from evaluation_fakes import FakeEnvironment, FakeSession, action, small_track, succeed
 from vitac.evaluator.episodes import run_episode
 from vitac.evaluator.log_findings import LogVerdict
-from vitac.evaluator.log_shards import resimulate_log
+from vitac.evaluator.log_shards import LogShard, resimulate_log
 from vitac.evaluator.logs import LogHeader, write_log
 from vitac.evaluator.records import EpisodeOutcome, EpisodeRecord
 from vitac.evaluator.shards import ShardEnd, ShardResult, cut, make_manifest
@@ -38,16 +38,10 @@ def write(path: Path, records: list[EpisodeRecord], **manifest: str) -> Path:
 
 def resimulated(log: Path, shard: int = 0, skip: tuple[int, ...] = ()) -> tuple[ShardResult, list[EpisodeRecord]]:
     records: list[EpisodeRecord] = []
-    result = resimulate_log(
-        log=log,
-        track=TRACK,
-        task=TASK,
-        shard=cut(TASK)[shard],
-        on_episode=records.append,
-        skip=skip,
-        make_env=lambda *_: FakeEnvironment(),
+    part = LogShard(
+        log=log, track=TRACK, task=TASK, shard=cut(TASK)[shard], skip=skip, make_env=lambda *_: FakeEnvironment()
     )
-    return result, records
+    return resimulate_log(part, records.append), records
 
 
 def lie(number: int) -> list[EpisodeRecord]:

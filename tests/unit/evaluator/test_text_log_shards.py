@@ -8,6 +8,7 @@ import pytest
 from evaluation_fakes import FakeEnvironment
 from text_log_writer import text_log
 from vitac.evaluator.log_findings import ImpossibleReason
+from vitac.evaluator.log_shards import LogShard
 from vitac.evaluator.records import EpisodeOutcome, EpisodeRecord
 from vitac.evaluator.shards import ShardEnd, ShardResult, cut
 from vitac.evaluator.text_log_recordings import why_not_resimulated
@@ -42,11 +43,10 @@ def written(path: Path, episodes: list[dict[str, Any]], kind: Any = PEG) -> Path
 def resimulated(log: Path, shard: int, skip: tuple[int, ...] = ()) -> tuple[ShardResult, list[EpisodeRecord]]:
     records: list[EpisodeRecord] = []
     task = TASKS[PEG.name]
-    result = resimulate_text_log(
-        log=log, track=TRACK, task=task, shard=cut(task)[shard], on_episode=records.append, skip=skip,
-        make_env=lambda *_: FakeEnvironment(),
-    )  # fmt: skip
-    return result, records
+    part = LogShard(
+        log=log, track=TRACK, task=task, shard=cut(task)[shard], skip=skip, make_env=lambda *_: FakeEnvironment()
+    )
+    return resimulate_text_log(part, records.append), records
 
 
 def test_episode_ends_where_our_physics_ends_it(tmp_path: Path) -> None:
