@@ -18,7 +18,7 @@ IndexArray = NDArray[np.int64]
 # Nodes of the border that are reckoned with in every front: the frame points of one body.
 _BORDER = 4
 # Time of handling a front, of clearing and storing one of its entries, and of passing one on, in floating point
-# operations of the elimination; measured.
+# operations of the elimination; estimates, which need only be right to a factor of two or so.
 _FRONT_COST, _ENTRY_COST, _PASSED_ENTRY_COST = 3000, 4, 12
 
 
