@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from block_meshes import box_gel, box_surface
+from engine_probe import Probe
 from numpy.typing import NDArray
 from small_scenes import IDENTITY, Grip, driven_positions_m
 from vitac.envs.fem.bodies import GelBody, RigidBody
@@ -34,6 +35,19 @@ def plain() -> tuple[StepReport, FloatArray]:
     assert report.status is StepStatus.CONVERGED
     assert report.projected_iterations == 0
     return report, x
+
+
+def test_reused_factors_end_where_a_newton_step_with_fresh_ones_has_nothing_left_to_move() -> None:
+    grip = Grip()
+    grip.squeeze(2e-4)
+    start, velocity = grip.scene._x.copy(), grip.scene._velocity.copy()
+    report = grip.move(np.array([2e-4, 1e-4, 0.0]), np.array([-1e-4, 1e-4, 0.0]))
+    assert 0 < report.reusing_iterations < report.newton_iterations
+    probe = Probe(grip.scene, start_m=start)
+    probe.x_hat_m = start + 0.1 * velocity
+    here = probe.at(probe.x_m)
+    assert np.abs(here.forces_n).max() < STANDARD.residual_tolerance_n
+    assert np.abs(np.linalg.solve(here.matrix_n_m, here.forces_n)).max() < 2 * STANDARD.step_tolerance_m
 
 
 def test_cautious_iterations_fall_back_on_the_projected_matrix_and_find_the_same_state(
