@@ -1,8 +1,9 @@
 """What an IPC step's CPU time goes into: its kernels, called one by one on states of played episodes.
 
-A piece's time is that of one call, at where an IPC step starts and along the way it goes, times the mean number of
-Newton iterations; the candidate list is made once. What is left of the measured time is `other`: inertia and
-orthogonality, second assemblies of cautious iterations, further candidate lists, and what depends on the iterate.
+A piece's time is that of one call, at where an IPC step starts and along the way it goes, times the mean number of such
+calls: an iteration makes a matrix and factors, or forces only where it reuses factors. The candidate list is made once.
+What is left of the measured time is `other`: inertia and orthogonality, the fitting of steps in cautious iterations,
+further candidate lists, and what depends on the iterate.
 """
 
 from collections.abc import Callable
@@ -19,14 +20,21 @@ from vitac.envs.fem.elasticity import add_elasticity
 from vitac.envs.fem.linear_solve import factorise, substitute
 from vitac.envs.fem.points import point_positions
 from vitac.envs.fem.scene import Scene
-from vitac.envs.fem.workspace import EXACT_MATRIX, new_workspace
+from vitac.envs.fem.workspace import EXACT_MATRIX, NO_MATRIX, new_workspace
 
 Figures = dict[str, Any]
 FloatArray = np.ndarray[Any, np.dtype[np.float64]]
 EPISODES = 3
 _CALLS = 20
-ONCE = "candidates"
-OTHER = "other"
+# How often a call is made in an IPC step.
+FACTORISING, REUSING, ANY, ONCE = "factorising", "reusing", "any iteration", "once"
+PIECES = {
+    "linear solve": (("factorise", FACTORISING), ("substitute", ANY)),
+    "elasticity": (("elastic matrix", FACTORISING), ("elastic forces", REUSING)),
+    "contacts": (("contact matrix", FACTORISING), ("contact forces", REUSING)),
+    "CCD and inversion": (("inversion", ANY), ("impact", ANY)),
+    "candidates": (("candidates", ONCE),),
+}
 
 
 def pieces(replay: Replay, reference: Reference) -> list[Figures]:
@@ -45,13 +53,19 @@ def pieces(replay: Replay, reference: Reference) -> list[Figures]:
         scene.after_ipc_step = look
         for logged in episode["steps"]:
             sampled.env.step(np.array(logged["action"], dtype=np.float32))
-    iterations = np.mean([report.newton_iterations for report in replay.reports])
+    calls_per_step = _calls_per_step(replay)
     times = {
-        name: float(np.mean([sample[name] for sample in samples])) * (1 if name == ONCE else float(iterations))
-        for name in samples[0]
+        piece: sum(float(np.mean([sample[call] for sample in samples])) * calls_per_step[how] for call, how in calls)
+        for piece, calls in PIECES.items()
     }
-    rows = [{"piece": name, "ms": ms} for name, ms in sorted(times.items(), key=lambda item: -item[1])]
-    return [*rows, {"piece": OTHER, "ms": float(np.mean(replay.step_ms)) - sum(times.values())}]
+    rows = [{"piece": piece, "ms": ms} for piece, ms in sorted(times.items(), key=lambda item: -item[1])]
+    return [*rows, {"piece": "other", "ms": float(np.mean(replay.step_ms)) - sum(times.values())}]
+
+
+def _calls_per_step(replay: Replay) -> dict[str, float]:
+    iterations = float(np.mean([report.newton_iterations for report in replay.reports]))
+    reusing = float(np.mean([report.reusing_iterations for report in replay.reports]))
+    return {FACTORISING: iterations - reusing, REUSING: reusing, ANY: iterations, ONCE: 1.0}
 
 
 def call_times_ms(scene: Scene, x: FloatArray, x_end: FloatArray) -> dict[str, float]:
@@ -66,21 +80,16 @@ def call_times_ms(scene: Scene, x: FloatArray, x_end: FloatArray) -> dict[str, f
     still, motion = np.zeros_like(reach_m), np.empty_like(reach_m)
     relative_motion(model.surfaces, y_move, motion)
     assemble(model, near, still, x, x, y, y, move, w, EXACT_MATRIX)
-
-    def solve() -> None:
-        factorise(model.system, w.entries, w.factor, False)
-        substitute(model.system, w.factor, w.right_hand_side.copy())
-
-    def ccd() -> None:
-        inversion_free_fraction(model.elastic, x, x_end - x, 1.0)
-        contact_free_fraction(near, still, motion, y, y_move, model.parameters.ccd_gap_fraction, 1.0)
-
     calls: dict[str, Callable[[], object]] = {
-        "linear solve": solve,
-        "elasticity": lambda: add_elasticity(model.elastic, x, move, w, EXACT_MATRIX),
-        "contacts": lambda: add_contacts(model, near, still, y, y, move, w, EXACT_MATRIX),
-        "CCD and inversion": ccd,
-        ONCE: lambda: find_candidates(model.surfaces, y, reach_m),
+        "factorise": lambda: factorise(model.system, w.entries, w.factor, False),
+        "substitute": lambda: substitute(model.system, w.factor, w.right_hand_side.copy()),
+        "elastic forces": lambda: add_elasticity(model.elastic, x, move, w, NO_MATRIX),
+        "elastic matrix": lambda: add_elasticity(model.elastic, x, move, w, EXACT_MATRIX),
+        "contact forces": lambda: add_contacts(model, near, still, y, y, move, w, NO_MATRIX),
+        "contact matrix": lambda: add_contacts(model, near, still, y, y, move, w, EXACT_MATRIX),
+        "inversion": lambda: inversion_free_fraction(model.elastic, x, x_end - x, 1.0),
+        "impact": lambda: contact_free_fraction(near, still, motion, y, y_move, model.parameters.ccd_gap_fraction, 1.0),
+        "candidates": lambda: find_candidates(model.surfaces, y, reach_m),
     }
     return {name: _time_ms(call) for name, call in calls.items()}
 

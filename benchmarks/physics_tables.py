@@ -38,6 +38,7 @@ def _speed(figures: Figures) -> Table:
             "Newton iterations per IPC step, mean (most)",
             f"{f['mean_newton_iterations']:.1f} ({f['most_newton_iterations']})",
         ],
+        ["of them with an earlier matrix's factors", f"{f['mean_reusing_iterations']:.1f}"],
         ["reset, mean", f"{f['mean_reset_ms']:.0f} ms"],
         [
             f"all {f['episodes']} episodes with their resets, {f['ipc_steps']:,} IPC steps",
