@@ -30,7 +30,7 @@ def why_not_resimulated(log: TextLog, kind: Kind, task: Task) -> Impossibility |
             reason=ImpossibleReason.OTHER_EVALUATION, message=f"The list of {task.name} is not the one of 2025."
         )
     for number, episode in enumerate(log.episodes, start=1):
-        found = _why_episode_not_resimulated(number, episode, task)
+        found = _why_episode_not_resimulated(number, episode, task, kind)
         if found:
             return found
     if len(log.episodes) < len(task.episodes):
@@ -46,7 +46,7 @@ def text_log_recordings(log: TextLog, task: Task) -> Iterator[Recording]:
         yield Recording(episode=listed, actions=_actions(episode, task), infos=(), success=episode.success is True)
 
 
-def _why_episode_not_resimulated(number: int, episode: TextEpisode, task: Task) -> Impossibility | None:
+def _why_episode_not_resimulated(number: int, episode: TextEpisode, task: Task, kind: Kind) -> Impossibility | None:
     place = f"Test {number}"
 
     def found(reason: ImpossibleReason, message: str) -> Impossibility:
@@ -57,8 +57,10 @@ def _why_episode_not_resimulated(number: int, episode: TextEpisode, task: Task) 
     if episode.number != number:
         return found(ImpossibleReason.EPISODE_MISSING, f"{place} is numbered {episode.number} in the log.")
     listed = task.episodes[number - 1]
+    if episode.initial_offset is None and kind.logs_offsets:
+        return found(ImpossibleReason.OTHER_START, f"{place} names no start; in the list it starts at {listed.offset}.")
     if episode.initial_offset is not None and not _starts_at(episode.initial_offset, listed):
-        message = f"{place} starts at {episode.initial_offset}, in the list at {listed.offset}."
+        message = f"{place} starts at {episode.initial_offset!s:.80}, in the list at {listed.offset}."
         return found(ImpossibleReason.OTHER_START, message)
     if len(episode.steps) > task.max_steps:
         message = f"{place} has {len(episode.steps)} env steps; the task ends after {task.max_steps}."

@@ -5,9 +5,9 @@ A log proves its actions, not that a policy chose them, so it never ranks togeth
 
 from collections.abc import Sequence
 from datetime import UTC, datetime
-from uuid import UUID
 
-from sqlalchemy import select
+from sqlalchemy import Select, select
+from sqlalchemy.dialects.postgresql import distinct_on
 from sqlalchemy.orm import Session, joinedload
 from vitac.evaluator.log_findings import LogVerdict
 from vitac.evaluator.version import evaluator_version
@@ -33,7 +33,7 @@ def log_boards(session: Session, track_name: str) -> LogBoardsView:
         ServiceError: there is no such track.
     """
     track = load_known_track(track_name)
-    verified = _completed(session, track_name, SubmissionKind.LOG)
+    verified = session.scalars(_with_teams(_completed(track_name, SubmissionKind.LOG))).all()
     return LogBoardsView(
         track=track.name,
         title=track.title,
@@ -45,19 +45,35 @@ def log_boards(session: Session, track_name: str) -> LogBoardsView:
             LogBoardView(task=name, title=task.title, entries=_entries(verified, name))
             for name, task in track.tasks.items()
         ],
-        text_logs=[_text_log(e) for e in _newest_of_each(_completed(session, track_name, SubmissionKind.TEXT_LOG))],
+        text_logs=[_text_log(e) for e in _newest_text_logs(session, track_name)],
     )
 
 
-def _completed(session: Session, track: str, kind: SubmissionKind) -> Sequence[Evaluation]:
-    """Completed evaluations, newest first."""
-    return session.scalars(
+def _completed(track: str, kind: SubmissionKind) -> Select[Evaluation]:
+    return (
         select(Evaluation)
         .join(Submission)
-        .options(joinedload(Evaluation.submission).joinedload(Submission.team))
         .where(Evaluation.state == EvaluationState.COMPLETED, Submission.track == track, Submission.kind == kind)
-        .order_by(Evaluation.created_at.desc(), Evaluation.id)
-    ).all()
+    )
+
+
+def _with_teams(evaluations: Select[Evaluation]) -> Select[Evaluation]:
+    """With their submissions and teams, newest first."""
+    return evaluations.options(joinedload(Evaluation.submission).joinedload(Submission.team)).order_by(
+        Evaluation.created_at.desc(), Evaluation.id
+    )
+
+
+def _newest_text_logs(session: Session, track: str) -> Sequence[Evaluation]:
+    """The newest completed evaluation of each text log, cut before anything is loaded."""
+    newest_of_each = (
+        _completed(track, SubmissionKind.TEXT_LOG)
+        .with_only_columns(Evaluation.id)
+        .ext(distinct_on(Evaluation.submission_id))
+        .order_by(Evaluation.submission_id, Evaluation.created_at.desc(), Evaluation.id)
+    )
+    chosen = select(Evaluation).where(Evaluation.id.in_(newest_of_each))
+    return session.scalars(_with_teams(chosen).limit(MOST_TEXT_LOGS)).all()
 
 
 def _entries(evaluations: Sequence[Evaluation], task: str) -> list[LogEntryView]:
@@ -90,13 +106,6 @@ def _entry(result: Result, place: int | None) -> LogEntryView:
         result_hash=score.result_hash,
         evaluator_version=evaluation.evaluator_version,
     )
-
-
-def _newest_of_each(evaluations: Sequence[Evaluation]) -> list[Evaluation]:
-    newest: dict[UUID, Evaluation] = {}
-    for evaluation in evaluations:
-        newest.setdefault(evaluation.submission_id, evaluation)
-    return list(newest.values())[:MOST_TEXT_LOGS]
 
 
 def _text_log(evaluation: Evaluation) -> TextLogEntryView:

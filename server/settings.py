@@ -63,7 +63,8 @@ class Settings(BaseSettings):
     )
     log_bytes: PositiveInt = Field(
         default=32 << 20,
-        description="Largest log that may be uploaded, packed and unpacked; a whole one has about 2 MB.",
+        description="Largest log that may be uploaded, packed and unpacked; a whole one has about 2 MB. "
+        "2025 text logs have 8 MiB at most.",
     )
     uploads_at_once: PositiveInt = Field(default=2, description="Uploads that one team may send at the same time.")
     upload_silence_s: PositiveFloat = Field(default=30.0, description="An upload that stops for so long is given up.")

@@ -25,6 +25,8 @@ TRUNCATED = "truncated"
 
 MOST_PROBLEMS = 100
 """So many are kept; the last one says how many more there are."""
+MOST_CHARACTERS = 200
+"""So much of one problem is kept."""
 
 
 def check_text_log(received: ReceivedFile, owner: str, limit_bytes: int) -> CheckedUpload:
@@ -90,4 +92,5 @@ def _digest_of(received: ReceivedFile, limit_bytes: int) -> str:
 
 def _first_of(problems: tuple[str, ...]) -> tuple[str, ...]:
     more = len(problems) - MOST_PROBLEMS
-    return problems if more <= 0 else (*problems[:MOST_PROBLEMS], f"and {more} more")
+    first = tuple(problem[:MOST_CHARACTERS] for problem in problems[:MOST_PROBLEMS])
+    return first if more <= 0 else (*first, f"and {more} more")

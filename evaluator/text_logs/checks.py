@@ -18,7 +18,7 @@ def check(log: TextLog, kind: Kind) -> list[str]:
 def hole_top(log: TextLog, kind: Kind) -> float | None:
     """The hole's top that the log was made with [mm]; None where the kind has none or the log shows none."""
     shown = log.episodes[0].initial_offset if log.episodes else None
-    if not kind.hole_tops_mm or shown is None:
+    if not kind.hole_tops_mm or shown is None or len(shown) < 4:
         return None
     return min(kind.hole_tops_mm, key=lambda top: abs(kind.starts(top)[0].offset[3] - shown[3]))
 
@@ -63,7 +63,9 @@ def _check_episode(episode: TextEpisode, start: Start, kind: Kind, top: float | 
         yield "it has no initial offset"
     elif kind.peg and episode.initial_offset is not None:
         if not _close(episode.initial_offset, start.offset):
-            yield f"it starts at {episode.initial_offset}, in the list at {start.offset}"
+            yield f"it starts at {episode.initial_offset!s:.80}, in the list at {start.offset}"
+        if len(episode.initial_offset) != len(start.offset):
+            return
         yield from _check_peg_episode(episode, episode.initial_offset, kind, kind.peg, top)
 
 
@@ -113,7 +115,7 @@ def _check_step(
 ) -> Iterator[str]:
     info, offset = step.info, step.info["gt_offset_mm_deg"]
     if info.get("steps") != step.n:
-        yield f"info steps is {info.get('steps')}"
+        yield f"info steps is {info.get('steps')!r:.40}"
     if not _close(offset, _moved(before, step.action, rules)):
         yield f"the action does not lead to offset {offset}"
     if not _close(step.offset or (), offset):

@@ -12,7 +12,7 @@ from vitac.envs.errors import VitacError
 
 MAX_LINE_BYTES = 1 << 18
 MAX_MESSAGE_CHARACTERS = 1 << 18
-MAX_LOG_BYTES = 1 << 28
+MAX_LOG_BYTES = 8 << 20
 """Bounds on what is read: a true log has lines of 10,000 bytes and 5 MB in all."""
 
 # `<date> <time>.<ms> | <LEVEL padded> | <module>:<function>:<line> - <message>`; the organizers' own log starts with
@@ -82,7 +82,7 @@ def vector(message: Message, text: str) -> tuple[float, ...]:
     """
     inside = text.strip()
     if not (inside.startswith("[") and inside.endswith("]")):
-        raise _rejected(message, f"expected numbers in brackets, came {inside:.60}")
+        raise _rejected(message, f"expected numbers in brackets, came {inside!r:.60}")
     return tuple(number(message, part) for part in inside[1:-1].split())
 
 
@@ -95,9 +95,9 @@ def number(message: Message, text: str) -> float:
     try:
         value = float(text)
     except ValueError as error:
-        raise _rejected(message, f"{text.strip():.60} is not a number") from error
+        raise _rejected(message, f"{text.strip()!r:.60} is not a number") from error
     if not isfinite(value):
-        raise _rejected(message, f"{text.strip():.60} is not a finite number")
+        raise _rejected(message, f"{text.strip()!r:.60} is not a finite number")
     return value
 
 
@@ -108,7 +108,7 @@ def whole_number(message: Message, text: str) -> int:
         TextLogRejected: it is something else.
     """
     if not re.fullmatch(r"\d{1,9}", text):
-        raise _rejected(message, f"{text.strip():.60} is not a count")
+        raise _rejected(message, f"{text.strip()!r:.60} is not a count")
     return int(text)
 
 
@@ -121,7 +121,7 @@ def printed_dict(message: Message, text: str) -> dict[str, Any]:
     try:
         tree = ast.parse(text.strip(), mode="eval").body
         value = _value(tree)
-    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+    except (SyntaxError, ValueError, TypeError, OverflowError, RecursionError, MemoryError) as error:
         raise _rejected(message, f"cannot read the printed values: {error!s:.80}") from error
     if not isinstance(value, dict) or not all(isinstance(key, str) for key in value):
         raise _rejected(message, "expected a printed dict with text as keys")

@@ -84,6 +84,7 @@ class _Reader:
         self._last: Message | None = None
         self._tests: set[int] = set()
         self._test_before = 0
+        self._parts_of_step: set[str] = set()
         self._rules: list[tuple[re.Pattern[str], Callable[[Message, re.Match[str]], None]]] = [
             (re.compile(pattern, re.DOTALL), rule)
             for pattern, rule in (
@@ -96,8 +97,8 @@ class _Reader:
                 (r"#### Test No\. (\d+) ####\s*", self._test),
                 (r"Initial offset: (.*)", self._initial_offset),
                 (r"Step (\d+) Action: (.*)", self._action),
-                (r"#SUCCESS_RATE: (?:(\d+\.\d\d)%|0)\s*", self._success_rate),
-                (r"#AVG_STEP: (?:(\d+\.\d\d)|NA)\s*", self._average_steps),
+                (r"#SUCCESS_RATE: (?:(\d{1,3}\.\d\d)%|0)\s*", self._success_rate),
+                (r"#AVG_STEP: (?:(\d{1,4}\.\d\d)|NA)\s*", self._average_steps),
             )
         ]
 
@@ -165,6 +166,7 @@ class _Reader:
         if not episode:
             return
         self._end_step(episode, message)
+        self._parts_of_step.clear()
         episode.reset_ended = episode.reset_ended or message.time
         n, action = whole_number(message, match[1]), vector(message, match[2])
         if n != len(episode.steps) + 1:
@@ -172,17 +174,17 @@ class _Reader:
         episode.steps.append(TextStep(line=message.line, n=n, action=action, started=message.time))
 
     def _offset(self, message: Message, text: str) -> None:
-        step = self._open_step(message)
+        step = self._open_step(message, "offset")
         if step:
             step.offset, step.ended = vector(message, text), message.time
 
     def _info(self, message: Message, text: str) -> None:
-        step = self._open_step(message)
+        step = self._open_step(message, "info")
         if step:
             step.info = printed_dict(message, text)
 
     def _reward(self, message: Message, text: str) -> None:
-        step = self._open_step(message)
+        step = self._open_step(message, "reward")
         if step:
             step.reward = number(message, text)
 
@@ -200,6 +202,8 @@ class _Reader:
             self._problem(message, "the totals come twice")
         self.log.has_totals = True
         self.log.claimed_success_rate = number(message, match[1]) / 100 if match[1] else 0.0
+        if self.log.claimed_success_rate > 1:
+            self._problem(message, f"a success rate of {match[1]} % is above 100 %")
 
     def _average_steps(self, message: Message, match: re.Match[str]) -> None:
         self.log.claimed_average_steps = number(message, match[1]) if match[1] else None
@@ -210,13 +214,19 @@ class _Reader:
         self._problem(message, "it stands outside a test")
         return None
 
-    def _open_step(self, message: Message) -> TextStep | None:
+    def _open_step(self, message: Message, part: str) -> TextStep | None:
+        """The env step that a part belongs to; None where it belongs to none, or repeats what the step already has."""
         episode = self._open_episode(message)
-        if episode and episode.steps:
-            return episode.steps[-1]
-        if episode:
+        if not episode:
+            return None
+        if not episode.steps:
             self._problem(message, "it comes before the first action")
-        return None
+            return None
+        if part in self._parts_of_step:
+            self._problem(message, f"a second {part} of this env step")
+            return None
+        self._parts_of_step.add(part)
+        return episode.steps[-1]
 
     def _end_step(self, episode: TextEpisode, message: Message) -> None:
         if episode.steps and episode.steps[-1].ended is None:

@@ -32,7 +32,7 @@ def text_log(
 def _episode(episode: dict[str, Any]) -> list[str]:
     messages = [f"#### Test No. {episode['episode']} ####"]
     logs_offsets = "offset_obs" in episode["steps"][0]
-    if logs_offsets:
+    if "initial_offset" in episode:
         messages.append(f"Initial offset: {_float32(episode['initial_offset'])}")
     for step in episode["steps"]:
         messages.append(f"Step {step['n']} Action: {_float32(step['action'])}")

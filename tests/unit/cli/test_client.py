@@ -68,6 +68,12 @@ def test_a_known_code_comes_with_a_hint() -> None:
         client(refusing(401, code="missing_credentials", detail="No token.")).me()
 
 
+@pytest.mark.parametrize("code", ["log_rejected", "log_impossible"])
+def test_hints_on_logs_fit_also_2025_text_logs(code: str) -> None:
+    with pytest.raises(RequestRefused, match=r"hint: .*`vitac log import FILE`.* 2025 text log"):
+        client(refusing(422, code=code, detail="It is none.")).me()
+
+
 def test_every_hint_belongs_to_a_code_of_the_service() -> None:
     assert set(HINTS) <= set(ProblemCode)
 

@@ -30,9 +30,12 @@ def test_lists_of_2025_are_ours() -> None:
 
 
 def whole_list(kind: Any, actions: list[tuple[float, ...]]) -> list[dict[str, Any]]:
-    """Every test of the list with the same actions, as the lock's log shows them."""
+    """Every test of the list with the same actions and, where the kind logs it, its start."""
     steps = [{"n": n, "action": action} for n, action in enumerate(actions, start=1)]
-    return [{"episode": n, "steps": steps, "result": "FAIL"} for n in range(1, len(kind.starts()) + 1)]
+    return [
+        {"episode": n, "steps": steps, "result": "FAIL"} | ({"initial_offset": s.offset} if kind.logs_offsets else {})
+        for n, s in enumerate(kind.starts(), start=1)
+    ]
 
 
 def written(path: Path, episodes: list[dict[str, Any]], kind: Any = PEG) -> Path:
@@ -92,9 +95,28 @@ def test_lock_log_that_cannot_be_resimulated_is_named(change: Any, reason: Impos
     assert found.reason is reason
 
 
-def _read(tests: list[dict[str, Any]]) -> Any:
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda test: test.pop("initial_offset"), "Test 5 names no start; in the list it starts at "),
+        (lambda test: test.update(initial_offset=(1.0,)), "Test 5 starts at (1.0,), in the list at "),
+        (lambda test: test.update(initial_offset=(1.0,) * 900), "Test 5 starts at (1.0, 1.0, "),
+    ],
+)
+def test_peg_log_without_the_start_of_the_list_is_named(change: Any, message: str) -> None:
+    tests = whole_list(PEG, [(0.5, 0, 0)])
+    assert why_not_resimulated(_read(tests, PEG), PEG, TASKS[PEG.name]) is None
+    change(tests[4])
+    found = why_not_resimulated(_read(tests, PEG), PEG, TASKS[PEG.name])
+    assert found is not None
+    assert (found.reason, found.episode) == (ImpossibleReason.OTHER_START, 5)
+    assert found.message.startswith(message)
+    assert len(found.message) < 200
+
+
+def _read(tests: list[dict[str, Any]], kind: Any = LOCK) -> Any:
     readable = [{**test, "steps": test["steps"] or [{"n": 1, "action": ()}]} for test in tests]
-    return read_text_log(io.BytesIO(text_log(readable, LOCK.environment, LOCK.script_md5[0]).encode()))
+    return read_text_log(io.BytesIO(text_log(readable, kind.environment, kind.script_md5[0]).encode()))
 
 
 def test_log_of_another_list_is_named() -> None:

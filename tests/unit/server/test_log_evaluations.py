@@ -19,7 +19,7 @@ from service_factories import (
     shard_ids,
     store,
 )
-from sqlalchemy import text
+from sqlalchemy import event, text
 from sqlalchemy.exc import IntegrityError
 from uploaded_logs import a_log, a_text_log, log_manifest, some_records, upload_log
 from vitac.evaluator.log_findings import Divergence, Impossibility, ImpossibleReason, LogFinding
@@ -27,9 +27,9 @@ from vitac.evaluator.logs import LogReader
 from vitac.evaluator.records import ActionSequence, EpisodeOutcome, EpisodeRecord
 from vitac.evaluator.shards import ShardEnd, ShardResult
 from vitac.evaluator.version import evaluator_version
-from vitac.server import evaluations, submissions
+from vitac.server import evaluations, log_boards, submissions
 from vitac.server.db.engine import Database
-from vitac.server.db.models import Submission
+from vitac.server.db.models import Evaluation, Submission
 from vitac.server.queue.leases import Lease
 
 
@@ -227,6 +227,30 @@ def test_text_log_is_listed_with_both_rates_and_never_ranked(service: Service) -
     assert (entry["claimed_success_rate"], entry["success_rate"]) == (0.0481, 0.5)
     assert entry["problems"] > 0
     assert shown(service, log)["log"]["verdict"] is None
+
+
+def test_only_the_newest_text_logs_are_loaded(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
+    for totals in ("4.81", "4.80", "4.79"):
+        log = uploaded(service, a_text_log(totals=(f"#SUCCESS_RATE: {totals}%", "#AVG_STEP: 2.00")), "text_log")
+        play_all(service.database, log)
+    monkeypatch.setattr(log_boards, "MOST_TEXT_LOGS", 2)
+    loaded: list[Evaluation] = []
+    with service.database.transaction() as session:
+        event.listen(session, "loaded_as_persistent", lambda _, found: loaded.append(found))
+        shown = log_boards.log_boards(session, "track_1").text_logs
+    assert [entry.claimed_success_rate for entry in shown] == [0.0479, 0.048]
+    assert sum(isinstance(found, Evaluation) for found in loaded) == 2
+
+
+def test_text_log_that_was_evaluated_again_is_listed_once(service: Service) -> None:
+    log = uploaded(service, a_text_log(), "text_log")
+    play_all(service.database, log)
+    with service.database.transaction() as session:
+        session.execute(text("UPDATE evaluations SET evaluator_version = '0+old'"))
+    assert upload_log(service, a_text_log(), "text_log", query="&again=true").status_code == 202
+    play_all(service.database, log)
+    (entry,) = service.client.get("/api/v1/leaderboards/track_1/logs").json()["text_logs"]
+    assert (entry["submission_id"], entry["evaluator_version"]) == (str(log.id), evaluator_version())
 
 
 # ---- models of the same team ----

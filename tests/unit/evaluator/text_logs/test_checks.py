@@ -7,9 +7,10 @@ from typing import Any
 
 import pytest
 from text_log_writer import text_log
-from vitac.evaluator.text_logs import TextLogRejected, TextLogSummary, kinds, read_text_log, summarize
+from vitac.evaluator.text_logs import TextLogRejected, TextLogSummary, check, kinds, read_text_log, summarize
 
-OFFICIAL = next(kind for kind in kinds.all_kinds() if kind.name == "track 1 peg insertion")
+OFFICIAL_KINDS = kinds.all_kinds()
+OFFICIAL = next(kind for kind in OFFICIAL_KINDS if kind.name == "track 1 peg insertion")
 PEG = OFFICIAL.model_copy(update={"repeats": 1, "offsets": OFFICIAL.offsets[:5]})
 
 
@@ -83,6 +84,7 @@ def test_own_log_has_no_problem() -> None:
         ("action", [0.5, 0.5], "has 2 action values, expected 3"),
         ("offset_obs", [9.0, 0.0, 0.0], "is not that of the info"),
         ("info_steps", 7, "info steps is 7"),
+        ("info_steps", "\x1b[2J\x00\ud800", "info steps is '\\x1b[2J\\x00\\ud800'"),
         ("surface_diff_m", [0.0005, 0.0016], "tactile_movement_too_large is False, by the rules True"),
         ("surface_diff_m", [0.0005], "lacks info surface_diff_m of 2 numbers"),
         ("too_many_steps", True, "too_many_steps is True, by the rules False"),
@@ -118,6 +120,8 @@ def test_success_before_the_third_step_is_impossible() -> None:
     ("change", "problem"),
     [
         (lambda e: e[1].update(initial_offset=[0.0, 0.0, 0.0]), "test 2: it starts at (0.0, 0.0, 0.0), in the list at"),
+        (lambda e: e[1].update(initial_offset=[1.0]), "test 2: it starts at (1.0,), in the list at"),
+        (lambda e: e[1].update(initial_offset=[1, 2, 3, 4]), "test 2: it starts at (1.0, 2.0, 3.0, 4.0), in the list"),
         (lambda e: e[1].update(result="FAIL"), "test 2: RESULT says FAIL, its last step the opposite"),
         (lambda e: e[1].update(result="MAYBE"), "RESULT is 'MAYBE', expected SUCCESS or FAIL"),
         (lambda e: e[1]["steps"].pop(), "test 2: step 2 is the last, but ended nothing"),
@@ -146,6 +150,9 @@ def test_one_wrong_thing_in_a_test_is_found(change: Callable[[list[dict[str, Any
         (("#SUCCESS_RATE: 100.00%", "#AVG_STEP: 2.99"), "the average of steps is 3.00, claimed is 2.99"),
         (("#SUCCESS_RATE: 100.00%", "#AVG_STEP: NA"), "the average of steps is 3.0, claimed is None"),
         (("#SUCCESS_RATE: 100.00%", "#AVG_STEP: 3.00", "#SUCCESS_RATE: 100.00%"), "the totals come twice"),
+        (("#SUCCESS_RATE: 100.01%", "#AVG_STEP: 3.00"), "a success rate of 100.01 % is above 100 %"),
+        (("#SUCCESS_RATE: " + "9" * 300 + ".00%", "#AVG_STEP: 3.00"), "unknown message '#SUCCESS_RATE: 999"),
+        (("#SUCCESS_RATE: 100.00%", "#AVG_STEP: 10000.00"), "unknown message '#AVG_STEP: 10000.00'"),
         (("#SUCCESS_RATE: very good", "#AVG_STEP: 3.00"), "unknown message '#SUCCESS_RATE: very good'"),
     ],
 )
@@ -188,6 +195,25 @@ def test_file_with_hundreds_of_lines_out_of_place_is_refused() -> None:
     line = own_log().splitlines(keepends=True)[-2]
     with pytest.raises(TextLogRejected, match="more than 200 lines are out of place"):
         problems(own_log() + line * 300)
+
+
+@pytest.mark.parametrize(("start", "part"), [("Offset: ", "offset"), ("info: ", "info"), ("Reward: ", "reward")])
+def test_what_a_step_already_has_is_out_of_place(start: str, part: str) -> None:
+    lines = own_log().splitlines(keepends=True)
+    first = next(number for number, line in enumerate(lines) if f" - {start}" in line)
+    lines.insert(first + 1, lines[first].split(" - ")[0] + f" - {start}never read\n")
+    assert problems("".join(lines)) == (f"line {first + 2}: a second {part} of this env step",)
+
+
+def test_a_long_value_makes_no_long_problem() -> None:
+    found = problems(own_log(lambda episodes: episodes[3]["steps"][1].update(info_steps="A" * 100_000)))
+    assert 0 < len(found[0]) < 100
+
+
+def test_vision_log_with_a_short_start_is_checked() -> None:
+    kind = next(kind for kind in OFFICIAL_KINDS if kind.hole_tops_mm)
+    log = read_text_log(io.BytesIO(own_log(lambda episodes: episodes[0].update(initial_offset=[1.0])).encode()))
+    assert any(problem.startswith("test 1: it starts at (1.0,), in the list at") for problem in check(log, kind))
 
 
 @pytest.mark.parametrize(

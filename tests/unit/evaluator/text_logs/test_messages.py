@@ -1,5 +1,6 @@
 import contextlib
 import io
+from collections.abc import Callable
 from datetime import datetime
 from typing import Any
 
@@ -8,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from vitac.evaluator.text_logs.messages import (
     MAX_LINE_BYTES,
+    MAX_LOG_BYTES,
     Message,
     TextLogRejected,
     messages,
@@ -106,6 +108,21 @@ def test_number_must_be_finite(text: str) -> None:
         number(ANY, text)
 
 
+@pytest.mark.parametrize("read_value", [vector, number, whole_number])
+def test_a_refusal_escapes_what_it_quotes(read_value: Callable[[Message, str], object]) -> None:
+    with pytest.raises(TextLogRejected) as refused:
+        read_value(ANY, "\x1b[2J" + "x" * 1000)
+    assert "\\x1b[2J" in str(refused.value)
+    assert str(refused.value).isprintable()
+    assert len(str(refused.value)) < 120
+
+
+def test_file_larger_than_any_true_log_is_refused() -> None:
+    lines = LINE.encode() + b"x" * (MAX_LINE_BYTES - 100) + b"\n"
+    with pytest.raises(TextLogRejected, match="or the file too large"):
+        read(lines * (MAX_LOG_BYTES // len(lines) + 1))
+
+
 @pytest.mark.parametrize("text", ["-1", "1.5", "9" * 10, "9" * 5000])
 def test_count_is_a_short_number(text: str) -> None:
     with pytest.raises(TextLogRejected, match="is not a count"):
@@ -139,6 +156,9 @@ def test_printed_dict_reads_python_and_numpy_values() -> None:
         "[" * 150 + "]" * 150,
         "{'a': -'b'}",
         "{'a': 1j}",
+        "{'a': " + "9" * 400 + "}",
+        "{'a': -" + "9" * 400 + "}",
+        "{{}: 1}",
         "",
     ],
 )

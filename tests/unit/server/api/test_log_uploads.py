@@ -272,12 +272,16 @@ def changed_test(number: int, old: bytes, new: bytes) -> bytes:
         (changed_test(3, b"0.25", b"1.25"), "log_impossible", "wrong_action"),
         (changed_test(2, b"Test No. 3 ", b"Test No. 2 "), "log_rejected", "out_of_place"),
         (changed_test(3, b"Initial offset: [-4.", b"Initial offset: [-3."), "log_impossible", "other_start"),
+        (changed_test(3, b"Initial offset: [", b"Initial offset: [1. "), "log_impossible", "other_start"),
+        (changed_test(3, b"'steps': 1", b"'steps': " + b"9" * 400), "log_rejected", "not_a_text_log"),
+        (changed_test(3, b"{'steps': 1", b"{{}: 1"), "log_rejected", "not_a_text_log"),
+        (a_text_log(totals=("#SUCCESS_RATE: 999.00%", "#AVG_STEP: 2.00")), "log_rejected", "out_of_place"),
         (a_text_log(totals=(), episodes=[]), "log_impossible", "episode_missing"),
         (TEXT_LOG.replace(b"z_step_size_mm", b"other_key"), "log_rejected", "not_a_text_log"),
     ],
     ids=[
-        "junk", "our log", "NaN", "two logs", "log and a half", "truncated", "bounds", "test twice", "start", "empty",
-        "other kind",
+        "junk", "our log", "NaN", "two logs", "log and a half", "truncated", "bounds", "test twice", "start",
+        "long start", "huge number", "unhashable", "rate above 100 %", "empty", "other kind",
     ],
 )  # fmt: skip
 def test_text_log_that_is_not_one_whole_evaluation_is_refused(
@@ -286,6 +290,20 @@ def test_text_log_that_is_not_one_whole_evaluation_is_refused(
     problem = problem_of(upload_log(service, log, "text_log"), 422, code)
     assert problem["reason"] == reason, problem["detail"]
     assert_nothing_left(service)
+
+
+def test_problems_of_a_text_log_are_kept_short_and_printable(service: Service) -> None:
+    control = rb"'\x00\ud800\x1b[2J" + b"A" * 1000 + b"'"
+    digits = b"[" + (b"9" * 308 + b", ") * 3 + b"]"
+    log = changed_test(3, b"'steps': 1", b"'steps': " + control).replace(
+        b"'gt_offset_mm_deg': array([-4., -4., -8.])", b"'gt_offset_mm_deg': array(" + digits + b")", 1
+    )
+    answer = upload_log(service, log, "text_log")
+    assert answer.status_code == 202, answer.text
+    found = answer.json()["log"]["problems"]
+    assert any(r"info steps is '\x00\ud800\x1b[2J" in problem for problem in found)
+    assert all(problem.isprintable() and len(problem) <= 200 for problem in found)
+    assert any(len(problem) == 200 for problem in found)
 
 
 def test_text_log_of_another_team_is_refused(service: Service) -> None:
