@@ -50,6 +50,7 @@ def command(
     from vitac.evaluator.tracks import load_track
 
     numbers = parse_episodes(episodes)
+    _check_outputs(json, log, team)
     with staged(submission) as folder:
         manifest = load_manifest(folder)
         digest = submission_digest(submission)
@@ -72,6 +73,19 @@ def command(
     _print_summary(evaluation, manifest)
     if evaluation.failure:
         raise typer.Exit(1)
+
+
+def _check_outputs(json: Path | None, log: Path | None, team: str | None) -> None:
+    """What would only fail after minutes of evaluation is refused before them."""
+    from vitac.evaluator.logs import is_team_name
+
+    for option, path in (("--json", json), ("--log", log)):
+        if path is not None and (path.is_dir() or not path.absolute().parent.is_dir()):
+            raise typer.BadParameter(
+                f"{path} cannot be written: name a file in a folder that exists.", param_hint=option
+            )
+    if team is not None and not is_team_name(team):
+        raise typer.BadParameter(f"{team!r:.80} is not one line of at most 200 characters.", param_hint="--team")
 
 
 def _chosen_task(manifest: "SubmissionManifest", task: str | None) -> str:

@@ -10,9 +10,9 @@ import json
 from collections.abc import Iterable, Iterator
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any, BinaryIO, Literal, TypeVar
+from typing import Any, BinaryIO, Literal, TypeVar
 
-from pydantic import Field, NonNegativeInt, ValidationError, field_validator
+from pydantic import NonNegativeInt, ValidationError, field_validator
 from vitac.envs.errors import VitacError
 
 from .packed_logs import open_log
@@ -22,6 +22,8 @@ from .strict_model import StrictModel, Word, explain
 FORMAT_VERSION = 1
 MAX_LINE_BYTES = 1 << 20
 """Longest line that is read [bytes]; an episode of 50 env steps takes about 100,000."""
+
+_TEAM_CHARACTERS = 200
 
 LineT = TypeVar("LineT", bound=StrictModel)
 
@@ -63,20 +65,25 @@ class LogRejected(VitacError):
         self.line = line
 
 
+def is_team_name(text: str) -> bool:
+    """Whether the header of a log can name this team."""
+    return len(text) <= _TEAM_CHARACTERS and text.isprintable()
+
+
 class LogHeader(StrictModel):
     """The first line: what the evaluation was made with, and whose it is."""
 
     format: Literal["vitac-log"] = "vitac-log"
     version: Literal[1] = 1
-    team: Annotated[str, Field(max_length=200)] | None = None
+    team: str | None = None
     submission_digest: Word | None = None
     manifest: Manifest
 
     @field_validator("team")
     @classmethod
-    def _printable(cls, team: str | None) -> str | None:
-        if team is not None and not team.isprintable():
-            raise ValueError("must be one line of printable characters")
+    def _is_name(cls, team: str | None) -> str | None:
+        if team is not None and not is_team_name(team):
+            raise ValueError(f"must be one line of at most {_TEAM_CHARACTERS} printable characters")
         return team
 
 
@@ -147,6 +154,10 @@ class LogReader:
             record = self._checked(_EpisodeLine, content).record
             if record.episode in seen:
                 raise self._rejected(LogProblem.EPISODE_REPEATED, f"episode {record.episode} came before.")
+            if seen and record.episode < max(seen):
+                raise self._rejected(
+                    LogProblem.ALTERED, f"episode {record.episode} stands after {max(seen)}; they go by their numbers."
+                )
             seen.add(record.episode)
             yield record
 

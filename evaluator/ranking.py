@@ -3,6 +3,7 @@
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from datetime import datetime
+from fractions import Fraction
 from math import inf, isfinite
 from statistics import fmean
 
@@ -60,8 +61,10 @@ def combine(tasks: Collection[str], scores: Mapping[str, Score]) -> CombinedScor
     """
     played = [scores[task] for task in tasks if task in scores]
     steps = [score.mean_steps for score in played if score.mean_steps is not None]
+    # Exact until the last: rounded sums of equal rates may differ, and the steps would not be asked.
+    rates = sum((Fraction(score.successes, score.episodes) for score in played), Fraction(0))
     return CombinedScore(
-        success_rate=sum(score.success_rate for score in played) / len(tasks),
+        success_rate=float(rates / len(tasks)),
         interval=interval_of_mean(played, of=len(tasks)),
         mean_steps=fmean(steps) if len(steps) == len(tasks) else None,
     )

@@ -48,7 +48,7 @@ class EpisodeOutcome(StrEnum):
 class ActionSequence(StrictModel):
     """The raw actions of an episode as the policy gave them: float32, little-endian, row-major, base64 in JSON."""
 
-    shape: tuple[NonNegativeInt, PositiveInt]
+    shape: tuple[Annotated[int, Field(ge=0, le=1_000_000)], Annotated[int, Field(ge=1, le=64)]]
     float32_base64: str
 
     @classmethod

@@ -85,7 +85,7 @@ def explain(model: type[BaseModel], error: ValidationError) -> str:
 def _sentence(model: type[BaseModel], problem: dict[str, Any]) -> str:
     place = ".".join(str(part) for part in problem["loc"]) or "the document"
     if problem["type"] == "extra_forbidden":
-        return f"Unknown key {place!r}; {_nearest(str(problem['loc'][-1]), _keys_at(model, problem['loc'][:-1]))}."
+        return f"Unknown key {place!r:.80}; {_nearest(str(problem['loc'][-1]), _keys_at(model, problem['loc'][:-1]))}."
     if problem["type"] == "missing":
         return f"Missing key {place!r}; add it."
     came = "" if isinstance(problem["input"], dict | list) else f" (came: {problem['input']!r:.80})"

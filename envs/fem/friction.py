@@ -1,4 +1,4 @@
-"""Smoothed Coulomb friction of one contact, lagged or not.
+"""Smoothed Coulomb friction of one contact.
 
     D(u) = mu lambda f0(|u|),   f0(y) = -y^3 / (3 s^2) + y^2 / s + s / 3  for y < s, else y        [m]
 

@@ -40,7 +40,7 @@ class Tolerances(NamedTuple):
 
     step_m: float  # largest move of a Newton iteration
     residual_n: float  # largest nodal force left, friction taken at the solution
-    iterations: int  # Newton iterations in all
+    iterations: int  # Newton iterations in all that factorise a matrix
     phase_iterations: int  # of a free phase, and of a cautious one
 
 
@@ -156,7 +156,7 @@ def solve_step(
         measures[Measure.SMALLEST_GAP_M] = workspace.smallest[0]
         measures[Measure.SMALLEST_DET_F] = workspace.smallest[1]
         if left == 0.0 and step <= tolerances.step_m and residual <= tolerances.residual_n:
-            if not has_negative_determinant(workspace.factor):
+            if _is_stable(model, candidates, x, x_hat, s, workspace, matrix):
                 return True
             counts[Counter.UNSTABLE] += 1
             return False
@@ -266,6 +266,24 @@ def _solve(model: Model, workspace: Workspace, solution: FloatArray, positive: b
     solution[:] = workspace.right_hand_side
     substitute(model.system, workspace.factor, solution)
     return True
+
+
+@kernel
+def _is_stable(
+    model: Model,
+    candidates: Candidates,
+    x: FloatArray,
+    x_hat: FloatArray,
+    s: _Scratch,
+    workspace: Workspace,
+    matrix: int,
+) -> bool:
+    """Whether the exact Jacobian has no negative determinant; the projected one cannot tell, so it is made anew."""
+    if matrix == PROJECTED_MATRIX:
+        assemble(model, candidates, s.motion, x, x_hat, s.y, s.y_start, s.prescribed_move, workspace, EXACT_MATRIX)
+        if not factorise(model.system, workspace.entries, workspace.factor, False):
+            return False
+    return not has_negative_determinant(workspace.factor)
 
 
 @kernel

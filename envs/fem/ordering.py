@@ -45,7 +45,7 @@ def minimum_degree(nodes: list[int], neighbours: list[set[int]]) -> list[int]:
             continue
         order.append(node)
         others = coupled.pop(node)
-        for other in others:
+        for other in sorted(others):
             if other in coupled:
                 coupled[other] |= others
                 coupled[other] -= {node, other}

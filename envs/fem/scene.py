@@ -7,26 +7,21 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import VitacError
 from .bodies import GelBody, RigidBody
 from .model_builder import build_model
 from .newton import Counter, Measure, Tolerances, solve_step
 from .node_layout import NodeLayout
 from .overlap import find_overlap
 from .points import point_positions
+from .scene_checks import SceneError, check_bodies, check_settings
 from .settings import ContactSettings, SolverSettings
 from .workspace import new_workspace
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 
-
 # Coordinates that follow x, y and z, and those that follow these: of a vector product, without numpy's slow one.
 _NEXT, _LAST = [1, 2, 0], [2, 0, 1]
-
-
-class SceneError(VitacError):
-    """A scene cannot be built or stepped as asked; the message says what was expected and what came."""
 
 
 class StepStatus(StrEnum):
@@ -74,7 +69,7 @@ class Scene:
     """Steps gels and affine bodies through driven motions, each step solved to convergence.
 
     Raises:
-        SceneError: a body is misplaced, bodies overlap at the start, or a setting is out of range.
+        SceneError: a body is misplaced, bodies overlap at the start, or a material or setting is out of range.
     """
 
     def __init__(
@@ -90,8 +85,8 @@ class Scene:
         self._bodies = tuple(bodies)
         self._contact = contact or ContactSettings()
         self._solver = solver or SolverSettings()
-        if not self._gels:
-            raise SceneError("A scene needs at least one gel, got none.")
+        check_bodies(self._gels, self._bodies)
+        check_settings(time_step_s, self._contact, self._solver)
         self._layout = NodeLayout(self._gels, self._bodies)
         self._model = build_model(
             self._gels,
@@ -181,10 +176,12 @@ class Scene:
         target = self._x.copy()
         for index, (gel, wanted) in enumerate(zip(self._gels, driven_targets_m, strict=True)):
             expected = (len(gel.mesh.driven_nodes), 3)
-            if wanted.shape != expected or not np.isfinite(wanted).all():
-                raise SceneError(
-                    f"Driven targets of gel {index} have shape {wanted.shape}, expected {expected} finite numbers [m]."
-                )
+            if wanted.shape != expected:
+                raise SceneError(f"Driven targets of gel {index} have shape {wanted.shape}, expected {expected} [m].")
+            wrong = np.flatnonzero(~np.isfinite(wanted).all(axis=1))
+            if len(wrong):
+                node, came = gel.mesh.driven_nodes[wrong[0]], wanted[wrong[0]]
+                raise SceneError(f"The target of node {node} of gel {index} is {came}, expected finite numbers [m].")
             target[self._layout.gel_slices[index]][gel.mesh.driven_nodes] = wanted
         return target
 

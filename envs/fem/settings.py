@@ -29,7 +29,7 @@ class SolverSettings:
     Attributes:
         step_tolerance_m: largest move of the last Newton iteration [m].
         residual_tolerance_n: largest force left on a node, friction taken at the solution [N].
-        newton_iterations: most Newton iterations of one solve.
+        newton_iterations: most Newton iterations of one solve, not counting those that reuse factors.
         phase_iterations: length of a turn of free Newton iterations, and of the first cautious one.
         first_substep_level: how often the driven motion is halved from the start.
         substep_levels: how often the driven motion may be halved when a step does not converge.

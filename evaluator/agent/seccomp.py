@@ -140,6 +140,18 @@ open file that later episodes inherit as well."""
 _PRCTLS: Final = (22, 62)
 """PR_SET_SECCOMP: with a filter of its own a policy could fake the calls that are made in its name to clear up after an
 episode. PR_SCHED_CORE: marks other processes."""
+_SIGNAL_CALLS: Final = {
+    "kill": 1,
+    "tkill": 1,
+    "tgkill": 2,
+    "rt_sigqueueinfo": 1,
+    "rt_tgsigqueueinfo": 2,
+    "pidfd_send_signal": 1,
+}
+"""Which argument of a call is the signal."""
+_JOB_CONTROL: Final = (18, 19)
+"""SIGCONT and SIGSTOP: they stop a traced process even where it blocks them, so that a flood of them would keep the
+evaluator from freezing the loaded policy."""
 _NEGATIVE: Final = 0x80000000
 """Clocks of other processes have negative numbers; that of the first process runs with every process it buries."""
 _O_TMPFILE: Final = 0x00400000
@@ -186,6 +198,9 @@ def _add_rules(syscall_filter: Any, seccomp: Any) -> None:
         syscall_filter.add_rule(refuse, "fcntl", seccomp.Arg(1, low_bits, _LOW_WORD, command))
     for option in _PRCTLS:
         syscall_filter.add_rule(refuse, "prctl", seccomp.Arg(0, low_bits, _LOW_WORD, option))
+    for name, place in _SIGNAL_CALLS.items():
+        for number in _JOB_CONTROL:
+            syscall_filter.add_rule(refuse, name, seccomp.Arg(place, low_bits, _LOW_WORD, number))
     syscall_filter.add_rule(
         seccomp.ERRNO(errno.EINVAL), "clock_gettime", seccomp.Arg(0, low_bits, _NEGATIVE, _NEGATIVE)
     )

@@ -15,7 +15,9 @@ from typing import Final
 from .verdicts import SandboxFailed
 
 _PEEKTEXT, _CONT, _SETREGS, _GETREGS, _SYSCALL, _DETACH = 1, 7, 13, 12, 24, 17
-_GETEVENTMSG, _SEIZE, _INTERRUPT = 0x4201, 0x4206, 0x4207
+_GETEVENTMSG, _SEIZE, _INTERRUPT, _GETSIGMASK, _SETSIGMASK = 0x4201, 0x4206, 0x4207, 0x420A, 0x420B
+_SIGNAL_SET_BYTES: Final = 8
+_ALL_SIGNALS: Final = (1 << 64) - 1
 _OPTIONS: Final = 0x01 | 0x02 | 0x04 | 0x08 | 0x00100000
 """Mark system call stops; follow fork, vfork and clone; kill the traced process when the tracer's thread ends."""
 _EVENT_FORKS: Final = (1, 2, 3)
@@ -188,16 +190,30 @@ class TracedProcess:
     def _freeze_while_reading(self) -> _Registers:
         deadline = time.monotonic() + _FREEZE_DEADLINE_S
         pause_s, longest_pause_s = _FREEZE_PAUSES_S
+        blocked_before: ctypes.c_uint64 | None = None
         while time.monotonic() < deadline:
             self._request(_INTERRUPT)
             self._wait_for_stop(self.pid)
+            if blocked_before is None:
+                blocked_before = self._block_signals()
             registers = self._registers(self.pid)
             if self._is_reading(registers):
+                self._request(_SETSIGMASK, _SIGNAL_SET_BYTES, ctypes.addressof(blocked_before))
                 return registers
             self._request(_CONT)
             time.sleep(pause_s)
             pause_s = min(2 * pause_s, longest_pause_s)
         raise NotWaiting("the loaded policy did not wait for a question")
+
+    def _block_signals(self) -> ctypes.c_uint64:
+        """Block all signals of the stopped process; return those that were blocked before.
+
+        A flood of them would stop it each time before it has run one instruction, so it would never come to its read.
+        """
+        before, every = ctypes.c_uint64(), ctypes.c_uint64(_ALL_SIGNALS)
+        self._request(_GETSIGMASK, _SIGNAL_SET_BYTES, ctypes.addressof(before))
+        self._request(_SETSIGMASK, _SIGNAL_SET_BYTES, ctypes.addressof(every))
+        return before
 
     def _is_reading(self, registers: _Registers) -> bool:
         if registers.orig_rax not in _READING or ctypes.c_longlong(registers.rax).value not in _INTERRUPTED:

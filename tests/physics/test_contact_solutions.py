@@ -211,7 +211,7 @@ def test_a_vertex_exactly_over_an_edge_and_over_a_corner_is_carried() -> None:
 
 
 def test_gels_that_touch_each_other_stay_apart() -> None:
-    """Gel on gel: the contact couples the two bands of the Newton matrix, which the solver only bounds.
+    """Gel on gel: the contact couples nodes outside the pattern of the Newton matrix, which the solver only bounds.
 
     No task presses gels together, and the solver is not made for it: it may give up, but says so.
     """

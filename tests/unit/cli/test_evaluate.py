@@ -73,6 +73,22 @@ def test_report_holds_the_records_that_the_hash_is_of(
     assert json.loads(report.read_text())["score"]["success_rate"] == 1.0
 
 
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--log", "nowhere/run.jsonl"), "folder that exists"),
+        (("--json", "."), "cannot be written"),
+        (("--log", "run.jsonl", "--team", "a\tb"), "is not one line"),
+    ],
+)
+def test_what_could_not_be_written_is_refused_before_the_evaluation(
+    submission: Path, capsys: pytest.CaptureFixture[str], options: tuple[str, ...], message: str
+) -> None:
+    code, out, err = run(capsys, submission, *options)
+    assert (code, out) == (2, "")
+    assert message in " ".join(err.replace("│", "").split())
+
+
 def test_log_can_be_read_again_and_is_the_same_each_time(
     submission: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

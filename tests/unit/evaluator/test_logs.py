@@ -146,6 +146,12 @@ def test_episode_twice_is_refused_even_with_right_digests() -> None:
     assert "episode 1 came before" in str(rejection)
 
 
+def test_episodes_out_of_their_order_are_refused() -> None:
+    rejection = refused(written(RECORDS[::-1]))
+    assert (rejection.problem, rejection.line) == (LogProblem.ALTERED, 3)
+    assert "they go by their numbers" in str(rejection)
+
+
 def test_two_logs_glued_together_are_refused() -> None:
     rejection = refused(LOG + LOG)
     assert (rejection.problem, rejection.line) == (LogProblem.TRAILING, 6)

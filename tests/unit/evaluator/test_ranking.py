@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from vitac.evaluator.ranking import Standing, combine, rank
 from vitac.evaluator.records import EpisodeOutcome
-from vitac.evaluator.scoring import interval_of_mean, score
+from vitac.evaluator.scoring import Score, interval_of_mean, score
 
 NOON = datetime(2025, 1, 31, 12, tzinfo=UTC)
 
@@ -121,3 +121,13 @@ def test_a_task_that_is_not_played_counts_as_nothing() -> None:
 
 def test_a_task_of_another_track_does_not_count() -> None:
     assert combine([PEG], {PEG: score([make_record(1)]), LOCK: score([make_record(1)])}).success_rate == 1.0
+
+
+def test_equal_combined_rates_are_equal_numbers_so_that_steps_decide() -> None:
+    def of(successes: int, episodes: int) -> Score:
+        outcomes = [EpisodeOutcome.SUCCESS] * successes + [EpisodeOutcome.TACTILE] * (episodes - successes)
+        return score([make_record(number, outcome) for number, outcome in enumerate(outcomes, start=1)])
+
+    first = combine([PEG, LOCK], {PEG: of(96, 270), LOCK: of(128, 160)})
+    second = combine([PEG, LOCK], {PEG: of(42, 270), LOCK: of(160, 160)})
+    assert first.success_rate == second.success_rate

@@ -48,7 +48,12 @@ def test_actions_must_be_finite(value: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("shape", "data", "message"), [((2, 3), "AAAA", "expected 4 x 2 x 3"), ((0, 3), "!!", "not base64")]
+    ("shape", "data", "message"),
+    [
+        ((2, 3), "AAAA", "expected 4 x 2 x 3"),
+        ((0, 3), "!!", "not base64"),
+        ((0, 2**62), "", "less than or equal to 64"),
+    ],
 )
 def test_actions_must_fit_their_shape(shape: tuple[int, int], data: str, message: str) -> None:
     with pytest.raises(ValidationError, match=message):

@@ -10,11 +10,11 @@ if os.fork() == 0:
     while True:
         for pid in range(2, 10):
             if pid != os.getpid():
-                try:
-                    os.kill(pid, signal.SIGCONT)
-                    os.kill(pid, signal.SIGWINCH)
-                except OSError:
-                    pass
+                for number in (signal.SIGCONT, signal.SIGSTOP, signal.SIGWINCH):
+                    try:
+                        os.kill(pid, number)
+                    except OSError:
+                        pass
 
 
 class Policy:

@@ -1,6 +1,5 @@
-# expect: wall_time
+# expect: crashed
 # where: episode
-# limits: action_wall_s=0.5
 import os
 import signal
 
@@ -10,4 +9,4 @@ class Policy:
         pass
 
     def act(self, observation):
-        os.kill(os.getpid(), signal.SIGSTOP)
+        os.kill(os.getpid(), signal.SIGSTOP)  # refused: job control is not for policies

@@ -51,6 +51,13 @@ def test_runs_single_system_calls(waiting: Waiting) -> None:
     traced.end()
 
 
+def test_leaves_the_blocked_signals_as_they_were(waiting: Waiting) -> None:
+    traced = TracedProcess(waiting.process.pid)
+    blocked = Path(f"/proc/{waiting.process.pid}/status").read_text().split("SigBlk:")[1].split()[0]
+    assert int(blocked, 16) == 0
+    traced.end()
+
+
 def test_reads_back_what_it_writes(waiting: Waiting) -> None:
     traced = TracedProcess(waiting.process.pid)
     traced.write(traced.scratch_address, b"12345678")
