@@ -70,19 +70,29 @@ class BlobStore:
         return True
 
     def delete(self, sha256: str) -> None:
-        """Removes a file; removing it again changes nothing."""
-        if self.holds(sha256):
-            obstore.delete(self._store, key_of(sha256))
+        """Removes a file; removing it again changes nothing.
+
+        Raises:
+            ServiceError: the store does not work.
+        """
+        try:
+            if self.holds(sha256):
+                obstore.delete(self._store, key_of(sha256))
+        except (BaseError, OSError) as error:
+            raise _unavailable(error) from error
 
     def list_older_than(self, age: timedelta) -> list[str]:
-        """Digests of all files that were stored at least so long ago."""
+        """Digests of all files that were stored at least so long ago.
+
+        Raises:
+            ServiceError: the store cannot be read.
+        """
         oldest_kept = datetime.now(UTC) - age
-        return [
-            meta["path"].rsplit("/", 1)[-1]
-            for batch in obstore.list(self._store, prefix="sha256")
-            for meta in batch
-            if meta["last_modified"] <= oldest_kept
-        ]
+        try:
+            files = [meta for batch in obstore.list(self._store, prefix="sha256") for meta in batch]
+        except (BaseError, OSError) as error:
+            raise _unavailable(error) from error
+        return [meta["path"].rsplit("/", 1)[-1] for meta in files if meta["last_modified"] <= oldest_kept]
 
     def check(self) -> None:
         """Writes and removes a small file.

@@ -10,6 +10,7 @@ from sqlalchemy import text
 from vitac.server import housekeeping, submissions
 from vitac.server.db.engine import Database
 from vitac.server.db.states import ShardState
+from vitac.server.errors import ServiceError
 from vitac.server.housekeeping import Housekeeping, prune
 from vitac.server.services import Services
 from vitac.server.storage.blobs import BlobStore
@@ -51,6 +52,24 @@ def test_lost_shards_are_found_in_the_background_also_after_the_database_was_awa
             return bool(state_of(session, first) is ShardState.QUEUED)
 
     eventually(is_queued_again)
+    keeper.stop()
+
+
+def test_files_without_a_submission_are_removed_once_the_store_works_again(
+    services: Services, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(housekeeping, "ORPHAN_KEPT", timedelta(0))
+    orphan = put(services, b"orphan")
+    folder, aside = services.settings.state_dir / "blobs", services.settings.state_dir / "aside"
+    folder.rename(aside)
+    folder.write_text("not a folder")
+    with pytest.raises(ServiceError, match="The file store does not work"):
+        prune(services)
+    keeper = Housekeeping(services)
+    keeper.start()
+    folder.unlink()
+    aside.rename(folder)
+    eventually(lambda: not services.blobs.holds(orphan))
     keeper.stop()
 
 
