@@ -18,7 +18,7 @@ class LogVerdict(StrEnum):
     VERIFIED = "verified"
     """Every state hash is equal."""
     WITHIN_TOLERANCE = "verified within tolerance"
-    """Made on another class of machines; states differ in their last bits, all outcomes are equal."""
+    """Made on another class of machines; states differ, all outcomes and numbers of env steps are equal."""
     DIVERGED = "diverged"
     """The actions do not lead where the log says."""
     IMPOSSIBLE = "impossible"

@@ -78,14 +78,11 @@ def _first_divergence(
 ) -> LogFinding | None:
     with open_log(part.log) as stream:
         reader = LogReader(stream)
-        ours = sorted((record for record in reader.records() if record.episode in part.numbers), key=_number)
-        for record in ours:
+        for record in reader.records():
+            if record.episode not in part.numbers:
+                continue
             checked = check_episode(env, part.task, manifest, reader.header, record)
             if checked.divergence and not checked.holds:
                 return LogFinding.diverged(checked.divergence)
             on_episode(checked.record)
     return None
-
-
-def _number(record: EpisodeRecord) -> int:
-    return record.episode

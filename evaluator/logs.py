@@ -143,6 +143,7 @@ class LogReader:
     def records(self) -> Iterator[EpisodeRecord]:
         """The records in their order; a log is whole and unaltered only once this has come to its end."""
         seen: set[int] = set()
+        last = 0
         while True:
             text = self._next_line()
             if not text.endswith(b"\n"):
@@ -154,11 +155,12 @@ class LogReader:
             record = self._checked(_EpisodeLine, content).record
             if record.episode in seen:
                 raise self._rejected(LogProblem.EPISODE_REPEATED, f"episode {record.episode} came before.")
-            if seen and record.episode < max(seen):
+            if record.episode < last:
                 raise self._rejected(
-                    LogProblem.ALTERED, f"episode {record.episode} stands after {max(seen)}; they go by their numbers."
+                    LogProblem.ALTERED, f"episode {record.episode} stands after {last}; they go by their numbers."
                 )
             seen.add(record.episode)
+            last = record.episode
             yield record
 
     def _header(self, text: bytes) -> LogHeader:

@@ -45,9 +45,9 @@ class CheckedEpisode:
 
     Attributes:
         record: the log's, with states, infos and rewards as they came here.
-        divergence: where the states first differ; None if they are all equal.
-        holds: whether the episode counts: equal to the last bit, or in all but the last bits where the log was made on
-            another class of machines.
+        divergence: where the states first differ, or, where that alone is no fault, where the episode ended otherwise;
+            None if they are all equal.
+        holds: whether the episode counts: equal to the last bit or, made on another class of machines, ended equally.
     """
 
     record: EpisodeRecord
@@ -114,10 +114,13 @@ def check_episode(
     played = resimulate(env, recording.episode, recording.actions)
     divergence = find_divergence(record, played)
     elsewhere = header.manifest.platform_class != manifest.platform_class
+    ended_as_recorded = _ended_as_recorded(record, played)
+    if elsewhere and not ended_as_recorded:
+        divergence = _divergence_at(min(record.env_steps, played.end_step or record.env_steps), record, played)
     return CheckedEpisode(
         record=_with_our_states(record, played),
         divergence=divergence,
-        holds=divergence is None or (elsewhere and _ended_as_recorded(record, played)),
+        holds=divergence is None or (elsewhere and ended_as_recorded),
     )
 
 
@@ -127,7 +130,10 @@ def find_divergence(record: EpisodeRecord, played: Resimulated) -> Divergence | 
     step = next((step for step, (recorded, ours) in enumerate(pairs) if recorded != ours), None)
     if step is None and _ended_as_recorded(record, played):
         return None
-    step = record.env_steps if step is None else step
+    return _divergence_at(record.env_steps if step is None else step, record, played)
+
+
+def _divergence_at(step: int, record: EpisodeRecord, played: Resimulated) -> Divergence:
     recorded, ours = (record.infos[step - 1], played.infos[step - 1]) if step else (None, None)
     return Divergence(
         episode=record.episode,

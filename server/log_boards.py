@@ -9,7 +9,6 @@ from datetime import UTC, datetime
 from sqlalchemy import Select, select
 from sqlalchemy.dialects.postgresql import distinct_on
 from sqlalchemy.orm import Session, joinedload
-from vitac.evaluator.log_findings import LogVerdict
 from vitac.evaluator.version import evaluator_version
 from vitac.server.db.models import Evaluation, Submission
 from vitac.server.db.states import EvaluationState, SubmissionKind
@@ -96,7 +95,7 @@ def _entry(result: Result, place: int | None) -> LogEntryView:
         team=submission.team.name,
         submission_id=submission.id,
         submission_name=submission.name,
-        verdict=verdict_of(submission.kind, claim, evaluation) or LogVerdict.WITHIN_TOLERANCE,
+        verdict=verdict_of(claim, evaluation),
         submitted_at=evaluation.created_at,
         episodes=score.episodes,
         successes=score.successes,

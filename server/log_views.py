@@ -20,7 +20,9 @@ def log_view(session: Session, submission: Submission, evaluation: Evaluation) -
     claim = LogClaim.model_validate(submission.manifest)
     refuted = first_refuted_shard(session, evaluation) if evaluation.state is EvaluationState.FAILED else None
     finding = LogFinding.model_validate(refuted.finding) if refuted else None
-    verdict = finding.verdict if finding else verdict_of(submission.kind, claim, evaluation)
+    holds = submission.kind is SubmissionKind.LOG and evaluation.state is EvaluationState.COMPLETED
+    held = verdict_of(claim, evaluation) if holds else None
+    verdict = finding.verdict if finding else held
     divergence = finding.divergence if finding else None
     return LogView(
         label=LABELS[submission.kind],
@@ -39,14 +41,12 @@ def log_view(session: Session, submission: Submission, evaluation: Evaluation) -
     )
 
 
-def verdict_of(kind: SubmissionKind, claim: LogClaim, evaluation: Evaluation) -> LogVerdict | None:
-    """The verdict on a log that nothing was found against; None before the end, and for a 2025 text log.
+def verdict_of(claim: LogClaim, evaluation: Evaluation) -> LogVerdict:
+    """The verdict on one of our logs whose evaluation is completed, so that nothing was found against it.
 
     The result hash covers every state: where it is the log's own, no state differs. An evaluation with another one is
     only completed where the log was made on another class of machines and all its episodes end as it says.
     """
-    if kind is not SubmissionKind.LOG or evaluation.state is not EvaluationState.COMPLETED:
-        return None
     return LogVerdict.VERIFIED if evaluation.result_hash == claim.result_hash else LogVerdict.WITHIN_TOLERANCE
 
 

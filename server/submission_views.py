@@ -128,7 +128,12 @@ def _verdict(evaluation: Evaluation) -> VerdictView | None:
 
 
 def _log_tail(session: Session, evaluation: Evaluation, submission: Submission) -> str:
-    """What was kept at the end; while it runs, the output of the last episode that the policy failed in."""
+    """What was kept at the end; while it runs, the output of the last episode that the policy failed in.
+
+    Nothing for a log: no policy ran here, and the output that a log names could be anything.
+    """
+    if submission.kind is not SubmissionKind.MODEL:
+        return ""
     if evaluation.state in TERMINAL_EVALUATION_STATES:
         return evaluation.log_tail
     tail = session.scalar(

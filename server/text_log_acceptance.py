@@ -6,12 +6,12 @@ refuse: they are shown with the log.
 
 import hashlib
 
+from vitac.evaluator.log_findings import Impossibility, ImpossibleReason
 from vitac.evaluator.packed_logs import UnpackFailed, open_log
 from vitac.evaluator.text_log_recordings import track_and_task_names, why_not_resimulated
 from vitac.evaluator.text_logs import Kind, TextLog, TextLogRejected, read_text_log, summarize
 from vitac.evaluator.tracks import Task
 from vitac.server.db.states import SubmissionKind
-from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.intake import ReceivedFile
 from vitac.server.leaderboards import load_known_track
 from vitac.server.log_acceptance import DIGITS_IN_NAME, impossible, rejected, require_own_team
@@ -69,7 +69,7 @@ def _task_of(kind: Kind) -> tuple[str, Task]:
     track = load_known_track(track_name)
     if task_name not in track.tasks:
         message = f"The log is of {kind.name}; the tasks of {track_name} here are {', '.join(track.tasks)}."
-        raise ServiceError(ProblemCode.LOG_IMPOSSIBLE, message, reason="other_evaluation", line=None, episode=None)
+        raise impossible(Impossibility(reason=ImpossibleReason.OTHER_EVALUATION, message=message), None)
     return track_name, track.tasks[task_name]
 
 

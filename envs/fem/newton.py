@@ -12,8 +12,8 @@ and there is no energy to descend. Newton's iterations come in turns of two kind
 Near the solution free iterations use the last matrix's factors again as long as the forces fall fast (the chord method:
 Kelley, Iterative Methods for Linear and Nonlinear Equations, 1995, section 5.4), which spares most of their work.
 
-A solution whose Jacobian, as last factorised, has a negative determinant has a direction in which it moves away by
-itself: it is refused, and the caller looks for another by dividing the driven motion.
+A solution whose exact Jacobian, as last factorised, has a negative determinant has a direction in which it moves away
+by itself: it is refused, and the caller looks for another by dividing the driven motion.
 """
 
 from enum import IntEnum

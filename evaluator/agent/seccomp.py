@@ -2,6 +2,7 @@
 
 import errno
 import functools
+import signal
 import tempfile
 from typing import Any, Final
 
@@ -149,8 +150,8 @@ _SIGNAL_CALLS: Final = {
     "pidfd_send_signal": 1,
 }
 """Which argument of a call is the signal."""
-_JOB_CONTROL: Final = (18, 19)
-"""SIGCONT and SIGSTOP: they stop a traced process even where it blocks them, so that a flood of them would keep the
+_JOB_CONTROL: Final = (signal.SIGCONT, signal.SIGSTOP)
+"""They stop a traced process even where it blocks them, so that a flood of them would keep the
 evaluator from freezing the loaded policy."""
 _NEGATIVE: Final = 0x80000000
 """Clocks of other processes have negative numbers; that of the first process runs with every process it buries."""

@@ -142,11 +142,10 @@ class TracedProcess:
             OSError: the copy could not be made.
         """
         self._forked_pid = 0
-        inside_pid = _SIGNAL_CAME_FIRST
         for _ in range(_STOPS_MAX):
+            inside_pid = self.call(SYS_CLONE, flags, 0, 0, child_tid_address, 0)
             if inside_pid != _SIGNAL_CAME_FIRST:
                 break
-            inside_pid = self.call(SYS_CLONE, flags, 0, 0, child_tid_address, 0)
         if inside_pid < 0:
             raise OSError(-inside_pid, os.strerror(-inside_pid))
         child = self._forked_pid

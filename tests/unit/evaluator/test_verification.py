@@ -137,6 +137,15 @@ def test_other_outcome_of_other_machines_diverges() -> None:
     assert check(lie, made_elsewhere(platform_class="aarch64-linux")).verdict is LogVerdict.DIVERGED
 
 
+def test_where_states_may_differ_a_log_diverges_where_an_episode_ended_otherwise() -> None:
+    last, other_states = RECORDS[1].env_steps, ("f" * 64,) * len(RECORDS[1].state_hashes)
+    lie = with_record(2, outcome=EpisodeOutcome.SUCCESS, state_hashes=other_states)
+    found = check(lie, made_elsewhere(platform_class="aarch64-linux")).divergence
+    assert found is not None
+    assert (found.episode, found.env_step) == (2, last)
+    assert found.resimulated_info is not None
+
+
 @pytest.mark.parametrize(
     "changes",
     [

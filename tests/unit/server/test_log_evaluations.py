@@ -10,6 +10,8 @@ from service_factories import (
     TASK,
     RecordOf,
     claim,
+    finish,
+    make_failed_record,
     make_principal,
     make_record,
     make_upload,
@@ -175,6 +177,23 @@ def test_killed_worker_costs_no_episode(service: Service) -> None:
     for shard_id in ids:
         play(service.database, shard_id)
     assert shown(service, log)["log"]["verdict"] == "verified"
+
+
+def test_output_that_a_log_names_is_not_shown_as_a_policys(service: Service) -> None:
+    def record_of(episode: int, *, task: str = TASK) -> EpisodeRecord:
+        failed = episode == 5
+        return make_failed_record(episode, output="as if it ran", task=task) if failed else make_record(episode)
+
+    log = uploaded(service, a_log([record_of(n) for n in range(1, 271)]))
+    first, *others = leases_of(service, log)
+    store(service.database, first, [record_of(episode) for episode in first.episodes])
+    assert "as if it ran" not in service.get(f"/submissions/{log.id}").text
+    finish(service.database, first)
+    for lease in others:
+        store(service.database, lease, [record_of(episode) for episode in lease.episodes])
+        finish(service.database, lease)
+    assert shown(service, log)["evaluation"]["state"] == "completed"
+    assert "as if it ran" not in service.get(f"/submissions/{log.id}").text
 
 
 def test_finding_belongs_to_a_failed_shard(database: Database) -> None:
