@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from balance_check import BalanceCheck, assert_honest
 from block_meshes import box_gel, box_surface
 from engine_probe import Probe
 from numpy.typing import NDArray
@@ -133,7 +134,9 @@ def test_a_compressed_column_that_stays_straight_is_refused_as_unstable(phase_it
     scene = Scene(gels=[gel], bodies=[], time_step_s=10.0, solver=solver)
     targets = driven_positions_m(gel)
     targets[targets[:, 2] > 0.9 * length_m, 2] -= 0.1 * length_m
+    check = BalanceCheck(scene)
     report = scene.step(driven_targets_m=[targets])
     bow_m = np.abs(scene.gel_positions_m(0)[:, 0] - gel.mesh.rest_position_m[:, 0]).max()
     assert report.unstable_solutions > 0
     assert report.status is StepStatus.NOT_CONVERGED or bow_m > 1e-3
+    assert_honest(report, check.balance())

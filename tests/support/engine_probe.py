@@ -46,6 +46,7 @@ class Probe:
         self.unknown_nodes: IndexArray = self.model.unknowns.node
         self.prescribed_nodes: IndexArray = np.flatnonzero(self.model.unknowns.slot == PRESCRIBED)
         self._workspace: Workspace = new_workspace(self.model.system, len(self.x_m))
+        self._places = entry_places(self.model.system)
 
     def points_m(self, x_m: FloatArray) -> FloatArray:
         """Positions of all surface points [m], shape [p, 3]."""
@@ -79,7 +80,7 @@ class Probe:
         return Assembled(
             forces_n=w.gradient[self.unknown_nodes].ravel().copy(),
             all_forces_n=w.gradient.copy(),
-            matrix_n_m=dense_matrix(self.model.system, w.entries),
+            matrix_n_m=np.where(self._places == NO_PLACE, 0.0, w.entries[self._places]),
             coupling_n=w.coupling[self.unknown_nodes].ravel().copy(),
             active_contacts=int(w.active[0]),
         )
@@ -87,15 +88,20 @@ class Probe:
 
 def dense_matrix(system: SystemLayout, entries: FloatArray) -> FloatArray:
     """The system's matrix from its flat entries, shape [n + m, n + m]."""
+    places = entry_places(system)
+    return np.where(places == NO_PLACE, 0.0, entries[places])
+
+
+def entry_places(system: SystemLayout) -> IndexArray:
+    """Place of every number of the system's matrix among its flat entries or NO_PLACE, shape [n + m, n + m]."""
     total = (system.block.n + system.block.m) // 3
-    matrix = np.zeros((3 * total, 3 * total))
+    places = np.full((3 * total, 3 * total), NO_PLACE, dtype=np.int64)
     for a in range(total):
         for b in range(total):
             place, stride = system_place(system, a, b)
             if place != NO_PLACE:
-                rows = entries[place : place + 2 * stride + 3]
-                matrix[3 * a : 3 * a + 3, 3 * b : 3 * b + 3] = [rows[k * stride : k * stride + 3] for k in range(3)]
-    return matrix
+                places[3 * a : 3 * a + 3, 3 * b : 3 * b + 3] = place + stride * np.arange(3)[:, None] + np.arange(3)
+    return places
 
 
 def system_place(system: SystemLayout, a: int, b: int) -> tuple[int, int]:

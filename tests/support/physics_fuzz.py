@@ -2,7 +2,7 @@
 
 Usage: python tests/support/physics_fuzz.py [--task peg|lock] [--first SEED] [--episodes N] [--past-end] [--json FILE]
 
-Prints every IPC step that was divided or did not converge with the numbers that play it again.
+Prints every IPC step that was divided, did not converge or would not last, with the numbers that play it again.
 """
 
 import argparse
@@ -10,11 +10,12 @@ import json
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from balance_check import SAME_FORCE_N, BalanceCheck
 from intersection_check import GraspedSceneCheck
 from vitac.envs.fem.scene import StepReport, StepStatus
 from vitac.envs.geometry.keys import KeyShape
@@ -39,7 +40,11 @@ class FuzzedStep:
     number: int  # of the IPC step in the env step, from 1
     status: str
     newton_iterations: int
-    residual_n: float
+    residual_n: float  # as the solver reports it
+    force_left_n: float | None  # assembled anew; None where it was not looked at, in a reset before its last IPC step
+    unstable: bool  # called solved, but the determinant of the Jacobian, assembled anew, is negative
+    growing_directions: int  # eigenvalues of that Jacobian with a negative real part
+    oscillating_directions: int  # those of them that are not real
     smallest_gap_m: float
     smallest_det_f: float
     intersects: bool
@@ -92,13 +97,14 @@ def fuzzed_action(random: np.random.Generator, size: int) -> np.ndarray[Any, np.
 
 @dataclass(frozen=True, kw_only=True)
 class Seen:
-    """What the IPC Toolkit sees after an IPC step."""
+    """What the IPC Toolkit sees after an IPC step, and what forces and Jacobian say that are assembled anew."""
 
-    intersects: bool
-    smallest_gap_m: float
-
-
-UNSEEN = Seen(intersects=False, smallest_gap_m=np.inf)
+    intersects: bool = False
+    smallest_gap_m: float = np.inf
+    force_left_n: float | None = None
+    negative_determinant: bool = False
+    growing_directions: int = 0
+    oscillating_directions: int = 0
 
 
 class _Watch:
@@ -106,12 +112,27 @@ class _Watch:
 
     def __init__(self, scene: GraspedScene) -> None:
         self._scene, self._check, self._seen = scene, GraspedSceneCheck(scene), list[Seen]()
-        self._look()
+        self._balance = BalanceCheck(scene._scene)
         scene.after_ipc_step = self._look
 
-    def _look(self) -> None:
+    def bodies(self) -> Seen:
+        """What can be seen without the state before."""
         gap_m = self._check.smallest_gap_m(self._scene)
-        self._seen.append(Seen(intersects=self._check.intersects(self._scene), smallest_gap_m=gap_m))
+        return Seen(intersects=self._check.intersects(self._scene), smallest_gap_m=gap_m)
+
+    def _look(self) -> None:
+        left = self._balance.balance()
+        growing, oscillating = left.growing_directions()
+        self._seen.append(
+            replace(
+                self.bodies(),
+                force_left_n=left.largest_force_n,
+                negative_determinant=left.has_negative_determinant,
+                growing_directions=growing,
+                oscillating_directions=oscillating,
+            )
+        )
+        self._balance.remember()
 
     def take(self) -> list[Seen]:
         taken, self._seen = self._seen, []
@@ -129,7 +150,7 @@ def fuzz_episode(
     watch = _Watch(env.scene)
     reports: tuple[StepReport, ...] = info["step_reports"]
     # The scene can only be looked at from the end of the reset on.
-    seen = [UNSEEN] * (len(reports) - 1) + watch.take()
+    seen = [Seen()] * (len(reports) - 1) + [watch.bodies()]
     ended = False
     yield from _steps(task, seed, 0, reports, seen, ended)
     for env_step in range(1, ENV_STEPS + 1):
@@ -152,6 +173,10 @@ def _steps(
             status=str(report.status),
             newton_iterations=report.newton_iterations,
             residual_n=report.residual_n,
+            force_left_n=now.force_left_n,
+            unstable=report.status is not StepStatus.NOT_CONVERGED and now.negative_determinant,
+            growing_directions=now.growing_directions,
+            oscillating_directions=now.oscillating_directions,
             smallest_gap_m=report.smallest_gap_m,
             smallest_det_f=report.smallest_det_f,
             intersects=now.intersects,
@@ -163,6 +188,8 @@ def _steps(
 def summary(steps: list[FuzzedStep]) -> dict[str, float]:
     """Counts and extremes over fuzzed steps."""
     status = [step.status for step in steps]
+    solved = [step for step in steps if step.status != StepStatus.NOT_CONVERGED]
+    left_n = [(step.force_left_n, step.residual_n) for step in solved if step.force_left_n is not None]
     return {
         "episodes": len({(step.task, step.seed) for step in steps}),
         "ipc_steps": len(steps),
@@ -172,9 +199,20 @@ def summary(steps: list[FuzzedStep]) -> dict[str, float]:
         "overlooked": sum(step.overlooked for step in steps),
         "smallest_det_f": min(step.smallest_det_f for step in steps),
         "smallest_gap_m": min(step.smallest_gap_m for step in steps),
-        "largest_residual_n": max(step.residual_n for step in steps if step.status != StepStatus.NOT_CONVERGED),
+        "looked_at": len(left_n),
+        "largest_force_left_n": max(found for found, _ in left_n),
+        "misreported": sum(abs(found - reported) > SAME_FORCE_N for found, reported in left_n),
+        "unstable": sum(step.unstable for step in solved),
+        "growing": sum(step.growing_directions > 0 for step in solved),
+        "growing_in_two_directions": sum(step.growing_directions > 1 for step in solved),
         "mean_newton_iterations": sum(step.newton_iterations for step in steps) / len(steps),
     }
+
+
+def _is_remarkable(step: FuzzedStep) -> bool:
+    """Whether a person has to look at it."""
+    wrong = step.intersects or step.overlooked or step.smallest_det_f <= 0
+    return wrong or step.status != StepStatus.CONVERGED or step.growing_directions > 0
 
 
 def main() -> None:
@@ -191,7 +229,7 @@ def main() -> None:
     for seed in range(arguments.first, arguments.first + arguments.episodes):
         for step in fuzz_episode(arguments.task, seed, past_end=arguments.past_end, assets_dir=arguments.assets):
             steps.append(step)
-            if step.status != StepStatus.CONVERGED or step.intersects or step.overlooked or step.smallest_det_f <= 0:
+            if _is_remarkable(step):
                 sys.stdout.write(f"{asdict(step)}\n")
                 sys.stdout.flush()
     unsolved = [asdict(step) for step in steps if step.status == StepStatus.NOT_CONVERGED]

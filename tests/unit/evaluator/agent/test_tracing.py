@@ -15,7 +15,8 @@ pytestmark = pytest.mark.skipif(not tracing.is_supported(), reason="only Linux o
 SYS_GETPID = 39
 SYS_GETPPID = 110
 WAITS = """
-import os, socket, sys
+import os, signal, socket, sys
+signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGUSR2])
 channel = socket.socket(fileno=int(sys.argv[1]))
 channel.sendall(b"ready")
 while True:
@@ -51,10 +52,18 @@ def test_runs_single_system_calls(waiting: Waiting) -> None:
     traced.end()
 
 
-def test_leaves_the_blocked_signals_as_they_were(waiting: Waiting) -> None:
+def blocked_signals(pid: int) -> set[int]:
+    mask = int(Path(f"/proc/{pid}/status").read_text().split("SigBlk:")[1].split()[0], 16)
+    return {number for number in range(1, 65) if mask >> (number - 1) & 1}
+
+
+def test_the_frozen_process_and_its_copies_block_the_signals_that_it_blocked_before(waiting: Waiting) -> None:
+    """While it is being frozen, all are blocked."""
     traced = TracedProcess(waiting.process.pid)
-    blocked = Path(f"/proc/{waiting.process.pid}/status").read_text().split("SigBlk:")[1].split()[0]
-    assert int(blocked, 16) == 0
+    outside, _ = traced.fork(signal.SIGCHLD, 0)
+    for pid in (waiting.process.pid, outside):
+        assert blocked_signals(pid) == {signal.SIGUSR2}
+    os.kill(outside, signal.SIGKILL)
     traced.end()
 
 
