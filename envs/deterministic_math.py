@@ -9,7 +9,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from .compilation import kernel
+from .compilation import allocating_kernel, kernel
 
 FloatArray = NDArray[np.float64]
 
@@ -76,7 +76,7 @@ def sine_cosine(angle_rad: float) -> tuple[float, float]:
     return -cosine, sine
 
 
-@kernel
+@allocating_kernel
 def normal_pairs(uniform: FloatArray) -> FloatArray:
     """Independent standard normal numbers from numbers drawn uniformly from [0, 1), both of shape [n, 2].
 

@@ -19,6 +19,7 @@ from .elasticity import add_elasticity
 from .inertia import add_inertia
 from .model import Model
 from .orthogonality import add_orthogonality
+from .rows import any_nonzero
 from .workspace import NO_MATRIX, Workspace
 
 FloatArray = NDArray[np.float64]
@@ -46,7 +47,7 @@ def assemble(
     if matrix != NO_MATRIX:
         workspace.entries[:] = 0.0
         workspace.coupling[:] = 0.0
-        workspace.moves[0] = np.any(prescribed_move != 0.0)
+        workspace.moves[0] = any_nonzero(prescribed_move)
     workspace.smallest[1] = add_elasticity(model.elastic, x, prescribed_move, workspace, matrix)
     add_inertia(model, x, x_hat, workspace, matrix)
     add_orthogonality(model.affine, model.system.block, x, workspace, matrix)

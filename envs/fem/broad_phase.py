@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compilation import kernel
+from ..compilation import allocating_kernel, kernel
 from .distance import EDGE_EDGE, POINT_TRIANGLE, closest_points
 from .model import Surfaces
 from .vec3 import Vec3, add, dot, load, scale, subtract
@@ -33,7 +33,7 @@ class Candidates(NamedTuple):
     bodies: IndexArray  # [k] row of `Surfaces.pairs`
 
 
-@kernel
+@allocating_kernel
 def find_candidates(surfaces: Surfaces, y: FloatArray, reach_m: FloatArray) -> Candidates:
     """All pairs within the reach [m], shape [k], of their pair of bodies, at points y [m] of shape [p, 3]."""
     capacity = 4096
@@ -67,7 +67,7 @@ def find_candidates(surfaces: Surfaces, y: FloatArray, reach_m: FloatArray) -> C
         capacity = count
 
 
-@kernel
+@allocating_kernel
 def _point_triangle_pairs(
     surfaces: Surfaces, y: FloatArray, reach: float, a: int, b: int, found: Candidates, count: int
 ) -> int:
@@ -86,7 +86,7 @@ def _point_triangle_pairs(
     return count
 
 
-@kernel
+@allocating_kernel
 def _edge_edge_pairs(
     surfaces: Surfaces, y: FloatArray, reach: float, a: int, b: int, found: Candidates, count: int
 ) -> int:
@@ -160,7 +160,7 @@ def _body_box(surfaces: Surfaces, y: FloatArray, reach: float, body: int) -> tup
     )
 
 
-@kernel
+@allocating_kernel
 def _near_points(surfaces: Surfaces, y: FloatArray, reach: float, a: int, b: int) -> IndexArray:
     """Points of body a within reach of the box of body b."""
     low, high = _body_box(surfaces, y, reach, b)
@@ -174,7 +174,7 @@ def _near_points(surfaces: Surfaces, y: FloatArray, reach: float, a: int, b: int
     return found[:count]
 
 
-@kernel
+@allocating_kernel
 def near_rows(
     rows: IndexArray,
     start: int,
@@ -207,7 +207,7 @@ def _row_box(rows: IndexArray, row: int, y: FloatArray) -> tuple[Vec3, Vec3]:
     return low, high
 
 
-@kernel
+@allocating_kernel
 def _boxes(rows: IndexArray, selected: IndexArray, y: FloatArray, reach: float) -> FloatArray:
     """Bounding boxes [low, high] of the selected rows, grown by reach, shape [n, 6]."""
     boxes = np.empty((len(selected), 6))
@@ -219,7 +219,7 @@ def _boxes(rows: IndexArray, selected: IndexArray, y: FloatArray, reach: float) 
     return boxes
 
 
-@kernel
+@allocating_kernel
 def relative_motion(surfaces: Surfaces, displacement: FloatArray, motion: FloatArray) -> float:
     """Largest possible change of a separation [m] under a point displacement [m] of shape [p, 3].
 

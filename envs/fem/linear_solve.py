@@ -92,7 +92,7 @@ def _load(
     """Write the matrix's own blocks in the rows and columns of the front's pivots."""
     first, stop, n, m = fronts.first[f], fronts.first[f + 1], block.nodes, block.m
     if first == n:
-        front[:] = entries[block.corner : block.corner + m * m]
+        _copy(entries[block.corner :], front, m * m)
         return
     for a in range(first, stop):
         i = a - first
@@ -289,7 +289,7 @@ def _substitute_back(fronts: Fronts, f: int, factors: FloatArray, x: FloatArray,
     rows = fronts.rows[fronts.row_start[f] : fronts.row_start[f + 1]]
     size = pivots + 3 * len(rows)
     y = x[3 * first : 3 * first + pivots]
-    near[:pivots] = y
+    _copy(y, near, pivots)
     for i in range(len(rows)):
         for k in range(3):
             near[pivots + 3 * i + k] = x[3 * rows[i] + k]
@@ -300,7 +300,7 @@ def _substitute_back(fronts: Fronts, f: int, factors: FloatArray, x: FloatArray,
         b = (near[k + 1] - t1 - factors[row1 + 2] * c) / factors[row1 + 1]
         a = (near[k] - t0 - factors[row0 + 1] * b - factors[row0 + 2] * c) / factors[row0]
         near[k], near[k + 1], near[k + 2] = a, b, c
-    y[:] = near[:pivots]
+    _copy(near, y, pivots)
 
 
 @kernel

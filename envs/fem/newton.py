@@ -22,13 +22,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compilation import kernel
+from ..compilation import allocating_kernel, kernel
 from .assembly import assemble
 from .broad_phase import Candidates, find_candidates, relative_motion
 from .ccd import contact_free_fraction, inversion_free_fraction
 from .linear_solve import factorise, has_negative_determinant, substitute
 from .model import PRESCRIBED, Model
 from .points import point_positions
+from .rows import add_rows, copy_rows, scale_rows
 from .workspace import EXACT_MATRIX, NO_MATRIX, PROJECTED_MATRIX, Workspace
 
 FloatArray = NDArray[np.float64]
@@ -95,7 +96,7 @@ class _Scratch(NamedTuple):
     reach: FloatArray  # [k] distance up to which pairs are listed [m]
 
 
-@kernel
+@allocating_kernel
 def _new_scratch(model: Model, nodes: int) -> _Scratch:
     points, pairs = len(model.points.node_count), len(model.surfaces.pairs)
     return _Scratch(
@@ -116,7 +117,7 @@ def _new_scratch(model: Model, nodes: int) -> _Scratch:
     )
 
 
-@kernel
+@allocating_kernel
 def solve_step(
     model: Model,
     x: FloatArray,
@@ -162,7 +163,8 @@ def solve_step(
             return False
         point_positions(model.points, s.move, s.y_move)
         longest = _shorten_long_move(model, s)
-        s.y_other[:] = s.y + s.y_move - s.y_listed
+        add_rows(s.y, 1.0, s.y_move, s.y_other)
+        add_rows(s.y_other, -1.0, s.y_listed, s.y_other)
         relative_motion(model.surfaces, s.y_other, s.motion_ahead)
         if np.any(s.motion_ahead > s.margin):
             relative_motion(model.surfaces, s.y_move, s.motion_ahead)
@@ -174,22 +176,22 @@ def solve_step(
         )
         if cautious and left == 0.0 and step > _UNCHECKED_STEP_M:
             fraction = _without_overshoot(model, candidates, x, x_hat, s, workspace, fraction)
-        x += fraction * s.move
+        add_rows(x, fraction, s.move, x)
         whole = fraction == 1.0 and left == 0.0
         reusable = whole and matrix == EXACT_MATRIX and not cautious and step <= _REUSING_STEP_M
         if fraction == 1.0 and longest <= _LONGEST_MOVE_M:
             _place_prescribed(model, x_target, x)
         point_positions(model.points, x, s.y)
-        s.y_other[:] = s.y - s.y_listed
+        add_rows(s.y, -1.0, s.y_listed, s.y_other)
         relative_motion(model.surfaces, s.y_other, s.motion)
     return False
 
 
-@kernel
+@allocating_kernel
 def _listed(model: Model, s: _Scratch) -> Candidates:
     """List the candidates at the current iterate, with the present margin."""
     s.reach[:] = model.parameters.d_hat_m + s.margin
-    s.y_listed[:] = s.y
+    copy_rows(s.y, s.y_listed)
     s.motion[:] = 0.0
     return find_candidates(model.surfaces, s.y, s.reach)
 
@@ -204,13 +206,13 @@ def _is_cautious(iteration: int, length: int) -> bool:
     return iteration >= length
 
 
-@kernel
+@allocating_kernel
 def _shorten_long_move(model: Model, s: _Scratch) -> float:
     """Cut the move down to the longest allowed; returns how far it would have moved bodies against each other [m]."""
     longest = relative_motion(model.surfaces, s.y_move, s.motion_ahead)
     if longest > _LONGEST_MOVE_M:
-        s.move[:] = (_LONGEST_MOVE_M / longest) * s.move
-        s.y_move[:] = (_LONGEST_MOVE_M / longest) * s.y_move
+        scale_rows(_LONGEST_MOVE_M / longest, s.move)
+        scale_rows(_LONGEST_MOVE_M / longest, s.y_move)
     return longest
 
 
@@ -263,7 +265,8 @@ def _find_direction(
 def _solve(model: Model, workspace: Workspace, solution: FloatArray, positive: bool) -> bool:
     if not factorise(model.system, workspace.entries, workspace.factor, positive):
         return False
-    solution[:] = workspace.right_hand_side
+    for i in range(len(solution)):
+        solution[i] = workspace.right_hand_side[i]
     substitute(model.system, workspace.factor, solution)
     return True
 
@@ -298,9 +301,10 @@ def _without_overshoot(
 ) -> float:
     """Part of the step at whose end the forces along it have not turned round by more than half; by regula falsi."""
     here = _force_along(model, s.solution, workspace.gradient)
-    s.motion_largest[:] = np.maximum(s.motion, s.motion_ahead)
+    for k in range(len(s.motion)):
+        s.motion_largest[k] = max(s.motion[k], s.motion_ahead[k])
     for _ in range(_SHORTENINGS):
-        s.trial[:] = x + fraction * s.move
+        add_rows(x, fraction, s.move, s.trial)
         point_positions(model.points, s.trial, s.y_other)
         assemble(
             model,
@@ -346,7 +350,7 @@ def _remaining_motion(model: Model, x: FloatArray, x_target: FloatArray, prescri
 @kernel
 def _node_move(model: Model, solution: FloatArray, prescribed_move: FloatArray, move: FloatArray) -> float:
     """Write the node move of a Newton direction; returns the largest component of an unknown [m]."""
-    move[:] = prescribed_move
+    copy_rows(prescribed_move, move)
     largest = 0.0
     for u in range(len(model.unknowns.node)):
         for k in range(3):
@@ -360,7 +364,8 @@ def _node_move(model: Model, solution: FloatArray, prescribed_move: FloatArray, 
 def _place_prescribed(model: Model, x_target: FloatArray, x: FloatArray) -> None:
     for node in range(len(x)):
         if model.unknowns.slot[node] == PRESCRIBED:
-            x[node] = x_target[node]
+            for k in range(3):
+                x[node, k] = x_target[node, k]
 
 
 @kernel

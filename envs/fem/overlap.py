@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compilation import kernel
+from ..compilation import allocating_kernel, kernel
 from .broad_phase import near_rows
 from .model import Surfaces
 from .vec3 import Vec3, cross, dot, load, subtract
@@ -24,7 +24,7 @@ class Overlap(NamedTuple):
     triangle: int
 
 
-@kernel
+@allocating_kernel
 def find_overlap(surfaces: Surfaces, y: FloatArray) -> Overlap:
     """The first pair of bodies whose surfaces cross or of which one lies inside the other; all -1 if there is none.
 
@@ -40,7 +40,7 @@ def find_overlap(surfaces: Surfaces, y: FloatArray) -> Overlap:
     return Overlap(_NOWHERE, _NOWHERE, _NOWHERE, _NOWHERE)
 
 
-@kernel
+@allocating_kernel
 def _crossing(surfaces: Surfaces, y: FloatArray, a: int, b: int) -> tuple[int, int]:
     """An edge of body a and a triangle of body b that cross."""
     edges = near_rows(

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compilation import kernel
+from ..compilation import allocating_kernel, kernel
 
 # Pinhole without distortion, for a picture of 320 x 240 pixels.
 FOCAL_U_PX = 340.0
@@ -14,7 +14,7 @@ CENTRE_V_PX = 125.0
 DISTANCE_M = 0.02
 
 
-@kernel
+@allocating_kernel
 def camera_frame(
     positions_m: NDArray[np.float64], rotation: NDArray[np.float64], centre_m: NDArray[np.float64]
 ) -> NDArray[np.float64]:
@@ -36,7 +36,7 @@ def camera_frame(
     return out
 
 
-@kernel
+@allocating_kernel
 def project(points_m: NDArray[np.float64]) -> NDArray[np.float64]:
     """Pixel coordinates (u, v), shape [n, 2], of camera-frame points [m], shape [n, 3]."""
     out = np.empty((points_m.shape[0], 2))

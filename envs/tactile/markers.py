@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compilation import kernel
+from ..compilation import allocating_kernel, kernel
 from ..deterministic_math import normal_pairs, sine_cosine
 from ..errors import VitacError
 from ..fem.mesh import GelMesh
@@ -178,7 +178,7 @@ def _turns_left(a: FloatArray, b: FloatArray, c: FloatArray) -> bool:
     return bool((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]) > 0.0)
 
 
-@kernel
+@allocating_kernel
 def _attach(
     grid: FloatArray, vertices: FloatArray, triangles: IndexArray, centroids: FloatArray, hull: FloatArray
 ) -> tuple[IndexArray, FloatArray]:
@@ -217,7 +217,7 @@ def _in_hull(x: float, y: float, hull: FloatArray) -> bool:
     return True
 
 
-@kernel
+@allocating_kernel
 def _nearest(x: float, y: float, centroids: FloatArray) -> IndexArray:
     """Indices of the nearest centroids, nearest first, at most four; of equally near ones the lower index first."""
     count = min(_CANDIDATE_TRIANGLES, centroids.shape[0])
@@ -247,7 +247,7 @@ def _barycentric(x: float, y: float, vertices: FloatArray, triangle: IndexArray)
     return 1.0 - w1 - w2, w1, w2
 
 
-@kernel
+@allocating_kernel
 def _interpolated(points: FloatArray, corners: IndexArray, weights: FloatArray) -> FloatArray:
     """Weighted sums of the corners' positions, shape [m, 3]."""
     out = np.empty((corners.shape[0], 3))
