@@ -9,6 +9,7 @@ import hashlib
 import json
 from collections.abc import Iterable, Iterator
 from enum import StrEnum
+from itertools import islice
 from pathlib import Path
 from typing import Any, BinaryIO, Literal, TypeVar
 
@@ -21,7 +22,15 @@ from .strict_model import StrictModel, Word, explain
 
 FORMAT_VERSION = 1
 MAX_LINE_BYTES = 1 << 20
-"""Longest line that is read [bytes]; an episode of 50 env steps takes about 100,000."""
+"""Longest line that is read [bytes]; 50 env steps take about 75,000, and the output of a policy that failed 390,000."""
+MAX_INFO_BYTES = 6 << 10
+"""Largest info of an env step that is read, as JSON [bytes]; the tasks' own have up to 1,418."""
+MAX_INFO_VALUES = 500
+"""Most values in an info, its lists and objects counted too; the tasks' own have up to 115.
+
+Reading costs time for each value rather than for each byte: without this limit the worst log of 32 MiB takes a minute,
+and each shard reads it twice.
+"""
 
 _TEAM_CHARACTERS = 200
 
@@ -37,6 +46,8 @@ class LogProblem(StrEnum):
     """The format is of another version."""
     LINE_TOO_LONG = "line_too_long"
     """A line is longer than any true one."""
+    INFO_TOO_LARGE = "info_too_large"
+    """The info of an env step is larger than any true one."""
     NOT_JSON = "not_json"
     """A line is not one JSON object of finite numbers."""
     INVALID = "invalid"
@@ -152,6 +163,7 @@ class LogReader:
             if "episodes" in content:
                 self._check_end(self._checked(_EndLine, content), len(seen))
                 return
+            self._require_small_infos(content.get("record"))
             record = self._checked(_EpisodeLine, content).record
             if record.episode in seen:
                 raise self._rejected(LogProblem.EPISODE_REPEATED, f"episode {record.episode} came before.")
@@ -208,6 +220,20 @@ class LogReader:
             raise self._rejected(LogProblem.ALTERED, "its digest is wrong: the line was altered, moved or doubled.")
         return line
 
+    def _require_small_infos(self, record: object) -> None:
+        """Refuses large infos before any is looked into; whatever has not their form is refused after this."""
+        infos = record.get("infos") if isinstance(record, dict) else None
+        for env_step, info in enumerate(infos if isinstance(infos, list) else [], start=1):
+            came = f"the info of env step {env_step} has"
+            values = count_values(info, MAX_INFO_VALUES)
+            if values > MAX_INFO_VALUES:
+                message = f"{came} over {MAX_INFO_VALUES} values, expected at most so many."
+                raise self._rejected(LogProblem.INFO_TOO_LARGE, message)
+            n_bytes = len(json.dumps(info, separators=(",", ":")))
+            if n_bytes > MAX_INFO_BYTES:
+                message = f"{came} {n_bytes} bytes of JSON, expected at most {MAX_INFO_BYTES}."
+                raise self._rejected(LogProblem.INFO_TOO_LARGE, message)
+
     def _rejected(self, problem: LogProblem, message: str) -> LogRejected:
         return LogRejected(problem, self._line, message)
 
@@ -220,6 +246,17 @@ def _write_line(stream: BinaryIO, previous: str, content: dict[str, Any]) -> str
 
 def _line_digest(previous: str, content: dict[str, Any]) -> str:
     return hashlib.sha256(previous.encode("ascii") + canonical_json(content)).hexdigest()
+
+
+def count_values(content: object, most: int) -> int:
+    """Values in some JSON, the whole and every list and object counted; stops soon after `most`."""
+    left, values = [content], 0
+    while left and values <= most:
+        value = left.pop()
+        values += 1
+        if isinstance(value, dict | list):
+            left.extend(islice(value.values() if isinstance(value, dict) else value, most))
+    return values
 
 
 def _refuse_constant(name: str) -> None:

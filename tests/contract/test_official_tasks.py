@@ -4,7 +4,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from vitac.evaluator.episodes import make_environment, public_part
+from vitac.evaluator.episodes import json_info, make_environment, public_part
+from vitac.evaluator.logs import MAX_INFO_BYTES, MAX_INFO_VALUES, count_values
+from vitac.evaluator.records import canonical_json
 from vitac.evaluator.tracks import Task, list_tracks, load_track
 
 TASKS = [task for track in list_tracks() for task in load_track(track).tasks.values()]
@@ -44,6 +46,15 @@ def test_every_listed_episode_starts_as_the_list_says(task: Task, env: Any) -> N
         assert info["end_reason"] is None
         assert set(public_part(task, observation)) == set(observation)
         assert (observation["relative_motion"] == 0).all()
+
+
+def test_infos_are_far_below_what_is_read_of_a_log(task: Task, env: Any) -> None:
+    """A log that the evaluator writes itself must never be refused; infos vary by some digits only."""
+    env.reset(options=task.episodes[0].options)
+    *_, info = env.step(np.full(len(task.actions), 0.123456789, dtype=np.float32))
+    written = json_info(info)
+    assert 3.5 * len(canonical_json(written)) < MAX_INFO_BYTES
+    assert 3.5 * count_values(written, MAX_INFO_VALUES) < MAX_INFO_VALUES
 
 
 def test_relative_motion_does_not_tell_the_keys_apart() -> None:

@@ -9,7 +9,17 @@ import pytest
 from evaluation_records import make_manifest, make_record
 from hypothesis import given
 from hypothesis import strategies as st
-from vitac.evaluator.logs import MAX_LINE_BYTES, LogHeader, LogProblem, LogReader, LogRejected, is_log, write_log
+from vitac.evaluator.logs import (
+    MAX_INFO_BYTES,
+    MAX_INFO_VALUES,
+    MAX_LINE_BYTES,
+    LogHeader,
+    LogProblem,
+    LogReader,
+    LogRejected,
+    is_log,
+    write_log,
+)
 from vitac.evaluator.records import EpisodeOutcome, EpisodeRecord, Timings
 
 RECORDS = [make_record(1), make_record(2, EpisodeOutcome.TACTILE), make_record(3, EpisodeOutcome.POLICY_FAILED, 0)]
@@ -207,6 +217,39 @@ def test_endless_line_is_refused_after_a_megabyte() -> None:
 def test_long_line_inside_is_refused() -> None:
     rejection = refused(LINES[0] + b" " * (MAX_LINE_BYTES + 1) + b"\n")
     assert (rejection.problem, rejection.line) == (LogProblem.LINE_TOO_LONG, 2)
+
+
+def with_info(info: Any) -> bytes:
+    """A log in whose second episode env step 3 has this info."""
+    infos = ({"steps": 1}, {"steps": 2}, info)
+    return written([RECORDS[0], make_record(2, infos=infos), RECORDS[2]])
+
+
+@pytest.mark.parametrize(
+    "info",
+    [
+        {"flat": [0] * (MAX_INFO_VALUES - 2)},
+        {"deep": [[[0]]] * ((MAX_INFO_VALUES - 2) // 4)},
+        {"text": "x" * (MAX_INFO_BYTES - len('{"text":""}'))},
+    ],
+)
+def test_info_up_to_the_limits_is_read(info: Any) -> None:
+    assert read(with_info(info))[1].infos[2] == info
+
+
+@pytest.mark.parametrize(
+    ("info", "came"),
+    [
+        ({"flat": [0] * (MAX_INFO_VALUES - 1)}, f"over {MAX_INFO_VALUES} values"),
+        ({"deep": [[[0]]] * 200}, f"over {MAX_INFO_VALUES} values"),
+        ({str(key): {} for key in range(MAX_INFO_VALUES)}, f"over {MAX_INFO_VALUES} values"),
+        ({"text": "x" * (MAX_INFO_BYTES - 10)}, f"{MAX_INFO_BYTES + 1} bytes of JSON, expected at most"),
+    ],
+)
+def test_info_larger_than_any_true_one_is_refused_with_its_line_and_env_step(info: Any, came: str) -> None:
+    rejection = refused(with_info(info))
+    assert (rejection.problem, rejection.line) == (LogProblem.INFO_TOO_LARGE, 3)
+    assert f"Line 3: the info of env step 3 has {came}" in str(rejection)
 
 
 @pytest.mark.parametrize("number", ["NaN", "Infinity", "-Infinity", "1e999"])
