@@ -6,6 +6,7 @@ from vitac.server.db.models import Evaluation, Submission
 from vitac.server.db.states import EvaluationState, SubmissionKind
 from vitac.server.evaluations import first_refuted_shard
 from vitac.server.log_claims import LogClaim
+from vitac.server.verdicts import VERDICTS_ON_LOGS
 from vitac.server.views import DivergenceView, LogView
 
 LABELS = {
@@ -18,8 +19,7 @@ LABELS = {
 def log_view(session: Session, submission: Submission, evaluation: Evaluation) -> LogView:
     """Claims and verdict of a log, by its newest evaluation."""
     claim = LogClaim.model_validate(submission.manifest)
-    refuted = first_refuted_shard(session, evaluation) if evaluation.state is EvaluationState.FAILED else None
-    finding = LogFinding.model_validate(refuted.finding) if refuted else None
+    finding = _finding(session, evaluation)
     holds = submission.kind is SubmissionKind.LOG and evaluation.state is EvaluationState.COMPLETED
     held = verdict_of(claim, evaluation) if holds else None
     verdict = finding.verdict if finding else held
@@ -48,6 +48,17 @@ def verdict_of(claim: LogClaim, evaluation: Evaluation) -> LogVerdict:
     only completed where the log was made on another class of machines and all its episodes end as it says.
     """
     return LogVerdict.VERIFIED if evaluation.result_hash == claim.result_hash else LogVerdict.WITHIN_TOLERANCE
+
+
+def _finding(session: Session, evaluation: Evaluation) -> LogFinding | None:
+    """What was found against the log, where the evaluation ended by it.
+
+    A shard may have found something where the evaluation ended otherwise, as by machines that failed at an earlier one.
+    """
+    if evaluation.verdict_code not in VERDICTS_ON_LOGS:
+        return None
+    refuted = first_refuted_shard(session, evaluation)
+    return LogFinding.model_validate(refuted.finding) if refuted else None
 
 
 def _reason(verdict: LogVerdict | None, claim: LogClaim) -> str | None:

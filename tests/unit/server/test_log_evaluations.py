@@ -14,6 +14,7 @@ from service_factories import (
     make_failed_record,
     make_principal,
     make_record,
+    make_settings,
     make_upload,
     play,
     play_all,
@@ -143,6 +144,19 @@ def test_verdict_is_the_first_divergence_in_whatever_order_the_shards_end(
         if shown(service, log)["evaluation"]["state"] == "running":
             refute(service, leases[number], diverged_at(30 * number + 7))
     assert shown(service, log)["evaluation"]["verdict"]["episode"] == 7
+
+
+def test_finding_of_a_later_shard_is_not_shown_as_the_verdict_of_machines_that_failed_at_an_earlier_one(
+    service: Service,
+) -> None:
+    log = uploaded(service, a_log())
+    first, second, *_ = leases_of(service, log)
+    refute(service, second, diverged_at(37))
+    with service.database.transaction() as session:
+        evaluations.report_broken_machine(session, make_settings(shard_attempts=1), first, "no disk")
+    found = shown(service, log)
+    assert found["evaluation"]["verdict"]["code"] == "machine_failed"
+    assert (found["log"]["verdict"], found["log"]["reason"], found["log"]["divergence"]) == (None, None, None)
 
 
 def test_log_that_only_a_worker_can_see_to_be_impossible_is_refused_by_name(service: Service) -> None:
