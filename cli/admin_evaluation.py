@@ -95,7 +95,10 @@ def cancel(
 
 
 def to_json(evaluation: "Evaluation") -> dict[str, Any]:
-    """Return what is shown of an evaluation."""
+    """Return what is shown of an evaluation; over several tasks the score is their combination."""
+    from vitac.server.scores import combined_score
+
+    combined = combined_score(evaluation)
     return {
         "id": str(evaluation.id),
         "submission": str(evaluation.submission_id),
@@ -103,8 +106,8 @@ def to_json(evaluation: "Evaluation") -> dict[str, Any]:
         "track": evaluation.submission.track,
         "run": evaluation.run,
         "state": evaluation.state.value,
-        "success_rate": evaluation.success_rate,
-        "mean_steps": evaluation.mean_steps,
+        "success_rate": combined.success_rate if combined else None,
+        "mean_steps": combined.mean_steps if combined else None,
         "verdict": evaluation.verdict_code,
         "message": evaluation.verdict_message,
         "result_hash": evaluation.result_hash,

@@ -11,12 +11,10 @@ from vitac.server.views import ShapeScoreView, TaskScoreView
 
 
 def store_scores(evaluation: Evaluation, scores: Mapping[str, Score], hashes: Mapping[str, str]) -> None:
-    """Writes the score of each task, and their combination, into the row of an evaluation."""
+    """Writes the score of each task into the row of an evaluation; their combination is derived where it is shown."""
     evaluation.scores = [
         {"task": task, "result_hash": hashes[task], **score.model_dump(mode="json")} for task, score in scores.items()
     ]
-    combined = combine(_tasks_that_count(evaluation), scores)
-    evaluation.success_rate, evaluation.mean_steps = combined.success_rate, combined.mean_steps
 
 
 def scores_of(evaluation: Evaluation) -> dict[str, Score]:

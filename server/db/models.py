@@ -139,12 +139,10 @@ class Evaluation(Base):
             "(state IN ('completed', 'failed', 'cancelled')) = (finished_at IS NOT NULL)", name="finished_has_a_time"
         ),
         CheckConstraint(
-            "(state = 'completed') = (result_hash IS NOT NULL AND scores IS NOT NULL AND success_rate IS NOT NULL)",
+            "(state = 'completed') = (result_hash IS NOT NULL AND scores IS NOT NULL)",
             name="only_completed_has_a_score",
         ),
         CheckConstraint("(state = 'failed') = (verdict_code IS NOT NULL)", name="only_failed_has_a_verdict"),
-        CheckConstraint("success_rate >= 0 AND success_rate <= 1", name="success_rate_is_a_fraction"),
-        CheckConstraint("mean_steps > 0 AND mean_steps < 1e9", name="mean_steps_is_finite"),
         _sha256_check("result_hash"),
         _sha256_check("evaluator_hash"),
         Index(
@@ -180,8 +178,6 @@ class Evaluation(Base):
     verdict_episode: Mapped[int | None]
     log_tail: Mapped[str] = mapped_column(default="")
     scores: Mapped[list[dict[str, Any]] | None] = mapped_column(JSONB(none_as_null=True))
-    success_rate: Mapped[float | None] = mapped_column(Float)
-    mean_steps: Mapped[float | None] = mapped_column(Float)
     result_hash: Mapped[str | None] = mapped_column(String(64))
     submission: Mapped[Submission] = relationship()
     shards: Mapped[list["Shard"]] = relationship(back_populates="evaluation", order_by="Shard.id")

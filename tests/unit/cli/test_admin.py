@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -7,10 +8,13 @@ from cli_service import CliService, submission_folder
 from service_factories import play_all
 from typer.testing import Result
 from vitac.cli.consent import ConsentMissing
+from vitac.evaluator.ranking import combine
+from vitac.server import scores
 from vitac.server.audit import newest_entries
 from vitac.server.db.models import Submission, Worker
 from vitac.server.db.states import WorkerState
 from vitac.server.errors import ServiceError
+from vitac.server.leaderboards import leaderboard
 
 
 def admin(service: CliService, *arguments: str) -> Result:
@@ -130,6 +134,23 @@ def test_requeue_starts_a_new_run_and_keeps_the_old_one(service: CliService, sub
     assert isinstance(found, list)
     assert [(row["run"], row["state"]) for row in found] == [(2, "queued"), (1, "completed")]
     assert "50.0 %" in admin(service, "evaluation", "list", "--state", "completed").stdout  # one of two tasks
+
+
+def test_the_combination_is_that_of_todays_rule_in_every_list(
+    service: CliService, submission_id: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As after an upgrade that combines tasks otherwise: the leaderboard and the admin lists have to agree."""
+    play(service, submission_id)
+    monkeypatch.setattr(scores, "combine", lambda tasks, of: replace(combine(tasks, of), success_rate=0.125))
+    listed = read(service, "evaluation", "list")
+    assert isinstance(listed, list)
+    (evaluation,) = listed
+    assert evaluation["success_rate"] == 0.125
+    assert "12.5 %" in admin(service, "evaluation", "list").stdout
+    assert "12.5 %" in admin(service, "submission", "list").stdout
+    with service.database.transaction() as session:
+        (entry,) = leaderboard(session, "track_1").entries
+    assert entry.success_rate == 0.125
 
 
 def test_shows_an_evaluation_with_its_shards(service: CliService, submission_id: str) -> None:

@@ -28,7 +28,7 @@ from vitac.server.db.states import EvaluationState, ShardState
 from vitac.server.evaluations import EpisodesMissing
 from vitac.server.queue.leases import LeaseLost, key_of
 from vitac.server.result_hashes import combine_hashes
-from vitac.server.scores import scores_of
+from vitac.server.scores import combined_score, scores_of
 
 
 def outcome_of(episode: int) -> EpisodeOutcome:
@@ -74,8 +74,10 @@ def test_last_shard_scores_the_evaluation_with_the_evaluators_own_functions(data
         evaluation = submissions.newest_evaluation(session, submission)
         assert evaluation.state is EvaluationState.COMPLETED
         assert scores_of(evaluation) == {TASK: score(records)}
-        assert evaluation.success_rate == score(records).success_rate / 2  # of the track's two tasks
-        assert evaluation.mean_steps is None
+        combined = combined_score(evaluation)
+        assert combined is not None
+        assert combined.success_rate == score(records).success_rate / 2  # of the track's two tasks
+        assert combined.mean_steps is None
         assert evaluation.result_hash == result_hash(make_manifest(), records)
         assert evaluation.scores is not None
         assert evaluation.scores[0]["task"] == TASK
@@ -129,8 +131,10 @@ def test_two_tasks_are_scored_each_and_together(database: Database) -> None:
             (TASK, 270, 90),
             (LOCK, 160, 160),
         ]
-        assert evaluation.success_rate == pytest.approx((1 / 3 + 1) / 2)
-        assert evaluation.mean_steps == 3.0
+        combined = combined_score(evaluation)
+        assert combined is not None
+        assert combined.success_rate == pytest.approx((1 / 3 + 1) / 2)
+        assert combined.mean_steps == 3.0
         hashes = {row["task"]: row["result_hash"] for row in evaluation.scores or []}
         expected = [make_record(episode, task=LOCK) for episode in range(1, 161)]
         assert hashes[LOCK] == result_hash(make_manifest(LOCK), expected)

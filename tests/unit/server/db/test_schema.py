@@ -11,6 +11,7 @@ from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
 from procrastinate.schema import SchemaManager
 from service_database import FAST, fresh_database, state_directory
+from service_factories import LOCK, TASK, make_principal, make_score, submit_scored
 from sqlalchemy import text
 from sqlalchemy.exc import IntegrityError, OperationalError
 from vitac.migrations.versions import v0002_state_machines as state_machines
@@ -86,6 +87,20 @@ def test_downgrade_takes_everything_back(empty: Database) -> None:
     upgrade(empty)
     with empty.engine.connect() as connection:
         assert installed_revision(connection) == newest_revision()
+
+
+def test_scores_outlive_the_loss_of_their_stored_combination_and_its_return(migrated: Database) -> None:
+    with migrated.transaction() as session:
+        team = make_principal(session)
+        submit_scored(session, team, "one", {TASK: make_score(50)})
+        submit_scored(session, team, "both", {TASK: make_score(50), LOCK: make_score(100)})
+        submit_scored(session, team, "none", {TASK: make_score(0, mean_steps=None)})
+    before = rows(migrated, "SELECT id, scores, result_hash FROM evaluations ORDER BY id")
+    downgrade(migrated, "0004")
+    found = "SELECT success_rate, mean_steps FROM evaluations ORDER BY success_rate"
+    assert rows(migrated, found) == [(0.0, None), (0.5, 4.0), (0.75, 4.0)]
+    upgrade(migrated)
+    assert rows(migrated, "SELECT id, scores, result_hash FROM evaluations ORDER BY id") == before
 
 
 def test_migration_gives_up_on_a_locked_table_instead_of_queueing_behind_it(empty: Database) -> None:
