@@ -12,7 +12,7 @@ Each term adds itself; this module calls them in a fixed order.
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compilation import kernel
+from ..compilation import kernel, large_kernel
 from .broad_phase import Candidates
 from .contact_assembly import add_contacts
 from .elasticity import add_elasticity
@@ -25,7 +25,7 @@ from .workspace import NO_MATRIX, Workspace
 FloatArray = NDArray[np.float64]
 
 
-@kernel
+@large_kernel
 def assemble(
     model: Model,
     candidates: Candidates,

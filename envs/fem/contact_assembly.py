@@ -8,7 +8,7 @@ Another contact term adds to the forces and blocks of the modes in `_write_modes
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compilation import kernel
+from ..compilation import kernel, large_kernel
 from .barrier import barrier
 from .broad_phase import Candidates
 from .contact import Contact, Quad, contact_terms, sliding_directions, weighted_sum
@@ -38,7 +38,7 @@ from .workspace import NO_MATRIX, PROJECTED_MATRIX, Workspace
 FloatArray = NDArray[np.float64]
 
 
-@kernel
+@large_kernel
 def add_contacts(
     model: Model,
     candidates: Candidates,

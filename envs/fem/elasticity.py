@@ -7,7 +7,7 @@ Another material is a module with the functions of `neo_hookean` that are import
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compilation import kernel
+from ..compilation import kernel, large_kernel
 from ..deterministic_math import natural_log
 from .linear_system import GEL_STRIDE, add_block
 from .mat3 import Mat3, apply_columns, apply_rows, outer_square, scale_matrix, transpose
@@ -19,7 +19,7 @@ from .workspace import NO_MATRIX, PROJECTED_MATRIX, Workspace
 FloatArray = NDArray[np.float64]
 
 
-@kernel
+@large_kernel
 def add_elasticity(
     elastic: Elastic, x: FloatArray, prescribed_move: FloatArray, workspace: Workspace, matrix: int
 ) -> float:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compilation import kernel
+from ..compilation import kernel, large_kernel
 from .linear_system import BlockLayout, Fronts, SystemLayout
 
 FloatArray = NDArray[np.float64]
@@ -47,7 +47,7 @@ def new_factor(system: SystemLayout) -> Factor:
     )
 
 
-@kernel
+@large_kernel
 def factorise(system: SystemLayout, entries: FloatArray, factor: Factor, positive: bool) -> bool:
     """Write the factors of the matrix in `entries`; False, with the factors undefined, if a pivot vanishes.
 
@@ -75,7 +75,7 @@ def has_negative_determinant(factor: Factor) -> bool:
     return bool(factor.negative_pivots[0] % 2 == 1)
 
 
-@kernel
+@large_kernel
 def substitute(system: SystemLayout, factor: Factor, x: FloatArray) -> None:
     """Solve with the factors, in place: x [n + m] is the right-hand side, then the solution."""
     fronts = system.fronts

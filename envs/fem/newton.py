@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compilation import allocating_kernel, kernel
+from ..compilation import allocating_kernel, kernel, large_kernel
 from .assembly import assemble
 from .broad_phase import Candidates, find_candidates, relative_motion
 from .ccd import contact_free_fraction, inversion_free_fraction
@@ -216,7 +216,7 @@ def _shorten_long_move(model: Model, s: _Scratch) -> float:
     return longest
 
 
-@kernel
+@large_kernel
 def _reuse_factors(
     model: Model,
     candidates: Candidates,
@@ -238,7 +238,7 @@ def _reuse_factors(
     return True
 
 
-@kernel
+@large_kernel
 def _find_direction(
     model: Model,
     candidates: Candidates,
@@ -261,7 +261,7 @@ def _find_direction(
     return PROJECTED_MATRIX if _solve(model, workspace, s.solution, True) else NO_MATRIX
 
 
-@kernel
+@large_kernel
 def _solve(model: Model, workspace: Workspace, solution: FloatArray, positive: bool) -> bool:
     if not factorise(model.system, workspace.entries, workspace.factor, positive):
         return False
@@ -271,7 +271,7 @@ def _solve(model: Model, workspace: Workspace, solution: FloatArray, positive: b
     return True
 
 
-@kernel
+@large_kernel
 def _is_stable(
     model: Model,
     candidates: Candidates,
@@ -289,7 +289,7 @@ def _is_stable(
     return not has_negative_determinant(workspace.factor)
 
 
-@kernel
+@large_kernel
 def _without_overshoot(
     model: Model,
     candidates: Candidates,
