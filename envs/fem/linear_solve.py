@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compilation import kernel, large_kernel
+from .lanes import LANES, subtract_products
 from .linear_system import BlockLayout, Fronts, SystemLayout
 
 FloatArray = NDArray[np.float64]
@@ -28,7 +29,7 @@ class Factor(NamedTuple):
 
     entries: FloatArray  # for each front its pivot rows, then the multipliers of the rows below, row by row
     negative_pivots: IndexArray  # [1]
-    front: FloatArray  # the front at work, row by row
+    front: FloatArray  # the front at work
     stack: FloatArray  # what fronts have passed on
     inverse_pivots: FloatArray  # [w] of the front at work
     near: FloatArray  # [w] solution at the rows of a front
@@ -40,11 +41,31 @@ def new_factor(system: SystemLayout) -> Factor:
     return Factor(
         entries=np.empty(fronts.factors),
         negative_pivots=np.zeros(1, dtype=np.int64),
-        front=np.empty(fronts.widest**2),
+        front=_aligned(fronts.widest * _stride(fronts.widest)),
         stack=np.empty(fronts.stack),
         inverse_pivots=np.empty(fronts.widest),
         near=np.empty(fronts.widest),
     )
+
+
+class Front(NamedTuple):
+    """The front at work: a square matrix whose rows begin where eight lanes do."""
+
+    rows: FloatArray  # row by row; what a row has beyond its columns is never used
+    stride: int  # from row to row
+    size: int  # rows, and columns
+    pivots: int
+
+
+def _aligned(size: int) -> FloatArray:
+    """Uninitialised numbers from a multiple of eight lanes' bytes on, so that no lanes cross a cache line."""
+    room = np.empty(size + LANES)
+    return room[-(room.ctypes.data // room.itemsize) % LANES :][:size]
+
+
+@kernel
+def _stride(size: int) -> int:
+    return (size + LANES - 1) // LANES * LANES
 
 
 @large_kernel
@@ -58,14 +79,15 @@ def factorise(system: SystemLayout, entries: FloatArray, factor: Factor, positiv
     for f in range(len(fronts.factor)):
         pivots = 3 * (fronts.first[f + 1] - fronts.first[f])
         size = pivots + 3 * (fronts.row_start[f + 1] - fronts.row_start[f])
-        front = factor.front[: size * size]
-        front[:] = 0.0
-        _load(system.block, system.neighbours.start, fronts, f, entries, front, size)
+        stride = _stride(size)
+        front = Front(factor.front[: size * stride], stride, size, pivots)
+        front.rows[:] = 0.0
+        _load(system.block, system.neighbours.start, fronts, f, entries, front)
         for c in range(fronts.child_start[f], fronts.child_start[f + 1]):
-            _add_child(fronts, fronts.children[c], factor.stack, front, size)
-        if not _eliminate(front, size, pivots, factor.inverse_pivots, factor.negative_pivots, positive):
+            _add_child(fronts, fronts.children[c], factor.stack, front)
+        if not _eliminate(front, factor.inverse_pivots, factor.negative_pivots, positive):
             return False
-        _store(front, size, pivots, factor.entries[fronts.factor[f] :], factor.stack[fronts.passed[f] :])
+        _store(front, factor.entries[fronts.factor[f] :], factor.stack[fronts.passed[f] :])
     return True
 
 
@@ -86,36 +108,36 @@ def substitute(system: SystemLayout, factor: Factor, x: FloatArray) -> None:
 
 
 @kernel
-def _load(
-    block: BlockLayout, start: IndexArray, fronts: Fronts, f: int, entries: FloatArray, front: FloatArray, size: int
-) -> None:
+def _load(block: BlockLayout, start: IndexArray, fronts: Fronts, f: int, entries: FloatArray, front: Front) -> None:
     """Write the matrix's own blocks in the rows and columns of the front's pivots."""
     first, stop, n, m = fronts.first[f], fronts.first[f + 1], block.nodes, block.m
+    rows, stride, border = front.rows, front.stride, front.size - m
     if first == n:
-        _copy(entries[block.corner :], front, m * m)
+        for row in range(m):
+            _copy(entries[block.corner + row * m :], rows[row * stride :], m)
         return
     for a in range(first, stop):
         i = a - first
-        _put(entries, 9 * a, front, 3 * i * size + 3 * i, size)
+        _put(entries, 9 * a, rows, 3 * i * stride + 3 * i, stride)
         for k in range(start[a], start[a + 1]):
             j = fronts.local[k]
             if j >= 0:
-                _put(entries, 9 * (n + k), front, 3 * i * size + 3 * j, size)
+                _put(entries, 9 * (n + k), rows, 3 * i * stride + 3 * j, stride)
                 if j >= stop - first:
-                    _put(entries, 9 * (n + fronts.mirrored[k]), front, 3 * j * size + 3 * i, size)
+                    _put(entries, 9 * (n + fronts.mirrored[k]), rows, 3 * j * stride + 3 * i, stride)
         for row in range(3):
-            _copy(entries[block.right + (3 * a + row) * m :], front[(3 * i + row + 1) * size - m :], m)
+            _copy(entries[block.right + (3 * a + row) * m :], rows[(3 * i + row) * stride + border :], m)
         for row in range(0, m, 3):
-            _put(entries, block.bottom + 3 * (m * a + row), front, (size - m + row) * size + 3 * i, size)
+            _put(entries, block.bottom + 3 * (m * a + row), rows, (border + row) * stride + 3 * i, stride)
 
 
 @kernel
-def _put(entries: FloatArray, source: int, front: FloatArray, place: int, size: int) -> None:
+def _put(entries: FloatArray, source: int, rows: FloatArray, place: int, stride: int) -> None:
     block = entries[source : source + 9]
     r0, r1, r2 = (
-        front[place : place + 3],
-        front[place + size : place + size + 3],
-        front[place + 2 * size : place + 2 * size + 3],
+        rows[place : place + 3],
+        rows[place + stride : place + stride + 3],
+        rows[place + 2 * stride : place + 2 * stride + 3],
     )
     r0[0], r0[1], r0[2] = block[0], block[1], block[2]
     r1[0], r1[1], r1[2] = block[3], block[4], block[5]
@@ -129,7 +151,7 @@ def _copy(source: FloatArray, target: FloatArray, count: int) -> None:
 
 
 @kernel
-def _add_child(fronts: Fronts, child: int, stack: FloatArray, front: FloatArray, size: int) -> None:
+def _add_child(fronts: Fronts, child: int, stack: FloatArray, front: Front) -> None:
     """Add what a child has passed on."""
     slot = fronts.slot[fronts.row_start[child] : fronts.row_start[child + 1]]
     width = 3 * len(slot)
@@ -137,7 +159,7 @@ def _add_child(fronts: Fronts, child: int, stack: FloatArray, front: FloatArray,
     for i in range(len(slot)):
         for row in range(3):
             passed = stack[place : place + width]
-            target = front[(3 * slot[i] + row) * size : (3 * slot[i] + row + 1) * size]
+            target = front.rows[(3 * slot[i] + row) * front.stride : (3 * slot[i] + row + 1) * front.stride]
             for j in range(len(slot)):
                 column = 3 * slot[j]
                 target[column] += passed[3 * j]
@@ -147,48 +169,46 @@ def _add_child(fronts: Fronts, child: int, stack: FloatArray, front: FloatArray,
 
 
 @kernel
-def _eliminate(
-    front: FloatArray,
-    size: int,
-    pivots: int,
-    inverse_pivots: FloatArray,
-    negative_pivots: IndexArray,
-    positive: bool,
-) -> bool:
+def _eliminate(front: Front, inverse_pivots: FloatArray, negative_pivots: IndexArray, positive: bool) -> bool:
     """Eliminate the pivots; multipliers take the place of what they eliminate.
 
     A panel of pivot rows stays in the cache while all rows below pass by; the size of panels changes no bit.
     """
-    for start in range(0, pivots, _PANEL_ROWS):
-        stop = min(start + _PANEL_ROWS, pivots)
-        for i in range(start, size, 3):
+    for start in range(0, front.pivots, _PANEL_ROWS):
+        stop = min(start + _PANEL_ROWS, front.pivots)
+        for i in range(start, front.size, 3):
             for k in range(start, min(i, stop), 3):
-                _eliminate_node(front, size, i, k, inverse_pivots)
-            if i < stop and not _eliminate_within_node(front, size, i, inverse_pivots, negative_pivots, positive):
+                _eliminate_node(front, i, k, inverse_pivots)
+            if i < stop and not _eliminate_within_node(front, i, inverse_pivots, negative_pivots, positive):
                 return False
     return True
 
 
 @kernel
-def _eliminate_node(front: FloatArray, size: int, i: int, k: int, inverse_pivots: FloatArray) -> None:
-    """Eliminate the pivots of the node at row k from the three rows at i."""
-    u, r = k * size, i * size
-    u0, u1, u2 = front[u + k : u + size], front[u + size + k : u + 2 * size], front[u + 2 * size + k : u + 3 * size]
-    r0, r1, r2 = front[r + k : r + size], front[r + size + k : r + 2 * size], front[r + 2 * size + k : r + 3 * size]
-    a, b, c = inverse_pivots[k], inverse_pivots[k + 1], inverse_pivots[k + 2]
-    f0 = _multipliers(r0, u0, u1, a, b, c)
-    f1 = _multipliers(r1, u0, u1, a, b, c)
-    f2 = _multipliers(r2, u0, u1, a, b, c)
-    _subtract_products(r0[3:], r1[3:], r2[3:], f0, f1, f2, u0[3:], u1[3:], u2[3:])
+def _eliminate_node(front: Front, i: int, k: int, inverse_pivots: FloatArray) -> None:
+    """Eliminate the pivots of the node at row k from the three rows at i: where the time of large systems goes."""
+    rows, stride = front.rows, front.stride
+    u, r = k * stride, i * stride
+    f0 = _multipliers(rows, r + k, u + k, stride, inverse_pivots, k)
+    f1 = _multipliers(rows, r + stride + k, u + k, stride, inverse_pivots, k)
+    f2 = _multipliers(rows, r + 2 * stride + k, u + k, stride, inverse_pivots, k)
+    first = (k + 3) // LANES * LANES
+    subtract_products(rows, r + first, u + first, stride, k + 3 - first, f0, f1, f2)  # type: ignore[call-arg]
+    for j in range(first + LANES, front.size, LANES):
+        subtract_products(rows, r + j, u + j, stride, 0, f0, f1, f2)
 
 
 @kernel
 def _eliminate_within_node(
-    front: FloatArray, size: int, k: int, inverse_pivots: FloatArray, negative_pivots: IndexArray, positive: bool
+    front: Front, k: int, inverse_pivots: FloatArray, negative_pivots: IndexArray, positive: bool
 ) -> bool:
     """Eliminate a node's own three pivots from each other's rows and write their inverses."""
-    u = k * size
-    u0, u1, u2 = front[u + k : u + size], front[u + size + k : u + 2 * size], front[u + 2 * size + k : u + 3 * size]
+    u, stride, width = k * (front.stride + 1), front.stride, front.size - k
+    u0, u1, u2 = (
+        front.rows[u : u + width],
+        front.rows[u + stride : u + stride + width],
+        front.rows[u + 2 * stride : u + 2 * stride + width],
+    )
     if not _usable(u0[0], negative_pivots, positive):
         return False
     f = u1[0] / u0[0]
@@ -215,50 +235,26 @@ def _usable(pivot: float, negative_pivots: IndexArray, positive: bool) -> bool:
 
 
 @kernel
-def _multipliers(row: FloatArray, u0: FloatArray, u1: FloatArray, a: float, b: float, c: float) -> Row3:
-    """Write and return the multipliers that eliminate a row's first three entries; a, b, c are inverse pivots."""
-    f0 = row[0] * a
-    f1 = (row[1] - f0 * u0[1]) * b
-    f2 = (row[2] - f0 * u0[2] - f1 * u1[2]) * c
-    row[0], row[1], row[2] = f0, f1, f2
+def _multipliers(rows: FloatArray, r: int, u: int, stride: int, inverse_pivots: FloatArray, k: int) -> Row3:
+    """Write and return the multipliers that eliminate three entries from r on, by the pivots k with rows from u on."""
+    f0 = rows[r] * inverse_pivots[k]
+    f1 = (rows[r + 1] - f0 * rows[u + 1]) * inverse_pivots[k + 1]
+    f2 = (rows[r + 2] - f0 * rows[u + 2] - f1 * rows[u + stride + 2]) * inverse_pivots[k + 2]
+    rows[r], rows[r + 1], rows[r + 2] = f0, f1, f2
     return f0, f1, f2
 
 
 @kernel
-def _subtract_products(
-    r0: FloatArray,
-    r1: FloatArray,
-    r2: FloatArray,
-    f0: Row3,
-    f1: Row3,
-    f2: Row3,
-    u0: FloatArray,
-    u1: FloatArray,
-    u2: FloatArray,
-) -> None:
-    """Three rows less their multiples of three pivot rows: where the time of large systems goes.
-
-    Slices whose indices cannot be negative are what lets the compiler use vectors.
-    """
-    a0, a1, a2 = f0
-    b0, b1, b2 = f1
-    c0, c1, c2 = f2
-    for j in range(len(r0)):
-        x, y, z = u0[j], u1[j], u2[j]
-        r0[j] -= a0 * x + a1 * y + a2 * z
-        r1[j] -= b0 * x + b1 * y + b2 * z
-        r2[j] -= c0 * x + c1 * y + c2 * z
-
-
-@kernel
-def _store(front: FloatArray, size: int, pivots: int, factors: FloatArray, passed: FloatArray) -> None:
+def _store(front: Front, factors: FloatArray, passed: FloatArray) -> None:
     """Keep the factors, and pass the rest on."""
-    _copy(front, factors, pivots * size)
-    left = size - pivots
-    for i in range(left):
-        row = front[(pivots + i) * size : (pivots + i + 1) * size]
-        _copy(row, factors[pivots * (size + i) :], pivots)
-        _copy(row[pivots:], passed[i * left :], left)
+    size, pivots, left = front.size, front.pivots, front.size - front.pivots
+    for i in range(size):
+        row = front.rows[i * front.stride : (i + 1) * front.stride]
+        if i < pivots:
+            _copy(row, factors[i * size :], size)
+        else:
+            _copy(row, factors[pivots * (left + i) :], pivots)
+            _copy(row[pivots:], passed[(i - pivots) * left :], left)
 
 
 @kernel

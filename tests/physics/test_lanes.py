@@ -1,0 +1,35 @@
+"""Eight numbers at once give what one after the other does, to the last bit, and leave the others alone."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from vitac.envs.compilation import kernel
+from vitac.envs.fem.lanes import LANES, subtract_products
+
+FloatArray = NDArray[np.float64]
+Three = tuple[float, float, float]
+
+
+@kernel
+def subtract(
+    front: FloatArray, row: int, pivot: int, stride: int, skipped: int, f0: Three, f1: Three, f2: Three
+) -> None:
+    subtract_products(front, row, pivot, stride, skipped, f0, f1, f2)  # type: ignore[call-arg]
+
+
+@pytest.mark.parametrize("skipped", range(LANES))
+def test_products_are_subtracted_from_three_rows(skipped: int) -> None:
+    random, stride = np.random.default_rng(skipped), 19
+    front = random.normal(size=7 * stride)
+    f = random.normal(size=(3, 3))
+    expected = front.copy()
+    rows: Any = expected.reshape(7, stride)
+    columns = slice(5 + skipped, 5 + LANES)
+    u = rows[0:3, columns].copy()
+    for i in range(3):
+        rows[3 + i, columns] -= f[i, 0] * u[0] + f[i, 1] * u[1] + f[i, 2] * u[2]
+    factors = [(float(a), float(b), float(c)) for a, b, c in f]
+    subtract(front, 3 * stride + 5, 5, stride, skipped, *factors)
+    np.testing.assert_array_equal(front, expected)
