@@ -9,6 +9,23 @@ from numpy.typing import NDArray
 
 from ..compilation import kernel, large_kernel
 from ..deterministic_math import natural_log
+from .batch import (
+    BATCH,
+    DET_F,
+    FORCE,
+    GRADIENT,
+    INVERSE_TRANSPOSE,
+    LAMBDA,
+    MU,
+    POSITION,
+    PRESSURE,
+    REST_GRADIENT,
+    VOLUME,
+    get_number,
+    get_vector,
+    set_number,
+    set_vector,
+)
 from .linear_system import GEL_STRIDE, add_block
 from .mat3 import Mat3, apply_columns, apply_rows, outer_square, scale_matrix, transpose
 from .model import Elastic
@@ -27,48 +44,105 @@ def add_elasticity(
 
     Prescribed corners, which move by prescribed_move [m], are added to the coupling where they act on unknown ones.
     """
-    nodes, gradient = elastic.nodes, workspace.gradient
-    volumes, mus, lams = elastic.volume_m3, elastic.mu_pa, elastic.lambda_pa
+    gradient, batch = workspace.gradient, workspace.batch
+    total = len(elastic.volume_m3)
     smallest = np.inf
-    for t in range(len(volumes)):
-        g = _rest_gradients(elastic.gradients_1_m, t)
-        F = deformation_gradient(
-            load(x, nodes[t, 0]), load(x, nodes[t, 1]), load(x, nodes[t, 2]), load(x, nodes[t, 3]), g[1], g[2], g[3]
-        )
-        cofactor, J = cofactors(F)
-        smallest = min(smallest, J)
-        volume, mu, lam = volumes[t], mus[t], lams[t]
-        pressure = lam * natural_log(J) - mu
-        inverse_transpose = scale_matrix(1.0 / J, cofactor)
-        h = (
-            apply_columns(inverse_transpose, g[0]),
-            apply_columns(inverse_transpose, g[1]),
-            apply_columns(inverse_transpose, g[2]),
-            apply_columns(inverse_transpose, g[3]),
-        )
-        for a in range(4):
-            add_to_row(gradient, nodes[t, a], nodal_gradient(volume, mu, pressure, apply_columns(F, g[a]), h[a]))
-        if matrix == NO_MATRIX:
-            continue
-        inverse_b = outer_square(inverse_transpose)
-        for a in range(4):
-            for b in range(a, 4):
-                if not _acts(elastic, workspace, t, a, b):
-                    continue
-                gg = dot(g[a], g[b])
-                if matrix == PROJECTED_MATRIX:
-                    block = projected_stiffness_block(volume, mu, lam, pressure, gg, h[a], h[b], inverse_b)
-                else:
-                    block = stiffness_block(volume, mu, lam, pressure, gg, h[a], h[b])
-                _add_corners(elastic, t, a, b, block, prescribed_move, workspace)
+    for start in range(0, total, BATCH):
+        count = min(BATCH, total - start)
+        for i in range(count):
+            _collect(elastic, start + i, x, batch, i)
+        # A last batch is computed whole, for a loop of known length; nothing takes what it has too many.
+        for i in range(BATCH):
+            _strain(batch, i)
+        for i in range(count):
+            smallest = min(smallest, get_number(batch, DET_F, i))
+            for a in range(4):
+                add_to_row(gradient, elastic.nodes[start + i, a], get_vector(batch, FORCE, a, i))
+            if matrix != NO_MATRIX:
+                _add_stiffness(elastic, start + i, batch, i, prescribed_move, workspace, matrix)
     return smallest
 
 
 @kernel
-def _rest_gradients(gradients: FloatArray, t: int) -> tuple[Vec3, Vec3, Vec3, Vec3]:
-    g1 = gradients[t, 1, 0], gradients[t, 1, 1], gradients[t, 1, 2]
-    g2 = gradients[t, 2, 0], gradients[t, 2, 1], gradients[t, 2, 2]
-    g3 = gradients[t, 3, 0], gradients[t, 3, 1], gradients[t, 3, 2]
+def _collect(elastic: Elastic, t: int, x: FloatArray, batch: FloatArray, i: int) -> None:
+    """Write what is given of tetrahedron t at place i of the batch."""
+    for a in range(4):
+        set_vector(batch, POSITION, a, i, load(x, elastic.nodes[t, a]))
+    gradients = elastic.gradients_1_m
+    for a in range(1, 4):
+        set_vector(batch, REST_GRADIENT, a - 1, i, (gradients[t, a, 0], gradients[t, a, 1], gradients[t, a, 2]))
+    set_number(batch, VOLUME, i, elastic.volume_m3[t])
+    set_number(batch, MU, i, elastic.mu_pa[t])
+    set_number(batch, LAMBDA, i, elastic.lambda_pa[t])
+
+
+@kernel
+def _strain(batch: FloatArray, i: int) -> None:
+    """Write what follows from the positions of tetrahedron i of the batch; without branches, for vectors."""
+    x0, x1 = get_vector(batch, POSITION, 0, i), get_vector(batch, POSITION, 1, i)
+    x2, x3 = get_vector(batch, POSITION, 2, i), get_vector(batch, POSITION, 3, i)
+    g = _rest_gradients(batch, i)
+    F = deformation_gradient(x0, x1, x2, x3, g[1], g[2], g[3])
+    cofactor, J = cofactors(F)
+    volume, mu = get_number(batch, VOLUME, i), get_number(batch, MU, i)
+    pressure = get_number(batch, LAMBDA, i) * natural_log(J) - mu
+    inverse_transpose = scale_matrix(1.0 / J, cofactor)
+    set_number(batch, DET_F, i, J)
+    set_number(batch, PRESSURE, i, pressure)
+    for k in range(3):
+        set_vector(batch, INVERSE_TRANSPOSE, k, i, inverse_transpose[k])
+    for a in range(4):
+        h = apply_columns(inverse_transpose, g[a])
+        set_vector(batch, GRADIENT, a, i, h)
+        set_vector(batch, FORCE, a, i, nodal_gradient(volume, mu, pressure, apply_columns(F, g[a]), h))
+
+
+@kernel
+def _add_stiffness(
+    elastic: Elastic,
+    t: int,
+    batch: FloatArray,
+    i: int,
+    prescribed_move: FloatArray,
+    workspace: Workspace,
+    matrix: int,
+) -> None:
+    """Add the blocks of tetrahedron t, which stands at place i of the batch."""
+    volume, mu, lam = get_number(batch, VOLUME, i), get_number(batch, MU, i), get_number(batch, LAMBDA, i)
+    pressure = get_number(batch, PRESSURE, i)
+    g = _rest_gradients(batch, i)
+    h = (
+        get_vector(batch, GRADIENT, 0, i),
+        get_vector(batch, GRADIENT, 1, i),
+        get_vector(batch, GRADIENT, 2, i),
+        get_vector(batch, GRADIENT, 3, i),
+    )
+    inverse_b = outer_square(
+        (
+            get_vector(batch, INVERSE_TRANSPOSE, 0, i),
+            get_vector(batch, INVERSE_TRANSPOSE, 1, i),
+            get_vector(batch, INVERSE_TRANSPOSE, 2, i),
+        )
+    )
+    for a in range(4):
+        for b in range(a, 4):
+            if not _acts(elastic, workspace, t, a, b):
+                continue
+            gg = dot(g[a], g[b])
+            if matrix == PROJECTED_MATRIX:
+                block = projected_stiffness_block(volume, mu, lam, pressure, gg, h[a], h[b], inverse_b)
+            else:
+                block = stiffness_block(volume, mu, lam, pressure, gg, h[a], h[b])
+            _add_corners(elastic, t, a, b, block, prescribed_move, workspace)
+
+
+@kernel
+def _rest_gradients(batch: FloatArray, i: int) -> tuple[Vec3, Vec3, Vec3, Vec3]:
+    g1, g2, g3 = (
+        get_vector(batch, REST_GRADIENT, 0, i),
+        get_vector(batch, REST_GRADIENT, 1, i),
+        get_vector(batch, REST_GRADIENT, 2, i),
+    )
     return scale(-1.0, add(add(g1, g2), g3)), g1, g2, g3
 
 

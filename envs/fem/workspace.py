@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from .batch import new_batch
 from .linear_solve import Factor, new_factor
 from .linear_system import SystemLayout
 from .stencil import Stencil, new_stencil
@@ -30,6 +31,7 @@ class Workspace(NamedTuple):
     moves: MaskArray  # [1] whether prescribed nodes move, so that there is a coupling
     smallest: FloatArray  # [2] smallest gap [m], smallest det F
     active: IndexArray  # [1] pairs closer than d_hat
+    batch: FloatArray  # of tetrahedra at a time, see `batch`
     stencil: Stencil  # of one contact at a time
 
 
@@ -44,5 +46,6 @@ def new_workspace(layout: SystemLayout, nodes: int) -> Workspace:
         moves=np.empty(1, dtype=np.bool_),
         smallest=np.empty(2),
         active=np.empty(1, dtype=np.int64),
+        batch=new_batch(),
         stencil=new_stencil(),
     )
