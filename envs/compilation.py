@@ -41,7 +41,7 @@ def _compiled(
 
     `fastmath=False` forbids reordering and fused multiply-add, so a generic and a native build agree; no threads.
     Machine code is cached under `cache_directory()`: Numba notices only changes of the file that holds a kernel, not
-    of the kernels it calls, so the directory's name carries the digest of all modules with kernels.
+    of the kernels it calls or of these options, so the directory's name carries the digest of all our modules.
     """
     previous = numba.config.CACHE_DIR  # type: ignore[attr-defined]
     numba.config.CACHE_DIR = str(cache_directory())  # type: ignore[attr-defined]
@@ -62,7 +62,7 @@ def _compiled(
 @cache
 def cache_directory() -> Path:
     """Folder of compiled kernels: `VITAC_CACHE_DIR`, else the user's cache folder, else a private temporary one."""
-    name = f"kernels-{source_digest()[:16]}"
+    name = f"kernels-{source_digest(Path(__file__).parent)[:16]}"
     for root in _candidate_roots():
         directory = root / name
         try:
@@ -74,15 +74,14 @@ def cache_directory() -> Path:
     return Path(tempfile.mkdtemp(prefix="vitac-")) / name
 
 
-@cache
-def source_digest() -> str:
-    """SHA-256 of the modules of this package that hold kernels, in order of their paths."""
-    root = Path(__file__).parent
+def source_digest(folder: Path) -> str:
+    """SHA-256 [hex] of all modules below a folder, in order of their paths.
+
+    All, not only those with kernels: kernels also freeze constants and field orders of the others.
+    """
     digest = hashlib.sha256()
-    for path in sorted(root.rglob("*.py")):
-        source = path.read_bytes()
-        if b"kernel\ndef " in source or b"intrinsic\ndef " in source:
-            digest.update(path.relative_to(root).as_posix().encode() + b"\0" + source + b"\0")
+    for path in sorted(folder.rglob("*.py")):
+        digest.update(path.relative_to(folder).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
     return digest.hexdigest()
 
 

@@ -15,12 +15,12 @@ EVALUATOR_RELEASE = "1"
 
 _HASHED_PACKAGES = ("vitac.envs", "vitac.evaluator")
 _HASHED_SUFFIXES = frozenset({".py", ".yaml"})
-_HASHED_DISTRIBUTIONS = ("numba", "numpy")
+_HASHED_DISTRIBUTIONS = ("llvmlite", "numba", "numpy")
 
 
 @cache
 def evaluator_hash() -> str:
-    """SHA-256 [hex] over all that can move a score: our sources and the versions of NumPy and Numba.
+    """SHA-256 [hex] over all that can move a score: our sources and the versions of NumPy, Numba and llvmlite.
 
     The same for a wheel and an editable installation of one tree, because only the content of packaged files counts.
     """

@@ -23,8 +23,10 @@ def subtract_products(typing_context, front, row, pivot, stride, skipped, f0, f1
     front[row + i stride + j] -= f_i[0] front[pivot + j] + f_i[1] front[pivot + stride + j]
                                  + f_i[2] front[pivot + 2 stride + j]    for skipped <= j < 8
 
-    All eight columns of every row have to be there.
+    All eight columns of every row have to be there, and nothing between the numbers of a row.
     """
+    if (front.dtype, front.ndim, front.layout) != (numba.types.float64, 1, "C"):
+        raise numba.errors.TypingError(f"subtract_products takes a contiguous float64 array, got {front}.")
 
     def codegen(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
         data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
