@@ -1,10 +1,10 @@
 """What the number of gel nodes costs: the peg task's grasp and two env steps on structured gels of many sizes, as JSON.
 
-Usage: python benchmarks/gel_size.py [--most-nodes N] [--only NAME ...] [--json FILE] [--png FILE]
+Usage: python benchmarks/gel_size.py [--most-nodes N | --write-docs]
 
-Three families: refined in all directions, one layer thick (a sheet), and odd ones (thick, domed). Exponents are slopes
-of log(CPU time) by log(nodes) within a family. One thread, no GPU; run it twice, for the first run also compiles the
-kernels. `docs/physics.md` says what the figures were.
+Three families: refined in all directions, one layer thick, and two; and odd ones (thick, domed). Exponents are slopes
+of log(value) by log(nodes) within a family. One thread, no GPU; run it twice, for the first run also compiles.
+`--write-docs` keeps the figures in benchmarks/physics.json and writes tables and picture of docs/physics.md.
 """
 
 import argparse
@@ -13,9 +13,10 @@ import sys
 from itertools import pairwise
 from pathlib import Path
 from time import process_time
-from typing import Any
 
 import numpy as np
+from physics_document import REPOSITORY, keep
+from physics_tables import Figures
 from vitac.envs.assets import Meshes
 from vitac.envs.fem.linear_solve import factorise
 from vitac.envs.fem.mesh import GelMesh
@@ -28,28 +29,33 @@ from vitac.envs.peg_insertion.variation import PegOffset, PegStart
 from vitac.envs.stopwatch import Stopwatch
 from vitac.envs.tactile.gel import GelCells, GelDimensions, structured_gel
 
-THICK, DOMED = GelDimensions(thickness_mm=8.0), GelDimensions(dome_mm=0.5)
-GELS: dict[str, dict[str, tuple[GelCells, GelDimensions]]] = {
-    "refined": {
-        "162": (GelCells(x=6, y=6, bevel=1, layers=1), GelDimensions()),
-        "330": (GelCells(x=8, y=7, bevel=1, layers=2), GelDimensions()),
-        "720": (GelCells(x=13, y=12, bevel=1, layers=2), GelDimensions()),
-        "1216": (GelCells(x=14, y=11, bevel=2, layers=3), GelDimensions()),
-        "2016": (GelCells(x=19, y=16, bevel=2, layers=3), GelDimensions()),
-        "5022": (GelCells(x=24, y=20, bevel=3, layers=5), GelDimensions()),
-    },
-    "sheet": {
-        "338": (GelCells(x=10, y=10, bevel=1, layers=1), GelDimensions()),
-        "722": (GelCells(x=16, y=16, bevel=1, layers=1), GelDimensions()),
-        "1250": (GelCells(x=20, y=20, bevel=2, layers=1), GelDimensions()),
-        "2048": (GelCells(x=27, y=27, bevel=2, layers=1), GelDimensions()),
-        "5000": (GelCells(x=43, y=43, bevel=3, layers=1), GelDimensions()),
-    },
-    "odd": {
-        "thick": (GelCells(x=8, y=7, bevel=1, layers=4), THICK),
-        "domed": (GelCells(x=8, y=7, bevel=1, layers=2), DOMED),
-    },
+PLAIN, THICK, DOMED = GelDimensions(), GelDimensions(thickness_mm=8.0), GelDimensions(dome_mm=0.5)
+GELS: dict[str, tuple[GelCells, GelDimensions]] = {
+    "162": (GelCells(x=6, y=6, bevel=1, layers=1), PLAIN),
+    "330": (GelCells(x=8, y=7, bevel=1, layers=2), PLAIN),
+    "720": (GelCells(x=13, y=12, bevel=1, layers=2), PLAIN),
+    "1216": (GelCells(x=14, y=11, bevel=2, layers=3), PLAIN),
+    "2016": (GelCells(x=19, y=16, bevel=2, layers=3), PLAIN),
+    "5022": (GelCells(x=24, y=20, bevel=3, layers=5), PLAIN),
+    "338": (GelCells(x=10, y=10, bevel=1, layers=1), PLAIN),
+    "722": (GelCells(x=16, y=16, bevel=1, layers=1), PLAIN),
+    "1250": (GelCells(x=20, y=20, bevel=2, layers=1), PLAIN),
+    "2048": (GelCells(x=27, y=27, bevel=2, layers=1), PLAIN),
+    "5000": (GelCells(x=43, y=43, bevel=3, layers=1), PLAIN),
+    "1260": (GelCells(x=18, y=17, bevel=1, layers=2), PLAIN),
+    "2184": (GelCells(x=25, y=23, bevel=1, layers=2), PLAIN),
+    "4797": (GelCells(x=38, y=36, bevel=1, layers=2), PLAIN),
+    "thick": (GelCells(x=8, y=7, bevel=1, layers=4), THICK),
+    "domed": (GelCells(x=8, y=7, bevel=1, layers=2), DOMED),
 }
+FAMILIES = {
+    "refined in all directions": ("162", "330", "720", "1216", "2016", "5022"),
+    "one layer thick": ("162", "338", "722", "1250", "2048", "5000"),
+    "two layers thick": ("330", "720", "1260", "2184", "4797"),
+}
+ODD = {"8 mm thick": ("thick",), "domed by 0.5 mm": ("domed",)}
+OF_INTEREST = ("set_up_ms", "ms_per_ipc_step", "ms_per_newton_iteration", "ms_per_factorisation", "solver_mb")
+PICTURE = REPOSITORY / "docs" / "pictures" / "gel-size.png"
 OFFSETS = (
     PegOffset(x_mm=-4.0, y_mm=1.0, theta_deg=-6.0),
     PegOffset(x_mm=-3.0, y_mm=0.5, theta_deg=-4.0),
@@ -69,7 +75,7 @@ class OwnGel(Meshes):
         return self._gel
 
 
-def measure(name: str, cells: GelCells, size: GelDimensions) -> dict[str, Any]:
+def measure(name: str, cells: GelCells, size: GelDimensions) -> Figures:
     """Play the scene on one gel."""
     begun_s = process_time()
     gel = structured_gel(name=name, size=size, cells=cells)
@@ -127,60 +133,30 @@ def solver_bytes(scene: PegScene) -> int:
     return sum(part.nbytes for part in (workspace.entries, factor.entries, factor.front, factor.stack))
 
 
-def exponent(rows: list[dict[str, Any]], key: str) -> float:
+def exponent(rows: list[Figures], key: str) -> float:
     """Slope of log(value) by log(nodes), least squares."""
     nodes, values = np.log([row["nodes"] for row in rows]), np.log([row[key] for row in rows])
     nodes = nodes - nodes.mean()
     return float((nodes * values).sum() / (nodes * nodes).sum())
 
 
-def main() -> None:
-    """Measure, print and write."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--most-nodes", type=int, default=10**6)
-    parser.add_argument("--only", nargs="*")
-    parser.add_argument("--json", type=Path)
-    parser.add_argument("--png", type=Path)
-    arguments = parser.parse_args()
-    result: dict[str, Any] = {"exponents": {}}
-    measure("warm-up", *GELS["refined"]["162"])
-    for family, gels in GELS.items():
-        result[family] = {}
-        for name, (cells, size) in gels.items():
-            if (arguments.only and name not in arguments.only) or node_count(cells) > arguments.most_nodes:
-                continue
-            result[family][name] = measure(name, cells, size)
-            sys.stderr.write(f"{family} {name}: {result[family][name]['ms_per_ipc_step']:.1f} ms per IPC step\n")
-    smallest = result["refined"].get("162")
-    for family in ("refined", "sheet"):
-        rows = list(result[family].values())
-        rows = [smallest, *rows] if smallest and family == "sheet" else rows
-        if len(rows) > 1:
-            keys = ("ms_per_ipc_step", "ms_per_newton_iteration", "ms_per_factorisation")
-            result["exponents"][family] = {key: exponent(rows, key) for key in keys}
-    text = json.dumps(result, indent=1)
-    sys.stdout.write(text + "\n")
-    if arguments.json:
-        arguments.json.write_text(text + "\n")
-    if arguments.png:
-        draw(result, arguments.png)
+def node_count(cells: GelCells) -> int:
+    """Nodes of a gel of these cells."""
+    return (cells.x + 2 * cells.bevel + 1) * (cells.y + 2 * cells.bevel + 1) * (cells.layers + 1)
 
 
-def draw(result: dict[str, Any], path: Path) -> None:
-    """The curves of both families, on logarithmic axes."""
+def draw(families: dict[str, list[Figures]], path: Path) -> None:
+    """The curves of the families, on logarithmic axes."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(5.0, 3.2), layout="constrained")
     axes = figure.subplots()
-    smallest = result["refined"]["162"]
-    for rows, label, marker in (
-        (list(result["refined"].values()), "refined in all directions", "o"),
-        ([smallest, *result["sheet"].values()], "one layer thick", "s"),
-    ):
-        nodes = [row["nodes"] for row in rows]
-        axes.loglog(nodes, [row["ms_per_ipc_step"] for row in rows], marker=marker, label=label)
-    ends = np.array([162.0, 5000.0])
-    axes.loglog(ends, smallest["ms_per_ipc_step"] * ends / 162.0, "k:", linewidth=1.0, label="linear")
+    for (family, rows), marker in zip(families.items(), "os^", strict=True):
+        times_ms = [row["ms_per_ipc_step"] for row in rows]
+        axes.loglog([row["nodes"] for row in rows], times_ms, marker=marker, label=family)
+    smallest = families["one layer thick"][0]
+    ends = np.array([smallest["nodes"], 5000.0])
+    axes.loglog(ends, smallest["ms_per_ipc_step"] * ends / ends[0], "k:", linewidth=1.0, label="linear")
     axes.set(xlabel="nodes per gel", ylabel="CPU time per IPC step [ms]")
     axes.set_xticks([200, 500, 1000, 2000, 5000], ["200", "500", "1000", "2000", "5000"])
     axes.tick_params(which="minor", bottom=False, labelbottom=False)
@@ -189,9 +165,28 @@ def draw(result: dict[str, Any], path: Path) -> None:
     figure.savefig(path, dpi=110)
 
 
-def node_count(cells: GelCells) -> int:
-    """Nodes of a gel of these cells."""
-    return (cells.x + 2 * cells.bevel + 1) * (cells.y + 2 * cells.bevel + 1) * (cells.layers + 1)
+def main() -> None:
+    """Measure, print and write."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    which = parser.add_mutually_exclusive_group()
+    which.add_argument("--most-nodes", type=int, default=10**6)
+    which.add_argument("--write-docs", action="store_true")
+    arguments = parser.parse_args()
+    measure("warm-up", *GELS["162"])
+    gels: Figures = {}
+    for name, (cells, size) in GELS.items():
+        if node_count(cells) <= arguments.most_nodes:
+            gels[name] = measure(name, cells, size)
+            sys.stderr.write(f"{name}: {gels[name]['ms_per_ipc_step']:.1f} ms per IPC step\n")
+    families = {family: [gels[name] for name in names if name in gels] for family, names in FAMILIES.items()}
+    exponents = {
+        family: {key: exponent(rows, key) for key in OF_INTEREST} for family, rows in families.items() if len(rows) > 1
+    }
+    figures = {"gels": gels, "gel_families": FAMILIES | ODD, "gel_exponents": exponents}
+    if arguments.write_docs:
+        keep(figures)
+        draw(families, PICTURE)
+    sys.stdout.write(json.dumps(figures, indent=1) + "\n")
 
 
 if __name__ == "__main__":

@@ -14,19 +14,15 @@ import json
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
+from physics_document import keep
 from physics_figures import against_logs, agreement, convergence, deviation_mm, misses, outcomes, speed
 from physics_ledger import ledger
 from physics_pieces import pieces
 from physics_replay import Reference, Replay, read_reference
-from physics_tables import with_tables
+from physics_tables import Figures
 from vitac.envs.fem.settings import SolverSettings
 
-Figures = dict[str, Any]
-REPOSITORY = Path(__file__).resolve().parents[1]
-FIGURES = REPOSITORY / "benchmarks" / "physics.json"
-DOCUMENT = REPOSITORY / "docs" / "physics.md"
 LEDGER_EPISODES = 45
 LEDGER_ENV_STEPS = 3
 
@@ -59,11 +55,6 @@ def in_parts_mm(reference: Reference, miss: Figures) -> list[float]:
     return found
 
 
-def fuzz_results(files: list[Path], saved: Figures) -> list[Figures]:
-    """Results of random episodes, those of before where no new ones are given."""
-    return [json.loads(file.read_text()) for file in files] or list(saved.get("fuzz", []))
-
-
 def main() -> None:
     """Measure, print and write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -77,11 +68,10 @@ def main() -> None:
     figures = measured(reference, arguments.episodes)
     if arguments.ledger or arguments.write_docs:
         figures["ledger"] = ledger(reference, episodes=LEDGER_EPISODES, env_steps=LEDGER_ENV_STEPS)
+    if arguments.fuzz:
+        figures["fuzz"] = [json.loads(file.read_text()) for file in arguments.fuzz]
     if arguments.write_docs:
-        saved = json.loads(FIGURES.read_text()) if FIGURES.exists() else {}
-        figures["fuzz"] = fuzz_results(arguments.fuzz, saved)
-        FIGURES.write_text(json.dumps(figures, indent=1) + "\n")
-        DOCUMENT.write_text(with_tables(DOCUMENT.read_text(), figures))
+        keep(figures)
     sys.stdout.write(json.dumps(figures, indent=1) + "\n")
 
 

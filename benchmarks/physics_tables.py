@@ -57,7 +57,11 @@ def _convergence(figures: Figures) -> Table:
     f = figures["convergence"]
     return [
         ["IPC steps", f"{f['ipc_steps']:,}"],
-        ["solved at once / after division / not", f"{f['converged']:,} / {f['substepped']} / {f['not_converged']}"],
+        [
+            "solved at once / after division / after a push",
+            f"{f['converged']:,} / {f['substepped']} / {f['pushed_off']}",
+        ],
+        ["not solved", str(f["not_converged"])],
         ["largest nodal residual (median)", f"{f['largest_residual_n']:.1e} N ({f['median_residual_n']:.1e} N)"],
         ["largest net force left on the peg", f"{f['largest_net_force_n']:.1e} N"],
         ["largest net torque left on the peg", f"{f['largest_net_torque_n_m']:.1e} N m"],
@@ -160,7 +164,7 @@ def _fuzz(figures: Figures) -> Table:
             f"{f['first_seed']} to {f['first_seed'] + f['episodes'] - 1}",
             str(f["episodes"]),
             f"{f['ipc_steps']:,}",
-            str(f["substepped"]),
+            f"{f['substepped']} / {f['pushed_off']}",
             str(f["not_converged"]),
             f"{f['intersections']} / {f['overlooked']}",
             f"{f['smallest_det_f']:.2f}",
@@ -168,7 +172,15 @@ def _fuzz(figures: Figures) -> Table:
         ]
         for f in figures["fuzz"]
     ]
-    head = ["task", "seeds", "episodes", "IPC steps", "divided", "not solved", "intersections / overlooked contacts"]
+    head = [
+        "task",
+        "seeds",
+        "episodes",
+        "IPC steps",
+        "divided / pushed off",
+        "not solved",
+        "intersections / overlooked contacts",
+    ]
     return [[*head, "smallest det F", "smallest gap"], *rows]
 
 
@@ -181,10 +193,45 @@ def _unsolved(figures: Figures) -> Table:
     return [["task", "seed", "env step", "IPC step in it", "force left"], *(rows or [["none", "", "", "", ""]])]
 
 
+def _gels(figures: Figures) -> Table:
+    gels = figures["gels"]
+    rows = []
+    for family, names in figures["gel_families"].items():
+        rows += [[family if name == names[0] else "", *_gel(gels[name])] for name in names]
+    head = ["gel", "nodes / free / tetrahedra", "set-up", "per IPC step", "per Newton iteration", "one factorisation"]
+    return [[*head, "iterations per IPC step", "contacts", "matrix and factors"], *rows]
+
+
+def _gel(f: Figures) -> list[str]:
+    return [
+        f"{f['nodes']:,} / {f['free_nodes']:,} / {f['tetrahedra']:,}",
+        f"{_two_digits(f['set_up_ms'])} ms",
+        f"{_two_digits(f['ms_per_ipc_step'])} ms",
+        f"{_two_digits(f['ms_per_newton_iteration'])} ms",
+        f"{_two_digits(f['ms_per_factorisation'])} ms",
+        f"{f['newton_iterations_per_ipc_step']:.1f}",
+        f"{f['active_contacts']:,}",
+        f"{_two_digits(f['solver_mb'])} MB",
+    ]
+
+
+def _two_digits(value: float) -> str:
+    rounded = float(f"{value:.1e}")
+    return f"{rounded:,.0f}" if rounded >= 10 else f"{rounded:.{1 if rounded >= 1 else 2}f}"
+
+
+def _exponents(figures: Figures) -> Table:
+    keys = ("ms_per_ipc_step", "ms_per_newton_iteration", "ms_per_factorisation", "set_up_ms", "solver_mb")
+    rows = [[family, *(f"{f[key]:.2f}" for key in keys)] for family, f in figures["gel_exponents"].items()]
+    return [["power of the nodes", "IPC step", "Newton iteration", "factorisation", "set-up", "memory"], *rows]
+
+
 TABLES: dict[str, Callable[[Figures], Table]] = {
     "agreement": _agreement,
     "convergence": _convergence,
+    "exponents": _exponents,
     "fuzz": _fuzz,
+    "gels": _gels,
     "ledger": _ledger,
     "logs": _logs,
     "misses": _misses,

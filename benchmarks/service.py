@@ -22,6 +22,7 @@ from uuid import UUID, uuid4
 
 from sqlalchemy import func, select
 from vitac.evaluator.records import EpisodeRecord
+from vitac.evaluator.scoring import score
 from vitac.server import evaluations, submissions, workers
 from vitac.server.acceptance import accept
 from vitac.server.auth import teams
@@ -98,7 +99,7 @@ def evaluation_figures(services: Services, principal: Principal, n_workers: int)
         "processors": os.cpu_count(),
         "platform_class": machines,
         "wall_s": round((done.finished_at - done.started_at).total_seconds(), 2),
-        "success_rate": done.success_rate,
+        "success_rate": score(records).success_rate,
         "result_hash": done.result_hash,
         "seconds_of_all_episodes": parts(services, records),
     }

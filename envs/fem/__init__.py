@@ -4,5 +4,5 @@
 `mollifier`, `friction` and `inertia`, summed in `assembly` and solved in `newton`.
 """
 
-SOLVER_VERSION = "2"
+SOLVER_VERSION = "3"
 """Changes whenever the same actions may give other states: physics, settings of the profile, order of operations."""

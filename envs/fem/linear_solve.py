@@ -107,6 +107,37 @@ def substitute(system: SystemLayout, factor: Factor, x: FloatArray) -> None:
         _substitute_back(fronts, f, factor.entries[fronts.factor[f] :], x, factor.near)
 
 
+@large_kernel
+def falling_direction(system: SystemLayout, factor: Factor, x: FloatArray) -> None:
+    """Write an x [n + m] with x A x < 0 for a factorised matrix A with a negative pivot; zeros if it has none.
+
+    The unknown of the last such pivot is 1, those eliminated later are 0 and those before it free of forces, so that
+    x A x is the pivot (Gill, Murray & Wright, Practical Optimization, 1981, section 4.4.2.2, for a symmetric A).
+    """
+    fronts = system.fronts
+    x[:] = 0.0
+    found = False
+    for f in range(len(fronts.factor) - 1, -1, -1):
+        factors = factor.entries[fronts.factor[f] :]
+        if not found:
+            found = _mark_last_negative_pivot(fronts, f, factors, x)
+        if found:
+            _substitute_back(fronts, f, factors, x, factor.near)
+
+
+@kernel
+def _mark_last_negative_pivot(fronts: Fronts, f: int, factors: FloatArray, x: FloatArray) -> bool:
+    """Write the right-hand side of the triangular system whose solution is 1 at that unknown, if a front has one."""
+    pivots = 3 * (fronts.first[f + 1] - fronts.first[f])
+    size = pivots + 3 * (fronts.row_start[f + 1] - fronts.row_start[f])
+    for k in range(pivots - 1, -1, -1):
+        pivot = factors[k * size + k]
+        if pivot < 0.0:
+            x[3 * fronts.first[f] + k] = pivot
+            return True
+    return False
+
+
 @kernel
 def _load(block: BlockLayout, start: IndexArray, fronts: Fronts, f: int, entries: FloatArray, front: Front) -> None:
     """Write the matrix's own blocks in the rows and columns of the front's pivots."""

@@ -13,7 +13,9 @@ Near the solution free iterations use the last matrix's factors again as long as
 Kelley, Iterative Methods for Linear and Nonlinear Equations, 1995, section 5.4), which spares most of their work.
 
 A solution whose exact Jacobian, as last factorised, has a negative determinant has a direction in which it moves away
-by itself: it is refused, and the caller looks for another by dividing the driven motion.
+by itself: it is refused, and the caller looks for another by dividing the driven motion. Where that leads to none, it
+can be left: the first move is then one in such a direction, as long as the forces still push that way, and all further
+iterations are cautious ones.
 """
 
 from enum import IntEnum
@@ -26,7 +28,7 @@ from ..compilation import allocating_kernel, kernel, large_kernel
 from .assembly import assemble
 from .broad_phase import Candidates, find_candidates, relative_motion
 from .ccd import contact_free_fraction, inversion_free_fraction
-from .linear_solve import factorise, has_negative_determinant, substitute
+from .linear_solve import factorise, falling_direction, has_negative_determinant, substitute
 from .model import PRESCRIBED, Model
 from .points import point_positions
 from .rows import add_rows, copy_rows, scale_rows
@@ -34,6 +36,12 @@ from .workspace import EXACT_MATRIX, NO_MATRIX, PROJECTED_MATRIX, Workspace
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
+
+
+# How a solve ends: at a solution, at one that is not stable, or at none.
+SOLVED = 0
+UNSTABLE = 1
+UNSOLVED = 2
 
 
 class Tolerances(NamedTuple):
@@ -128,26 +136,31 @@ def solve_step(
     counts: IndexArray,
     measures: FloatArray,
     workspace: Workspace,
-) -> bool:
-    """Move nodes x [m] of shape [n, 3] to the solution with the prescribed nodes at x_target; True if it is reached.
+    pushing: bool,
+) -> int:
+    """Move nodes x [m] of shape [n, 3] to the solution with the prescribed nodes at x_target; returns how that ended.
 
     Friction is measured from x_start, inertia from x_hat. The prescribed motion is part of the Newton step and is
     applied as far as contact allows in each iteration. Whatever the outcome, x is free of intersections and inversions.
+    With `pushing`, x is an unstable solution, which is left first.
     """
     s = _new_scratch(model, len(x))
     point_positions(model.points, x_start, s.y_start)
     point_positions(model.points, x, s.y)
     candidates = _listed(model, s)
     turn, residual, matrix, reusable = 0, np.inf, NO_MATRIX, False
+    pushed = pushing
     while turn < tolerances.iterations:
         left = _remaining_motion(model, x, x_target, s.prescribed_move)
-        cautious = _is_cautious(turn, tolerances.phase_iterations)
+        cautious = pushed or _is_cautious(turn, tolerances.phase_iterations)
         reused = reusable and not cautious and _reuse_factors(model, candidates, x, x_hat, s, workspace, residual)
-        if not reused:
+        if pushing:
+            matrix = _find_way_down(model, candidates, x, x_hat, s, workspace)
+        elif not reused:
             matrix = _find_direction(model, candidates, x, x_hat, s, workspace, counts, cautious, left)
-            if matrix == NO_MATRIX:
-                return False
-            turn += 1
+        if matrix == NO_MATRIX:
+            return UNSOLVED
+        turn += int(not reused)
         counts[Counter.REUSING_ITERATIONS] += int(reused)
         step = _node_move(model, s.solution, s.prescribed_move, s.move)
         residual = _largest_residual(model, workspace.gradient)
@@ -156,11 +169,12 @@ def solve_step(
         measures[Measure.RESIDUAL_N] = residual
         measures[Measure.SMALLEST_GAP_M] = workspace.smallest[0]
         measures[Measure.SMALLEST_DET_F] = workspace.smallest[1]
-        if left == 0.0 and step <= tolerances.step_m and residual <= tolerances.residual_n:
+        arrived = step <= tolerances.step_m and residual <= tolerances.residual_n
+        if left == 0.0 and arrived and not pushing:
             if _is_stable(model, candidates, x, x_hat, s, workspace, matrix):
-                return True
+                return SOLVED
             counts[Counter.UNSTABLE] += 1
-            return False
+            return UNSTABLE
         point_positions(model.points, s.move, s.y_move)
         longest = _shorten_long_move(model, s)
         add_rows(s.y, 1.0, s.y_move, s.y_other)
@@ -174,7 +188,9 @@ def solve_step(
         fraction = contact_free_fraction(
             candidates, s.motion, s.motion_ahead, s.y, s.y_move, model.parameters.ccd_gap_fraction, fraction
         )
-        if cautious and left == 0.0 and step > _UNCHECKED_STEP_M:
+        if pushing:
+            fraction = _while_falling(model, candidates, x, x_hat, s, workspace, fraction)
+        elif cautious and left == 0.0 and step > _UNCHECKED_STEP_M:
             fraction = _without_overshoot(model, candidates, x, x_hat, s, workspace, fraction)
         add_rows(x, fraction, s.move, x)
         whole = fraction == 1.0 and left == 0.0
@@ -184,7 +200,8 @@ def solve_step(
         point_positions(model.points, x, s.y)
         add_rows(s.y, -1.0, s.y_listed, s.y_other)
         relative_motion(model.surfaces, s.y_other, s.motion)
-    return False
+        pushing = False
+    return UNSOLVED
 
 
 @allocating_kernel
@@ -290,6 +307,50 @@ def _is_stable(
 
 
 @large_kernel
+def _find_way_down(
+    model: Model,
+    candidates: Candidates,
+    x: FloatArray,
+    x_hat: FloatArray,
+    s: _Scratch,
+    workspace: Workspace,
+) -> int:
+    """Write a longest move in a direction in which an unstable solution moves away; NO_MATRIX if there is none."""
+    assemble(model, candidates, s.motion, x, x_hat, s.y, s.y_start, s.prescribed_move, workspace, EXACT_MATRIX)
+    if not factorise(model.system, workspace.entries, workspace.factor, False):
+        return NO_MATRIX
+    falling_direction(model.system, workspace.factor, s.solution)
+    largest = 0.0
+    for i in range(len(s.solution)):
+        largest = max(largest, abs(s.solution[i]))
+    if not 0.0 < largest < np.inf:
+        return NO_MATRIX
+    for i in range(len(s.solution)):
+        s.solution[i] *= _LONGEST_MOVE_M / largest
+    return EXACT_MATRIX
+
+
+@large_kernel
+def _while_falling(
+    model: Model,
+    candidates: Candidates,
+    x: FloatArray,
+    x_hat: FloatArray,
+    s: _Scratch,
+    workspace: Workspace,
+    fraction: float,
+) -> float:
+    """Part of a move away from a balance at whose end the forces still push along it; by halving."""
+    for k in range(len(s.motion)):
+        s.motion_largest[k] = max(s.motion[k], s.motion_ahead[k])
+    for _ in range(_SHORTENINGS):
+        if _force_at(model, candidates, x, x_hat, s, workspace, fraction) < 0.0:
+            break
+        fraction *= 0.5
+    return fraction
+
+
+@large_kernel
 def _without_overshoot(
     model: Model,
     candidates: Candidates,
@@ -304,25 +365,39 @@ def _without_overshoot(
     for k in range(len(s.motion)):
         s.motion_largest[k] = max(s.motion[k], s.motion_ahead[k])
     for _ in range(_SHORTENINGS):
-        add_rows(x, fraction, s.move, s.trial)
-        point_positions(model.points, s.trial, s.y_other)
-        assemble(
-            model,
-            candidates,
-            s.motion_largest,
-            s.trial,
-            x_hat,
-            s.y_other,
-            s.y_start,
-            s.prescribed_move,
-            workspace,
-            NO_MATRIX,
-        )
-        there = _force_along(model, s.solution, workspace.gradient)
+        there = _force_at(model, candidates, x, x_hat, s, workspace, fraction)
         if there <= -_OVERSHOOT * here:
             break
         fraction *= max(0.1, min(0.5, here / (here - there)))
     return fraction
+
+
+@large_kernel
+def _force_at(
+    model: Model,
+    candidates: Candidates,
+    x: FloatArray,
+    x_hat: FloatArray,
+    s: _Scratch,
+    workspace: Workspace,
+    fraction: float,
+) -> float:
+    """The force along the solution, see `_force_along`, when a part of the move is made."""
+    add_rows(x, fraction, s.move, s.trial)
+    point_positions(model.points, s.trial, s.y_other)
+    assemble(
+        model,
+        candidates,
+        s.motion_largest,
+        s.trial,
+        x_hat,
+        s.y_other,
+        s.y_start,
+        s.prescribed_move,
+        workspace,
+        NO_MATRIX,
+    )
+    return _force_along(model, s.solution, workspace.gradient)
 
 
 @kernel

@@ -1,7 +1,7 @@
 """A scene: gels and affine bodies that are stepped together, one IPC step at a time."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 
 import numpy as np
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from .bodies import GelBody, RigidBody
 from .model_builder import build_model
-from .newton import Counter, Measure, Tolerances, solve_step
+from .newton import SOLVED, UNSOLVED, UNSTABLE, Counter, Measure, Tolerances, solve_step
 from .node_layout import NodeLayout
 from .overlap import find_overlap
 from .points import point_positions
@@ -29,6 +29,7 @@ class StepStatus(StrEnum):
 
     CONVERGED = "converged"  # solved in one go
     SUBSTEPPED = "substepped"  # solved after the driven motion was divided
+    PUSHED_OFF = "pushed_off"  # solved after an unstable equilibrium was left
     NOT_CONVERGED = "not_converged"  # not solved; the state is free of intersections but is not a minimum
 
 
@@ -39,10 +40,11 @@ class StepReport:
     Attributes:
         status: how it ended; a caller must not go on after NOT_CONVERGED.
         newton_iterations: Newton iterations, all sub-steps together.
-        substeps: parts the driven motion was divided into.
+        substeps: parts the driven motion was divided into where this state comes from.
         reusing_iterations: iterations that solved with the factors of an earlier one, among the Newton iterations.
         projected_iterations: iterations whose Hessian had to be projected to be positive definite.
-        unstable_solutions: equilibria that were refused because the determinant of their Jacobian is negative.
+        unstable_solutions: how often an equilibrium was reached whose Jacobian has a negative determinant.
+        push_offs: how often one was left in the end, as dividing led to no stable one.
         residual_n: largest force left on a node [N].
         net_force_n: largest net force left on a movable body [N].
         net_torque_n_m: largest net torque left on a movable body, about its centroid [N m].
@@ -57,12 +59,25 @@ class StepReport:
     reusing_iterations: int
     projected_iterations: int
     unstable_solutions: int
+    push_offs: int
     residual_n: float
     net_force_n: float
     net_torque_n_m: float
     smallest_gap_m: float
     smallest_det_f: float
     active_contacts: int
+
+
+@dataclass(kw_only=True, eq=False)
+class _IpcStep:
+    """What an IPC step starts from and goes to, node positions [m] of shape [n, 3], and what was counted so far."""
+
+    start: FloatArray
+    x_hat: FloatArray
+    target: FloatArray
+    push_offs: int = 0
+    counts: IndexArray = field(default_factory=lambda: np.zeros(len(Counter), dtype=np.int64))
+    measures: FloatArray = field(default_factory=lambda: np.zeros(len(Measure)))
 
 
 class Scene:
@@ -106,23 +121,12 @@ class Scene:
 
         The state after NOT_CONVERGED is free of intersections and inversions but is no minimum.
         """
-        target = self._target(driven_targets_m)
-        start = self._x.copy()
-        x_hat = start + self._model.parameters.time_step_s * self._velocity
-        counts = np.zeros(len(Counter), dtype=np.int64)
-        measures = np.zeros(len(Measure))
-        substeps, solved = 1, False
-        for level in range(self._solver.first_substep_level, self._solver.substep_levels + 1):
-            substeps = 2**level
-            self._x[:] = start
-            solved = self._solve_in_parts(substeps, start, x_hat, target, counts, measures)
-            if solved:
-                break
-        self._velocity = (self._x - start) / self._model.parameters.time_step_s
+        start, time_step_s = self._x.copy(), self._model.parameters.time_step_s
+        step = _IpcStep(start=start, x_hat=start + time_step_s * self._velocity, target=self._target(driven_targets_m))
+        status, substeps = self._solve(step)
+        self._velocity = (self._x - start) / time_step_s
         force, torque = self._net_load(self._workspace.gradient)
-        status = StepStatus.NOT_CONVERGED
-        if solved:
-            status = StepStatus.CONVERGED if substeps == 1 else StepStatus.SUBSTEPPED
+        counts, measures = step.counts, step.measures
         return StepReport(
             status=status,
             newton_iterations=int(counts[Counter.ITERATIONS]),
@@ -130,6 +134,7 @@ class Scene:
             reusing_iterations=int(counts[Counter.REUSING_ITERATIONS]),
             projected_iterations=int(counts[Counter.PROJECTED_ITERATIONS]),
             unstable_solutions=int(counts[Counter.UNSTABLE]),
+            push_offs=step.push_offs,
             residual_n=float(measures[Measure.RESIDUAL_N]),
             net_force_n=force,
             net_torque_n_m=torque,
@@ -185,16 +190,43 @@ class Scene:
             target[self._layout.gel_slices[index]][gel.mesh.driven_nodes] = wanted
         return target
 
-    def _solve_in_parts(
-        self,
-        parts: int,
-        start: FloatArray,
-        x_hat: FloatArray,
-        target: FloatArray,
-        counts: IndexArray,
-        measures: FloatArray,
-    ) -> bool:
-        """Solve the same IPC step along intermediate driven positions, each from the solution of the one before."""
+    def _solve(self, step: _IpcStep) -> tuple[StepStatus, int]:
+        """Solve at once, in more and more parts, or by leaving an unstable equilibrium; how, and in how many parts."""
+        s = self._solver
+        unstable: tuple[FloatArray, int] | None = None
+        for parts in (2**level for level in range(s.first_substep_level, s.substep_levels + 1)):
+            outcome = self._solve_in_parts(step, parts)
+            if outcome == SOLVED:
+                return StepStatus.SUBSTEPPED if parts > 1 else StepStatus.CONVERGED, parts
+            if outcome == UNSTABLE and unstable is None:
+                unstable = self._x.copy(), parts
+        if unstable is None or s.push_offs == 0:
+            return StepStatus.NOT_CONVERGED, parts
+        self._x[:], parts = unstable
+        return (StepStatus.PUSHED_OFF if self._push_off(step) else StepStatus.NOT_CONVERGED), parts
+
+    def _solve_in_parts(self, step: _IpcStep, parts: int) -> int:
+        """Solve along intermediate driven positions, each from the solution of the one before; how the last one ended.
+
+        An intermediate one that ends without a stable solution is the last one, and counts as not solved.
+        """
+        self._x[:] = step.start
+        for part in range(1, parts):
+            waypoint = step.start + (part / parts) * (step.target - step.start)
+            if self._solve_to(step, waypoint) != SOLVED:
+                return UNSOLVED
+        return self._solve_to(step, step.target)
+
+    def _push_off(self, step: _IpcStep) -> bool:
+        """Leave the unstable equilibrium that the scene is in, and any that this leads to."""
+        for _ in range(self._solver.push_offs):
+            step.push_offs += 1
+            outcome = self._solve_to(step, step.target, pushing=True)
+            if outcome != UNSTABLE:
+                return outcome == SOLVED
+        return False
+
+    def _solve_to(self, step: _IpcStep, waypoint: FloatArray, *, pushing: bool = False) -> int:
         s = self._solver
         tolerances = Tolerances(
             s.step_tolerance_m,
@@ -202,21 +234,18 @@ class Scene:
             s.newton_iterations,
             s.phase_iterations,
         )
-        for part in range(1, parts + 1):
-            waypoint = target if part == parts else start + (part / parts) * (target - start)
-            if not solve_step(
-                self._model,
-                self._x,
-                start,
-                x_hat,
-                waypoint,
-                tolerances,
-                counts,
-                measures,
-                self._workspace,
-            ):
-                return False
-        return True
+        return solve_step(
+            self._model,
+            self._x,
+            step.start,
+            step.x_hat,
+            waypoint,
+            tolerances,
+            step.counts,
+            step.measures,
+            self._workspace,
+            pushing,
+        )
 
     def _net_load(self, gradient: FloatArray) -> tuple[float, float]:
         """Largest net force [N] and torque [N m] left on a movable body; frame point forces act at the frame points."""

@@ -9,7 +9,14 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from vectors import vec3
 from vitac.envs.fem.fronts import Elimination, plan_elimination
-from vitac.envs.fem.linear_solve import Factor, factorise, has_negative_determinant, new_factor, substitute
+from vitac.envs.fem.linear_solve import (
+    Factor,
+    factorise,
+    falling_direction,
+    has_negative_determinant,
+    new_factor,
+    substitute,
+)
 from vitac.envs.fem.linear_system import NO_PLACE, SystemLayout, add_block, gel_block_places, system_layout
 from vitac.envs.fem.ordering import elimination_order, minimum_degree
 
@@ -207,3 +214,28 @@ def test_work_of_a_sheet_grows_like_the_three_halves_power_of_its_nodes() -> Non
 def test_a_plan_covers_the_free_nodes_of_its_mesh() -> None:
     mesh = box_gel((0.02, 0.006, 0.004), (10, 3, 2))
     assert sorted(mesh.elimination.nodes.tolist()) == np.flatnonzero(~mesh.driven).tolist()
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=st.integers(0, 10**6),
+    sizes=st.lists(st.integers(1, 20), min_size=1, max_size=2),
+    border=st.integers(0, 4),
+    symmetric=st.booleans(),
+)
+def test_falling_direction_leaves_only_the_last_negative_pivots_force(
+    seed: int, sizes: list[int], border: int, symmetric: bool
+) -> None:
+    layout, entries = random_system(seed, tuple(sizes), border, symmetric=symmetric, shift=3.0)
+    matrix = dense_matrix(layout, entries)
+    factor, x = factors(layout, entries), np.ones(len(matrix))
+    falling_direction(layout, factor, x)
+    if factor.negative_pivots[0] == 0:
+        np.testing.assert_array_equal(x, 0.0)
+        return
+    last = np.flatnonzero(x)[-1]
+    forces = matrix @ x
+    assert x[last] == pytest.approx(1.0)
+    np.testing.assert_allclose(forces[:last], 0.0, atol=1e-6 * np.abs(matrix).max() * np.abs(x).max())
+    assert forces[last] < 0.0
+    assert x @ forces == pytest.approx(forces[last], rel=1e-6)

@@ -1,6 +1,7 @@
 """Random episodes at the bounds of what a policy may do, every IPC step checked.
 
-Usage: python tests/support/physics_fuzz.py [--task peg|lock] [--first SEED] [--episodes N] [--past-end] [--json FILE]
+Usage: python tests/support/physics_fuzz.py [--task peg|lock] [--first SEED] [--episodes N] [--past-end] [--eigenvalues]
+                                             [--json FILE]
 
 Prints every IPC step that was divided, did not converge or would not last, with the numbers that play it again.
 """
@@ -43,8 +44,8 @@ class FuzzedStep:
     residual_n: float  # as the solver reports it
     force_left_n: float | None  # assembled anew; None where it was not looked at, in a reset before its last IPC step
     unstable: bool  # called solved, but the determinant of the Jacobian, assembled anew, is negative
-    growing_directions: int  # eigenvalues of that Jacobian with a negative real part
-    oscillating_directions: int  # those of them that are not real
+    growing_directions: int | None  # eigenvalues of that Jacobian with a negative real part; None if not asked for
+    oscillating_directions: int | None  # those of them that are not real
     smallest_gap_m: float
     smallest_det_f: float
     intersects: bool
@@ -103,15 +104,16 @@ class Seen:
     smallest_gap_m: float = np.inf
     force_left_n: float | None = None
     negative_determinant: bool = False
-    growing_directions: int = 0
-    oscillating_directions: int = 0
+    growing_directions: int | None = None
+    oscillating_directions: int | None = None
 
 
 class _Watch:
     """Checks the scene after every IPC step, while the environment is stepping it."""
 
-    def __init__(self, scene: GraspedScene) -> None:
+    def __init__(self, scene: GraspedScene, *, eigenvalues: bool) -> None:
         self._scene, self._check, self._seen = scene, GraspedSceneCheck(scene), list[Seen]()
+        self._eigenvalues = eigenvalues
         self._balance = BalanceCheck(scene._scene)
         scene.after_ipc_step = self._look
 
@@ -122,7 +124,7 @@ class _Watch:
 
     def _look(self) -> None:
         left = self._balance.balance()
-        growing, oscillating = left.growing_directions()
+        growing, oscillating = left.growing_directions() if self._eigenvalues else (None, None)
         self._seen.append(
             replace(
                 self.bodies(),
@@ -140,14 +142,14 @@ class _Watch:
 
 
 def fuzz_episode(
-    task: str, seed: int, *, past_end: bool = False, assets_dir: Path | None = None
+    task: str, seed: int, *, past_end: bool = False, eigenvalues: bool = False, assets_dir: Path | None = None
 ) -> Iterator[FuzzedStep]:
     """Play one random episode until it ends, or on to its last env step unless an IPC step does not converge."""
     random = np.random.default_rng(np.random.SeedSequence([{PEG: 1, LOCK: 2}[task], seed]))
     env = fuzzed_environment(task, random, assets_dir)
     options = start_options(task, random) | {"rng_seed": (seed,)}
     _, info = env.reset(options=options)
-    watch = _Watch(env.scene)
+    watch = _Watch(env.scene, eigenvalues=eigenvalues)
     reports: tuple[StepReport, ...] = info["step_reports"]
     # The scene can only be looked at from the end of the reset on.
     seen = [Seen()] * (len(reports) - 1) + [watch.bodies()]
@@ -190,10 +192,12 @@ def summary(steps: list[FuzzedStep]) -> dict[str, float]:
     status = [step.status for step in steps]
     solved = [step for step in steps if step.status != StepStatus.NOT_CONVERGED]
     left_n = [(step.force_left_n, step.residual_n) for step in solved if step.force_left_n is not None]
+    growing = [step.growing_directions for step in solved if step.growing_directions is not None]
     return {
         "episodes": len({(step.task, step.seed) for step in steps}),
         "ipc_steps": len(steps),
         "substepped": status.count(StepStatus.SUBSTEPPED),
+        "pushed_off": status.count(StepStatus.PUSHED_OFF),
         "not_converged": status.count(StepStatus.NOT_CONVERGED),
         "intersections": sum(step.intersects for step in steps),
         "overlooked": sum(step.overlooked for step in steps),
@@ -203,8 +207,9 @@ def summary(steps: list[FuzzedStep]) -> dict[str, float]:
         "largest_force_left_n": max(found for found, _ in left_n),
         "misreported": sum(abs(found - reported) > SAME_FORCE_N for found, reported in left_n),
         "unstable": sum(step.unstable for step in solved),
-        "growing": sum(step.growing_directions > 0 for step in solved),
-        "growing_in_two_directions": sum(step.growing_directions > 1 for step in solved),
+        "eigenvalues_taken": len(growing),
+        "growing": sum(directions > 0 for directions in growing),
+        "growing_in_two_directions": sum(directions > 1 for directions in growing),
         "mean_newton_iterations": sum(step.newton_iterations for step in steps) / len(steps),
     }
 
@@ -212,7 +217,7 @@ def summary(steps: list[FuzzedStep]) -> dict[str, float]:
 def _is_remarkable(step: FuzzedStep) -> bool:
     """Whether a person has to look at it."""
     wrong = step.intersects or step.overlooked or step.smallest_det_f <= 0
-    return wrong or step.status != StepStatus.CONVERGED or step.growing_directions > 0
+    return wrong or step.status != StepStatus.CONVERGED or bool(step.growing_directions)
 
 
 def main() -> None:
@@ -221,13 +226,20 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--episodes", type=int, default=100)
     parser.add_argument("--past-end", action="store_true", help="play on after a flag ended the episode")
+    parser.add_argument("--eigenvalues", action="store_true", help="also count directions that grow; takes much longer")
     parser.add_argument("--assets", type=Path)
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
     steps: list[FuzzedStep] = []
     began = time.process_time()
     for seed in range(arguments.first, arguments.first + arguments.episodes):
-        for step in fuzz_episode(arguments.task, seed, past_end=arguments.past_end, assets_dir=arguments.assets):
+        for step in fuzz_episode(
+            arguments.task,
+            seed,
+            past_end=arguments.past_end,
+            eigenvalues=arguments.eigenvalues,
+            assets_dir=arguments.assets,
+        ):
             steps.append(step)
             if _is_remarkable(step):
                 sys.stdout.write(f"{asdict(step)}\n")

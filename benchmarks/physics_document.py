@@ -1,0 +1,18 @@
+"""The figures that docs/physics.md shows, kept between measurements."""
+
+import json
+from pathlib import Path
+
+from physics_tables import Figures, with_tables
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+FIGURES = REPOSITORY / "benchmarks" / "physics.json"
+DOCUMENT = REPOSITORY / "docs" / "physics.md"
+
+
+def keep(figures: Figures) -> None:
+    """Put these figures in the place of those of the same names, and make all tables anew."""
+    kept: Figures = json.loads(FIGURES.read_text()) | figures
+    document = with_tables(DOCUMENT.read_text(), kept)
+    FIGURES.write_text(json.dumps(kept, indent=1) + "\n")
+    DOCUMENT.write_text(document)
