@@ -16,7 +16,7 @@ from time import process_time
 
 import numpy as np
 from physics_document import REPOSITORY, keep
-from physics_tables import Figures
+from physics_tables import GEL_QUANTITIES, Figures
 from vitac.envs.assets import Meshes
 from vitac.envs.fem.linear_solve import factorise
 from vitac.envs.fem.mesh import GelMesh
@@ -54,7 +54,6 @@ FAMILIES = {
     "two layers thick": ("330", "720", "1260", "2184", "4797"),
 }
 ODD = {"8 mm thick": ("thick",), "domed by 0.5 mm": ("domed",)}
-OF_INTEREST = ("set_up_ms", "ms_per_ipc_step", "ms_per_newton_iteration", "ms_per_factorisation", "solver_mb")
 PICTURE = REPOSITORY / "docs" / "pictures" / "gel-size.png"
 OFFSETS = (
     PegOffset(x_mm=-4.0, y_mm=1.0, theta_deg=-6.0),
@@ -180,7 +179,9 @@ def main() -> None:
             sys.stderr.write(f"{name}: {gels[name]['ms_per_ipc_step']:.1f} ms per IPC step\n")
     families = {family: [gels[name] for name in names if name in gels] for family, names in FAMILIES.items()}
     exponents = {
-        family: {key: exponent(rows, key) for key in OF_INTEREST} for family, rows in families.items() if len(rows) > 1
+        family: {key: exponent(rows, key) for key in GEL_QUANTITIES}
+        for family, rows in families.items()
+        if len(rows) > 1
     }
     figures = {"gels": gels, "gel_families": FAMILIES | ODD, "gel_exponents": exponents}
     if arguments.write_docs:

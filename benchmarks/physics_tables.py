@@ -9,6 +9,16 @@ Table = list[list[str]]  # head first
 _MARKED = re.compile(r"(<!-- table (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
+# What is measured of a gel and grows with its nodes.
+GEL_QUANTITIES = {
+    "ms_per_ipc_step": "IPC step",
+    "ms_per_newton_iteration": "Newton iteration",
+    "ms_per_factorisation": "factorisation",
+    "set_up_ms": "set-up",
+    "solver_mb": "memory",
+}
+
+
 class DocumentError(ValueError):
     """The document lacks a table or names one that nobody makes; the message says which."""
 
@@ -221,9 +231,11 @@ def _two_digits(value: float) -> str:
 
 
 def _exponents(figures: Figures) -> Table:
-    keys = ("ms_per_ipc_step", "ms_per_newton_iteration", "ms_per_factorisation", "set_up_ms", "solver_mb")
-    rows = [[family, *(f"{f[key]:.2f}" for key in keys)] for family, f in figures["gel_exponents"].items()]
-    return [["power of the nodes", "IPC step", "Newton iteration", "factorisation", "set-up", "memory"], *rows]
+    rows = [
+        [family, *(f"{f[quantity]:.2f}" for quantity in GEL_QUANTITIES)]
+        for family, f in figures["gel_exponents"].items()
+    ]
+    return [["power of the nodes", *GEL_QUANTITIES.values()], *rows]
 
 
 TABLES: dict[str, Callable[[Figures], Table]] = {
