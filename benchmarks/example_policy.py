@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from vitac.evaluator.episodes import make_environment
-from vitac.evaluator.scoring import Rate, rate
+from vitac.evaluator.episodes.episode import make_environment
+from vitac.evaluator.scoring.score import Rate, rate
 from vitac.evaluator.tracks import Task, load_track
 
 EXAMPLES = Path(__file__).parents[1] / "examples"

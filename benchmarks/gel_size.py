@@ -18,16 +18,16 @@ import numpy as np
 from physics_document import REPOSITORY, keep
 from physics_tables import GEL_QUANTITIES, Figures
 from vitac.envs.assets import Meshes
-from vitac.envs.fem.linear_solve import factorise
-from vitac.envs.fem.mesh import GelMesh
-from vitac.envs.fem.scene import StepReport
+from vitac.envs.fem.linear.elimination import factorise
+from vitac.envs.fem.model.mesh import GelMesh
+from vitac.envs.fem.scene.scene import StepReport
 from vitac.envs.geometry.pegs import PegShape
-from vitac.envs.grasped_scene import Clocks
-from vitac.envs.peg_insertion.scene import PegScene
-from vitac.envs.peg_insertion.settings import PegInsertionSettings
-from vitac.envs.peg_insertion.variation import PegOffset, PegStart
-from vitac.envs.stopwatch import Stopwatch
+from vitac.envs.scene.grasped_scene import Clocks
+from vitac.envs.scene.stopwatch import Stopwatch
 from vitac.envs.tactile.gel import GelCells, GelDimensions, structured_gel
+from vitac.envs.tasks.peg_insertion.scene import PegScene
+from vitac.envs.tasks.peg_insertion.settings import PegInsertionSettings
+from vitac.envs.tasks.peg_insertion.variation import PegOffset, PegStart
 
 PLAIN, THICK, DOMED = GelDimensions(), GelDimensions(thickness_mm=8.0), GelDimensions(dome_mm=0.5)
 GELS: dict[str, tuple[GelCells, GelDimensions]] = {

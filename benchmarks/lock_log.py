@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 from vitac.envs.geometry.keys import KeyShape, key_control_points
-from vitac.envs.lock_opening.env import LockOpeningEnv
-from vitac.envs.lock_opening.settings import LockOpeningSettings
-from vitac.envs.lock_opening.task import SUCCESS_Z_RANGE_M
+from vitac.envs.tasks.lock_opening.env import LockOpeningEnv
+from vitac.envs.tasks.lock_opening.settings import LockOpeningSettings
+from vitac.envs.tasks.lock_opening.task import SUCCESS_Z_RANGE_M
 
 Episode = dict[str, Any]
 LIST_SEED = 8

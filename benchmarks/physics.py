@@ -21,7 +21,7 @@ from physics_ledger import ledger
 from physics_pieces import pieces
 from physics_replay import Reference, Replay, read_reference
 from physics_tables import Figures
-from vitac.envs.fem.settings import SolverSettings
+from vitac.envs.fem.model.settings import SolverSettings
 
 LEDGER_EPISODES = 45
 LEDGER_ENV_STEPS = 3

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 from physics_replay import EnvStep, Reference, Replay
-from vitac.envs.fem.scene import StepReport, StepStatus
+from vitac.envs.fem.scene.scene import StepReport, StepStatus
 
 Figures = dict[str, Any]
 # An episode counts as certain where the reference's own spread is below this, and as missed beyond it.

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from physics_figures import AGREEMENT_MM, deviation_mm, spread_mm
 from physics_replay import Reference, Replay
-from vitac.envs.fem.scene import StepStatus
-from vitac.envs.fem.settings import SolverSettings
+from vitac.envs.fem.model.settings import SolverSettings
+from vitac.envs.fem.scene.scene import StepStatus
 
 Row = dict[str, Any]
 TIGHTEST = "tightest"

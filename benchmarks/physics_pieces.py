@@ -12,15 +12,15 @@ from typing import Any
 
 import numpy as np
 from physics_replay import Reference, Replay
-from vitac.envs.fem.assembly import assemble
-from vitac.envs.fem.broad_phase import find_candidates, relative_motion
-from vitac.envs.fem.ccd import contact_free_fraction, inversion_free_fraction
-from vitac.envs.fem.contact_assembly import add_contacts
-from vitac.envs.fem.elasticity import add_elasticity
-from vitac.envs.fem.linear_solve import factorise, substitute
-from vitac.envs.fem.points import point_positions
-from vitac.envs.fem.scene import Scene
-from vitac.envs.fem.workspace import EXACT_MATRIX, NO_MATRIX, new_workspace
+from vitac.envs.fem.contact.assembly import add_contacts
+from vitac.envs.fem.contact.broad_phase import find_candidates, relative_motion
+from vitac.envs.fem.contact.ccd import contact_free_fraction, inversion_free_fraction
+from vitac.envs.fem.elastic.elasticity import add_elasticity
+from vitac.envs.fem.linear.elimination import factorise, substitute
+from vitac.envs.fem.model.points import point_positions
+from vitac.envs.fem.scene.scene import Scene
+from vitac.envs.fem.solver.assembly import assemble
+from vitac.envs.fem.solver.workspace import EXACT_MATRIX, NO_MATRIX, new_workspace
 
 Figures = dict[str, Any]
 FloatArray = np.ndarray[Any, np.dtype[np.float64]]

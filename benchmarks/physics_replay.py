@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from vitac.envs.fem.scene import StepReport
-from vitac.envs.fem.settings import SolverSettings
-from vitac.envs.grasped_scene import PhysicsSettings
-from vitac.envs.peg_insertion.env import PegInsertionEnv
+from vitac.envs.fem.model.settings import SolverSettings
+from vitac.envs.fem.scene.scene import StepReport
+from vitac.envs.scene.grasped_scene import PhysicsSettings
+from vitac.envs.tasks.peg_insertion.env import PegInsertionEnv
 
 FloatArray = NDArray[np.float64]
 Episode = dict[str, Any]

@@ -21,20 +21,21 @@ from typing import Any
 from uuid import UUID, uuid4
 
 from sqlalchemy import func, select
-from vitac.evaluator.records import EpisodeRecord
-from vitac.evaluator.scoring import score
-from vitac.server import evaluations, submissions, workers
-from vitac.server.acceptance import accept
-from vitac.server.auth import teams
-from vitac.server.auth.principals import CONSOLE, Principal
+from vitac.evaluator.episodes.records import EpisodeRecord
+from vitac.evaluator.scoring.score import score
+from vitac.server.accounts import teams
+from vitac.server.accounts.principals import CONSOLE, Principal
 from vitac.server.db.models import Evaluation, Shard, Worker
 from vitac.server.db.states import TERMINAL_EVALUATION_STATES, EvaluationState, Role, SubmissionKind
+from vitac.server.evaluations import evaluations
 from vitac.server.housekeeping import Housekeeping
-from vitac.server.intake import ReceivedFile
-from vitac.server.queue import leases
+from vitac.server.queue import leases, workers
 from vitac.server.queue.jobs import withdraw_jobs
 from vitac.server.services import Services, open_services
 from vitac.server.settings import load_settings
+from vitac.server.submissions import submissions
+from vitac.server.uploads.acceptance import accept
+from vitac.server.uploads.intake import ReceivedFile
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "peg_insertion_heuristic" / "Track_1"
 WORKER = "from vitac.server.settings import load_settings; from vitac.worker.main import run; run(load_settings())"

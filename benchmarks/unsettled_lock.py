@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from vitac.envs.assets import Meshes
 from vitac.envs.geometry.keys import KeyShape, key_control_points
 from vitac.envs.geometry.solid import nearest_vertices
-from vitac.envs.grasped_scene import Clocks
-from vitac.envs.lock_opening.scene import LockScene
-from vitac.envs.lock_opening.settings import LockOpeningSettings
-from vitac.envs.lock_opening.variation import KeyOffset, LockStart, SensorJitter
-from vitac.envs.stopwatch import Stopwatch
+from vitac.envs.scene.grasped_scene import Clocks
+from vitac.envs.scene.stopwatch import Stopwatch
+from vitac.envs.tasks.lock_opening.scene import LockScene
+from vitac.envs.tasks.lock_opening.settings import LockOpeningSettings
+from vitac.envs.tasks.lock_opening.variation import KeyOffset, LockStart, SensorJitter
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
 from slow_oracle import SlowOracle

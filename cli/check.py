@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from vitac.evaluator.records import EpisodeRecord
-    from vitac.evaluator.submission import SubmissionManifest
+    from vitac.evaluator.episodes.records import EpisodeRecord
+    from vitac.evaluator.submission.manifest import SubmissionManifest
 
 
 @dataclass(kw_only=True)
@@ -32,7 +32,7 @@ def command(
     """Tell what would be refused: the rules of archives, submission.yaml, two episodes of each task in the sandbox."""
     findings = check(submission)
     if as_json:
-        from .output import print_json
+        from .terminal.output import print_json
 
         print_json({"ok": not findings.refused, **asdict(findings)})
     else:
@@ -48,8 +48,8 @@ def check(submission: Path) -> Findings:
     Raises:
         VitacError: the path is no submission, or this machine cannot evaluate.
     """
-    from vitac.evaluator.archive import ArchiveRejected
-    from vitac.evaluator.submission import ManifestRejected, load_manifest, stage, submission_digest
+    from vitac.evaluator.submission.archive import ArchiveRejected
+    from vitac.evaluator.submission.manifest import ManifestRejected, load_manifest, stage, submission_digest
 
     findings = Findings()
     with TemporaryDirectory(prefix="vitac-check-") as folder:
@@ -70,7 +70,7 @@ def check(submission: Path) -> Findings:
 
 def _check_task(staged: Path, manifest: "SubmissionManifest", task: str, findings: Findings) -> None:
     """Play the first and the last episode of a task's list, which differ in shape and start."""
-    from vitac.evaluator.evaluation import evaluate
+    from vitac.evaluator.evaluation.local import evaluate
     from vitac.evaluator.tracks import load_track
 
     track = load_track(manifest.track)

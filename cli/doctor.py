@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
-    from vitac.evaluator.agent.machine import Requirement
+    from vitac.evaluator.agent.isolation.machine import Requirement
     from vitac.evaluator.agent.self_test import Outcome
 
 
@@ -14,7 +14,7 @@ def command(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
 ) -> None:
     """Try the isolation of submissions here: fork bombs, memory, network, files, and more; exit 1 where one escapes."""
-    from vitac.evaluator.agent.machine import requirements
+    from vitac.evaluator.agent.isolation.machine import requirements
     from vitac.evaluator.agent.self_test import is_safe, run
 
     found = requirements()
@@ -32,7 +32,7 @@ def command(
 
 
 def _print_requirements(found: "list[Requirement]") -> None:
-    from .output import print_table
+    from .terminal.output import print_table
 
     rows = [(item.name, _state(item), item.found) for item in found]
     print_table(("machine", "state", "found"), rows, none="")
@@ -79,7 +79,7 @@ def _conclusion(outcomes: "list[Outcome]", *, can_try: bool, safe: bool) -> str:
 
 
 def _print_json(found: "list[Requirement]", outcomes: "list[Outcome]", *, safe: bool) -> None:
-    from .output import print_json
+    from .terminal.output import print_json
 
     print_json(
         {

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
-    from vitac.evaluator.evaluation import Evaluation
-    from vitac.evaluator.records import EpisodeRecord
-    from vitac.evaluator.scoring import Rate
-    from vitac.evaluator.submission import SubmissionManifest
+    from vitac.evaluator.episodes.records import EpisodeRecord
+    from vitac.evaluator.evaluation.local import Evaluation
+    from vitac.evaluator.scoring.score import Rate
+    from vitac.evaluator.submission.manifest import SubmissionManifest
 
 
 def parse_episodes(text: str | None) -> tuple[int, ...] | None:
@@ -44,9 +44,9 @@ def command(
 ) -> None:
     """Evaluate a submission here, with the same records, score and result hash as the service."""
     from vitac.envs.assets import assets_dir_from_environment
-    from vitac.evaluator.evaluation import evaluate
-    from vitac.evaluator.staging import staged
-    from vitac.evaluator.submission import load_manifest, submission_digest
+    from vitac.evaluator.evaluation.local import evaluate
+    from vitac.evaluator.submission.manifest import load_manifest, submission_digest
+    from vitac.evaluator.submission.staging import staged
     from vitac.evaluator.tracks import load_track
 
     numbers = parse_episodes(episodes)
@@ -77,7 +77,7 @@ def command(
 
 def _check_outputs(json: Path | None, log: Path | None, team: str | None) -> None:
     """What would only fail after minutes of evaluation is refused before them."""
-    from vitac.evaluator.logs import is_team_name
+    from vitac.evaluator.logs.log import is_team_name
 
     for option, path in (("--json", json), ("--log", log)):
         if path is not None and (path.is_dir() or not path.absolute().parent.is_dir()):
@@ -99,13 +99,13 @@ def _chosen_task(manifest: "SubmissionManifest", task: str | None) -> str:
 
 
 def _report(evaluation: "Evaluation", manifest: "SubmissionManifest", digest: str) -> str:
-    from vitac.evaluator.report import EvaluationReport
+    from vitac.evaluator.evaluation.report import EvaluationReport
 
     return EvaluationReport.of(evaluation, name=manifest.name, digest=digest).model_dump_json(indent=1) + "\n"
 
 
 def _write_log(path: Path, evaluation: "Evaluation", team: str | None, digest: str) -> None:
-    from vitac.evaluator.logs import LogHeader, write_log
+    from vitac.evaluator.logs.log import LogHeader, write_log
 
     header = LogHeader(team=team, submission_digest=digest, manifest=evaluation.manifest)
     with path.open("wb") as stream:
@@ -113,7 +113,7 @@ def _write_log(path: Path, evaluation: "Evaluation", team: str | None, digest: s
 
 
 def _print_summary(evaluation: "Evaluation", manifest: "SubmissionManifest") -> None:
-    from .output import print_table
+    from .terminal.output import print_table
 
     print(f"{manifest.name}, {evaluation.manifest.track}, {evaluation.manifest.task}")
     if evaluation.failure:

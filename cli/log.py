@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from vitac.evaluator.logs import LogHeader
-    from vitac.evaluator.records import EpisodeRecord
+    from vitac.evaluator.episodes.records import EpisodeRecord
+    from vitac.evaluator.logs.log import LogHeader
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, pretty_exceptions_enable=False)
 
@@ -20,9 +20,9 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 @app.command()
 def show(log: LogFile, json: AsJson = False) -> None:
     """Print the header, a table of the episodes and the score that the log claims."""
-    from vitac.evaluator.scoring import score
+    from vitac.evaluator.scoring.score import score
 
-    from .output import print_json, print_table
+    from .terminal.output import print_json, print_table
 
     header, records = _read(log)
     claimed = score(records) if records else None
@@ -52,12 +52,12 @@ def verify(
     json: AsJson = False,
 ) -> None:
     """Re-simulate a log from its actions; exit code 0 if it is verified, 1 if it diverges or is impossible."""
-    from vitac.evaluator.episodes import make_environment
+    from vitac.evaluator.episodes.episode import make_environment
+    from vitac.evaluator.logs.verification import verify as verify_log
     from vitac.evaluator.tracks import find_task
-    from vitac.evaluator.verification import verify as verify_log
 
     from .evaluate import parse_episodes
-    from .output import print_json
+    from .terminal.output import print_json
 
     header, records = _read(log)
     track, task = find_task(header.manifest.task)
@@ -88,9 +88,9 @@ def verify(
 @app.command()
 def diff(first: LogFile, second: LogFile, json: AsJson = False) -> None:
     """Print the first difference of two logs; exit code 0 if they tell the same, 1 if not."""
-    from vitac.evaluator.log_differences import first_difference
+    from vitac.evaluator.logs.differences import first_difference
 
-    from .output import print_json
+    from .terminal.output import print_json
 
     difference = first_difference(_read(first), _read(second))
     if json:
@@ -112,10 +112,10 @@ def import_(
     json: AsJson = False,
 ) -> None:
     """Read a text log of the 2025 challenge, check all that can be checked, and convert it."""
-    from vitac.evaluator.packed_logs import open_log
-    from vitac.evaluator.text_logs import read_text_log, summarize, to_json_lines
+    from vitac.evaluator.logs.packing import open_log
+    from vitac.evaluator.logs.text_2025 import read_text_log, summarize, to_json_lines
 
-    from .output import print_json
+    from .terminal.output import print_json
 
     with open_log(file) as stream:
         log = read_text_log(stream)
@@ -141,13 +141,13 @@ def audit(
 ) -> None:
     """Tell how many of a log's actions a model gives; exit code 0 if all, 1 if not."""
     from vitac.evaluator.agent.limits import Limits
-    from vitac.evaluator.audit import audit as audit_log
-    from vitac.evaluator.episodes import make_environment
-    from vitac.evaluator.shards import load_in_sandbox
-    from vitac.evaluator.staging import staged
+    from vitac.evaluator.episodes.episode import make_environment
+    from vitac.evaluator.logs.audit import audit as audit_log
+    from vitac.evaluator.shards.policy import load_in_sandbox
+    from vitac.evaluator.submission.staging import staged
     from vitac.evaluator.tracks import find_task
 
-    from .output import print_json
+    from .terminal.output import print_json
 
     header, records = _read(log)
     _, task = find_task(header.manifest.task)
@@ -175,8 +175,8 @@ def audit(
 
 
 def _read(log: Path) -> tuple["LogHeader", list["EpisodeRecord"]]:
-    from vitac.evaluator.logs import LogReader
-    from vitac.evaluator.packed_logs import open_log
+    from vitac.evaluator.logs.log import LogReader
+    from vitac.evaluator.logs.packing import open_log
 
     with open_log(log) as stream:
         reader = LogReader(stream)

@@ -15,26 +15,27 @@ from vitac.envs.errors import VitacError
 class Noun:
     """One entry of `vitac --help`.
 
-    `vitac.cli.<name>` has a function `command` (no verbs) or a `typer.Typer` named `app` (several verbs).
+    `vitac.cli.<module>` has a function `command` (no verbs) or a `typer.Typer` named `app` (several verbs).
     """
 
     name: str
+    module: str
     summary: str
 
 
 NOUNS = (
-    Noun(name="demo", summary="Evaluate the example on a service of its own."),
-    Noun(name="check", summary="Tell what would be refused in a submission."),
-    Noun(name="evaluate", summary="Evaluate a submission here, as the service does."),
-    Noun(name="resimulate", summary="Play recorded actions through the physics."),
-    Noun(name="log", summary="Show, verify, compare and import evaluation logs."),
-    Noun(name="show", summary="Draw an episode: gels, peg and marker flow."),
-    Noun(name="submit", summary="Upload a submission to a service."),
-    Noun(name="status", summary="Show your submissions on a service."),
-    Noun(name="serve", summary="Run the service: database, API and pages."),
-    Noun(name="worker", summary="Run a worker that evaluates submissions."),
-    Noun(name="admin", summary="Organize: teams, submissions, evaluations, workers."),
-    Noun(name="doctor", summary="Try the isolation of submissions on this machine."),
+    Noun(name="demo", module="demo.demo", summary="Evaluate the example on a service of its own."),
+    Noun(name="check", module="check", summary="Tell what would be refused in a submission."),
+    Noun(name="evaluate", module="evaluate", summary="Evaluate a submission here, as the service does."),
+    Noun(name="resimulate", module="resimulate", summary="Play recorded actions through the physics."),
+    Noun(name="log", module="log", summary="Show, verify, compare and import evaluation logs."),
+    Noun(name="show", module="show", summary="Draw an episode: gels, peg and marker flow."),
+    Noun(name="submit", module="client.submit", summary="Upload a submission to a service."),
+    Noun(name="status", module="client.status", summary="Show your submissions on a service."),
+    Noun(name="serve", module="service.serve", summary="Run the service: database, API and pages."),
+    Noun(name="worker", module="service.worker", summary="Run a worker that evaluates submissions."),
+    Noun(name="admin", module="admin.app", summary="Organize: teams, submissions, evaluations, workers."),
+    Noun(name="doctor", module="doctor", summary="Try the isolation of submissions on this machine."),
 )
 
 
@@ -62,7 +63,7 @@ def build_app(arguments: Sequence[str]) -> typer.Typer:
         if noun.name != asked_for:
             app.command(noun.name, help=noun.summary)(_listed_only)
             continue
-        module = import_module(f"vitac.cli.{noun.name}")
+        module = import_module(f"vitac.cli.{noun.module}")
         if hasattr(module, "app"):
             app.add_typer(module.app, name=noun.name, help=noun.summary)
         else:

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from vitac.evaluator.recordings import Recording
-    from vitac.evaluator.resimulation import ReportedEpisode, ReportedStep
+    from vitac.evaluator.logs.recordings import Recording
+    from vitac.evaluator.logs.resimulation import ReportedEpisode, ReportedStep
 
 
 def command(
@@ -28,9 +28,9 @@ def command(
     right), and height of the peg's bottom vertices over the plate, or of the key's teeth.
     """
     from vitac.envs.assets import assets_dir_from_environment
-    from vitac.evaluator.episodes import make_environment
-    from vitac.evaluator.recordings import read_recordings
-    from vitac.evaluator.resimulation import report, resimulate_all
+    from vitac.evaluator.episodes.episode import make_environment
+    from vitac.evaluator.logs.recordings import read_recordings
+    from vitac.evaluator.logs.resimulation import report, resimulate_all
     from vitac.evaluator.tracks import find_task
 
     _, definition = find_task(task)
@@ -52,7 +52,7 @@ def command(
 
 
 def _lines(recording: "Recording", played: "ReportedEpisode") -> Iterator[str]:
-    from vitac.evaluator.resimulation import reported_step
+    from vitac.evaluator.logs.resimulation import reported_step
 
     start = " ".join(f"{value:g}" for value in recording.episode.offset)
     yield f"Episode {played.episode}: {recording.episode.shape} at {start}"

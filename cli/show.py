@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from vitac.envs.drawing.files import Kind
     from vitac.envs.drawing.picture import Caption
     from vitac.envs.drawing.playback import NextAction, Playback
-    from vitac.envs.task_env import Info, Observation, TactileTaskEnv
-    from vitac.evaluator.recordings import Recording
+    from vitac.envs.tasks.task_env import Info, Observation, TactileTaskEnv
+    from vitac.evaluator.logs.recordings import Recording
     from vitac.evaluator.tracks import Episode, Task
 
 _EXTRA = "show"
@@ -158,8 +158,8 @@ def find_start(task: str, number: int) -> Start:
         UnknownEpisodes: the list does not have that number.
     """
     from vitac.envs import ENVIRONMENTS
-    from vitac.evaluator.shards import cut
     from vitac.evaluator.tracks import find_task
+    from vitac.evaluator.tracks.cut import cut
 
     if task in ENVIRONMENTS:
         return Start(env_id=task, title=f"{task}, random start {number}", options={"rng_seed": number})
@@ -205,8 +205,8 @@ def _player(start: Start, policy: Path | None, actions: Path | None) -> Iterator
 @contextmanager
 def _policy_player(task: "Task", start: Start, submission: Path) -> Iterator[Played]:
     from vitac.evaluator.agent.session import PolicySession
-    from vitac.evaluator.episodes import public_part
-    from vitac.evaluator.submission import load_manifest, stage
+    from vitac.evaluator.episodes.episode import public_part
+    from vitac.evaluator.submission.manifest import load_manifest, stage
 
     with TemporaryDirectory(prefix="vitac-show-") as folder:
         Path(folder).chmod(0o755)  # Under root the sandbox has a user of its own, which must reach the submission.
@@ -228,7 +228,7 @@ def _policy_player(task: "Task", start: Start, submission: Path) -> Iterator[Pla
 
 
 def _recording(task: "Task", number: int, path: Path) -> "Recording":
-    from vitac.evaluator.recordings import read_recordings
+    from vitac.evaluator.logs.recordings import read_recordings
 
     for recording in read_recordings(path, task):
         if recording.episode.number == number:
@@ -280,7 +280,7 @@ def _report(caption: "Caption", playback: "Playback", written: list[Path], *, as
     last = playback.moments[-1]
     outcome = last.end_reason or "not ended"
     if as_json:
-        from .output import print_json
+        from .terminal.output import print_json
 
         files = [str(path) for path in written]
         found = {"title": caption.title, "actions": caption.actions, "outcome": outcome, "env_steps": last.env_step}

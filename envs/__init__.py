@@ -3,8 +3,8 @@
 import gymnasium
 
 ENVIRONMENTS = {
-    "ViTac/LockOpening-v1": "vitac.envs.lock_opening.env:LockOpeningEnv",
-    "ViTac/PegInsertion-v1": "vitac.envs.peg_insertion.env:PegInsertionEnv",
+    "ViTac/LockOpening-v1": "vitac.envs.tasks.lock_opening.env:LockOpeningEnv",
+    "ViTac/PegInsertion-v1": "vitac.envs.tasks.peg_insertion.env:PegInsertionEnv",
 }
 """Entry point of every id; a string, so that registering does not import the simulation."""
 

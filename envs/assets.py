@@ -11,7 +11,7 @@ from functools import cache
 from pathlib import Path
 
 from .errors import VitacError
-from .fem.mesh import GelMesh, SurfaceMesh
+from .fem.model.mesh import GelMesh, SurfaceMesh
 from .geometry.keys import KeyShape, key_surface
 from .geometry.locks import lock_surface
 from .geometry.pegs import PegShape, hole_surface, peg_surface

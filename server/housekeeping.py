@@ -11,10 +11,10 @@ from sqlalchemy.exc import DBAPIError
 from vitac.envs.errors import VitacError
 
 from .db.models import Submission
+from .evaluations.superseding import supersede_outdated
 from .queue.jobs import prune_finished_jobs
 from .queue.sweep import sweep
 from .services import Services
-from .superseding import supersede_outdated
 
 logger = structlog.get_logger(__name__)
 

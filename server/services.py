@@ -4,9 +4,9 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
-from vitac.server.db.embedded import EmbeddedPostgres
 from vitac.server.db.engine import Database
 from vitac.server.db.schema import upgrade
+from vitac.server.postgres.embedded import EmbeddedPostgres
 from vitac.server.settings import Settings
 from vitac.server.storage.blobs import BlobStore
 

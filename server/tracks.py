@@ -5,7 +5,7 @@ from dataclasses import asdict
 from vitac.evaluator.tracks import Track, list_tracks, load_track
 from vitac.server.db.states import SubmissionKind
 from vitac.server.settings import Settings
-from vitac.server.views import TrackListView, TrackTaskView, TrackView
+from vitac.server.views.views import TrackListView, TrackTaskView, TrackView
 
 
 def track_views(settings: Settings) -> TrackListView:

@@ -9,8 +9,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from uuid import UUID
 
-    from vitac.server.auth.principals import Principal
-    from vitac.server.views import (
+    from vitac.server.accounts.principals import Principal
+    from vitac.server.views.views import (
         AuditView,
         EpisodeView,
         LeaderboardView,

@@ -9,9 +9,11 @@ import asyncio
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
-from vitac.server import leaderboards, log_audits, log_boards, submissions
-from vitac.server.auth import tokens
+from vitac.server.accounts import tokens
 from vitac.server.errors import ProblemCode, ServiceError
+from vitac.server.leaderboards import leaderboards, log_boards
+from vitac.server.logs import audits
+from vitac.server.submissions import submissions
 
 from .limits_table import limit_rows, size
 from .page_data import Visitor
@@ -21,10 +23,10 @@ if TYPE_CHECKING:
     from uuid import UUID
 
     from sqlalchemy.orm import Session
-    from vitac.server.auth.principals import Principal
+    from vitac.server.accounts.principals import Principal
     from vitac.server.db.engine import Database
     from vitac.server.settings import Settings
-    from vitac.server.views import (
+    from vitac.server.views.views import (
         AuditView,
         EpisodeView,
         LeaderboardView,
@@ -79,7 +81,7 @@ class ServiceData:
 
     async def audits(self, visitor: Visitor, submission_id: UUID) -> Sequence[AuditView]:
         """Return how far the team's models go along with a log."""
-        return await self._ask(lambda session: log_audits.audits(session, visitor.principal, submission_id))
+        return await self._ask(lambda session: audits.audits(session, visitor.principal, submission_id))
 
     async def cancel(self, visitor: Visitor, submission_id: UUID) -> None:
         """Cancel an evaluation."""

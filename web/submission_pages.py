@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from starlette.requests import Request
     from vitac.evaluator.tracks import Track
-    from vitac.server.views import EpisodeView, RankView, SubmissionView, TaskProgressView, TaskScoreView
+    from vitac.server.views.views import EpisodeView, RankView, SubmissionView, TaskProgressView, TaskScoreView
 
     from .episode_map import EpisodeMap
     from .site import Viewer

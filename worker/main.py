@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 
 import structlog
-from vitac.evaluator.shard_process import running_shard
+from vitac.evaluator.shards.process import running_shard
 from vitac.server.db.states import WorkerState
 from vitac.server.housekeeping import Housekeeping
 from vitac.server.services import Services, open_services

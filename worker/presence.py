@@ -8,9 +8,9 @@ from uuid import UUID, uuid4
 import structlog
 from sqlalchemy.exc import DBAPIError
 from vitac.evaluator.version import evaluator_version, platform_class
-from vitac.server import workers
 from vitac.server.db.models import Worker
 from vitac.server.db.states import WorkerState
+from vitac.server.queue import workers
 from vitac.server.services import Services
 
 logger = structlog.get_logger(__name__)

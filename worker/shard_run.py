@@ -11,11 +11,12 @@ from typing import Protocol, TypeVar
 import structlog
 from sqlalchemy.orm import Session
 from vitac.envs.errors import VitacError
-from vitac.evaluator.records import EpisodeRecord, Manifest
-from vitac.evaluator.shard_process import ShardOrder, running_shard
-from vitac.evaluator.shards import ShardEnd, ShardResult, is_broken
+from vitac.evaluator.episodes.records import EpisodeRecord, Manifest
+from vitac.evaluator.scoring.failures import is_broken
+from vitac.evaluator.shards.process import ShardOrder, running_shard
+from vitac.evaluator.shards.result import ShardEnd, ShardResult
 from vitac.server.db.states import SubmissionKind
-from vitac.server.evaluations import finish_shard, report_broken_machine
+from vitac.server.evaluations.evaluations import finish_shard, report_broken_machine
 from vitac.server.queue import leases
 from vitac.server.queue.leases import Lease, LeaseLost, StoredEpisodes
 from vitac.server.services import Services
@@ -30,7 +31,7 @@ DATABASE_PATIENCE_S = 600.0
 
 
 class RunningShard(Protocol):
-    """What a shard's process offers (`evaluator.shard_process.ShardProcess`)."""
+    """What a shard's process offers (`evaluator.shards.process.ShardProcess`)."""
 
     def records(self) -> Iterator[EpisodeRecord]:
         """Each record as soon as its episode is over."""

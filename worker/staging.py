@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from vitac.evaluator.agent.limits import Limits
-from vitac.evaluator.archive import unpack
+from vitac.evaluator.submission.archive import unpack
 from vitac.server.db.states import SubmissionKind
 from vitac.server.storage.blobs import BlobStore
 

@@ -10,7 +10,7 @@ from uuid import UUID
 import structlog
 from procrastinate.exceptions import ProcrastinateException
 from sqlalchemy.exc import DBAPIError
-from vitac.evaluator.shard_process import running_shard
+from vitac.evaluator.shards.process import running_shard
 from vitac.evaluator.version import evaluator_version
 from vitac.server.queue import leases
 from vitac.server.queue.jobs import RUN_SHARD, make_worker_app, queue_name

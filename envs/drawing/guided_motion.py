@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..deterministic_math import sine_cosine
-from ..lock_opening.settings import LockOpeningSettings
-from ..lock_opening.task import SUCCESS_Z_RANGE_M
-from ..lock_opening.variation import ENV_ID as LOCK_OPENING
-from ..peg_insertion.settings import PegInsertionSettings
-from ..peg_insertion.variation import ENV_ID as PEG_INSERTION
-from ..task_env import Info, Observation
+from ..tasks.lock_opening.settings import LockOpeningSettings
+from ..tasks.lock_opening.task import SUCCESS_Z_RANGE_M
+from ..tasks.lock_opening.variation import ENV_ID as LOCK_OPENING
+from ..tasks.peg_insertion.settings import PegInsertionSettings
+from ..tasks.peg_insertion.variation import ENV_ID as PEG_INSERTION
+from ..tasks.task_env import Info, Observation
 from .perspectives import NotDrawable
 
 ActionArray = NDArray[np.float32]

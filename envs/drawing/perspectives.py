@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import VitacError
-from ..lock_opening.task import CEILING_Z_M, SUCCESS_Z_RANGE_M
-from ..lock_opening.variation import ENV_ID as LOCK_OPENING
-from ..peg_insertion.task import SUCCESS_DEPTH_MM
-from ..peg_insertion.variation import ENV_ID as PEG_INSERTION
-from .section import Plane
+from ..tasks.lock_opening.task import CEILING_Z_M, SUCCESS_Z_RANGE_M
+from ..tasks.lock_opening.variation import ENV_ID as LOCK_OPENING
+from ..tasks.peg_insertion.task import SUCCESS_DEPTH_MM
+from ..tasks.peg_insertion.variation import ENV_ID as PEG_INSERTION
+from .projection.section import Plane
 
 FloatArray = NDArray[np.float64]
 InfoView = Mapping[str, Any]

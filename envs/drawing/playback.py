@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..fem.mesh import GelMesh, SurfaceMesh
-from ..grasped_scene import GraspedScene, PhysicsSettings
-from ..gripper import SensorPose
-from ..task_env import Info, Observation, TactileTaskEnv
+from ..fem.model.mesh import GelMesh, SurfaceMesh
+from ..scene.grasped_scene import GraspedScene, PhysicsSettings
+from ..scene.gripper import SensorPose
+from ..tasks.task_env import Info, Observation, TactileTaskEnv
 
 FloatArray = NDArray[np.float64]
 NextAction = Callable[[Observation, Info], NDArray[np.float32] | None]

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from .perspectives import Perspective, Progress, SectionView
 from .playback import Moment, Playback
-from .section import Plane, section_loops_m
-from .shading import CUT_COLOUR, HELD_COLOUR
+from .projection.section import Plane, section_loops_m
+from .projection.shading import CUT_COLOUR, HELD_COLOUR
 
 FloatArray = NDArray[np.float64]
 

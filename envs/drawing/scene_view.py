@@ -5,13 +5,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .camera import ParallelCamera
-from .edges import sharp_edges, unique_edges, unit_normals, visible_lines
 from .perspectives import Perspective
 from .playback import Moment, Playback
-from .section import section_loops_m
-from .shading import CUT_COLOUR, FIXED_COLOUR, HELD_COLOUR, ColourMap, averaged, lit, seen_through
-from .visibility import NOTHING, Visible
+from .projection.camera import ParallelCamera
+from .projection.edges import sharp_edges, unique_edges, unit_normals, visible_lines
+from .projection.section import section_loops_m
+from .projection.shading import CUT_COLOUR, FIXED_COLOUR, HELD_COLOUR, ColourMap, averaged, lit, seen_through
+from .projection.visibility import NOTHING, Visible
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

@@ -28,8 +28,8 @@ def cauchy_stress_pa(F: FloatArray, *, youngs_modulus_pa: float, poisson_ratio: 
 
         sigma = (mu (B - I) + lambda ln J I) / J,   B = F F^T,   J = det F
 
-    This is P F^T / J of the energy in `envs.fem.neo_hookean`; Bonet & Wood, Nonlinear Continuum Mechanics for Finite
-    Element Analysis (2008), equation 6.29.
+    This is P F^T / J of the energy in `envs.fem.elastic.neo_hookean`; Bonet & Wood, Nonlinear Continuum Mechanics for
+    Finite Element Analysis (2008), equation 6.29.
 
     Args:
         F: deformation gradients with positive determinant, shape [t, 3, 3].

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from ..fem.mesh import SurfaceMesh
+from ..fem.model.mesh import SurfaceMesh
 from .polygon import Polygon, as_polygon
 from .solid import ZX_ALONG_Y, prism_faces, solid_from_faces
 

@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from ..fem.mesh import SurfaceMesh
+from ..fem.model.mesh import SurfaceMesh
 from .keys import KeyShape, box_corners_m
 from .polygon import as_polygon
 from .solid import Face, solid_from_faces

@@ -7,7 +7,7 @@ from math import sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from ..fem.mesh import SurfaceMesh
+from ..fem.model.mesh import SurfaceMesh
 from .polygon import Polygon, as_polygon, mitred_offset
 from .solid import nearest_vertices, prism_faces, rectangle, solid_from_faces
 

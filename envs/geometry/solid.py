@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..fem.mesh import SurfaceMesh
+from ..fem.model.mesh import SurfaceMesh
 from .polygon import Polygon
 from .triangulation import triangulate
 

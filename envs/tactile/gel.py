@@ -7,7 +7,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from ..fem.mesh import GelMesh
+from ..fem.model.mesh import GelMesh
 
 FloatArray = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import VitacError
-from ..fem.mesh import GelMesh
+from ..fem.model.mesh import GelMesh
 
 _TETRAHEDRON_TYPE = 4
 _LARGEST_FILE_BYTES = 64 * 2**20

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ..compilation import allocating_kernel, kernel
 from ..deterministic_math import normal_pairs, sine_cosine
 from ..errors import VitacError
-from ..fem.mesh import GelMesh
+from ..fem.model.mesh import GelMesh
 from .camera import project
 
 FloatArray = NDArray[np.float64]

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import VitacError
-from ..fem.mesh import GelMesh
+from ..fem.model.mesh import GelMesh
 from .camera import camera_frame, mean_distance_m
 from .markers import MarkerSettings, SensingSurface, marker_flow
 

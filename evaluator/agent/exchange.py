@@ -8,11 +8,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from .channel import ChannelClosed
-from .frames import Answer, AnswerKind, Array, QuestionKind
+from .isolation.output import printable
+from .isolation.sandbox import Sandbox
 from .limits import Limits
-from .output import printable
-from .sandbox import Sandbox
+from .protocol.channel import ChannelClosed
+from .protocol.frames import Answer, AnswerKind, Array, QuestionKind
 from .verdicts import PolicyFailed, VerdictCode
 
 LOADER_PID: Final = 2

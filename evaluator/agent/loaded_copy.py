@@ -16,11 +16,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
-from . import process_tree, tracing
-from .bubblewrap import DEVICES
 from .exchange import EpisodeProcess
-from .process_ids import ProcessIds
-from .tracing import NotWaiting, TracedProcess, TracedProcessGone
+from .isolation import process_tree, tracing
+from .isolation.bubblewrap import DEVICES
+from .isolation.process_ids import ProcessIds
+from .isolation.tracing import NotWaiting, TracedProcess, TracedProcessGone
 from .verdicts import PolicyFailed, VerdictCode
 
 _CLONE_PARENT: Final = 0x00008000

@@ -1,4 +1,4 @@
-"""A policy at work: loads it in a sandbox and gives each episode a copy of it; `evaluator.shards` plays with it."""
+"""A policy at work: loads it in a sandbox and gives each episode a copy of it; `shards.policy` plays with it."""
 
 import contextlib
 import os
@@ -14,18 +14,18 @@ from typing import Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from . import process_tree, tracing
-from .action import checked_action
-from .bubblewrap import UserIsolation
-from .cgroup import MemoryIsolation
 from .exchange import Deadlines, EpisodeProcess, Exchange
-from .frames import Answer, AnswerKind, Array, QuestionKind
+from .isolation import process_tree, tracing
+from .isolation.bubblewrap import UserIsolation
+from .isolation.cgroup import MemoryIsolation
+from .isolation.process_ids import ProcessIds
+from .isolation.sandbox import Sandbox
+from .isolation.tracing import TracedProcessGone
 from .limits import Limits
 from .loaded_copy import LoadedCopy
-from .process_ids import ProcessIds
-from .sandbox import Sandbox
+from .protocol.action import checked_action
+from .protocol.frames import Answer, AnswerKind, Array, QuestionKind
 from .shard_time import ShardTime
-from .tracing import TracedProcessGone
 from .verdicts import PolicyFailed, SandboxFailed, VerdictCode
 
 _REPORT_DEADLINE_S: Final = 2.0

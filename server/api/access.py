@@ -4,8 +4,8 @@ from typing import Annotated
 
 from fastapi import Depends, Request
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
-from vitac.server.auth import tokens
-from vitac.server.auth.principals import Principal
+from vitac.server.accounts import tokens
+from vitac.server.accounts.principals import Principal
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.services import Services
 

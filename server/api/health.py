@@ -6,9 +6,9 @@ from fastapi import APIRouter, Response
 from sqlalchemy.exc import DBAPIError
 from vitac.server.db.schema import is_current
 from vitac.server.errors import ServiceError
+from vitac.server.queue.workers import workers_alive
 from vitac.server.services import Services
-from vitac.server.views import HealthView, ReadyView, WorkersView
-from vitac.server.workers import workers_alive
+from vitac.server.views.views import HealthView, ReadyView, WorkersView
 
 from .access import ServicesOf
 

@@ -14,16 +14,18 @@ from fastapi import APIRouter, Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
 from sse_starlette import EventSourceResponse, ServerSentEvent
 from starlette.requests import ClientDisconnect
-from vitac.server import intake, log_audits, submissions
-from vitac.server.acceptance import accept, check_kind
-from vitac.server.auth.principals import Principal
+from vitac.server.accounts.principals import Principal
 from vitac.server.db.states import EvaluationState, SubmissionKind
 from vitac.server.errors import ProblemCode, ServiceError
-from vitac.server.leaderboards import load_known_track
-from vitac.server.log_export import export_log
+from vitac.server.leaderboards.leaderboards import load_known_track
+from vitac.server.logs import audits
+from vitac.server.logs.export import export_log
 from vitac.server.services import Services
-from vitac.server.submissions import CheckedUpload
-from vitac.server.views import AuditView, EpisodeView, SubmissionListView, SubmissionView
+from vitac.server.submissions import submissions
+from vitac.server.submissions.submissions import CheckedUpload
+from vitac.server.uploads import intake
+from vitac.server.uploads.acceptance import accept, check_kind
+from vitac.server.views.views import AuditView, EpisodeView, SubmissionListView, SubmissionView
 
 from .access import PrincipalOf, ServicesOf
 from .problems import RESPONSES
@@ -120,7 +122,7 @@ def get_episodes(services: ServicesOf, principal: PrincipalOf, submission_id: UU
 def get_audits(services: ServicesOf, principal: PrincipalOf, submission_id: UUID) -> list[AuditView]:
     """How many of a verified log's actions each later model of the team gives; empty for everything but a log."""
     with services.database.transaction() as session:
-        return log_audits.audits(session, principal, submission_id)
+        return audits.audits(session, principal, submission_id)
 
 
 @router.get(

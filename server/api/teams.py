@@ -8,15 +8,15 @@ from uuid import UUID
 from fastapi import APIRouter, Request, Response
 from pydantic import BaseModel, ConfigDict, Field
 from sqlalchemy.orm import Session
-from vitac.server.auth import teams, tokens
-from vitac.server.auth.principals import CONSOLE, Principal
+from vitac.server.accounts import teams, tokens
+from vitac.server.accounts.principals import CONSOLE, Principal
 from vitac.server.db.models import ApiToken, Team
 from vitac.server.db.states import Role
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.services import Services
 from vitac.server.settings import Registration
-from vitac.server.submission_views import team_view
-from vitac.server.views import MeView, NewTokenView, RegisteredTeamView, TokenListView, TokenView
+from vitac.server.submissions.view import team_view
+from vitac.server.views.views import MeView, NewTokenView, RegisteredTeamView, TokenListView, TokenView
 
 from .access import OptionalPrincipalOf, PrincipalOf, ServicesOf
 from .problems import RESPONSES

@@ -3,10 +3,10 @@
 from typing import Annotated
 
 from fastapi import APIRouter, Query
-from vitac.server.leaderboards import leaderboard, load_known_track
-from vitac.server.log_boards import log_boards
+from vitac.server.leaderboards.leaderboards import leaderboard, load_known_track
+from vitac.server.leaderboards.log_boards import log_boards
 from vitac.server.tracks import track_view, track_views
-from vitac.server.views import LeaderboardView, LogBoardsView, TrackListView, TrackView
+from vitac.server.views.views import LeaderboardView, LogBoardsView, TrackListView, TrackView
 
 from .access import ServicesOf
 from .problems import RESPONSES

@@ -186,7 +186,7 @@ class Evaluation(Base):
 class Shard(Base):
     """A fixed piece of an evaluation, the unit of queue work. `token` rises with each claim: it fences off others.
 
-    `finding` says why an uploaded log is not true (`evaluator.log_findings.LogFinding`).
+    `finding` says why an uploaded log is not true (`evaluator.logs.findings.LogFinding`).
     """
 
     __tablename__ = "shards"

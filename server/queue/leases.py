@@ -15,8 +15,8 @@ from sqlalchemy import Interval, cast, func, select, update
 from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
 from vitac.envs.errors import VitacError
-from vitac.evaluator.records import EpisodeRecord, Manifest, PolicyFailure
-from vitac.evaluator.shards import ShardResult
+from vitac.evaluator.episodes.records import EpisodeRecord, Manifest, PolicyFailure
+from vitac.evaluator.shards.result import ShardResult
 from vitac.server.db.models import EpisodeResult, Evaluation, Shard, Submission
 from vitac.server.db.states import EvaluationState, ShardState, SubmissionKind
 

@@ -13,7 +13,7 @@ from sqlalchemy import ColumnElement, Interval, cast, func, select, text
 from sqlalchemy.orm import Session
 from vitac.server.db.models import Evaluation, Shard
 from vitac.server.db.states import ShardState
-from vitac.server.evaluations import fail_by_machines
+from vitac.server.evaluations.evaluations import fail_by_machines
 from vitac.server.settings import Settings
 
 from .jobs import ONCE_MORE, RUN_SHARD, enqueue_shards

@@ -21,10 +21,10 @@ from page_fixtures import (
 )
 from playwright.sync_api import Browser, Page, sync_playwright
 from site_under_test import SiteUnderTest
-from vitac.cli.web_server import WebServer, address_of, bind
-from vitac.evaluator.log_findings import LogVerdict
+from vitac.cli.service.web_server import WebServer, address_of, bind
+from vitac.evaluator.logs.findings import LogVerdict
 from vitac.server.db.states import EvaluationState, Role, SubmissionKind
-from vitac.server.views import LeaderboardView, VerdictView
+from vitac.server.views.views import LeaderboardView, VerdictView
 
 ARGUMENTS = (
     "--disable-background-networking",

@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from vitac.evaluator.episodes import json_info, make_environment, public_part
-from vitac.evaluator.logs import MAX_INFO_BYTES, MAX_INFO_VALUES, count_values
-from vitac.evaluator.records import canonical_json
+from vitac.evaluator.episodes.episode import json_info, make_environment, public_part
+from vitac.evaluator.episodes.records import canonical_json
+from vitac.evaluator.logs.log import MAX_INFO_BYTES, MAX_INFO_VALUES, count_values
 from vitac.evaluator.tracks import Task, list_tracks, load_track
 
 TASKS = [task for track in list_tracks() for task in load_track(track).tasks.values()]

@@ -5,12 +5,8 @@ import pytest
 from block_meshes import box_surface
 from numpy.typing import NDArray
 from vectors import columns3, differences, random_rotation
-from vitac.envs.fem.affine_body import (
-    affine_columns,
-    frame_mass,
-    frame_weights,
-)
-from vitac.envs.fem.orthogonality import (
+from vitac.envs.fem.affine.affine_body import affine_columns, frame_mass, frame_weights
+from vitac.envs.fem.affine.orthogonality import (
     orthogonality_block,
     orthogonality_energy,
     orthogonality_error,

@@ -5,8 +5,8 @@ import pytest
 from engine_probe import Probe
 from numpy.typing import NDArray
 from small_scenes import Grip
-from vitac.envs.fem.linear_solve import factorise, has_negative_determinant, substitute
-from vitac.envs.fem.scene import StepStatus
+from vitac.envs.fem.linear.elimination import factorise, has_negative_determinant, substitute
+from vitac.envs.fem.scene.scene import StepStatus
 
 FloatArray = NDArray[np.float64]
 STEP_M = 1e-10

@@ -5,13 +5,13 @@ import pytest
 from block_meshes import box_gel
 from numpy.typing import NDArray
 from small_scenes import IDENTITY
-from vitac.envs.fem.bodies import GelBody
-from vitac.envs.fem.broad_phase import Candidates
-from vitac.envs.fem.ccd import contact_free_fraction, inversion_free_fraction
-from vitac.envs.fem.distance import EDGE_EDGE, POINT_TRIANGLE, closest_points
-from vitac.envs.fem.model import Elastic
-from vitac.envs.fem.scene import Scene
-from vitac.envs.fem.vec3 import load
+from vitac.envs.fem.algebra.vec3 import load
+from vitac.envs.fem.contact.broad_phase import Candidates
+from vitac.envs.fem.contact.ccd import contact_free_fraction, inversion_free_fraction
+from vitac.envs.fem.contact.distance import EDGE_EDGE, POINT_TRIANGLE, closest_points
+from vitac.envs.fem.model.bodies import GelBody
+from vitac.envs.fem.model.model import Elastic
+from vitac.envs.fem.scene.scene import Scene
 
 FloatArray = NDArray[np.float64]
 GAP_FRACTION = 0.7

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from vectors import differences, vec3
-from vitac.envs.fem.barrier import barrier
-from vitac.envs.fem.friction import slip_factor, slip_potential
-from vitac.envs.fem.mollifier import (
+from vitac.envs.fem.contact.barrier import barrier
+from vitac.envs.fem.contact.friction import slip_factor, slip_potential
+from vitac.envs.fem.contact.mollifier import (
     mollifier,
     squared_cross_norm,
     squared_cross_norm_blocks,

@@ -9,9 +9,9 @@ from block_meshes import box_gel, box_surface
 from engine_probe import Probe
 from numpy.typing import NDArray
 from small_scenes import IDENTITY, Grip, driven_positions_m
-from vitac.envs.fem.bodies import GelBody, RigidBody
-from vitac.envs.fem.mesh import SurfaceMesh
-from vitac.envs.fem.scene import Scene, StepReport, StepStatus
+from vitac.envs.fem.model.bodies import GelBody, RigidBody
+from vitac.envs.fem.model.mesh import SurfaceMesh
+from vitac.envs.fem.scene.scene import Scene, StepReport, StepStatus
 
 FloatArray = NDArray[np.float64]
 H = 0.01

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from vectors import differences, vec3
-from vitac.envs.fem.contact import SlidingDirection, sliding_directions
-from vitac.envs.fem.distance import EDGE_EDGE, POINT_TRIANGLE, Coefficients, Sliding, closest_points
+from vitac.envs.fem.contact.contact import SlidingDirection, sliding_directions
+from vitac.envs.fem.contact.distance import EDGE_EDGE, POINT_TRIANGLE, Coefficients, Sliding, closest_points
 
 FloatArray = NDArray[np.float64]
 TRIANGLE = np.array([[0.0, 0.0, 0.0], [1.0, 0.1, 0.05], [0.2, 0.9, -0.1]])

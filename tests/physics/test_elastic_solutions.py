@@ -12,9 +12,9 @@ from skfem import Basis, BilinearForm, ElementTetP1, ElementVector, LinearForm, 
 from skfem.helpers import ddot, det, grad, inv, transpose  # type: ignore[import-untyped]
 from small_scenes import IDENTITY, driven_positions_m
 from vectors import random_rotation
-from vitac.envs.fem.bodies import GelBody
-from vitac.envs.fem.mesh import GelMesh
-from vitac.envs.fem.scene import Scene, StepStatus
+from vitac.envs.fem.model.bodies import GelBody
+from vitac.envs.fem.model.mesh import GelMesh
+from vitac.envs.fem.scene.scene import Scene, StepStatus
 
 FloatArray = NDArray[np.float64]
 MU_PA, LAMBDA_PA = 3e5 / 2.6, 3e5 * 0.3 / (1.3 * 0.4)

@@ -9,7 +9,7 @@ from engine_probe import Probe
 from numpy.typing import NDArray
 from small_scenes import Grip
 from vectors import vec3
-from vitac.envs.fem.distance import EDGE_EDGE, closest_points
+from vitac.envs.fem.contact.distance import EDGE_EDGE, closest_points
 
 FloatArray = NDArray[np.float64]
 STEP_M = 1e-8

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 from vitac.envs.assets import Meshes
-from vitac.envs.fem.mesh import GelMesh
-from vitac.envs.fem.scene import StepReport, StepStatus
+from vitac.envs.fem.model.mesh import GelMesh
+from vitac.envs.fem.scene.scene import StepReport, StepStatus
 from vitac.envs.geometry.pegs import PegShape
-from vitac.envs.grasped_scene import Clocks
-from vitac.envs.peg_insertion.scene import PegScene
-from vitac.envs.peg_insertion.settings import PegInsertionSettings
-from vitac.envs.peg_insertion.variation import PegOffset, PegStart
-from vitac.envs.stopwatch import Stopwatch
+from vitac.envs.scene.grasped_scene import Clocks
+from vitac.envs.scene.stopwatch import Stopwatch
 from vitac.envs.tactile.gel import GelCells, GelDimensions, gelsight_mini_mesh, structured_gel
+from vitac.envs.tasks.peg_insertion.scene import PegScene
+from vitac.envs.tasks.peg_insertion.settings import PegInsertionSettings
+from vitac.envs.tasks.peg_insertion.variation import PegOffset, PegStart
 
 FINE = structured_gel(name="fine", cells=GelCells(x=8, y=7, layers=2))
 THICK_DOME = structured_gel(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from vitac.envs.compilation import kernel
-from vitac.envs.fem.lanes import LANES, subtract_products
+from vitac.envs.fem.algebra.lanes import LANES, subtract_products
 
 FloatArray = NDArray[np.float64]
 Three = tuple[float, float, float]

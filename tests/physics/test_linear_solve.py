@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from vectors import vec3
-from vitac.envs.fem.fronts import Elimination, plan_elimination
-from vitac.envs.fem.linear_solve import (
+from vitac.envs.fem.linear.elimination import (
     Factor,
     factorise,
     falling_direction,
@@ -17,8 +16,9 @@ from vitac.envs.fem.linear_solve import (
     new_factor,
     substitute,
 )
-from vitac.envs.fem.linear_system import NO_PLACE, SystemLayout, add_block, gel_block_places, system_layout
-from vitac.envs.fem.ordering import elimination_order, minimum_degree
+from vitac.envs.fem.linear.fronts import Elimination, plan_elimination
+from vitac.envs.fem.linear.ordering import elimination_order, minimum_degree
+from vitac.envs.fem.linear.system import NO_PLACE, SystemLayout, add_block, gel_block_places, system_layout
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

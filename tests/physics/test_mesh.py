@@ -7,10 +7,10 @@ import pytest
 from block_meshes import box_gel, box_surface
 from numpy.typing import NDArray
 from small_scenes import IDENTITY
-from vitac.envs.fem.bodies import GelBody, RigidBody
-from vitac.envs.fem.mesh import GelMesh, MeshError
-from vitac.envs.fem.scene import Scene
-from vitac.envs.fem.scene_checks import SceneError
+from vitac.envs.fem.model.bodies import GelBody, RigidBody
+from vitac.envs.fem.model.mesh import GelMesh, MeshError
+from vitac.envs.fem.scene.checks import SceneError
+from vitac.envs.fem.scene.scene import Scene
 
 BLOCK = box_gel((0.006, 0.005, 0.004), (2, 2, 2), name="block.msh")
 BOX = box_surface((0.01, 0.01, 0.01), name="box.stl")

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from vectors import columns3, differences, random_rotation, vec3
-from vitac.envs.fem.mat3 import apply_columns
-from vitac.envs.fem.neo_hookean import (
+from vitac.envs.fem.algebra.mat3 import apply_columns
+from vitac.envs.fem.elastic.neo_hookean import (
     cofactors,
     deformation_gradient,
     lame_parameters_pa,

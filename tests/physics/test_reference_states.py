@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from recorded_pegs import RecordedPeg
 from vitac.envs.assets import Meshes
-from vitac.envs.fem.scene import StepStatus
+from vitac.envs.fem.scene.scene import StepStatus
 from vitac.envs.geometry.pegs import PegShape
-from vitac.envs.peg_insertion.env import PegInsertionEnv
+from vitac.envs.tasks.peg_insertion.env import PegInsertionEnv
 
 # Agreement that is asked for, on episodes whose own spread is below it.
 AGREEMENT_MM = 0.03

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from block_meshes import box_gel, box_surface
 from small_scenes import IDENTITY, driven_positions_m
-from vitac.envs.fem.bodies import GelBody, RigidBody
-from vitac.envs.fem.scene import Scene
-from vitac.envs.fem.scene_checks import SceneError
-from vitac.envs.fem.settings import ContactSettings, SolverSettings
+from vitac.envs.fem.model.bodies import GelBody, RigidBody
+from vitac.envs.fem.model.settings import ContactSettings, SolverSettings
+from vitac.envs.fem.scene.checks import SceneError
+from vitac.envs.fem.scene.scene import Scene
 
 GEL = GelBody(mesh=box_gel((0.01, 0.01, 0.01), (1, 1, 1)), rotation=IDENTITY, translation_m=np.zeros(3))
 BODY = RigidBody(mesh=box_surface((0.01, 0.01, 0.01)), rotation=IDENTITY, translation_m=np.array([0.0, 0.0, 1.0]))

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from engine_probe import Assembled, Probe
 from numpy.typing import NDArray
-from vitac.envs.fem.overlap import find_overlap
-from vitac.envs.fem.scene import Scene, StepReport, StepStatus
+from vitac.envs.fem.contact.overlap import find_overlap
+from vitac.envs.fem.scene.scene import Scene, StepReport, StepStatus
 
 FloatArray = NDArray[np.float64]
 

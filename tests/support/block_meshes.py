@@ -2,7 +2,7 @@
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from vitac.envs.fem.mesh import GelMesh, SurfaceMesh
+from vitac.envs.fem.model.mesh import GelMesh, SurfaceMesh
 
 FloatArray = NDArray[np.float64]
 # A cube cut into six positively oriented tetrahedra around its diagonal (Kuhn), neighbours matching.

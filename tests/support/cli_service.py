@@ -13,7 +13,7 @@ from service_database import fresh_database
 from service_factories import make_principal, make_secret, make_settings
 from typer.testing import CliRunner, Result
 from vitac.cli.main import build_app
-from vitac.cli.web_server import WebServer, address_of, bind
+from vitac.cli.service.web_server import WebServer, address_of, bind
 from vitac.server.db.engine import Database
 from vitac.server.services import Services
 from vitac.server.storage.blobs import BlobStore

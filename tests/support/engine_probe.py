@@ -4,13 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from vitac.envs.fem.assembly import assemble
-from vitac.envs.fem.broad_phase import Candidates, find_candidates, relative_motion
-from vitac.envs.fem.linear_system import GEL_STRIDE, NO_PLACE, SystemLayout, block_place, gel_block_place
-from vitac.envs.fem.model import PRESCRIBED, Model
-from vitac.envs.fem.points import point_positions
-from vitac.envs.fem.scene import Scene
-from vitac.envs.fem.workspace import EXACT_MATRIX, PROJECTED_MATRIX, Workspace, new_workspace
+from vitac.envs.fem.contact.broad_phase import Candidates, find_candidates, relative_motion
+from vitac.envs.fem.linear.system import GEL_STRIDE, NO_PLACE, SystemLayout, block_place, gel_block_place
+from vitac.envs.fem.model.model import PRESCRIBED, Model
+from vitac.envs.fem.model.points import point_positions
+from vitac.envs.fem.scene.scene import Scene
+from vitac.envs.fem.solver.assembly import assemble
+from vitac.envs.fem.solver.workspace import EXACT_MATRIX, PROJECTED_MATRIX, Workspace, new_workspace
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from vitac.evaluator.agent.bubblewrap import UserIsolation
-from vitac.evaluator.agent.cgroup import MemoryIsolation
+from vitac.evaluator.agent.isolation.bubblewrap import UserIsolation
+from vitac.evaluator.agent.isolation.cgroup import MemoryIsolation
 from vitac.evaluator.agent.session import EpisodeIsolation, Isolation
 from vitac.evaluator.agent.verdicts import PolicyFailed, VerdictCode
 from vitac.evaluator.tracks import Task, Track, load_track

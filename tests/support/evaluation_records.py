@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 from vitac.evaluator.agent.verdicts import VerdictCode
-from vitac.evaluator.records import (
+from vitac.evaluator.episodes.records import (
     ActionSequence,
     EpisodeOutcome,
     EpisodeRecord,

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from vitac.envs.fem.bodies import GelBody, RigidBody
-from vitac.envs.fem.scene import StepReport, StepStatus
+from vitac.envs.fem.model.bodies import GelBody, RigidBody
+from vitac.envs.fem.scene.scene import StepReport, StepStatus
 
 
 def report(status: StepStatus = StepStatus.CONVERGED) -> StepReport:

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from evaluation_fakes import FakeEnvironment, FakeSession, action, cannot_load, fail, succeed
-from vitac.evaluator import shard_process
 from vitac.evaluator.agent.limits import Limits
 from vitac.evaluator.agent.verdicts import SandboxFailed
-from vitac.evaluator.shards import run_shard
+from vitac.evaluator.shards import process as shard_process
+from vitac.evaluator.shards.policy import run_shard
 
 
 def hang(_: int, step: int) -> Any:

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import ipctk  # type: ignore[import-not-found]
 import numpy as np
 from numpy.typing import NDArray
-from vitac.envs.fem.mesh import GelMesh, SurfaceMesh, unique_edges
-from vitac.envs.grasped_scene import GraspedScene
+from vitac.envs.fem.model.mesh import GelMesh, SurfaceMesh, unique_edges
+from vitac.envs.scene.grasped_scene import GraspedScene
 
 FloatArray = NDArray[np.float64]
 

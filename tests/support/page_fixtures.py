@@ -8,14 +8,14 @@ from typing import Any
 from uuid import UUID, uuid5
 
 from fastapi import FastAPI
-from vitac.evaluator.log_findings import LogVerdict
-from vitac.evaluator.ranking import CombinedScore, combine
-from vitac.evaluator.scoring import Score, rate
+from vitac.evaluator.logs.findings import LogVerdict
+from vitac.evaluator.scoring.ranking import CombinedScore, combine
+from vitac.evaluator.scoring.score import Score, rate
 from vitac.evaluator.tracks import load_track
-from vitac.server.auth.principals import Principal
+from vitac.server.accounts.principals import Principal
 from vitac.server.db.states import EvaluationState, Role, SubmissionKind
 from vitac.server.errors import ProblemCode, ServiceError, not_found
-from vitac.server.views import (
+from vitac.server.views.views import (
     AuditedEpisodeView,
     AuditView,
     DivergenceView,

@@ -18,14 +18,14 @@ from typing import Any
 import numpy as np
 from balance_check import SAME_FORCE_N, BalanceCheck
 from intersection_check import GraspedSceneCheck
-from vitac.envs.fem.scene import StepReport, StepStatus
+from vitac.envs.fem.scene.scene import StepReport, StepStatus
 from vitac.envs.geometry.keys import KeyShape
 from vitac.envs.geometry.pegs import PegShape
-from vitac.envs.grasped_scene import GraspedScene, PhysicsSettings
-from vitac.envs.lock_opening.env import LockOpeningEnv
-from vitac.envs.lock_opening.settings import lock_physics
-from vitac.envs.peg_insertion.env import PegInsertionEnv
-from vitac.envs.task_env import TactileTaskEnv
+from vitac.envs.scene.grasped_scene import GraspedScene, PhysicsSettings
+from vitac.envs.tasks.lock_opening.env import LockOpeningEnv
+from vitac.envs.tasks.lock_opening.settings import lock_physics
+from vitac.envs.tasks.peg_insertion.env import PegInsertionEnv
+from vitac.envs.tasks.task_env import TactileTaskEnv
 
 PEG, LOCK = "peg", "lock"
 ENV_STEPS = 8

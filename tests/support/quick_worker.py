@@ -9,7 +9,7 @@ import threading
 
 from service_factories import make_record, play_all
 from sqlalchemy import select
-from vitac.evaluator.records import EpisodeOutcome, EpisodeRecord
+from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord
 from vitac.evaluator.version import evaluator_version, platform_class
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Evaluation, Worker

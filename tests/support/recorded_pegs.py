@@ -5,13 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from vitac.envs.assets import Meshes
-from vitac.envs.fem.scene import StepReport
+from vitac.envs.fem.scene.scene import StepReport
 from vitac.envs.geometry.pegs import PegShape
-from vitac.envs.grasped_scene import Clocks, GraspedScene
-from vitac.envs.peg_insertion.scene import PegScene
-from vitac.envs.peg_insertion.settings import PegInsertionSettings
-from vitac.envs.peg_insertion.variation import PegOffset, PegStart
-from vitac.envs.stopwatch import Stopwatch
+from vitac.envs.scene.grasped_scene import Clocks, GraspedScene
+from vitac.envs.scene.stopwatch import Stopwatch
+from vitac.envs.tasks.peg_insertion.scene import PegScene
+from vitac.envs.tasks.peg_insertion.settings import PegInsertionSettings
+from vitac.envs.tasks.peg_insertion.variation import PegOffset, PegStart
 
 FloatArray = NDArray[np.float64]
 OffsetMmDeg = tuple[float, float, float]

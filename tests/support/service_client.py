@@ -15,8 +15,8 @@ import uvicorn
 from fastapi import FastAPI
 from httpx import Client, Response
 from service_factories import TASK, TRACK, make_principal, make_secret, make_settings
+from vitac.server.accounts.principals import CONSOLE, Principal
 from vitac.server.api.app import create_app
-from vitac.server.auth.principals import CONSOLE, Principal
 from vitac.server.db.engine import Database
 from vitac.server.services import Services, open_services
 from vitac.server.settings import Settings

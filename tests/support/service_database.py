@@ -11,9 +11,9 @@ from functools import cache
 from pathlib import Path
 
 import psycopg
-from vitac.server.db.embedded import EmbeddedPostgres
 from vitac.server.db.engine import Database
 from vitac.server.db.schema import upgrade
+from vitac.server.postgres.embedded import EmbeddedPostgres
 
 TEMPLATE = "vitac_template"
 FAST = ("fsync=off", "synchronous_commit=off", "full_page_writes=off")

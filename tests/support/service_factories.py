@@ -8,11 +8,11 @@ from uuid import UUID, uuid4
 
 import numpy as np
 from sqlalchemy.orm import Session
-from vitac.evaluator.agent.bubblewrap import UserIsolation
-from vitac.evaluator.agent.cgroup import MemoryIsolation
+from vitac.evaluator.agent.isolation.bubblewrap import UserIsolation
+from vitac.evaluator.agent.isolation.cgroup import MemoryIsolation
 from vitac.evaluator.agent.session import EpisodeIsolation, Isolation
 from vitac.evaluator.agent.verdicts import VerdictCode
-from vitac.evaluator.records import (
+from vitac.evaluator.episodes.records import (
     ActionSequence,
     EpisodeOutcome,
     EpisodeRecord,
@@ -21,20 +21,21 @@ from vitac.evaluator.records import (
     PolicyFailure,
     Timings,
 )
-from vitac.evaluator.scoring import Score, rate
-from vitac.evaluator.shards import ShardEnd, ShardResult
+from vitac.evaluator.scoring.score import Score, rate
+from vitac.evaluator.shards.result import ShardEnd, ShardResult
 from vitac.evaluator.tracks import load_track
 from vitac.evaluator.version import evaluator_hash, evaluator_version, platform_class
-from vitac.server import evaluations, submissions
-from vitac.server.auth import teams, tokens
-from vitac.server.auth.principals import CONSOLE, Principal
+from vitac.server.accounts import teams, tokens
+from vitac.server.accounts.principals import CONSOLE, Principal
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Shard, Submission
 from vitac.server.db.states import EvaluationState, Role, SubmissionKind
+from vitac.server.evaluations import evaluations
+from vitac.server.evaluations.scores import store_scores
 from vitac.server.queue import leases
 from vitac.server.queue.leases import Lease
-from vitac.server.scores import store_scores
 from vitac.server.settings import Settings
+from vitac.server.submissions import submissions
 
 TRACK = "track_1"
 TASK = "peg-insertion"

@@ -6,9 +6,9 @@ Also the program of a worker process for such tests: `python short_evaluation.py
 import subprocess
 from collections.abc import Callable, Sequence
 
-from vitac.evaluator.shards import Shard, cut
 from vitac.evaluator.tracks import Task
-from vitac.server import evaluations
+from vitac.evaluator.tracks.cut import Shard, cut
+from vitac.server.evaluations import evaluations
 
 EPISODES = (1, 2, 3, 4, 31, 32, 33, 34)
 """Four of each of the first two shards."""

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import splu
-from vitac.envs.fem.mesh import SurfaceMesh
-from vitac.envs.fem.settings import ContactSettings
-from vitac.envs.grasped_scene import GraspedScene
+from vitac.envs.fem.model.mesh import SurfaceMesh
+from vitac.envs.fem.model.settings import ContactSettings
+from vitac.envs.scene.grasped_scene import GraspedScene
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

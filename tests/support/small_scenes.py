@@ -3,10 +3,10 @@
 import numpy as np
 from block_meshes import box_gel, box_surface
 from numpy.typing import NDArray
-from vitac.envs.fem.bodies import GelBody, RigidBody
-from vitac.envs.fem.mesh import GelMesh
-from vitac.envs.fem.scene import Scene, StepReport
-from vitac.envs.fem.settings import ContactSettings, SolverSettings
+from vitac.envs.fem.model.bodies import GelBody, RigidBody
+from vitac.envs.fem.model.mesh import GelMesh
+from vitac.envs.fem.model.settings import ContactSettings, SolverSettings
+from vitac.envs.fem.scene.scene import Scene, StepReport
 
 FloatArray = NDArray[np.float64]
 IDENTITY = np.eye(3)

@@ -9,9 +9,9 @@ from httpx import Response
 from service_client import Service
 from service_factories import TASK, TRACK, make_manifest, make_record
 from text_log_writer import text_log
-from vitac.evaluator.logs import LogHeader, write_log
-from vitac.evaluator.records import EpisodeRecord, Manifest
-from vitac.evaluator.text_logs.kinds import all_kinds
+from vitac.evaluator.episodes.records import EpisodeRecord, Manifest
+from vitac.evaluator.logs.log import LogHeader, write_log
+from vitac.evaluator.logs.text_2025.kinds import all_kinds
 from vitac.evaluator.tracks import load_track
 
 EPISODES = tuple(range(1, 271))

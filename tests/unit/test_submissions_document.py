@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from vitac.evaluator.agent.verdicts import VerdictCode
-from vitac.evaluator.submission import parse_manifest
+from vitac.evaluator.submission.manifest import parse_manifest
 from vitac.evaluator.tracks import Task, load_track
 
 

@@ -5,15 +5,15 @@ from typing import Any
 
 import pytest
 from vitac.evaluator.agent.verdicts import VerdictCode
-from vitac.evaluator.episodes import make_environment
-from vitac.evaluator.evaluation import Evaluation, evaluate
-from vitac.evaluator.log_findings import LogVerdict
-from vitac.evaluator.logs import LogHeader
-from vitac.evaluator.records import EpisodeOutcome, result_hash
-from vitac.evaluator.replay import resimulate
-from vitac.evaluator.shard_process import ShardOrder, running_shard
+from vitac.evaluator.episodes.episode import make_environment
+from vitac.evaluator.episodes.records import EpisodeOutcome, result_hash
+from vitac.evaluator.episodes.replay import resimulate
+from vitac.evaluator.evaluation.local import Evaluation, evaluate
+from vitac.evaluator.logs.findings import LogVerdict
+from vitac.evaluator.logs.log import LogHeader
+from vitac.evaluator.logs.verification import verify
+from vitac.evaluator.shards.process import ShardOrder, running_shard
 from vitac.evaluator.tracks import find_task
-from vitac.evaluator.verification import verify
 
 TRACK, TASK = find_task("peg-insertion")
 

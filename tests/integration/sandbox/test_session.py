@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from submissions import submission_folder
-from vitac.evaluator.agent import cgroup
-from vitac.evaluator.agent.cgroup import MemoryIsolation
+from vitac.evaluator.agent.isolation import cgroup
+from vitac.evaluator.agent.isolation.cgroup import MemoryIsolation
 from vitac.evaluator.agent.limits import MIB, Limits
 from vitac.evaluator.agent.session import EpisodeIsolation, EpisodePolicy, PolicySession
 from vitac.evaluator.agent.verdicts import PolicyFailed, SandboxFailed, VerdictCode

@@ -13,10 +13,10 @@ from service_client import Service, live_service
 from service_database import state_directory
 from service_factories import TASK, TRACK
 from short_evaluation import StartWorker
-from vitac.evaluator.archive import unpack
-from vitac.evaluator.evaluation import Evaluation, evaluate
+from vitac.evaluator.evaluation.local import Evaluation, evaluate
+from vitac.evaluator.submission.archive import unpack
 from vitac.evaluator.tracks import load_track
-from vitac.server import evaluations
+from vitac.server.evaluations import evaluations
 from vitac.server.settings import load_settings
 
 QUICK = {"lease_s": 3.0, "lease_renewal_s": 0.3, "sweep_interval_s": 0.3, "worker_heartbeat_s": 0.5}

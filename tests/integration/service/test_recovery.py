@@ -15,7 +15,7 @@ from service_factories import TRACK, make_record
 from short_evaluation import EPISODES, StartWorker
 from uploaded_logs import EPISODES as LISTED
 from uploaded_logs import a_log, upload_log
-from vitac.evaluator.evaluation import Evaluation
+from vitac.evaluator.evaluation.local import Evaluation
 from worker_fakes import eventually
 
 LIMIT_S = 240.0
@@ -104,7 +104,7 @@ def test_kill_of_the_database_in_the_middle_changes_nothing(attempt: Attempt) ->
 def test_kill_of_the_shards_own_process_in_the_middle_changes_nothing(
     attempt: Attempt, worker: "subprocess.Popen[bytes]"
 ) -> None:
-    os.kill(child_of(worker, "vitac.evaluator.shard_process"), signal.SIGKILL)
+    os.kill(child_of(worker, "vitac.evaluator.shards.process"), signal.SIGKILL)
     attempt.assert_same_result()
 
 

@@ -3,10 +3,11 @@ from collections.abc import Iterator
 
 import pytest
 from vitac.cli.main import main
-from vitac.evaluator.agent import machine, self_test
-from vitac.evaluator.agent.bubblewrap import UserIsolation
-from vitac.evaluator.agent.cgroup import MemoryIsolation
-from vitac.evaluator.agent.machine import Requirement
+from vitac.evaluator.agent import self_test
+from vitac.evaluator.agent.isolation import machine
+from vitac.evaluator.agent.isolation.bubblewrap import UserIsolation
+from vitac.evaluator.agent.isolation.cgroup import MemoryIsolation
+from vitac.evaluator.agent.isolation.machine import Requirement
 from vitac.evaluator.agent.self_test import Outcome, ProbeState
 from vitac.evaluator.agent.session import EpisodeIsolation, Isolation
 

@@ -8,10 +8,10 @@ import pytest
 import typer
 from vitac.cli import main as cli
 from vitac.cli.evaluate import parse_episodes
-from vitac.evaluator import shard_process
-from vitac.evaluator.logs import LogReader
-from vitac.evaluator.records import result_hash
-from vitac.evaluator.report import EvaluationReport
+from vitac.evaluator.episodes.records import result_hash
+from vitac.evaluator.evaluation.report import EvaluationReport
+from vitac.evaluator.logs.log import LogReader
+from vitac.evaluator.shards import process as shard_process
 
 
 @pytest.fixture(autouse=True)

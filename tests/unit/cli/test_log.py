@@ -5,11 +5,13 @@ from typing import Any
 import pytest
 from evaluation_fakes import FakeEnvironment, FakeSession, succeed
 from vitac.cli import main as cli
-from vitac.evaluator import episodes, shards
-from vitac.evaluator.logs import LogHeader, write_log
-from vitac.evaluator.records import EpisodeRecord, Manifest
-from vitac.evaluator.shards import cut, run_shard
+from vitac.evaluator.episodes import episode as episode_module
+from vitac.evaluator.episodes.records import EpisodeRecord, Manifest
+from vitac.evaluator.logs.log import LogHeader, write_log
+from vitac.evaluator.shards import policy
+from vitac.evaluator.shards.policy import run_shard
 from vitac.evaluator.tracks import find_task
+from vitac.evaluator.tracks.cut import cut
 
 TRACK, TASK = find_task("peg-insertion")
 
@@ -30,7 +32,7 @@ def evaluated() -> tuple[Manifest, list[EpisodeRecord]]:
 
 @pytest.fixture(autouse=True)
 def no_simulation(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(episodes, "make_environment", lambda *_: FakeEnvironment())
+    monkeypatch.setattr(episode_module, "make_environment", lambda *_: FakeEnvironment())
 
 
 @pytest.fixture
@@ -169,7 +171,7 @@ def test_audit_counts_the_actions_that_a_model_gives(
     log: Path, model: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def load(answer: Any) -> None:
-        monkeypatch.setattr(shards, "load_in_sandbox", lambda *_: FakeSession(answer).load())
+        monkeypatch.setattr(policy, "load_in_sandbox", lambda *_: FakeSession(answer).load())
 
     load(succeed)
     assert run(capsys, "audit", log, model) == (0, "the model gives 9 of 9 actions\n", "")

@@ -21,7 +21,7 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, 
 def noun(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     """A stand-in for the module of the noun `status`."""
     module = SimpleNamespace(command=lambda: None)
-    monkeypatch.setattr(cli, "import_module", {"vitac.cli.status": module}.__getitem__)
+    monkeypatch.setattr(cli, "import_module", {"vitac.cli.client.status": module}.__getitem__)
     return module
 
 

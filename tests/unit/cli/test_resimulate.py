@@ -5,8 +5,8 @@ import pytest
 from evaluation_fakes import FakeEnvironment
 from evaluation_records import make_manifest, make_record
 from vitac.cli import main as cli
-from vitac.evaluator import episodes
-from vitac.evaluator.logs import LogHeader, write_log
+from vitac.evaluator.episodes import episode
+from vitac.evaluator.logs.log import LogHeader, write_log
 
 LINE = {
     "episode": 1,
@@ -30,7 +30,7 @@ def asked_assets(monkeypatch: pytest.MonkeyPatch) -> list[Path | None]:
         asked.append(assets_dir)
         return FakeEnvironment()
 
-    monkeypatch.setattr(episodes, "make_environment", make)
+    monkeypatch.setattr(episode, "make_environment", make)
     monkeypatch.delenv("VITAC_ASSETS_DIR", raising=False)
     return asked
 

@@ -10,7 +10,7 @@ from fake_scene import FakeScene
 from PIL import Image
 from vitac.cli import main as cli
 from vitac.cli import show
-from vitac.evaluator.logs import LogHeader, write_log
+from vitac.evaluator.logs.log import LogHeader, write_log
 from vitac.evaluator.tracks import find_task
 
 Run = Callable[..., tuple[int, str, str]]
@@ -32,7 +32,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
     monkeypatch.delenv("VITAC_ASSETS_DIR", raising=False)
     monkeypatch.setattr(FakeScene, "bulge_m", -6e-4)
     monkeypatch.setattr(FakeScene, "statuses", ())
-    monkeypatch.setattr("vitac.envs.grasped_scene.Scene", FakeScene)
+    monkeypatch.setattr("vitac.envs.scene.grasped_scene.Scene", FakeScene)
 
     def run_show(*arguments: object) -> tuple[int, str, str]:
         with pytest.raises(SystemExit) as exit_:
@@ -121,9 +121,9 @@ def test_an_environment_plays_the_random_start_of_a_seed(run: Run, tmp_path: Pat
 
 
 def test_real_physics_is_drawn(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from vitac.envs.fem.scene import Scene
+    from vitac.envs.fem.scene.scene import Scene
 
-    monkeypatch.setattr("vitac.envs.grasped_scene.Scene", Scene)
+    monkeypatch.setattr("vitac.envs.scene.grasped_scene.Scene", Scene)
     code, out, _ = run("peg-insertion", "--episode", 5, "--step", 0, "--width", 600, "--json")
     assert code == 0
     assert json.loads(out)["outcome"] in {"success", "tactile", "steps"}

@@ -10,6 +10,6 @@ def fake_scenes(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[FakeScene]]:
     FakeScene.built.clear()
     monkeypatch.setattr(FakeScene, "bulge_m", 0.0)
     monkeypatch.setattr(FakeScene, "statuses", ())
-    monkeypatch.setattr("vitac.envs.grasped_scene.Scene", FakeScene)
+    monkeypatch.setattr("vitac.envs.scene.grasped_scene.Scene", FakeScene)
     yield FakeScene.built
     FakeScene.built.clear()

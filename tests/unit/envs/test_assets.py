@@ -6,8 +6,8 @@ from vitac.envs.assets import AssetsMissing, Meshes, assets_dir_from_environment
 from vitac.envs.geometry.keys import KeyShape
 from vitac.envs.geometry.pegs import PegShape
 from vitac.envs.geometry.stl import StlError
-from vitac.envs.peg_insertion.settings import PegInsertionSettings
 from vitac.envs.tactile.gel_files import GelFilesError
+from vitac.envs.tasks.peg_insertion.settings import PegInsertionSettings
 
 
 def test_meshes_are_generated_by_default() -> None:

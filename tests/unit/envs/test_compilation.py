@@ -81,7 +81,7 @@ def test_allocation_without_reference_counts_is_refused() -> None:
         allocates()
 
 
-@pytest.mark.parametrize("changed", ["compilation.py", "fem/model.py", "fem/newton.py"])
+@pytest.mark.parametrize("changed", ["compilation.py", "fem/model/model.py", "fem/solver/newton.py"])
 def test_compiled_kernels_are_those_of_exactly_these_sources(changed: str, tmp_path: Path) -> None:
     """Also where a module without kernels changes: Numba freezes what it imports from there."""
     copy = tmp_path / "envs"

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 from example_policies import flow, load
-from vitac.evaluator.submission import load_manifest
+from vitac.evaluator.submission.manifest import load_manifest
 
 PULL, LIFT = [-0.75, 0.0], [0.0, -1.0]
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from example_policies import flow, load
-from vitac.evaluator.submission import load_manifest
+from vitac.evaluator.submission.manifest import load_manifest
 
 
 @pytest.fixture(scope="module")

@@ -7,13 +7,14 @@ from pathlib import Path
 import pytest
 from service_factories import claim, make_principal, make_settings, make_upload, shard_ids, state_of
 from sqlalchemy import text
-from vitac.server import housekeeping, submissions
+from vitac.server import housekeeping
 from vitac.server.db.engine import Database
 from vitac.server.db.states import ShardState
 from vitac.server.errors import ServiceError
 from vitac.server.housekeeping import Housekeeping, prune
 from vitac.server.services import Services
 from vitac.server.storage.blobs import BlobStore
+from vitac.server.submissions import submissions
 from worker_fakes import eventually
 
 

@@ -22,9 +22,9 @@ from page_fixtures import (
     an_id,
 )
 from sqlalchemy.exc import OperationalError
-from vitac.evaluator.log_findings import LogVerdict
+from vitac.evaluator.logs.findings import LogVerdict
 from vitac.server.db.states import EvaluationState, Role, SubmissionKind
-from vitac.server.views import LeaderboardView, SubmissionView, VerdictView
+from vitac.server.views.views import LeaderboardView, SubmissionView, VerdictView
 from vitac.web import session
 from vitac.web.headers import HEADERS
 

@@ -8,11 +8,11 @@ import pytest
 from service_factories import make_principal, make_upload
 from sqlalchemy import select
 from vitac.evaluator.version import evaluator_version
-from vitac.server import submissions
 from vitac.server.db.models import Worker
 from vitac.server.db.states import EvaluationState, WorkerState
+from vitac.server.queue.workers import workers_alive
 from vitac.server.services import Services
-from vitac.server.workers import workers_alive
+from vitac.server.submissions import submissions
 from vitac.worker import main
 from vitac.worker.isolation import IsolationReport
 from worker_fakes import FakeShards, eventually

@@ -18,13 +18,13 @@ from service_factories import (
     submit,
 )
 from sqlalchemy import select, text
-from vitac.evaluator.shard_process import ShardProcessFailed
-from vitac.server import submissions
-from vitac.server.auth.principals import Principal
+from vitac.evaluator.shards.process import ShardProcessFailed
+from vitac.server.accounts.principals import Principal
 from vitac.server.db.models import EpisodeResult, Shard, Submission
 from vitac.server.db.states import EvaluationState, Role, ShardState, SubmissionKind
 from vitac.server.queue.leases import Lease
 from vitac.server.services import Services
+from vitac.server.submissions import submissions
 from vitac.worker.shard_run import RunEnd, ShardRun
 from vitac.worker.staging import SubmissionStage
 from worker_fakes import FakeShards, eventually

@@ -8,14 +8,14 @@ from uuid import uuid4
 import pytest
 from service_factories import make_principal, make_record, make_upload, shard_ids
 from sqlalchemy import select, text
-from vitac.evaluator.shard_process import ShardOrder
-from vitac.server import submissions
-from vitac.server.auth.principals import CONSOLE
+from vitac.evaluator.shards.process import ShardOrder
+from vitac.server.accounts.principals import CONSOLE
 from vitac.server.db.models import EpisodeResult, Shard, Submission
 from vitac.server.db.states import EvaluationState, ShardState
 from vitac.server.housekeeping import Housekeeping
 from vitac.server.queue import leases
 from vitac.server.services import Services
+from vitac.server.submissions import submissions
 from vitac.worker.staging import SubmissionStage
 from vitac.worker.worker import QueueWorker
 from worker_fakes import FakeShards, eventually

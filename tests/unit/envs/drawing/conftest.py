@@ -2,7 +2,7 @@ import pytest
 from fake_scene import FakeScene
 from vitac.envs.drawing.guided_motion import straight_to_target
 from vitac.envs.drawing.playback import Playback, record
-from vitac.envs.peg_insertion.env import PegInsertionEnv
+from vitac.envs.tasks.peg_insertion.env import PegInsertionEnv
 
 PEG_OPTIONS = {"shape": "trapezoid", "offset_mm_deg": (-3.0, 1.5, 6.0), "rng_seed": (0, 5)}
 

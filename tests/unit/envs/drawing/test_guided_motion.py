@@ -4,8 +4,8 @@ from fake_scene import FakeScene
 from vitac.envs.drawing.guided_motion import straight_to_target
 from vitac.envs.drawing.perspectives import NotDrawable
 from vitac.envs.drawing.playback import record
-from vitac.envs.lock_opening.env import LockOpeningEnv
-from vitac.envs.peg_insertion.env import PegInsertionEnv
+from vitac.envs.tasks.lock_opening.env import LockOpeningEnv
+from vitac.envs.tasks.peg_insertion.env import PegInsertionEnv
 
 
 @pytest.mark.parametrize("offset", [(-4.0, -4.0, -8.0), (4.0, 2.0, -2.0), (0.0, 0.0, 6.0), (-1.0, 3.0, 4.0)])

@@ -12,7 +12,7 @@ from vitac.envs.drawing.perspectives import NotDrawable, perspective_of
 from vitac.envs.drawing.picture import Caption, Painter, draw, picture_size_px
 from vitac.envs.drawing.playback import Playback, record
 from vitac.envs.drawing.sensor_view import arrows, magnification
-from vitac.envs.lock_opening.env import LockOpeningEnv
+from vitac.envs.tasks.lock_opening.env import LockOpeningEnv
 
 CAPTION = Caption(title="Peg insertion, episode 5: trapezoid", actions=DESCRIPTION)
 

@@ -3,8 +3,8 @@ import pytest
 from fake_scene import FakeScene
 from vitac.envs.drawing.guided_motion import straight_to_target
 from vitac.envs.drawing.playback import Pace, Playback, record
-from vitac.envs.peg_insertion.env import PegInsertionEnv
-from vitac.envs.task_env import Info, Observation
+from vitac.envs.tasks.peg_insertion.env import PegInsertionEnv
+from vitac.envs.tasks.task_env import Info, Observation
 
 OPTIONS = {"shape": "cuboid", "offset_mm_deg": (2.0, -1.0, 3.0), "rng_seed": (0, 1)}
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from vitac.envs.fem.mesh import SurfaceMesh, unique_edges
+from vitac.envs.fem.model.mesh import SurfaceMesh, unique_edges
 from vitac.envs.geometry.keys import KEYS, KeyShape, key_control_points, key_surface, profile_mm
 from vitac.envs.geometry.locks import LOCKS, lock_control_points, lock_surface
 from vitac.envs.geometry.pegs import (

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from vitac.envs.fem.mesh import MeshError, SurfaceMesh
+from vitac.envs.fem.model.mesh import MeshError, SurfaceMesh
 from vitac.envs.geometry.pegs import PegShape, hole_surface
 from vitac.envs.geometry.stl import StlError, read_stl
 

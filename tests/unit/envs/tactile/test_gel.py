@@ -3,8 +3,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from vitac.envs.fem.mesh import GelMesh, signed_volumes_m3
-from vitac.envs.gripper import GEL_HALF_THICKNESS_MM
+from vitac.envs.fem.model.mesh import GelMesh, signed_volumes_m3
+from vitac.envs.scene.gripper import GEL_HALF_THICKNESS_MM
 from vitac.envs.tactile.gel import GelCells, GelDimensions, gelsight_mini_mesh, structured_gel
 from vitac.envs.tactile.gel_files import read_gel
 

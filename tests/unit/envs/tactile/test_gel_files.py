@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from vitac.envs.fem.mesh import GelMesh, MeshError
+from vitac.envs.fem.model.mesh import GelMesh, MeshError
 from vitac.envs.tactile.gel import gelsight_mini_mesh
 from vitac.envs.tactile.gel_files import GelFilesError, read_gel, read_gmsh
 

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from vitac.envs.deterministic_math import normal_pairs
-from vitac.envs.fem.mesh import GelMesh
+from vitac.envs.fem.model.mesh import GelMesh
 from vitac.envs.tactile import markers
 from vitac.envs.tactile.camera import camera_frame, project
 from vitac.envs.tactile.gel import gelsight_mini_mesh

@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
-from vitac.envs.gripper import SensorMount
-from vitac.envs.lock_opening import scene as lock
-from vitac.envs.peg_insertion import scene as peg
+from vitac.envs.scene.gripper import SensorMount
 from vitac.envs.tactile.gel import gelsight_mini_mesh
 from vitac.envs.tactile.markers import MarkerSettings
 from vitac.envs.tactile.sensor import NoReferenceCaptured, TactileSensor
+from vitac.envs.tasks.lock_opening import scene as lock
+from vitac.envs.tasks.peg_insertion import scene as peg
 
 
 def sensor_and_view() -> tuple[TactileSensor, np.ndarray]:

@@ -15,10 +15,10 @@ from service_client import Service, problem_of, running_service
 from service_factories import TRACK, make_failed_record, make_record
 from sqlalchemy import text
 from uploaded_logs import a_log, a_text_log, packed, some_records, upload_log
-from vitac.evaluator.records import ActionSequence, EpisodeRecord
+from vitac.evaluator.episodes.records import ActionSequence, EpisodeRecord
 from vitac.evaluator.tracks import Accepted, load_track
-from vitac.server import leaderboards
 from vitac.server.db.engine import Database
+from vitac.server.leaderboards import leaderboards
 
 LOG = a_log()
 LINES = LOG.splitlines(keepends=True)

@@ -13,9 +13,9 @@ from service_client import MANIFEST, POLICY, Service, bearer, make_archive, prob
 from service_factories import TASK, TRACK, play_all
 from sqlalchemy import text
 from vitac.evaluator.agent.limits import Limits
-from vitac.server import submissions
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Submission
+from vitac.server.submissions import submissions
 
 ARCHIVE = make_archive()
 

@@ -1,7 +1,7 @@
 from service_client import Service, make_archive, problem_of
 from service_factories import LOCK, TASK, TRACK, RecordOf, make_record, play_all
 from sqlalchemy import text
-from vitac.evaluator.records import EpisodeOutcome
+from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.server.db.models import Submission
 
 

@@ -16,12 +16,12 @@ from sqlalchemy import text
 from sqlalchemy.exc import IntegrityError, OperationalError
 from vitac.migrations.versions import v0002_state_machines as state_machines
 from vitac.migrations.versions import v0003_queue as queue_migration
-from vitac.server.db.embedded import EmbeddedPostgres
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Base
-from vitac.server.db.postgres_binaries import DEBIAN_ROOT, OLDEST_MAJOR, inspect_bin_dir
 from vitac.server.db.schema import downgrade, installed_revision, is_current, newest_revision, upgrade
 from vitac.server.db.states import EVALUATION_TRANSITIONS, SHARD_TRANSITIONS
+from vitac.server.postgres.binaries import DEBIAN_ROOT, OLDEST_MAJOR, inspect_bin_dir
+from vitac.server.postgres.embedded import EmbeddedPostgres
 
 OLDEST = DEBIAN_ROOT / str(OLDEST_MAJOR) / "bin"
 CONSTRAINTS = """

@@ -6,7 +6,7 @@ import pytest
 from service_factories import claim, finish, make_principal, make_record, shard_ids, state_of, store, submit
 from sqlalchemy import select, text
 from sqlalchemy.orm import Session
-from vitac.evaluator.records import EpisodeOutcome
+from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.server.db.engine import Database
 from vitac.server.db.models import EpisodeResult, Shard
 from vitac.server.db.states import ShardState

@@ -13,7 +13,6 @@ from service_factories import (
     submit,
 )
 from sqlalchemy import text
-from vitac.server import submissions
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Submission
 from vitac.server.db.states import EvaluationState, ShardState
@@ -21,6 +20,7 @@ from vitac.server.queue.jobs import prune_finished_jobs
 from vitac.server.queue.leases import LeaseLost
 from vitac.server.queue.sweep import SWEEP_LOCK, Sweep, sweep
 from vitac.server.settings import Settings
+from vitac.server.submissions import submissions
 
 SETTINGS = make_settings(lease_s=0.003, lease_renewal_s=0.001)
 """Leases that have run out by the time of the next statement."""

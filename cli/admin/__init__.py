@@ -1,0 +1,1 @@
+"""`vitac admin`: the organizer's commands."""

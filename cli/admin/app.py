@@ -1,0 +1,25 @@
+"""`vitac admin`: the organizer's commands. They work on the database directly and write the audit log."""
+
+import sys
+
+import typer
+
+from . import evaluation, submission, team, token, worker
+
+app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
+
+
+@app.callback()
+def log_beside_the_output() -> None:
+    """Organize the competition: teams, tokens, submissions, evaluations, workers."""
+    import structlog
+
+    # Events go to stderr, so that the output, above all JSON, holds what was asked for and nothing else.
+    structlog.configure(logger_factory=lambda *_: structlog.PrintLogger(sys.stderr))
+
+
+app.add_typer(team.app, name="team", help="Teams: add, list, show.")
+app.add_typer(token.app, name="token", help="API tokens: add, list, revoke.")
+app.add_typer(submission.app, name="submission", help="Submissions: list, show, requeue, cancel.")
+app.add_typer(evaluation.app, name="evaluation", help="Evaluations: list, show, requeue, cancel.")
+app.add_typer(worker.app, name="worker", help="Workers: list, show.")

@@ -1,0 +1,124 @@
+"""`vitac admin submission`: all teams' submissions."""
+
+from typing import TYPE_CHECKING, Annotated
+from uuid import UUID
+
+import typer
+
+from ..service.database import load_settings, open_service
+from ..terminal.output import AsJson, moment, percent, print_json, print_table
+from .consent import Yes, consented_transaction
+
+if TYPE_CHECKING:
+    from vitac.server.db.states import EvaluationState
+    from vitac.server.views.views import SubmissionView
+
+app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
+
+SubmissionId = Annotated[UUID, typer.Argument(help="Id of the submission.")]
+COLUMNS = ("submission", "team", "name", "track", "state", "episodes", "success", "steps", "submitted")
+
+
+@app.command("list")
+def list_submissions(
+    team: Annotated[str | None, typer.Option(help="Only this team's (name or id).")] = None,
+    track: Annotated[str | None, typer.Option(help="Only this track's.")] = None,
+    state: Annotated[str | None, typer.Option(help="queued, running, completed, failed or cancelled.")] = None,
+    limit: Annotated[int, typer.Option(min=1, max=1000, help="At most so many.")] = 50,
+    before: Annotated[UUID | None, typer.Option(help="Only those older than this submission.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """List submissions, newest first."""
+    from vitac.server.accounts.principals import CONSOLE
+    from vitac.server.submissions import submissions
+
+    wanted = None if state is None else known_state(state)
+    settings = load_settings()
+    with open_service(settings) as services, services.database.transaction() as session:
+        found = submissions.list_submissions(
+            session, settings, CONSOLE, track=track, state=wanted, team=team, before=before, limit=limit
+        )
+    if as_json:
+        print_json(found.model_dump(mode="json"))
+        return
+    print_table(COLUMNS, [_row(item) for item in found.items], none="No such submission.")
+    if found.next_before is not None:
+        print(f"\nThere are older ones: --before {found.next_before}")
+
+
+@app.command()
+def show(
+    submission: SubmissionId,
+    as_json: AsJson = False,
+) -> None:
+    """Show a submission with its newest evaluation."""
+    from vitac.server.accounts.principals import CONSOLE
+    from vitac.server.submissions import submissions
+
+    from ..client.status import show as show_status
+
+    settings = load_settings()
+    with open_service(settings) as services, services.database.transaction() as session:
+        found = submissions.get(session, settings, CONSOLE, submission).model_dump(mode="json")
+    if as_json:
+        print_json(found)
+    else:
+        show_status(found)
+
+
+@app.command()
+def requeue(
+    submission: SubmissionId,
+    yes: Yes = False,
+) -> None:
+    """Evaluate a submission once more, all episodes anew. Earlier results stay; the newest run is the one shown."""
+    from vitac.server.accounts.principals import CONSOLE
+    from vitac.server.submissions import submissions
+
+    with consented_transaction(f"Evaluate submission {submission} once more?", yes=yes) as session:
+        submissions.run_again(session, CONSOLE, submission)
+    print(f"queued {submission} again")
+
+
+@app.command()
+def cancel(
+    submission: SubmissionId,
+    yes: Yes = False,
+) -> None:
+    """Cancel the evaluation of a submission; its workers stop within seconds."""
+    from vitac.server.accounts.principals import CONSOLE
+    from vitac.server.submissions import submissions
+
+    with consented_transaction(f"Cancel the evaluation of submission {submission}?", yes=yes) as session:
+        submissions.cancel(session, CONSOLE, submission)
+    print(f"cancelled {submission}")
+
+
+def known_state(name: str) -> "EvaluationState":
+    """Return the state of that name.
+
+    Raises:
+        typer.BadParameter: there is none.
+    """
+    from vitac.server.db.states import EvaluationState
+
+    try:
+        return EvaluationState(name)
+    except ValueError:
+        raise typer.BadParameter(f"{name!r} is no state; they are {', '.join(EvaluationState)}") from None
+
+
+def _row(item: "SubmissionView") -> list[object]:
+    evaluation = item.evaluation
+    done = f"{evaluation.progress.episodes_done}/{evaluation.progress.episodes_total}"
+    return [
+        item.id,
+        item.team.name,
+        item.name,
+        item.track,
+        evaluation.state.value,
+        done,
+        percent(evaluation.success_rate),
+        evaluation.mean_steps,
+        moment(item.submitted_at),
+    ]

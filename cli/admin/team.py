@@ -1,0 +1,73 @@
+"""`vitac admin team`: teams of the competition."""
+
+from datetime import timedelta
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ..service.database import load_settings, open_service, transaction
+from ..terminal.output import AsJson, moment, print_json, print_pairs, print_record, print_records
+
+if TYPE_CHECKING:
+    from vitac.server.db.models import Team
+
+app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
+
+
+@app.command()
+def add(
+    name: Annotated[str, typer.Argument(help="The team's name, 2 to 64 characters.")],
+    contact: Annotated[str | None, typer.Option(help="Where organizers reach the team.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Add a team and print its API token, which is shown only now."""
+    from vitac.server.accounts import teams, tokens
+    from vitac.server.accounts.principals import CONSOLE
+    from vitac.server.db.states import Role
+
+    settings = load_settings()
+    with open_service(settings) as services, services.database.transaction() as session:
+        team = teams.register(session, CONSOLE, name=name, contact=contact)
+        issued = tokens.issue(
+            session,
+            CONSOLE,
+            role=Role.TEAM,
+            label="first token",
+            team=team,
+            lifetime=timedelta(days=settings.token_lifetime_days),
+        )
+        team_json = to_json(team)
+    if as_json:
+        print_json({"team": team_json, "secret": issued.secret})
+        return
+    print_pairs({"team": team.name, "id": team.id, "token": issued.secret})
+    print("\nThe token is not shown again. Hand it to the team; it is used as VITAC_TOKEN.")
+
+
+@app.command("list")
+def list_teams(as_json: AsJson = False) -> None:
+    """List all teams."""
+    from vitac.server.accounts import teams
+
+    with transaction() as session:
+        found = [to_json(team) for team in teams.list_teams(session)]
+    none = "No team yet; `vitac admin team add NAME` makes one."
+    print_records(found, ("name", "contact", "created_at", "id"), none=none, as_json=as_json)
+
+
+@app.command()
+def show(
+    team: Annotated[str, typer.Argument(help="Name or id.")],
+    as_json: AsJson = False,
+) -> None:
+    """Show one team."""
+    from vitac.server.accounts import teams
+
+    with transaction() as session:
+        found = to_json(teams.find(session, team))
+    print_record(found, as_json=as_json)
+
+
+def to_json(team: "Team") -> dict[str, str | None]:
+    """Return what is shown of a team."""
+    return {"id": str(team.id), "name": team.name, "contact": team.contact, "created_at": moment(team.created_at)}

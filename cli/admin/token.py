@@ -1,0 +1,91 @@
+"""`vitac admin token`: API tokens of teams and organizers."""
+
+from datetime import timedelta
+from typing import TYPE_CHECKING, Annotated
+from uuid import UUID
+
+import typer
+
+from ..service.database import load_settings, open_service, transaction
+from ..terminal.output import AsJson, moment, print_json, print_pairs, print_records
+from .consent import Yes, consented_transaction
+
+if TYPE_CHECKING:
+    from vitac.server.db.models import ApiToken
+
+app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
+
+
+@app.command()
+def add(
+    team: Annotated[str | None, typer.Argument(help="Name or id of the team; none with --organizer.")] = None,
+    organizer: Annotated[bool, typer.Option("--organizer", help="A token that may do everything.")] = False,
+    label: Annotated[str, typer.Option(help="What the token is for.")] = "added by an organizer",
+    days: Annotated[
+        int | None, typer.Option(min=1, help="Days until it expires; default: VITAC_TOKEN_LIFETIME_DAYS.")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Add a token and print it, which happens only now."""
+    from vitac.server.accounts import teams, tokens
+    from vitac.server.accounts.principals import CONSOLE
+    from vitac.server.db.states import Role
+
+    if (team is None) != organizer:
+        raise typer.BadParameter("give either a TEAM or --organizer")
+    settings = load_settings()
+    with open_service(settings) as services, services.database.transaction() as session:
+        issued = tokens.issue(
+            session,
+            CONSOLE,
+            role=Role.ORGANIZER if organizer else Role.TEAM,
+            label=label,
+            team=None if team is None else teams.find(session, team),
+            lifetime=timedelta(days=days or settings.token_lifetime_days),
+        )
+        shown = to_json(issued.token) | {"secret": issued.secret}
+    if as_json:
+        print_json(shown)
+        return
+    print_pairs(shown)
+    print("\nThe secret is not shown again. It is used as VITAC_TOKEN.")
+
+
+@app.command("list")
+def list_tokens(as_json: AsJson = False) -> None:
+    """List all tokens, without their secrets."""
+    from vitac.server.accounts import tokens
+    from vitac.server.accounts.principals import CONSOLE
+
+    with transaction() as session:
+        found = [to_json(token) for token in tokens.list_tokens(session, CONSOLE)]
+    columns = ("id", "role", "team", "label", "expires_at", "revoked_at", "last_used_at")
+    print_records(found, columns, none="No token yet.", as_json=as_json)
+
+
+@app.command()
+def revoke(
+    token: Annotated[UUID, typer.Argument(help="Id of the token (not its secret).")],
+    yes: Yes = False,
+) -> None:
+    """End a token at once, for good."""
+    from vitac.server.accounts import tokens
+    from vitac.server.accounts.principals import CONSOLE
+
+    with consented_transaction(f"Revoke token {token} for good?", yes=yes) as session:
+        tokens.revoke(session, CONSOLE, token)
+    print(f"revoked {token}")
+
+
+def to_json(token: "ApiToken") -> dict[str, str | None]:
+    """Return what is shown of a token; its secret is not stored."""
+    return {
+        "id": str(token.id),
+        "role": token.role.value,
+        "team": token.team.name if token.team is not None else None,
+        "label": token.label,
+        "created_at": moment(token.created_at),
+        "expires_at": moment(token.expires_at),
+        "revoked_at": moment(token.revoked_at),
+        "last_used_at": moment(token.last_used_at),
+    }

@@ -1,0 +1,70 @@
+"""Makes the archive of a submission's folder: the same bytes for the same files on every machine.
+
+Called by `submit` and `demo`. What belongs to a submission is the evaluator's to say: names left out, top folder.
+"""
+
+from __future__ import annotations
+
+import shutil
+import zipfile
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+TOP_FOLDER = "Track_1"
+FIXED_TIME = (1980, 1, 1, 0, 0, 0)
+READABLE_FILE = 0o100644 << 16
+UNIX = 3
+
+
+def pack(folder: Path, archive: Path) -> int:
+    """Write the archive of a submission's folder; order, times and modes are fixed, caches are left out.
+
+    Args:
+        folder: holds `submission.yaml`, itself or in its `Track_1`.
+        archive: file to write.
+
+    Returns:
+        Number of files packed.
+
+    Raises:
+        NoSubmission: the folder holds none.
+        ArchiveRejected: a link or a device lies in the folder.
+    """
+    from vitac.evaluator.submission.manifest import find_submission
+
+    found = find_submission(folder)
+    paths = sorted(_files(found, ""))
+    with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as writer:
+        for path in paths:
+            _add(writer, found / path, path)
+    return len(paths)
+
+
+def _add(writer: zipfile.ZipFile, file: Path, path: str) -> None:
+    entry = zipfile.ZipInfo(f"{TOP_FOLDER}/{path}", FIXED_TIME)
+    entry.compress_type = zipfile.ZIP_DEFLATED
+    entry.create_system = UNIX
+    entry.external_attr = READABLE_FILE
+    entry.file_size = file.stat().st_size
+    with file.open("rb") as source, writer.open(entry, "w") as target:
+        shutil.copyfileobj(source, target, 1 << 20)
+
+
+def _files(folder: Path, prefix: str) -> Iterator[str]:
+    from vitac.evaluator.submission.names import is_left_out, link, special_file
+
+    for item in folder.iterdir():
+        path = f"{prefix}{item.name}"
+        if is_left_out(path):
+            continue
+        if item.is_symlink():
+            raise link(path)
+        if item.is_dir():
+            yield from _files(item, f"{path}/")
+        elif item.is_file():
+            yield path
+        else:
+            raise special_file(path)

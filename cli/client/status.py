@@ -1,0 +1,194 @@
+"""`vitac status`: what became of submissions."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from vitac.envs.errors import VitacError
+
+from ..terminal.output import percent, print_json, print_pairs, print_table
+from .client import client_from
+from .progress import EvaluationProgress
+
+if TYPE_CHECKING:
+    from .client import Client, Json
+
+POLL_S = 0.5
+FINISHED = frozenset({"completed", "failed", "cancelled"})
+
+
+class EvaluationEndedWithoutScore(VitacError):
+    """The evaluation failed or was cancelled; the message says why."""
+
+
+def command(
+    submission: Annotated[
+        str | None, typer.Argument(help="Id of a submission; without one, the newest are listed.")
+    ] = None,
+    watch: Annotated[bool, typer.Option("--watch", help="Stay until the evaluation ends.")] = False,
+    server: Annotated[str | None, typer.Option(help="Address of the service; default: VITAC_SERVER.")] = None,
+    token_file: Annotated[Path | None, typer.Option(help="File with the API token; default: VITAC_TOKEN.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the service's answer as JSON.")] = False,
+) -> None:
+    """Show your newest submissions, or one of them.
+
+    With --watch the exit code is 0 for a completed evaluation and 1 for one that failed or was cancelled.
+    """
+    client = client_from(server, token_file)
+    if submission is None:
+        if watch:
+            raise typer.BadParameter("--watch needs the id of a submission")
+        show_list(client.submissions(), as_json=as_json)
+        return
+    if watch:
+        follow(client, submission, as_json=as_json)
+    elif as_json:
+        print_json(client.submission(submission))
+    else:
+        show(client.submission(submission))
+
+
+def follow(client: Client, submission_id: str, *, as_json: bool) -> None:
+    """Stay until an evaluation ends, then print it.
+
+    Raises:
+        EvaluationEndedWithoutScore: it failed or was cancelled.
+    """
+    found = watch_submission(client, submission_id, quiet=as_json)
+    if as_json:
+        print_json(found)
+    else:
+        show(found)
+    require_score(found)
+
+
+def watch_submission(client: Client, submission_id: str, *, quiet: bool = False) -> Json:
+    """Show the progress of an evaluation until it ends, and return its last state."""
+    with EvaluationProgress(quiet=quiet) as progress:
+        while True:
+            found = client.submission(submission_id)
+            progress.update(found)
+            if found["evaluation"]["state"] in FINISHED:
+                return found
+            time.sleep(POLL_S)
+
+
+def require_score(found: Json) -> None:
+    """Refuse an evaluation that ended without a score.
+
+    Raises:
+        EvaluationEndedWithoutScore: it failed or was cancelled.
+    """
+    evaluation = found["evaluation"]
+    if evaluation["state"] == "completed":
+        return
+    verdict = evaluation["verdict"]
+    reason = f": {verdict['title']} {verdict['message']} ({verdict['code']})" if verdict else ""
+    raise EvaluationEndedWithoutScore(f"The evaluation {evaluation['state']}{reason}.")
+
+
+def show_list(found: list[Json], *, as_json: bool) -> None:
+    """Print submissions below each other."""
+    if as_json:
+        print_json(found)
+        return
+    columns = ["submission", "name", "team", "state", "episodes", "success", "submitted"]
+    print_table(columns, [_row(item) for item in found], none="Nothing submitted yet; `vitac submit FOLDER` uploads.")
+
+
+def show(found: Json) -> None:
+    """Print one submission with its score or verdict."""
+    evaluation = found["evaluation"]
+    done = evaluation["progress"]
+    pairs: dict[str, object] = {
+        "submission": found["id"],
+        "name": found["name"],
+        "team": found["team"]["name"],
+        "state": evaluation["state"],
+        "queue": evaluation["queue_position"],
+        "episodes": f"{done['episodes_done']} of {done['episodes_total']}, {done['episodes_reused']} from the store",
+    }
+    if found["log"]:
+        pairs |= _log(found["log"])
+    pairs |= _scores(found) if evaluation["scores"] else _progress_of_tasks(done)
+    if found["missing_tasks"]:
+        pairs["not played"] = f"{', '.join(found['missing_tasks'])} (counts as 0 in the ranking of all tasks)"
+    if evaluation["verdict"] is not None:
+        pairs["verdict"] = _verdict(evaluation["verdict"])
+    print_pairs(pairs)
+    if evaluation["log_tail"]:
+        print(f"\noutput of the policy, its last lines:\n{evaluation['log_tail']}")
+
+
+def _log(log: Json) -> dict[str, object]:
+    """Claims of a log and that it is verified; what was found against it is the evaluation's verdict."""
+    claimed = f"{percent(log['claimed_success_rate'])}, {log['claimed_successes']} of {log['claimed_episodes']}"
+    lines: dict[str, object] = {"kind": log["label"], "claimed": claimed}
+    if log["verdict"] is not None and log["verdict"].startswith("verified"):
+        lines["log"] = f"{log['verdict']}: {log['reason']}"
+    if log["divergence"] is not None:
+        lines["state in the log"] = log["divergence"]["recorded_state"]
+        lines["re-simulated"] = log["divergence"]["resimulated_state"]
+    if log["problems"]:
+        lines["problems"] = f"{len(log['problems'])}, the first: {log['problems'][0]}"
+    return lines
+
+
+def _scores(found: Json) -> dict[str, object]:
+    """Score, rank and result hash of each task, and of all together where the track has several."""
+    evaluation, ranks = found["evaluation"], found["task_ranks"]
+    lines: dict[str, object] = {
+        score["task"]: _score(score, ranks.get(score["task"])) for score in evaluation["scores"]
+    }
+    several = len(found["tasks"]) + len(found["missing_tasks"]) > 1
+    if several:
+        lines["all tasks"] = _score(evaluation, found["rank"])
+    if len(evaluation["scores"]) > 1:
+        lines |= {f"hash, {score['task']}": score["result_hash"] for score in evaluation["scores"]}
+    return lines | {"result hash": evaluation["result_hash"]}
+
+
+def _score(score: Json, rank: Json | None) -> str:
+    low, high = score["success_rate_interval"]
+    steps = "no mean of steps" if score["mean_steps"] is None else f"{score['mean_steps']:.2f} steps"
+    place = "" if rank is None else f", rank {rank['rank']} of {rank['of']}"
+    return f"{percent(score['success_rate'])} ({percent(low)} to {percent(high)}), {steps}{place}"
+
+
+def _progress_of_tasks(progress: Json) -> dict[str, object]:
+    """How far each task is, where there are several."""
+    tasks = progress["tasks"]
+    return {
+        task["task"]: f"{task['episodes_done']} of {task['episodes_total']}, {task['successes']} successes"
+        for task in tasks
+        if len(tasks) > 1
+    }
+
+
+def _verdict(verdict: Json) -> str:
+    where = f" ({verdict['task']}, episode {verdict['episode']})" if verdict["task"] else ""
+    return f"{verdict['code']}: {verdict['message']}{where}"
+
+
+def to_the_second(time: str) -> str:
+    """Shorten a time as the service writes it: `2026-11-21T04:56:50.45Z` to `2026-11-21 04:56:50Z`."""
+    return f"{time[:19].replace('T', ' ')}Z"
+
+
+def _row(item: Json) -> list[object]:
+    evaluation = item["evaluation"]
+    progress = evaluation["progress"]
+    rates = [f"{score['task']} {percent(score['success_rate'])}" for score in evaluation["scores"]]
+    done = f"{progress['episodes_done']}/{progress['episodes_total']}"
+    return [
+        item["id"],
+        item["name"],
+        item["team"]["name"],
+        evaluation["state"],
+        done,
+        ", ".join(rates),
+        to_the_second(item["submitted_at"]),
+    ]

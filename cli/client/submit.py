@@ -1,0 +1,104 @@
+"""`vitac submit`: uploads a model or a log to a service."""
+
+from __future__ import annotations
+
+import tempfile
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ..terminal.output import print_json
+from .client import client_from
+from .packing import pack
+from .upload_kind import UploadKind, kind_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from .client import Client, Json
+
+DEFAULT_TRACK = "track_1"
+
+
+def command(
+    submission: Annotated[
+        Path, typer.Argument(exists=True, help="Folder or zip of a model, FILE.jsonl or FILE.log (.gz).")
+    ],
+    track: Annotated[str, typer.Option(help="Track to submit to.")] = DEFAULT_TRACK,
+    server: Annotated[str | None, typer.Option(help="Address of the service; default: VITAC_SERVER.")] = None,
+    token_file: Annotated[Path | None, typer.Option(help="File with the API token; default: VITAC_TOKEN.")] = None,
+    kind: Annotated[
+        UploadKind | None, typer.Option(help="What the file is; by its name if not given: .jsonl log, .log text log.")
+    ] = None,
+    team: Annotated[str | None, typer.Option(help="For organizers: the team that submits.")] = None,
+    again: Annotated[bool, typer.Option("--again", help="Run all episodes, also those evaluated before.")] = False,
+    watch: Annotated[bool, typer.Option("--watch", help="Stay and show the progress.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the service's answer as JSON.")] = False,
+) -> None:
+    """Upload a submission and print its id and page.
+
+    A folder is packed first, always into the same bytes. A log of `vitac evaluate --log` or of the 2025 challenge is
+    re-simulated from its actions and ranks apart from models.
+
+    Exit code 0: accepted (with --watch: completed), 1: refused, 2: wrong usage.
+    """
+    client = client_from(server, token_file)
+    with packed(submission) as archive, upload_bar(archive.stat().st_size, shown=not as_json) as on_bytes:
+        answer = client.upload(
+            archive, track=track, kind=kind or kind_of(submission), team=team, again=again, on_bytes=on_bytes
+        )
+    if as_json and not watch:
+        print_json(answer)
+    if not as_json:
+        describe(client, answer)
+    if watch:
+        from .status import follow
+
+        follow(client, answer["id"], as_json=as_json)
+
+
+@contextmanager
+def packed(submission: Path) -> Iterator[Path]:
+    """Give the file to upload: a file as it is, a folder packed into a temporary zip."""
+    if submission.is_file():
+        yield submission
+        return
+    with tempfile.TemporaryDirectory(prefix="vitac-submit-") as folder:
+        archive = Path(folder) / "submission.zip"
+        pack(submission, archive)
+        yield archive
+
+
+@contextmanager
+def upload_bar(total_bytes: int, *, shown: bool) -> Iterator[Callable[[int], None]]:
+    """Show the upload's progress on a terminal's stderr, and nothing in a pipe."""
+    from rich.console import Console
+    from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TransferSpeedColumn
+
+    console = Console(stderr=True)
+    if not shown or not console.is_terminal:
+        yield lambda _: None
+        return
+    columns = (TextColumn("upload"), BarColumn(), DownloadColumn(binary_units=True), TransferSpeedColumn())
+    with Progress(*columns, console=console, transient=True) as progress:
+        task = progress.add_task("upload", total=total_bytes)
+        yield lambda count: progress.update(task, advance=count)
+
+
+def describe(client: Client, answer: Json) -> None:
+    """Print id, state and page of a submission that the service took."""
+    evaluation = answer["evaluation"]
+    position = evaluation["queue_position"]
+    print(f"submission  {answer['id']}")
+    if answer["log"]:
+        print(f"kind        {answer['log']['label']}")
+    print(f"state       {evaluation['state']}" + (f", number {position} in the queue" if position else ""))
+    print(f"tasks       {', '.join(answer['tasks'])}" + _missing(answer["missing_tasks"]))
+    print(f"page        {client.server}/submissions/{answer['id']}")
+    print("\nThe page needs a sign-in with the same token. `vitac status ID --watch` follows it here.")
+
+
+def _missing(tasks: list[str]) -> str:
+    return f" (not {', '.join(tasks)}: counts as 0 in the ranking of all tasks)" if tasks else ""

@@ -1,0 +1,1 @@
+"""`vitac demo`: an evaluation on a service of its own."""

@@ -1,0 +1,243 @@
+"""`vitac demo`: the whole way of a submission on this machine, from an empty folder to a leaderboard."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from contextlib import ExitStack
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from vitac.envs.errors import VitacError
+
+from ..client.client import Client
+from ..client.progress import EvaluationProgress
+from ..client.status import FINISHED, require_score
+from ..client.submit import packed
+from ..service.database import load_settings
+from ..service.service import StopRequest, log_to, running_service
+from ..service.web_server import bind_or_any
+from ..terminal.program import program_name
+from .display import INDENT, DemoDisplay
+from .team import TEAM, TOKEN_FILE, team_token
+
+if TYPE_CHECKING:
+    from vitac.server.db.models import Worker
+    from vitac.server.settings import Settings
+
+    from ..client.client import Json
+    from ..service.service import RunningService
+
+TRACK = "track_1"
+EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "peg_insertion_heuristic"
+SLOTS_AT_MOST = 4
+WORKER_START_LIMIT_S = 120.0
+POLL_S = 0.25
+WARM_UP = "from vitac.cli.demo.physics import warm_up; warm_up()"
+LOG = "demo.log"
+
+
+class DemoRefused(VitacError):
+    """The demo cannot run here; the message says what to do."""
+
+
+class Interrupted(Exception):
+    """Somebody asked to stop before the evaluation had ended."""
+
+
+def command(
+    exit_after: Annotated[bool, typer.Option("--exit", help="Stop the service after the leaderboard.")] = False,
+    again: Annotated[bool, typer.Option("--again", help="Run all episodes, also those in the store.")] = False,
+    port: Annotated[int | None, typer.Option(min=0, max=65535, help="Port; a free one where it is taken.")] = None,
+    submission: Annotated[Path, typer.Option(help="Submission to evaluate.")] = EXAMPLE,
+) -> None:
+    """Start the service, evaluate the example submission on it and show the leaderboard.
+
+    The service then runs on until Ctrl-C. What was evaluated is kept: the next run takes it from the store.
+    """
+    if not submission.exists():
+        raise DemoRefused(f"There is no submission at {submission}. Run the demo in a checkout, or give --submission.")
+    settings = load_settings(port=port, worker_slots=min(usable_cores(), SLOTS_AT_MOST))
+    display = DemoDisplay()
+    display.title(version("vitac-arena"))
+    settings.state_dir.mkdir(parents=True, exist_ok=True)
+    with (settings.state_dir / LOG).open("a") as log, StopRequest().listening() as stop:
+        log_to(log)
+        demo = Demo(settings=settings, display=display, stop=stop, submission=submission, again=again, log=log.fileno())
+        try:
+            demo.run(stay=not exit_after)
+        except Interrupted:
+            display.interrupted()
+            raise typer.Exit(130) from None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Demo:
+    """One run of the demo.
+
+    Attributes:
+        settings: settings of the service.
+        display: what is printed.
+        stop: Ctrl-C.
+        submission: folder or zip to evaluate.
+        again: run also what the store has.
+        log: descriptor of the log's file.
+    """
+
+    settings: Settings
+    display: DemoDisplay
+    stop: StopRequest
+    submission: Path
+    again: bool
+    log: int
+
+    def run(self, *, stay: bool) -> None:
+        """Do it all; with `stay` return only when somebody asks to stop."""
+        with ExitStack() as stack:
+            service = self._start(stack)
+            client = Client(server=service.address, token=team_token(service.database, self.settings.state_dir))
+            found = self._upload(client)
+            if found["evaluation"]["state"] in FINISHED:
+                self._say_stored(found)
+            else:
+                self._start_workers(service)
+                found = self._evaluate(service, client, found["id"])
+            require_score(found)
+            self._show(client, found)
+            if stay:
+                self._stay(service)
+        self.display.stopped(self.settings.state_dir)
+
+    def _start(self, stack: ExitStack) -> RunningService:
+        wanted = self.settings.port
+        with self.display.step("Service", "starting the database and the server") as step:
+            listener = bind_or_any(self.settings.host, wanted)
+            service = stack.enter_context(
+                running_service(self.settings, listener, workers=1, log=self.log, say=self.display.remark)
+            )
+            taken = listener.getsockname()[1] != wanted and wanted != 0
+            step.done(service.address + (f" (port {wanted} is taken)" if taken else ""))
+        return service
+
+    def _upload(self, client: Client) -> Json:
+        with self.display.step("Submission", "packing and uploading") as step, packed(self.submission) as archive:
+            found = client.upload(archive, track=TRACK, again=self.again, on_bytes=lambda _: None)
+            step.done(f"{found['name']} ({archive.stat().st_size / 1024:.1f} KiB), team {TEAM}")
+        return found
+
+    def _say_stored(self, found: Json) -> None:
+        progress = found["evaluation"]["progress"]
+        self.display.line(
+            "Evaluation",
+            f"all {progress['episodes_total']} episodes come from the store, nothing was run again "
+            f"({program_name()} demo --again runs them)",
+        )
+
+    def _start_workers(self, service: RunningService) -> None:
+        with self.display.step("Physics", "compiling, a minute or two on the first run") as step:
+            self._warm_up()
+            step.done("compiled and kept for the next run")
+        with self.display.step("Worker", "starting and testing the sandbox") as step:
+            service.workers.start()
+            isolation = self._wait_for_worker(service)
+            slots = self.settings.worker_slots
+            step.done(f"{slots} shard{'s' if slots > 1 else ''} at a time, {isolation}")
+
+    def _warm_up(self) -> None:
+        process = subprocess.Popen(  # noqa: S603 - our own interpreter and code
+            [sys.executable, "-c", WARM_UP], stdin=subprocess.DEVNULL, stdout=self.log, stderr=self.log
+        )
+        while process.poll() is None:
+            if self.stop.wait(POLL_S):
+                process.kill()
+                process.wait()
+                raise Interrupted
+        if process.returncode != 0:
+            raise DemoRefused(
+                f"The physics could not be compiled (exit code {process.returncode}); the end of "
+                f"{self.settings.state_dir / LOG} says why. Memory and disk space are the usual reasons."
+            )
+
+    def _wait_for_worker(self, service: RunningService) -> str:
+        """Wait until the worker takes work, and return how it isolates policies.
+
+        Raises:
+            DemoRefused: it does not start, or its sandbox does not hold.
+        """
+        from vitac.server.db.states import WorkerState
+
+        deadline = time.monotonic() + WORKER_START_LIMIT_S
+        while time.monotonic() < deadline:
+            for worker in workers_of(service):
+                if worker.state is WorkerState.READY:
+                    return short_isolation(worker.isolation)
+                if worker.state is WorkerState.REFUSING:
+                    raise DemoRefused(f"The worker takes no policies on this machine. {worker.message}")
+            if self.stop.wait(POLL_S):
+                raise Interrupted
+            service.workers.look_after()
+        raise DemoRefused(f"No worker was ready in time; the end of {self.settings.state_dir / LOG} says why.")
+
+    def _evaluate(self, service: RunningService, client: Client, submission_id: str) -> Json:
+        began = time.monotonic()
+        with EvaluationProgress(console=self.display.console, indent=INDENT) as progress:
+            while True:
+                found = client.submission(submission_id)
+                progress.update(found)
+                if found["evaluation"]["state"] in FINISHED:
+                    break
+                if self.stop.wait(POLL_S):
+                    raise Interrupted
+                service.workers.look_after()
+        self.display.line("Evaluation", evaluated(found), time.monotonic() - began)
+        return found
+
+    def _show(self, client: Client, found: Json) -> None:
+        # A submission of one task would stand on the board of all tasks with 0 in the others.
+        task = found["tasks"][0] if len(found["tasks"]) == 1 else None
+        self.display.leaderboard(client.leaderboard(TRACK, task=task), TEAM)
+        self.display.addresses(
+            {
+                "Result hash": found["evaluation"]["result_hash"],
+                "Leaderboard": f"{client.server}/" + (f"tracks/{TRACK}?task={task}" if task else ""),
+                "Submission": f"{client.server}/submissions/{found['id']}",
+                "Sign in": f"{client.server}/sign-in with the token in {self.settings.state_dir / TOKEN_FILE}",
+            }
+        )
+
+    def _stay(self, service: RunningService) -> None:
+        if not service.workers.pids:
+            service.workers.start()
+        self.display.staying()
+        self.stop.look_after(service.workers)
+
+
+def evaluated(found: Json) -> str:
+    """Say how many episodes were run and how many were kept from before."""
+    progress = found["evaluation"]["progress"]
+    total, reused = progress["episodes_total"], progress["episodes_reused"]
+    kept = f", {reused} of them from the store" if reused else ""
+    return f"{progress['episodes_done']} of {total} episodes{kept}, {progress['successes']} successes"
+
+
+def short_isolation(level: str) -> str:
+    """Return who runs the policy and what holds its memory, the first two parts of what a worker says about itself."""
+    return ", ".join(level.split(", ")[:2])
+
+
+def workers_of(service: RunningService) -> list[Worker]:
+    """Return those workers of the database that this demo started."""
+    from vitac.server.queue import workers
+
+    with service.database.transaction() as session:
+        return [worker for worker in workers.list_workers(session) if worker.pid in service.workers.pids]
+
+
+def usable_cores() -> int:
+    """Return how many processor cores this process may use."""
+    return len(os.sched_getaffinity(0))

@@ -1,0 +1,1 @@
+"""`vitac serve` and `vitac worker`: processes of the service."""

@@ -1,0 +1,35 @@
+"""`vitac serve`: the service on this machine."""
+
+import sys
+from typing import Annotated
+
+import typer
+
+from .database import load_settings
+from .service import StopRequest, log_to, running_service
+from .web_server import bind
+
+
+def command(
+    host: Annotated[str | None, typer.Option(help="Address to listen at; default: VITAC_HOST or 127.0.0.1.")] = None,
+    port: Annotated[
+        int | None, typer.Option(min=0, max=65535, help="Port; 0 takes a free one; default: VITAC_PORT or 8000.")
+    ] = None,
+    workers: Annotated[int, typer.Option(min=0, help="Worker processes to run as well.")] = 0,
+) -> None:
+    """Run the service until Ctrl-C: API, pages, and the embedded database unless VITAC_DATABASE_URL is set."""
+    settings = load_settings(host=host, port=port)
+    log_to(sys.stderr)
+    listener = bind(settings.host, settings.port)
+    with (
+        StopRequest().listening() as stop,
+        running_service(
+            settings, listener, workers=workers, log=sys.stderr.fileno(), say=lambda text: print(text, file=sys.stderr)
+        ) as service,
+    ):
+        service.workers.start()
+        print(f"ViTac Arena serves at {service.address}", flush=True)
+        print(f"workers: {workers}" if workers else "workers: none here; start some with `vitac worker`", flush=True)
+        print("Ctrl-C stops it.", flush=True)
+        stop.look_after(service.workers)
+        print("stopping", flush=True)

@@ -1,0 +1,1 @@
+"""Output in a terminal: tables, JSON, the program's own name."""

@@ -1,0 +1,98 @@
+"""The stiff energy that keeps affine bodies rigid.
+
+    E(A) = (kappa_affine V / h^2) |A A^T - I|_F^2      [J]
+
+Lan et al., Affine Body Dynamics (ACM TOG 2022), equation 6. The columns of A come from the frame points of
+`affine_body`, a_k = (y_k - y_0) / L, so that a derivative by a_k acts as 1 / L on y_k and -1 / L on y_0.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...compilation import kernel
+from ..algebra.mat3 import Mat3, add_matrices, apply_columns, identity_and_outers, scale_matrix
+from ..algebra.vec3 import Vec3, add_to_row, dot, scale
+from ..linear.system import BlockLayout, add_block, block_place
+from ..model.model import Affine
+from ..solver.workspace import NO_MATRIX, PROJECTED_MATRIX, Workspace
+from .affine_body import affine_columns
+
+FloatArray = NDArray[np.float64]
+
+
+@kernel
+def add_orthogonality(affine: Affine, system: BlockLayout, x: FloatArray, workspace: Workspace, matrix: int) -> None:
+    """Add the forces [N] and blocks [N/m] of all movable bodies at nodes x [m]."""
+    for i in range(len(affine.first_node)):
+        node, unknown = affine.first_node[i], affine.first_unknown[i]
+        length, stiffness = affine.frame_length_m[i], affine.stiffness_j[i]
+        A = affine_columns(x, node, length)
+        E = orthogonality_error(A)
+        for k in range(3):
+            force = scale(stiffness / length, orthogonality_gradient(E, A[k]))
+            add_to_row(workspace.gradient, node + 1 + k, force)
+            add_to_row(workspace.gradient, node, scale(-1.0, force))
+            if matrix == NO_MATRIX:
+                continue
+            for j in range(3):
+                block = orthogonality_block(E, A[k], A[j], k == j, matrix == PROJECTED_MATRIX)
+                block = scale_matrix(stiffness / (length * length), block)
+                opposite = scale_matrix(-1.0, block)
+                # The block acts between the differences y_k - y_0 and y_l - y_0.
+                _add_unknown_block(system, workspace.entries, unknown + 1 + k, unknown + 1 + j, block)
+                _add_unknown_block(system, workspace.entries, unknown, unknown, block)
+                _add_unknown_block(system, workspace.entries, unknown + 1 + k, unknown, opposite)
+                _add_unknown_block(system, workspace.entries, unknown, unknown + 1 + j, opposite)
+
+
+@kernel
+def _add_unknown_block(system: BlockLayout, entries: FloatArray, a: int, b: int, block: Mat3) -> None:
+    place, stride = block_place(system, a, b)
+    add_block(entries, place, stride, block)
+
+
+@kernel
+def orthogonality_error(A: Mat3) -> Mat3:
+    """Columns of A A^T - I."""
+    a, b, c = A
+    return (
+        (
+            a[0] * a[0] + b[0] * b[0] + c[0] * c[0] - 1.0,
+            a[0] * a[1] + b[0] * b[1] + c[0] * c[1],
+            a[0] * a[2] + b[0] * b[2] + c[0] * c[2],
+        ),
+        (
+            a[0] * a[1] + b[0] * b[1] + c[0] * c[1],
+            a[1] * a[1] + b[1] * b[1] + c[1] * c[1] - 1.0,
+            a[1] * a[2] + b[1] * b[2] + c[1] * c[2],
+        ),
+        (
+            a[0] * a[2] + b[0] * b[2] + c[0] * c[2],
+            a[1] * a[2] + b[1] * b[2] + c[1] * c[2],
+            a[2] * a[2] + b[2] * b[2] + c[2] * c[2] - 1.0,
+        ),
+    )
+
+
+@kernel
+def orthogonality_energy(E: Mat3) -> float:
+    """|A A^T - I|_F^2 from E = A A^T - I (ABD equation 6, without its factor kappa V)."""
+    return dot(E[0], E[0]) + dot(E[1], E[1]) + dot(E[2], E[2])
+
+
+@kernel
+def orthogonality_gradient(E: Mat3, column: Vec3) -> Vec3:
+    """d|A A^T - I|^2 / da_k = 4 (A A^T - I) a_k."""
+    return scale(4.0, apply_columns(E, column))
+
+
+@kernel
+def orthogonality_block(E: Mat3, a_k: Vec3, a_l: Vec3, same: bool, projected: bool) -> Mat3:
+    """Rows of d2|A A^T - I|^2 / da_k da_l = 4 ((a_k . a_l) I + a_l a_k^T + delta_kl (A A^T - I)).
+
+    `projected` leaves out the last term, the only one that can be indefinite; the rest is the Gauss-Newton matrix.
+    """
+    block = identity_and_outers(4.0 * dot(a_k, a_l), 4.0, a_l, a_k, 0.0)
+    if same and not projected:
+        return add_matrices(block, scale_matrix(4.0, E))
+    return block

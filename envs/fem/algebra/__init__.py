@@ -1,0 +1,1 @@
+"""Small vectors, matrices and rows of arrays as kernels use them."""

@@ -1,0 +1,1 @@
+"""Incremental potential contact: candidate pairs, distances, barrier, mollifier, friction, and their sum."""

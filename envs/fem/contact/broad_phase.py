@@ -1,0 +1,253 @@
+"""Candidate pairs: every point-triangle and edge-edge pair of two bodies that can come within reach of each other.
+
+The list is made with a margin and stays complete while bodies deform or move relative to each other by no more than
+that; `relative_motion` bounds such motion, so that the caller knows when to make a new list. The distance at which a
+pair was listed, less that motion, bounds its distance from below, so that most pairs need not be looked at again.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...compilation import allocating_kernel, kernel
+from ..algebra.vec3 import Vec3, add, dot, load, scale, subtract
+from ..model.model import Surfaces
+from .distance import EDGE_EDGE, POINT_TRIANGLE, closest_points
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
+Corners = tuple[int, int, int, int]
+
+_MOLLIFIER_THRESHOLD = 1e-3
+
+
+class Candidates(NamedTuple):
+    """Pairs that may be in contact; a list, not a set of contacts."""
+
+    kind: IndexArray  # [k] POINT_TRIANGLE or EDGE_EDGE
+    points: IndexArray  # [k, 4]
+    friction: FloatArray  # [k]
+    mollifier_eps_m4: FloatArray  # [k] 0 for point-triangle pairs
+    distance_m: FloatArray  # [k] when the list was made
+    bodies: IndexArray  # [k] row of `Surfaces.pairs`
+
+
+@allocating_kernel
+def find_candidates(surfaces: Surfaces, y: FloatArray, reach_m: FloatArray) -> Candidates:
+    """All pairs within the reach [m], shape [k], of their pair of bodies, at points y [m] of shape [p, 3]."""
+    capacity = 4096
+    while True:
+        found = Candidates(
+            np.empty(capacity, np.int64),
+            np.empty((capacity, 4), np.int64),
+            np.empty(capacity),
+            np.zeros(capacity),
+            np.empty(capacity),
+            np.empty(capacity, np.int64),
+        )
+        count = 0
+        for k in range(len(surfaces.pairs)):
+            a, b = surfaces.pairs[k, 0], surfaces.pairs[k, 1]
+            first = count
+            count = _point_triangle_pairs(surfaces, y, reach_m[k], a, b, found, count)
+            count = _point_triangle_pairs(surfaces, y, reach_m[k], b, a, found, count)
+            count = _edge_edge_pairs(surfaces, y, reach_m[k], a, b, found, count)
+            found.friction[first : min(count, capacity)] = surfaces.pair_friction[k]
+            found.bodies[first : min(count, capacity)] = k
+        if count <= capacity:
+            return Candidates(
+                found.kind[:count],
+                found.points[:count],
+                found.friction[:count],
+                found.mollifier_eps_m4[:count],
+                found.distance_m[:count],
+                found.bodies[:count],
+            )
+        capacity = count
+
+
+@allocating_kernel
+def _point_triangle_pairs(
+    surfaces: Surfaces, y: FloatArray, reach: float, a: int, b: int, found: Candidates, count: int
+) -> int:
+    """Append the pairs of points of body a and triangles of body b."""
+    triangles, starts = surfaces.triangles, surfaces.triangle_start
+    near_points = _near_points(surfaces, y, reach, a, b)
+    near_triangles = near_rows(triangles, starts[b], starts[b + 1], y, reach, surfaces, a)
+    boxes = _boxes(triangles, near_triangles, y, reach)
+    for p in near_points:
+        x = load(y, p)
+        for i in range(len(near_triangles)):
+            if _boxes_meet(x, x, _low(boxes, i), _high(boxes, i)):
+                t = near_triangles[i]
+                corners = (p, triangles[t, 0], triangles[t, 1], triangles[t, 2])
+                count = _append(found, count, POINT_TRIANGLE, corners, 0.0, y, reach)
+    return count
+
+
+@allocating_kernel
+def _edge_edge_pairs(
+    surfaces: Surfaces, y: FloatArray, reach: float, a: int, b: int, found: Candidates, count: int
+) -> int:
+    """Append the pairs of edges of body a and of body b."""
+    edges, starts, lengths = surfaces.edges, surfaces.edge_start, surfaces.edge_squared_length_m2
+    of_a = near_rows(edges, starts[a], starts[a + 1], y, reach, surfaces, b)
+    of_b = near_rows(edges, starts[b], starts[b + 1], y, reach, surfaces, a)
+    box_a = _boxes(edges, of_a, y, reach)
+    box_b = _boxes(edges, of_b, y, 0.0)
+    for i in range(len(of_a)):
+        for j in range(len(of_b)):
+            if _boxes_meet(_low(box_a, i), _high(box_a, i), _low(box_b, j), _high(box_b, j)):
+                e, f = of_a[i], of_b[j]
+                corners = (edges[e, 0], edges[e, 1], edges[f, 0], edges[f, 1])
+                eps = _MOLLIFIER_THRESHOLD * lengths[e] * lengths[f]
+                count = _append(found, count, EDGE_EDGE, corners, eps, y, reach)
+    return count
+
+
+@kernel
+def _append(found: Candidates, count: int, kind: int, corners: Corners, eps: float, y: FloatArray, reach: float) -> int:
+    """Append a pair if it is within reach; beyond the capacity pairs are only counted."""
+    _, _, r = closest_points(kind, load(y, corners[0]), load(y, corners[1]), load(y, corners[2]), load(y, corners[3]))
+    distance = _length(r)
+    if distance > reach:
+        return count
+    if count < len(found.kind):
+        points = found.points
+        found.kind[count] = kind
+        points[count, 0], points[count, 1], points[count, 2], points[count, 3] = corners
+        found.mollifier_eps_m4[count] = eps
+        found.distance_m[count] = distance
+    return count + 1
+
+
+@kernel
+def _boxes_meet(low_a: Vec3, high_a: Vec3, low_b: Vec3, high_b: Vec3) -> bool:
+    return (
+        low_a[0] <= high_b[0]
+        and low_b[0] <= high_a[0]
+        and low_a[1] <= high_b[1]
+        and low_b[1] <= high_a[1]
+        and low_a[2] <= high_b[2]
+        and low_b[2] <= high_a[2]
+    )
+
+
+@kernel
+def _low(boxes: FloatArray, i: int) -> Vec3:
+    return boxes[i, 0], boxes[i, 1], boxes[i, 2]
+
+
+@kernel
+def _high(boxes: FloatArray, i: int) -> Vec3:
+    return boxes[i, 3], boxes[i, 4], boxes[i, 5]
+
+
+@kernel
+def _body_box(surfaces: Surfaces, y: FloatArray, reach: float, body: int) -> tuple[Vec3, Vec3]:
+    """Corners of a body's bounding box, grown by reach."""
+    low = load(y, surfaces.point_start[body])
+    high = low
+    for p in range(surfaces.point_start[body] + 1, surfaces.point_start[body + 1]):
+        x = load(y, p)
+        low = (min(low[0], x[0]), min(low[1], x[1]), min(low[2], x[2]))
+        high = (max(high[0], x[0]), max(high[1], x[1]), max(high[2], x[2]))
+    return (low[0] - reach, low[1] - reach, low[2] - reach), (
+        high[0] + reach,
+        high[1] + reach,
+        high[2] + reach,
+    )
+
+
+@allocating_kernel
+def _near_points(surfaces: Surfaces, y: FloatArray, reach: float, a: int, b: int) -> IndexArray:
+    """Points of body a within reach of the box of body b."""
+    low, high = _body_box(surfaces, y, reach, b)
+    found = np.empty(surfaces.point_start[a + 1] - surfaces.point_start[a], np.int64)
+    count = 0
+    for p in range(surfaces.point_start[a], surfaces.point_start[a + 1]):
+        x = load(y, p)
+        if _boxes_meet(x, x, low, high):
+            found[count] = p
+            count += 1
+    return found[:count]
+
+
+@allocating_kernel
+def near_rows(
+    rows: IndexArray,
+    start: int,
+    stop: int,
+    y: FloatArray,
+    reach: float,
+    surfaces: Surfaces,
+    other: int,
+) -> IndexArray:
+    """Rows (edges or triangles) start..stop whose box is within reach of the box of body `other`."""
+    low, high = _body_box(surfaces, y, reach, other)
+    found = np.empty(stop - start, np.int64)
+    count = 0
+    for row in range(start, stop):
+        box_low, box_high = _row_box(rows, row, y)
+        if _boxes_meet(box_low, box_high, low, high):
+            found[count] = row
+            count += 1
+    return found[:count]
+
+
+@kernel
+def _row_box(rows: IndexArray, row: int, y: FloatArray) -> tuple[Vec3, Vec3]:
+    low = load(y, rows[row, 0])
+    high = low
+    for k in range(1, rows.shape[1]):
+        x = load(y, rows[row, k])
+        low = (min(low[0], x[0]), min(low[1], x[1]), min(low[2], x[2]))
+        high = (max(high[0], x[0]), max(high[1], x[1]), max(high[2], x[2]))
+    return low, high
+
+
+@allocating_kernel
+def _boxes(rows: IndexArray, selected: IndexArray, y: FloatArray, reach: float) -> FloatArray:
+    """Bounding boxes [low, high] of the selected rows, grown by reach, shape [n, 6]."""
+    boxes = np.empty((len(selected), 6))
+    for i in range(len(selected)):
+        low, high = _row_box(rows, selected[i], y)
+        for k in range(3):
+            boxes[i, k] = low[k] - reach
+            boxes[i, 3 + k] = high[k] + reach
+    return boxes
+
+
+@allocating_kernel
+def relative_motion(surfaces: Surfaces, displacement: FloatArray, motion: FloatArray) -> float:
+    """Largest possible change of a separation [m] under a point displacement [m] of shape [p, 3].
+
+    Written to `motion` [k] for each pair of bodies; the largest of them is returned. A body moves by its mean
+    displacement and, relative to it, by at most its spread; a common translation of two bodies changes nothing.
+    """
+    bodies = len(surfaces.point_start) - 1
+    mean, spread = np.empty((bodies, 3)), np.zeros(bodies)
+    starts, pairs = surfaces.point_start, surfaces.pairs
+    for body in range(bodies):
+        first, last = starts[body], starts[body + 1]
+        total = (0.0, 0.0, 0.0)
+        for p in range(first, last):
+            total = add(total, load(displacement, p))
+        centre = scale(1.0 / (last - first), total)
+        mean[body, 0], mean[body, 1], mean[body, 2] = centre
+        for p in range(first, last):
+            away = subtract(load(displacement, p), centre)
+            spread[body] = max(spread[body], dot(away, away))
+        spread[body] = np.sqrt(spread[body])
+    largest = 0.0
+    for k in range(len(pairs)):
+        a, b = pairs[k, 0], pairs[k, 1]
+        motion[k] = _length(subtract(load(mean, a), load(mean, b))) + spread[a] + spread[b]
+        largest = max(largest, motion[k])
+    return largest
+
+
+@kernel
+def _length(v: Vec3) -> float:
+    return float(np.sqrt(dot(v, v)))

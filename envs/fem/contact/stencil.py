@@ -1,0 +1,224 @@
+"""From a contact's own variables to the nodes of the scene: forces and Jacobian blocks of one contact.
+
+A contact knows the scene's nodes through a few *modes*, weighted sums sum_j w_tj x_j of the nodes j that it touches:
+its separation (mode C), what its two sliding directions move (FIRST and SECOND), and the two edge vectors of a nearly
+parallel edge pair (U and V). With f_t the force on mode t and H_ts its derivative by mode s,
+
+    force on node i = sum_t w_ti f_t,     block of nodes i and j = sum_ts w_ti H_ts w_sj
+
+`contact` writes f and H; a point of an affine body hands its weights on to the body's four frame points.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...compilation import kernel
+from ..algebra.mat3 import Mat3
+from ..algebra.vec3 import Vec3
+from ..linear.system import GEL_STRIDE, NO_PLACE, BlockLayout, Neighbours, block_place, gel_block_place
+from ..model.model import PRESCRIBED, Points
+from .distance import Coefficients
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
+
+C, FIRST, SECOND, U, V = 0, 1, 2, 3, 4
+# Modes of a plain contact, and with those of the mollifier.
+PLAIN_MODES, ALL_MODES = 3, 5
+_FRAME_POINTS = 4
+_NODES = 2 * _FRAME_POINTS
+
+
+class Stencil(NamedTuple):
+    """Scratch for one contact."""
+
+    point_weights: FloatArray  # [5, 4] weights of the contact's points in the modes
+    nodes: IndexArray  # [8]
+    weights: FloatArray  # [5, 8] weights of the nodes in the modes
+    force: FloatArray  # [5, 3] on the modes [N]
+    jacobian: FloatArray  # [15, 15] of the modes [N/m]
+    rows: FloatArray  # [15, 24] of the modes by the nodes [N/m]
+    block: FloatArray  # [24, 24] of the nodes [N/m]
+
+
+class Target(NamedTuple):
+    """Where a contact's forces and blocks go."""
+
+    system: BlockLayout
+    neighbours: Neighbours
+    slot: IndexArray  # [n] unknown of a node, or PRESCRIBED
+    entries: FloatArray
+    gradient: FloatArray  # [n, 3]
+    coupling: FloatArray  # [n, 3]
+    prescribed_move: FloatArray  # [n, 3]
+
+
+def new_stencil() -> Stencil:
+    """Uninitialised scratch."""
+    return Stencil(
+        point_weights=np.empty((ALL_MODES, 4)),
+        nodes=np.empty(_NODES, dtype=np.int64),
+        weights=np.empty((ALL_MODES, _NODES)),
+        force=np.empty((ALL_MODES, 3)),
+        jacobian=np.zeros((3 * ALL_MODES, 3 * ALL_MODES)),
+        rows=np.empty((3 * ALL_MODES, 3 * _NODES)),
+        block=np.empty((3 * _NODES, 3 * _NODES)),
+    )
+
+
+@kernel
+def set_point_weights(weights: FloatArray, mode: int, w: Coefficients) -> None:
+    """Set the weights of the contact's four points in a mode, in `Stencil.point_weights`."""
+    weights[mode, 0], weights[mode, 1], weights[mode, 2], weights[mode, 3] = w
+
+
+@kernel
+def set_mode_force(forces: FloatArray, mode: int, force: Vec3) -> None:
+    """Set the force on a mode [N], in `Stencil.force`."""
+    forces[mode, 0], forces[mode, 1], forces[mode, 2] = force
+
+
+@kernel
+def set_mode_block(jacobian: FloatArray, mode: int, by: int, block: Mat3) -> None:
+    """Set the derivative of the force on a mode by another [N/m], given by its rows, in `Stencil.jacobian`."""
+    i, j = 3 * mode, 3 * by
+    jacobian[i, j], jacobian[i, j + 1], jacobian[i, j + 2] = block[0]
+    jacobian[i + 1, j], jacobian[i + 1, j + 1], jacobian[i + 1, j + 2] = block[1]
+    jacobian[i + 2, j], jacobian[i + 2, j + 1], jacobian[i + 2, j + 2] = block[2]
+
+
+@kernel
+def collect_nodes(points: Points, pairs: IndexArray, pair: int, split: int, modes: int, stencil: Stencil) -> int:
+    """Write the nodes and weights of a pair [k, 4] whose second side begins at point `split`; returns their number."""
+    node_count, point_nodes, point_weights = points.node_count, points.nodes, points.weights
+    given, nodes, weights = stencil.point_weights, stencil.nodes, stencil.weights
+    count = 0
+    for side in range(2):
+        low, high = (0, split) if side == 0 else (split, 4)
+        first = pairs[pair, low]
+        if node_count[first] == 1:
+            for i in range(low, high):
+                # A node without weight, like the far corner of a triangle touched at an edge, is left out.
+                used = False
+                for t in range(modes):
+                    weights[t, count] = given[t, i]
+                    used = used or given[t, i] != 0.0
+                if used:
+                    nodes[count] = point_nodes[pairs[pair, i], 0]
+                    count += 1
+        else:
+            for k in range(_FRAME_POINTS):
+                nodes[count + k] = point_nodes[first, k]
+                for t in range(modes):
+                    total = 0.0
+                    for i in range(low, high):
+                        total += given[t, i] * point_weights[pairs[pair, i], k]
+                    weights[t, count + k] = total
+            count += _FRAME_POINTS
+    return count
+
+
+@kernel
+def add_forces(stencil: Stencil, count: int, modes: int, gradient: FloatArray) -> None:
+    """Add sum_t w_ti f_t to the nodes; of the plain modes only C carries a force."""
+    nodes, weights, force = stencil.nodes, stencil.weights, stencil.force
+    for i in range(count):
+        node = nodes[i]
+        for k in range(3):
+            total = weights[C, i] * force[C, k]
+            if modes == ALL_MODES:
+                total += weights[U, i] * force[U, k] + weights[V, i] * force[V, k]
+            gradient[node, k] += total
+
+
+@kernel
+def add_blocks(stencil: Stencil, count: int, modes: int, target: Target) -> None:
+    """Add the blocks of all pairs of a contact's nodes to the system, and those of prescribed ones to the coupling."""
+    _expand(stencil.weights, stencil.jacobian, count, modes, stencil.rows, stencil.block)
+    nodes, block, entries, slot, system = stencil.nodes, stencil.block, target.entries, target.slot, target.system
+    coupling, prescribed_move = target.coupling, target.prescribed_move
+    start, neighbour = target.neighbours
+    for i in range(count):
+        a = slot[nodes[i]]
+        if a == PRESCRIBED:
+            continue
+        j = 0
+        while j < count:
+            b = slot[nodes[j]]
+            if b == PRESCRIBED:
+                _add_coupling(block, i, j, coupling, nodes[i], prescribed_move, nodes[j])
+                j += 1
+            elif b >= system.nodes:
+                place, stride = block_place(system, a, b)
+                _add_frame_run(block, 3 * i, 3 * j, entries, place, stride)
+                j += _FRAME_POINTS
+            else:
+                within = a < system.nodes
+                place = gel_block_place(start, neighbour, a, b) if within else block_place(system, a, b)[0]
+                if place == NO_PLACE:
+                    _add_bound(block, i, j, entries, block_place(system, a, a)[0], block_place(system, b, b)[0])
+                else:
+                    _add_gel_block(block, 3 * i, 3 * j, entries, place)
+                j += 1
+
+
+@kernel
+def _expand(
+    weights: FloatArray, jacobian: FloatArray, count: int, modes: int, rows: FloatArray, block: FloatArray
+) -> None:
+    """Write rows = H w, shape [3 modes, 3 count], and block = w^T rows, shape [3 count, 3 count]."""
+    for r in range(3 * modes):
+        for j in range(count):
+            w0, w1, w2 = weights[C, j], weights[FIRST, j], weights[SECOND, j]
+            for k in range(3):
+                rows[r, 3 * j + k] = w0 * jacobian[r, k] + w1 * jacobian[r, 3 + k] + w2 * jacobian[r, 6 + k]
+            if modes == ALL_MODES:
+                w3, w4 = weights[U, j], weights[V, j]
+                for k in range(3):
+                    rows[r, 3 * j + k] += w3 * jacobian[r, 9 + k] + w4 * jacobian[r, 12 + k]
+    for i in range(count):
+        w0, w1, w2 = weights[C, i], weights[FIRST, i], weights[SECOND, i]
+        for k in range(3):
+            for j in range(3 * count):
+                block[3 * i + k, j] = w0 * rows[k, j] + w1 * rows[3 + k, j] + w2 * rows[6 + k, j]
+            if modes == ALL_MODES:
+                w3, w4 = weights[U, i], weights[V, i]
+                for j in range(3 * count):
+                    block[3 * i + k, j] += w3 * rows[9 + k, j] + w4 * rows[12 + k, j]
+
+
+@kernel
+def _add_gel_block(block: FloatArray, row: int, column: int, entries: FloatArray, place: int) -> None:
+    for k in range(3):
+        for m in range(3):
+            entries[place + k * GEL_STRIDE + m] += block[row + k, column + m]
+
+
+@kernel
+def _add_frame_run(block: FloatArray, row: int, column: int, entries: FloatArray, place: int, stride: int) -> None:
+    """Add the blocks of a body's four frame points, whose columns adjoin."""
+    for k in range(3):
+        for m in range(3 * _FRAME_POINTS):
+            entries[place + k * stride + m] += block[row + k, column + m]
+
+
+@kernel
+def _add_coupling(
+    block: FloatArray, i: int, j: int, coupling: FloatArray, node: int, prescribed_move: FloatArray, other: int
+) -> None:
+    """Add what the prescribed motion of another node does to a node."""
+    for k in range(3):
+        for m in range(3):
+            coupling[node, k] += block[3 * i + k, 3 * j + m] * prescribed_move[other, m]
+
+
+@kernel
+def _add_bound(block: FloatArray, i: int, j: int, entries: FloatArray, of_a: int, of_b: int) -> None:
+    """Replace a coupling outside the pattern (two gels that touch) by a bound on it, which only slows convergence."""
+    for k in range(3):
+        for m in range(3):
+            half = 0.5 * abs(block[3 * i + k, 3 * j + m])
+            entries[of_a + k * (GEL_STRIDE + 1)] += half
+            entries[of_b + m * (GEL_STRIDE + 1)] += half

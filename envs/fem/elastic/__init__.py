@@ -1,0 +1,1 @@
+"""Elastic energy of the gels: the material of one tetrahedron, and its sum over all."""

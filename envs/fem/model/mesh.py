@@ -1,0 +1,277 @@
+"""Meshes of the bodies in a scene, checked once on construction: tetrahedral gels and closed rigid surfaces."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import VitacError
+from ..linear.fronts import Elimination, plan_elimination
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
+MaskArray = NDArray[np.bool_]
+
+# A gel or a rigid part of this task family is millimetres to decimetres large; outside this range the unit is wrong.
+SMALLEST_EXTENT_M = 5e-4
+LARGEST_EXTENT_M = 0.5
+# 6 sqrt(2) V / (longest edge)^3: 1 for a regular tetrahedron, 0 for a flat one.
+SMALLEST_TETRAHEDRON_QUALITY = 1e-4
+# Boundary faces of a tetrahedron, outward for a positively oriented one.
+_FACES = ((1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1))
+_EDGES = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
+
+
+class MeshError(VitacError):
+    """A mesh cannot be simulated; the message names the mesh, the element and the value, and what to change."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GelMesh:
+    """Tetrahedral mesh of an elastomer.
+
+    Attributes:
+        rest_position_m: undeformed node positions [m], shape [n, 3].
+        tetrahedra: node indices of positively oriented tetrahedra, shape [t, 4].
+        driven: nodes whose motion is prescribed (the back face), shape [n].
+        sensing: nodes of the sensing surface, shape [n].
+        name: how messages call the mesh (a file name where it has one).
+
+    Raises:
+        MeshError: an array has the wrong shape, a coordinate is not finite or not in metres, a tetrahedron is
+            inverted or flat, a node belongs to no tetrahedron, no node is driven, none is free, or none is sensing.
+    """
+
+    rest_position_m: FloatArray
+    tetrahedra: IndexArray
+    driven: MaskArray
+    sensing: MaskArray
+    name: str
+
+    def __post_init__(self) -> None:
+        nodes = len(self.rest_position_m)
+        _check_positions(self.name, self.rest_position_m)
+        _check_indices(self.name, "tetrahedron", self.tetrahedra, 4, nodes)
+        for label, mask in (("driven", self.driven), ("sensing", self.sensing)):
+            if mask.shape != (nodes,) or mask.dtype != np.bool_:
+                raise MeshError(
+                    f"{self.name}: the {label} mask has shape {mask.shape} and type {mask.dtype}, "
+                    f"expected one boolean for each of the {nodes} nodes."
+                )
+            if not mask.any():
+                raise MeshError(f"{self.name}: no node is {label}; mark at least one of the {nodes} nodes.")
+        if self.driven.all():
+            raise MeshError(f"{self.name}: all {nodes} nodes are driven, so none is left to solve for; free some.")
+        self._check_tetrahedra()
+
+    def _check_tetrahedra(self) -> None:
+        corners = self.rest_position_m[self.tetrahedra]
+        volumes = signed_volumes_m3(corners)
+        lengths = np.stack(
+            [np.sqrt(((corners[:, i] - corners[:, j]) ** 2).sum(axis=1)) for i, j in _EDGES],
+            axis=1,
+        )
+        quality = 6.0 * np.sqrt(2.0) * volumes / lengths.max(axis=1) ** 3
+        worst = int(quality.argmin())
+        if quality[worst] < SMALLEST_TETRAHEDRON_QUALITY:
+            kind = "inverted" if volumes[worst] < 0 else "degenerate"
+            raise MeshError(
+                f"{self.name}: tetrahedron {worst} (nodes {self.tetrahedra[worst].tolist()}) is {kind}: volume "
+                f"{volumes[worst]:.3e} m^3, quality {quality[worst]:.3e}, expected at least "
+                f"{SMALLEST_TETRAHEDRON_QUALITY:g}; reorder its nodes or remesh."
+            )
+        unreferenced = np.setdiff1d(np.arange(len(self.rest_position_m)), self.tetrahedra)
+        if len(unreferenced):
+            raise MeshError(
+                f"{self.name}: node {unreferenced[0]} at {self.rest_position_m[unreferenced[0]].tolist()} m belongs to "
+                f"no tetrahedron ({len(unreferenced)} such nodes); remove it from the mesh."
+            )
+
+    @cached_property
+    def surface_triangles(self) -> IndexArray:
+        """Boundary faces, outward, shape [f, 3], in the order of their tetrahedra."""
+        faces = self.tetrahedra[:, _FACES].reshape(-1, 3)
+        keys = np.sort(faces, axis=1)
+        _, first, counts = np.unique(keys, axis=0, return_index=True, return_counts=True)
+        return np.ascontiguousarray(faces[np.sort(first[counts == 1])])
+
+    @cached_property
+    def surface_nodes(self) -> IndexArray:
+        """Nodes of the boundary faces, ascending, shape [p]."""
+        return np.unique(self.surface_triangles)
+
+    @cached_property
+    def surface(self) -> tuple[FloatArray, IndexArray]:
+        """The boundary as a mesh of its own: rest positions [m] of shape [p, 3] and triangles of shape [f, 3]."""
+        triangles = np.searchsorted(self.surface_nodes, self.surface_triangles).astype(np.int64)
+        return self.rest_position_m[self.surface_nodes], triangles
+
+    @cached_property
+    def surface_edges(self) -> IndexArray:
+        """Edges of `surface`, shape [e, 2]."""
+        return unique_edges(self.surface[1])
+
+    @cached_property
+    def volumes_m3(self) -> FloatArray:
+        """Rest volumes of the tetrahedra [m^3], shape [t]."""
+        return signed_volumes_m3(self.rest_position_m[self.tetrahedra])
+
+    @cached_property
+    def rest_gradients_1_m(self) -> FloatArray:
+        """Rest gradients of the tetrahedra's linear shape functions [1/m], shape [t, 4, 3].
+
+        The gradient of node a is the inward normal of the face opposite to it, over 6 V.
+        """
+        corners = self.rest_position_m[self.tetrahedra]
+        e1, e2, e3 = (corners[:, i] - corners[:, 0] for i in (1, 2, 3))
+        six_volumes = (e1 * np.cross(e2, e3)).sum(axis=1)[:, None]
+        inner = np.stack([np.cross(e2, e3), np.cross(e3, e1), np.cross(e1, e2)], axis=1) / six_volumes[:, None]
+        return np.concatenate([-inner.sum(axis=1, keepdims=True), inner], axis=1)
+
+    @cached_property
+    def elimination(self) -> Elimination:
+        """How the free nodes are eliminated so that little fills in."""
+        free = np.flatnonzero(~self.driven)
+        number = np.full(len(self.driven), -1, dtype=np.int64)
+        number[free] = np.arange(len(free))
+        edges = np.concatenate([self.tetrahedra[:, pair] for pair in _EDGES])
+        edges = np.unique(np.sort(number[edges], axis=1), axis=0)
+        edges = edges[edges[:, 0] >= 0]
+        return plan_elimination(free, edges, self.rest_position_m[free])
+
+    @cached_property
+    def driven_nodes(self) -> IndexArray:
+        """Indices of the driven nodes, ascending, shape [d]."""
+        return np.flatnonzero(self.driven)
+
+    @cached_property
+    def sensing_nodes(self) -> IndexArray:
+        """Indices of the sensing nodes, ascending, shape [s]."""
+        return np.flatnonzero(self.sensing)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SurfaceMesh:
+    """Closed triangle surface of a rigid part.
+
+    Attributes:
+        vertices_m: vertex positions in the body frame [m], shape [v, 3].
+        triangles: vertex indices, counter-clockwise seen from outside, shape [f, 3].
+        name: how messages call the mesh.
+
+    Raises:
+        MeshError: an array has the wrong shape, a coordinate is not finite or not in metres, a triangle is degenerate,
+            the surface is not closed or inconsistently oriented, or it encloses a negative volume.
+    """
+
+    vertices_m: FloatArray
+    triangles: IndexArray
+    name: str
+
+    def __post_init__(self) -> None:
+        _check_positions(self.name, self.vertices_m)
+        _check_indices(self.name, "triangle", self.triangles, 3, len(self.vertices_m))
+        corners = self.vertices_m[self.triangles]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        areas = 0.5 * np.sqrt((normals**2).sum(axis=1))
+        smallest = int(areas.argmin())
+        if areas[smallest] < 1e-14:
+            raise MeshError(
+                f"{self.name}: triangle {smallest} (vertices {self.triangles[smallest].tolist()}) is degenerate: area "
+                f"{areas[smallest]:.3e} m^2; remove it or merge its vertices."
+            )
+        self._check_closed()
+        if self.volume_m3 <= 0:
+            raise MeshError(
+                f"{self.name}: the surface encloses {self.volume_m3:.3e} m^3; its triangles must be counter-clockwise "
+                "seen from outside."
+            )
+
+    @cached_property
+    def edges(self) -> IndexArray:
+        """Edges, shape [e, 2]."""
+        return unique_edges(self.triangles)
+
+    @cached_property
+    def moments(self) -> tuple[float, FloatArray, FloatArray]:
+        """Volume [m^3], first moment [m^4] of shape [3] and second moment integral of X X^T [m^5] of shape [3, 3].
+
+        Exact: the sum over the signed tetrahedra between the origin and each surface triangle, where
+        integral X X^T = V_tet / 20 (sum_i v_i v_i^T + s s^T), s = sum_i v_i.
+        """
+        corners = self.vertices_m[self.triangles]
+        volumes = (np.cross(corners[:, 0], corners[:, 1]) * corners[:, 2]).sum(axis=1) / 6.0
+        sums = corners.sum(axis=1)
+        first = (volumes[:, None] * sums).sum(axis=0) / 4.0
+        outer = (corners[:, :, :, None] * corners[:, :, None, :]).sum(axis=1) + sums[:, :, None] * sums[:, None, :]
+        return (
+            float(volumes.sum()),
+            first,
+            (volumes[:, None, None] * outer).sum(axis=0) / 20.0,
+        )
+
+    @property
+    def volume_m3(self) -> float:
+        """Enclosed volume [m^3], by the divergence theorem."""
+        return self.moments[0]
+
+    def _check_closed(self) -> None:
+        directed = np.concatenate([self.triangles[:, [i, (i + 1) % 3]] for i in range(3)])
+        forward = {(int(a), int(b)) for a, b in directed}
+        for a, b in directed:
+            if (int(b), int(a)) not in forward:
+                raise MeshError(
+                    f"{self.name}: the surface is open at the edge between vertices {a} and {b} (only one triangle, or "
+                    "two of opposite orientation); close it or turn the triangle."
+                )
+
+
+def unique_edges(triangles: IndexArray) -> IndexArray:
+    """Undirected edges of a triangle list, each once, smaller index first, ascending, shape [e, 2]."""
+    directed = np.concatenate([triangles[:, [i, (i + 1) % 3]] for i in range(3)])
+    return np.unique(np.sort(directed, axis=1), axis=0)
+
+
+def signed_volumes_m3(corners_m: FloatArray) -> FloatArray:
+    """Volumes [m^3] of tetrahedra with corners of shape [t, 4, 3]; positive when positively oriented."""
+    a, b, c = (corners_m[:, i] - corners_m[:, 0] for i in (1, 2, 3))
+    return np.asarray((np.cross(a, b) * c).sum(axis=1) / 6.0)
+
+
+def _check_positions(name: str, positions_m: FloatArray) -> None:
+    if positions_m.ndim != 2 or positions_m.shape[1] != 3 or len(positions_m) < 4 or positions_m.dtype != np.float64:
+        raise MeshError(
+            f"{name}: positions have shape {positions_m.shape} and type {positions_m.dtype}, expected float64 [n, 3] "
+            "with n of at least 4."
+        )
+    finite = np.isfinite(positions_m).all(axis=1)
+    if not finite.all():
+        node = int(np.flatnonzero(~finite)[0])
+        raise MeshError(f"{name}: node {node} has the non-finite position {positions_m[node].tolist()} m.")
+    extent = float((positions_m.max(axis=0) - positions_m.min(axis=0)).max())
+    if not SMALLEST_EXTENT_M <= extent <= LARGEST_EXTENT_M:
+        unit = "millimetres" if extent > LARGEST_EXTENT_M else "kilometres or another unit"
+        raise MeshError(
+            f"{name}: the mesh is {extent:g} m large, expected {SMALLEST_EXTENT_M:g} to {LARGEST_EXTENT_M:g} m; "
+            f"are its coordinates in {unit}? They must be in metres."
+        )
+
+
+def _check_indices(name: str, element: str, indices: IndexArray, corners: int, nodes: int) -> None:
+    if indices.ndim != 2 or indices.shape[1] != corners or len(indices) == 0 or indices.dtype != np.int64:
+        raise MeshError(
+            f"{name}: the {element} array has shape {indices.shape} and type {indices.dtype}, expected int64 "
+            f"[n, {corners}] with at least one row."
+        )
+    outside = (indices < 0) | (indices >= nodes)
+    if outside.any():
+        row = int(np.flatnonzero(outside.any(axis=1))[0])
+        raise MeshError(
+            f"{name}: {element} {row} names the nodes {indices[row].tolist()}, expected nodes 0 to {nodes - 1}."
+        )
+    ordered = np.sort(indices, axis=1)
+    repeated = (ordered[:, 1:] == ordered[:, :-1]).any(axis=1)
+    if repeated.any():
+        row = int(np.flatnonzero(repeated)[0])
+        raise MeshError(f"{name}: {element} {row} names a node twice: {indices[row].tolist()}.")

@@ -1,0 +1,94 @@
+"""The arrays a scene is made of, laid out for the kernels; built once, never changed while stepping.
+
+*Nodes* are what moves: all mesh nodes of every gel, then four frame points of every affine body. *Unknowns* are the
+nodes to solve for: free gel nodes first, in order of elimination, then the frame points of movable bodies (border).
+*Points* are the surface points that can touch: a gel's surface nodes and a body's vertices; a point is a weighted sum
+of one or four nodes.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..linear.system import SystemLayout
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
+MaskArray = NDArray[np.bool_]
+
+PRESCRIBED = -1
+
+
+class Elastic(NamedTuple):
+    """Tetrahedra of all gels."""
+
+    nodes: IndexArray  # [t, 4]
+    gradients_1_m: FloatArray  # [t, 4, 3] rest gradients of the linear shape functions
+    volume_m3: FloatArray  # [t]
+    mu_pa: FloatArray  # [t]
+    lambda_pa: FloatArray  # [t]
+    places: IndexArray  # [t, 16] place of the block of corners (a, b) in the system at 4 a + b, or NO_PLACE
+    reaction: MaskArray  # [t, 16] whether exactly one of the two corners is prescribed
+
+
+class Affine(NamedTuple):
+    """Movable affine bodies."""
+
+    first_node: IndexArray  # [m] first of the four frame points
+    first_unknown: IndexArray  # [m] its unknown
+    frame_length_m: FloatArray  # [m]
+    mass_kg: FloatArray  # [m, 4, 4]
+    stiffness_j: FloatArray  # [m] kappa_affine V / h^2, factor of |A A^T - I|^2
+
+
+class Points(NamedTuple):
+    """Surface points of all bodies."""
+
+    nodes: IndexArray  # [p, 4]; only the first is used where count is 1
+    weights: FloatArray  # [p, 4]
+    node_count: IndexArray  # [p] 1 (gel) or 4 (affine body)
+
+
+class Surfaces(NamedTuple):
+    """Collision primitives, in point indices, grouped by body: body b owns rows start[b] to start[b + 1]."""
+
+    point_start: IndexArray  # [b + 1]
+    edges: IndexArray  # [e, 2]
+    edge_start: IndexArray  # [b + 1]
+    edge_squared_length_m2: FloatArray  # [e] at rest
+    triangles: IndexArray  # [f, 3]
+    triangle_start: IndexArray  # [b + 1]
+    pairs: IndexArray  # [k, 2] bodies that can touch, smaller index first
+    pair_friction: FloatArray  # [k] friction coefficient
+
+
+class Unknowns(NamedTuple):
+    """Numbering of what is solved for."""
+
+    slot: IndexArray  # [n] unknown of a node, or PRESCRIBED
+    node: IndexArray  # [u] node of an unknown
+    node_mass_kg: FloatArray  # [n] lumped, zero for frame points
+
+
+class Parameters(NamedTuple):
+    """Scalars of contact and time stepping."""
+
+    time_step_s: float
+    d_hat_m: float
+    barrier_stiffness_n_m: float  # kappa / h^2
+    slip_scale_m: float  # eps_v h
+    ccd_gap_fraction: float  # part of a gap that one move may close
+    candidate_margin_m: float
+
+
+class Model(NamedTuple):
+    """Everything constant about a scene."""
+
+    elastic: Elastic
+    affine: Affine
+    points: Points
+    surfaces: Surfaces
+    unknowns: Unknowns
+    system: SystemLayout
+    parameters: Parameters

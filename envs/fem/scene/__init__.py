@@ -1,0 +1,1 @@
+"""A scene of bodies: checked, laid out, built into arrays, and stepped."""

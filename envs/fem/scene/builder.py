@@ -1,0 +1,176 @@
+"""Builds the arrays of a scene's model from its bodies and settings."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..affine.affine_body import frame_mass
+from ..elastic.neo_hookean import lame_parameters_pa
+from ..linear.system import SystemLayout, gel_block_places, system_layout
+from ..model.bodies import GelBody, RigidBody
+from ..model.model import PRESCRIBED, Affine, Elastic, Model, Parameters, Points, Surfaces, Unknowns
+from ..model.settings import ContactSettings, SolverSettings
+from .node_layout import NodeLayout
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
+
+
+def build_model(
+    gels: tuple[GelBody, ...],
+    bodies: tuple[RigidBody, ...],
+    layout: NodeLayout,
+    time_step_s: float,
+    contact: ContactSettings,
+    solver: SolverSettings,
+) -> Model:
+    """Model of gels and bodies whose nodes stand as in `layout`, stepped by time_step_s [s]."""
+    h2 = time_step_s * time_step_s
+    unknowns, system = _build_unknowns(gels, bodies, layout)
+    return Model(
+        elastic=_build_elastic(gels, layout, unknowns, system),
+        affine=_build_affine(bodies, layout, unknowns, contact.kappa_affine / h2),
+        points=_build_points(gels, bodies, layout),
+        surfaces=_build_surfaces(gels, bodies),
+        unknowns=unknowns,
+        system=system,
+        parameters=Parameters(
+            time_step_s=time_step_s,
+            d_hat_m=contact.d_hat_m,
+            barrier_stiffness_n_m=contact.kappa / h2,
+            slip_scale_m=contact.friction_velocity_m_s * time_step_s,
+            ccd_gap_fraction=contact.ccd_gap_fraction,
+            candidate_margin_m=solver.candidate_margin_m,
+        ),
+    )
+
+
+def _build_elastic(gels: tuple[GelBody, ...], layout: NodeLayout, unknowns: Unknowns, system: SystemLayout) -> Elastic:
+    nodes, gradients, volumes, mu, lam = [], [], [], [], []
+    for gel, rows in zip(gels, layout.gel_slices, strict=True):
+        mu_pa, lambda_pa = lame_parameters_pa(gel.youngs_modulus_pa, gel.poisson_ratio)
+        nodes.append(gel.mesh.tetrahedra + rows.start)
+        gradients.append(_rotated(gel.mesh.rest_gradients_1_m, gel.rotation))
+        volumes.append(gel.mesh.volumes_m3)
+        mu.append(np.full(len(gel.mesh.tetrahedra), mu_pa))
+        lam.append(np.full(len(gel.mesh.tetrahedra), lambda_pa))
+    all_nodes = np.concatenate(nodes)
+    slots = unknowns.slot[all_nodes]
+    first, second = np.repeat(slots, 4, axis=1), np.tile(slots, 4)
+    return Elastic(
+        nodes=all_nodes,
+        gradients_1_m=np.concatenate(gradients),
+        volume_m3=np.concatenate(volumes),
+        mu_pa=np.concatenate(mu),
+        lambda_pa=np.concatenate(lam),
+        places=gel_block_places(system.neighbours, first, second),
+        reaction=(first == PRESCRIBED) != (second == PRESCRIBED),
+    )
+
+
+def _rotated(vectors: FloatArray, rotation: FloatArray) -> FloatArray:
+    """Vectors of shape [t, 4, 3] turned by a rotation, without BLAS."""
+    return np.asarray((rotation[None, None, :, :] * vectors[:, :, None, :]).sum(axis=3))
+
+
+def _build_affine(
+    bodies: tuple[RigidBody, ...],
+    layout: NodeLayout,
+    unknowns: Unknowns,
+    kappa_over_h2: float,
+) -> Affine:
+    movable = [i for i, body in enumerate(bodies) if not body.fixed]
+    masses = [
+        frame_mass(
+            bodies[i].mesh,
+            layout.body_centroids_m[i],
+            layout.body_lengths_m[i],
+            bodies[i].density_kg_m3,
+        )
+        for i in movable
+    ]
+    first_node = np.array([layout.body_slices[i].start for i in movable], dtype=np.int64)
+    return Affine(
+        first_node=first_node,
+        first_unknown=unknowns.slot[first_node],
+        frame_length_m=np.array([layout.body_lengths_m[i] for i in movable]),
+        mass_kg=np.stack(masses) if masses else np.empty((0, 4, 4)),
+        stiffness_j=np.array([kappa_over_h2 * bodies[i].mesh.volume_m3 for i in movable]),
+    )
+
+
+def _build_points(gels: tuple[GelBody, ...], bodies: tuple[RigidBody, ...], layout: NodeLayout) -> Points:
+    nodes, weights, counts = [], [], []
+    for gel, rows in zip(gels, layout.gel_slices, strict=True):
+        surface = gel.mesh.surface_nodes + rows.start
+        nodes.append(np.repeat(surface[:, None], 4, axis=1))
+        weights.append(np.tile([1.0, 0.0, 0.0, 0.0], (len(surface), 1)))
+        counts.append(np.ones(len(surface), dtype=np.int64))
+    for body, rows, body_weights in zip(bodies, layout.body_slices, layout.body_weights, strict=True):
+        vertices = len(body.mesh.vertices_m)
+        nodes.append(np.tile(np.arange(rows.start, rows.start + 4), (vertices, 1)))
+        weights.append(body_weights)
+        counts.append(np.full(vertices, 4, dtype=np.int64))
+    return Points(np.concatenate(nodes), np.concatenate(weights), np.concatenate(counts))
+
+
+def _build_surfaces(gels: tuple[GelBody, ...], bodies: tuple[RigidBody, ...]) -> Surfaces:
+    point_start, edge_start, triangle_start = [0], [0], [0]
+    edges, lengths, triangles = [], [], []
+    members = [(*gel.mesh.surface, gel.mesh.surface_edges) for gel in gels]
+    members += [(body.mesh.vertices_m, body.mesh.triangles, body.mesh.edges) for body in bodies]
+    for rest, body_triangles, body_edges in members:
+        vectors = rest[body_edges[:, 1]] - rest[body_edges[:, 0]]
+        edges.append(body_edges + point_start[-1])
+        lengths.append((vectors**2).sum(axis=1))
+        triangles.append(body_triangles + point_start[-1])
+        point_start.append(point_start[-1] + len(rest))
+        edge_start.append(edge_start[-1] + len(body_edges))
+        triangle_start.append(triangle_start[-1] + len(body_triangles))
+    pairs, friction = _touching_pairs(gels, bodies)
+    return Surfaces(
+        point_start=np.array(point_start, dtype=np.int64),
+        edges=np.concatenate(edges),
+        edge_start=np.array(edge_start, dtype=np.int64),
+        edge_squared_length_m2=np.concatenate(lengths),
+        triangles=np.concatenate(triangles),
+        triangle_start=np.array(triangle_start, dtype=np.int64),
+        pairs=pairs,
+        pair_friction=friction,
+    )
+
+
+def _touching_pairs(gels: tuple[GelBody, ...], bodies: tuple[RigidBody, ...]) -> tuple[IndexArray, FloatArray]:
+    """Pairs of different bodies of which at least one can move, and the mean of their friction coefficients."""
+    members: list[GelBody | RigidBody] = [*gels, *bodies]
+    pairs, friction = [], []
+    for a, first in enumerate(members):
+        for b in range(a + 1, len(members)):
+            second = members[b]
+            if isinstance(first, RigidBody) and first.fixed and isinstance(second, RigidBody) and second.fixed:
+                continue
+            pairs.append((a, b))
+            friction.append(0.5 * (first.friction + second.friction))
+    return np.array(pairs, dtype=np.int64).reshape(-1, 2), np.array(friction)
+
+
+def _build_unknowns(
+    gels: tuple[GelBody, ...], bodies: tuple[RigidBody, ...], layout: NodeLayout
+) -> tuple[Unknowns, SystemLayout]:
+    total = layout.body_slices[-1].stop if bodies else layout.gel_slices[-1].stop
+    slot = np.full(total, PRESCRIBED, dtype=np.int64)
+    mass = np.zeros(total)
+    order: list[int] = []
+    for gel, rows in zip(gels, layout.gel_slices, strict=True):
+        np.add.at(
+            mass,
+            gel.mesh.tetrahedra + rows.start,
+            0.25 * gel.density_kg_m3 * gel.mesh.volumes_m3[:, None],
+        )
+        order.extend((gel.mesh.elimination.nodes + rows.start).tolist())
+    gel_unknowns = len(order)
+    for body, rows in zip(bodies, layout.body_slices, strict=True):
+        if not body.fixed:
+            order.extend(range(rows.start, rows.stop))
+    slot[order] = np.arange(len(order))
+    system = system_layout([gel.mesh.elimination for gel in gels], len(order) - gel_unknowns)
+    return Unknowns(slot=slot, node=np.array(order, dtype=np.int64), node_mass_kg=mass), system

@@ -1,0 +1,84 @@
+"""Refuses bodies and settings that no scene can be made of; called by `Scene` before anything is built from them."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ...errors import VitacError
+from ..model.bodies import GelBody, RigidBody
+from ..model.settings import ContactSettings, SolverSettings
+
+# Largest error of a rotation's entries that rounding explains.
+_ROTATION_ERROR = 1e-9
+
+
+class SceneError(VitacError):
+    """A scene cannot be built or stepped with what was given; the message names the body and the value."""
+
+
+def check_bodies(gels: Sequence[GelBody], bodies: Sequence[RigidBody]) -> None:
+    """Looks at where bodies stand and what they are made of.
+
+    Raises:
+        SceneError: there is no gel, a body is placed by no rotation or at no finite place, or a material is none.
+    """
+    if not gels:
+        raise SceneError("A scene needs at least one gel, got none.")
+    for index, gel in enumerate(gels):
+        name = f"gel {index}"
+        _check_place(name, gel)
+        _check_positive(name, youngs_modulus_pa=gel.youngs_modulus_pa, density_kg_m3=gel.density_kg_m3)
+        if not 0.0 <= gel.poisson_ratio < 0.5:
+            raise SceneError(f"poisson_ratio of {name} is {gel.poisson_ratio}, expected at least 0 and less than 0.5.")
+    for index, body in enumerate(bodies):
+        _check_place(f"body {index}", body)
+        _check_positive(f"body {index}", density_kg_m3=body.density_kg_m3)
+
+
+def check_settings(time_step_s: float, contact: ContactSettings, solver: SolverSettings) -> None:
+    """Looks at the ranges of all settings.
+
+    Raises:
+        SceneError: one is out of its range.
+    """
+    _check_positive("the scene", time_step_s=time_step_s)
+    _check_positive(
+        "the contact",
+        d_hat_m=contact.d_hat_m,
+        kappa=contact.kappa,
+        kappa_affine=contact.kappa_affine,
+        friction_velocity_m_s=contact.friction_velocity_m_s,
+    )
+    if not 0.0 < contact.ccd_gap_fraction < 1.0:
+        raise SceneError(f"ccd_gap_fraction is {contact.ccd_gap_fraction}, expected more than 0 and less than 1.")
+    _check_positive(
+        "the solver",
+        step_tolerance_m=solver.step_tolerance_m,
+        residual_tolerance_n=solver.residual_tolerance_n,
+        newton_iterations=solver.newton_iterations,
+        phase_iterations=solver.phase_iterations,
+        candidate_margin_m=solver.candidate_margin_m,
+    )
+    if not 0 <= solver.first_substep_level <= solver.substep_levels:
+        came, most = solver.first_substep_level, solver.substep_levels
+        raise SceneError(f"first_substep_level is {came}, expected 0 to substep_levels = {most}.")
+    if solver.push_offs < 0:
+        raise SceneError(f"push_offs is {solver.push_offs}, expected 0 or more.")
+
+
+def _check_place(name: str, body: GelBody | RigidBody) -> None:
+    if not np.isfinite(body.translation_m).all():
+        raise SceneError(f"translation_m of {name} is {body.translation_m}, expected finite numbers.")
+    R = np.asarray(body.rotation, dtype=np.float64)
+    products = (R[:, None, :] * R[None, :, :]).sum(axis=2)
+    handedness = (R[0] * (R[1][[1, 2, 0]] * R[2][[2, 0, 1]] - R[1][[2, 0, 1]] * R[2][[1, 2, 0]])).sum()
+    if not (np.abs(products - np.eye(3)).max() <= _ROTATION_ERROR and handedness > 0):
+        raise SceneError(f"rotation of {name} is {R.tolist()}, expected a rotation matrix of determinant 1.")
+    if not (np.isfinite(body.friction) and body.friction >= 0):
+        raise SceneError(f"friction of {name} is {body.friction}, expected 0 or more.")
+
+
+def _check_positive(owner: str, **values: float) -> None:
+    for name, value in values.items():
+        if not (np.isfinite(value) and value > 0):
+            raise SceneError(f"{name} of {owner} is {value}, expected more than 0.")

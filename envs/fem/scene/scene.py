@@ -1,0 +1,259 @@
+"""A scene: gels and affine bodies that are stepped together, one IPC step at a time."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..contact.overlap import find_overlap
+from ..model.bodies import GelBody, RigidBody
+from ..model.points import point_positions
+from ..model.settings import ContactSettings, SolverSettings
+from ..solver.newton import SOLVED, UNSOLVED, UNSTABLE, Counter, Measure, Tolerances, solve_step
+from ..solver.workspace import new_workspace
+from .builder import build_model
+from .checks import SceneError, check_bodies, check_settings
+from .node_layout import NodeLayout
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
+
+# Coordinates that follow x, y and z, and those that follow these: of a vector product, without numpy's slow one.
+_NEXT, _LAST = [1, 2, 0], [2, 0, 1]
+
+
+class StepStatus(StrEnum):
+    """How an IPC step ended."""
+
+    CONVERGED = "converged"  # solved in one go
+    SUBSTEPPED = "substepped"  # solved after the driven motion was divided
+    PUSHED_OFF = "pushed_off"  # solved after an unstable equilibrium was left
+    NOT_CONVERGED = "not_converged"  # not solved; the state is free of intersections but is not a minimum
+
+
+@dataclass(frozen=True, kw_only=True)
+class StepReport:
+    """What one IPC step took and left.
+
+    Attributes:
+        status: how it ended; a caller must not go on after NOT_CONVERGED.
+        newton_iterations: Newton iterations, all sub-steps together.
+        substeps: parts the driven motion was divided into where this state comes from.
+        reusing_iterations: iterations that solved with the factors of an earlier one, among the Newton iterations.
+        projected_iterations: iterations whose Hessian had to be projected to be positive definite.
+        unstable_solutions: how often an equilibrium was reached whose Jacobian has a negative determinant.
+        push_offs: how often one was left in the end, as dividing led to no stable one.
+        residual_n: largest force left on a node [N].
+        net_force_n: largest net force left on a movable body [N].
+        net_torque_n_m: largest net torque left on a movable body, about its centroid [N m].
+        smallest_gap_m: smallest distance of two bodies [m]; infinite when nothing is within d_hat.
+        smallest_det_f: smallest det F of all tetrahedra.
+        active_contacts: pairs closer than d_hat.
+    """
+
+    status: StepStatus
+    newton_iterations: int
+    substeps: int
+    reusing_iterations: int
+    projected_iterations: int
+    unstable_solutions: int
+    push_offs: int
+    residual_n: float
+    net_force_n: float
+    net_torque_n_m: float
+    smallest_gap_m: float
+    smallest_det_f: float
+    active_contacts: int
+
+
+@dataclass(kw_only=True, eq=False)
+class _IpcStep:
+    """What an IPC step starts from and goes to, node positions [m] of shape [n, 3], and what was counted so far."""
+
+    start: FloatArray
+    x_hat: FloatArray
+    target: FloatArray
+    push_offs: int = 0
+    counts: IndexArray = field(default_factory=lambda: np.zeros(len(Counter), dtype=np.int64))
+    measures: FloatArray = field(default_factory=lambda: np.zeros(len(Measure)))
+
+
+class Scene:
+    """Steps gels and affine bodies through driven motions, each step solved to convergence.
+
+    Raises:
+        SceneError: a body is misplaced, bodies overlap at the start, or a material or setting is out of range.
+    """
+
+    def __init__(
+        self,
+        *,
+        gels: Sequence[GelBody],
+        bodies: Sequence[RigidBody],
+        time_step_s: float,
+        contact: ContactSettings | None = None,
+        solver: SolverSettings | None = None,
+    ) -> None:
+        self._gels = tuple(gels)
+        self._bodies = tuple(bodies)
+        self._contact = contact or ContactSettings()
+        self._solver = solver or SolverSettings()
+        check_bodies(self._gels, self._bodies)
+        check_settings(time_step_s, self._contact, self._solver)
+        self._layout = NodeLayout(self._gels, self._bodies)
+        self._model = build_model(
+            self._gels,
+            self._bodies,
+            self._layout,
+            time_step_s,
+            self._contact,
+            self._solver,
+        )
+        self._x = self._layout.initial_positions_m()
+        self._workspace = new_workspace(self._model.system, len(self._x))
+        self._velocity = np.zeros_like(self._x)
+        self._refuse_overlap()
+
+    def step(self, *, driven_targets_m: Sequence[FloatArray]) -> StepReport:
+        """Advance one time step while the driven nodes of each gel move to their targets [m], shapes [d, 3].
+
+        The state after NOT_CONVERGED is free of intersections and inversions but is no minimum.
+        """
+        start, time_step_s = self._x.copy(), self._model.parameters.time_step_s
+        step = _IpcStep(start=start, x_hat=start + time_step_s * self._velocity, target=self._target(driven_targets_m))
+        status, substeps = self._solve(step)
+        self._velocity = (self._x - start) / time_step_s
+        force, torque = self._net_load(self._workspace.gradient)
+        counts, measures = step.counts, step.measures
+        return StepReport(
+            status=status,
+            newton_iterations=int(counts[Counter.ITERATIONS]),
+            substeps=substeps,
+            reusing_iterations=int(counts[Counter.REUSING_ITERATIONS]),
+            projected_iterations=int(counts[Counter.PROJECTED_ITERATIONS]),
+            unstable_solutions=int(counts[Counter.UNSTABLE]),
+            push_offs=step.push_offs,
+            residual_n=float(measures[Measure.RESIDUAL_N]),
+            net_force_n=force,
+            net_torque_n_m=torque,
+            smallest_gap_m=float(measures[Measure.SMALLEST_GAP_M]),
+            smallest_det_f=float(measures[Measure.SMALLEST_DET_F]),
+            active_contacts=int(counts[Counter.ACTIVE_CONTACTS]),
+        )
+
+    def gel_positions_m(self, index: int) -> FloatArray:
+        """World positions of a gel's nodes [m], shape [n, 3] (a copy)."""
+        return self._x[self._layout.gel_slices[index]].copy()
+
+    def body_vertices_m(self, index: int) -> FloatArray:
+        """World positions of a rigid body's vertices [m], shape [v, 3] (a copy)."""
+        frame = self._x[self._layout.body_slices[index]]
+        weights = self._layout.body_weights[index]
+        return np.asarray((weights[:, :, None] * frame[None, :, :]).sum(axis=1))
+
+    def state_bytes(self) -> bytes:
+        """All positions and velocities as little-endian float64, for hashing."""
+        return self._x.astype("<f8").tobytes() + self._velocity.astype("<f8").tobytes()
+
+    def _refuse_overlap(self) -> None:
+        surfaces, points = (
+            self._model.surfaces,
+            np.empty((len(self._model.points.node_count), 3)),
+        )
+        point_positions(self._model.points, self._x, points)
+        overlap = find_overlap(surfaces, points)
+        if overlap.first_body < 0:
+            return
+        members: list[GelBody | RigidBody] = [*self._gels, *self._bodies]
+        names = [f"{members[body].mesh.name} (body {body})" for body in (overlap.first_body, overlap.second_body)]
+        where = "one lies inside the other"
+        if overlap.edge >= 0:
+            ends = points[surfaces.edges[overlap.edge]].round(6).tolist()
+            corners = points[surfaces.triangles[overlap.triangle]].round(6).tolist()
+            where = f"the edge from {ends[0]} to {ends[1]} m crosses the triangle {corners} m"
+        raise SceneError(f"{names[0]} and {names[1]} overlap at the start: {where}; place them apart.")
+
+    def _target(self, driven_targets_m: Sequence[FloatArray]) -> FloatArray:
+        if len(driven_targets_m) != len(self._gels):
+            raise SceneError(f"Got driven targets for {len(driven_targets_m)} gels, expected {len(self._gels)}.")
+        target = self._x.copy()
+        for index, (gel, wanted) in enumerate(zip(self._gels, driven_targets_m, strict=True)):
+            expected = (len(gel.mesh.driven_nodes), 3)
+            if wanted.shape != expected:
+                raise SceneError(f"Driven targets of gel {index} have shape {wanted.shape}, expected {expected} [m].")
+            wrong = np.flatnonzero(~np.isfinite(wanted).all(axis=1))
+            if len(wrong):
+                node, came = gel.mesh.driven_nodes[wrong[0]], wanted[wrong[0]]
+                raise SceneError(f"The target of node {node} of gel {index} is {came}, expected finite numbers [m].")
+            target[self._layout.gel_slices[index]][gel.mesh.driven_nodes] = wanted
+        return target
+
+    def _solve(self, step: _IpcStep) -> tuple[StepStatus, int]:
+        """Solve at once, in more and more parts, or by leaving an unstable equilibrium; how, and in how many parts."""
+        s = self._solver
+        unstable: tuple[FloatArray, int] | None = None
+        for parts in (2**level for level in range(s.first_substep_level, s.substep_levels + 1)):
+            outcome = self._solve_in_parts(step, parts)
+            if outcome == SOLVED:
+                return StepStatus.SUBSTEPPED if parts > 1 else StepStatus.CONVERGED, parts
+            if outcome == UNSTABLE and unstable is None:
+                unstable = self._x.copy(), parts
+        if unstable is None or s.push_offs == 0:
+            return StepStatus.NOT_CONVERGED, parts
+        self._x[:], parts = unstable
+        return (StepStatus.PUSHED_OFF if self._push_off(step) else StepStatus.NOT_CONVERGED), parts
+
+    def _solve_in_parts(self, step: _IpcStep, parts: int) -> int:
+        """Solve along intermediate driven positions, each from the solution of the one before; how the last one ended.
+
+        An intermediate one that ends without a stable solution is the last one, and counts as not solved.
+        """
+        self._x[:] = step.start
+        for part in range(1, parts):
+            waypoint = step.start + (part / parts) * (step.target - step.start)
+            if self._solve_to(step, waypoint) != SOLVED:
+                return UNSOLVED
+        return self._solve_to(step, step.target)
+
+    def _push_off(self, step: _IpcStep) -> bool:
+        """Leave the unstable equilibrium that the scene is in, and any that this leads to."""
+        for _ in range(self._solver.push_offs):
+            step.push_offs += 1
+            outcome = self._solve_to(step, step.target, pushing=True)
+            if outcome != UNSTABLE:
+                return outcome == SOLVED
+        return False
+
+    def _solve_to(self, step: _IpcStep, waypoint: FloatArray, *, pushing: bool = False) -> int:
+        s = self._solver
+        tolerances = Tolerances(
+            s.step_tolerance_m,
+            s.residual_tolerance_n,
+            s.newton_iterations,
+            s.phase_iterations,
+        )
+        return solve_step(
+            self._model,
+            self._x,
+            step.start,
+            step.x_hat,
+            waypoint,
+            tolerances,
+            step.counts,
+            step.measures,
+            self._workspace,
+            pushing,
+        )
+
+    def _net_load(self, gradient: FloatArray) -> tuple[float, float]:
+        """Largest net force [N] and torque [N m] left on a movable body; frame point forces act at the frame points."""
+        force, torque = 0.0, 0.0
+        for body, rows in zip(self._bodies, self._layout.body_slices, strict=True):
+            if not body.fixed:
+                loads, arms = gradient[rows], self._x[rows] - self._x[rows.start]
+                turning = arms[:, _NEXT] * loads[:, _LAST] - arms[:, _LAST] * loads[:, _NEXT]
+                force = max(force, float(np.sqrt((loads.sum(axis=0) ** 2).sum())))
+                torque = max(torque, float(np.sqrt((turning.sum(axis=0) ** 2).sum())))
+        return force, torque

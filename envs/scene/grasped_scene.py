@@ -1,0 +1,185 @@
+"""A rigid part held between two gels: the physics, the gripper that moves them, and what both sensors see of it."""
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..fem.model.bodies import GelBody, RigidBody
+from ..fem.model.mesh import GelMesh, SurfaceMesh
+from ..fem.model.settings import ContactSettings, SolverSettings
+from ..fem.scene.scene import Scene, StepReport, StepStatus
+from ..tactile.markers import MarkerSettings
+from ..tactile.sensor import TactileSensor
+from .gripper import Gripper, GripperPose, SensorMount, SensorPose
+from .stopwatch import Stopwatch
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhysicsSettings:
+    """Materials and stepping of a scene; the defaults are the 2025 evaluation's (challenge-facts 3).
+
+    Attributes:
+        time_step_s: length of an IPC step [s].
+        contact: barrier and friction smoothing.
+        solver: when an IPC step counts as solved.
+        youngs_modulus_pa: of both gels [Pa].
+        poisson_ratio: of both gels.
+        gel_density_kg_m3: [kg/m3].
+        gel_friction: friction coefficient of the gels; a pair of bodies has the mean of its two.
+        rigid_density_kg_m3: of all rigid parts [kg/m3].
+    """
+
+    time_step_s: float = 0.1
+    contact: ContactSettings = field(default_factory=ContactSettings)
+    solver: SolverSettings = field(default_factory=SolverSettings)
+    youngs_modulus_pa: float = 3e5
+    poisson_ratio: float = 0.3
+    gel_density_kg_m3: float = 1000.0
+    gel_friction: float = 87.5
+    rigid_density_kg_m3: float = 500.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Clocks:
+    """CPU time by kind of work, summed over all episodes of an environment."""
+
+    physics: Stopwatch
+    markers: Stopwatch
+
+
+def fixed_at_origin(mesh: SurfaceMesh, *, friction: float) -> RigidBody:
+    """A part that never moves, its own frame being the world's."""
+    return RigidBody(mesh=mesh, rotation=np.eye(3), translation_m=np.zeros(3), friction=friction, fixed=True)
+
+
+class GraspedScene:
+    """Two gels on a gripper, the part they hold (body 0) and the part it goes into (body 1, fixed).
+
+    After an IPC step that did not converge nothing moves any more: `solved` is False and stays so.
+
+    Attributes:
+        gel: mesh of both gels.
+        held: the held part, where it was placed.
+        fixed: the fixed part.
+        physics: materials and stepping.
+        ipc_steps: solved so far.
+        solved: every IPC step so far converged.
+        after_ipc_step: called after every IPC step, for pictures; it must not move anything.
+    """
+
+    def __init__(
+        self,
+        *,
+        gel: GelMesh,
+        held: RigidBody,
+        fixed: RigidBody,
+        mounts: tuple[SensorMount, SensorMount],
+        pose: GripperPose,
+        physics: PhysicsSettings,
+        markers: MarkerSettings,
+        clocks: Clocks,
+    ) -> None:
+        self.gel, self.held, self.fixed, self.physics = gel, held, fixed, physics
+        self.after_ipc_step: Callable[[], None] | None = None
+        self._clocks = clocks
+        self._gripper = Gripper(mounts=mounts, gel=gel, pose=pose)
+        self._sensors = tuple(TactileSensor(gel, markers) for _ in mounts)
+        with clocks.physics:
+            self._scene = Scene(
+                gels=[self._placed_gel(gel, index, physics) for index in range(len(mounts))],
+                bodies=[held, fixed],
+                time_step_s=physics.time_step_s,
+                contact=physics.contact,
+                solver=physics.solver,
+            )
+        self._reports: list[StepReport] = []
+        self.ipc_steps = 0
+        self.solved = True
+
+    @property
+    def pose(self) -> GripperPose:
+        """Present pose of the gripper."""
+        return self._gripper.pose
+
+    def move_to(self, goal: GripperPose, *, ipc_steps: int) -> None:
+        """Drive the gels to a pose in equal IPC steps; stops for good at the first that does not converge."""
+        start = self._gripper.pose
+        for part in range(1, ipc_steps + 1):
+            if not self.solved:
+                return
+            self._step_to(start.towards(goal, part, ipc_steps))
+
+    def capture_references(self) -> None:
+        """Take what both sensors see now as their undisturbed view."""
+        for sensor, view_m in zip(self._sensors, self._views_m(), strict=True):
+            sensor.capture_reference(view_m)
+
+    def surface_diff_m(self) -> FloatArray:
+        """Mean motion of the left and right sensing surface since the reference [m], shape [2]."""
+        pairs = zip(self._sensors, self._views_m(), strict=True)
+        return np.array([sensor.surface_diff_m(view_m) for sensor, view_m in pairs])
+
+    def marker_flow(self, random: np.random.Generator) -> NDArray[np.float32]:
+        """Marker flow of the left, then the right sensor [pixel], shape [2, 2, 128, 2]."""
+        with self._clocks.markers:
+            pairs = zip(self._sensors, self._views_m(), strict=True)
+            return np.stack([sensor.marker_flow(view_m, random) for sensor, view_m in pairs]).astype(np.float32)
+
+    def held_vertices_m(self, vertices: NDArray[np.int64]) -> FloatArray:
+        """World positions of chosen vertices of the held part [m], shape [n, 3]."""
+        return self._scene.body_vertices_m(0)[vertices]
+
+    def gel_nodes_m(self, index: int) -> FloatArray:
+        """World positions of all nodes of the left (0) or right (1) gel [m], shape [n, 3]."""
+        return self._scene.gel_positions_m(index)
+
+    def sensor_pose(self, index: int) -> SensorPose:
+        """Present pose of the left (0) or right (1) sensor."""
+        return self._gripper.sensor_pose(index)
+
+    def sensor_centres_m(self) -> FloatArray:
+        """World positions of the centres of the left and the right gel [m], shape [2, 3]."""
+        return np.stack([self.sensor_pose(index).centre_m for index in range(len(self._sensors))])
+
+    def take_reports(self) -> tuple[StepReport, ...]:
+        """Reports of the IPC steps since the last call."""
+        reports, self._reports = tuple(self._reports), []
+        return reports
+
+    def state_hash(self) -> str:
+        """SHA-256 [hex] of all positions and velocities."""
+        return hashlib.sha256(self._scene.state_bytes()).hexdigest()
+
+    def _placed_gel(self, gel: GelMesh, index: int, physics: PhysicsSettings) -> GelBody:
+        sensor = self.sensor_pose(index)
+        return GelBody(
+            mesh=gel,
+            rotation=sensor.rotation,
+            translation_m=sensor.centre_m,
+            youngs_modulus_pa=physics.youngs_modulus_pa,
+            poisson_ratio=physics.poisson_ratio,
+            density_kg_m3=physics.gel_density_kg_m3,
+            friction=physics.gel_friction,
+        )
+
+    def _step_to(self, pose: GripperPose) -> None:
+        with self._clocks.physics:
+            report = self._scene.step(driven_targets_m=self._gripper.driven_targets_m(pose))
+        self.ipc_steps += 1
+        self._reports.append(report)
+        self.solved = report.status is not StepStatus.NOT_CONVERGED
+        self._gripper.pose = pose
+        if self.after_ipc_step is not None:
+            self.after_ipc_step()
+
+    def _views_m(self) -> list[FloatArray]:
+        views_m = []
+        for index, sensor in enumerate(self._sensors):
+            pose = self.sensor_pose(index)
+            views_m.append(sensor.view_m(self.gel_nodes_m(index), pose.rotation, pose.centre_m))
+        return views_m

@@ -1,0 +1,131 @@
+"""A parallel gripper with a gel on each jaw: where its sensors are, and where it drives their back faces.
+
+The pose is tracked in closed form. Driven nodes end every IPC step exactly on their targets, so the pose that makes the
+targets is the pose of the sensors; fitting it to boundary nodes (challenge-facts 2.4) would find the same numbers.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..deterministic_math import sine_cosine
+from ..fem.model.mesh import GelMesh
+
+FloatArray = NDArray[np.float64]
+
+# Distance of a gel's centre from its sensing face.
+GEL_HALF_THICKNESS_MM = 2.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SensorMount:
+    """A sensor on one jaw of the gripper, at angle 0.
+
+    Attributes:
+        side: +1 for the jaw at +y of the gripper's centre, -1 for the one at -y.
+        rotation: gripper from gel, shape [3, 3].
+    """
+
+    side: int
+    rotation: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class GripperPose:
+    """Pose of the gripper in the world.
+
+    Attributes:
+        x_m: centre between the jaws [m].
+        y_m: [m].
+        z_m: [m].
+        angle_rad: rotation about the vertical [rad].
+        half_opening_m: distance of each gel's centre from the gripper's centre [m].
+    """
+
+    x_m: float
+    y_m: float
+    z_m: float
+    angle_rad: float
+    half_opening_m: float
+
+    def moved(
+        self, *, x_m: float = 0.0, y_m: float = 0.0, z_m: float = 0.0, angle_rad: float = 0.0, closing_m: float = 0.0
+    ) -> "GripperPose":
+        """The pose after a translation [m], a turn about its own centre [rad] and a closing of each jaw [m]."""
+        return GripperPose(
+            x_m=self.x_m + x_m,
+            y_m=self.y_m + y_m,
+            z_m=self.z_m + z_m,
+            angle_rad=self.angle_rad + angle_rad,
+            half_opening_m=self.half_opening_m - closing_m,
+        )
+
+    def towards(self, goal: "GripperPose", part: int, parts: int) -> "GripperPose":
+        """The pose `part` of `parts` equal pieces on the way to the goal; the goal itself at the end."""
+        if part == parts:
+            return goal
+        fraction = part / parts
+        return GripperPose(
+            x_m=self.x_m + fraction * (goal.x_m - self.x_m),
+            y_m=self.y_m + fraction * (goal.y_m - self.y_m),
+            z_m=self.z_m + fraction * (goal.z_m - self.z_m),
+            angle_rad=self.angle_rad + fraction * (goal.angle_rad - self.angle_rad),
+            half_opening_m=self.half_opening_m + fraction * (goal.half_opening_m - self.half_opening_m),
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SensorPose:
+    """Pose of a gel in the world: world = rotation @ gel + centre.
+
+    Attributes:
+        rotation: shape [3, 3].
+        centre_m: [m], shape [3].
+    """
+
+    rotation: FloatArray
+    centre_m: FloatArray
+
+
+class Gripper:
+    """Two mounted gels and the pose they share."""
+
+    def __init__(self, *, mounts: tuple[SensorMount, SensorMount], gel: GelMesh, pose: GripperPose) -> None:
+        self._mounts = mounts
+        driven_m = gel.rest_position_m[gel.driven_nodes]
+        self._driven_m = tuple(_turned(mount.rotation, driven_m) for mount in mounts)
+        self.pose = pose
+
+    def sensor_pose(self, index: int) -> SensorPose:
+        """Present pose of the left (0) or right (1) sensor."""
+        mount, pose = self._mounts[index], self.pose
+        sine, cosine = sine_cosine(pose.angle_rad)
+        about_z = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+        offset = mount.side * pose.half_opening_m
+        centre = np.array([pose.x_m - sine * offset, pose.y_m + cosine * offset, pose.z_m])
+        return SensorPose(rotation=_turned(about_z, mount.rotation.T).T, centre_m=centre)
+
+    def driven_targets_m(self, pose: GripperPose) -> tuple[FloatArray, FloatArray]:
+        """World positions [m] of both gels' driven nodes when the gripper is at this pose, shapes [d, 3]."""
+        sine, cosine = sine_cosine(pose.angle_rad)
+        left, right = (
+            _placed(driven, sine, cosine, pose, mount.side * pose.half_opening_m)
+            for driven, mount in zip(self._driven_m, self._mounts, strict=True)
+        )
+        return left, right
+
+
+def _placed(driven_m: FloatArray, sine: float, cosine: float, pose: GripperPose, offset_m: float) -> FloatArray:
+    x, y = driven_m[:, 0], driven_m[:, 1] + offset_m
+    out = np.empty_like(driven_m)
+    out[:, 0] = cosine * x - sine * y + pose.x_m
+    out[:, 1] = sine * x + cosine * y + pose.y_m
+    out[:, 2] = driven_m[:, 2] + pose.z_m
+    return out
+
+
+def _turned(rotation: FloatArray, points: FloatArray) -> FloatArray:
+    """Rotated points, shape [n, 3], by explicit sums of products (no BLAS, whose bits differ between kernels)."""
+    x, y, z = points[:, 0], points[:, 1], points[:, 2]
+    return np.column_stack([row[0] * x + row[1] * y + row[2] * z for row in rotation])

@@ -1,0 +1,129 @@
+"""Scene of the lock task: a key in its lock, its handle held by two gels (challenge-facts 2.2)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...assets import Meshes
+from ...fem.model.bodies import RigidBody
+from ...geometry.keys import KEY_HALF_THICKNESS_MM, KeyShape, key_control_points
+from ...geometry.locks import lock_control_points
+from ...geometry.solid import nearest_vertices
+from ...scene.grasped_scene import Clocks, GraspedScene, fixed_at_origin
+from ...scene.gripper import GEL_HALF_THICKNESS_MM, GripperPose, SensorMount
+from ...scene.motion import ipc_steps
+from .settings import LockOpeningSettings
+from .task import LockState
+from .variation import LockStart
+
+FloatArray = NDArray[np.float64]
+
+# Key tip at the start, before the offset; 6.5 mm deeper than where the teeth stand below their slots.
+START_X_MM = 6.5
+START_GAP_MM = 0.5
+GRASP_HEIGHT_MM = 16.0
+SPEED_M_S = 2e-3
+# Distance of the sensors from the key's tip.
+SENSOR_X_MM = {KeyShape.KEY1: 70.0, KeyShape.KEY2: 75.0, KeyShape.KEY3: 70.0, KeyShape.KEY4: 80.0}
+
+# Both gels' x axes point outwards along the key; the left one looks along +y, the right one along -y.
+MOUNTS = (
+    SensorMount(side=-1, rotation=np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])),
+    SensorMount(side=1, rotation=np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])),
+)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class KeyVertices:
+    """Vertices of the key's surface that are measured, each of shape [4]."""
+
+    rear_tooth: NDArray[np.int64]
+    front_tooth: NDArray[np.int64]
+    tip: NDArray[np.int64]
+
+
+class LockScene:
+    """A lock scene and the gripper motions of the task."""
+
+    def __init__(self, *, start: LockStart, meshes: Meshes, settings: LockOpeningSettings, clocks: Clocks) -> None:
+        self._settings = settings
+        key = meshes.key(start.shape)
+        points = key_control_points(start.shape)
+        self._vertices = KeyVertices(
+            rear_tooth=nearest_vertices(key, points.rear_tooth_m),
+            front_tooth=nearest_vertices(key, points.front_tooth_m),
+            tip=nearest_vertices(key, points.tip_m),
+        )
+        self._lock_points = lock_control_points(start.shape)
+        self._grasp_pose = _open_pose(start)
+        self.grasped = GraspedScene(
+            gel=meshes.gel(),
+            held=RigidBody(
+                mesh=key,
+                rotation=np.eye(3),
+                translation_m=_key_position_m(start),
+                density_kg_m3=settings.physics.rigid_density_kg_m3,
+                friction=settings.key_friction,
+            ),
+            fixed=fixed_at_origin(meshes.lock(start.shape), friction=settings.lock_friction),
+            mounts=MOUNTS,
+            pose=self._grasp_pose,
+            physics=settings.physics,
+            markers=settings.markers,
+            clocks=clocks,
+        )
+
+    def grasp(self) -> None:
+        """Close on the key's handle and take the references."""
+        closing_m = (START_GAP_MM + self._settings.indentation_mm) * 1e-3
+        goal = self.grasped.pose.moved(closing_m=closing_m)
+        self.grasped.move_to(goal, ipc_steps=self._ipc_steps(closing_m))
+        self.grasped.capture_references()
+
+    def travel(self, x_mm: float, z_mm: float) -> None:
+        """Move the gripper by x and z [mm], both together."""
+        longest_m = max(abs(x_mm), abs(z_mm)) * 1e-3
+        goal = self.grasped.pose.moved(x_m=x_mm * 1e-3, z_m=z_mm * 1e-3)
+        self.grasped.move_to(goal, ipc_steps=self._ipc_steps(longest_m))
+
+    def relative_motion_mm(self) -> FloatArray:
+        """Motion of the gripper's centre since the start [mm], shape [3]."""
+        now, first = self.grasped.pose, self._grasp_pose
+        return np.array([now.x_m - first.x_m, now.y_m - first.y_m, now.z_m - first.z_m]) * 1e3
+
+    def state(self, env_steps: int) -> LockState:
+        """Measured points and surface motion, in arrays of their own."""
+        return LockState(
+            env_steps=env_steps,
+            rear_tooth_m=self.grasped.held_vertices_m(self._vertices.rear_tooth),
+            front_tooth_m=self.grasped.held_vertices_m(self._vertices.front_tooth),
+            rear_slot_m=self._lock_points.rear_slot_m.copy(),
+            front_slot_m=self._lock_points.front_slot_m.copy(),
+            entrance_m=self._lock_points.entrance_m.copy(),
+            surface_diff_m=self.grasped.surface_diff_m(),
+        )
+
+    def tip_m(self) -> FloatArray:
+        """Corners of the key's tip in the world [m], shape [4, 3]."""
+        return self.grasped.held_vertices_m(self._vertices.tip)
+
+    def _ipc_steps(self, distance_m: float) -> int:
+        return ipc_steps(distance_m, speed_per_s=SPEED_M_S, time_step_s=self._settings.physics.time_step_s)
+
+
+def _key_position_m(start: LockStart) -> FloatArray:
+    offset = start.offset
+    return np.array([START_X_MM + offset.x_mm, offset.y_mm, offset.z_mm]) * 1e-3
+
+
+def _open_pose(start: LockStart) -> GripperPose:
+    """Pose of the open gripper around the key's handle, off by the jitter."""
+    x_m, y_m, z_m = _key_position_m(start).tolist()
+    return GripperPose(
+        x_m=x_m + (SENSOR_X_MM[start.shape] + start.jitter.x_mm) * 1e-3,
+        y_m=y_m,
+        z_m=z_m + (GRASP_HEIGHT_MM + start.jitter.z_mm) * 1e-3,
+        angle_rad=0.0,
+        half_opening_m=(KEY_HALF_THICKNESS_MM + GEL_HALF_THICKNESS_MM + START_GAP_MM) * 1e-3,
+    )

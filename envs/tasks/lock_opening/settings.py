@@ -1,0 +1,61 @@
+"""Settings of the lock task; the defaults are those of the 2025 Track 1 evaluation (challenge-facts 3, 7)."""
+
+from dataclasses import dataclass, field
+from math import isfinite
+
+from ...fem.model.settings import ContactSettings
+from ...scene.grasped_scene import PhysicsSettings
+from ...tactile.markers import MarkerSettings
+from ..settings import require
+
+
+def lock_physics() -> PhysicsSettings:
+    """Time step and friction smoothing of the lock task; the rest as in the peg task."""
+    return PhysicsSettings(time_step_s=0.2, contact=ContactSettings(friction_velocity_m_s=1e-3))
+
+
+@dataclass(frozen=True, kw_only=True)
+class LockOpeningSettings:
+    """What the task leaves open; lengths in mm are the challenge's own interface.
+
+    Attributes:
+        max_steps: env steps after which an episode is cut off.
+        action_scale_mm: motion at an action of 1: x [mm], z [mm].
+        step_penalty: P in the reward.
+        final_reward: reward of success.
+        failure_penalty: cost of the tactile or error flag.
+        indentation_mm: how far each gel is pressed into the key.
+        key_friction: friction coefficient of the key.
+        lock_friction: friction coefficient of the lock.
+        random_x_mm: largest x of a random start.
+        jitter_mm: largest displacement of the sensors along the key, and up or down.
+        reference_quirks: reproduce the jump of `relative_motion` after the first env step of the 2025 code, which
+            tells the keys apart (challenge-facts 14.2).
+        physics: materials of the gels and time stepping.
+        markers: ranges of the marker grid.
+    """
+
+    max_steps: int = 50
+    action_scale_mm: tuple[float, float] = (2.0, 1.0)
+    step_penalty: float = 1.0
+    final_reward: float = 10.0
+    failure_penalty: float = 5.0
+    indentation_mm: float = 0.875
+    key_friction: float = 0.6
+    lock_friction: float = 0.5
+    random_x_mm: float = 5.0
+    jitter_mm: float = 2.0
+    reference_quirks: bool = False
+    physics: PhysicsSettings = field(default_factory=lock_physics)
+    markers: MarkerSettings = field(default_factory=MarkerSettings)
+
+    def __post_init__(self) -> None:
+        require(self.max_steps >= 1, "max_steps", self.max_steps, "at least 1")
+        scale = self.action_scale_mm
+        usable = len(scale) == 2 and all(isfinite(value) and 0 <= value <= 10 for value in scale)
+        require(usable, "action_scale_mm", scale, "two numbers of 0 to 10")
+        require(0 < self.indentation_mm <= 2, "indentation_mm", self.indentation_mm, "0 to 2 mm, half the gel")
+        for name in ("key_friction", "lock_friction"):
+            require(0 <= getattr(self, name) <= 1e3, name, getattr(self, name), "0 to 1000")
+        require(0 <= self.random_x_mm <= 20, "random_x_mm", self.random_x_mm, "0 to 20 mm")
+        require(0 <= self.jitter_mm <= 4, "jitter_mm", self.jitter_mm, "0 to 4 mm")

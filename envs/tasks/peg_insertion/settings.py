@@ -1,0 +1,59 @@
+"""Settings of the peg task; the defaults are those of the 2025 Track 1 evaluation (challenge-facts 3, 7)."""
+
+from dataclasses import dataclass, field
+from math import isfinite
+
+from ...scene.grasped_scene import PhysicsSettings
+from ...tactile.markers import MarkerSettings
+from ..settings import require
+
+
+@dataclass(frozen=True, kw_only=True)
+class PegInsertionSettings:
+    """What the task leaves open; lengths in mm and angles in degrees are the challenge's own interface.
+
+    Attributes:
+        max_steps: env steps after which an episode is cut off.
+        z_step_mm: descent at the end of every env step.
+        action_scale_mm_deg: motion at an action of 1: x [mm], y [mm], theta [deg].
+        step_penalty: P in the reward.
+        final_reward: reward of success.
+        indentation_mm: how far each gel is pressed into the peg.
+        gripper_x_mm: grasp centre along the peg's x axis.
+        gripper_z_mm: grasp centre above the peg's upper end.
+        peg_friction: friction coefficient of the peg.
+        hole_friction: friction coefficient of the plate.
+        random_xy_mm: largest |x| and |y| of a random start.
+        random_theta_deg: largest |theta| of a random start.
+        physics: materials of the gels and time stepping.
+        markers: ranges of the marker grid.
+    """
+
+    max_steps: int = 8
+    z_step_mm: float = 0.125
+    action_scale_mm_deg: tuple[float, float, float] = (2.0, 2.0, 4.0)
+    step_penalty: float = 1.0
+    final_reward: float = 10.0
+    indentation_mm: float = 0.875
+    gripper_x_mm: float = 0.0
+    gripper_z_mm: float = -8.0
+    peg_friction: float = 9.5
+    hole_friction: float = 0.5
+    random_xy_mm: float = 5.0
+    random_theta_deg: float = 10.0
+    physics: PhysicsSettings = field(default_factory=PhysicsSettings)
+    markers: MarkerSettings = field(default_factory=MarkerSettings)
+
+    def __post_init__(self) -> None:
+        require(self.max_steps >= 1, "max_steps", self.max_steps, "at least 1")
+        require(0 < self.z_step_mm <= 5, "z_step_mm", self.z_step_mm, "0 to 5 mm")
+        scale = self.action_scale_mm_deg
+        usable = len(scale) == 3 and all(isfinite(value) and 0 <= value <= 20 for value in scale)
+        require(usable, "action_scale_mm_deg", scale, "three numbers of 0 to 20")
+        require(0 < self.indentation_mm <= 2, "indentation_mm", self.indentation_mm, "0 to 2 mm, half the gel")
+        require(abs(self.gripper_x_mm) <= 7, "gripper_x_mm", self.gripper_x_mm, "-7 to 7 mm")
+        require(-17 <= self.gripper_z_mm <= 0, "gripper_z_mm", self.gripper_z_mm, "-17 to 0 mm")
+        for name in ("peg_friction", "hole_friction"):
+            require(0 <= getattr(self, name) <= 1e3, name, getattr(self, name), "0 to 1000")
+        require(0 < self.random_xy_mm <= 12, "random_xy_mm", self.random_xy_mm, "0 to 12 mm")
+        require(0 <= self.random_theta_deg <= 15, "random_theta_deg", self.random_theta_deg, "0 to 15 degrees")

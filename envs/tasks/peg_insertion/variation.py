@@ -1,0 +1,112 @@
+"""Which episode is played: a given shape and offset, or a random start that really blocks the peg."""
+
+from dataclasses import dataclass
+from math import isfinite, radians, sqrt
+from typing import Any
+
+import numpy as np
+
+from ...deterministic_math import sine_cosine
+from ...geometry.pegs import PLATE_OUTLINE_MM, PROFILES_MM, PegShape, hole_outline_mm
+from ...geometry.polygon import overlaps_plate
+from ..task_env import ResetOptionsError
+
+ENV_ID = "ViTac/PegInsertion-v1"
+SHAPE, OFFSET = "shape", "offset_mm_deg"
+# The task's own limits of the commanded offset.
+LARGEST_XY_MM = 12.0
+LARGEST_THETA_DEG = 15.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class PegOffset:
+    """Pose of the peg (and the gripper) relative to the hole.
+
+    Attributes:
+        x_mm: world x [mm].
+        y_mm: world y [mm].
+        theta_deg: about the vertical [deg].
+    """
+
+    x_mm: float
+    y_mm: float
+    theta_deg: float
+
+    def magnitude(self) -> float:
+        """Euclidean norm of (x mm, y mm, theta deg), the error e of the reward."""
+        return sqrt(self.x_mm * self.x_mm + self.y_mm * self.y_mm + self.theta_deg * self.theta_deg)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PegStart:
+    """Start of an episode."""
+
+    shape: PegShape
+    offset: PegOffset
+
+
+def choose_start(options: dict[str, Any], random: np.random.Generator, *, xy_mm: float, theta_deg: float) -> PegStart:
+    """The start given by the options; what they leave open is drawn: first the shape, then a blocked offset.
+
+    Args:
+        options: may hold `shape` and `offset_mm_deg`.
+        random: the episode's generator.
+        xy_mm: largest |x| and |y| of a drawn offset.
+        theta_deg: largest |theta| of a drawn offset.
+
+    Raises:
+        ResetOptionsError: an option is not a known shape or not a usable offset.
+    """
+    given = options.get(SHAPE)
+    shape = _random_shape(random) if given is None else _shape(given)
+    wanted = options.get(OFFSET)
+    offset = (
+        random_blocked_offset(shape, random, xy_mm=xy_mm, theta_deg=theta_deg) if wanted is None else _offset(wanted)
+    )
+    return PegStart(shape=shape, offset=offset)
+
+
+def random_blocked_offset(shape: PegShape, random: np.random.Generator, *, xy_mm: float, theta_deg: float) -> PegOffset:
+    """A uniform offset (drawn x, y, theta), drawn again until the peg cannot just fall into the hole.
+
+    The 2025 code asks a collision library about the solids; prisms with one axis collide where their profiles do.
+    """
+    while True:
+        x, y, theta = random.uniform(-1.0, 1.0, 3).tolist()
+        offset = PegOffset(x_mm=x * xy_mm, y_mm=y * xy_mm, theta_deg=theta * theta_deg)
+        if is_blocked(shape, offset):
+            return offset
+
+
+def is_blocked(shape: PegShape, offset: PegOffset) -> bool:
+    """Whether the peg's profile at this offset meets the plate's material."""
+    sine, cosine = sine_cosine(radians(offset.theta_deg))
+    x, y = PROFILES_MM[shape][:, 0], PROFILES_MM[shape][:, 1]
+    placed = np.column_stack([cosine * x - sine * y + offset.x_mm, sine * x + cosine * y + offset.y_mm])
+    return overlaps_plate(placed, plate=PLATE_OUTLINE_MM, hole=hole_outline_mm(shape))
+
+
+def _random_shape(random: np.random.Generator) -> PegShape:
+    return list(PegShape)[int(random.integers(len(PegShape)))]
+
+
+def _shape(value: Any) -> PegShape:
+    try:
+        return PegShape(value)
+    except ValueError:
+        names = ", ".join(PegShape)
+        raise ResetOptionsError(f"{ENV_ID}: option '{SHAPE}' is {value!r}, expected one of {names}.") from None
+
+
+def _offset(value: Any) -> PegOffset:
+    expected = (
+        f"expected (x mm, y mm, theta deg) within {LARGEST_XY_MM:g} mm and {LARGEST_THETA_DEG:g} degrees either way"
+    )
+    try:
+        x_mm, y_mm, theta_deg = (float(number) for number in value)
+    except (TypeError, ValueError):
+        raise ResetOptionsError(f"{ENV_ID}: option '{OFFSET}' is {value!r}, {expected}.") from None
+    usable = max(abs(x_mm), abs(y_mm)) <= LARGEST_XY_MM and abs(theta_deg) <= LARGEST_THETA_DEG
+    if not (isfinite(x_mm + y_mm + theta_deg) and usable):
+        raise ResetOptionsError(f"{ENV_ID}: option '{OFFSET}' is {value!r}, {expected}.")
+    return PegOffset(x_mm=x_mm, y_mm=y_mm, theta_deg=theta_deg)

@@ -1,0 +1,209 @@
+"""The two command lines that put a policy into its sandbox: for a normal user and for root."""
+
+import math
+import os
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import Final
+
+from ..limits import Limits
+from ..verdicts import SandboxFailed
+from .interpreter import Interpreter
+
+OWN_PROCESSES: Final = 3
+"""Processes of ours in a sandbox at once: the first, the loader or an episode's, the loaded copy."""
+INSIDE_SUBMISSION: Final = "/submission"
+INSIDE_RUNTIME: Final = "/opt/vitac/agent.py"
+_RUNTIME: Final = Path(__file__).parents[1] / "runtime" / "agent.py"
+DEVICES: Final = ("/dev/null", "/dev/zero", "/dev/full", "/dev/random", "/dev/urandom")
+"""Devices that hold nothing, so that a policy may keep them open."""
+_FIRST_UID: Final = 1_000_000_000
+_SLOTS_PER_PROCESS: Final = 64
+_NOBODY: Final = 65534
+_INSTALL: Final = (
+    "install bubblewrap (Debian, Ubuntu: `apt-get install bubblewrap`; without root: `apt-get download bubblewrap`, "
+    "`dpkg -x` it and name the program in VITAC_BWRAP), then run `vitac doctor`"
+)
+_ENVIRONMENT: Final = {
+    "HOME": "/tmp",  # noqa: S108 - the sandbox's own tmpfs
+    "LANG": "C.UTF-8",
+    "PATH": "/usr/bin",
+    "PYTHONHASHSEED": "0",
+    "TMPDIR": "/tmp",  # noqa: S108
+    **dict.fromkeys(
+        ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
+    ),
+}
+
+
+class UserIsolation(StrEnum):
+    """Whose rights the policy runs with."""
+
+    ROOT = "root"
+    """Started by root, dropped to a real uid of its own, no user namespace."""
+    USER_NAMESPACE = "user-namespace"
+    """Started by a normal user, nobody inside a user namespace."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Descriptors:
+    """Descriptors that the command inherits."""
+
+    channel: int
+    status: int
+    """The first process reports here how the others end."""
+    seccomp: int
+    passwd: int
+    info: int
+    """bubblewrap writes the outside pid of the first process here."""
+
+
+def current_user_isolation() -> UserIsolation:
+    """Return the command line that fits this process."""
+    return UserIsolation.ROOT if os.geteuid() == 0 else UserIsolation.USER_NAMESPACE
+
+
+def sandbox_uid(slot: int) -> int:
+    """Return the uid inside: under root one of its own for each slot of each evaluator process.
+
+    RLIMIT_NPROC counts per uid, so that two policies of one uid could starve each other.
+    """
+    if current_user_isolation() is UserIsolation.USER_NAMESPACE:
+        return _NOBODY
+    return _FIRST_UID + os.getpid() * _SLOTS_PER_PROCESS + slot % _SLOTS_PER_PROCESS
+
+
+def find_program() -> Path:
+    """Return bubblewrap: VITAC_BWRAP, else the PATH, else the project's `.system` folder that the launcher fills.
+
+    Raises:
+        SandboxFailed: there is none. Nothing ever runs unsandboxed instead.
+    """
+    named = os.environ.get("VITAC_BWRAP")
+    if named:
+        if not os.access(named, os.X_OK):
+            raise SandboxFailed(f"VITAC_BWRAP names {named}, which is not a program; {_INSTALL}.")
+        return Path(named)
+    found = shutil.which("bwrap")
+    candidates = [Path(found)] if found else []
+    candidates += [folder / ".system" / "bin" / "bwrap" for folder in Path(__file__).resolve().parents[:5]]
+    for candidate in candidates:
+        if os.access(candidate, os.X_OK):
+            return candidate
+    raise SandboxFailed(f"The sandbox needs the program bwrap, which is not on the PATH; {_INSTALL}.")
+
+
+def passwd_file(uid: int) -> bytes:
+    """Return the /etc/passwd of the sandbox; libraries look up the name of the user they run as."""
+    return f"agent:x:{uid}:{uid}:agent:/tmp:/usr/sbin/nologin\n".encode()
+
+
+def command(
+    *, program: Path, submission: Path, interpreter: Interpreter, limits: Limits, uid: int, descriptors: Descriptors
+) -> list[str]:
+    """Return the whole command line, from bubblewrap to the runtime."""
+    return [
+        str(program),
+        *_privileges(uid),
+        *("--unshare-ipc", "--unshare-pid", "--unshare-net", "--unshare-uts", "--unshare-cgroup-try"),
+        *("--hostname", "sandbox", "--die-with-parent", "--new-session", "--as-pid-1", "--clearenv"),
+        *("--json-status-fd", str(descriptors.info), "--seccomp", str(descriptors.seccomp)),
+        *_system_files(descriptors),
+        *_writable_folders(limits),
+        *_python_files(interpreter),
+        *("--ro-bind", str(submission.resolve()), INSIDE_SUBMISSION, "--chdir", INSIDE_SUBMISSION, "--remount-ro", "/"),
+        *_environment(interpreter),
+        "--",
+        *_drop_to(uid),
+        *_process_limits(limits),
+        *_python(interpreter, limits, descriptors),
+    ]
+
+
+def _privileges(uid: int) -> list[str]:
+    if current_user_isolation() is UserIsolation.ROOT:
+        # No user namespace: inside one, root's RLIMIT_NPROC would not be enforced. setpriv needs these two to drop.
+        return ["--cap-drop", "ALL", "--cap-add", "CAP_SETUID", "--cap-add", "CAP_SETGID"]
+    return ["--unshare-user", "--uid", str(uid), "--gid", str(uid), "--disable-userns", "--cap-drop", "ALL"]
+
+
+def _system_files(descriptors: Descriptors) -> list[str]:
+    """Bind the system's programs and libraries; there is no /proc, no /sys and hardly an /etc."""
+    arguments = ["--ro-bind", "/usr", "/usr"]
+    for folder in ("/etc", "/opt", "/opt/vitac", "/opt/vitac/packages"):
+        arguments += ["--perms", "0755", "--dir", folder]
+    for name in ("bin", "lib", "lib32", "lib64", "libx32", "sbin"):
+        system = Path("/", name)
+        if system.is_symlink():
+            arguments += ["--symlink", str(system.readlink()), str(system)]
+        elif system.is_dir():
+            arguments += ["--ro-bind", str(system), str(system)]
+    for optional in ("/etc/ld.so.cache", "/etc/alternatives"):
+        arguments += ["--ro-bind-try", optional, optional]
+    return [*arguments, "--perms", "0444", "--file", str(descriptors.passwd), "/etc/passwd"]
+
+
+def _writable_folders(limits: Limits) -> list[str]:
+    return [
+        *("--dev", "/dev"),
+        # Terminals would be one more place where a mode or time stays changed.
+        *("--tmpfs", "/dev/pts", "--remount-ro", "/dev/pts"),
+        *("--perms", "1777", "--size", str(limits.shm_bytes), "--tmpfs", "/dev/shm"),  # noqa: S108
+        *("--remount-ro", "/dev"),
+        *("--perms", "1777", "--size", str(limits.tmp_bytes), "--tmpfs", "/tmp"),  # noqa: S108
+    ]
+
+
+def _python_files(interpreter: Interpreter) -> list[str]:
+    arguments = []
+    for outside, inside in interpreter.read_only_binds:
+        arguments += ["--ro-bind", str(outside), str(inside)]
+    for folder in interpreter.masked:
+        arguments += ["--tmpfs", str(folder), "--remount-ro", str(folder)]
+    return [*arguments, "--ro-bind", str(_RUNTIME), INSIDE_RUNTIME]
+
+
+def _environment(interpreter: Interpreter) -> list[str]:
+    variables = dict(_ENVIRONMENT)
+    if interpreter.library_folder is not None:
+        variables["LD_LIBRARY_PATH"] = str(interpreter.library_folder)
+    return [part for name, value in variables.items() for part in ("--setenv", name, value)]
+
+
+def _drop_to(uid: int) -> list[str]:
+    if current_user_isolation() is UserIsolation.USER_NAMESPACE:
+        return []
+    # The change of uid clears the parent-death signal that bubblewrap has set, so it is set again.
+    return ["/usr/bin/setpriv", "--reuid", str(uid), "--regid", str(uid), "--clear-groups", "--pdeathsig", "KILL", "--"]
+
+
+def _process_limits(limits: Limits) -> list[str]:
+    # The control group is to refuse first, for it counts refusals; RLIMIT_NPROC stands in where there is none.
+    return [
+        "/usr/bin/prlimit",
+        f"--as={limits.address_space_bytes}",
+        f"--nproc={limits.processes + OWN_PROCESSES + 4}",
+        f"--nofile={limits.open_files}",
+        f"--fsize={limits.file_size_bytes}",
+        "--core=0",
+        "--memlock=0",
+        "--",
+    ]
+
+
+def _python(interpreter: Interpreter, limits: Limits, descriptors: Descriptors) -> Sequence[str]:
+    # Not -I: it would ignore PYTHONHASHSEED. The environment holds nothing but what is set above.
+    return [
+        str(interpreter.executable),
+        *("-P", "-s", "-B", "-u", INSIDE_RUNTIME),
+        *(str(descriptors.channel), str(descriptors.status), *_cpu_limits(limits), INSIDE_SUBMISSION),
+        *(str(folder) for folder in interpreter.packages),
+    ]
+
+
+def _cpu_limits(limits: Limits) -> tuple[str, str]:
+    """Return soft and hard limit of the loader [s]; its copies' soft limit is set from outside."""
+    return str(math.ceil(limits.start_cpu_s)), str(math.ceil(limits.start_cpu_s + limits.episode_cpu_s) + 1)

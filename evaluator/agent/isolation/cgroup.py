@@ -1,0 +1,183 @@
+"""Control groups around one sandbox: version 2 where it is delegated to us, version 1 for root, else none."""
+
+import contextlib
+import itertools
+import os
+import time
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import Final
+
+from ..limits import Limits
+from ..verdicts import SandboxFailed
+from .bubblewrap import OWN_PROCESSES
+
+_ROOT: Final = Path("/sys/fs/cgroup")
+_MEMBERSHIP: Final = Path("/proc/self/cgroup")
+_PREFIX: Final = "vitac-"
+_REMOVE_DEADLINE_S: Final = 20.0
+_counter = itertools.count(1)
+
+
+class MemoryIsolation(StrEnum):
+    """What keeps many processes together below the memory limit."""
+
+    CGROUP_V2 = "cgroup-v2"
+    CGROUP_V1 = "cgroup-v1"
+    WATCHDOG = "watchdog"
+    """No control group: resident memory is looked at several times a second."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ControlGroup:
+    """The folders of one control group; version 1 has one for each controller."""
+
+    kind: MemoryIsolation
+    memory: Path
+    pids: Path
+    cpu: Path
+
+    @property
+    def folders(self) -> tuple[Path, ...]:
+        """Every folder once."""
+        return tuple(dict.fromkeys((self.memory, self.pids, self.cpu)))
+
+    def out_of_memory_kills(self) -> int:
+        """Return how many processes the kernel has killed for lack of memory."""
+        name = "memory.events" if self.kind is MemoryIsolation.CGROUP_V2 else "memory.oom_control"
+        return _read_key(self.memory / name, "oom_kill")
+
+    def refused_forks(self) -> int:
+        """Return how often a process or thread was refused."""
+        return _read_key(self.pids / "pids.events", "max")
+
+    def cpu_s(self) -> float:
+        """Return CPU time used by everything that was ever in the group [s]."""
+        if self.kind is MemoryIsolation.CGROUP_V2:
+            return _read_key(self.cpu / "cpu.stat", "usage_usec") * 1e-6
+        return int((self.cpu / "cpuacct.usage").read_text()) * 1e-9
+
+    def remove(self) -> None:
+        """Remove the folders; the kernel may need a moment after the last process was killed.
+
+        Raises:
+            SandboxFailed: a process is still inside.
+        """
+        deadline = time.monotonic() + _REMOVE_DEADLINE_S
+        for folder in self.folders:
+            while not _remove(folder):
+                if time.monotonic() > deadline:
+                    raise SandboxFailed(f"Control group {folder} cannot be removed; a process of a sandbox still runs.")
+                time.sleep(0.005)
+
+
+def create(limits: Limits, *, root: Path = _ROOT, membership: Path = _MEMBERSHIP) -> ControlGroup | None:
+    """Return a new control group with the limits set, or None where this process may not make one."""
+    name = f"{_PREFIX}{os.getpid()}-{next(_counter)}"
+    own = _own_groups(membership)
+    for make in (_create_v2, _create_v1):
+        try:
+            group = make(root, own, name)
+        except OSError:
+            continue
+        if group is not None and _set_limits(group, limits):
+            return group
+    return None
+
+
+def sweep(parent: Path) -> None:
+    """Remove the groups that evaluators which are no longer alive left behind."""
+    for folder in parent.glob(f"{_PREFIX}*"):
+        owner = folder.name.removeprefix(_PREFIX).partition("-")[0]
+        if owner.isdigit() and not Path("/proc", owner).exists():
+            _remove(folder)
+
+
+def _own_groups(membership: Path) -> dict[str, str]:
+    """Return controller -> path of this process's group; version 2 has the name ''."""
+    groups = {}
+    for line in membership.read_text().splitlines():
+        _, controllers, path = line.split(":", 2)
+        groups.update(dict.fromkeys(controllers.split(","), path))
+    return groups
+
+
+def _create_v2(root: Path, own: dict[str, str], name: str) -> ControlGroup | None:
+    if "" not in own or not (root / "cgroup.controllers").exists():
+        return None
+    here = root / own[""].lstrip("/")
+    for parent in (here, here.parent):
+        if parent.is_relative_to(root) and _delegates(parent):
+            sweep(parent)
+            (parent / name).mkdir()
+            folder = parent / name
+            return ControlGroup(kind=MemoryIsolation.CGROUP_V2, memory=folder, pids=folder, cpu=folder)
+    return None
+
+
+def _delegates(parent: Path) -> bool:
+    """Return whether children of a group have memory and pids controllers, switching them on where allowed."""
+    control = parent / "cgroup.subtree_control"
+    if not os.access(parent, os.W_OK) or not control.exists():
+        return False
+    if {"memory", "pids"} <= set(control.read_text().split()):
+        return True
+    try:
+        control.write_text("+memory +pids")
+    except OSError:  # busy: a group with processes of its own cannot hand controllers on
+        return False
+    return {"memory", "pids"} <= set(control.read_text().split())
+
+
+def _create_v1(root: Path, own: dict[str, str], name: str) -> ControlGroup | None:
+    folders = {}
+    for controller in ("memory", "pids", "cpuacct"):
+        if controller not in own:
+            return None
+        parent = root / controller / own[controller].lstrip("/")
+        parent = parent if parent.is_dir() else root / controller
+        sweep(parent)
+        folders[controller] = parent / name
+    for folder in folders.values():
+        folder.mkdir()
+    return ControlGroup(
+        kind=MemoryIsolation.CGROUP_V1, memory=folders["memory"], pids=folders["pids"], cpu=folders["cpuacct"]
+    )
+
+
+def _set_limits(group: ControlGroup, limits: Limits) -> bool:
+    memory = str(limits.memory_bytes)
+    pairs = [(group.pids / "pids.max", str(limits.processes + OWN_PROCESSES))]
+    if group.kind is MemoryIsolation.CGROUP_V2:
+        pairs += [(group.memory / "memory.max", memory), (group.memory / "memory.swap.max", "0")]
+    else:
+        pairs += [
+            (group.memory / "memory.limit_in_bytes", memory),
+            (group.memory / "memory.memsw.limit_in_bytes", memory),
+        ]
+    try:
+        for file, value in pairs:
+            if file.exists():
+                file.write_text(value)
+    except OSError:
+        group.remove()
+        return False
+    return True
+
+
+def _remove(folder: Path) -> bool:
+    with contextlib.suppress(FileNotFoundError):
+        try:
+            folder.rmdir()
+        except OSError:
+            return False
+    return True
+
+
+def _read_key(file: Path, key: str) -> int:
+    for line in file.read_text().splitlines():
+        name, _, value = line.partition(" ")
+        if name == key:
+            return int(value)
+    return 0

@@ -1,0 +1,139 @@
+"""What a machine needs to isolate policies, and what to do where it is missing; `vitac doctor` prints it."""
+
+import ctypes.util
+import os
+import shutil
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from ..limits import Limits
+from ..verdicts import SandboxFailed
+from . import bubblewrap, cgroup, tracing
+from .bubblewrap import UserIsolation
+
+_SYSCTL: Final = Path("/proc/sys")
+_DEADLINE_S: Final = 10.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Requirement:
+    """One thing that was looked for on this machine."""
+
+    name: str
+    is_met: bool
+    is_needed: bool
+    """False where something else stands in for it, or may do so."""
+    found: str
+    remedy: str
+    """What to do; empty where it is met."""
+
+
+def requirements(*, sysctl: Path = _SYSCTL) -> list[Requirement]:
+    """Look for everything; nothing is started but `bwrap --version`."""
+    found = [_bubblewrap(), _seccomp(), *_programs(), _control_group(), _frozen_copies()]
+    if bubblewrap.current_user_isolation() is UserIsolation.USER_NAMESPACE:
+        found += user_namespaces(sysctl)
+    return found
+
+
+def user_namespaces(sysctl: Path = _SYSCTL) -> list[Requirement]:
+    """Look for settings of the kernel that keep a normal user from making namespaces."""
+    return [
+        _setting(
+            sysctl / "kernel/apparmor_restrict_unprivileged_userns",
+            bad="1",
+            name="AppArmor lets every program make namespaces",
+            is_needed=False,  # bwrap may have a profile of its own that allows it; the attempts tell
+            remedy="Ubuntu 23.10 and later: `sudo sysctl kernel.apparmor_restrict_unprivileged_userns=0`, or give "
+            "bwrap an AppArmor profile with the rule `userns,`",
+        ),
+        _setting(
+            sysctl / "kernel/unprivileged_userns_clone",
+            bad="0",
+            name="the kernel lets users make namespaces",
+            remedy="`sudo sysctl kernel.unprivileged_userns_clone=1`",
+        ),
+        _setting(
+            sysctl / "user/max_user_namespaces",
+            bad="0",
+            name="user namespaces are not limited to none",
+            remedy="`sudo sysctl user.max_user_namespaces=15000`",
+        ),
+    ]
+
+
+def _setting(file: Path, *, bad: str, name: str, remedy: str, is_needed: bool = True) -> Requirement:
+    value = file.read_text().strip() if file.exists() else "not there"
+    is_met = value != bad
+    return Requirement(
+        name=name, is_met=is_met, is_needed=is_needed, found=f"{file.name}: {value}", remedy="" if is_met else remedy
+    )
+
+
+def _bubblewrap() -> Requirement:
+    try:
+        program = bubblewrap.find_program()
+        version = subprocess.run(  # noqa: S603 - the program that runs every policy
+            [str(program), "--version"], capture_output=True, text=True, check=True, timeout=_DEADLINE_S
+        ).stdout.strip()
+    except (SandboxFailed, OSError, subprocess.SubprocessError) as error:
+        return Requirement(name="bubblewrap", is_met=False, is_needed=True, found="none", remedy=str(error))
+    return Requirement(name="bubblewrap", is_met=True, is_needed=True, found=f"{version}, {program}", remedy="")
+
+
+def _seccomp() -> Requirement:
+    library = ctypes.util.find_library("seccomp")
+    return Requirement(
+        name="libseccomp",
+        is_met=library is not None,
+        is_needed=True,
+        found=library or "none",
+        remedy="" if library else "install libseccomp (Debian, Ubuntu: `apt-get install libseccomp2`)",
+    )
+
+
+def _programs() -> list[Requirement]:
+    names = ["prlimit"]
+    if bubblewrap.current_user_isolation() is UserIsolation.ROOT:
+        names.append("setpriv")
+    needed = [_program(name, Path("/usr/bin", name), is_needed=True) for name in names]
+    found = shutil.which("nsenter")
+    return [*needed, _program("nsenter", Path(found) if found else None, is_needed=False)]
+
+
+def _program(name: str, path: Path | None, *, is_needed: bool) -> Requirement:
+    is_met = path is not None and os.access(path, os.X_OK)
+    return Requirement(
+        name=name,
+        is_met=is_met,
+        is_needed=is_needed,
+        found=str(path) if is_met else "none",
+        remedy="" if is_met else "install util-linux",
+    )
+
+
+def _control_group() -> Requirement:
+    group = cgroup.create(Limits())
+    if group is not None:
+        group.remove()
+        return Requirement(name="control group", is_met=True, is_needed=False, found=str(group.kind), remedy="")
+    return Requirement(
+        name="control group",
+        is_met=False,
+        is_needed=False,
+        found="none; a watchdog looks at memory instead",
+        remedy="run as a service with `Delegate=yes`, or start with `systemd-run --user --scope -p Delegate=yes`",
+    )
+
+
+def _frozen_copies() -> Requirement:
+    is_met = tracing.is_supported()
+    return Requirement(
+        name="frozen copies for episodes",
+        is_met=is_met,
+        is_needed=False,
+        found="Linux on x86-64" if is_met else "this platform loads the policy anew for every episode",
+        remedy="" if is_met else "evaluate on Linux on x86-64, which is faster",
+    )

@@ -1,0 +1,265 @@
+"""One running sandbox: its processes, its channel, its output and its resources, from start to the last kill."""
+
+import contextlib
+import json
+import os
+import select
+import signal
+import socket
+import struct
+import subprocess
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Final, Self
+
+from ..limits import Limits
+from ..protocol.channel import Channel
+from ..verdicts import SandboxFailed
+from . import bubblewrap, cgroup, interpreter, process_tree, seccomp
+from .bubblewrap import UserIsolation
+from .cgroup import MemoryIsolation
+from .output import OutputTail
+from .watchdog import MemoryWatchdog
+
+_STATUS: Final = struct.Struct("<ii")
+_START_DEADLINE_S: Final = 20.0
+_STOP_DEADLINE_S: Final = 20.0
+_JOIN_GROUPS: Final = 'while [ "$1" != -- ]; do echo 0 > "$1/cgroup.procs" || exit 97; shift; done; shift; exec "$@"'
+"""A shell joins the control groups, so that no process of the sandbox was ever outside of them."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Resources:
+    """Counters of one moment; differences between two moments explain a failure."""
+
+    out_of_memory_kills: int
+    refused_forks: int
+
+
+class Sandbox:
+    """Starts the runtime in bubblewrap; as a context manager it leaves no process and no control group behind.
+
+    Args:
+        submission: folder that the policy is imported from.
+        limits: what it may use.
+        slot: number of this sandbox among those that the evaluator's process runs at once.
+    """
+
+    def __init__(self, submission: Path, *, limits: Limits, slot: int = 0) -> None:
+        self._submission = submission
+        self.limits = limits
+        self._slot = slot
+        self._exits = contextlib.ExitStack()
+        self._statuses: dict[int, int] = {}
+
+    def __enter__(self) -> Self:
+        try:
+            self._start()
+        except BaseException:
+            self._exits.close()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._exits.close()
+
+    @property
+    def user_isolation(self) -> UserIsolation:
+        """Whose rights the policy has."""
+        return bubblewrap.current_user_isolation()
+
+    @property
+    def memory_isolation(self) -> MemoryIsolation:
+        """What keeps its processes together below the memory limit."""
+        return self._group.kind if self._group is not None else MemoryIsolation.WATCHDOG
+
+    def resources(self) -> Resources:
+        """Return the counters of this moment."""
+        if self._group is None:
+            return Resources(out_of_memory_kills=self._watchdog_kills(), refused_forks=self._processes_at_limit())
+        return Resources(
+            out_of_memory_kills=self._group.out_of_memory_kills() + self._watchdog_kills(),
+            refused_forks=self._group.refused_forks(),
+        )
+
+    def cpu_s(self) -> float:
+        """Return the CPU time of all its processes [s]; without a control group only of those still alive."""
+        if self._group is not None:
+            return self._group.cpu_s()
+        return sum(process_tree.cpu_s(pid) for pid in process_tree.descendants(self.first_pid))
+
+    def spare(self, pid: int) -> None:
+        """Do not count the loaded copy's memory, which every copy of it counts again."""
+        if self._watchdog is not None:
+            self._watchdog.spared_pid = pid
+
+    def exit_status(self, inside_pid: int) -> int | None:
+        """Return how a process ended (as `os.wait` gives it), None while it runs."""
+        self.read_statuses()
+        return self._statuses.get(inside_pid)
+
+    def forget_statuses(self) -> None:
+        """Forget how processes ended, before a pid is used again."""
+        self.read_statuses()
+        self._statuses.clear()
+
+    def read_statuses(self) -> None:
+        """Take the reports of the first process that have come."""
+        with contextlib.suppress(BlockingIOError):
+            while data := os.read(self.status_descriptor, _STATUS.size * 256):
+                self._statuses.update(_STATUS.iter_unpack(data[: len(data) - len(data) % _STATUS.size]))
+
+    def has_ended(self) -> bool:
+        """Return whether the whole sandbox has ended by itself."""
+        return self._process.poll() is not None
+
+    # Starting and stopping
+
+    def _check_readable(self) -> None:
+        """Under root the policy runs as another user, who must be able to read the submission."""
+        mode = self._submission.stat().st_mode
+        if bubblewrap.current_user_isolation() is UserIsolation.ROOT and mode & 0o005 != 0o005:
+            raise SandboxFailed(
+                f"The folder {self._submission} may be entered by its owner only, but the policy runs as another user; "
+                "copy the submission with `vitac.evaluator.submission.manifest.stage` first."
+            )
+
+    def _start(self) -> None:
+        self._check_readable()
+        self._group = cgroup.create(self.limits)
+        if self._group is not None:
+            self._exits.callback(self._group.remove)
+        ours, theirs = socket.socketpair()
+        self._exits.callback(ours.close)
+        output_read, output_write = os.pipe()
+        self.output = OutputTail(output_read, kept_bytes=self.limits.output_kept_bytes)
+        self._exits.callback(self.output.close)
+        self.status_descriptor, status_write = self._pipe()
+        info_read, info_write = self._pipe()
+        self.own_files = frozenset({_proc_name(output_write, "pipe"), _proc_name(theirs.fileno(), "socket")})
+        with contextlib.ExitStack() as given_away, theirs:
+            given_away.callback(os.close, output_write)
+            given_away.callback(os.close, status_write)
+            given_away.callback(os.close, info_write)
+            uid = bubblewrap.sandbox_uid(self._slot)
+            descriptors = bubblewrap.Descriptors(
+                channel=theirs.fileno(),
+                status=status_write,
+                seccomp=given_away.enter_context(_file_of(seccomp.filter_program())),
+                passwd=given_away.enter_context(_file_of(bubblewrap.passwd_file(uid))),
+                info=info_write,
+            )
+            self._process = self._spawn(self._command(uid, descriptors), descriptors, output_write)
+        self._exits.callback(self._stop)
+        self.channel = Channel(ours, message_bytes=self.limits.message_bytes)
+        self.first_pid = self._read_first_pid(info_read)
+        self._wait_for_runtime()
+        self._watchdog = self._start_watchdog()
+
+    def _pipe(self) -> tuple[int, int]:
+        read, write = os.pipe()
+        os.set_blocking(read, False)
+        self._exits.callback(os.close, read)
+        return read, write
+
+    def _command(self, uid: int, descriptors: bubblewrap.Descriptors) -> list[str]:
+        command = bubblewrap.command(
+            program=bubblewrap.find_program(),
+            submission=self._submission,
+            interpreter=interpreter.current(),
+            limits=self.limits,
+            uid=uid,
+            descriptors=descriptors,
+        )
+        if self._group is None:
+            return command
+        return ["/bin/sh", "-c", _JOIN_GROUPS, "sh", *map(str, self._group.folders), "--", *command]
+
+    def _spawn(self, command: list[str], descriptors: bubblewrap.Descriptors, output: int) -> "subprocess.Popen[bytes]":
+        passed = (
+            descriptors.channel, descriptors.status, descriptors.seccomp, descriptors.passwd, descriptors.info
+        )  # fmt: skip
+        try:
+            return subprocess.Popen(  # noqa: S603 - the command holds paths of ours only
+                command, stdin=subprocess.DEVNULL, stdout=output, stderr=output, pass_fds=passed, env={}, cwd="/"
+            )
+        except OSError as error:
+            raise SandboxFailed(f"The sandbox could not be started: {error}; run `vitac doctor`.") from error
+
+    def _read_first_pid(self, descriptor: int) -> int:
+        deadline = time.monotonic() + _START_DEADLINE_S
+        data = b""
+        while b"}" not in data:
+            select.select([descriptor], [], [], max(0.0, deadline - time.monotonic()))
+            try:
+                piece = os.read(descriptor, 4096)
+            except BlockingIOError:
+                piece = b""
+            data += piece
+            if not piece:
+                raise self._start_failure()
+        return int(json.loads(data.partition(b"}")[0] + b"}")["child-pid"])
+
+    def _wait_for_runtime(self) -> None:
+        """Wait for the first process's report about itself (pid 0); before it, no line of the policy has run."""
+        deadline = time.monotonic() + _START_DEADLINE_S
+        while self.exit_status(0) is None:
+            if self.has_ended() or time.monotonic() > deadline:
+                raise self._start_failure()
+            select.select([self.status_descriptor], [], [], 0.1)
+
+    def _start_failure(self) -> SandboxFailed:
+        self._process.kill()
+        self._process.wait()
+        self.output.read_available()
+        said = self.output.text().strip() or "nothing was printed"
+        return SandboxFailed(f"bubblewrap did not start ({said}); run `vitac doctor`, which says what is missing.")
+
+    def _start_watchdog(self) -> MemoryWatchdog | None:
+        if self._group is not None:
+            return None
+        watchdog = MemoryWatchdog(self.first_pid, memory_bytes=self.limits.memory_bytes)
+        return self._exits.enter_context(watchdog)
+
+    def _stop(self) -> None:
+        """Kill everything and wait until nothing is left: then nobody holds the output's other end any more.
+
+        Raises:
+            SandboxFailed: something survived.
+        """
+        with contextlib.suppress(ProcessLookupError, AttributeError):
+            os.kill(self.first_pid, signal.SIGKILL)
+        self._process.kill()
+        self._process.wait()
+        deadline = time.monotonic() + _STOP_DEADLINE_S
+        while not self.output.is_closed:
+            if time.monotonic() > deadline:
+                raise SandboxFailed("Processes of a sandbox survived its end; look for them and restart the worker.")
+            select.select([self.output], [], [], 0.1)
+            self.output.read_available()
+
+    def _watchdog_kills(self) -> int:
+        return self._watchdog.kills if self._watchdog is not None else 0
+
+    def _processes_at_limit(self) -> int:
+        return int(sum(1 for _ in process_tree.descendants(self.first_pid)) >= self.limits.processes)
+
+
+def _proc_name(descriptor: int, kind: str) -> str:
+    return f"{kind}:[{os.fstat(descriptor).st_ino}]"
+
+
+@contextlib.contextmanager
+def _file_of(data: bytes) -> Iterator[int]:
+    descriptor = os.memfd_create("vitac")
+    try:
+        os.write(descriptor, data)
+        os.lseek(descriptor, 0, os.SEEK_SET)
+        yield descriptor
+    finally:
+        os.close(descriptor)

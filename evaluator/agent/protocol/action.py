@@ -1,0 +1,34 @@
+"""What counts as an action; judged outside the sandbox, on whatever arrays came out of it."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..verdicts import PolicyFailed, VerdictCode
+from .frames import Array
+
+
+def checked_action(arrays: Mapping[str, Array], shape: tuple[int, ...]) -> NDArray[np.float32]:
+    """Return the action as float32 of the given shape, finite; it is not clipped here.
+
+    Raises:
+        PolicyFailed: protocol_violation, bad_action_type, bad_action_shape, non_finite_action.
+    """
+    if set(arrays) != {"action"}:
+        raise PolicyFailed(
+            VerdictCode.PROTOCOL_VIOLATION, f"An answer held the arrays {sorted(arrays)}, expected 'action' alone."
+        )
+    action = arrays["action"]
+    if action.dtype.kind not in "fiu":
+        raise PolicyFailed(VerdictCode.BAD_ACTION_TYPE, f"Action has dtype {action.dtype}, expected float32.")
+    if action.shape != shape:
+        raise PolicyFailed(VerdictCode.BAD_ACTION_SHAPE, f"Action has shape {action.shape}, expected {shape}.")
+    with np.errstate(over="ignore", invalid="ignore"):
+        converted = action.astype(np.float32)
+    if not np.isfinite(converted).all():
+        raise PolicyFailed(
+            VerdictCode.NON_FINITE_ACTION,
+            f"Action is {action.tolist()}, expected finite numbers in the range of float32.",
+        )
+    return converted

@@ -1,0 +1,208 @@
+"""The messages between the evaluator and a policy, as bytes; used by the trusted end, `channel`.
+
+A frame is a fixed prefix, a small JSON header and raw little-endian buffers; `runtime/agent.py` speaks the other end.
+Nothing that arrives is ever unpickled or evaluated, and whatever is not the one expected answer raises `PolicyFailed`.
+"""
+
+import math
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Annotated, Final, Literal
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+from vitac.envs.errors import VitacError
+
+from ..verdicts import PolicyFailed, VerdictCode
+
+PREFIX: Final = struct.Struct("<4sIQ")
+"""Magic, header [bytes], buffers together [bytes]."""
+MAGIC: Final = b"VTC1"
+HEADER_MAX_BYTES: Final = 32 * 1024
+
+Array = NDArray[np.generic]
+DtypeCode = Literal["u1", "u2", "i4", "i8", "f4", "f8", "b1"]
+_DTYPES: Final[Mapping[str, np.dtype[np.generic]]] = {
+    code: np.dtype(f"<{code}" if code not in {"u1", "b1"} else code)
+    for code in ("u1", "u2", "i4", "i8", "f4", "f8", "b1")
+}
+_CODES: Final = {(dtype.kind, dtype.itemsize): code for code, dtype in _DTYPES.items()}
+
+
+class QuestionKind(StrEnum):
+    """What the evaluator asks."""
+
+    LOAD = "load"
+    RESET = "reset"
+    OBSERVE = "observe"
+
+
+class AnswerKind(StrEnum):
+    """What the runtime in the sandbox answers."""
+
+    LOADED = "loaded"
+    READY = "ready"
+    ACTION = "action"
+    FAILED = "failed"
+
+
+class ArraySpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One buffer of a frame; its bytes follow in the order of the specs."""
+
+    name: Annotated[str, msgspec.Meta(max_length=64)]
+    dtype: DtypeCode
+    shape: Annotated[list[Annotated[int, msgspec.Meta(ge=0, le=2**31)]], msgspec.Meta(max_length=8)]
+
+    @property
+    def n_bytes(self) -> int:
+        """Bytes of the buffer."""
+        return math.prod(self.shape) * _DTYPES[self.dtype].itemsize
+
+
+class QuestionHeader(msgspec.Struct, frozen=True):
+    """Header of a frame to the policy."""
+
+    seq: int
+    kind: QuestionKind
+    text: str
+    arrays: list[ArraySpec]
+
+
+class AnswerHeader(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Header of a frame from the policy; everything in it is untrusted."""
+
+    seq: Annotated[int, msgspec.Meta(ge=0, le=2**53)]
+    kind: AnswerKind
+    code: Annotated[str, msgspec.Meta(max_length=64)] = ""
+    message: Annotated[str, msgspec.Meta(max_length=4096)] = ""
+    arrays: Annotated[list[ArraySpec], msgspec.Meta(max_length=16)] = []
+
+
+@dataclass(frozen=True, kw_only=True)
+class Answer:
+    """One complete, well-formed frame from the policy."""
+
+    header: AnswerHeader
+    arrays: dict[str, Array]
+    sender_pid: int
+    """Process that sent it, as the kernel names it in the evaluator's pid namespace."""
+
+
+class UnsendableObservation(VitacError):
+    """An observation holds an array of a type that the channel does not carry: convert it to one of the allow-list."""
+
+
+def violation(message: str) -> PolicyFailed:
+    """Return the verdict for bytes that are not the one expected answer."""
+    return PolicyFailed(VerdictCode.PROTOCOL_VIOLATION, message)
+
+
+def array_code(value: Array) -> str:
+    """Return the channel's code of an array's type.
+
+    Raises:
+        UnsendableObservation: its type is not in the allow-list.
+    """
+    code = _CODES.get((value.dtype.kind, value.dtype.itemsize))
+    if code is None:
+        raise UnsendableObservation(f"Array has dtype {value.dtype}, expected one of {', '.join(_DTYPES)}; convert it.")
+    return code
+
+
+def encode_question(seq: int, kind: QuestionKind, text: str, arrays: Mapping[str, Array]) -> list[memoryview]:
+    """Return the parts of one frame to the policy, ready for `sendmsg`."""
+    buffers: list[memoryview] = []
+    specs: list[ArraySpec] = []
+    for name, value in arrays.items():
+        code = array_code(value)
+        contiguous = np.ascontiguousarray(value, dtype=_DTYPES[code])
+        specs.append(ArraySpec(name=name, dtype=code, shape=list(value.shape)))  # type: ignore[arg-type]
+        if contiguous.size:
+            buffers.append(contiguous.data.cast("B"))
+    header = msgspec.json.encode(QuestionHeader(seq=seq, kind=kind, text=text, arrays=specs))
+    prefix = PREFIX.pack(MAGIC, len(header), sum(part.nbytes for part in buffers))
+    return [memoryview(prefix + header), *buffers]
+
+
+_decode_answer_header = msgspec.json.Decoder(AnswerHeader).decode
+
+
+@dataclass(kw_only=True)
+class FrameReader:
+    """Puts answers together from whatever pieces the socket gives, and refuses everything else early.
+
+    Sizes are checked on the prefix, so a frame that is too large is refused before its first buffer byte is kept.
+    """
+
+    message_bytes: int
+    _buffer: bytearray = field(default_factory=bytearray)
+    _header: AnswerHeader | None = None
+    _sender_pid: int | None = None
+
+    @property
+    def is_empty(self) -> bool:
+        """True where no piece of a frame is waiting."""
+        return not self._buffer
+
+    def feed(self, data: bytes, sender_pid: int) -> Answer | None:
+        """Take bytes that one process sent; return the answer once it is complete.
+
+        Raises:
+            PolicyFailed: protocol_violation.
+        """
+        if self._sender_pid not in {None, sender_pid}:
+            raise violation("One message came from two processes; only the process that runs the policy may answer.")
+        self._sender_pid = sender_pid
+        self._buffer += data
+        if len(self._buffer) < PREFIX.size:
+            self._check_magic(bytes(self._buffer[:4]))
+            return None
+        header_bytes, payload_bytes = self._check_prefix()
+        body_start = PREFIX.size + header_bytes
+        if self._header is None and len(self._buffer) >= body_start:
+            self._header = self._parse_header(bytes(self._buffer[PREFIX.size : body_start]), payload_bytes)
+        if len(self._buffer) > body_start + payload_bytes:
+            raise violation("More bytes came than the one answer that was asked for.")
+        if self._header is None or len(self._buffer) < body_start + payload_bytes:
+            return None
+        return self._finish(self._header, body_start)
+
+    def _finish(self, header: AnswerHeader, offset: int) -> Answer:
+        arrays: dict[str, Array] = {}
+        for spec in header.arrays:
+            piece = bytes(self._buffer[offset : offset + spec.n_bytes])
+            arrays[spec.name] = np.frombuffer(piece, dtype=_DTYPES[spec.dtype]).reshape(spec.shape)
+            offset += spec.n_bytes
+        answer = Answer(header=header, arrays=arrays, sender_pid=self._sender_pid or 0)
+        self._buffer, self._header, self._sender_pid = bytearray(), None, None
+        return answer
+
+    @staticmethod
+    def _check_magic(start: bytes) -> None:
+        if not MAGIC.startswith(start):
+            raise violation(f"A message must start with {MAGIC!r}, came {start!r}.")
+
+    def _check_prefix(self) -> tuple[int, int]:
+        magic, header_bytes, payload_bytes = PREFIX.unpack_from(self._buffer)
+        self._check_magic(magic)
+        if header_bytes > HEADER_MAX_BYTES:
+            raise violation(f"Message header of {header_bytes} bytes, at most {HEADER_MAX_BYTES} are allowed.")
+        if payload_bytes > self.message_bytes:
+            raise violation(f"Message of {payload_bytes} bytes, at most {self.message_bytes} are allowed.")
+        return header_bytes, payload_bytes
+
+    @staticmethod
+    def _parse_header(data: bytes, payload_bytes: int) -> AnswerHeader:
+        try:
+            header = _decode_answer_header(data)
+        except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+            raise violation(f"The message header is not a valid answer header: {error}.") from error
+        if len({spec.name for spec in header.arrays}) != len(header.arrays):
+            raise violation("Two arrays of one message have the same name.")
+        announced = sum(spec.n_bytes for spec in header.arrays)
+        if announced != payload_bytes:
+            raise violation(f"The arrays of the message need {announced} bytes, but it announces {payload_bytes}.")
+        return header

@@ -1,0 +1,1 @@
+"""Episodes: played or re-simulated, and the records that they leave."""

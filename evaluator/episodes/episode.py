@@ -1,0 +1,228 @@
+"""Plays one fixed episode of a task with a policy and writes its record; called by `shards`."""
+
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
+from pathlib import Path
+from time import perf_counter
+from typing import Any, Protocol, cast
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import JsonValue
+from vitac.envs.errors import VitacError
+
+from ..agent.session import Isolation
+from ..agent.verdicts import PolicyFailed
+from ..tracks import Episode, Task
+from .records import ActionSequence, EpisodeOutcome, EpisodeRecord, FailureStage, PolicyFailure, Timings
+
+Observation = Mapping[str, NDArray[Any]]
+
+_INFO_KEYS_NOT_RECORDED = frozenset({"step_reports"})
+
+
+class EnvironmentBroken(VitacError):
+    """An environment did not keep its contract with the evaluator; this is a fault of ours, never of a team."""
+
+
+class Environment(Protocol):
+    """What the evaluator needs of an environment, beyond gymnasium's `reset` and `step`.
+
+    Counts and times [s] are sums since it was made.
+    """
+
+    solver_version: str
+    ipc_steps: int
+    physics_cpu_s: float
+    marker_cpu_s: float
+
+    def reset(self, *, options: Mapping[str, object]) -> tuple[Observation, dict[str, Any]]:
+        """Starts an episode."""
+
+    def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Plays one env step; goes on after an end, so that recorded actions can all be played."""
+
+    def state_hash(self) -> str:
+        """SHA-256 [hex] of the physical state."""
+
+    def mesh_hash(self) -> str:
+        """SHA-256 [hex] of the meshes and materials in use."""
+
+
+class Policy(Protocol):
+    """A policy within one episode. Its times [s] are those of the episode so far."""
+
+    @property
+    def cpu_s(self) -> float:
+        """CPU time of the policy."""
+
+    @property
+    def channel_s(self) -> float:
+        """Time between question and answer that the policy did not compute."""
+
+    def act(self, observation: Observation) -> NDArray[np.float32]:
+        """The action for an observation.
+
+        Raises:
+            PolicyFailed: it crashed, broke a limit or answered wrongly.
+        """
+
+
+class Session(Protocol):
+    """A policy that is loaded and waits to play episodes."""
+
+    @property
+    def isolation(self) -> Isolation:
+        """How strongly it is isolated."""
+
+    def episode(self, *, task: str, action_shape: tuple[int, ...]) -> AbstractContextManager[Policy]:
+        """A fresh process of the policy for one episode.
+
+        Raises:
+            PolicyFailed: its reset failed.
+        """
+
+
+OpenSession = Callable[[], Session]
+
+
+def make_environment(task: Task, assets_dir: Path | None = None) -> Environment:
+    """The environment of a task, as policies are scored in it (nothing privileged).
+
+    Args:
+        task: whose environment.
+        assets_dir: folder with the challenge's own meshes; our own generated ones by default.
+    """
+    import gymnasium
+    import vitac.envs  # noqa: F401 - registers the environment ids
+
+    env = gymnasium.make(task.env_id, disable_env_checker=True, privileged=False, assets_dir=assets_dir)
+    return cast(Environment, env.unwrapped)
+
+
+@dataclass(kw_only=True)
+class _Trace:
+    """What has happened so far in an episode."""
+
+    actions: list[NDArray[np.float32]] = field(default_factory=list)
+    state_hashes: list[str] = field(default_factory=list)
+    infos: list[dict[str, JsonValue]] = field(default_factory=list)
+    total_reward: float = 0.0
+    outcome: EpisodeOutcome | None = None
+    failure: PolicyFailure | None = None
+    policy_s: float = 0.0
+    channel_s: float = 0.0
+
+
+def run_episode(*, env: Environment, task: Task, episode: Episode, open_session: OpenSession) -> EpisodeRecord:
+    """Plays one episode to its end, or to the failure of the policy.
+
+    Args:
+        env: the task's environment; it is reset here.
+        task: what is played.
+        episode: the fixed start.
+        open_session: gives the loaded policy; a `PolicyFailed` out of it means that it cannot be loaded.
+
+    Raises:
+        EnvironmentBroken: the environment gave keys the track does not list, or did not end.
+    """
+    started, physics_s, markers_s = perf_counter(), env.physics_cpu_s, env.marker_cpu_s
+    trace = _Trace()
+    observation, _ = env.reset(options=episode.options)
+    trace.state_hashes.append(env.state_hash())
+    _play_or_fail(env, task, open_session, observation, trace)
+    timings = Timings(
+        physics_s=env.physics_cpu_s - physics_s,
+        markers_s=env.marker_cpu_s - markers_s,
+        policy_s=trace.policy_s,
+        channel_s=trace.channel_s,
+        wall_s=perf_counter() - started,
+    )
+    return _record(task, episode, trace, timings)
+
+
+def json_info(info: Mapping[str, Any]) -> dict[str, JsonValue]:
+    """An env step's info as JSON values; arrays become lists. Solver reports are left out."""
+    return {key: _json_value(key, value) for key, value in info.items() if key not in _INFO_KEYS_NOT_RECORDED}
+
+
+def _play_or_fail(
+    env: Environment, task: Task, open_session: OpenSession, observation: Observation, trace: _Trace
+) -> None:
+    stage = FailureStage.LOAD
+    try:
+        session = open_session()
+        stage = FailureStage.EPISODE
+        with session.episode(task=task.name, action_shape=(len(task.actions),)) as policy:
+            try:
+                _play(env, task, policy, observation, trace)
+            finally:
+                trace.policy_s, trace.channel_s = policy.cpu_s, policy.channel_s
+    except PolicyFailed as failed:
+        if trace.outcome is not None:
+            return  # It failed after its last action; what it did in the episode stands.
+        trace.outcome = EpisodeOutcome.POLICY_FAILED
+        trace.failure = PolicyFailure(
+            stage=stage, code=failed.verdict, message=failed.message, output_tail=failed.output_tail
+        )
+
+
+def _play(env: Environment, task: Task, policy: Policy, observation: Observation, trace: _Trace) -> None:
+    while trace.outcome is None:
+        if len(trace.actions) == task.max_steps:
+            raise EnvironmentBroken(
+                f"{task.env_id} did not end within {task.max_steps} env steps; its limit must hold."
+            )
+        action = policy.act(public_part(task, observation))
+        observation, reward, terminated, truncated, info = env.step(action)
+        trace.actions.append(np.array(action, dtype=np.float32))
+        trace.state_hashes.append(env.state_hash())
+        trace.infos.append(json_info(info))
+        trace.total_reward += float(reward)
+        if terminated or truncated:
+            trace.outcome = EpisodeOutcome(info["end_reason"])
+
+
+def public_part(task: Task, observation: Observation) -> Observation:
+    """The observation, after making sure that it holds what the track's table lists and nothing else."""
+    listed = {row.key for row in task.observations}
+    if set(observation) != listed:
+        raise EnvironmentBroken(
+            f"{task.env_id} gave observation keys {sorted(observation)}, expected exactly {sorted(listed)}; "
+            "a policy must never see a key that the track does not list."
+        )
+    return observation
+
+
+def _record(task: Task, episode: Episode, trace: _Trace, timings: Timings) -> EpisodeRecord:
+    actions = np.array(trace.actions, dtype=np.float32).reshape(len(trace.actions), len(task.actions))
+    assert trace.outcome is not None  # noqa: S101 - _play_or_fail ends with one
+    return EpisodeRecord(
+        episode=episode.number,
+        task=task.name,
+        shape=episode.shape,
+        initial_offset=episode.offset,
+        outcome=trace.outcome,
+        env_steps=len(trace.actions),
+        total_reward=trace.total_reward,
+        actions=ActionSequence.from_array(actions),
+        state_hashes=tuple(trace.state_hashes),
+        infos=tuple(trace.infos),
+        failure=trace.failure,
+        timings=timings,
+    )
+
+
+def _json_value(key: str, value: object) -> JsonValue:
+    if isinstance(value, np.ndarray):
+        return cast(JsonValue, value.tolist())
+    if isinstance(value, np.generic):
+        return cast(JsonValue, value.item())
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    if isinstance(value, tuple | list):
+        return [_json_value(key, item) for item in value]
+    raise EnvironmentBroken(
+        f"info[{key!r}] is a {type(value).__name__}; only arrays, numbers, text and lists can be recorded."
+    )

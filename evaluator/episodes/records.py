@@ -1,0 +1,209 @@
+"""What an evaluation leaves behind: one record per episode, and the hash over all of them.
+
+Runners write records, the server stores them, scoring and replay read them. Importing this needs no simulation.
+"""
+
+import base64
+import binascii
+import hashlib
+import json
+from collections.abc import Iterable, Mapping
+from enum import StrEnum
+from typing import Annotated, Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, JsonValue, NonNegativeFloat, NonNegativeInt, PositiveInt, model_validator
+from vitac.envs.errors import VitacError
+
+from ..agent.verdicts import VerdictCode
+from ..strict_model import StrictModel, Word
+
+StateHash = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+
+
+class RecordsDisagree(VitacError):
+    """The records given are not those of one evaluation: an episode came twice, or of another task."""
+
+
+class EpisodeOutcome(StrEnum):
+    """How an episode ended."""
+
+    SUCCESS = "success"
+    """The task was solved."""
+    TACTILE = "tactile"
+    """The gel surface of a sensor moved too far."""
+    ERROR = "error"
+    """The commanded offset left its limits."""
+    STEPS = "steps"
+    """All env steps were used up."""
+    NOT_CONVERGED = "not_converged"
+    """The physics found no solution for an IPC step, even in smaller pieces."""
+    POLICY_FAILED = "policy_failed"
+    """The policy crashed, broke a limit or answered wrongly."""
+    ACTIONS_ENDED = "actions_ended"
+    """The recorded actions of a 2025 text log came to their end before the episode did."""
+
+
+class ActionSequence(StrictModel):
+    """The raw actions of an episode as the policy gave them: float32, little-endian, row-major, base64 in JSON."""
+
+    shape: tuple[Annotated[int, Field(ge=0, le=1_000_000)], Annotated[int, Field(ge=1, le=64)]]
+    float32_base64: str
+
+    @classmethod
+    def from_array(cls, actions: NDArray[np.float32]) -> Self:
+        """Packs actions, shape [env steps, action size]."""
+        data = base64.b64encode(np.ascontiguousarray(actions, dtype="<f4").tobytes()).decode("ascii")
+        return cls(shape=(actions.shape[0], actions.shape[1]), float32_base64=data)
+
+    def to_array(self) -> NDArray[np.float32]:
+        """The actions, shape [env steps, action size]."""
+        return np.frombuffer(base64.b64decode(self.float32_base64), dtype="<f4").reshape(self.shape).astype(np.float32)
+
+    @model_validator(mode="after")
+    def _bytes_fit_shape(self) -> Self:
+        try:
+            data = base64.b64decode(self.float32_base64, validate=True)
+        except binascii.Error as error:
+            raise ValueError(f"actions are not base64: {error}") from error
+        if len(data) != 4 * self.shape[0] * self.shape[1]:
+            raise ValueError(f"actions hold {len(data)} bytes, expected 4 x {self.shape[0]} x {self.shape[1]}")
+        if not np.isfinite(np.frombuffer(data, dtype="<f4")).all():
+            raise ValueError("actions hold NaN or infinity; every action must be finite")
+        return self
+
+
+class FailureStage(StrEnum):
+    """When a policy failed."""
+
+    LOAD = "load"
+    """While it was imported and built; it cannot play any episode."""
+    EPISODE = "episode"
+    """While it played an episode."""
+
+
+class PolicyFailure(StrictModel):
+    """Why a policy failed, and the last lines of its output (for its team only)."""
+
+    stage: FailureStage
+    code: VerdictCode
+    message: str
+    output_tail: str = ""
+
+
+class Timings(StrictModel):
+    """Where an episode's time went [s]; never part of a hash."""
+
+    physics_s: NonNegativeFloat = 0.0
+    markers_s: NonNegativeFloat = 0.0
+    policy_s: NonNegativeFloat = 0.0
+    channel_s: NonNegativeFloat = 0.0
+    wall_s: NonNegativeFloat = 0.0
+
+
+class EpisodeRecord(StrictModel):
+    """One finished episode.
+
+    `state_hashes` has one entry after the reset and one after each env step; `infos` one entry per env step.
+    `initial_offset` is in the units of the task's `offset_option` (mm and degrees).
+    """
+
+    episode: PositiveInt
+    task: Word
+    shape: Word
+    initial_offset: tuple[float, ...]
+    outcome: EpisodeOutcome
+    env_steps: NonNegativeInt
+    total_reward: float
+    actions: ActionSequence
+    state_hashes: tuple[StateHash, ...] = Field(min_length=1)
+    infos: tuple[dict[str, JsonValue], ...]
+    failure: PolicyFailure | None = None
+    timings: Timings = Timings()
+
+    @property
+    def success(self) -> bool:
+        """Whether the task was solved."""
+        return self.outcome is EpisodeOutcome.SUCCESS
+
+    @model_validator(mode="after")
+    def _lengths_agree(self) -> Self:
+        lengths = (self.actions.shape[0], len(self.state_hashes) - 1, len(self.infos))
+        if any(length != self.env_steps for length in lengths):
+            raise ValueError(
+                f"env_steps is {self.env_steps}, but there are {lengths[0]} actions, {lengths[1]} state hashes "
+                f"after the reset's and {lengths[2]} infos; all four must agree"
+            )
+        if (self.failure is not None) != (self.outcome is EpisodeOutcome.POLICY_FAILED):
+            raise ValueError(f"outcome {self.outcome.value} and failure {self.failure} do not belong together")
+        return self
+
+    def record_digest(self) -> str:
+        """SHA-256 [hex] over everything but the timings; equal records of a repeated episode have equal digests."""
+        return hashlib.sha256(canonical_json(self.model_dump(mode="json", exclude={"timings"}))).hexdigest()
+
+
+class Manifest(StrictModel):
+    """What an evaluation was made with."""
+
+    track: Word
+    task: Word
+    list_seed: NonNegativeInt
+    task_hash: Word
+    evaluator_version: Word
+    evaluator_hash: Word
+    solver_version: Word
+    mesh_hash: Word
+    platform_class: Word
+
+
+_HASHED_MANIFEST_KEYS = {"track", "task", "list_seed", "evaluator_version", "solver_version", "mesh_hash"}
+
+
+def result_hash(manifest: Manifest, records: Iterable[EpisodeRecord]) -> str:
+    """SHA-256 [hex] of a whole evaluation: what it was made with, and the actions, states and outcome of each episode.
+
+    It depends neither on the order of the records nor on times, so one and many workers, the command line and the
+    server, and a resumed evaluation agree. It is the hash of JSON lines (sorted keys, no blanks): first the manifest,
+    then each record.
+
+    Raises:
+        RecordsDisagree: an episode came twice, or a record is of another task.
+    """
+    digest = hashlib.sha256()
+    digest.update(canonical_json(manifest.model_dump(mode="json", include=_HASHED_MANIFEST_KEYS)) + b"\n")
+    for record in in_order(manifest.task, records):
+        digest.update(canonical_json(_hashed_part(record)) + b"\n")
+    return digest.hexdigest()
+
+
+def in_order(task: str, records: Iterable[EpisodeRecord]) -> list[EpisodeRecord]:
+    """Records sorted by episode number.
+
+    Raises:
+        RecordsDisagree: an episode came twice, or a record is of another task.
+    """
+    by_number: dict[int, EpisodeRecord] = {}
+    for record in records:
+        if record.task != task:
+            raise RecordsDisagree(f"Episode {record.episode} is of task {record.task!r}, expected {task!r}.")
+        if record.episode in by_number:
+            raise RecordsDisagree(f"Episode {record.episode} came twice; give each episode once.")
+        by_number[record.episode] = record
+    return [by_number[number] for number in sorted(by_number)]
+
+
+def canonical_json(content: Mapping[str, Any]) -> bytes:
+    """The one JSON text of some content: sorted keys, no blanks, ASCII, no NaN."""
+    return json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False).encode("ascii")
+
+
+def _hashed_part(record: EpisodeRecord) -> dict[str, Any]:
+    return {
+        "episode": record.episode,
+        "actions": record.actions.model_dump(mode="json"),
+        "state_hashes": list(record.state_hashes),
+        "outcome": record.outcome.value,
+        "failure": record.failure.code.value if record.failure else None,
+    }

@@ -1,0 +1,1 @@
+"""A whole evaluation on this machine, and its report."""

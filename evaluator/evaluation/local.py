@@ -1,0 +1,181 @@
+"""A whole evaluation on this machine: all shards over some processes, then the score; called by `vitac evaluate`."""
+
+import threading
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from queue import SimpleQueue
+
+from ..agent.limits import Limits
+from ..agent.session import Isolation
+from ..episodes.records import EpisodeRecord, Manifest, PolicyFailure, RecordsDisagree, in_order, result_hash
+from ..scoring.failures import breaking_failure
+from ..scoring.score import Score, score
+from ..shards.process import ShardOrder, ShardProcess, running_shard
+from ..shards.result import ShardEnd, ShardResult
+from ..tracks import Task, Track
+from ..tracks.cut import Shard, cut
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evaluation:
+    """A finished evaluation: its records in order, and either a score or the failure that ended it."""
+
+    manifest: Manifest
+    shards: tuple[Shard, ...]
+    records: tuple[EpisodeRecord, ...]
+    isolation: Isolation | None
+    """How strongly the policy was isolated; None if it never loaded."""
+
+    @cached_property
+    def failure(self) -> PolicyFailure | None:
+        """Why there is no score, or None."""
+        return breaking_failure(self.shards, self.records)
+
+    @cached_property
+    def score(self) -> Score | None:
+        """The score; None if the policy failed."""
+        return None if self.failure else score(self.records)
+
+    @cached_property
+    def result_hash(self) -> str | None:
+        """The hash that the service gives for the same evaluation; None if the policy failed."""
+        return None if self.failure else result_hash(self.manifest, self.records)
+
+
+def evaluate(
+    *,
+    submission_dir: Path,
+    track: Track,
+    task: Task,
+    episodes: Iterable[int] | None = None,
+    workers: int = 1,
+    limits: Limits | None = None,
+    assets_dir: Path | None = None,
+    on_episode: Callable[[EpisodeRecord], None] = lambda _: None,
+) -> Evaluation:
+    """Evaluates a submission in processes of its own, one shard at a time in each.
+
+    Args:
+        submission_dir: folder of the unpacked submission.
+        track: the track of the task.
+        task: what is played.
+        episodes: numbers to play; all by default.
+        workers: processes at once.
+        limits: of the policy; the default ones if None.
+        assets_dir: folder with the challenge's own meshes; our own generated ones by default.
+        on_episode: gets each record, in the order in which episodes end.
+
+    Raises:
+        UnknownEpisodes: an episode is not in the list.
+        ShardProcessFailed: the machine, the sandbox or the simulation broke.
+    """
+    shards = cut(task, episodes)
+    orders = [
+        ShardOrder(
+            submission_dir=submission_dir.resolve(),
+            track=track.name,
+            task=task.name,
+            shard=shard.index,
+            episodes=tuple(sorted(shard.numbers)),
+            limits=limits or Limits(),
+            assets_dir=assets_dir.resolve() if assets_dir else None,
+        )
+        for shard in shards
+    ]
+    crew = _Crew(orders, min(workers, len(orders)))
+    records = []
+    with closing(crew.run()) as finished:
+        for record in finished:
+            records.append(record)
+            on_episode(record)
+    return Evaluation(
+        manifest=_common_manifest(crew.results),
+        shards=shards,
+        records=tuple(in_order(task.name, records)),
+        isolation=next((result.isolation for result in crew.results if result.isolation), None),
+    )
+
+
+class _Crew:
+    """Threads that each wait for one shard process after another."""
+
+    def __init__(self, orders: Sequence[ShardOrder], workers: int) -> None:
+        self.results: list[ShardResult] = []
+        self._orders = deque(orders)
+        self._lock = threading.Lock()
+        self._running: dict[int, ShardProcess] = {}
+        self._given_up = False
+        self._queue: SimpleQueue[EpisodeRecord | ShardResult | Exception | None] = SimpleQueue()
+        self._threads = [threading.Thread(target=self._work, args=(slot,), daemon=True) for slot in range(workers)]
+
+    def run(self) -> Generator[EpisodeRecord, None, None]:
+        """Runs everything; gives the records as they come. Whatever ends it early ends the processes too."""
+        for thread in self._threads:
+            thread.start()
+        try:
+            yield from self._collect()
+        finally:
+            self._give_up()
+            for thread in self._threads:
+                thread.join()
+
+    def _collect(self) -> Iterator[EpisodeRecord]:
+        at_work = len(self._threads)
+        while at_work:
+            message = self._queue.get()
+            if message is None:
+                at_work -= 1
+            elif isinstance(message, Exception):
+                raise message
+            elif isinstance(message, ShardResult):
+                self.results.append(message)
+            else:
+                yield message
+
+    def _work(self, slot: int) -> None:
+        while order := self._next_order():
+            try:
+                self._run_order(order, slot)
+            except Exception as error:  # noqa: BLE001 - the collecting thread raises it
+                self._queue.put(error)
+                break
+        self._queue.put(None)
+
+    def _run_order(self, order: ShardOrder, slot: int) -> None:
+        with running_shard(order.model_copy(update={"slot": slot})) as process:
+            self._register(slot, process)
+            for record in process.records():
+                self._queue.put(record)
+        if process.result.end is ShardEnd.BROKEN:
+            # Shards before this one run on, later ones cannot change the verdict.
+            with self._lock:
+                self._orders.clear()
+        self._queue.put(process.result)
+
+    def _register(self, slot: int, process: ShardProcess) -> None:
+        with self._lock:
+            self._running[slot] = process
+            if self._given_up:
+                process.kill()
+
+    def _next_order(self) -> ShardOrder | None:
+        with self._lock:
+            return self._orders.popleft() if self._orders else None
+
+    def _give_up(self) -> None:
+        with self._lock:
+            self._given_up = True
+            self._orders.clear()
+            for process in self._running.values():
+                process.kill()
+
+
+def _common_manifest(results: Sequence[ShardResult]) -> Manifest:
+    manifests = {result.manifest for result in results}
+    if len(manifests) != 1:
+        raise RecordsDisagree(f"The shards were made with {len(manifests)} different evaluators; evaluate again.")
+    return manifests.pop()

@@ -1,0 +1,1 @@
+"""Evaluation logs: written, read, checked, verified by re-simulation, compared."""

@@ -1,0 +1,132 @@
+"""What of a log can be checked without simulating it; called by the verification and by the server at an upload."""
+
+from collections.abc import Collection, Iterable, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..episodes.records import EpisodeRecord, Manifest, PolicyFailure
+from ..scoring.failures import breaking_failure
+from ..tracks import Task, Track
+from ..tracks.cut import cut
+from ..version import evaluator_version
+from .findings import Impossibility, ImpossibleReason
+from .log import LogHeader
+from .recordings import RecordingRejected, recording_of
+
+_KEYS_THAT_MUST_AGREE = (
+    "track",
+    "task",
+    "list_seed",
+    "task_hash",
+    "evaluator_version",
+    "solver_version",
+    "mesh_hash",
+)
+
+
+def known_without_running(track: Track, task: Task) -> dict[str, object]:
+    """What the manifest of an evaluation by this evaluator must say, as far as no environment has to be made."""
+    return {
+        "track": track.name,
+        "task": task.name,
+        "list_seed": task.episode_list.list_seed,
+        "task_hash": task.digest(),
+        "evaluator_version": evaluator_version(),
+    }
+
+
+def must_agree(manifest: Manifest) -> dict[str, object]:
+    """What the manifest of a log must say to be that of an evaluation with this manifest."""
+    return manifest.model_dump(include=set(_KEYS_THAT_MUST_AGREE))
+
+
+def why_impossible(
+    expected: Mapping[str, object],
+    task: Task,
+    header: LogHeader,
+    records: Iterable[EpisodeRecord],
+    episodes: Collection[int] | None = None,
+) -> Impossibility | None:
+    """Why no evaluation can have made the log; None if one can.
+
+    Args:
+        expected: values that the header's manifest must have.
+        task: what must have been played.
+        header: of the log.
+        records: of the log; read one after the other, and none is kept.
+        episodes: numbers that must be there; the whole list by default.
+    """
+    for key in _KEYS_THAT_MUST_AGREE:
+        came = getattr(header.manifest, key)
+        if came != expected.get(key, came):
+            message = f"The log was made with {key} {came!r}, here it is {expected[key]!r}; evaluate again."
+            return Impossibility(reason=ImpossibleReason.OTHER_EVALUATION, message=message)
+    wanted = {episode.number for episode in task.episodes} if episodes is None else set(episodes)
+    missing = set(wanted)
+    failed: list[EpisodeRecord] = []
+    for record in records:
+        problem = why_record_impossible(task, record)
+        if problem:
+            return problem
+        missing.discard(record.episode)
+        failed.extend([record] if record.failure else [])
+    return _missing(missing, wanted) or _broken(task, failed)
+
+
+def why_record_impossible(task: Task, record: EpisodeRecord) -> Impossibility | None:
+    """Why no evaluation of the task can have made a record; None if one can."""
+    place = f"Episode {record.episode}"
+
+    def found(reason: ImpossibleReason, message: str) -> Impossibility:
+        return Impossibility(reason=reason, message=message, episode=record.episode)
+
+    if record.task != task.name:
+        message = f"{place} is of task {record.task!r}, expected {task.name!r}."
+        return found(ImpossibleReason.OTHER_TASK, message)
+    if record.episode > len(task.episodes):
+        return found(ImpossibleReason.NOT_IN_LIST, f"{place} is not in the list, which ends with {len(task.episodes)}.")
+    listed = task.episodes[record.episode - 1]
+    if (record.shape, record.initial_offset) != (listed.shape, listed.offset):
+        came, expected = f"{record.shape} at {record.initial_offset}", f"{listed.shape} at {listed.offset}"
+        return found(ImpossibleReason.OTHER_START, f"{place} starts with {came}, in the list with {expected}.")
+    if record.env_steps > task.max_steps:
+        message = f"{place} has {record.env_steps} env steps; the task ends after {task.max_steps}."
+        return found(ImpossibleReason.TOO_MANY_STEPS, message)
+    try:
+        outside = out_of_bounds(task, recording_of(record, task).actions)
+    except RecordingRejected as error:
+        return found(ImpossibleReason.WRONG_ACTION, str(error))
+    return found(ImpossibleReason.WRONG_ACTION, f"{place} {outside}") if outside else None
+
+
+def out_of_bounds(task: Task, actions: NDArray[np.float32]) -> str | None:
+    """The rest of a sentence about the first action outside -1 and 1; None if all are inside.
+
+    Args:
+        task: what was played.
+        actions: shape [env steps, action size].
+    """
+    outside = np.argwhere(np.abs(actions) > 1)
+    if not len(outside):
+        return None
+    step, component = outside[0]
+    came = f"{task.actions[component].name} = {actions[step, component]:g}"
+    return f"has the action {came} at env step {step + 1}; actions lie within -1 and 1."
+
+
+def _missing(missing: Collection[int], wanted: Collection[int]) -> Impossibility | None:
+    if not missing:
+        return None
+    first = min(missing)
+    message = f"Episode {first} is missing, {len(missing)} of {len(wanted)} in all; a log must hold the whole list."
+    return Impossibility(reason=ImpossibleReason.EPISODE_MISSING, message=message, episode=first)
+
+
+def _broken(task: Task, failed: Collection[EpisodeRecord]) -> Impossibility | None:
+    failure: PolicyFailure | None = breaking_failure(cut(task), failed)
+    if failure is None:
+        return None
+    episode = next(record.episode for record in failed if record.failure == failure)
+    message = f"The policy failed too often from episode {episode} on; such an evaluation ends without a score."
+    return Impossibility(reason=ImpossibleReason.BROKEN_POLICY, message=message, episode=episode)

@@ -1,0 +1,270 @@
+"""Our evaluation log: one JSON line for the header, one for each episode, one for the end.
+
+`vitac evaluate --log` and the service write it, teams upload it, `replay` re-simulates it. Every line carries a SHA-256
+over its content and the line before it, so that a line that was altered, moved, doubled or lost can be named; the last
+line's is that of the whole log. That guards against accidents; what proves a log is the re-simulation of its actions.
+"""
+
+import hashlib
+import json
+from collections.abc import Iterable, Iterator
+from enum import StrEnum
+from itertools import islice
+from pathlib import Path
+from typing import Any, BinaryIO, Literal, TypeVar
+
+from pydantic import NonNegativeInt, ValidationError, field_validator
+from vitac.envs.errors import VitacError
+
+from ..episodes.records import EpisodeRecord, Manifest, canonical_json
+from ..strict_model import StrictModel, Word, explain
+from .packing import open_log
+
+FORMAT_VERSION = 1
+MAX_LINE_BYTES = 1 << 20
+"""Longest line that is read [bytes]; 50 env steps take about 75,000, and the output of a policy that failed 390,000."""
+MAX_INFO_BYTES = 6 << 10
+"""Largest info of an env step that is read, as JSON [bytes]; the tasks' own have up to 1,418."""
+MAX_INFO_VALUES = 500
+"""Most values in an info, its lists and objects counted too; the tasks' own have up to 115.
+
+Reading costs time for each value rather than for each byte: without this limit the worst log of 32 MiB takes a minute,
+and each shard reads it twice.
+"""
+
+_TEAM_CHARACTERS = 200
+
+LineT = TypeVar("LineT", bound=StrictModel)
+
+
+class LogProblem(StrEnum):
+    """Why a log is refused; stable codes for the API."""
+
+    NOT_A_LOG = "not_a_log"
+    """The first line is not the header of an evaluation log."""
+    UNKNOWN_VERSION = "unknown_version"
+    """The format is of another version."""
+    LINE_TOO_LONG = "line_too_long"
+    """A line is longer than any true one."""
+    INFO_TOO_LARGE = "info_too_large"
+    """The info of an env step is larger than any true one."""
+    NOT_JSON = "not_json"
+    """A line is not one JSON object of finite numbers."""
+    INVALID = "invalid"
+    """A line lacks a key, has an unknown one, or a wrong value."""
+    ALTERED = "altered"
+    """A line, or one before it, was changed, moved, doubled or removed."""
+    EPISODE_REPEATED = "episode_repeated"
+    """An episode came before."""
+    TRUNCATED = "truncated"
+    """The last line is missing."""
+    TRAILING = "trailing"
+    """Something follows the last line."""
+
+
+class LogRejected(VitacError):
+    """A log cannot be read as one evaluation; correct or make it again.
+
+    Attributes:
+        problem: stable code.
+        line: number of the line, from 1.
+    """
+
+    def __init__(self, problem: LogProblem, line: int, message: str) -> None:
+        super().__init__(f"Line {line}: {message}")
+        self.problem = problem
+        self.line = line
+
+
+def is_team_name(text: str) -> bool:
+    """Whether the header of a log can name this team."""
+    return len(text) <= _TEAM_CHARACTERS and text.isprintable()
+
+
+class LogHeader(StrictModel):
+    """The first line: what the evaluation was made with, and whose it is."""
+
+    format: Literal["vitac-log"] = "vitac-log"
+    version: Literal[1] = 1
+    team: str | None = None
+    submission_digest: Word | None = None
+    manifest: Manifest
+
+    @field_validator("team")
+    @classmethod
+    def _is_name(cls, team: str | None) -> str | None:
+        if team is not None and not is_team_name(team):
+            raise ValueError(f"must be one line of at most {_TEAM_CHARACTERS} printable characters")
+        return team
+
+
+class _EpisodeLine(StrictModel):
+    record: EpisodeRecord
+
+
+class _EndLine(StrictModel):
+    episodes: NonNegativeInt
+
+
+def write_log(stream: BinaryIO, header: LogHeader, records: Iterable[EpisodeRecord]) -> None:
+    """Writes a whole log; records come in the order of their numbers and lose their timings.
+
+    The same evaluation gives the same bytes.
+    """
+    digest = _write_line(stream, "", header.model_dump(mode="json"))
+    episodes = 0
+    for record in records:
+        digest = _write_line(stream, digest, {"record": record.model_dump(mode="json", exclude={"timings"})})
+        episodes += 1
+    _write_line(stream, digest, {"episodes": episodes})
+
+
+def is_log(path: Path) -> bool:
+    """Whether a file starts like one of our logs, packed or not."""
+    with open_log(path) as stream:
+        return b'"vitac-log"' in stream.readline(MAX_LINE_BYTES)
+
+
+class LogReader:
+    """Reads a log line by line, in little memory whatever its size.
+
+    Args:
+        stream: the log, opened for reading bytes.
+
+    Raises:
+        LogRejected: from here for the header, from `records` for the rest.
+    """
+
+    def __init__(self, stream: BinaryIO) -> None:
+        self._stream = stream
+        self._line = 0
+        self._digest = ""
+        self.header = self._header(self._next_line())
+
+    @property
+    def line(self) -> int:
+        """Number of the line that was read last."""
+        return self._line
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 [hex] of the log up to the line that was read last; after `records`, of the whole log."""
+        return self._digest
+
+    def records(self) -> Iterator[EpisodeRecord]:
+        """The records in their order; a log is whole and unaltered only once this has come to its end."""
+        seen: set[int] = set()
+        last = 0
+        while True:
+            text = self._next_line()
+            if not text.endswith(b"\n"):
+                raise self._rejected(LogProblem.TRUNCATED, "the log ends without its last line; it was cut off.")
+            content = self._object(text)
+            if "episodes" in content:
+                self._check_end(self._checked(_EndLine, content), len(seen))
+                return
+            self._require_small_infos(content.get("record"))
+            record = self._checked(_EpisodeLine, content).record
+            if record.episode in seen:
+                raise self._rejected(LogProblem.EPISODE_REPEATED, f"episode {record.episode} came before.")
+            if record.episode < last:
+                raise self._rejected(
+                    LogProblem.ALTERED, f"episode {record.episode} stands after {last}; they go by their numbers."
+                )
+            seen.add(record.episode)
+            last = record.episode
+            yield record
+
+    def _header(self, text: bytes) -> LogHeader:
+        content = self._object(text, LogProblem.NOT_A_LOG)
+        if content.get("format") != "vitac-log":
+            raise self._rejected(LogProblem.NOT_A_LOG, 'expected the header of a log, {"format": "vitac-log", ...}.')
+        if content.get("version") != FORMAT_VERSION:
+            came = content.get("version")
+            raise self._rejected(
+                LogProblem.UNKNOWN_VERSION, f"the log is of format version {came!r:.40}, expected {FORMAT_VERSION}."
+            )
+        return self._checked(LogHeader, content)
+
+    def _check_end(self, end: _EndLine, episodes: int) -> None:
+        if end.episodes != episodes:
+            raise self._rejected(LogProblem.ALTERED, f"it counts {end.episodes} episodes, but {episodes} came.")
+        if self._stream.read(1):
+            self._line += 1
+            raise self._rejected(LogProblem.TRAILING, "something follows the end of the log; upload one log at a time.")
+
+    def _next_line(self) -> bytes:
+        self._line += 1
+        text = self._stream.readline(MAX_LINE_BYTES + 1)
+        if len(text) > MAX_LINE_BYTES:
+            raise self._rejected(LogProblem.LINE_TOO_LONG, f"it is longer than {MAX_LINE_BYTES} bytes.")
+        return text
+
+    def _object(self, text: bytes, problem: LogProblem = LogProblem.NOT_JSON) -> dict[str, Any]:
+        try:
+            content = json.loads(text.decode("utf-8"), parse_constant=_refuse_constant, object_pairs_hook=_unique)
+        except (ValueError, RecursionError) as error:
+            raise self._rejected(problem, f"it is not JSON: {error!s:.120}.") from error
+        if not isinstance(content, dict):
+            raise self._rejected(problem, f"expected a JSON object, came a {type(content).__name__}.")
+        return content
+
+    def _checked(self, model: type[LineT], content: dict[str, Any]) -> LineT:
+        claimed = content.pop("digest", None)
+        try:
+            line = model.model_validate(content)
+        except ValidationError as error:
+            raise self._rejected(LogProblem.INVALID, explain(model, error)) from error
+        self._digest = _line_digest(self._digest, content)
+        if claimed != self._digest:
+            raise self._rejected(LogProblem.ALTERED, "its digest is wrong: the line was altered, moved or doubled.")
+        return line
+
+    def _require_small_infos(self, record: object) -> None:
+        """Refuses large infos before any is looked into; whatever has not their form is refused after this."""
+        infos = record.get("infos") if isinstance(record, dict) else None
+        for env_step, info in enumerate(infos if isinstance(infos, list) else [], start=1):
+            came = f"the info of env step {env_step} has"
+            values = count_values(info, MAX_INFO_VALUES)
+            if values > MAX_INFO_VALUES:
+                message = f"{came} over {MAX_INFO_VALUES} values, expected at most so many."
+                raise self._rejected(LogProblem.INFO_TOO_LARGE, message)
+            n_bytes = len(json.dumps(info, separators=(",", ":")))
+            if n_bytes > MAX_INFO_BYTES:
+                message = f"{came} {n_bytes} bytes of JSON, expected at most {MAX_INFO_BYTES}."
+                raise self._rejected(LogProblem.INFO_TOO_LARGE, message)
+
+    def _rejected(self, problem: LogProblem, message: str) -> LogRejected:
+        return LogRejected(problem, self._line, message)
+
+
+def _write_line(stream: BinaryIO, previous: str, content: dict[str, Any]) -> str:
+    digest = _line_digest(previous, content)
+    stream.write(canonical_json({**content, "digest": digest}) + b"\n")
+    return digest
+
+
+def _line_digest(previous: str, content: dict[str, Any]) -> str:
+    return hashlib.sha256(previous.encode("ascii") + canonical_json(content)).hexdigest()
+
+
+def count_values(content: object, most: int) -> int:
+    """Values in some JSON, the whole and every list and object counted; stops soon after `most`."""
+    left, values = [content], 0
+    while left and values <= most:
+        value = left.pop()
+        values += 1
+        if isinstance(value, dict | list):
+            left.extend(islice(value.values() if isinstance(value, dict) else value, most))
+    return values
+
+
+def _refuse_constant(name: str) -> None:
+    raise ValueError(f"{name} is not a number")
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    content = dict(pairs)
+    if len(content) != len(pairs):
+        raise ValueError("a key came twice")
+    return content

@@ -1,0 +1,107 @@
+"""The four kinds of text logs: episode lists, limits and rules of the 2025 challenge (challenge-facts 5 to 7)."""
+
+from functools import cache
+from importlib.resources import files
+from itertools import product
+from typing import Any
+
+from pydantic import PositiveFloat, PositiveInt
+
+from ...strict_model import StrictModel, parse_yaml
+
+
+class PegRules(StrictModel):
+    """How a peg task judges an env step; lengths in mm, angles in degrees."""
+
+    action_scale: tuple[float, ...]
+    descent_per_step_mm: float
+    """Automatic descent; 0 where the action moves the peg in z."""
+    surface_limit_m: float = 0.0015
+    offset_limit: tuple[float, ...]
+    depth_mm: float
+    """Every bottom vertex of the peg must be lower than this below the hole's top."""
+    commanded_depth_mm: float = 0.0
+    success_limit: tuple[float, ...] = ()
+    step_penalty: float
+    final_reward: float
+
+
+class Start(StrictModel):
+    """One start of a list, as the log shows it."""
+
+    shape_index: int
+    shape: str
+    repeat_index: int
+    offset_index: int
+    offset: tuple[float, ...]
+
+
+class Kind(StrictModel):
+    """One kind of log."""
+
+    name: str
+    track: str
+    task: str
+    script_md5: tuple[str, ...]
+    """Of the published scripts, the newest first."""
+    marked_by: str
+    """A key of the environment that only this kind prints."""
+    environment: dict[str, Any]
+    """The official evaluation's values."""
+    action_size: PositiveInt
+    max_steps: PositiveInt
+    repeats: PositiveInt
+    loops: tuple[str, ...]
+    shapes: tuple[str, ...]
+    offsets: tuple[tuple[float, ...], ...]
+    logs_offsets: bool
+    """Whether start, offset, info and reward are logged."""
+    peg: PegRules | None = None
+    hole_tops_mm: tuple[PositiveFloat, ...] = ()
+    """Vision track only: heights of the hole's top in use; the published logs have the first (challenge-facts D20)."""
+
+    def starts(self, hole_top_mm: float | None = None) -> list[Start]:
+        """The list, in the order of the script's loops.
+
+        Args:
+            hole_top_mm: which of `hole_tops_mm`; the first by default.
+        """
+        lengths = {"repeat": self.repeats, "offset": len(self.offsets), "shape": len(self.shapes)}
+        found = []
+        for values in product(*(range(lengths[loop]) for loop in self.loops)):
+            index = dict(zip(self.loops, values, strict=True))
+            offset = self.offsets[index["offset"]]
+            shape = index["shape"] if "shape" in index else int(offset[-1])
+            found.append(
+                Start(
+                    shape_index=shape,
+                    shape=self.shapes[shape],
+                    repeat_index=index["repeat"],
+                    offset_index=index["offset"],
+                    offset=self._shown(offset, hole_top_mm),
+                )
+            )
+        return found
+
+    def _shown(self, offset: tuple[float, ...], hole_top_mm: float | None) -> tuple[float, ...]:
+        """The start as the log shows it; in the vision track relative to the target (challenge-facts 2.3, 6)."""
+        if not self.hole_tops_mm:
+            return offset
+        x, y, theta, z, left = offset
+        return x, y + 22.625 - (45.25 if left else 0.0), theta, z + (hole_top_mm or self.hole_tops_mm[0]) - 6.9
+
+
+class _Kinds(StrictModel):
+    kinds: tuple[Kind, ...]
+
+
+@cache
+def all_kinds() -> tuple[Kind, ...]:
+    """The four kinds."""
+    origin = "kinds.yaml"
+    return parse_yaml(_Kinds, files(__package__).joinpath(origin).read_text(encoding="utf-8"), origin).kinds
+
+
+def kind_of(environment: dict[str, Any]) -> Kind | None:
+    """The kind of a log by the environment it prints, or None."""
+    return next((kind for kind in all_kinds() if kind.marked_by in environment), None)

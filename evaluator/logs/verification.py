@@ -1,0 +1,173 @@
+"""Is a log true? Its actions are checked and re-simulated; called by `vitac log verify` and the service's workers.
+
+Re-simulation proves the actions, not that a policy chose them.
+"""
+
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+
+from ..episodes.episode import Environment
+from ..episodes.provenance import make_manifest
+from ..episodes.records import EpisodeOutcome, EpisodeRecord, Manifest
+from ..episodes.replay import Resimulated, resimulate
+from ..scoring.score import Score, score
+from ..strict_model import StrictModel
+from ..tracks import Task, Track
+from .checks import must_agree, why_impossible
+from .findings import Divergence, LogFinding, LogVerdict, comparable
+from .log import LogHeader
+from .recordings import recording_of
+
+
+class Verification(StrictModel):
+    """The verdict on a log.
+
+    Where it is verified, `records` are the log's with states, infos and rewards as they came here. They, not the log's
+    own, are to be scored and shown.
+    """
+
+    verdict: LogVerdict
+    reason: str
+    manifest: Manifest
+    """What re-simulated it."""
+    divergence: Divergence | None = None
+    records: tuple[EpisodeRecord, ...] = ()
+
+    @property
+    def score(self) -> Score | None:
+        """The score that the actions earn; None unless the log is verified."""
+        return score(self.records) if self.records else None
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckedEpisode:
+    """A record of a log after its re-simulation.
+
+    Attributes:
+        record: the log's, with states, infos and rewards as they came here.
+        divergence: where the states first differ, or, where that alone is no fault, where the episode ended otherwise;
+            None if they are all equal.
+        holds: whether the episode counts: equal to the last bit or, made on another class of machines, ended equally.
+    """
+
+    record: EpisodeRecord
+    divergence: Divergence | None
+    holds: bool
+
+
+def verify(
+    *,
+    env: Environment,
+    track: Track,
+    task: Task,
+    header: LogHeader,
+    records: Collection[EpisodeRecord],
+    episodes: Collection[int] | None = None,
+    on_episode: Callable[[EpisodeRecord], None] = lambda _: None,
+) -> Verification:
+    """Checks and re-simulates a log, until it is clear that it diverges.
+
+    Args:
+        env: the task's environment.
+        track: its track.
+        task: what must have been played.
+        header: of the log.
+        records: of the log.
+        episodes: numbers that must be there; the whole list by default.
+        on_episode: gets each re-simulated record.
+    """
+    manifest = make_manifest(track, task, env)
+    impossible = why_impossible(must_agree(manifest), task, header, records, episodes)
+    if impossible:
+        return _without_score(manifest, LogFinding.impossible(impossible))
+    played: list[EpisodeRecord] = []
+    first: Divergence | None = None
+    for record in records:
+        checked = check_episode(env, task, manifest, header, record)
+        first = first or checked.divergence
+        if checked.divergence and not checked.holds:
+            return _without_score(manifest, LogFinding.diverged(checked.divergence))
+        played.append(checked.record)
+        on_episode(played[-1])
+    return Verification(
+        verdict=LogVerdict.WITHIN_TOLERANCE if first else LogVerdict.VERIFIED,
+        reason=f"made on {header.manifest.platform_class}; all outcomes are equal" if first else "all states are equal",
+        manifest=manifest,
+        divergence=first,
+        records=tuple(played),
+    )
+
+
+def check_episode(
+    env: Environment, task: Task, manifest: Manifest, header: LogHeader, record: EpisodeRecord
+) -> CheckedEpisode:
+    """Re-simulates one record of a log.
+
+    Args:
+        env: the task's environment.
+        task: what was played.
+        manifest: what re-simulates it.
+        header: of the log.
+        record: one that is possible.
+    """
+    recording = recording_of(record, task)
+    played = resimulate(env, recording.episode, recording.actions)
+    divergence = find_divergence(record, played)
+    elsewhere = header.manifest.platform_class != manifest.platform_class
+    ended_as_recorded = _ended_as_recorded(record, played)
+    if elsewhere and not ended_as_recorded:
+        divergence = _divergence_at(min(record.env_steps, played.end_step or record.env_steps), record, played)
+    return CheckedEpisode(
+        record=_with_our_states(record, played),
+        divergence=divergence,
+        holds=divergence is None or (elsewhere and ended_as_recorded),
+    )
+
+
+def find_divergence(record: EpisodeRecord, played: Resimulated) -> Divergence | None:
+    """The first state that is not the recorded one, or the first sign that the episode ended otherwise."""
+    pairs = zip(record.state_hashes, played.state_hashes, strict=True)
+    step = next((step for step, (recorded, ours) in enumerate(pairs) if recorded != ours), None)
+    if step is None and _ended_as_recorded(record, played):
+        return None
+    return _divergence_at(record.env_steps if step is None else step, record, played)
+
+
+def _divergence_at(step: int, record: EpisodeRecord, played: Resimulated) -> Divergence:
+    recorded, ours = (record.infos[step - 1], played.infos[step - 1]) if step else (None, None)
+    return Divergence(
+        episode=record.episode,
+        env_step=step,
+        recorded_state=record.state_hashes[step],
+        recorded_info=recorded and ours and {key: comparable(recorded.get(key), ours[key]) for key in ours},
+        resimulated_state=played.state_hashes[step],
+        resimulated_info=ours,
+    )
+
+
+def _without_score(manifest: Manifest, finding: LogFinding) -> Verification:
+    return Verification(
+        verdict=finding.verdict, reason=finding.reason, manifest=manifest, divergence=finding.divergence
+    )
+
+
+def _ended_as_recorded(record: EpisodeRecord, played: Resimulated) -> bool:
+    if record.outcome is EpisodeOutcome.POLICY_FAILED:
+        return played.outcome is None
+    return (record.outcome, record.env_steps) == (played.outcome, played.end_step)
+
+
+def _with_our_states(record: EpisodeRecord, played: Resimulated) -> EpisodeRecord:
+    """The record as it came here; what the log tells beside actions and ends is left out."""
+    failure = record.failure and record.failure.model_copy(
+        update={"message": "The log says so; the policy was not seen.", "output_tail": ""}
+    )
+    return record.model_copy(
+        update={
+            "state_hashes": played.state_hashes,
+            "infos": played.infos,
+            "total_reward": played.total_reward,
+            "failure": failure,
+            "timings": played.timings,
+        }
+    )

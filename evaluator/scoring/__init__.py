@@ -1,0 +1,1 @@
+"""Pure functions of records: score, confidence interval, ranking."""

@@ -1,0 +1,110 @@
+"""Plays the episodes of a shard with a submitted policy; called by `process`."""
+
+from collections.abc import Callable, Collection, Iterable, Sequence
+from contextlib import AbstractContextManager, ExitStack
+from pathlib import Path
+from random import SystemRandom
+
+from ..agent.limits import Limits
+from ..agent.session import Isolation, PolicySession
+from ..episodes.episode import Environment, Session, make_environment, run_episode
+from ..episodes.provenance import make_manifest
+from ..episodes.records import EpisodeRecord, PolicyFailure
+from ..scoring.failures import is_broken
+from ..submission.manifest import load_manifest
+from ..tracks import Episode, Task, Track
+from ..tracks.cut import Shard
+from .result import ShardEnd, ShardResult
+
+LoadPolicy = Callable[[Path, Limits, int], AbstractContextManager[Session]]
+
+
+def load_in_sandbox(submission_dir: Path, limits: Limits, slot: int) -> AbstractContextManager[Session]:
+    """Loads the policy of a submission in its sandbox.
+
+    Raises:
+        PolicyFailed: it cannot be loaded.
+        SandboxFailed: the isolation could not be set up.
+    """
+    entry_point = load_manifest(submission_dir).entry_point
+    return PolicySession(submission_dir, entry_point=entry_point, limits=limits, slot=slot)
+
+
+def run_shard(
+    *,
+    submission_dir: Path,
+    track: Track,
+    task: Task,
+    shard: Shard,
+    on_episode: Callable[[EpisodeRecord], None],
+    limits: Limits | None = None,
+    slot: int = 0,
+    assets_dir: Path | None = None,
+    skip: Collection[int] = (),
+    earlier_failures: Sequence[PolicyFailure] = (),
+    cancelled: Callable[[], bool] = lambda: False,
+    load_policy: LoadPolicy = load_in_sandbox,
+    make_env: Callable[[Task, Path | None], Environment] = make_environment,
+) -> ShardResult:
+    """Plays the episodes of a shard, each in a fresh process of the policy.
+
+    The order is secret: a policy cannot be kept from the clock, and in a known order the time would tell it which
+    episode it plays.
+
+    Args:
+        submission_dir: folder of the unpacked submission, the one that holds `submission.yaml`.
+        track: the track of the task.
+        task: what is played.
+        shard: which episodes.
+        on_episode: gets each record as soon as its episode is over.
+        limits: of the policy; the default ones if None.
+        slot: number of this worker on its machine; concurrent runs need different ones.
+        assets_dir: folder with the challenge's own meshes; our own generated ones by default.
+        skip: episodes that have a record already.
+        earlier_failures: policy failures among the skipped ones.
+        cancelled: looked at before each episode.
+        load_policy: loads the policy of a submission; in the sandbox by default.
+        make_env: gives the environment.
+
+    Raises:
+        VitacError: the sandbox or the environment broke. This is never the team's fault; run the shard again.
+    """
+    env = make_env(task, assets_dir)
+    failures = list(earlier_failures)
+    end = ShardEnd.BROKEN if is_broken(failures) else ShardEnd.COMPLETE
+    with ExitStack() as stack:
+        policy = _LoadedPolicy(lambda: stack.enter_context(load_policy(submission_dir, limits or Limits(), slot)))
+        for episode in _secret_order(episode for episode in shard.episodes if episode.number not in skip):
+            if end is ShardEnd.COMPLETE and cancelled():
+                end = ShardEnd.CANCELLED
+            if end is not ShardEnd.COMPLETE:
+                break
+            record = run_episode(env=env, task=task, episode=episode, open_session=policy)
+            on_episode(record)
+            failures.extend([record.failure] if record.failure else [])
+            end = ShardEnd.BROKEN if is_broken(failures) else ShardEnd.COMPLETE
+    manifest = make_manifest(track, task, env)
+    return ShardResult(index=shard.index, end=end, manifest=manifest, isolation=policy.isolation)
+
+
+class _LoadedPolicy:
+    """The policy of a shard, loaded when an episode first asks for it."""
+
+    def __init__(self, load: Callable[[], Session]) -> None:
+        self._load = load
+        self._session: Session | None = None
+
+    def __call__(self) -> Session:
+        if self._session is None:
+            self._session = self._load()
+        return self._session
+
+    @property
+    def isolation(self) -> Isolation | None:
+        return self._session.isolation if self._session else None
+
+
+def _secret_order(episodes: Iterable[Episode]) -> list[Episode]:
+    shuffled = list(episodes)
+    SystemRandom().shuffle(shuffled)
+    return shuffled

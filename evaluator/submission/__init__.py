@@ -1,0 +1,1 @@
+"""What a team hands in: archive, manifest and digest."""

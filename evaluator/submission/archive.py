@@ -1,0 +1,247 @@
+"""Unpacks an uploaded zip, trusting nothing in it; every rule has a name and a sentence.
+
+Called by the upload (to refuse early), by workers and by `vitac check`. A folder goes through the same rules.
+"""
+
+import io
+import os
+import shutil
+import stat
+import struct
+import zipfile
+import zlib
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, BinaryIO, Final
+
+from ..agent.limits import Limits
+from .names import (
+    ArchiveFault,
+    ArchiveRejected,
+    NamedEntry,
+    check_names,
+    is_left_out,
+    link,
+    special_file,
+    too_many_files,
+)
+
+__all__ = ["ArchiveFault", "ArchiveRejected", "Entry", "packed_entries", "unpack", "write"]
+
+TOP_FOLDERS: Final = ("Track_1",)
+_CHUNK_BYTES: Final = 1024 * 1024
+_RATIO_FREE_BYTES: Final = 16 * 1024 * 1024
+"""A ratio is only looked at above this size: small folders of text compress well."""
+_END_RECORD: Final = struct.Struct("<4s4H2LH")
+_END_SIGNATURE: Final = b"PK\x05\x06"
+_ZIP64_LOCATOR: Final = b"PK\x06\x07"
+_ZIP64_LOCATOR_BYTES: Final = 20
+_DIRECTORY_BYTES_PER_FILE: Final = 1536
+_START_SIGNATURES: Final = (b"PK\x03\x04", _END_SIGNATURE)
+_METHODS: Final = frozenset({zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED})
+_ENCRYPTED_FLAGS: Final = 0x1 | 0x40 | 0x2000
+
+
+@dataclass(frozen=True, kw_only=True)
+class Entry:
+    """One file of a submission, whatever it comes from."""
+
+    path: str
+    """Below the top folder, with slashes."""
+    n_bytes: int
+    open: Callable[[], IO[bytes]]
+
+    def chunks(self) -> Iterator[bytes]:
+        """Yield the content.
+
+        Raises:
+            ArchiveRejected: it cannot be read.
+        """
+        try:
+            with self.open() as file:
+                while chunk := file.read(_CHUNK_BYTES):
+                    yield chunk
+        except (zipfile.BadZipFile, zlib.error, EOFError, ValueError, struct.error, NotImplementedError) as error:
+            raise _damaged(f"{self.path!r} cannot be unpacked ({error})") from error
+
+
+def unpack(source: Path | BinaryIO, destination: Path, limits: Limits | None = None) -> Path:
+    """Unpack an archive into a new folder; on a rejection nothing of it is left.
+
+    Args:
+        source: the zip, or an open one that can seek.
+        destination: folder that does not exist yet, or is empty.
+        limits: sizes and counts.
+
+    Returns:
+        The submission's folder, `destination/Track_1`, readable by every user.
+
+    Raises:
+        ArchiveRejected: a rule is broken.
+    """
+    limits = limits or Limits()
+    with ExitStack() as exits:
+        stream = exits.enter_context(source.open("rb")) if isinstance(source, Path) else source
+        top, entries = exits.enter_context(_Opened(stream, limits)).entries()
+        return write(entries, destination, top, limits)
+
+
+def packed_entries(stream: BinaryIO, limits: Limits, exits: ExitStack) -> tuple[str, list[Entry]]:
+    """Return top folder and files of an open archive after checking everything that its directory tells."""
+    return exits.enter_context(_Opened(stream, limits)).entries()
+
+
+def write(entries: Iterable[Entry], destination: Path, top: str, limits: Limits) -> Path:
+    """Write files below `destination/top`, counting real bytes.
+
+    Raises:
+        ArchiveRejected: a file holds more or less than it says, or all together hold too much.
+    """
+    folder = destination / top
+    try:
+        destination.mkdir(mode=0o755, parents=True, exist_ok=True)
+        folder.mkdir(mode=0o755)
+        left = limits.archive_unpacked_bytes
+        for entry in entries:
+            left -= _write_entry(entry, folder, left, limits)
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+    return folder
+
+
+class _Opened:
+    """An archive whose directory has been checked."""
+
+    def __init__(self, stream: BinaryIO, limits: Limits) -> None:
+        self._limits = limits
+        self._packed_bytes = _check_ends(stream, limits)
+        try:
+            self._zip = zipfile.ZipFile(stream)
+        except (zipfile.BadZipFile, ValueError, OSError, struct.error, NotImplementedError) as error:
+            raise _damaged(f"its directory cannot be read ({error})") from error
+
+    def __enter__(self) -> "_Opened":
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._zip.close()
+
+    def entries(self) -> tuple[str, list[Entry]]:
+        """Return the top folder and the files below it.
+
+        Raises:
+            ArchiveRejected: a rule is broken by what the directory says.
+        """
+        infos = self._zip.infolist()
+        if len(infos) > self._limits.archive_files:
+            raise too_many_files(self._limits)
+        for info in infos:
+            _check_kind(info)
+        kept = [info for info in infos if not is_left_out(info.orig_filename.removesuffix("/"))]
+        names = (NamedEntry(path=info.orig_filename.removesuffix("/"), is_folder=info.is_dir()) for info in kept)
+        check_names(names, self._limits)
+        files = [info for info in kept if not info.is_dir()]
+        top = _top_folder({info.orig_filename.partition("/")[0] for info in kept})
+        self._check_sizes(files)
+        return top, [self._entry(info, top) for info in files]
+
+    def _check_sizes(self, files: list[zipfile.ZipInfo]) -> None:
+        total = sum(info.file_size for info in files)
+        if total > self._limits.archive_unpacked_bytes:
+            raise _unpacked_too_large(self._limits)
+        if total > max(_RATIO_FREE_BYTES, self._packed_bytes * self._limits.archive_ratio):
+            raise ArchiveRejected(
+                ArchiveFault.COMPRESSED_TOO_MUCH,
+                f"The archive of {self._packed_bytes} bytes unpacks to {total}, more than "
+                f"{self._limits.archive_ratio:g} times as much; leave out what compresses like that.",
+            )
+
+    def _entry(self, info: zipfile.ZipInfo, top: str) -> Entry:
+        def open_entry() -> IO[bytes]:
+            try:
+                return self._zip.open(info)
+            except (zipfile.BadZipFile, ValueError, OSError, struct.error, NotImplementedError, RuntimeError) as error:
+                raise _damaged(f"{info.filename!r} cannot be read ({error})") from error
+
+        return Entry(path=info.orig_filename.removeprefix(f"{top}/"), n_bytes=info.file_size, open=open_entry)
+
+
+def _check_ends(stream: BinaryIO, limits: Limits) -> int:
+    """Look at the start and the end record before `zipfile` reads a directory of any size into memory."""
+    packed_bytes = stream.seek(0, io.SEEK_END)
+    if packed_bytes > limits.archive_packed_bytes:
+        raise ArchiveRejected(
+            ArchiveFault.TOO_LARGE,
+            f"The archive has {packed_bytes} bytes, at most {limits.archive_packed_bytes} are allowed.",
+        )
+    stream.seek(0)
+    if stream.read(4) not in _START_SIGNATURES:
+        raise ArchiveRejected(ArchiveFault.NOT_A_ZIP, "The file is not a zip archive; pack the folder as a zip.")
+    tail_start = max(0, packed_bytes - 0xFFFF - _END_RECORD.size - _ZIP64_LOCATOR_BYTES)
+    stream.seek(tail_start)
+    tail = stream.read()
+    position = tail.rfind(_END_SIGNATURE)
+    if position < 0 or len(tail) - position < _END_RECORD.size:
+        raise _damaged("its end is missing; the upload may have been cut off")
+    *_, entries, directory_bytes, _, _ = _END_RECORD.unpack_from(tail, position)
+    locator = tail[max(0, position - _ZIP64_LOCATOR_BYTES) : position]
+    too_large_directory = directory_bytes > limits.archive_files * _DIRECTORY_BYTES_PER_FILE
+    if locator.startswith(_ZIP64_LOCATOR) or too_large_directory or entries > limits.archive_files:
+        raise too_many_files(limits)
+    return packed_bytes
+
+
+def _check_kind(info: zipfile.ZipInfo) -> None:
+    mode = info.external_attr >> 16
+    name = info.orig_filename
+    if stat.S_ISLNK(mode):
+        raise link(name)
+    if stat.S_IFMT(mode) not in {0, stat.S_IFREG, stat.S_IFDIR}:
+        raise special_file(name)
+    if info.flag_bits & _ENCRYPTED_FLAGS:
+        raise ArchiveRejected(ArchiveFault.ENCRYPTED, f"{name!r} is encrypted; pack without a password.")
+    if info.compress_type not in _METHODS:
+        raise ArchiveRejected(
+            ArchiveFault.COMPRESSION_METHOD,
+            f"{name!r} is compressed with method {info.compress_type}; pack with deflate or without compression.",
+        )
+
+
+def _top_folder(names: set[str]) -> str:
+    if len(names) == 1 and (name := names.copy().pop()) in TOP_FOLDERS:
+        return name
+    came = ", ".join(sorted(names)[:5]) or "nothing"
+    raise ArchiveRejected(
+        ArchiveFault.WRONG_TOP_FOLDER, f"The archive holds {came}, expected one folder {' or '.join(TOP_FOLDERS)}."
+    )
+
+
+def _write_entry(entry: Entry, folder: Path, left: int, limits: Limits) -> int:
+    target = folder / entry.path
+    for parent in reversed(target.relative_to(folder).parents[:-1]):
+        (folder / parent).mkdir(mode=0o755, exist_ok=True)
+    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW
+    written = 0
+    with os.fdopen(os.open(target, flags, 0o644), "wb") as file:
+        for chunk in entry.chunks():
+            written += len(chunk)
+            if written > left:
+                raise _unpacked_too_large(limits)
+            file.write(chunk)
+    target.chmod(0o644)
+    if written != entry.n_bytes:
+        raise _damaged(f"{entry.path!r} has {written} bytes, {entry.n_bytes} were announced")
+    return written
+
+
+def _damaged(what: str) -> ArchiveRejected:
+    return ArchiveRejected(ArchiveFault.DAMAGED, f"The archive is damaged: {what}. Pack and upload it again.")
+
+
+def _unpacked_too_large(limits: Limits) -> ArchiveRejected:
+    return ArchiveRejected(
+        ArchiveFault.UNPACKED_TOO_LARGE, f"The files are larger than {limits.archive_unpacked_bytes} bytes together."
+    )

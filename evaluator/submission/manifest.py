@@ -1,0 +1,184 @@
+"""What a team hands in: a zip or a folder with submission.yaml, its manifest and its digest."""
+
+import hashlib
+import os
+from collections.abc import Iterator
+from contextlib import ExitStack
+from functools import partial
+from pathlib import Path
+from typing import IO, Annotated, Final
+
+from pydantic import AfterValidator, Field
+from vitac.envs.errors import VitacError
+
+from ..agent.limits import Limits
+from ..agent.verdicts import VerdictCode
+from ..strict_model import DocumentRejected, StrictModel, parse_yaml
+from .archive import TOP_FOLDERS, Entry, packed_entries, unpack, write
+from .names import NamedEntry, check_names, is_left_out, link, special_file
+
+MANIFEST_NAME: Final = "submission.yaml"
+_MANIFEST_MAX_BYTES: Final = 64 * 1024
+_ENTRY_POINT: Final = r"^[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*$"
+
+
+class ManifestRejected(VitacError):
+    """submission.yaml is missing or wrong: correct the key that the message names."""
+
+    verdict = VerdictCode.MANIFEST_REJECTED
+
+
+class NoSubmission(VitacError):
+    """The path is neither a zip nor a folder of a submission: name one."""
+
+
+def _printable(text: str) -> str:
+    if not text.isprintable():
+        raise ValueError("must be one line of printable characters")
+    return text
+
+
+Name = Annotated[str, Field(min_length=1, max_length=80), AfterValidator(_printable)]
+
+
+class SubmissionManifest(StrictModel):
+    """submission.yaml."""
+
+    track: Annotated[str, Field(description="Track that it enters, such as track_1.")]
+    tasks: Annotated[
+        tuple[str, ...], Field(min_length=1, max_length=16, description="Tasks that it plays, such as peg-insertion.")
+    ]
+    name: Annotated[Name, Field(description="Shown on the leaderboard.")]
+    entry_point: Annotated[
+        str, Field(pattern=_ENTRY_POINT, max_length=200, description="module:Class of the policy.")
+    ] = "policy:Policy"
+
+
+def load_manifest(submission_dir: Path) -> SubmissionManifest:
+    """Return the manifest of an unpacked submission, checked against the tracks there are.
+
+    Raises:
+        ManifestRejected: it is missing, too large, no YAML, or a key or value is wrong.
+    """
+    path = submission_dir / MANIFEST_NAME
+    try:
+        with path.open("rb") as file:
+            data = file.read(_MANIFEST_MAX_BYTES + 1)
+    except FileNotFoundError as error:
+        raise ManifestRejected(f"{MANIFEST_NAME} is missing; put it directly into the submission's folder.") from error
+    if len(data) > _MANIFEST_MAX_BYTES:
+        raise ManifestRejected(f"{MANIFEST_NAME} is larger than {_MANIFEST_MAX_BYTES} bytes; make it smaller.")
+    return parse_manifest(data)
+
+
+def parse_manifest(data: bytes) -> SubmissionManifest:
+    """Return the manifest that the bytes of submission.yaml hold.
+
+    Raises:
+        ManifestRejected: no YAML, or a key or value is wrong.
+    """
+    try:
+        manifest = parse_yaml(SubmissionManifest, data.decode("utf-8"), MANIFEST_NAME)
+    except (DocumentRejected, UnicodeDecodeError, RecursionError) as error:
+        raise ManifestRejected(str(error)) from error
+    _check_tasks(manifest)
+    return manifest
+
+
+def find_submission(path: Path) -> Path:
+    """Return the folder below a path that holds submission.yaml: itself, or its `Track_1`.
+
+    Raises:
+        NoSubmission: there is none.
+    """
+    for folder in (path, *(path / top for top in TOP_FOLDERS)):
+        if (folder / MANIFEST_NAME).is_file():
+            return folder
+    raise NoSubmission(f"{path} holds no {MANIFEST_NAME}; name the submission's folder or its zip.")
+
+
+def stage(source: Path, destination: Path, limits: Limits | None = None) -> Path:
+    """Copy a zip or folder to where it can be evaluated, under the same rules for both.
+
+    Args:
+        source: zip, submission folder, or the folder that holds `Track_1`.
+        destination: new or empty folder.
+        limits: sizes and counts.
+
+    Returns:
+        The submission's folder below `destination`, readable by every user.
+
+    Raises:
+        ArchiveRejected: a rule of archives is broken.
+        NoSubmission: the path is no submission.
+    """
+    limits = limits or Limits()
+    if source.is_file():
+        return unpack(source, destination, limits)
+    return write(_folder_entries(find_submission(source), limits), destination, TOP_FOLDERS[0], limits)
+
+
+def submission_digest(source: Path, limits: Limits | None = None) -> str:
+    """Return SHA-256 over path, size and content of every file, sorted by path: equal for a folder and its zip.
+
+    Raises:
+        ArchiveRejected: a rule of archives is broken.
+        NoSubmission: the path is no submission.
+    """
+    limits = limits or Limits()
+    with ExitStack() as exits:
+        if source.is_file():
+            _, entries = packed_entries(exits.enter_context(source.open("rb")), limits, exits)
+        else:
+            entries = _folder_entries(find_submission(source), limits)
+        return _digest(entries)
+
+
+def _digest(entries: list[Entry]) -> str:
+    digest = hashlib.sha256()
+    for entry in sorted(entries, key=lambda entry: entry.path):
+        path = entry.path.encode()
+        digest.update(len(path).to_bytes(8, "little") + path + entry.n_bytes.to_bytes(8, "little"))
+        for chunk in entry.chunks():
+            digest.update(chunk)
+    return digest.hexdigest()
+
+
+def _folder_entries(folder: Path, limits: Limits) -> list[Entry]:
+    entries = list(_walk(folder, ""))
+    check_names((NamedEntry(path=f"{TOP_FOLDERS[0]}/{entry.path}", is_folder=False) for entry in entries), limits)
+    return entries
+
+
+def _walk(folder: Path, prefix: str) -> Iterator[Entry]:
+    for item in sorted(os.scandir(folder), key=lambda item: item.name):
+        path = f"{prefix}{item.name}"
+        if is_left_out(path):
+            continue
+        if item.is_symlink():
+            raise link(path)
+        if item.is_dir():
+            yield from _walk(Path(item.path), f"{path}/")
+        elif item.is_file():
+            yield Entry(path=path, n_bytes=item.stat().st_size, open=partial(_open, item.path))
+        else:
+            raise special_file(path)
+
+
+def _open(path: str) -> IO[bytes]:
+    return Path(path).open("rb")
+
+
+def _check_tasks(manifest: SubmissionManifest) -> None:
+    from ..tracks import UnknownTask, UnknownTrack, load_track
+
+    try:
+        track = load_track(manifest.track)
+    except (UnknownTrack, UnknownTask) as error:
+        raise ManifestRejected(f"{MANIFEST_NAME}: {error}") from error
+    unknown = sorted(set(manifest.tasks) - set(track.tasks))
+    if unknown or len(set(manifest.tasks)) != len(manifest.tasks):
+        raise ManifestRejected(
+            f"{MANIFEST_NAME}: tasks are {', '.join(manifest.tasks)}, expected each once, "
+            f"out of {', '.join(track.tasks)}."
+        )

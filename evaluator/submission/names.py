@@ -1,0 +1,154 @@
+"""Rules about the names in a submission, and the ways to break one; used by `archive` and `submission`."""
+
+import unicodedata
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Final
+
+from vitac.envs.errors import VitacError
+
+from ..agent.limits import Limits
+
+LEFT_OUT_FOLDERS: Final = frozenset(
+    {"__MACOSX", "__pycache__", ".git", ".mypy_cache", ".pytest_cache", ".ruff_cache", ".venv"}
+)
+LEFT_OUT_FILES: Final = frozenset({".DS_Store", "Thumbs.db"})
+LEFT_OUT_SUFFIXES: Final = (".pyc",)
+"""Caches and traces of desktops; never unpacked, never part of a digest."""
+_NAME_MAX_BYTES: Final = 255
+_PATH_MAX_BYTES: Final = 1024
+_BAD_CATEGORIES: Final = frozenset({"Cc", "Cf", "Cs", "Zl", "Zp"})
+"""Controls, direction marks, halves of pairs, line and paragraph separators."""
+
+
+class ArchiveFault(StrEnum):
+    """The rule that an archive or folder breaks."""
+
+    NOT_A_ZIP = "not_a_zip"
+    DAMAGED = "damaged"
+    """Cut off, or contents that differ from what the archive says about them."""
+    TOO_LARGE = "too_large"
+    UNPACKED_TOO_LARGE = "unpacked_too_large"
+    TOO_MANY_FILES = "too_many_files"
+    TOO_DEEP = "too_deep"
+    NAME_TOO_LONG = "name_too_long"
+    COMPRESSED_TOO_MUCH = "compressed_too_much"
+    ABSOLUTE_PATH = "absolute_path"
+    PARENT_PATH = "parent_path"
+    BAD_CHARACTERS = "bad_characters"
+    DUPLICATE = "duplicate"
+    CASE_DUPLICATE = "case_duplicate"
+    LINK = "link"
+    SPECIAL_FILE = "special_file"
+    ENCRYPTED = "encrypted"
+    COMPRESSION_METHOD = "compression_method"
+    WRONG_TOP_FOLDER = "wrong_top_folder"
+
+
+class ArchiveRejected(VitacError):
+    """An archive or folder breaks a rule of submissions; pack it again as the message says.
+
+    Attributes:
+        code: the rule.
+        message: what was expected, what came, what to do.
+    """
+
+    def __init__(self, code: ArchiveFault, message: str) -> None:
+        super().__init__(message)
+        self.code = code
+        self.message = message
+
+
+@dataclass(frozen=True, kw_only=True)
+class NamedEntry:
+    """A path (with slashes, none at the end) as an archive or a folder gives it."""
+
+    path: str
+    is_folder: bool
+
+
+def is_left_out(path: str) -> bool:
+    """Return whether a file is a cache or a desktop's trace, which is no part of a submission."""
+    parts = path.split("/")
+    name = parts[-1]
+    return bool(LEFT_OUT_FOLDERS.intersection(parts)) or name in LEFT_OUT_FILES or name.endswith(LEFT_OUT_SUFFIXES)
+
+
+def check_names(entries: Iterable[NamedEntry], limits: Limits) -> None:
+    """Check names alone and against one another.
+
+    Raises:
+        ArchiveRejected: a rule about names, depth, number or likeness is broken.
+    """
+    likeness = _Likeness()
+    for number, entry in enumerate(entries, start=1):
+        if number > limits.archive_files:
+            raise too_many_files(limits)
+        _check_path(entry.path, limits)
+        likeness.check(entry)
+
+
+def too_many_files(limits: Limits) -> ArchiveRejected:
+    """Return the rejection of an archive or folder with too many entries."""
+    return ArchiveRejected(
+        ArchiveFault.TOO_MANY_FILES, f"More than {limits.archive_files} files; put small files together in one."
+    )
+
+
+def link(path: str) -> ArchiveRejected:
+    """Return the rejection of a symbolic link."""
+    return ArchiveRejected(ArchiveFault.LINK, f"{path!r:.200} is a link; put the file itself there.")
+
+
+def special_file(path: str) -> ArchiveRejected:
+    """Return the rejection of a device, pipe or socket."""
+    return ArchiveRejected(ArchiveFault.SPECIAL_FILE, f"{path!r:.200} is not a regular file or folder; leave it out.")
+
+
+def _check_path(path: str, limits: Limits) -> None:
+    shown = f"{path!r:.200}"
+    if path.startswith("/") or path[1:2] == ":":
+        raise ArchiveRejected(ArchiveFault.ABSOLUTE_PATH, f"{shown} is an absolute path; pack the folder itself.")
+    parts = path.split("/")
+    if any(part in {"", ".", ".."} for part in parts):
+        raise ArchiveRejected(ArchiveFault.PARENT_PATH, f"{shown} has a part '..', '.' or nothing; pack plain paths.")
+    if "\\" in path or any(unicodedata.category(character) in _BAD_CATEGORIES for character in path):
+        raise ArchiveRejected(ArchiveFault.BAD_CHARACTERS, f"{shown} has a backslash or control characters; rename it.")
+    if len(parts) - 1 > limits.archive_depth:
+        raise ArchiveRejected(ArchiveFault.TOO_DEEP, f"{shown} lies more than {limits.archive_depth} folders deep.")
+    if len(path.encode()) > _PATH_MAX_BYTES or max(len(part.encode()) for part in parts) > _NAME_MAX_BYTES:
+        raise ArchiveRejected(ArchiveFault.NAME_TOO_LONG, f"{shown} is longer than file systems take; shorten it.")
+
+
+@dataclass(kw_only=True)
+class _Likeness:
+    """Compares every path, and every folder above it, with the earlier ones."""
+
+    _spellings: dict[str, str] = field(default_factory=dict)
+    _files: set[str] = field(default_factory=set)
+    _folders: set[str] = field(default_factory=set)
+
+    def check(self, entry: NamedEntry) -> None:
+        """Take one path, as a file system that ignores case and accents' encoding would.
+
+        Raises:
+            ArchiveRejected: duplicate, case_duplicate.
+        """
+        parts = entry.path.split("/")
+        above = ["/".join(parts[:length]) for length in range(1, len(parts))]
+        for path in (*above, entry.path):
+            self._check_spelling(path)
+        is_taken = entry.path in self._files or (not entry.is_folder and entry.path in self._folders)
+        if is_taken or not self._files.isdisjoint(above):
+            raise ArchiveRejected(ArchiveFault.DUPLICATE, f"{entry.path!r:.200} is there twice; pack each file once.")
+        self._folders.update(above)
+        (self._folders if entry.is_folder else self._files).add(entry.path)
+
+    def _check_spelling(self, path: str) -> None:
+        folded = unicodedata.normalize("NFC", path).casefold()
+        earlier = self._spellings.setdefault(folded, path)
+        if earlier != path:
+            raise ArchiveRejected(
+                ArchiveFault.CASE_DUPLICATE, f"{path!r:.200} and {earlier!r:.200} differ only in case or accents."
+            )

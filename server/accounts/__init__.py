@@ -1,0 +1,1 @@
+"""Who asks: teams, tokens, principals and the audit log."""

@@ -1,0 +1,99 @@
+"""Teams: registration, look-up and listing."""
+
+import re
+import unicodedata
+from uuid import UUID
+
+from sqlalchemy import select
+from sqlalchemy.dialects.postgresql import insert
+from sqlalchemy.orm import Session
+from vitac.server.accounts.audit import record
+from vitac.server.db.models import Team
+from vitac.server.db.states import Role
+from vitac.server.errors import ProblemCode, ServiceError, not_found
+
+from .principals import Principal
+
+NAME_LENGTH = 64
+CONTACT_LENGTH = 254
+
+
+def register(session: Session, by: Principal | None, *, name: str, contact: str | None = None) -> Team:
+    """Makes a team; `by` is None for somebody who registers their own.
+
+    Raises:
+        ServiceError: the name is taken (case, spaces and compatibility forms do not count) or cannot be shown.
+    """
+    shown = clean_name(name)
+    added: Team | None = session.scalar(
+        insert(Team)
+        .values(name=shown, name_key=name_key(shown), contact=contact)
+        .on_conflict_do_nothing(index_elements=[Team.name_key])
+        .returning(Team)
+    )
+    if added is None:
+        raise ServiceError(ProblemCode.TEAM_EXISTS, f"There is a team named {shown!r} already; choose another name.")
+    actor = by or Principal(role=Role.TEAM, team_id=added.id, team_name=added.name)
+    record(session, actor, "team.register", f"team:{added.id}", {"name": shown})
+    return added
+
+
+def find(session: Session, name_or_id: str) -> Team:
+    """The team of that name or id.
+
+    Raises:
+        ServiceError: there is none.
+    """
+    team = session.scalar(select(Team).where(Team.name_key == name_key(name_or_id)))
+    if team is None and (team_id := _as_uuid(name_or_id)) is not None:
+        team = session.get(Team, team_id)
+    if team is None:
+        raise ServiceError(
+            ProblemCode.UNKNOWN_TEAM, f"There is no team {name_or_id!r}; `vitac admin team list` shows all."
+        )
+    return team
+
+
+def own(session: Session, by: Principal) -> Team:
+    """The principal's team.
+
+    Raises:
+        ServiceError: an organizer belongs to none.
+    """
+    team = session.get(Team, by.team_id) if by.team_id is not None else None
+    if team is None:
+        raise not_found("team", "of this token")
+    return team
+
+
+def list_teams(session: Session) -> list[Team]:
+    """All teams by name."""
+    return list(session.scalars(select(Team).order_by(Team.name_key)))
+
+
+def clean_name(name: str) -> str:
+    """The name as it is shown: composed characters, single spaces.
+
+    Raises:
+        ServiceError: empty, too long, or with characters that do not print.
+    """
+    shown = " ".join(unicodedata.normalize("NFC", name).split())
+    if not 2 <= len(shown) <= NAME_LENGTH or not shown.isprintable():
+        raise ServiceError(
+            ProblemCode.INVALID_REQUEST,
+            f"A team's name has 2 to {NAME_LENGTH} printable characters; came {name[:80]!r}.",
+        )
+    return shown
+
+
+def name_key(name: str) -> str:
+    """The name by which teams are told apart."""
+    folded = unicodedata.normalize("NFKC", name).casefold()
+    return re.sub(r"\s+", " ", folded).strip()[:NAME_LENGTH]
+
+
+def _as_uuid(text: str) -> UUID | None:
+    try:
+        return UUID(text)
+    except ValueError:
+        return None

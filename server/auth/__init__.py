@@ -1,1 +1,0 @@
-"""Who asks: teams, tokens and what they may see."""

@@ -1,0 +1,1 @@
+"""Evaluations: their life from the first shard to the score."""

@@ -1,0 +1,260 @@
+"""Life of an evaluation: started with its shards, ended by its last shard, a cancel, or machines that fail."""
+
+from collections.abc import Sequence
+from datetime import UTC, datetime
+
+from sqlalchemy import func, select, update
+from sqlalchemy.orm import Session
+from vitac.envs.errors import VitacError
+from vitac.evaluator.episodes.records import EpisodeRecord, Manifest, PolicyFailure, result_hash
+from vitac.evaluator.logs.findings import LogFinding
+from vitac.evaluator.scoring.failures import breaking_failure
+from vitac.evaluator.scoring.score import score
+from vitac.evaluator.shards.result import ShardEnd, ShardResult
+from vitac.evaluator.tracks import load_track
+from vitac.evaluator.tracks.cut import cut
+from vitac.evaluator.version import evaluator_hash, evaluator_version
+from vitac.server.db.models import EpisodeResult, Evaluation, Shard, Submission
+from vitac.server.db.states import TERMINAL_SHARD_STATES, EvaluationState, ShardState
+from vitac.server.evaluations.result_hashes import combine_hashes
+from vitac.server.evaluations.scores import store_scores
+from vitac.server.evaluations.verdicts import ServiceVerdict
+from vitac.server.queue.jobs import enqueue_shards, withdraw_jobs
+from vitac.server.queue.leases import (
+    EpisodeKey,
+    Lease,
+    end_shard,
+    hand_back,
+    key_of,
+    lock_evaluation,
+    renew,
+    stored_episodes,
+)
+from vitac.server.settings import Settings
+
+OPEN_SHARDS = tuple(state for state in ShardState if state not in TERMINAL_SHARD_STATES)
+LOG_TAIL_CHARACTERS = 64 * 1024
+RETRY_DELAY_S = 2.0
+"""Pause before the second attempt of a shard that a machine could not run; the third comes after twice as long."""
+
+
+class EpisodesMissing(VitacError):
+    """A shard was reported as complete without all its episodes; it is run again."""
+
+
+class WrongEvaluator(VitacError):
+    """A worker of another evaluator version took a shard: restart it with the version of the server."""
+
+
+def start(session: Session, submission: Submission, run: int) -> Evaluation:
+    """Makes an evaluation with its shards and their jobs, all in the caller's transaction."""
+    evaluation = Evaluation(
+        submission=submission,
+        run=run,
+        evaluator_version=evaluator_version(),
+        evaluator_hash=evaluator_hash(),
+        state=EvaluationState.QUEUED,
+        episodes_reused=0,
+        log_tail="",
+        created_at=datetime.now(UTC),
+    )
+    track = load_track(submission.track)
+    for task in submission.tasks:
+        for piece in cut(track.tasks[task]):
+            evaluation.shards.append(
+                Shard(
+                    task=task,
+                    number=piece.index,
+                    episodes=sorted(piece.numbers),
+                    state=ShardState.QUEUED,
+                    token=0,
+                    attempts=0,
+                )
+            )
+    session.add(evaluation)
+    session.flush()
+    evaluation.episodes_reused = count_stored(session, key_of(evaluation, submission))
+    enqueue_shards(session, [shard.id for shard in evaluation.shards], evaluation.evaluator_version)
+    return evaluation
+
+
+def finish_shard(session: Session, lease: Lease, result: ShardResult) -> None:
+    """Ends a shard, and with the last one the evaluation: scores and state change in this one transaction.
+
+    Raises:
+        LeaseLost: the shard is not ours any more.
+        EpisodesMissing: it is not complete.
+        WrongEvaluator: it was run by another evaluator version.
+    """
+    evaluation = lock_evaluation(session, lease.evaluation_id)
+    if result.manifest.evaluator_version != evaluation.evaluator_version:
+        raise WrongEvaluator(
+            f"The worker runs evaluator {result.manifest.evaluator_version}, the evaluation needs "
+            f"{evaluation.evaluator_version}. Restart the worker."
+        )
+    done = result.end is ShardEnd.COMPLETE
+    end_shard(session, lease, ShardState.DONE if done else ShardState.FAILED, result)
+    if done:
+        _require_all_stored(session, lease)
+    else:
+        # Earlier shards run on: the verdict is the first one's, whatever the order in which they end.
+        _cancel_shards(session, evaluation, after=lease.shard_id)
+    if not _count_shards(session, evaluation, OPEN_SHARDS):
+        _conclude(session, evaluation)
+
+
+def _require_all_stored(session: Session, lease: Lease) -> None:
+    missing = sorted(set(lease.episodes) - stored_episodes(session, lease).numbers)
+    if missing:
+        raise EpisodesMissing(
+            f"Shard {lease.shard_id} was reported as complete, but its episodes {missing[:10]} are not stored. "
+            "Run it again."
+        )
+
+
+def report_broken_machine(session: Session, settings: Settings, lease: Lease, message: str) -> None:
+    """A worker could not run a shard, and not because of the policy: another attempt later, or the end after the last.
+
+    Raises:
+        LeaseLost: the shard is not ours any more.
+    """
+    evaluation = lock_evaluation(session, lease.evaluation_id)
+    if lease.attempt < settings.shard_attempts:
+        hand_back(session, lease, counts_as_attempt=True, delay_s=lease.attempt * RETRY_DELAY_S)
+        return
+    renew(session, lease, settings.lease_s)  # Only whoever holds the shard may end the evaluation.
+    first, last = lease.episodes[0], lease.episodes[-1]
+    fail_by_machines(
+        session,
+        evaluation,
+        f"Episodes {first} to {last} of {lease.task} were tried {lease.attempt} times. The last time: {message}",
+    )
+
+
+def fail_by_machines(session: Session, evaluation: Evaluation, message: str) -> None:
+    """Ends an evaluation whose shard could not be run in all its attempts."""
+    _cancel_shards(session, evaluation)
+    _fail(evaluation, ServiceVerdict.MACHINE_FAILED, message)
+
+
+def cancel(session: Session, evaluation: Evaluation) -> None:
+    """Ends a queued or running evaluation; its workers find out at their next renewal."""
+    _cancel_shards(session, evaluation)
+    evaluation.state = EvaluationState.CANCELLED
+    evaluation.finished_at = datetime.now(UTC)
+
+
+def records_of(session: Session, key: EpisodeKey, task: str) -> list[EpisodeRecord]:
+    """All stored records of one task, by episode."""
+    rows = session.scalars(
+        select(EpisodeResult.record)
+        .where(*key.conditions(), EpisodeResult.task == task)
+        .order_by(EpisodeResult.episode)
+    )
+    return [EpisodeRecord.model_validate(row) for row in rows]
+
+
+def count_stored(session: Session, key: EpisodeKey) -> int:
+    """How many episodes of an evaluation are stored."""
+    return session.scalar(select(func.count()).select_from(EpisodeResult).where(*key.conditions())) or 0
+
+
+def manifest_of(session: Session, evaluation: Evaluation, task: str) -> Manifest:
+    """What a completed evaluation played a task with."""
+    found = session.scalars(
+        select(Shard.manifest).where(
+            Shard.evaluation_id == evaluation.id, Shard.task == task, Shard.state == ShardState.DONE
+        )
+    ).first()
+    return Manifest.model_validate(found)
+
+
+def first_refuted_shard(session: Session, evaluation: Evaluation) -> Shard | None:
+    """The first shard in which an uploaded log was found to be untrue, whatever the order in which shards ended."""
+    return session.scalars(
+        select(Shard)
+        .where(Shard.evaluation_id == evaluation.id, Shard.finding.is_not(None))
+        .order_by(Shard.id)
+        .limit(1)
+        .execution_options(populate_existing=True)
+    ).first()
+
+
+def _conclude(session: Session, evaluation: Evaluation) -> None:
+    """Scores a finished evaluation, or gives it the verdict of its first shard that broke a policy or refuted a log."""
+    refuted = first_refuted_shard(session, evaluation)
+    if refuted is not None:
+        _fail_by_log(evaluation, refuted)
+        return
+    submission = evaluation.submission
+    track = load_track(submission.track)
+    key = key_of(evaluation, submission)
+    records = {task: records_of(session, key, task) for task in submission.tasks}
+    evaluation.log_tail = _output_of(records)
+    for task in submission.tasks:
+        failure = breaking_failure(cut(track.tasks[task]), records[task])
+        if failure is not None:
+            _fail_by_policy(evaluation, task, failure, records[task])
+            return
+    _complete(session, evaluation, records)
+
+
+def _complete(session: Session, evaluation: Evaluation, records: dict[str, list[EpisodeRecord]]) -> None:
+    manifests = {task: manifest_of(session, evaluation, task) for task in records}
+    hashes = {task: result_hash(manifests[task], records[task]) for task in records}
+    store_scores(evaluation, {task: score(records[task]) for task in records}, hashes)
+    evaluation.result_hash = combine_hashes(hashes)
+    evaluation.platform_class = next(iter(manifests.values())).platform_class
+    evaluation.state = EvaluationState.COMPLETED
+    evaluation.finished_at = datetime.now(UTC)
+
+
+def _fail_by_policy(
+    evaluation: Evaluation, task: str, failure: PolicyFailure, records: Sequence[EpisodeRecord]
+) -> None:
+    episode = next(record.episode for record in records if record.failure == failure)
+    evaluation.verdict_task = task
+    evaluation.verdict_episode = episode
+    evaluation.log_tail = failure.output_tail[-LOG_TAIL_CHARACTERS:]
+    _fail(evaluation, failure.code.value, failure.message)
+
+
+def _fail_by_log(evaluation: Evaluation, shard: Shard) -> None:
+    finding = LogFinding.model_validate(shard.finding)
+    evaluation.verdict_task = shard.task
+    evaluation.verdict_episode = finding.episode
+    _fail(evaluation, ServiceVerdict(finding.verdict.value), finding.reason)
+
+
+def _fail(evaluation: Evaluation, code: str, message: str) -> None:
+    evaluation.verdict_code = code
+    evaluation.verdict_message = message
+    evaluation.state = EvaluationState.FAILED
+    evaluation.finished_at = datetime.now(UTC)
+
+
+def _output_of(records: dict[str, list[EpisodeRecord]]) -> str:
+    """What the policy printed in the few episodes that it failed in, the last ones if that is too much."""
+    parts = [
+        f"[{task}, episode {record.episode}: {record.failure.code}]\n{record.failure.output_tail}\n"
+        for task, of_task in records.items()
+        for record in of_task
+        if record.failure is not None
+    ]
+    return "".join(parts)[-LOG_TAIL_CHARACTERS:]
+
+
+def _cancel_shards(session: Session, evaluation: Evaluation, after: int = 0) -> None:
+    ended = session.scalars(
+        update(Shard)
+        .where(Shard.evaluation_id == evaluation.id, Shard.id > after, Shard.state.in_(OPEN_SHARDS))
+        .values(state=ShardState.CANCELLED, lease_expires_at=None, finished_at=func.clock_timestamp())
+        .returning(Shard.id)
+        .execution_options(synchronize_session=False)
+    ).all()
+    withdraw_jobs(session, ended)
+
+
+def _count_shards(session: Session, evaluation: Evaluation, states: Sequence[ShardState]) -> int:
+    query = select(func.count()).select_from(Shard)
+    return session.scalar(query.where(Shard.evaluation_id == evaluation.id, Shard.state.in_(states))) or 0

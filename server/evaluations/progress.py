@@ -1,0 +1,98 @@
+"""How far an evaluation is: finished episodes, place in the queue, time to the end."""
+
+from datetime import timedelta
+
+from sqlalchemy import ColumnElement, func, select, tuple_
+from sqlalchemy.orm import Session
+from vitac.evaluator.tracks import load_track
+from vitac.server.db.models import EpisodeResult, Evaluation, Shard, Submission
+from vitac.server.db.states import ACTIVE_EVALUATION_STATES, EvaluationState
+from vitac.server.evaluations.evaluations import OPEN_SHARDS
+from vitac.server.queue.leases import key_of
+from vitac.server.views.views import ProgressView, TaskProgressView
+
+EPISODES_FOR_TIMING = 300
+
+
+def progress_of(session: Session, evaluation: Evaluation, submission: Submission) -> ProgressView:
+    """Finished episodes, by task."""
+    rows = session.execute(
+        select(EpisodeResult.task, func.count(), func.count().filter(EpisodeResult.success))
+        .where(*key_of(evaluation, submission).conditions())
+        .group_by(EpisodeResult.task)
+    ).all()
+    done = {task: (episodes, successes) for task, episodes, successes in rows}
+    track = load_track(submission.track)
+    tasks = [
+        TaskProgressView(
+            task=task,
+            episodes_done=done.get(task, (0, 0))[0],
+            successes=done.get(task, (0, 0))[1],
+            episodes_total=len(track.tasks[task].episodes),
+        )
+        for task in submission.tasks
+    ]
+    return ProgressView(
+        episodes_done=sum(task.episodes_done for task in tasks),
+        episodes_total=sum(task.episodes_total for task in tasks),
+        episodes_reused=evaluation.episodes_reused,
+        successes=sum(task.successes for task in tasks),
+        tasks=tasks,
+    )
+
+
+def queue_position(session: Session, evaluation: Evaluation) -> int | None:
+    """Place among the evaluations that have not started, from 1; None for one that has."""
+    if evaluation.state is not EvaluationState.QUEUED:
+        return None
+    ahead = session.scalar(
+        select(func.count())
+        .select_from(Evaluation)
+        .where(Evaluation.state == EvaluationState.QUEUED, _is_older_than(evaluation))
+    )
+    return 1 + (ahead or 0)
+
+
+def seconds_to_end(session: Session, evaluation: Evaluation, progress: ProgressView, slots: int) -> float | None:
+    """Expected time [s] until all episodes are there; None when finished, or when nobody works or nothing was measured.
+
+    Episodes ahead in the queue and our own, times the mean wall time of the last ones, over the workers' slots.
+    """
+    if evaluation.state not in ACTIVE_EVALUATION_STATES or not slots:
+        return None
+    mean_s = _mean_episode_s(session, [task.task for task in progress.tasks])
+    if mean_s is None:
+        return None
+    own = progress.episodes_total - progress.episodes_done
+    return mean_s * (_episodes_ahead(session, evaluation) + own) / slots
+
+
+def _mean_episode_s(session: Session, tasks: list[str]) -> float | None:
+    latest = (
+        select(EpisodeResult.wall_s)
+        .where(EpisodeResult.task.in_(tasks), EpisodeResult.created_at > func.now() - timedelta(days=7))
+        .order_by(EpisodeResult.created_at.desc())
+        .limit(EPISODES_FOR_TIMING)
+        .subquery()
+    )
+    return session.scalar(select(func.avg(latest.c.wall_s)))
+
+
+def _episodes_ahead(session: Session, evaluation: Evaluation) -> int:
+    """Episodes in unfinished shards of evaluations that were asked for earlier."""
+    return (
+        session.scalar(
+            select(func.sum(func.cardinality(Shard.episodes)))
+            .join(Evaluation)
+            .where(
+                Shard.state.in_(OPEN_SHARDS),
+                Evaluation.state.in_(ACTIVE_EVALUATION_STATES),
+                _is_older_than(evaluation),
+            )
+        )
+        or 0
+    )
+
+
+def _is_older_than(evaluation: Evaluation) -> ColumnElement[bool]:
+    return tuple_(Evaluation.created_at, Evaluation.id) < tuple_(evaluation.created_at, evaluation.id)

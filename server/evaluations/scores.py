@@ -1,0 +1,72 @@
+"""Scores as they are stored with an evaluation and as they are shown; called where evaluations end and are read."""
+
+from collections.abc import Collection, Mapping
+
+from vitac.evaluator.scoring.ranking import CombinedScore, combine
+from vitac.evaluator.scoring.score import Interval, Rate, Score
+from vitac.evaluator.tracks import load_track
+from vitac.server.db.models import Evaluation
+from vitac.server.db.states import SubmissionKind
+from vitac.server.views.views import ShapeScoreView, TaskScoreView
+
+
+def store_scores(evaluation: Evaluation, scores: Mapping[str, Score], hashes: Mapping[str, str]) -> None:
+    """Writes the score of each task into the row of an evaluation; their combination is derived where it is shown."""
+    evaluation.scores = [
+        {"task": task, "result_hash": hashes[task], **score.model_dump(mode="json")} for task, score in scores.items()
+    ]
+
+
+def scores_of(evaluation: Evaluation) -> dict[str, Score]:
+    """The stored score of each task; empty before the end."""
+    return {
+        row["task"]: Score.model_validate({key: row[key] for key in Score.model_fields})
+        for row in evaluation.scores or []
+    }
+
+
+def combined_score(evaluation: Evaluation) -> CombinedScore | None:
+    """The score over all tasks of the track, by today's rule; None without a score."""
+    scores = scores_of(evaluation)
+    return combine(_tasks_that_count(evaluation), scores) if scores else None
+
+
+def score_views(evaluation: Evaluation) -> list[TaskScoreView]:
+    """The score of each task as it is shown."""
+    hashes = {row["task"]: row["result_hash"] for row in evaluation.scores or []}
+    return [_score_view(task, score, hashes[task]) for task, score in scores_of(evaluation).items()]
+
+
+def bounds(interval: Interval) -> tuple[float, float]:
+    """Both ends of an interval, as views hold them."""
+    return interval.low, interval.high
+
+
+def _tasks_that_count(evaluation: Evaluation) -> Collection[str]:
+    """All tasks of the track for a model; a log is of one task, and ranks on that one's board only."""
+    submission = evaluation.submission
+    return load_track(submission.track).tasks if submission.kind is SubmissionKind.MODEL else submission.tasks
+
+
+def _score_view(task: str, score: Score, result_hash: str) -> TaskScoreView:
+    return TaskScoreView(
+        task=task,
+        episodes=score.episodes,
+        successes=score.successes,
+        success_rate=score.success_rate,
+        success_rate_interval=bounds(score.interval),
+        mean_steps=score.mean_steps,
+        shapes=[_shape_view(shape, rate) for shape, rate in sorted(score.by_shape.items())],
+        outcomes={outcome.value: count for outcome, count in score.outcomes.items()},
+        result_hash=result_hash,
+    )
+
+
+def _shape_view(shape: str, rate: Rate) -> ShapeScoreView:
+    return ShapeScoreView(
+        shape=shape,
+        episodes=rate.episodes,
+        successes=rate.successes,
+        success_rate=rate.success_rate,
+        success_rate_interval=bounds(rate.interval),
+    )

@@ -1,0 +1,67 @@
+"""Evaluations that wait for an evaluator which nobody runs any more, as after an upgrade: begun again with today's."""
+
+from collections.abc import Sequence
+from datetime import timedelta
+from uuid import UUID
+
+import structlog
+from sqlalchemy import func, select, text
+from sqlalchemy.orm import Session
+from vitac.evaluator.version import evaluator_version
+
+from ..db.models import Evaluation, Worker
+from ..db.states import ACTIVE_EVALUATION_STATES, WorkerState
+from ..queue.leases import lock_evaluation
+from ..queue.workers import workers_alive
+from ..settings import Settings
+from . import evaluations
+
+logger = structlog.get_logger(__name__)
+
+SUPERSEDE_LOCK = 0x7669_7461_6303
+"""Advisory lock: one process at a time is enough."""
+
+
+def supersede_outdated(session: Session, settings: Settings) -> int:
+    """Begins evaluations of versions without a worker again with this process's version; how many.
+
+    Only while a worker of this version lives: otherwise nothing would be gained, and two versions of the service side
+    by side would take each other's work away.
+    """
+    current = evaluator_version()
+    if not session.scalar(text("SELECT pg_try_advisory_xact_lock(:key)"), {"key": SUPERSEDE_LOCK}):
+        return 0
+    if not workers_alive(session, settings, current).alive:
+        return 0
+    outdated = _outdated(session, settings, current)
+    return sum(_begin_again(session, evaluation_id, current) for evaluation_id in outdated)
+
+
+def _outdated(session: Session, settings: Settings, current: str) -> Sequence[UUID]:
+    lately = func.clock_timestamp() - timedelta(seconds=settings.worker_silent_s)
+    served = select(Worker.evaluator_version).where(Worker.state == WorkerState.READY, Worker.heartbeat_at > lately)
+    return session.scalars(
+        select(Evaluation.id)
+        .where(
+            Evaluation.state.in_(ACTIVE_EVALUATION_STATES),
+            Evaluation.evaluator_version != current,
+            Evaluation.evaluator_version.not_in(served),
+        )
+        .order_by(Evaluation.created_at, Evaluation.id)
+    ).all()
+
+
+def _begin_again(session: Session, evaluation_id: UUID, current: str) -> bool:
+    evaluation = lock_evaluation(session, evaluation_id)
+    if evaluation.state not in ACTIVE_EVALUATION_STATES:
+        return False
+    evaluations.cancel(session, evaluation)
+    session.flush()
+    done_before = session.scalar(
+        select(func.max(Evaluation.run)).where(
+            Evaluation.submission_id == evaluation.submission_id, Evaluation.evaluator_version == current
+        )
+    )
+    evaluations.start(session, evaluation.submission, 1 + (done_before or 0))
+    logger.warning("evaluation_superseded", evaluation=str(evaluation_id), version=evaluation.evaluator_version)
+    return True

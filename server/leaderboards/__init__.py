@@ -1,0 +1,1 @@
+"""Leaderboards of tracks and tasks, and the boards of logs."""

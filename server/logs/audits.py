@@ -1,0 +1,85 @@
+"""Which of a team's models gives a log's actions? Answered from the stored episodes, so without another run.
+
+A model and the log were played from the same fixed starts. As long as their actions in an episode are equal, both saw
+the same observations to the last bit; the first other action says that this model did not choose the log's. `vitac log
+audit` goes further: it shows the model the log's states also after that.
+"""
+
+from collections.abc import Sequence
+from uuid import UUID
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+from vitac.evaluator.episodes.records import ActionSequence
+from vitac.evaluator.logs.audit import AuditedEpisode, compare_actions
+from vitac.server.accounts.principals import Principal
+from vitac.server.db.models import EpisodeResult, Evaluation, Submission
+from vitac.server.db.states import EvaluationState, SubmissionKind
+from vitac.server.queue.leases import EpisodeKey, key_of
+from vitac.server.submissions import submissions
+from vitac.server.views.views import AuditedEpisodeView, AuditView
+
+MOST_MODELS = 20
+"""So many models are compared, the ones evaluated last."""
+
+
+def audits(session: Session, by: Principal, submission_id: UUID) -> list[AuditView]:
+    """The audits of a verified log by the team's models of the same evaluator, newest first; none of other submissions.
+
+    Raises:
+        ServiceError: there is no such submission.
+    """
+    log = submissions.visible(session, by, submission_id)
+    evaluation = submissions.newest_evaluation(session, log)
+    if log.kind is not SubmissionKind.LOG or evaluation.state is not EvaluationState.COMPLETED:
+        return []
+    task = log.tasks[0]
+    of_log = _actions(session, key_of(evaluation, log), task)
+    return [
+        _audit(model, of_log, _actions(session, key_of(model, model.submission), task))
+        for model in _models(session, log, evaluation.evaluator_version)
+    ]
+
+
+def _models(session: Session, log: Submission, version: str) -> Sequence[Evaluation]:
+    return session.scalars(
+        select(Evaluation)
+        .join(Submission)
+        .where(
+            Submission.team_id == log.team_id,
+            Submission.track == log.track,
+            Submission.kind == SubmissionKind.MODEL,
+            Submission.tasks.contains(log.tasks),
+            Evaluation.evaluator_version == version,
+            Evaluation.state == EvaluationState.COMPLETED,
+        )
+        .order_by(Evaluation.finished_at.desc(), Evaluation.id)
+        .limit(MOST_MODELS)
+    ).all()
+
+
+def _actions(session: Session, key: EpisodeKey, task: str) -> dict[int, ActionSequence]:
+    rows = session.execute(
+        select(EpisodeResult.episode, EpisodeResult.record["actions"])
+        .where(*key.conditions(), EpisodeResult.task == task)
+        .order_by(EpisodeResult.episode)
+    )
+    return {episode: ActionSequence.model_validate(actions) for episode, actions in rows}
+
+
+def _audit(model: Evaluation, of_log: dict[int, ActionSequence], of_model: dict[int, ActionSequence]) -> AuditView:
+    audited = compare_actions(of_log, of_model)
+    return AuditView(
+        submission_id=model.submission_id,
+        submission_name=model.submission.name,
+        evaluated_at=model.finished_at or model.created_at,
+        actions=audited.actions,
+        reproduced=audited.reproduced,
+        episodes=len(audited.episodes),
+        episodes_reproduced=sum(episode.first_other is None for episode in audited.episodes),
+        others=[_episode(episode) for episode in audited.episodes if episode.first_other is not None],
+    )
+
+
+def _episode(episode: AuditedEpisode) -> AuditedEpisodeView:
+    return AuditedEpisodeView(**episode.model_dump(exclude={"failure"}))

@@ -1,0 +1,54 @@
+"""The log of a completed evaluation, as `vitac evaluate --log` writes it; called by the API."""
+
+from io import BytesIO
+from uuid import UUID
+
+from sqlalchemy.orm import Session
+from vitac.evaluator.logs.log import LogHeader, write_log
+from vitac.server.accounts.principals import Principal
+from vitac.server.db.states import EvaluationState, SubmissionKind
+from vitac.server.errors import ProblemCode, ServiceError
+from vitac.server.evaluations.evaluations import manifest_of, records_of
+from vitac.server.queue.leases import key_of
+from vitac.server.submissions import submissions
+
+
+def export_log(session: Session, by: Principal, submission_id: UUID, task: str | None) -> bytes:
+    """What was played for a submission, to be verified anywhere; a few MB.
+
+    Args:
+        session: of the transaction.
+        by: who asks.
+        submission_id: whose newest evaluation.
+        task: which one; needed where there are several.
+
+    Raises:
+        ServiceError: there is no such submission or task, or its evaluation is not completed.
+    """
+    submission = submissions.visible(session, by, submission_id)
+    evaluation = submissions.newest_evaluation(session, submission)
+    if submission.kind is SubmissionKind.TEXT_LOG:
+        raise ServiceError(
+            ProblemCode.NO_LOG, "What our physics makes of a 2025 text log is no evaluation; there is no log of it."
+        )
+    if evaluation.state is not EvaluationState.COMPLETED:
+        raise ServiceError(
+            ProblemCode.NO_LOG,
+            f"Only a completed evaluation has a log; this one is {evaluation.state}.",
+            state=evaluation.state.value,
+        )
+    chosen = submission.tasks[0] if task is None and len(submission.tasks) == 1 else task
+    if chosen not in submission.tasks:
+        raise ServiceError(
+            ProblemCode.NO_LOG,
+            f"A log is of one task: give `task`, one of {', '.join(submission.tasks)}.",
+            tasks=submission.tasks,
+        )
+    header = LogHeader(
+        team=submission.team.name,
+        submission_digest=submission.digest if submission.kind is SubmissionKind.MODEL else None,
+        manifest=manifest_of(session, evaluation, chosen),
+    )
+    stream = BytesIO()
+    write_log(stream, header, records_of(session, key_of(evaluation, submission), chosen))
+    return stream.getvalue()

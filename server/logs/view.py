@@ -1,0 +1,69 @@
+"""What is shown of an uploaded log: its claims, the verdict on it and how models of the team go along with it."""
+
+from sqlalchemy.orm import Session
+from vitac.evaluator.logs.findings import LogFinding, LogVerdict
+from vitac.server.db.models import Evaluation, Submission
+from vitac.server.db.states import EvaluationState, SubmissionKind
+from vitac.server.evaluations.evaluations import first_refuted_shard
+from vitac.server.evaluations.verdicts import VERDICTS_ON_LOGS
+from vitac.server.logs.claims import LogClaim
+from vitac.server.views.views import DivergenceView, LogView
+
+LABELS = {
+    SubmissionKind.LOG: "actions verified, policy not seen",
+    SubmissionKind.TEXT_LOG: "2025 text log",
+}
+"""What a score of a log is worth: re-simulation proves the actions, not that a policy chose them."""
+
+
+def log_view(session: Session, submission: Submission, evaluation: Evaluation) -> LogView:
+    """Claims and verdict of a log, by its newest evaluation."""
+    claim = LogClaim.model_validate(submission.manifest)
+    finding = _finding(session, evaluation)
+    holds = submission.kind is SubmissionKind.LOG and evaluation.state is EvaluationState.COMPLETED
+    held = verdict_of(claim, evaluation) if holds else None
+    verdict = finding.verdict if finding else held
+    divergence = finding.divergence if finding else None
+    return LogView(
+        label=LABELS[submission.kind],
+        verdict=verdict,
+        reason=finding.reason if finding else _reason(verdict, claim),
+        divergence=DivergenceView(**divergence.model_dump()) if divergence else None,
+        claimed_episodes=claim.episodes,
+        claimed_successes=claim.successes,
+        claimed_success_rate=claim.success_rate,
+        claimed_mean_steps=claim.mean_steps,
+        claimed_result_hash=claim.result_hash,
+        team_named=claim.team,
+        submission_digest_named=claim.submission_digest,
+        made_on=claim.manifest.platform_class if claim.manifest else None,
+        problems=list(claim.problems),
+    )
+
+
+def verdict_of(claim: LogClaim, evaluation: Evaluation) -> LogVerdict:
+    """The verdict on one of our logs whose evaluation is completed, so that nothing was found against it.
+
+    The result hash covers every state: where it is the log's own, no state differs. An evaluation with another one is
+    only completed where the log was made on another class of machines and all its episodes end as it says.
+    """
+    return LogVerdict.VERIFIED if evaluation.result_hash == claim.result_hash else LogVerdict.WITHIN_TOLERANCE
+
+
+def _finding(session: Session, evaluation: Evaluation) -> LogFinding | None:
+    """What was found against the log, where the evaluation ended by it.
+
+    A shard may have found something where the evaluation ended otherwise, as by machines that failed at an earlier one.
+    """
+    if evaluation.verdict_code not in VERDICTS_ON_LOGS:
+        return None
+    refuted = first_refuted_shard(session, evaluation)
+    return LogFinding.model_validate(refuted.finding) if refuted else None
+
+
+def _reason(verdict: LogVerdict | None, claim: LogClaim) -> str | None:
+    if verdict is LogVerdict.VERIFIED:
+        return "all states are equal"
+    if verdict is LogVerdict.WITHIN_TOLERANCE and claim.manifest:
+        return f"made on {claim.manifest.platform_class}; all outcomes are equal"
+    return None

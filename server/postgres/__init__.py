@@ -1,0 +1,1 @@
+"""The embedded PostgreSQL: its programs, data directory and process."""

@@ -1,0 +1,303 @@
+"""One PostgreSQL data directory and the process that serves it; `embedded` decides when to start and stop it.
+
+Layout of the folder `postgres` in the state directory:
+
+    password, dsn, lock      0600, ours
+    server.log               what PostgreSQL says
+    binaries/                copies, only where the database's user cannot reach the installed ones
+    cluster/data, /socket    0700, of the database's user (`nobody` when we are root)
+"""
+
+import hashlib
+import os
+import pwd
+import secrets
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from urllib.parse import quote
+
+import psycopg
+from vitac.envs.errors import VitacError
+from vitac.server.state_directory import others_can_enter
+
+from .binaries import PostgresBinaries, copy_binaries, find_binaries
+
+DATABASE = "vitac"
+SUPERUSER = "vitac"
+SOCKET_PATH_LIMIT = 107  # bytes in sockaddr_un.sun_path, less the closing zero
+START_LIMIT_S = 60.0  # crash recovery of a large log comes before the server is ready
+STOP_LIMIT_S = 20.0
+LOG_LIMIT_BYTES = 8 << 20
+_SOCKET_NAME = ".s.PGSQL.5432"
+_LAUNCHER = Path(__file__).with_name("launch.py")
+
+
+class DatabaseStartFailed(VitacError):
+    """The embedded database did not start; the message holds the end of its log."""
+
+
+class StateDirectoryUnreachable(VitacError):
+    """Root runs the database as `nobody`, who cannot reach the state directory: choose another VITAC_STATE_DIR."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Account:
+    """The user that PostgreSQL runs as; it refuses to run as root."""
+
+    uid: int
+    gid: int
+
+    @classmethod
+    def for_this_process(cls) -> "Account":
+        """`nobody` for root, otherwise the same user."""
+        if os.geteuid() != 0:
+            return cls(uid=os.geteuid(), gid=os.getegid())
+        nobody = pwd.getpwnam("nobody")
+        return cls(uid=nobody.pw_uid, gid=nobody.pw_gid)
+
+    def is_other(self) -> bool:
+        """Whether the database's user is not ours."""
+        return self.uid != os.geteuid()
+
+    def own(self, path: Path) -> None:
+        """Gives a file or folder to this user."""
+        if self.is_other():
+            os.chown(path, self.uid, self.gid)
+
+
+class Cluster:
+    """A data directory with its programs, socket and password; at most one process at a time may use it (file lock)."""
+
+    def __init__(self, state_dir: Path, *, bin_dir: Path | None = None, options: Sequence[str] = ()) -> None:
+        self.folder = state_dir.absolute() / "postgres"
+        self.options = tuple(options)
+        self._bin_dir = bin_dir
+        self._account = Account.for_this_process()
+
+    @property
+    def data_dir(self) -> Path:
+        """Where PostgreSQL keeps everything."""
+        return self.folder / "cluster" / "data"
+
+    @property
+    def socket_dir(self) -> Path:
+        """Folder of the socket: in the cluster, or where that path would be too long a private temporary one."""
+        inside = self.folder / "cluster" / "socket"
+        if len(os.fsencode(inside / _SOCKET_NAME)) <= SOCKET_PATH_LIMIT:
+            return inside
+        name = hashlib.sha256(os.fsencode(self.folder)).hexdigest()[:16]
+        return Path(tempfile.gettempdir()) / f"vitac-postgres-{os.geteuid()}-{name}"
+
+    @property
+    def dsn_file(self) -> Path:
+        """File with the address and password, for other processes of the same user."""
+        return self.folder / "dsn"
+
+    @property
+    def lock_file(self) -> Path:
+        """Locked by the one process that runs the database."""
+        return self.folder / "lock"
+
+    @property
+    def log_file(self) -> Path:
+        """What PostgreSQL writes to its standard error."""
+        return self.folder / "server.log"
+
+    def make_folder(self) -> None:
+        """Creates the folder, passable for the database's user.
+
+        Raises:
+            StateDirectoryUnreachable: a folder above lets nobody else through.
+        """
+        mode = 0o711 if self._account.is_other() else 0o700
+        for folder in reversed([path for path in (self.folder, *self.folder.parents) if not path.exists()]):
+            folder.mkdir(exist_ok=True)
+            folder.chmod(mode)  # mkdir's own mode is cut by the umask
+        if self._account.is_other() and not others_can_enter(self.folder):
+            raise StateDirectoryUnreachable(
+                f"Root runs the database as nobody, and that user cannot enter {self.folder}. "
+                "Set VITAC_STATE_DIR to a folder below /var/lib or /srv, or run as a normal user."
+            )
+
+    def initialise(self) -> None:
+        """Makes data directory and password once; a half-made one of an interrupted first start is made again."""
+        binaries = self._binaries()
+        parent = self.data_dir.parent
+        parent.mkdir(mode=0o700, exist_ok=True)
+        self._account.own(parent)
+        self._make_socket_dir()
+        if not self.data_dir.exists():
+            self._initdb(binaries)
+
+    def start(self) -> "subprocess.Popen[bytes]":
+        """Starts the server and waits until it takes connections.
+
+        Must be called in a thread that lives as long as the server shall: its end is the server's.
+
+        Raises:
+            DatabaseStartFailed: it ended, or was not ready in time.
+        """
+        self._make_socket_dir()
+        self._end_leftover_server()
+        arguments = ["-D", str(self.data_dir), *self._server_options()]
+        with self._open_log() as log:
+            process = self._launch(self._binaries().bin_dir / "postgres", arguments, log.fileno())
+        self._wait_ready(process)
+        return process
+
+    def stop(self, process: "subprocess.Popen[bytes]") -> None:
+        """Fast shutdown, then immediate, then kill; returns when the process is gone."""
+        for signal_number in (signal.SIGINT, signal.SIGQUIT, signal.SIGKILL):
+            if process.poll() is None:
+                process.send_signal(signal_number)
+            try:
+                process.wait(STOP_LIMIT_S)
+            except subprocess.TimeoutExpired:
+                continue
+            return
+
+    def make_database(self) -> None:
+        """Creates our database in a fresh cluster and writes the address file."""
+        with psycopg.connect(self.dsn("postgres"), autocommit=True) as connection:
+            known = connection.execute("SELECT 1 FROM pg_database WHERE datname = %s", [DATABASE]).fetchone()
+            if known is None:
+                connection.execute(f"CREATE DATABASE {DATABASE}")
+        _write_private(self.dsn_file, self.dsn())
+
+    def dsn(self, database: str = DATABASE) -> str:
+        """Address of a database of this cluster, with the password."""
+        password = (self.folder / "password").read_text()
+        return f"postgresql://{SUPERUSER}:{password}@/{database}?host={quote(str(self.socket_dir), safe='')}"
+
+    def _binaries(self) -> PostgresBinaries:
+        version_file = self.data_dir / "PG_VERSION"
+        major = int(version_file.read_text()) if version_file.exists() else None
+        binaries = find_binaries(configured=self._bin_dir, major=major)
+        if self._account.is_other() and not others_can_enter(binaries.bin_dir):
+            return copy_binaries(binaries, self.folder / "binaries")
+        return binaries
+
+    def _initdb(self, binaries: PostgresBinaries) -> None:
+        unfinished = self.data_dir.with_name("data.unfinished")
+        shutil.rmtree(unfinished, ignore_errors=True)
+        password = secrets.token_urlsafe(32)
+        _write_private(self.folder / "password", password)
+        # initdb runs as the database's user, who can read neither our file nor a pipe of ours.
+        handed_over = self.data_dir.with_name("password")
+        _write_private(handed_over, password)
+        self._account.own(handed_over)
+        arguments = ["-D", str(unfinished), "-U", SUPERUSER, "--auth=scram-sha-256", f"--pwfile={handed_over}"]
+        arguments += ["--encoding=UTF8", "--locale=C", "--no-instructions"]
+        with self._open_log() as log:
+            code = self._launch(binaries.bin_dir / "initdb", arguments, log.fileno()).wait()
+        handed_over.unlink()
+        if code != 0:
+            raise DatabaseStartFailed(f"initdb ended with code {code}. {self._end_of_log()}")
+        unfinished.rename(self.data_dir)
+
+    def _server_options(self) -> list[str]:
+        # Only the private socket: nothing listens on the network. C locale and UTC: the same answers on every machine.
+        settings = {
+            "listen_addresses": "",
+            "unix_socket_directories": str(self.socket_dir),
+            "unix_socket_permissions": "0700",
+            "max_connections": "200",
+            "shared_buffers": "64MB",
+            "timezone": "UTC",
+            "log_timezone": "UTC",
+            "logging_collector": "off",
+        }
+        pairs = [f"{name}={value}" for name, value in settings.items()]
+        return [part for pair in (*pairs, *self.options) for part in ("-c", pair)]
+
+    def _launch(self, program: Path, arguments: Sequence[str], log: int) -> "subprocess.Popen[bytes]":
+        command = [sys.executable, "-I", "-S", str(_LAUNCHER)]
+        command += [str(self._account.uid), str(self._account.gid), str(os.getpid()), str(program), *arguments]
+        return subprocess.Popen(  # noqa: S603 - our own programs and paths
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=log,
+            cwd="/",
+            env={"PATH": "/usr/bin:/bin", "LC_ALL": "C"},
+            start_new_session=True,
+        )
+
+    def _wait_ready(self, process: "subprocess.Popen[bytes]") -> None:
+        deadline = time.monotonic() + START_LIMIT_S
+        while time.monotonic() < deadline:
+            if process.poll() is not None:
+                raise DatabaseStartFailed(f"PostgreSQL ended with code {process.returncode}. {self._end_of_log()}")
+            if self._pid_file_says_ready(process.pid):
+                return
+            time.sleep(0.01)
+        self.stop(process)
+        raise DatabaseStartFailed(f"PostgreSQL was not ready within {START_LIMIT_S:.0f} s. {self._end_of_log()}")
+
+    def _pid_file_lines(self) -> list[str]:
+        try:
+            return (self.data_dir / "postmaster.pid").read_text().splitlines()
+        except FileNotFoundError:
+            return []
+
+    def _pid_file_says_ready(self, pid: int) -> bool:
+        # An older file may still lie there after a kill, so the first line has to be our child.
+        lines = self._pid_file_lines()
+        return bool(lines) and lines[0] == str(pid) and lines[-1].strip() == "ready"
+
+    def _end_leftover_server(self) -> None:
+        """Ends a server whose starter was killed, and forgets a pid file whose number belongs to something else."""
+        lines = self._pid_file_lines()
+        if not lines or not lines[0].isdigit():
+            return
+        pid = int(lines[0])
+        deadline = time.monotonic() + STOP_LIMIT_S
+        signal_number = signal.SIGINT
+        while _serves(pid, self.data_dir):
+            os.kill(pid, signal_number)
+            if time.monotonic() > deadline:
+                signal_number = signal.SIGKILL
+            time.sleep(0.05)
+        (self.data_dir / "postmaster.pid").unlink(missing_ok=True)
+
+    def _make_socket_dir(self) -> None:
+        folder = self.socket_dir
+        folder.mkdir(mode=0o700, exist_ok=True)
+        owner = folder.lstat()
+        if folder.is_symlink() or owner.st_uid not in (os.geteuid(), self._account.uid):
+            raise DatabaseStartFailed(
+                f"{folder} belongs to somebody else (uid {owner.st_uid}). Remove it or set VITAC_STATE_DIR."
+            )
+        self._account.own(folder)
+
+    def _open_log(self) -> "tempfile._TemporaryFileWrapper[bytes]":
+        mode = "ab" if not self.log_file.exists() or self.log_file.stat().st_size < LOG_LIMIT_BYTES else "wb"
+        return self.log_file.open(mode)  # type: ignore[return-value]
+
+    def _end_of_log(self) -> str:
+        lines = self.log_file.read_text(errors="replace").splitlines()[-5:]
+        return f"The end of {self.log_file}: {' / '.join(lines)}"
+
+
+def _serves(pid: int, data_dir: Path) -> bool:
+    try:
+        command = Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+    return os.fsencode(data_dir) in command
+
+
+def _write_private(path: Path, text: str) -> None:
+    """Writes a file that only we can read, whole or not at all."""
+    unfinished = path.with_name(f"{path.name}.{os.getpid()}.unfinished")
+    unfinished.unlink(missing_ok=True)
+    with os.fdopen(os.open(unfinished, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
+        file.write(text)
+    unfinished.replace(path)

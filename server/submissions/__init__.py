@@ -1,0 +1,1 @@
+"""Submissions: accepted, read by their team, cancelled, run again."""

@@ -1,0 +1,1 @@
+"""Uploads: received, checked by all rules of their kind, stored."""

@@ -1,0 +1,96 @@
+"""Checks an uploaded text log of the 2025 challenge; called by `acceptance`.
+
+Refused is what is not one whole log of a task that we have. Numbers that do not follow from each other are no reason to
+refuse: they are shown with the log.
+"""
+
+import hashlib
+
+from vitac.evaluator.logs.findings import Impossibility, ImpossibleReason
+from vitac.evaluator.logs.packing import UnpackFailed, open_log
+from vitac.evaluator.logs.text_2025 import Kind, TextLog, TextLogRejected, read_text_log, summarize
+from vitac.evaluator.logs.text_2025.recordings import track_and_task_names, why_not_resimulated
+from vitac.evaluator.tracks import Task
+from vitac.server.db.states import SubmissionKind
+from vitac.server.leaderboards.leaderboards import load_known_track
+from vitac.server.logs.claims import LogClaim
+from vitac.server.submissions.submissions import CheckedUpload
+from vitac.server.uploads.intake import ReceivedFile
+from vitac.server.uploads.logs import DIGITS_IN_NAME, impossible, rejected, require_own_team
+
+NOT_A_TEXT_LOG = "not_a_text_log"
+OUT_OF_PLACE = "out_of_place"
+TRUNCATED = "truncated"
+"""Reasons beside those of `evaluator.logs.packing`."""
+
+MOST_PROBLEMS = 100
+"""So many are kept; the last one says how many more there are."""
+MOST_CHARACTERS = 200
+"""So much of one problem is kept."""
+
+
+def check_text_log(received: ReceivedFile, owner: str, limit_bytes: int) -> CheckedUpload:
+    """Reads a text log and keeps its claims.
+
+    Args:
+        received: the body, packed or not.
+        owner: the team whose submission it becomes.
+        limit_bytes: most that it may have unpacked.
+
+    Raises:
+        ServiceError: it is damaged, of another team, or not a whole evaluation of a task that we have.
+    """
+    try:
+        with open_log(received.path, limit_bytes) as stream:
+            log = read_text_log(stream)
+        kind, summary = summarize(log)
+    except TextLogRejected as error:
+        raise rejected(str(error), NOT_A_TEXT_LOG, error.line) from error
+    except UnpackFailed as error:
+        raise rejected(str(error), error.problem, None) from error
+    require_own_team(log.team, owner)
+    track, task = _task_of(kind)
+    _require_whole(log, kind, task)
+    digest = _digest_of(received, limit_bytes)
+    return CheckedUpload(
+        kind=SubmissionKind.TEXT_LOG,
+        track=track,
+        tasks=(task.name,),
+        name=f"2025 text log {digest[:DIGITS_IN_NAME]}",
+        digest=digest,
+        archive_sha256=received.sha256,
+        archive_bytes=received.n_bytes,
+        manifest=LogClaim.of_text_log(summary, _first_of(summary.problems)).stored(),
+    )
+
+
+def _task_of(kind: Kind) -> tuple[str, Task]:
+    track_name, task_name = track_and_task_names(kind)
+    track = load_known_track(track_name)
+    if task_name not in track.tasks:
+        message = f"The log is of {kind.name}; the tasks of {track_name} here are {', '.join(track.tasks)}."
+        raise impossible(Impossibility(reason=ImpossibleReason.OTHER_EVALUATION, message=message), None)
+    return track_name, track.tasks[task_name]
+
+
+def _require_whole(log: TextLog, kind: Kind, task: Task) -> None:
+    if log.misplaced:
+        raise rejected(f"L{log.problems[0].removeprefix('l')}.", OUT_OF_PLACE, log.misplaced[0])
+    found = why_not_resimulated(log, kind, task)
+    if found:
+        line = log.episodes[found.episode - 1].line if found.episode and found.episode <= len(log.episodes) else None
+        raise impossible(found, line)
+    if not log.has_totals:
+        raise rejected("The log ends without its totals; it was cut off.", TRUNCATED, None)
+
+
+def _digest_of(received: ReceivedFile, limit_bytes: int) -> str:
+    """SHA-256 [hex] of the unpacked text, equal for a log and its packed copy."""
+    with open_log(received.path, limit_bytes) as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def _first_of(problems: tuple[str, ...]) -> tuple[str, ...]:
+    more = len(problems) - MOST_PROBLEMS
+    first = tuple(problem[:MOST_CHARACTERS] for problem in problems[:MOST_PROBLEMS])
+    return first if more <= 0 else (*first, f"and {more} more")

@@ -1,0 +1,209 @@
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import structlog
+from cli_service import CliService, submission_folder
+from service_factories import play_all
+from typer.testing import Result
+from vitac.cli.admin.consent import ConsentMissing
+from vitac.evaluator.scoring.ranking import combine
+from vitac.server.accounts.audit import newest_entries
+from vitac.server.db.models import Submission, Worker
+from vitac.server.db.states import WorkerState
+from vitac.server.errors import ServiceError
+from vitac.server.evaluations import scores
+from vitac.server.leaderboards.leaderboards import leaderboard
+
+
+def admin(service: CliService, *arguments: str) -> Result:
+    return service.run("admin", *arguments)
+
+
+def read(service: CliService, *arguments: str) -> object:
+    done = admin(service, *arguments, "--json")
+    assert done.exit_code == 0, done.output
+    return json.loads(done.stdout)
+
+
+@pytest.fixture
+def submission_id(service: CliService, tmp_path: Path) -> str:
+    answer = json.loads(service.run("submit", str(submission_folder(tmp_path / "mine")), "--json").stdout)
+    return str(answer["id"])
+
+
+def evaluation_of(service: CliService) -> str:
+    found = read(service, "evaluation", "list")
+    assert isinstance(found, list)
+    return str(found[0]["id"])
+
+
+def play(service: CliService, submission_id: str) -> None:
+    with service.database.transaction() as session:
+        submission = session.get_one(Submission, submission_id)
+    play_all(service.database, submission)
+
+
+# ---- teams and tokens ----
+
+
+def test_an_added_team_can_submit_with_the_printed_token(service: CliService, tmp_path: Path) -> None:
+    added = json.loads(admin(service, "team", "add", "Bears", "--contact", "b@example.org", "--json").stdout)
+    token = tmp_path / "token"
+    token.write_text(added["secret"])
+    folder = submission_folder(tmp_path / "mine")
+    assert service.run("submit", str(folder), "--token-file", str(token)).exit_code == 0
+    assert read(service, "team", "show", "bears") == added["team"]
+    assert "Bears" in admin(service, "team", "list").stdout
+
+
+def test_a_taken_name_is_refused(service: CliService) -> None:
+    assert isinstance(admin(service, "team", "add", "TEAM  a").exception, ServiceError)
+
+
+def test_an_unknown_team_is_refused(service: CliService) -> None:
+    refused = admin(service, "team", "show", "nobody")
+    assert isinstance(refused.exception, ServiceError)
+    assert "vitac admin team list" in str(refused.exception)
+
+
+def test_a_revoked_token_no_longer_works(service: CliService, tmp_path: Path) -> None:
+    added = json.loads(admin(service, "token", "add", "Team A", "--json").stdout)
+    token = tmp_path / "token"
+    token.write_text(added["secret"])
+    assert service.run("status", "--token-file", str(token)).exit_code == 0
+    assert admin(service, "token", "revoke", added["id"], "--yes").exit_code == 0
+    assert service.run("status", "--token-file", str(token)).exit_code == 1
+    tokens = {row["id"]: row for row in read(service, "token", "list")}  # type: ignore[attr-defined]
+    assert tokens[added["id"]]["revoked_at"] is not None
+    assert added["secret"] not in admin(service, "token", "list").stdout
+
+
+def test_an_organizers_token_sees_all(service: CliService, submission_id: str, tmp_path: Path) -> None:
+    added = json.loads(admin(service, "token", "add", "--organizer", "--days", "1", "--json").stdout)
+    assert added["role"] == "organizer"
+    token = tmp_path / "token"
+    token.write_text(added["secret"])
+    assert submission_id in service.run("status", "--token-file", str(token)).stdout
+
+
+@pytest.mark.parametrize("arguments", [[], ["Team A", "--organizer"]])
+def test_a_token_is_for_a_team_or_for_organizers(service: CliService, arguments: list[str]) -> None:
+    assert admin(service, "token", "add", *arguments).exit_code == 2
+
+
+# ---- submissions and evaluations ----
+
+
+def test_lists_submissions_by_team_and_state(service: CliService, submission_id: str) -> None:
+    assert submission_id in admin(service, "submission", "list", "--team", "Team A", "--state", "queued").stdout
+    assert "No such submission." in admin(service, "submission", "list", "--state", "completed").stdout
+    assert admin(service, "submission", "list", "--state", "asleep").exit_code == 2
+    listed = read(service, "submission", "list")
+    assert isinstance(listed, dict)
+    assert [item["id"] for item in listed["items"]] == [submission_id]
+
+
+def test_shows_a_submission_of_any_team(service: CliService, submission_id: str) -> None:
+    assert "queued" in admin(service, "submission", "show", submission_id).stdout
+    shown = read(service, "submission", "show", submission_id)
+    assert isinstance(shown, dict)
+    assert shown["team"]["name"] == "Team A"
+
+
+def test_cancels_a_submission_and_writes_the_audit_log(service: CliService, submission_id: str) -> None:
+    assert admin(service, "submission", "cancel", submission_id, "--yes").exit_code == 0
+    assert "cancelled" in admin(service, "submission", "show", submission_id).stdout
+    with service.database.transaction() as session:
+        newest = newest_entries(session, 1)[0]
+    assert (newest.actor, newest.action) == ("organizer:console", "submission.cancel")
+    assert isinstance(admin(service, "submission", "cancel", submission_id, "--yes").exception, ServiceError)
+
+
+def test_nothing_is_changed_without_consent(service: CliService, submission_id: str) -> None:
+    refused = admin(service, "submission", "cancel", submission_id)
+    assert isinstance(refused.exception, ConsentMissing)
+    assert "queued" in admin(service, "submission", "show", submission_id).stdout
+
+
+def test_requeue_starts_a_new_run_and_keeps_the_old_one(service: CliService, submission_id: str) -> None:
+    play(service, submission_id)
+    assert admin(service, "submission", "requeue", submission_id, "--yes").exit_code == 0
+    found = read(service, "evaluation", "list")
+    assert isinstance(found, list)
+    assert [(row["run"], row["state"]) for row in found] == [(2, "queued"), (1, "completed")]
+    assert "50.0 %" in admin(service, "evaluation", "list", "--state", "completed").stdout  # one of two tasks
+
+
+def test_the_combination_is_that_of_todays_rule_in_every_list(
+    service: CliService, submission_id: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As after an upgrade that combines tasks otherwise: the leaderboard and the admin lists have to agree."""
+    play(service, submission_id)
+    monkeypatch.setattr(scores, "combine", lambda tasks, of: replace(combine(tasks, of), success_rate=0.125))
+    listed = read(service, "evaluation", "list")
+    assert isinstance(listed, list)
+    (evaluation,) = listed
+    assert evaluation["success_rate"] == 0.125
+    assert "12.5 %" in admin(service, "evaluation", "list").stdout
+    assert "12.5 %" in admin(service, "submission", "list").stdout
+    with service.database.transaction() as session:
+        (entry,) = leaderboard(session, "track_1").entries
+    assert entry.success_rate == 0.125
+
+
+def test_shows_an_evaluation_with_its_shards(service: CliService, submission_id: str) -> None:
+    shown = read(service, "evaluation", "show", evaluation_of(service))
+    assert isinstance(shown, dict)
+    assert shown["submission"] == submission_id
+    assert len(shown["shards"]) == 9
+    assert "1..30" in admin(service, "evaluation", "show", evaluation_of(service)).stdout
+
+
+def test_requeues_and_cancels_by_evaluation(service: CliService, submission_id: str) -> None:
+    first = evaluation_of(service)
+    assert admin(service, "evaluation", "cancel", first, "--yes").exit_code == 0
+    assert admin(service, "evaluation", "requeue", first, "--yes").exit_code == 0
+    refused = admin(service, "evaluation", "cancel", first, "--yes")
+    assert isinstance(refused.exception, ServiceError)
+    assert "a newer run" in str(refused.exception)
+
+
+def test_an_unknown_evaluation_is_refused(service: CliService) -> None:
+    refused = admin(service, "evaluation", "show", "00000000-0000-4000-8000-000000000000")
+    assert isinstance(refused.exception, ServiceError)
+
+
+def test_events_are_logged_beside_the_output(service: CliService, capsys: pytest.CaptureFixture[str]) -> None:
+    admin(service, "team", "list")
+    structlog.get_logger().info("something_happened")
+    printed = capsys.readouterr()
+    assert "something_happened" in printed.err
+    assert printed.out == ""
+
+
+# ---- workers ----
+
+
+def test_lists_and_shows_workers(service: CliService) -> None:
+    assert "vitac worker" in admin(service, "worker", "list").stdout
+    with service.database.transaction() as session:
+        worker = Worker(
+            host="box",
+            pid=17,
+            slots=1,
+            state=WorkerState.REFUSING,
+            evaluator_version="1",
+            platform_class="x86_64-linux",
+            isolation="none",
+            message="no bubblewrap",
+        )
+        session.add(worker)
+        session.flush()
+        worker_id = str(worker.id)
+    assert "no bubblewrap" in admin(service, "worker", "list").stdout
+    shown = read(service, "worker", "show", worker_id)
+    assert isinstance(shown, dict)
+    assert (shown["host"], shown["state"]) == ("box", "refusing")
+    assert isinstance(admin(service, "worker", "show", "00000000-0000-4000-8000-000000000000").exception, ServiceError)

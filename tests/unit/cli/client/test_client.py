@@ -1,0 +1,121 @@
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+
+import httpx
+import pytest
+from vitac.cli.client.client import DEFAULT_SERVER, HINTS, Client, RequestRefused, ServiceUnreachable, client_from
+from vitac.envs.errors import VitacError
+from vitac.server.errors import ProblemCode
+
+SECRET = "vitac_secret"  # noqa: S105 - made up
+Answer = Callable[[httpx.Request], httpx.Response]
+
+
+def client(answer: Answer, token: str | None = SECRET) -> Client:
+    return Client(server="http://arena.test", token=token, transport=httpx.MockTransport(answer))
+
+
+def refusing(status: int, **problem: object) -> Answer:
+    return lambda _: httpx.Response(status, json=problem, headers={"x-request-id": "r-17"})
+
+
+def test_sends_the_token_and_nothing_without_one() -> None:
+    seen: list[str | None] = []
+
+    def answer(request: httpx.Request) -> httpx.Response:
+        seen.append(request.headers.get("authorization"))
+        return httpx.Response(200, json={})
+
+    client(answer).me()
+    client(answer, token=None).leaderboard("track_1")
+    assert seen == ["Bearer vitac_secret", None]
+
+
+def test_uploads_with_length_and_digest_and_tells_the_progress(tmp_path: Path) -> None:
+    archive = tmp_path / "s.zip"
+    archive.write_bytes(b"z" * 700_000)
+    got: dict[str, object] = {}
+
+    def answer(request: httpx.Request) -> httpx.Response:
+        got.update(body=request.read(), headers=request.headers, url=str(request.url))
+        return httpx.Response(202, json={"id": "17"})
+
+    told: list[int] = []
+    assert client(answer).upload(archive, track="track_1", again=True, on_bytes=told.append) == {"id": "17"}
+    assert got["body"] == archive.read_bytes()
+    assert got["url"] == "http://arena.test/api/v1/submissions?track=track_1&kind=model&again=true"
+    headers = got["headers"]
+    assert isinstance(headers, httpx.Headers)
+    assert headers["content-length"] == "700000"
+    assert headers["content-type"] == "application/zip"
+    assert headers["x-content-sha256"] == hashlib.sha256(archive.read_bytes()).hexdigest()
+    assert "transfer-encoding" not in headers
+    assert sum(told) == 700_000
+    assert len(told) > 1
+
+
+@pytest.mark.parametrize("status", [400, 401, 403, 404, 409, 413, 415, 422, 429, 500, 503])
+def test_a_refusal_tells_status_code_sentence_and_request_id(status: int) -> None:
+    with pytest.raises(RequestRefused) as refused:
+        client(refusing(status, code="some_code", detail="Because of that.")).me()
+    for shown in (str(status), "some_code", "Because of that.", "r-17"):
+        assert shown in str(refused.value)
+
+
+def test_a_known_code_comes_with_a_hint() -> None:
+    with pytest.raises(RequestRefused, match="hint: Set VITAC_TOKEN"):
+        client(refusing(401, code="missing_credentials", detail="No token.")).me()
+
+
+@pytest.mark.parametrize("code", ["log_rejected", "log_impossible"])
+def test_hints_on_logs_fit_also_2025_text_logs(code: str) -> None:
+    with pytest.raises(RequestRefused, match=r"hint: .*`vitac log import FILE`.* 2025 text log"):
+        client(refusing(422, code=code, detail="It is none.")).me()
+
+
+def test_every_hint_belongs_to_a_code_of_the_service() -> None:
+    assert set(HINTS) <= set(ProblemCode)
+
+
+def test_an_answer_that_is_no_problem_is_told_as_such() -> None:
+    with pytest.raises(RequestRefused, match=r"502 .*Bad Gateway; this may not be a ViTac Arena service"):
+        client(lambda _: httpx.Response(502, text="<html>")).me()
+
+
+def test_nobody_at_the_address_says_what_to_check() -> None:
+    def answer(request: httpx.Request) -> httpx.Response:
+        raise httpx.ConnectError("Connection refused", request=request)
+
+    with pytest.raises(ServiceUnreachable, match=r"http://arena\.test.*VITAC_SERVER"):
+        client(answer).me()
+
+
+def test_lists_submissions_of_one_page() -> None:
+    def answer(request: httpx.Request) -> httpx.Response:
+        assert request.url.params["limit"] == "3"
+        return httpx.Response(200, json={"items": [{"id": "a"}, {"id": "b"}], "next_before": None})
+
+    assert [item["id"] for item in client(answer).submissions(limit=3)] == ["a", "b"]
+
+
+def test_options_win_over_the_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("VITAC_SERVER", "http://from.environment")
+    monkeypatch.setenv("VITAC_TOKEN", "vitac_environment")
+    file = tmp_path / "token"
+    file.write_text("vitac_file\n")
+    assert client_from(None, None) == Client(server="http://from.environment", token="vitac_environment")  # noqa: S106
+    assert client_from("http://a.test/", file) == Client(server="http://a.test", token="vitac_file")  # noqa: S106
+
+
+def test_without_options_and_environment_it_is_this_machine(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("VITAC_SERVER", raising=False)
+    monkeypatch.delenv("VITAC_TOKEN", raising=False)
+    assert client_from(None, None) == Client(server=DEFAULT_SERVER, token=None)
+
+
+def test_an_address_without_scheme_or_a_missing_token_file_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(VitacError, match=r"expected one like http://"):
+        client_from("arena.test", None)
+    with pytest.raises(VitacError, match=r"cannot be read.*--token-file"):
+        client_from("http://arena.test", tmp_path / "none")

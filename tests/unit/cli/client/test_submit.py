@@ -1,0 +1,141 @@
+import json
+from pathlib import Path
+
+import pytest
+from cli_service import CliService, submission_folder, zip_of
+from quick_worker import record_of
+from service_factories import TASK
+from uploaded_logs import EPISODES, a_log, a_text_log, packed
+from vitac.cli.client.client import RequestRefused, ServiceUnreachable
+from vitac.cli.client.upload_kind import kind_of
+from vitac.evaluator.submission.manifest import NoSubmission, submission_digest
+
+
+def test_submits_a_folder_and_prints_id_and_page(service: CliService, tmp_path: Path) -> None:
+    done = service.run("submit", str(submission_folder(tmp_path / "mine")))
+    assert done.exit_code == 0, done.output
+    submission_id = done.stdout.split()[1]
+    assert f"{service.address}/submissions/{submission_id}" in done.stdout
+    assert "number 1 in the queue" in done.stdout
+    assert "tasks       peg-insertion (not lock-opening: counts as 0" in done.stdout
+
+
+def test_json_is_the_services_answer(service: CliService, tmp_path: Path) -> None:
+    folder = submission_folder(tmp_path / "mine")
+    answer = json.loads(service.run("submit", str(folder), "--json").stdout)
+    assert answer["evaluation"]["state"] == "queued"
+    assert answer["digest"] == submission_digest(folder)
+
+
+def test_folder_and_its_zip_are_the_same_submission(service: CliService, tmp_path: Path) -> None:
+    folder = submission_folder(tmp_path / "mine")
+    archive = tmp_path / "mine.zip"
+    archive.write_bytes(zip_of(**{f"Track_1/{path.name}": path.read_text() for path in folder.iterdir()}))
+    ids = [json.loads(service.run("submit", str(path), "--json").stdout)["id"] for path in (folder, archive)]
+    assert ids[0] == ids[1]
+
+
+def test_watch_stays_until_the_evaluation_has_ended(service: CliService, tmp_path: Path) -> None:
+    folder = submission_folder(tmp_path / "mine")
+    first = json.loads(service.run("submit", str(folder), "--json").stdout)
+    service.run("admin", "submission", "cancel", first["id"], "--yes")
+    with service.playing():
+        done = service.run("submit", str(folder), "--watch")
+    assert done.exit_code == 0, done.output
+    assert "completed" in done.stdout
+    assert "result hash" in done.stdout
+
+
+def test_an_organizer_submits_for_a_team(service: CliService, tmp_path: Path) -> None:
+    token = tmp_path / "token"
+    added = json.loads(service.run("admin", "token", "add", "--organizer", "--json").stdout)
+    token.write_text(added["secret"])
+    options = [str(submission_folder(tmp_path / "mine")), "--token-file", str(token), "--json"]
+    assert "team_required" in str(service.run("submit", *options).exception)
+    assert json.loads(service.run("submit", *options, "--team", "team a").stdout)["team"]["name"] == "Team A"
+
+
+def test_a_refusal_tells_status_code_and_hint(service: CliService, tmp_path: Path) -> None:
+    archive = tmp_path / "bad.zip"
+    archive.write_bytes(zip_of(**{"other/policy.py": ""}))
+    refused = service.run("submit", str(archive))
+    assert isinstance(refused.exception, RequestRefused)
+    for shown in ("422", "archive_rejected", "vitac check"):
+        assert shown in str(refused.exception)
+
+
+def test_a_wrong_token_is_refused_with_a_hint(service: CliService, tmp_path: Path) -> None:
+    token = tmp_path / "token"
+    token.write_text("vitac_" + "x" * 43)
+    folder = submission_folder(tmp_path / "mine")
+    refused = service.run("submit", str(folder), "--token-file", str(token))
+    assert isinstance(refused.exception, RequestRefused)
+    assert "invalid_credentials" in str(refused.exception)
+    assert "ask an organizer" in str(refused.exception)
+
+
+def test_another_track_than_the_manifests_is_refused(service: CliService, tmp_path: Path) -> None:
+    refused = service.run("submit", str(submission_folder(tmp_path / "mine")), "--track", "track_9")
+    assert isinstance(refused.exception, RequestRefused)
+    assert "unknown_track" in str(refused.exception)
+
+
+def test_a_path_that_is_missing_is_wrong_usage(service: CliService, tmp_path: Path) -> None:
+    assert service.run("submit", str(tmp_path / "none")).exit_code == 2
+
+
+def test_a_folder_without_manifest_is_refused_before_the_upload(service: CliService, tmp_path: Path) -> None:
+    assert isinstance(service.run("submit", str(tmp_path)).exception, NoSubmission)
+
+
+def test_nobody_at_the_address_says_what_to_do(service: CliService, tmp_path: Path) -> None:
+    folder = submission_folder(tmp_path / "mine")
+    refused = service.run("submit", str(folder), "--server", "http://127.0.0.1:9")
+    assert isinstance(refused.exception, ServiceUnreachable)
+    assert "vitac serve" in str(refused.exception)
+
+
+@pytest.mark.parametrize("command", ["submit", "status", "serve", "worker", "admin", "demo"])
+def test_every_command_explains_itself(service: CliService, command: str) -> None:
+    done = service.run(command, "--help")
+    assert done.exit_code == 0
+    assert "Usage" in done.stdout
+
+
+def test_submits_a_log_and_shows_its_verdict(service: CliService, tmp_path: Path) -> None:
+    log = tmp_path / "mine.jsonl.gz"
+    log.write_bytes(packed(a_log([record_of(episode, task=TASK) for episode in EPISODES])))
+    with service.playing():
+        done = service.run("submit", str(log), "--watch")
+    assert done.exit_code == 0, done.output
+    for shown in ("actions verified, policy not seen", "verified: all states are equal", "66.7 %, 180 of 270"):
+        assert shown in done.stdout
+    listed = json.loads(service.run("status", "--json").stdout)
+    assert [(item["kind"], item["log"]["verdict"]) for item in listed] == [("log", "verified")]
+
+
+def test_submits_a_text_log_and_shows_both_rates(service: CliService, tmp_path: Path) -> None:
+    log = tmp_path / "mine.log"
+    log.write_bytes(a_text_log())
+    with service.playing():
+        done = service.run("submit", str(log), "--watch")
+    assert done.exit_code == 0, done.output
+    for shown in ("2025 text log", "4.8 %, 13 of 270", "66.7 %", "problems"):
+        assert shown in done.stdout
+
+
+def test_a_refused_log_tells_line_and_hint(service: CliService, tmp_path: Path) -> None:
+    log = tmp_path / "mine.jsonl"
+    log.write_bytes(a_log()[:-500])
+    refused = service.run("submit", str(log))
+    for shown in ("log_rejected", "Line 271", "vitac evaluate --log"):
+        assert shown in str(refused.exception)
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [("a.zip", "model"), ("a", "model"), ("a.jsonl", "log"), ("a.JSONL.gz", "log"), ("a.log", "text_log"),
+     ("a.log.gz", "text_log"), ("a.txt", "text_log"), ("a.gz", "model")],
+)  # fmt: skip
+def test_a_file_is_told_by_its_name(tmp_path: Path, name: str, kind: str) -> None:
+    assert kind_of(tmp_path / name) == kind

@@ -1,0 +1,190 @@
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+import quick_worker
+from cli_service import submission_folder
+from service_database import fresh_database
+from vitac.cli.demo.demo import short_isolation
+from vitac.cli.service.web_server import bind
+
+RUN = """
+import sys
+from vitac.cli.demo import demo
+from vitac.cli.main import main
+from vitac.cli.service import worker_processes
+worker_processes.COMMAND = (sys.argv[1],)
+demo.WARM_UP = sys.argv[2]
+main(["demo", *sys.argv[3:]])
+"""
+"""The demo with a worker that makes its results up, and without the physics."""
+
+
+@dataclass(kw_only=True)
+class DemoRun:
+    """A demo over a database and a state directory of its own, as many times as a test wants."""
+
+    folder: Path
+    environment: dict[str, str]
+    warm_up: str = "pass"
+
+    def command(self, *arguments: str) -> Sequence[str]:
+        given = [str(Path(quick_worker.__file__)), self.warm_up, "--submission", str(self.folder), *arguments]
+        return [sys.executable, "-c", RUN, *given]
+
+    def run(self, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+        """Runs it to its end."""
+        return subprocess.run(
+            self.command(*arguments),
+            env=self.environment | environment,
+            capture_output=True,
+            text=True,
+            timeout=120,
+            check=False,
+        )
+
+    def start(self, *arguments: str) -> subprocess.Popen[str]:
+        """Starts one that stays."""
+        return subprocess.Popen(
+            self.command(*arguments),
+            env=self.environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+
+
+@pytest.fixture
+def demo(tmp_path: Path) -> Iterator[DemoRun]:
+    support = str(Path(quick_worker.__file__).parent)
+    with fresh_database() as address:
+        environment = {
+            "PATH": "/usr/bin:/bin",
+            "PYTHONPATH": os.pathsep.join([support, os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep),
+            "PYTHONIOENCODING": "utf-8",
+            "VITAC_DATABASE_URL": address,
+            "VITAC_STATE_DIR": str(tmp_path / "state"),
+            "VITAC_PORT": "0",
+        }
+        yield DemoRun(folder=submission_folder(tmp_path / "zero"), environment=environment)
+
+
+def test_evaluates_the_example_and_prints_leaderboard_and_addresses(demo: DemoRun) -> None:
+    done = demo.run("--exit")
+    assert done.returncode == 0, done.stdout + done.stderr
+    for shown in (
+        "zero (0.4 KiB), team demo",
+        "user: root, memory: cgroup-v1",
+        "270 of 270 episodes, 180 successes",
+        "66.7 %",
+        "60.8 to 72.0 %",
+        "3.00",
+        "Result hash",
+        "/sign-in with the token in",
+        "The service has stopped.",
+    ):
+        assert shown in done.stdout
+    assert max(len(line) for line in done.stdout.splitlines() if "http" not in line and "/" not in line) <= 80
+
+
+def test_a_second_run_takes_everything_from_the_store_and_keeps_its_token(demo: DemoRun, tmp_path: Path) -> None:
+    first = demo.run("--exit")
+    token = tmp_path / "state" / "demo-token"
+    secret = token.read_text()
+    demo.warm_up = "raise SystemExit('the physics is not needed')"
+    second = demo.run("--exit")
+    assert second.returncode == 0, second.stderr
+    assert token.read_text() == secret
+    assert token.stat().st_mode & 0o777 == 0o600
+    assert "all 270 episodes come from the store" in second.stdout
+    assert "Physics" not in second.stdout
+    assert result_hash(first) == result_hash(second)
+
+
+def test_again_runs_all_episodes_once_more(demo: DemoRun) -> None:
+    first = demo.run("--exit")
+    again = demo.run("--exit", "--again")
+    assert again.returncode == 0, again.stderr
+    assert "270 of 270 episodes, 180 successes" in again.stdout
+    assert result_hash(first) == result_hash(again)
+
+
+def test_stays_until_ctrl_c(demo: DemoRun) -> None:
+    with demo.start() as process:
+        assert process.stdout is not None
+        for line in process.stdout:
+            if "Ctrl-C stops it" in line:
+                break
+        process.send_signal(signal.SIGINT)
+        assert "The service has stopped." in process.stdout.read()
+    assert process.returncode == 0
+
+
+def test_ctrl_c_during_the_evaluation_says_what_is_kept(demo: DemoRun) -> None:
+    demo.warm_up = "import time; time.sleep(600)"
+    with demo.start("--exit") as process:
+        assert process.stdout is not None
+        for line in process.stdout:
+            if "Physics" in line:
+                break
+        process.send_signal(signal.SIGINT)
+        assert "Finished episodes are kept" in process.stdout.read()
+    assert process.returncode == 130
+
+
+def test_takes_another_port_where_its_own_is_taken(demo: DemoRun) -> None:
+    with bind("127.0.0.1", 0) as taken:
+        taken.listen()
+        port = taken.getsockname()[1]
+        done = demo.run("--exit", "--port", str(port))
+    assert done.returncode == 0, done.stderr
+    assert f"(port {port} is taken)" in done.stdout
+
+
+def test_a_sandbox_that_does_not_hold_ends_the_demo(demo: DemoRun) -> None:
+    done = demo.run("--exit", VITAC_TEST_WORKER="refuses")
+    assert done.returncode == 1
+    assert "The worker takes no policies on this machine. The sandbox is not sound." in done.stderr
+
+
+def test_physics_that_do_not_compile_end_the_demo_and_name_the_log(demo: DemoRun) -> None:
+    demo.warm_up = "raise SystemExit(3)"
+    done = demo.run("--exit")
+    assert done.returncode == 1
+    assert "could not be compiled (exit code 3)" in done.stderr
+    assert "demo.log" in done.stderr
+
+
+def test_a_token_that_is_not_valid_any_more_is_replaced(demo: DemoRun, tmp_path: Path) -> None:
+    demo.run("--exit")
+    token = tmp_path / "state" / "demo-token"
+    token.write_text("vitac_" + "x" * 43)
+    done = demo.run("--exit")
+    assert done.returncode == 0, done.stderr
+    assert "come from the store" in done.stdout
+
+
+def test_a_missing_submission_says_what_to_do(demo: DemoRun, tmp_path: Path) -> None:
+    demo.folder = tmp_path / "none"
+    done = demo.run("--exit")
+    assert done.returncode == 1
+    assert "give --submission" in done.stderr
+
+
+def test_a_setting_that_cannot_be_used_is_named(demo: DemoRun) -> None:
+    done = demo.run("--exit", VITAC_PORT="many")
+    assert done.returncode == 1
+    assert "VITAC_PORT" in done.stderr
+
+
+def test_says_who_runs_the_policy_and_what_holds_its_memory() -> None:
+    assert short_isolation("user: root, memory: cgroup-v1, episodes: frozen-copy") == "user: root, memory: cgroup-v1"
+
+
+def result_hash(done: subprocess.CompletedProcess[str]) -> str:
+    return next(line.split()[-1] for line in done.stdout.splitlines() if "Result hash" in line)

@@ -1,0 +1,82 @@
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import httpx
+import pytest
+from service_database import fresh_database, state_directory
+from vitac.cli.service.web_server import bind
+
+SERVE = "from vitac.cli.main import main; main()"
+
+
+@pytest.fixture
+def environment(tmp_path: Path) -> Iterator[dict[str, str]]:
+    with fresh_database() as address:
+        yield os.environ | {"VITAC_DATABASE_URL": address, "VITAC_STATE_DIR": str(tmp_path / "state")}
+
+
+def serve(environment: dict[str, str], *arguments: str) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-c", SERVE, "serve", "--port", "0", *arguments],
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def first_lines(process: subprocess.Popen[str]) -> list[str]:
+    """What it says when it serves: address, workers, how to stop."""
+    assert process.stdout is not None
+    return [process.stdout.readline() for _ in range(3)]
+
+
+def address_of(process: subprocess.Popen[str]) -> str:
+    return first_lines(process)[0].split()[-1]
+
+
+@pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM])
+def test_serves_pages_and_api_until_it_is_asked_to_stop(environment: dict[str, str], ending: signal.Signals) -> None:
+    with serve(environment) as process:
+        said = first_lines(process)
+        address = said[0].split()[-1]
+        assert httpx.get(f"{address}/ready").json()["status"] == "ready"
+        assert "No complete evaluation yet" in httpx.get(address).text
+        assert httpx.get(f"{address}/api/v1/submissions").json()["code"] == "missing_credentials"
+        process.send_signal(ending)
+        _, complaints = process.communicate(timeout=60)
+    assert process.returncode == 0, complaints
+    assert "none here; start some with `vitac worker`" in said[1]
+    assert "Traceback" not in complaints
+
+
+def test_brings_its_own_database_where_none_is_configured(environment: dict[str, str]) -> None:
+    del environment["VITAC_DATABASE_URL"]
+    environment["VITAC_STATE_DIR"] = str(state_directory())
+    with serve(environment) as process:
+        assert httpx.get(f"{address_of(process)}/ready").json()["database"] == "ok"
+        process.send_signal(signal.SIGINT)
+        process.communicate(timeout=60)
+    assert process.returncode == 0
+
+
+def test_a_taken_port_is_refused(environment: dict[str, str]) -> None:
+    with bind("127.0.0.1", 0) as taken:
+        taken.listen()
+        with serve(environment, "--port", str(taken.getsockname()[1])) as process:
+            _, complaints = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert "Address already in use" in complaints
+
+
+def test_an_unreachable_database_is_refused_with_what_to_check(environment: dict[str, str]) -> None:
+    environment["VITAC_DATABASE_URL"] = "postgresql://nobody@127.0.0.1:9/none"
+    with serve(environment) as process:
+        _, complaints = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert "Check VITAC_DATABASE_URL" in complaints
+    assert "Traceback" not in complaints

@@ -1,0 +1,126 @@
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from vitac.cli.service import worker_processes
+from vitac.cli.service.worker_processes import WorkerProcesses
+
+SLEEPER = ("-c", "import time; time.sleep(600)")
+STUBBORN = ("-c", "import signal, time; signal.signal(15, signal.SIG_IGN); print('deaf', flush=True); time.sleep(600)")
+
+
+def alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+def eventually(condition: Callable[[], bool]) -> bool:
+    deadline = time.monotonic() + 20
+    while time.monotonic() < deadline:
+        if condition():
+            return True
+        time.sleep(0.01)
+    return False
+
+
+@pytest.fixture
+def said() -> list[str]:
+    return []
+
+
+@pytest.fixture
+def workers(said: list[str]) -> Iterator[WorkerProcesses]:
+    workers = WorkerProcesses(count=2, log=subprocess.DEVNULL, say=said.append, command=SLEEPER)
+    yield workers
+    workers.stop()
+
+
+def test_starts_so_many_and_ends_them_all(workers: WorkerProcesses) -> None:
+    workers.start()
+    pids = workers.pids
+    assert len(set(pids)) == 2
+    assert all(alive(pid) for pid in pids)
+    workers.stop()
+    assert not any(alive(pid) for pid in pids)
+    assert workers.pids == []
+
+
+def test_one_that_was_killed_is_replaced(workers: WorkerProcesses, said: list[str]) -> None:
+    workers.start()
+    killed, other = workers.pids
+    subprocess.run(["kill", "-9", str(killed)], check=True)
+    assert eventually(lambda: not alive(killed))
+    workers.look_after()
+    assert other in workers.pids
+    assert killed not in workers.pids
+    assert len(workers.pids) == 2
+    assert said == [f"worker {killed} ended with code -9; starting another one"]
+
+
+def test_one_that_dies_at_once_is_not_started_over_and_over(said: list[str]) -> None:
+    workers = WorkerProcesses(count=1, log=subprocess.DEVNULL, say=said.append, command=("-c", "raise SystemExit(3)"))
+    workers.start()
+    try:
+        first = workers.pids[0]
+        assert eventually(lambda: not alive(first))
+        for _ in range(50):
+            workers.look_after()
+        second = workers.pids[0]
+        assert eventually(lambda: not alive(second))
+        for _ in range(50):
+            workers.look_after()
+        assert len(said) == 1
+    finally:
+        workers.stop()
+
+
+def test_one_that_does_not_listen_is_killed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(worker_processes, "STOP_LIMIT_S", 0.2)
+    with tempfile.TemporaryFile() as log:
+        workers = WorkerProcesses(count=1, log=log.fileno(), say=print, command=STUBBORN)
+        workers.start()
+        pid = workers.pids[0]
+        assert eventually(lambda: log.tell() > 0 or _size(log.fileno()) > 0)
+        workers.stop()
+        assert not alive(pid)
+
+
+def test_they_end_with_their_starter_even_when_it_is_killed() -> None:
+    child = (
+        "import os, sys, time\n"
+        "from vitac.cli.service.worker import end_with\n"
+        "end_with(int(sys.argv[1])); time.sleep(600)\n"
+    )
+    starter = (
+        "import subprocess, time\n"
+        "from vitac.cli.service.worker_processes import WorkerProcesses\n"
+        f"workers = WorkerProcesses(count=1, log=subprocess.DEVNULL, say=print, command=('-c', {child!r}))\n"
+        "workers.start(); print(workers.pids[0], flush=True); time.sleep(600)\n"
+    )
+    with subprocess.Popen([sys.executable, "-c", starter], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        worker = int(process.stdout.readline())
+        assert eventually(lambda: _asked_for_death_signal(worker))
+        process.kill()
+    assert eventually(lambda: not alive(worker))
+
+
+def _asked_for_death_signal(pid: int) -> bool:
+    """The child has come as far as its sleep: it has read its last import."""
+    return "time" in Path(f"/proc/{pid}/cmdline").read_text() and _sleeps(pid)
+
+
+def _sleeps(pid: int) -> bool:
+    return "nanosleep" in Path(f"/proc/{pid}/wchan").read_text()
+
+
+def _size(descriptor: int) -> int:
+    import os
+
+    return os.fstat(descriptor).st_size

@@ -1,0 +1,127 @@
+import numpy as np
+import pytest
+from fake_scene import FakeScene
+from vitac.envs.assets import Meshes
+from vitac.envs.fem.model.bodies import RigidBody
+from vitac.envs.fem.scene.scene import StepStatus
+from vitac.envs.geometry.pegs import PegShape
+from vitac.envs.scene.grasped_scene import Clocks, GraspedScene, PhysicsSettings
+from vitac.envs.scene.gripper import GripperPose
+from vitac.envs.scene.stopwatch import Stopwatch
+from vitac.envs.tactile.markers import MarkerSettings
+from vitac.envs.tasks.peg_insertion.scene import MOUNTS
+
+POSE = GripperPose(x_m=0.0, y_m=0.0, z_m=0.0621, angle_rad=0.0, half_opening_m=0.0171)
+
+
+def scene() -> GraspedScene:
+    meshes = Meshes()
+
+    def placed(fixed: bool) -> RigidBody:
+        mesh = meshes.hole(PegShape.CUBOID) if fixed else meshes.peg(PegShape.CUBOID)
+        return RigidBody(mesh=mesh, rotation=np.eye(3), translation_m=np.zeros(3), fixed=fixed)
+
+    return GraspedScene(
+        gel=meshes.gel(),
+        held=placed(False),
+        fixed=placed(True),
+        mounts=MOUNTS,
+        pose=POSE,
+        physics=PhysicsSettings(),
+        markers=MarkerSettings(),
+        clocks=Clocks(physics=Stopwatch(), markers=Stopwatch()),
+    )
+
+
+def test_gels_are_placed_at_the_sensor_poses_with_the_materials(fake_scenes: list[FakeScene]) -> None:
+    made = scene()
+    left, right = fake_scenes[0].gels
+    assert np.stack([left.translation_m, right.translation_m]) == pytest.approx(made.sensor_centres_m())
+    assert made.sensor_centres_m() == pytest.approx(np.array([[0, 0.0171, 0.0621], [0, -0.0171, 0.0621]]))
+    assert (left.youngs_modulus_pa, left.poisson_ratio, left.density_kg_m3, left.friction) == (3e5, 0.3, 1e3, 87.5)
+    assert fake_scenes[0].time_step_s == 0.1
+    assert fake_scenes[0].contact.d_hat_m == 1e-4
+
+
+def test_motion_is_cut_into_ipc_steps_that_end_at_the_goal(fake_scenes: list[FakeScene]) -> None:
+    made = scene()
+    goal = POSE.moved(x_m=4e-3)
+    made.move_to(goal, ipc_steps=4)
+    means_m = [np.mean(targets, axis=(0, 1))[0] for targets in fake_scenes[0].targets_m]
+    assert means_m == pytest.approx([1e-3, 2e-3, 3e-3, 4e-3])
+    assert made.pose == goal
+    assert made.ipc_steps == 4
+
+
+def test_rigid_motion_is_no_surface_motion(fake_scenes: list[FakeScene]) -> None:
+    made = scene()
+    made.capture_references()
+    made.move_to(POSE.moved(x_m=3e-3, y_m=1e-3, angle_rad=0.2), ipc_steps=3)
+    assert made.surface_diff_m() == pytest.approx([0.0, 0.0], abs=1e-15)
+
+
+def test_bulged_surface_is_measured_in_both_sensors(fake_scenes: list[FakeScene]) -> None:
+    made = scene()
+    made.capture_references()
+    fake_scenes[0].bulge_m = 4e-4
+    assert made.surface_diff_m() == pytest.approx([4e-4, 4e-4])
+
+
+def test_marker_flow_is_left_then_right_in_float32(fake_scenes: list[FakeScene]) -> None:
+    made = scene()
+    made.capture_references()
+    flow = made.marker_flow(np.random.default_rng(3))
+    assert flow.shape == (2, 2, 128, 2)
+    assert flow.dtype == np.float32
+    assert not np.array_equal(flow[0], flow[1])
+    again = made.marker_flow(np.random.default_rng(3))
+    assert np.array_equal(flow, again)
+
+
+def test_step_that_does_not_converge_stops_all_motion(
+    fake_scenes: list[FakeScene], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(FakeScene, "statuses", [StepStatus.SUBSTEPPED, StepStatus.NOT_CONVERGED])
+    made = scene()
+    made.move_to(POSE.moved(x_m=4e-3), ipc_steps=4)
+    assert not made.solved
+    assert made.ipc_steps == 2
+    made.move_to(POSE, ipc_steps=1)
+    assert made.ipc_steps == 2
+    assert [report.status for report in made.take_reports()] == ["substepped", "not_converged"]
+    assert made.take_reports() == ()
+
+
+def test_held_vertices_are_those_of_the_first_body(fake_scenes: list[FakeScene]) -> None:
+    made = scene()
+    made.move_to(POSE.moved(z_m=-1e-3), ipc_steps=1)
+    chosen = np.array([0, 3])
+    rest = Meshes().peg(PegShape.CUBOID).vertices_m[chosen]
+    assert made.held_vertices_m(chosen) == pytest.approx(rest - np.array([0, 0, 1e-3]))
+
+
+def test_state_hash_follows_the_state(fake_scenes: list[FakeScene]) -> None:
+    made = scene()
+    before = made.state_hash()
+    assert before == made.state_hash() == scene().state_hash()
+    made.move_to(POSE.moved(z_m=-1e-3), ipc_steps=1)
+    assert made.state_hash() != before
+
+
+def test_a_listener_is_called_after_every_ipc_step(fake_scenes: list[FakeScene]) -> None:
+    made = scene()
+    heights_m: list[float] = []
+    made.after_ipc_step = lambda: heights_m.append(made.pose.z_m)
+    made.move_to(POSE.moved(z_m=-2e-3), ipc_steps=2)
+    assert heights_m == pytest.approx([0.0611, 0.0601])
+
+
+def test_scene_shows_its_parts_and_gels(fake_scenes: list[FakeScene]) -> None:
+    made = scene()
+    assert made.held.mesh.name == "cuboid peg"
+    assert made.fixed.mesh.name == "cuboid hole"
+    assert made.gel is Meshes().gel()
+    assert made.physics == PhysicsSettings()
+    left = made.sensor_pose(0)
+    rest = made.gel.rest_position_m
+    assert made.gel_nodes_m(0) == pytest.approx(rest @ left.rotation.T + left.centre_m)

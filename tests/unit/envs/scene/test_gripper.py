@@ -1,0 +1,92 @@
+from math import cos, pi, sin
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from vitac.envs.scene.gripper import Gripper, GripperPose
+from vitac.envs.tactile.gel import gelsight_mini_mesh
+from vitac.envs.tasks.peg_insertion.scene import MOUNTS
+
+POSE = GripperPose(x_m=0.001, y_m=-0.002, z_m=0.0621, angle_rad=0.1, half_opening_m=0.0171)
+AHEAD = GripperPose(x_m=0.003, y_m=0.0, z_m=0.06, angle_rad=0.3, half_opening_m=0.0161)
+poses = st.builds(
+    GripperPose,
+    x_m=st.floats(-0.01, 0.01),
+    y_m=st.floats(-0.01, 0.01),
+    z_m=st.floats(0.05, 0.07),
+    angle_rad=st.floats(-0.3, 0.3),
+    half_opening_m=st.floats(0.015, 0.018),
+)
+
+
+def gripper(pose: GripperPose = POSE) -> Gripper:
+    return Gripper(mounts=MOUNTS, gel=gelsight_mini_mesh(), pose=pose)
+
+
+def test_mounts_are_rotations() -> None:
+    for mount in MOUNTS:
+        assert (mount.rotation @ mount.rotation.T == np.eye(3)).all()
+        assert np.linalg.det(mount.rotation) == pytest.approx(1.0)
+
+
+def test_gel_axes_stand_as_in_the_challenge_at_angle_zero() -> None:
+    left, right = (mount.rotation for mount in MOUNTS)
+    x, y, z = np.eye(3)
+    assert (left @ x == -z).all()
+    assert (left @ y == x).all()
+    assert (left @ z == -y).all()
+    assert (right @ x == -z).all()
+    assert (right @ y == -x).all()
+    assert (right @ z == y).all()
+
+
+def test_sensing_faces_look_at_each_other() -> None:
+    held = gripper()
+    left, right = held.sensor_pose(0), held.sensor_pose(1)
+    towards = right.centre_m - left.centre_m
+    assert left.rotation[:, 2] == pytest.approx(towards / np.linalg.norm(towards))
+    assert right.rotation[:, 2] == pytest.approx(-left.rotation[:, 2])
+
+
+def test_left_sensor_is_at_positive_y_turned_with_the_gripper() -> None:
+    offset = 0.0171 * np.array([-sin(0.1), cos(0.1), 0.0])
+    centre = np.array([0.001, -0.002, 0.0621])
+    assert gripper().sensor_pose(0).centre_m == pytest.approx(centre + offset)
+    assert gripper().sensor_pose(1).centre_m == pytest.approx(centre - offset)
+
+
+@given(poses)
+def test_targets_are_the_driven_nodes_at_the_sensor_pose(pose: GripperPose) -> None:
+    """What the sensors report as their pose is where the driven nodes are, so nothing has to be fitted."""
+    mesh = gelsight_mini_mesh()
+    held = gripper(pose)
+    targets = held.driven_targets_m(pose)
+    for index in range(2):
+        sensor = held.sensor_pose(index)
+        placed = mesh.rest_position_m[mesh.driven_nodes] @ sensor.rotation.T + sensor.centre_m
+        assert np.abs(targets[index] - placed).max() < 1e-16 * 500
+        assert sensor.rotation @ sensor.rotation.T == pytest.approx(np.eye(3), abs=1e-15)
+
+
+def test_targets_of_another_pose_do_not_move_the_gripper() -> None:
+    held = gripper()
+    held.driven_targets_m(AHEAD)
+    assert held.pose == POSE
+
+
+@given(st.integers(1, 9))
+def test_way_is_cut_into_equal_pieces_that_end_at_the_goal(parts: int) -> None:
+    way = [POSE.towards(AHEAD, part, parts) for part in range(parts + 1)]
+    assert way[0] == POSE
+    assert way[-1] == AHEAD
+    lengths = np.diff([[pose.x_m, pose.angle_rad, pose.half_opening_m] for pose in way], axis=0)
+    assert lengths == pytest.approx(np.tile(lengths[0], (parts, 1)))
+
+
+def test_moved_turns_about_its_own_centre_and_closes() -> None:
+    moved = POSE.moved(x_m=1e-3, z_m=-2e-3, angle_rad=pi / 2, closing_m=1e-4)
+    assert (moved.x_m, moved.y_m) == pytest.approx((0.002, -0.002))
+    assert moved.z_m == pytest.approx(0.0601)
+    assert moved.angle_rad == pytest.approx(0.1 + pi / 2)
+    assert moved.half_opening_m == pytest.approx(0.0170)

@@ -1,0 +1,236 @@
+"""The lock environment on a stand-in for the physics: motions, observations, info, ends and refusals."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from fake_scene import FakeScene
+from vitac.envs.fem.scene.scene import StepStatus
+from vitac.envs.geometry.keys import KeyShape, key_control_points
+from vitac.envs.tasks.lock_opening.env import LockOpeningEnv
+from vitac.envs.tasks.lock_opening.scene import MOUNTS, SENSOR_X_MM
+from vitac.envs.tasks.settings import SettingsError
+from vitac.envs.tasks.task_env import ActionError, ResetOptionsError
+
+START = {"shape": "key1", "offset_mm": (0.0, 0.0, 0.0), "sensor_jitter_mm": (1.0, -0.5), "rng_seed": (0, 1)}
+OUT, IN, UP, STAY = [-1.0, 0.0], [1.0, 0.0], [0.0, -1.0], [0.0, 0.0]
+
+
+@pytest.fixture(autouse=True)
+def physics(fake_scenes: list[FakeScene]) -> list[FakeScene]:
+    return fake_scenes
+
+
+def played(*actions: list[float], options: dict[str, Any] | None = None, **settings: Any) -> tuple[Any, ...]:
+    env = LockOpeningEnv(**settings)
+    result: tuple[Any, ...] = env.reset(options=START | (options or {}))
+    for action in actions:
+        result = env.step(np.array(action, dtype=np.float32))
+    return env, *result
+
+
+def test_gel_axes_stand_as_in_the_challenge() -> None:
+    left, right = (mount.rotation for mount in MOUNTS)
+    x, y, z = np.eye(3)
+    assert (left @ x == x).all()
+    assert (left @ y == -z).all()
+    assert (left @ z == y).all()
+    assert (right @ x == x).all()
+    assert (right @ y == z).all()
+    assert (right @ z == -y).all()
+    assert (MOUNTS[0].side, MOUNTS[1].side) == (-1, 1)
+
+
+@pytest.mark.parametrize("shape", KeyShape)
+def test_sensors_grip_the_handle_off_by_the_jitter(shape: KeyShape, physics: list[FakeScene]) -> None:
+    played(options={"shape": str(shape), "offset_mm": (2.0, 0.0, 0.0)})
+    left, right = (gel.translation_m * 1e3 for gel in physics[0].gels)
+    x_mm = 6.5 + 2.0 + SENSOR_X_MM[shape] + 1.0
+    assert left == pytest.approx([x_mm, -5.5, 15.5])
+    assert right == pytest.approx([x_mm, 5.5, 15.5])
+
+
+def test_grasp_takes_three_ipc_steps_of_a_fifth_of_a_second(physics: list[FakeScene]) -> None:
+    env, _, info = played()
+    assert env.ipc_steps == len(info["step_reports"]) == 3
+    assert physics[0].time_step_s == 0.2
+    assert physics[0].contact.friction_velocity_m_s == 1e-3
+    centres = [targets.mean(axis=0)[1] * 1e3 for targets in physics[0].targets_m[-1]]
+    # Back faces, 2 mm behind the gel centres, which close from 5.5 mm by 1.375 mm.
+    assert centres == pytest.approx([-(4.125 + 2.0), 4.125 + 2.0])
+
+
+def test_key_and_lock_are_placed_as_the_offset_says(physics: list[FakeScene]) -> None:
+    played(options={"offset_mm": (4.75, 0.5, -0.25)})
+    key, lock = physics[0].bodies
+    assert key.translation_m * 1e3 == pytest.approx([11.25, 0.5, -0.25])
+    assert (key.friction, lock.friction, key.fixed, lock.fixed) == (0.6, 0.5, False, True)
+
+
+@pytest.mark.parametrize(
+    ("action", "motion_mm", "ipc_steps"),
+    [
+        ([1.0, 0.0], [-2.0, 0.0, 0.0], 5),
+        ([-1.0, 0.0], [2.0, 0.0, 0.0], 5),
+        ([0.0, 1.0], [0.0, 0.0, -1.0], 2),
+        ([-0.5, -1.0], [1.0, 0.0, 1.0], 2),
+        ([0.0, 0.0], [0.0, 0.0, 0.0], 1),
+        ([-30.0, 0.0], [2.0, 0.0, 0.0], 5),
+    ],
+)
+def test_positive_actions_push_in_and_down(action: list[float], motion_mm: list[float], ipc_steps: int) -> None:
+    env, observation, *_, info = played(action)
+    assert info["relative_motion_mm"] == pytest.approx(motion_mm)
+    assert observation["relative_motion"] == pytest.approx(motion_mm)
+    assert env.ipc_steps == 3 + ipc_steps
+
+
+@pytest.mark.parametrize(
+    ("shape", "jump_mm"),
+    [(KeyShape.KEY1, 20.5), (KeyShape.KEY2, 25.5), (KeyShape.KEY3, 20.5), (KeyShape.KEY4, 30.5)],
+)
+def test_relative_motion_gives_the_key_away_only_as_a_quirk(shape: KeyShape, jump_mm: float) -> None:
+    options = {"shape": str(shape)}
+    _, first, _ = played(options=options, reference_quirks=True)
+    assert first["relative_motion"].tolist() == [0.0, 0.0, 0.0]
+    _, observation, *_ = played(OUT, options=options, reference_quirks=True)
+    assert observation["relative_motion"] == pytest.approx([jump_mm + 2.0, 0.0, 0.0])
+    _, observation, *_ = played(OUT, options=options)
+    assert observation["relative_motion"] == pytest.approx([2.0, 0.0, 0.0])
+
+
+def test_pulled_out_and_lifted_key_succeeds() -> None:
+    *_, terminated, truncated, info = played(OUT, OUT, OUT, UP, UP, UP, UP)
+    assert (terminated, truncated, info["end_reason"]) == (False, False, None)
+    _, _, reward, terminated, truncated, info = played(OUT, OUT, OUT, UP, UP, UP, UP, UP)
+    assert (terminated, truncated, info["end_reason"]) == (True, False, "success")
+    # 1 mm nearer with two teeth, less the penalty and 0.2 mm for each surface.
+    assert reward == pytest.approx(10.0 + 1.0 - 1.0 - 0.4)
+
+
+def test_success_with_a_tactile_flag_counts_as_success(physics: list[FakeScene]) -> None:
+    env, *_ = played(OUT, OUT, OUT, UP, UP, UP, UP)
+    physics[0].bulge_m = 2e-3
+    _, _, terminated, truncated, info = env.step(np.array(UP, dtype=np.float32))
+    assert (terminated, truncated, info["end_reason"]) == (True, True, "success")
+    assert info["tactile_movement_too_large"] is True
+
+
+def test_surface_motion_cuts_the_episode_off(physics: list[FakeScene]) -> None:
+    env, *_ = played()
+    physics[0].bulge_m = 1.6e-3
+    _, reward, terminated, truncated, info = env.step(np.array(STAY, dtype=np.float32))
+    assert (terminated, truncated, info["end_reason"]) == (False, True, "tactile")
+    assert reward == pytest.approx(-1.0 - 3.0 - 5.0)
+
+
+def test_fiftieth_env_step_is_the_last() -> None:
+    *_, truncated, info = played(*[STAY] * 49)
+    assert (truncated, info["end_reason"]) == (False, None)
+    *_, truncated, info = played(*[STAY] * 50)
+    assert (truncated, info["end_reason"], info["steps"]) == (True, "steps", 50)
+
+
+def test_step_that_does_not_converge_ends_the_episode_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(FakeScene, "statuses", [*[StepStatus.CONVERGED] * 5, StepStatus.NOT_CONVERGED])
+    env, *_, terminated, truncated, info = played(OUT)
+    assert (terminated, truncated, info["end_reason"]) == (False, True, "not_converged")
+    assert env.ipc_steps == 6
+
+
+def test_info_keys_come_in_the_order_of_the_2025_code() -> None:
+    *_, info = played(STAY)
+    assert list(info) == [
+        "steps",
+        "key1_pts_m",
+        "key2_pts_m",
+        "key_side_pts_m",
+        "lock1_pts_m",
+        "lock2_pts_m",
+        "lock_side_pts_m",
+        "surface_diff_m",
+        "tactile_movement_too_large",
+        "relative_motion_mm",
+        "error_too_large",
+        "is_success",
+        "end_reason",
+        "step_reports",
+    ]
+
+
+def test_info_arrays_belong_to_the_caller() -> None:
+    env, _, first = played()
+    first["lock1_pts_m"][:] = 0.0
+    *_, second = env.step(np.zeros(2, dtype=np.float32))
+    assert second["lock1_pts_m"][:, 2] == pytest.approx(0.030)
+    assert not np.shares_memory(first["lock_side_pts_m"], second["lock_side_pts_m"])
+
+
+def test_measured_points_follow_the_key() -> None:
+    *_, info = played(OUT, UP)
+    points = key_control_points(KeyShape.KEY1)
+    shift = np.array([6.5 + 2.0, 0.0, 1.0]) * 1e-3
+    assert info["key1_pts_m"] == pytest.approx(points.rear_tooth_m + shift)
+    assert info["key2_pts_m"] == pytest.approx(points.front_tooth_m + shift)
+    assert info["key_side_pts_m"] == pytest.approx(points.tip_m + shift)
+
+
+def test_privileged_observation_holds_points_and_scaled_distances() -> None:
+    _, observation, _ = played(privileged=True)
+    assert set(observation) == {
+        *("key_side_pts", "lock1_pts", "lock2_pts", "lock_side_pts", "key1", "key2"),
+        *("relative_motion", "marker_flow"),
+    }
+    # Teeth 6.5 mm too deep, 1 mm below the ceiling; 200 per metre.
+    assert observation["key1"] == pytest.approx([-1.3, 0.0, -0.2], abs=1e-6)
+    assert observation["key2"] == pytest.approx([-1.3, 0.0, -0.2], abs=1e-6)
+    assert observation["lock_side_pts"][:, 0] == pytest.approx([0.046] * 4)
+
+
+def test_public_observation_has_two_keys() -> None:
+    env, observation, _ = played()
+    assert set(observation) == {"relative_motion", "marker_flow"}
+    assert observation in env.observation_space
+
+
+def test_rng_seed_fixes_jitter_and_noise() -> None:
+    options = {key: value for key, value in START.items() if key != "sensor_jitter_mm"}
+    env = LockOpeningEnv()
+    first, _ = env.reset(options=options)
+    place = env.scene.pose
+    second, _ = env.reset(options=options)
+    assert np.array_equal(first["marker_flow"], second["marker_flow"])
+    assert env.scene.pose == place
+    env.reset(options=options | {"rng_seed": (0, 2)})
+    assert env.scene.pose != place
+
+
+def test_unusable_action_and_option_are_refused() -> None:
+    env, *_ = played()
+    with pytest.raises(ActionError, match=r"shape \(3,\), expected \(2,\) \[in_mm, down_mm\] for ViTac/LockOpening-v1"):
+        env.step(np.zeros(3, dtype=np.float32))
+    with pytest.raises(ResetOptionsError, match=r"'offset_mm_deg'; did you mean 'offset_mm'\?"):
+        env.reset(options={"offset_mm_deg": (0, 0, 0)})
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("max_steps", 0),
+        ("action_scale_mm", (1.0, -2.0)),
+        ("action_scale_mm", (2.0, 1.0, 1.0)),
+        ("indentation_mm", 0.0),
+        ("key_friction", -0.1),
+        ("random_x_mm", 21.0),
+        ("jitter_mm", 5.0),
+        ("reference_quirks", 1),
+    ],
+)
+def test_setting_out_of_range_is_refused(name: str, value: Any) -> None:
+    with pytest.raises(SettingsError, match=f"'{name}'"):
+        LockOpeningEnv(**{name: value})
+
+
+def test_mesh_hash_depends_on_settings() -> None:
+    assert LockOpeningEnv().mesh_hash() == LockOpeningEnv(privileged=True).mesh_hash()
+    assert LockOpeningEnv().mesh_hash() != LockOpeningEnv(key_friction=0.7).mesh_hash()

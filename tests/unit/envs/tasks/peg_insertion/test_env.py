@@ -1,0 +1,308 @@
+"""The peg environment on a stand-in for the physics: books, observations, info, ends and refusals."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from fake_scene import FakeScene
+from vitac.envs.assets import AssetsMissing
+from vitac.envs.fem.scene.scene import StepStatus
+from vitac.envs.tasks.peg_insertion.env import PegInsertionEnv
+from vitac.envs.tasks.settings import SettingsError
+from vitac.envs.tasks.task_env import ActionError, NotReset, ResetOptionsError
+
+START = {"shape": "cuboid", "offset_mm_deg": (-4.0, -3.0, 6.0), "rng_seed": (0, 1)}
+
+
+@pytest.fixture(autouse=True)
+def physics(fake_scenes: list[FakeScene]) -> list[FakeScene]:
+    return fake_scenes
+
+
+def played(*actions: list[float], options: dict[str, Any] | None = None, **settings: Any) -> tuple[Any, ...]:
+    env = PegInsertionEnv(**settings)
+    result: tuple[Any, ...] = env.reset(options=START if options is None else options)
+    for action in actions:
+        result = env.step(np.array(action, dtype=np.float32))
+    return env, *result
+
+
+def test_reset_takes_two_ipc_steps_to_grasp_and_two_to_come_down(physics: list[FakeScene]) -> None:
+    env, _, info = played()
+    assert env.ipc_steps == len(info["step_reports"]) == 4
+    heights_m = [float(np.mean(targets, axis=(0, 1))[2]) for targets in physics[0].targets_m]
+    assert heights_m == pytest.approx([0.0621, 0.0621, 0.0621 - 1.125e-4, 0.0621 - 2.25e-4])
+
+
+def test_gels_close_by_gap_and_indentation(physics: list[FakeScene]) -> None:
+    played()
+    centres = [targets.mean(axis=0) for targets in physics[0].targets_m[1]]
+    apart_m = float(np.linalg.norm(centres[0] - centres[1]))
+    # Gel centres are 2 mm in front of their back faces; 17.1 mm from the middle less 0.975 mm each.
+    assert apart_m == pytest.approx(2 * (0.0171 - 0.975e-3 + 2e-3))
+
+
+def test_peg_and_plate_are_placed_as_the_offset_says(physics: list[FakeScene]) -> None:
+    played()
+    peg, plate = physics[0].bodies
+    assert peg.translation_m == pytest.approx([-4e-3, -3e-3, 20.1e-3])
+    assert peg.rotation[:, 0] == pytest.approx([np.cos(np.radians(6)), np.sin(np.radians(6)), 0])
+    assert (peg.friction, plate.friction, peg.fixed, plate.fixed) == (9.5, 0.5, False, True)
+    assert (plate.translation_m == 0).all()
+    assert (plate.rotation == np.eye(3)).all()
+
+
+def test_grasp_centre_follows_the_gripper_offsets(physics: list[FakeScene]) -> None:
+    played(options={"shape": "cuboid", "offset_mm_deg": (0, 0, 10)}, gripper_x_mm=1.0, gripper_z_mm=-10.0)
+    centre = np.mean([gel.translation_m for gel in physics[0].gels], axis=0)
+    angle = np.radians(10)
+    assert centre == pytest.approx([1e-3 * np.cos(angle), 1e-3 * np.sin(angle), 0.0601])
+
+
+def test_action_is_scaled_clipped_and_turned_by_the_angle_before_the_step() -> None:
+    env, _, _, _, _, info = played([0.5, 7.0, -0.25])
+    sine, cosine = np.sin(np.radians(6.0)), np.cos(np.radians(6.0))
+    expected = [1.0 * cosine - 2.0 * sine, 1.0 * sine + 2.0 * cosine, -1.0, -0.125]
+    assert info["relative_motion_mm_deg"] == pytest.approx(expected)
+    assert info["gt_offset_mm_deg"] == pytest.approx(np.array([-4.0, -3.0, 6.0]) + expected[:3])
+    assert env.ipc_steps == 4 + 4 + 1
+
+
+def test_second_action_is_turned_by_the_new_angle() -> None:
+    *_, info = played([0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
+    angle = np.radians(10.0)
+    assert info["relative_motion_mm_deg"][:2] == pytest.approx([2 * np.cos(angle), 2 * np.sin(angle)])
+
+
+@pytest.mark.parametrize(
+    ("action", "steps"), [([0, 0, 0], 2), ([1, 0, 0], 5), ([0, 0, 1], 4), ([1, 1, 1], 6), ([0.3, 0, 0], 2)]
+)
+def test_env_step_takes_the_stated_number_of_ipc_steps(action: list[float], steps: int) -> None:
+    *_, info = played(action, options={"shape": "cuboid", "offset_mm_deg": (0.0, 0.0, 10.0)})
+    assert len(info["step_reports"]) == steps
+
+
+def test_gripper_ends_where_the_books_say(physics: list[FakeScene]) -> None:
+    _, _, _, _, _, info = played([1.0, -1.0, 0.5], [0.25, 0.5, 1.0])
+    x_mm, y_mm, theta_deg = info["gt_offset_mm_deg"]
+    centres = [centre for _, centre in physics[0].placed]
+    assert np.mean(centres, axis=0) * 1e3 == pytest.approx([x_mm, y_mm, 62.1 - 0.1 - 3 * 0.125])
+    left_rotation = physics[0].placed[0][0]
+    assert left_rotation[:, 1][:2] == pytest.approx([np.cos(np.radians(theta_deg)), np.sin(np.radians(theta_deg))])
+
+
+def test_observation_has_the_public_keys_only() -> None:
+    env, observation, _ = played()
+    assert set(observation) == {"relative_motion", "marker_flow"}
+    assert observation in env.observation_space
+    assert observation["relative_motion"].tolist() == [0.0, 0.0, 0.0, 0.0]
+
+
+def test_privileged_observation_adds_the_commanded_offset() -> None:
+    env, observation, *_ = played([0.0, 0.0, 0.0], privileged=True)
+    assert set(observation) == {"gt_offset", "relative_motion", "marker_flow"}
+    assert observation["gt_offset"].tolist() == [-4.0, -3.0, 6.0]
+    assert observation in env.observation_space
+    assert list(observation["relative_motion"]) == [0.0, 0.0, 0.0, -0.125]
+
+
+def test_info_keys_come_in_the_order_of_the_logs() -> None:
+    *_, info = played([0.0, 0.0, 0.0])
+    assert list(info) == [
+        "steps",
+        "surface_diff_m",
+        "tactile_movement_too_large",
+        "too_many_steps",
+        "error_too_large",
+        "peg_relative_z_mm",
+        "is_success",
+        "relative_motion_mm_deg",
+        "gt_offset_mm_deg",
+        "end_reason",
+        "step_reports",
+    ]
+    _, _, reset_info = played()
+    assert list(reset_info) == list(info)
+
+
+def test_peg_that_comes_down_freely_succeeds_with_the_third_env_step() -> None:
+    zero = [0.0, 0.0, 0.0]
+    _, _, _, terminated, truncated, info = played(zero, zero)
+    assert (terminated, truncated, info["end_reason"]) == (False, False, None)
+    assert info["peg_relative_z_mm"] == pytest.approx([-0.375] * 4)
+    _, _, reward, terminated, truncated, info = played(zero, zero, zero)
+    assert (terminated, truncated, info["end_reason"]) == (True, False, "success")
+    assert reward == 10.0 - 1.0
+
+
+def test_surface_motion_cuts_the_episode_off(physics: list[FakeScene]) -> None:
+    env, *_ = played()
+    physics[0].bulge_m = 1.6e-3
+    _, reward, terminated, truncated, info = env.step(np.zeros(3, dtype=np.float32))
+    assert (terminated, truncated, info["end_reason"]) == (False, True, "tactile")
+    assert info["tactile_movement_too_large"] is True
+    assert reward == -1.0 - 2.0 * 7 + 1.0
+
+
+def test_offset_out_of_range_cuts_the_episode_off() -> None:
+    start = {"shape": "cuboid", "offset_mm_deg": (12.0, 0.0, 0.0)}
+    _, _, _, terminated, truncated, info = played([0.1, 0.0, 0.0], options=start)
+    assert (terminated, truncated, info["end_reason"]) == (False, True, "error")
+
+
+def test_eighth_env_step_is_the_last_and_never_a_success() -> None:
+    _, _, _, terminated, truncated, info = played(*[[0.0, 0.0, 0.0]] * 8)
+    assert (terminated, truncated, info["end_reason"], info["too_many_steps"]) == (False, True, "steps", True)
+
+
+def test_steps_after_an_end_are_played() -> None:
+    env, *_ = played(*[[0.0, 0.0, 0.0]] * 9)
+    assert env.ipc_steps == 4 + 9 * 2
+
+
+def test_step_that_does_not_converge_ends_the_episode_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    statuses = [*[StepStatus.CONVERGED] * 5, StepStatus.NOT_CONVERGED]
+    monkeypatch.setattr(FakeScene, "statuses", statuses)
+    env, _, _, terminated, truncated, info = played([1.0, 0.0, 0.0])
+    assert (terminated, truncated, info["end_reason"]) == (False, True, "not_converged")
+    assert info["is_success"] is False
+    assert env.ipc_steps == 6
+    *_, truncated, info = env.step(np.zeros(3, dtype=np.float32))
+    assert (truncated, info["end_reason"], info["step_reports"]) == (True, "not_converged", ())
+
+
+def test_unsolved_state_is_never_a_success(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(FakeScene, "statuses", [*[StepStatus.CONVERGED] * 9, StepStatus.NOT_CONVERGED])
+    *_, terminated, truncated, info = played(*[[0.0, 0.0, 0.0]] * 3, z_step_mm=0.5)
+    assert (terminated, truncated, info["end_reason"], info["is_success"]) == (False, True, "not_converged", False)
+
+
+def test_grasp_that_does_not_converge_is_told_by_reset_and_ends_the_first_step(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(FakeScene, "statuses", [StepStatus.NOT_CONVERGED])
+    env, _, info = played()
+    assert info["end_reason"] == "not_converged"
+    *_, truncated, info = env.step(np.zeros(3, dtype=np.float32))
+    assert (truncated, info["end_reason"]) == (True, "not_converged")
+
+
+def test_next_episode_starts_afresh() -> None:
+    env, first, _ = played([1.0, 1.0, 1.0], options=START)[:3]
+    again, info = env.reset(options=START)
+    assert again["relative_motion"].tolist() == [0.0] * 4
+    assert (info["steps"], info["end_reason"]) == (0, None)
+    assert env.ipc_steps == 4 + 5 + 4
+    assert not np.array_equal(first["marker_flow"], again["marker_flow"])
+
+
+def test_rng_seed_fixes_all_noise_of_the_episode() -> None:
+    first, second = played([0.5, 0.5, 0.5])[1], played([0.5, 0.5, 0.5])[1]
+    assert np.array_equal(first["marker_flow"], second["marker_flow"])
+    other = played([0.5, 0.5, 0.5], options=START | {"rng_seed": (0, 2)})[1]
+    assert not np.array_equal(first["marker_flow"], other["marker_flow"])
+
+
+def test_without_rng_seed_the_seed_of_reset_counts() -> None:
+    env = PegInsertionEnv()
+    first, _ = env.reset(seed=3)
+    second, _ = env.reset(seed=3)
+    third, _ = env.reset()
+    assert np.array_equal(first["marker_flow"], second["marker_flow"])
+    assert not np.array_equal(second["marker_flow"], third["marker_flow"])
+
+
+@pytest.mark.parametrize("rng_seed", [(), (-1,), (0.5,), "abc", (0, None)])
+def test_unusable_rng_seed_is_refused(rng_seed: Any) -> None:
+    with pytest.raises(ResetOptionsError, match=r"'rng_seed' is .*expected non-negative integers"):
+        PegInsertionEnv().reset(options={"rng_seed": rng_seed})
+
+
+def test_unknown_reset_option_names_the_nearest() -> None:
+    with pytest.raises(ResetOptionsError, match=r"no reset option 'offset_mm'; did you mean 'offset_mm_deg'\?"):
+        PegInsertionEnv().reset(options={"offset_mm": (0, 0, 0)})
+
+
+@pytest.mark.parametrize(
+    ("action", "message"),
+    [
+        (
+            [0.0, 0.0],
+            r"Action has shape \(2,\), expected \(3,\) \[dx_mm, dy_mm, dtheta_deg\] for ViTac/PegInsertion-v1",
+        ),
+        ([[0.0, 0.0, 0.0]], r"shape \(1, 3\)"),
+        (0.0, r"shape \(\)"),
+        ([0.0, float("nan"), 0.0], "not finite"),
+        ([0.0, float("inf"), 0.0], "not finite"),
+        (["a", "b", "c"], "expected numbers"),
+        ([0.0, None, []], "expected numbers"),
+    ],
+)
+def test_unusable_action_is_refused_and_moves_nothing(action: Any, message: str) -> None:
+    env, *_ = played()
+    before = env.state_hash()
+    with pytest.raises(ActionError, match=message):
+        env.step(action)
+    assert env.state_hash() == before
+
+
+def test_double_precision_actions_are_taken_as_float32() -> None:
+    """Records keep float32 actions; a policy's float64 must give the same motion."""
+    env, *_ = played()
+    *_, info = env.step(np.array([0.1, 0.2, 0.3]))
+    *_, single = played([0.1, 0.2, 0.3])
+    assert (info["gt_offset_mm_deg"] == single["gt_offset_mm_deg"]).all()
+
+
+def test_use_before_reset_is_an_error() -> None:
+    env = PegInsertionEnv()
+    with pytest.raises(NotReset, match="call reset first"):
+        env.step(np.zeros(3, dtype=np.float32))
+    with pytest.raises(NotReset, match="call reset first"):
+        env.state_hash()
+
+
+def test_unknown_setting_names_the_nearest() -> None:
+    with pytest.raises(SettingsError, match=r"'max_step'; did you mean 'max_steps'\?"):
+        PegInsertionEnv(max_step=4)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("max_steps", 0),
+        ("z_step_mm", 0.0),
+        ("indentation_mm", 2.5),
+        ("action_scale_mm_deg", (1.0, 2.0)),
+        ("action_scale_mm_deg", (1.0, 2.0, float("inf"))),
+        ("gripper_x_mm", 8.0),
+        ("gripper_z_mm", 1.0),
+        ("peg_friction", -1.0),
+        ("random_xy_mm", 20.0),
+        ("random_theta_deg", 20.0),
+    ],
+)
+def test_setting_out_of_range_is_refused(name: str, value: Any) -> None:
+    with pytest.raises(SettingsError, match=f"'{name}'"):
+        PegInsertionEnv(**{name: value})
+
+
+def test_missing_assets_are_refused_at_construction() -> None:
+    with pytest.raises(AssetsMissing, match="leave the assets folder unset"):
+        PegInsertionEnv(assets_dir="no/such/folder")
+
+
+def test_mesh_hash_depends_on_settings_only() -> None:
+    assert PegInsertionEnv().mesh_hash() == PegInsertionEnv(privileged=True).mesh_hash()
+    assert PegInsertionEnv().mesh_hash() != PegInsertionEnv(indentation_mm=1.0).mesh_hash()
+
+
+def test_clocks_and_counters_sum_over_episodes() -> None:
+    env, *_ = played([0.0, 0.0, 0.0])
+    physics_s, markers_s, steps = env.physics_cpu_s, env.marker_cpu_s, env.ipc_steps
+    assert physics_s > 0
+    assert markers_s > 0
+    env.reset(options=START)
+    assert env.physics_cpu_s > physics_s
+    assert env.marker_cpu_s > markers_s
+    assert env.ipc_steps == steps + 4

@@ -1,0 +1,119 @@
+from pathlib import Path
+
+import pytest
+from vitac.evaluator.agent.isolation import cgroup
+from vitac.evaluator.agent.isolation.cgroup import ControlGroup, MemoryIsolation
+from vitac.evaluator.agent.limits import Limits
+from vitac.evaluator.agent.verdicts import SandboxFailed
+
+LIMITS = Limits(memory_bytes=1000, processes=10)
+
+
+def v2_tree(root: Path, *, controllers: str = "memory pids") -> Path:
+    """A version 2 hierarchy in ordinary folders; files appear in a new group as the kernel would make them."""
+    own = root / "user.slice" / "own"
+    own.mkdir(parents=True)
+    (root / "cgroup.controllers").write_text("cpu memory pids\n")
+    (own / "cgroup.subtree_control").write_text(controllers)
+    return own
+
+
+def membership(folder: Path, text: str) -> Path:
+    file = folder / "membership"
+    file.write_text(text)
+    return file
+
+
+def group_with(folder: Path, kind: MemoryIsolation, files: dict[str, str]) -> ControlGroup:
+    for name, text in files.items():
+        (folder / name).write_text(text)
+    return ControlGroup(kind=kind, memory=folder, pids=folder, cpu=folder)
+
+
+def test_version_2_is_used_where_it_is_delegated(tmp_path: Path) -> None:
+    own = v2_tree(tmp_path)
+    group = cgroup.create(LIMITS, root=tmp_path, membership=membership(tmp_path, "0::/user.slice/own\n"))
+    assert group is not None
+    assert group.kind is MemoryIsolation.CGROUP_V2
+    assert group.memory.parent == own
+    assert group.folders == (group.memory,)
+    group.remove()
+    assert not group.memory.exists()
+
+
+def test_siblings_are_made_where_the_parent_delegates(tmp_path: Path) -> None:
+    """An evaluator that was moved into a leaf of its own makes groups beside that leaf."""
+    own = v2_tree(tmp_path)
+    leaf = own / "leaf"
+    leaf.mkdir()
+    group = cgroup.create(LIMITS, root=tmp_path, membership=membership(tmp_path, "0::/user.slice/own/leaf\n"))
+    assert group is not None
+    assert group.memory.parent == own
+
+
+def test_version_1_has_a_folder_for_each_controller(tmp_path: Path) -> None:
+    for controller in ("memory", "pids", "cpuacct"):
+        (tmp_path / controller / "mine").mkdir(parents=True)
+    text = "4:memory:/mine\n3:cpu,cpuacct:/mine\n2:pids:/mine\n0::/\n"
+    group = cgroup.create(LIMITS, root=tmp_path, membership=membership(tmp_path, text))
+    assert group is not None
+    assert group.kind is MemoryIsolation.CGROUP_V1
+    assert [folder.parent.parent.name for folder in group.folders] == ["memory", "pids", "cpuacct"]
+
+
+def test_there_is_none_where_nothing_is_delegated(tmp_path: Path) -> None:
+    v2_tree(tmp_path, controllers="cpu")
+    (tmp_path / "user.slice" / "own" / "cgroup.subtree_control").unlink()
+    assert cgroup.create(LIMITS, root=tmp_path, membership=membership(tmp_path, "0::/user.slice/own\n")) is None
+
+
+def test_limits_are_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    v2_tree(tmp_path)
+    plain_mkdir = Path.mkdir
+
+    def mkdir_as_the_kernel(self: Path, *args: object, **options: object) -> None:
+        plain_mkdir(self)
+        for name in ("memory.max", "memory.swap.max", "pids.max"):
+            (self / name).touch()
+
+    monkeypatch.setattr(Path, "mkdir", mkdir_as_the_kernel)
+    group = cgroup.create(LIMITS, root=tmp_path, membership=membership(tmp_path, "0::/user.slice/own\n"))
+    assert group is not None
+    assert (group.memory / "memory.max").read_text() == "1000"
+    assert (group.memory / "memory.swap.max").read_text() == "0"
+    assert (group.pids / "pids.max").read_text() == str(10 + 3)
+
+
+def test_reads_counters_of_version_2(tmp_path: Path) -> None:
+    files = {
+        "memory.events": "low 0\noom 3\noom_kill 2\n",
+        "pids.events": "max 7\n",
+        "cpu.stat": "usage_usec 1500000\n",
+    }
+    group = group_with(tmp_path, MemoryIsolation.CGROUP_V2, files)
+    assert (group.out_of_memory_kills(), group.refused_forks(), group.cpu_s()) == (2, 7, 1.5)
+
+
+def test_reads_counters_of_version_1(tmp_path: Path) -> None:
+    files = {
+        "memory.oom_control": "oom_kill_disable 0\noom_kill 4\n",
+        "pids.events": "max 1\n",
+        "cpuacct.usage": "2000000000",
+    }
+    group = group_with(tmp_path, MemoryIsolation.CGROUP_V1, files)
+    assert (group.out_of_memory_kills(), group.refused_forks(), group.cpu_s()) == (4, 1, 2.0)
+
+
+def test_groups_of_dead_evaluators_are_swept(tmp_path: Path) -> None:
+    for name in ("vitac-4194305-1", "vitac-1-1", "other", "vitac-odd"):
+        (tmp_path / name).mkdir()
+    cgroup.sweep(tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["other", "vitac-1-1", "vitac-odd"]
+
+
+def test_a_group_in_use_cannot_be_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cgroup, "_REMOVE_DEADLINE_S", 0.0)
+    (tmp_path / "busy" / "child").mkdir(parents=True)
+    folder = tmp_path / "busy"
+    with pytest.raises(SandboxFailed, match="still runs"):
+        ControlGroup(kind=MemoryIsolation.CGROUP_V2, memory=folder, pids=folder, cpu=folder).remove()

@@ -1,0 +1,36 @@
+import sys
+import sysconfig
+from pathlib import Path
+
+import pytest
+from vitac.evaluator.agent.isolation import interpreter
+
+
+def python_at(prefix: Path, monkeypatch: pytest.MonkeyPatch, packages: Path) -> interpreter.Interpreter:
+    monkeypatch.setattr(sys, "base_prefix", str(prefix))
+    monkeypatch.setattr(sys, "_base_executable", str(prefix / "bin" / "python3"), raising=False)
+    monkeypatch.setattr(sysconfig, "get_path", lambda key: str(packages))
+    return interpreter.current()
+
+
+def test_python_outside_usr_is_bound_to_a_neutral_place(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "packages" / "vitac").mkdir(parents=True)
+    found = python_at(tmp_path / "home" / "python", monkeypatch, tmp_path / "packages")
+    assert found.executable == Path("/opt/vitac/python/bin/python3")
+    assert found.library_folder == Path("/opt/vitac/python/lib")
+    assert (tmp_path / "home" / "python", Path("/opt/vitac/python")) in found.read_only_binds
+    inside = [found.executable, *found.packages, *found.masked, *(inside for _, inside in found.read_only_binds)]
+    assert not [path for path in inside if path.is_relative_to(tmp_path)]
+
+
+def test_python_below_usr_stays_where_it_is(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    found = python_at(Path("/usr"), monkeypatch, tmp_path)
+    assert found.executable.is_relative_to("/usr")
+    assert found.library_folder is None
+    assert [outside for outside, _ in found.read_only_binds] == [tmp_path]
+
+
+def test_installed_evaluator_is_masked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    assert python_at(Path("/usr"), monkeypatch, tmp_path).masked == ()
+    (tmp_path / "vitac").mkdir()
+    assert python_at(Path("/usr"), monkeypatch, tmp_path).masked == (Path("/opt/vitac/packages/0/vitac"),)

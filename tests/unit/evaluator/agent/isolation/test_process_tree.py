@@ -1,0 +1,58 @@
+import os
+import subprocess
+from collections.abc import Iterator
+
+import pytest
+from vitac.evaluator.agent.isolation import process_tree
+
+SPINS_WITH_A_CHILD = "import os, time\nif os.fork() == 0:\n    time.sleep(60)\nprint(flush=True)\nwhile True: pass"
+
+
+@pytest.fixture
+def parent() -> Iterator[int]:
+    import sys
+
+    with subprocess.Popen([sys.executable, "-c", SPINS_WITH_A_CHILD], stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        yield process.pid
+        process_tree.kill_descendants(process.pid)
+        process.kill()
+
+
+def test_finds_children(parent: int) -> None:
+    assert len(list(process_tree.descendants(parent))) == 1
+    assert parent in process_tree.descendants(os.getpid())
+
+
+def test_reads_time_and_memory(parent: int) -> None:
+    first = process_tree.cpu_s(parent)
+    while process_tree.cpu_s(parent) == first:
+        pass
+    assert process_tree.cpu_s(parent) > first > 0
+    assert process_tree.resident_bytes(parent) > 1_000_000
+
+
+def test_pid_outside_any_namespace_is_the_same(parent: int) -> None:
+    assert process_tree.inside_pid(parent) == parent
+
+
+def test_ended_processes_use_nothing() -> None:
+    process = subprocess.Popen(["true"])
+    process.wait()
+    assert process_tree.cpu_s(process.pid) == 0
+    assert process_tree.resident_bytes(process.pid) == 0
+    assert list(process_tree.descendants(process.pid)) == []
+    with pytest.raises(ProcessLookupError):
+        process_tree.inside_pid(process.pid)
+    process_tree.kill_descendants(process.pid)
+
+
+def test_kills_all_below_but_the_spared(parent: int) -> None:
+    (child,) = process_tree.descendants(parent)
+    process_tree.kill_descendants(parent, spared_pid=child)
+    assert process_tree.resident_bytes(child) > 0
+    process_tree.kill_descendants(parent)
+    while process_tree.resident_bytes(child):
+        pass
+    assert process_tree.resident_bytes(parent) > 0

@@ -1,0 +1,167 @@
+import base64
+import hashlib
+import json
+import random
+from typing import Any
+
+import numpy as np
+import pytest
+from evaluation_records import make_failure, make_manifest, make_record
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import ValidationError
+from vitac.evaluator.agent.verdicts import VerdictCode
+from vitac.evaluator.episodes.records import (
+    ActionSequence,
+    EpisodeOutcome,
+    EpisodeRecord,
+    RecordsDisagree,
+    Timings,
+    result_hash,
+)
+
+RECORDS = [make_record(number) for number in (1, 2, 3)]
+
+
+def test_record_survives_json() -> None:
+    record = make_record(5, EpisodeOutcome.POLICY_FAILED, failure=make_failure(code=VerdictCode.CPU_TIME))
+    assert EpisodeRecord.model_validate_json(record.model_dump_json()) == record
+
+
+@given(st.lists(st.lists(st.floats(width=32, allow_nan=False, allow_infinity=False), min_size=3, max_size=3)))
+def test_actions_survive_to_the_last_bit(rows: list[list[float]]) -> None:
+    actions = np.array(rows, dtype=np.float32).reshape(len(rows), 3)
+    packed = ActionSequence.model_validate_json(ActionSequence.from_array(actions).model_dump_json())
+    assert packed.to_array().tobytes() == actions.tobytes()
+    assert packed.to_array().shape == actions.shape
+
+
+def test_actions_are_little_endian_float32() -> None:
+    packed = ActionSequence.from_array(np.array([[1.0, -2.0]], dtype=np.float32))
+    assert base64.b64decode(packed.float32_base64) == b"\x00\x00\x80\x3f\x00\x00\x00\xc0"
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_actions_must_be_finite(value: float) -> None:
+    with pytest.raises(ValidationError, match="every action must be finite"):
+        ActionSequence.from_array(np.array([[0, value, 0]], dtype=np.float32))
+
+
+@pytest.mark.parametrize(
+    ("shape", "data", "message"),
+    [
+        ((2, 3), "AAAA", "expected 4 x 2 x 3"),
+        ((0, 3), "!!", "not base64"),
+        ((0, 2**62), "", "less than or equal to 64"),
+    ],
+)
+def test_actions_must_fit_their_shape(shape: tuple[int, int], data: str, message: str) -> None:
+    with pytest.raises(ValidationError, match=message):
+        ActionSequence(shape=shape, float32_base64=data)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"env_steps": 4, "actions": RECORDS[0].actions},
+        {"state_hashes": RECORDS[0].state_hashes[:-1]},
+        {"infos": ()},
+    ],
+)
+def test_steps_actions_hashes_and_infos_must_agree(changes: dict[str, Any]) -> None:
+    with pytest.raises(ValidationError, match="all four must agree"):
+        make_record(**{"infos": RECORDS[0].infos, "state_hashes": RECORDS[0].state_hashes, **changes})
+
+
+@pytest.mark.parametrize(
+    ("outcome", "failure"), [(EpisodeOutcome.POLICY_FAILED, None), (EpisodeOutcome.SUCCESS, make_failure())]
+)
+def test_failure_belongs_to_a_failed_policy_only(outcome: EpisodeOutcome, failure: object) -> None:
+    with pytest.raises(ValidationError, match="do not belong together"):
+        make_record(outcome=outcome, failure=failure)
+
+
+@pytest.mark.parametrize(
+    "changes", [{"total_reward": float("nan")}, {"episode": 0}, {"state_hashes": ("A" * 64,) * 4}, {"surprise": 1}]
+)
+def test_impossible_values_are_refused(changes: dict[str, Any]) -> None:
+    with pytest.raises(ValidationError):
+        make_record(**changes)
+
+
+def test_digest_ignores_timings_only() -> None:
+    record = make_record()
+    assert record.model_copy(update={"timings": Timings(wall_s=9)}).record_digest() == record.record_digest()
+    for changes in ({"episode": 2}, {"total_reward": 2.0}, {"shape": "other"}, {"initial_offset": (0.0, 0.0, 0.0)}):
+        assert record.model_copy(update=changes).record_digest() != record.record_digest()
+
+
+def test_result_hash_is_pinned() -> None:
+    """The hash is public: teams compare it. Changing its recipe must be meant."""
+    assert result_hash(make_manifest(), RECORDS) == "ac128852cd440edb18fa688a043ce257eb87cd493b8a090bd73252981cd2147f"
+
+
+@given(st.randoms())
+def test_result_hash_ignores_order(shuffler: random.Random) -> None:
+    shuffled = list(RECORDS)
+    shuffler.shuffle(shuffled)
+    assert result_hash(make_manifest(), shuffled) == result_hash(make_manifest(), RECORDS)
+
+
+def test_result_hash_ignores_times_output_and_machine() -> None:
+    first = make_record(1, EpisodeOutcome.POLICY_FAILED, failure=make_failure(output_tail="at 10:31"))
+    other = make_record(
+        1, EpisodeOutcome.POLICY_FAILED, failure=make_failure(output_tail="at 10:32"), timings=Timings(wall_s=3)
+    )
+    assert result_hash(make_manifest(), [first]) == result_hash(make_manifest(platform_class="arm64-linux"), [other])
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"actions": ActionSequence.from_array(np.full((3, 3), 0.5, dtype=np.float32))},
+        {"state_hashes": ("f" * 64, *RECORDS[0].state_hashes[1:])},
+        {"outcome": EpisodeOutcome.STEPS},
+    ],
+)
+def test_result_hash_changes_with_what_happened(changes: dict[str, Any]) -> None:
+    changed = [make_record(1, **changes), *RECORDS[1:]]
+    assert result_hash(make_manifest(), changed) != result_hash(make_manifest(), RECORDS)
+
+
+@pytest.mark.parametrize("key", ["track", "evaluator_version", "solver_version", "mesh_hash"])
+def test_result_hash_changes_with_the_evaluator(key: str) -> None:
+    assert result_hash(make_manifest(**{key: "other"}), RECORDS) != result_hash(make_manifest(), RECORDS)
+
+
+def test_result_hash_changes_when_an_episode_is_missing() -> None:
+    assert result_hash(make_manifest(), RECORDS[:2]) != result_hash(make_manifest(), RECORDS)
+
+
+def test_episode_twice_is_refused() -> None:
+    with pytest.raises(RecordsDisagree, match="Episode 2 came twice"):
+        result_hash(make_manifest(), [*RECORDS, make_record(2, env_steps=4)])
+
+
+def test_record_of_another_task_is_refused() -> None:
+    with pytest.raises(RecordsDisagree, match="'lock-opening', expected 'peg-insertion'"):
+        result_hash(make_manifest(), [make_record(task="lock-opening")])
+
+
+def test_result_hash_follows_the_documented_recipe() -> None:
+    """docs/logs.md, in other words than the code's."""
+    manifest = make_manifest()
+    keys = ["evaluator_version", "list_seed", "mesh_hash", "solver_version", "task", "track"]
+    lines = [json.dumps({key: getattr(manifest, key) for key in keys}, separators=(",", ":"))]
+    for record in RECORDS:
+        actions = {"float32_base64": record.actions.float32_base64, "shape": list(record.actions.shape)}
+        content = {
+            "actions": actions,
+            "episode": record.episode,
+            "failure": None,
+            "outcome": record.outcome.value,
+            "state_hashes": list(record.state_hashes),
+        }
+        lines.append(json.dumps(content, separators=(",", ":")))
+    recipe = hashlib.sha256("".join(f"{line}\n" for line in lines).encode()).hexdigest()
+    assert result_hash(manifest, reversed(RECORDS)) == recipe

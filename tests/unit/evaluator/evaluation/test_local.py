@@ -1,0 +1,77 @@
+import sys
+from pathlib import Path
+from typing import Any
+
+import fake_shard_process
+import pytest
+from vitac.evaluator.agent.verdicts import VerdictCode
+from vitac.evaluator.episodes.records import EpisodeRecord
+from vitac.evaluator.evaluation.local import Evaluation, evaluate
+from vitac.evaluator.shards import process as shard_process
+from vitac.evaluator.shards.process import ShardProcessFailed
+from vitac.evaluator.tracks import load_track
+from vitac.evaluator.tracks.cut import UnknownEpisodes
+
+TRACK = load_track("track_1")
+TASK = TRACK.tasks["peg-insertion"]
+SPREAD = (1, 2, 31, 61, 62)
+
+
+@pytest.fixture(autouse=True)
+def fake_command(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(shard_process, "COMMAND", (sys.executable, fake_shard_process.__file__))
+
+
+def run(behaviour: str, **options: Any) -> Evaluation:
+    return evaluate(submission_dir=Path(behaviour), track=TRACK, task=TASK, **({"episodes": SPREAD} | options))
+
+
+def test_one_and_many_workers_give_the_same_hash_and_score() -> None:
+    one, many = run("succeed"), run("succeed", workers=3)
+    assert one.result_hash == many.result_hash
+    assert one.score == many.score
+    assert [record.episode for record in many.records] == list(SPREAD)
+
+
+def test_episodes_are_told_as_they_end() -> None:
+    told: list[EpisodeRecord] = []
+    evaluation = run("succeed", on_episode=told.append)
+    assert sorted(told, key=lambda record: record.episode) == list(evaluation.records)
+
+
+def test_score_is_of_the_records() -> None:
+    evaluation = run("succeed")
+    assert evaluation.score is not None
+    assert (evaluation.score.successes, evaluation.score.mean_steps, evaluation.failure) == (5, 3.0, None)
+
+
+@pytest.mark.parametrize("workers", [1, 3])
+def test_broken_policy_has_a_verdict_and_neither_score_nor_hash(workers: int) -> None:
+    evaluation = run("cannot_load", workers=workers)
+    assert evaluation.failure is not None
+    assert evaluation.failure.code is VerdictCode.IMPORT_ERROR
+    assert (evaluation.score, evaluation.result_hash) == (None, None)
+
+
+def test_shards_after_a_broken_one_are_not_played() -> None:
+    assert {record.episode for record in run("cannot_load").records} <= {1, 2}
+
+
+def test_fault_of_the_machine_ends_the_evaluation_with_its_reason() -> None:
+    with pytest.raises(ShardProcessFailed, match="bwrap is missing"):
+        run("break_sandbox", workers=2)
+
+
+def test_unknown_episode_is_refused_before_anything_runs() -> None:
+    with pytest.raises(UnknownEpisodes):
+        run("exit_early", episodes=[271])
+
+
+def test_interrupt_ends_every_process() -> None:
+    """Two shards hang; without their end the evaluation would never come back."""
+
+    def interrupt(_: EpisodeRecord) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run("hang_after_first", workers=2, on_episode=interrupt)

@@ -1,0 +1,330 @@
+import hashlib
+import io
+import json
+import random
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from evaluation_records import make_manifest, make_record
+from hypothesis import given
+from hypothesis import strategies as st
+from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord, Timings
+from vitac.evaluator.logs.log import (
+    MAX_INFO_BYTES,
+    MAX_INFO_VALUES,
+    MAX_LINE_BYTES,
+    LogHeader,
+    LogProblem,
+    LogReader,
+    LogRejected,
+    is_log,
+    write_log,
+)
+
+RECORDS = [make_record(1), make_record(2, EpisodeOutcome.TACTILE), make_record(3, EpisodeOutcome.POLICY_FAILED, 0)]
+
+
+def written(records: list[EpisodeRecord] = RECORDS, **header: Any) -> bytes:
+    stream = io.BytesIO()
+    write_log(stream, LogHeader(**{"manifest": make_manifest(), "team": "Touch", **header}), records)
+    return stream.getvalue()
+
+
+LOG = written()
+LINES = LOG.splitlines(keepends=True)
+
+
+def read(log: bytes) -> list[EpisodeRecord]:
+    return list(LogReader(io.BytesIO(log)).records())
+
+
+def refused(log: bytes) -> LogRejected:
+    with pytest.raises(LogRejected) as rejection:
+        read(log)
+    return rejection.value
+
+
+def changed(line: int, change: Any) -> bytes:
+    """The log with the JSON of one line (from 1) changed and its digest left as it was."""
+    content = json.loads(LINES[line - 1])
+    change(content)
+    lines = list(LINES)
+    lines[line - 1] = json.dumps(content).encode() + b"\n"
+    return b"".join(lines)
+
+
+def test_log_holds_header_and_records_without_their_timings() -> None:
+    records = [record.model_copy(update={"timings": Timings(wall_s=2)}) for record in RECORDS]
+    log = written(records)
+    assert LogReader(io.BytesIO(log)).header.team == "Touch"
+    assert read(log) == RECORDS
+
+
+def test_same_evaluation_gives_the_same_bytes() -> None:
+    assert written([record.model_copy(update={"timings": Timings(wall_s=2)}) for record in RECORDS]) == LOG
+
+
+def test_log_is_written_and_read_as_a_stream() -> None:
+    class OneWay(io.BytesIO):
+        def seek(self, *_: object) -> int:
+            raise AssertionError("the log was sought in")
+
+    def endless() -> Iterator[EpisodeRecord]:
+        yield from RECORDS
+
+    stream = OneWay()
+    write_log(stream, LogHeader(manifest=make_manifest()), endless())
+    assert list(LogReader(OneWay(stream.getvalue())).records()) == RECORDS
+
+
+def test_empty_evaluation_is_a_log() -> None:
+    assert read(written([])) == []
+
+
+def test_knows_its_own_files(tmp_path: Any) -> None:
+    ours, other = tmp_path / "ours", tmp_path / "other"
+    ours.write_bytes(LOG)
+    other.write_bytes(b"2025-01-01 | INFO\n" + LOG)
+    assert (is_log(ours), is_log(other)) == (True, False)
+
+
+@pytest.mark.parametrize("line", [1, 2, 3, 4, 5])
+def test_altered_line_is_named(line: int) -> None:
+    def alter(content: dict[str, Any]) -> None:
+        if "manifest" in content:
+            content["team"] = "Somebody else"
+        elif "record" in content:
+            content["record"]["total_reward"] = 99.5
+        else:
+            content["digest"] = "0" * 64
+
+    rejection = refused(changed(line, alter))
+    assert (rejection.problem, rejection.line) == (LogProblem.ALTERED, line)
+    assert str(rejection).startswith(f"Line {line}: ")
+
+
+@given(st.integers(0, len(LOG) - 1), st.integers(1, 255))
+def test_no_changed_byte_goes_unnoticed(place: int, difference: int) -> None:
+    """Unless the JSON says the same: a line end of another kind."""
+    damaged = bytearray(LOG)
+    damaged[place] ^= difference
+    try:
+        records = read(bytes(damaged))
+    except LogRejected:
+        return
+    assert records == RECORDS
+    assert LogReader(io.BytesIO(bytes(damaged))).header == LogReader(io.BytesIO(LOG)).header
+
+
+@given(st.integers(0, len(LOG) - 1))
+def test_log_cut_anywhere_is_refused(length: int) -> None:
+    rejection = refused(LOG[:length])
+    assert rejection.line - LOG[:length].count(b"\n") in (1, 2)
+
+
+def test_log_cut_between_lines_is_truncated() -> None:
+    rejection = refused(b"".join(LINES[:-1]))
+    assert (rejection.problem, rejection.line) == (LogProblem.TRUNCATED, 5)
+
+
+@given(st.randoms())
+def test_reordered_lines_are_refused_at_the_first_that_moved(shuffler: random.Random) -> None:
+    episodes = LINES[1:4]
+    shuffler.shuffle(episodes)
+    first = next((i for i, line in enumerate(episodes) if line != LINES[1:4][i]), None)
+    if first is None:
+        return
+    rejection = refused(b"".join([LINES[0], *episodes, LINES[4]]))
+    assert (rejection.problem, rejection.line) == (LogProblem.ALTERED, first + 2)
+
+
+@pytest.mark.parametrize("line", [2, 3, 4])
+def test_doubled_line_is_refused(line: int) -> None:
+    rejection = refused(b"".join([*LINES[:line], *LINES[line - 1 :]]))
+    assert (rejection.problem, rejection.line) == (LogProblem.ALTERED, line + 1)
+
+
+def test_missing_line_is_refused() -> None:
+    rejection = refused(b"".join([*LINES[:2], *LINES[3:]]))
+    assert (rejection.problem, rejection.line) == (LogProblem.ALTERED, 3)
+
+
+def test_episode_twice_is_refused_even_with_right_digests() -> None:
+    rejection = refused(written([RECORDS[0], RECORDS[1], make_record(1, env_steps=4)]))
+    assert (rejection.problem, rejection.line) == (LogProblem.EPISODE_REPEATED, 4)
+    assert "episode 1 came before" in str(rejection)
+
+
+def test_episodes_out_of_their_order_are_refused() -> None:
+    rejection = refused(written(RECORDS[::-1]))
+    assert (rejection.problem, rejection.line) == (LogProblem.ALTERED, 3)
+    assert "they go by their numbers" in str(rejection)
+
+
+def test_two_logs_glued_together_are_refused() -> None:
+    rejection = refused(LOG + LOG)
+    assert (rejection.problem, rejection.line) == (LogProblem.TRAILING, 6)
+
+
+@pytest.mark.parametrize(
+    "junk",
+    [
+        b"",
+        b"\x00\xff\xfe" * 100,
+        b"\n",
+        b"null\n",
+        b"[1]\n",
+        b"{}\n",
+        b'{"format": "other"}\n',
+        b"[" * 100_000,
+        b'"\\ud800"',
+    ],
+)
+def test_junk_is_not_a_log(junk: bytes) -> None:
+    rejection = refused(junk)
+    assert (rejection.problem, rejection.line) == (LogProblem.NOT_A_LOG, 1)
+
+
+@pytest.mark.parametrize("version", [0, 2, "1", None, 1e99])
+def test_other_version_is_refused(version: object) -> None:
+    rejection = refused(changed(1, lambda content: content.update(version=version)))
+    assert (rejection.problem, rejection.line) == (LogProblem.UNKNOWN_VERSION, 1)
+
+
+def test_endless_line_is_refused_after_a_megabyte() -> None:
+    class Endless(io.RawIOBase):
+        """A line of 1 GB that tells how much of it was read."""
+
+        given = 0
+
+        def readable(self) -> bool:
+            return True
+
+        def readinto(self, buffer: Any) -> int:
+            buffer[:] = b"{" * len(buffer)
+            self.given += len(buffer)
+            assert self.given < 1 << 30
+            return len(buffer)
+
+    endless = Endless()
+    with pytest.raises(LogRejected) as rejection:
+        LogReader(io.BufferedReader(endless))
+    assert (rejection.value.problem, rejection.value.line) == (LogProblem.LINE_TOO_LONG, 1)
+    assert endless.given < 2 * MAX_LINE_BYTES
+
+
+def test_long_line_inside_is_refused() -> None:
+    rejection = refused(LINES[0] + b" " * (MAX_LINE_BYTES + 1) + b"\n")
+    assert (rejection.problem, rejection.line) == (LogProblem.LINE_TOO_LONG, 2)
+
+
+def with_info(info: Any) -> bytes:
+    """A log in whose second episode env step 3 has this info."""
+    infos = ({"steps": 1}, {"steps": 2}, info)
+    return written([RECORDS[0], make_record(2, infos=infos), RECORDS[2]])
+
+
+@pytest.mark.parametrize(
+    "info",
+    [
+        {"flat": [0] * (MAX_INFO_VALUES - 2)},
+        {"deep": [[[0]]] * ((MAX_INFO_VALUES - 2) // 4)},
+        {"text": "x" * (MAX_INFO_BYTES - len('{"text":""}'))},
+    ],
+)
+def test_info_up_to_the_limits_is_read(info: Any) -> None:
+    assert read(with_info(info))[1].infos[2] == info
+
+
+@pytest.mark.parametrize(
+    ("info", "came"),
+    [
+        ({"flat": [0] * (MAX_INFO_VALUES - 1)}, f"over {MAX_INFO_VALUES} values"),
+        ({"deep": [[[0]]] * 200}, f"over {MAX_INFO_VALUES} values"),
+        ({str(key): {} for key in range(MAX_INFO_VALUES)}, f"over {MAX_INFO_VALUES} values"),
+        ({"text": "x" * (MAX_INFO_BYTES - 10)}, f"{MAX_INFO_BYTES + 1} bytes of JSON, expected at most"),
+    ],
+)
+def test_info_larger_than_any_true_one_is_refused_with_its_line_and_env_step(info: Any, came: str) -> None:
+    rejection = refused(with_info(info))
+    assert (rejection.problem, rejection.line) == (LogProblem.INFO_TOO_LARGE, 3)
+    assert f"Line 3: the info of env step 3 has {came}" in str(rejection)
+
+
+@pytest.mark.parametrize("number", ["NaN", "Infinity", "-Infinity", "1e999"])
+def test_number_that_is_none_is_refused(number: str) -> None:
+    line = LINES[1].replace(b'"total_reward":1.5', f'"total_reward":{number}'.encode())
+    assert line != LINES[1]
+    rejection = refused(b"".join([LINES[0], line, *LINES[2:]]))
+    assert rejection.problem in (LogProblem.NOT_JSON, LogProblem.INVALID)
+    assert rejection.line == 2
+
+
+def test_nan_in_an_info_is_refused() -> None:
+    line = LINES[1].replace(b'"steps":1', b'"steps":1e999')
+    assert line != LINES[1]
+    assert refused(b"".join([LINES[0], line])).line == 2
+
+
+def test_nan_action_is_refused() -> None:
+    import base64
+
+    nan = base64.b64encode(b"\x00\x00\xc0\x7f" * 9).decode()
+    rejection = refused(changed(2, lambda content: content["record"]["actions"].update(float32_base64=nan)))
+    assert (rejection.problem, rejection.line) == (LogProblem.INVALID, 2)
+    assert "every action must be finite" in str(rejection)
+
+
+@pytest.mark.parametrize(("line", "nearest"), [(1, "team"), (5, "episodes")])
+def test_unknown_key_is_named_with_the_nearest(line: int, nearest: str) -> None:
+    rejection = refused(changed(line, lambda content: content.update({f"{nearest}s": 1})))
+    assert (rejection.problem, rejection.line) == (LogProblem.INVALID, line)
+    assert f"did you mean '{nearest}'?" in str(rejection)
+
+
+def test_unknown_key_of_a_record_is_named() -> None:
+    rejection = refused(changed(3, lambda content: content["record"].update(outcom="success")))
+    assert "Unknown key 'record.outcom'; did you mean 'outcome'?" in str(rejection)
+
+
+@pytest.mark.parametrize("team", ["\x1b[2J", "two\nlines", "x" * 201, 7])
+def test_team_that_could_steer_a_terminal_is_refused(team: object) -> None:
+    rejection = refused(changed(1, lambda content: content.update(team=team)))
+    assert (rejection.problem, rejection.line) == (LogProblem.INVALID, 1)
+
+
+@pytest.mark.parametrize("key", ["shape", "task"])
+def test_name_that_could_steer_a_terminal_is_refused(key: str) -> None:
+    rejection = refused(changed(2, lambda content: content["record"].update({key: "\x1b[2J"})))
+    assert (rejection.problem, rejection.line) == (LogProblem.INVALID, 2)
+
+
+def test_key_twice_is_refused() -> None:
+    line = LINES[1].replace(b'"total_reward":1.5', b'"total_reward":1.5,"total_reward":1.5')
+    rejection = refused(b"".join([LINES[0], line, *LINES[2:]]))
+    assert (rejection.problem, rejection.line) == (LogProblem.NOT_JSON, 2)
+
+
+def test_wrong_count_at_the_end_is_refused() -> None:
+    short = written(RECORDS[:2]).splitlines(keepends=True)
+    rejection = refused(b"".join([*LINES[:4], short[-1]]))
+    assert (rejection.problem, rejection.line) == (LogProblem.ALTERED, 5)
+
+
+def test_message_about_many_problems_stays_short() -> None:
+    many = {f"key{number}": 1 for number in range(1000)}
+    rejection = refused(changed(2, lambda content: content.update(many)))
+    assert "And 995 more." in str(rejection)
+    assert len(str(rejection)) < 2000
+
+
+def test_digests_follow_the_documented_recipe() -> None:
+    """docs/logs.md, in other words than the code's."""
+    before = ""
+    for line in LINES:
+        content = json.loads(line)
+        digest = content.pop("digest")
+        text = json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=True)
+        assert digest == hashlib.sha256((before + text).encode()).hexdigest()
+        before = digest

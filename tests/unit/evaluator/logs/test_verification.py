@@ -1,0 +1,227 @@
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pytest
+from evaluation_fakes import FakeEnvironment, FakeSession, action, fail, small_track, succeed
+from vitac.evaluator.episodes.episode import run_episode
+from vitac.evaluator.episodes.provenance import make_manifest
+from vitac.evaluator.episodes.records import ActionSequence, EpisodeOutcome, EpisodeRecord, Manifest, result_hash
+from vitac.evaluator.logs.findings import LogVerdict, comparable
+from vitac.evaluator.logs.log import LogHeader
+from vitac.evaluator.logs.verification import Verification, verify
+from vitac.evaluator.scoring.score import score
+
+TRACK = small_track(offsets=1)
+TASK = TRACK.tasks["peg-insertion"]
+
+
+def evaluated() -> tuple[LogHeader, list[EpisodeRecord]]:
+    """A log of a solved episode, one that used up its steps, and one in which the policy crashed at the third step."""
+    env = FakeEnvironment()
+    answers = (succeed, lambda *_: action(0.25), lambda _, step: action(0.5) if step < 3 else fail())
+    records = []
+    for episode, answer in zip(TASK.episodes, answers, strict=True):
+        session = FakeSession(answer)
+        session.open = True
+        opened = partial(lambda session: session, session)
+        records.append(run_episode(env=env, task=TASK, episode=episode, open_session=opened))
+    return LogHeader(team="Touch", manifest=make_manifest(TRACK, TASK, env)), records
+
+
+HEADER, RECORDS = evaluated()
+
+
+def check(records: list[EpisodeRecord] = RECORDS, header: LogHeader = HEADER, **options: Any) -> Verification:
+    return verify(env=FakeEnvironment(), track=TRACK, task=TASK, header=header, records=records, **options)
+
+
+def with_record(number: int, **changes: Any) -> list[EpisodeRecord]:
+    content = {**dict(RECORDS[number - 1]), **changes}
+    changed = EpisodeRecord(**content)
+    return [changed if record.episode == number else record for record in RECORDS]
+
+
+def made_elsewhere(**changes: Any) -> LogHeader:
+    return HEADER.model_copy(update={"manifest": Manifest(**{**dict(HEADER.manifest), **changes})})
+
+
+def test_true_log_is_verified_with_the_score_and_hash_of_its_evaluation() -> None:
+    assert [record.outcome for record in RECORDS] == ["success", "steps", "policy_failed"]
+    verification = check()
+    assert (verification.verdict, verification.divergence) == (LogVerdict.VERIFIED, None)
+    assert verification.score == score(RECORDS)
+    assert result_hash(verification.manifest, verification.records) == result_hash(HEADER.manifest, RECORDS)
+
+
+def test_each_record_is_told_as_it_is_verified() -> None:
+    told: list[EpisodeRecord] = []
+    assert list(check(on_episode=told.append).records) == told
+
+
+def test_claims_beside_the_states_are_replaced_by_ours() -> None:
+    lie = with_record(1, total_reward=1000.0, infos=({"steps": 99},) * RECORDS[0].env_steps)
+    assert [record.record_digest() for record in check(lie).records] == [
+        record.record_digest() for record in check().records
+    ]
+    assert check(lie).records[0].record_digest() == RECORDS[0].record_digest()
+
+
+def test_messages_of_a_failed_policy_are_not_taken_over() -> None:
+    failure = check().records[2].failure
+    assert failure is not None
+    assert (failure.code, failure.output_tail) == ("crashed", "")
+    assert "signal 11" not in failure.message
+
+
+@pytest.mark.parametrize("step", [0, 2])
+def test_other_state_is_named_by_episode_and_env_step_with_both_states(step: int) -> None:
+    hashes = list(RECORDS[1].state_hashes)
+    hashes[step] = "f" * 64
+    verification = check(with_record(2, state_hashes=tuple(hashes)))
+    assert (verification.verdict, verification.reason) == (
+        LogVerdict.DIVERGED, f"diverged at episode 2 env step {step}",
+    )  # fmt: skip
+    assert verification.divergence is not None
+    assert verification.divergence.recorded_state == "f" * 64
+    assert verification.divergence.resimulated_state == RECORDS[1].state_hashes[step]
+    assert verification.divergence.resimulated_info == (RECORDS[1].infos[step - 1] if step else None)
+    assert (verification.score, verification.records) == (None, ())
+
+
+def test_other_action_diverges_where_it_was_taken() -> None:
+    actions = RECORDS[1].actions.to_array()
+    actions[1, 2] = 0.125
+    verification = check(with_record(2, actions=ActionSequence.from_array(actions)))
+    assert verification.reason == "diverged at episode 2 env step 2"
+
+
+def test_false_success_diverges_even_where_all_states_are_equal() -> None:
+    verification = check(with_record(2, outcome=EpisodeOutcome.SUCCESS))
+    assert verification.verdict is LogVerdict.DIVERGED
+
+
+def test_success_cannot_be_passed_off_as_a_failed_policy() -> None:
+    lie = with_record(1, outcome=EpisodeOutcome.POLICY_FAILED, failure=RECORDS[2].failure)
+    assert check(lie).verdict is LogVerdict.DIVERGED
+
+
+def test_actions_after_the_end_diverge() -> None:
+    solved = RECORDS[0]
+    actions = np.vstack([solved.actions.to_array(), action(0.5)])
+    longer = with_record(
+        1,
+        actions=ActionSequence.from_array(actions),
+        env_steps=solved.env_steps + 1,
+        state_hashes=(*solved.state_hashes, "0" * 64),
+        infos=(*solved.infos, {}),
+    )
+    assert check(longer).verdict is LogVerdict.DIVERGED
+
+
+def test_other_bits_of_other_machines_are_tolerated_while_outcomes_agree() -> None:
+    hashes = ("f" * 64, *RECORDS[1].state_hashes[1:])
+    verification = check(with_record(2, state_hashes=hashes), made_elsewhere(platform_class="aarch64-linux"))
+    assert verification.verdict is LogVerdict.WITHIN_TOLERANCE
+    assert verification.score == score(RECORDS)
+    assert verification.records[1].state_hashes == RECORDS[1].state_hashes
+    assert verification.divergence is not None
+
+
+def test_equal_states_of_other_machines_are_verified() -> None:
+    assert check(header=made_elsewhere(platform_class="aarch64-linux")).verdict is LogVerdict.VERIFIED
+
+
+def test_other_outcome_of_other_machines_diverges() -> None:
+    lie = with_record(2, outcome=EpisodeOutcome.SUCCESS)
+    assert check(lie, made_elsewhere(platform_class="aarch64-linux")).verdict is LogVerdict.DIVERGED
+
+
+def test_where_states_may_differ_a_log_diverges_where_an_episode_ended_otherwise() -> None:
+    last, other_states = RECORDS[1].env_steps, ("f" * 64,) * len(RECORDS[1].state_hashes)
+    lie = with_record(2, outcome=EpisodeOutcome.SUCCESS, state_hashes=other_states)
+    found = check(lie, made_elsewhere(platform_class="aarch64-linux")).divergence
+    assert found is not None
+    assert (found.episode, found.env_step) == (2, last)
+    assert found.resimulated_info is not None
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"track": "track_2"},
+        {"task": "lock-opening"},
+        {"list_seed": 7},
+        {"task_hash": "0"},
+        {"evaluator_version": "0"},
+        {"solver_version": "0"},
+        {"mesh_hash": "other"},
+    ],
+)
+def test_log_of_another_list_or_version_is_impossible(changes: dict[str, Any]) -> None:
+    verification = check(header=made_elsewhere(**changes))
+    key, value = next(iter(changes.items()))
+    assert verification.verdict is LogVerdict.IMPOSSIBLE
+    assert verification.reason.startswith(f"The log was made with {key} {value!r}, here it is ")
+
+
+@pytest.mark.parametrize(
+    ("records", "reason"),
+    [
+        (RECORDS[1:], "Episode 1 is missing, 1 of 3"),
+        ([], "Episode 1 is missing, 3 of 3"),
+        ([*RECORDS, RECORDS[0].model_copy(update={"episode": 4})], "Episode 4 is not in the list"),
+        (with_record(2, shape="cuboid"), "Episode 2 starts with cuboid at"),
+        (with_record(2, initial_offset=(0.0, 0.0, 0.0)), "Episode 2 starts with trapezoid at (0.0, 0.0, 0.0)"),
+        (with_record(3, task="lock-opening"), "Episode 3 is of task 'lock-opening'"),
+    ],
+)
+def test_log_that_is_not_the_whole_list_is_impossible(records: list[EpisodeRecord], reason: str) -> None:
+    verification = check(records)
+    assert verification.verdict is LogVerdict.IMPOSSIBLE
+    assert verification.reason.startswith(reason)
+
+
+def test_part_of_a_list_can_be_verified_where_it_is_asked_for() -> None:
+    assert check(RECORDS[:2], episodes=[1, 2]).verdict is LogVerdict.VERIFIED
+
+
+def test_action_out_of_bounds_is_impossible() -> None:
+    actions = RECORDS[1].actions.to_array()
+    actions[3, 1] = -1.5
+    verification = check(with_record(2, actions=ActionSequence.from_array(actions)))
+    assert verification.verdict is LogVerdict.IMPOSSIBLE
+    assert verification.reason == "Episode 2 has the action y = -1.5 at env step 4; actions lie within -1 and 1."
+
+
+def test_action_of_another_size_is_impossible() -> None:
+    wide = ActionSequence.from_array(np.zeros((RECORDS[1].env_steps, 4), np.float32))
+    assert check(with_record(2, actions=wide)).verdict is LogVerdict.IMPOSSIBLE
+
+
+def test_three_failures_of_the_policy_in_one_shard_are_impossible() -> None:
+    failed = RECORDS[2]
+    records = [
+        failed.model_copy(update={"episode": record.episode, "shape": record.shape, "failure": failed.failure})
+        for record in RECORDS
+    ]
+    verification = check(records)
+    assert verification.verdict is LogVerdict.IMPOSSIBLE
+    assert verification.reason.startswith("The policy failed too often from episode 1 on")
+
+
+@pytest.mark.parametrize(
+    ("recorded", "ours", "shown"),
+    [
+        ({"is_success": True, "colour": "red"}, {"is_success": False}, {"is_success": True}),
+        ({"is_success": 1}, {"is_success": False}, {"is_success": None}),
+        ({"offset": [1.0, 2]}, {"offset": [0.5, 0.25]}, {"offset": [1.0, 2]}),
+        ({"offset": [1.0] * 1000}, {"offset": [0.5, 0.25]}, {"offset": None}),
+        ({"end_reason": "x" * 1000}, {"end_reason": None}, {"end_reason": None}),
+        ({"end_reason": "a\x00b"}, {"end_reason": "steps"}, {"end_reason": None}),
+        ({"end_reason": "success"}, {"end_reason": None}, {"end_reason": "success"}),
+        ({}, {"steps": 3}, {"steps": None}),
+    ],
+)
+def test_of_a_recorded_info_only_what_has_our_form_is_shown(recorded: Any, ours: Any, shown: Any) -> None:
+    assert comparable(recorded, ours) == shown

@@ -1,0 +1,77 @@
+import random
+
+import numpy as np
+import pytest
+from evaluation_records import make_record
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.stats import binom, binomtest
+from vitac.evaluator.episodes.records import EpisodeOutcome
+from vitac.evaluator.scoring.score import interval_of_mean, rate, score, wilson_interval
+
+
+@given(st.integers(1, 1000).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n))))
+def test_interval_is_wilsons(counts: tuple[int, int]) -> None:
+    successes, episodes = counts
+    interval = wilson_interval(successes, episodes)
+    oracle = binomtest(successes, episodes).proportion_ci(0.95, method="wilson")
+    assert (interval.low, interval.high) == pytest.approx((oracle.low, oracle.high), abs=1e-12)
+    assert 0 <= interval.low <= successes / episodes <= interval.high <= 1
+
+
+def test_interval_of_the_organizers_result() -> None:
+    interval = wilson_interval(40, 270)
+    assert (round(interval.low, 3), round(interval.high, 3)) == (0.111, 0.195)
+
+
+def test_interval_shrinks_with_episodes() -> None:
+    few, many = wilson_interval(3, 10), wilson_interval(300, 1000)
+    assert few.low < many.low < many.high < few.high
+
+
+@pytest.mark.parametrize(("first", "second"), [(0.5, 0.5), (0.15, 0.6), (0.9, 0.05), (0.98, 0.97)])
+def test_interval_of_a_mean_covers_it_as_often_as_it_says(first: float, second: float) -> None:
+    rates = [[rate(successes, episodes) for successes in range(episodes + 1)] for episodes in (90, 60)]
+    chances = [np.atleast_1d(binom.pmf(range(91), 90, first)), np.atleast_1d(binom.pmf(range(61), 60, second))]
+    covered = 0.0
+    for one, chance in zip(rates[0], chances[0], strict=True):
+        for other, chance_of_other in zip(rates[1], chances[1], strict=True):
+            interval = interval_of_mean([one, other], of=2)
+            covered += chance * chance_of_other * (interval.low <= (first + second) / 2 <= interval.high)
+    assert 0.93 < covered < 0.97  # as Wilson's own: counts are whole, so it cannot be met everywhere
+
+
+def test_interval_of_a_mean_of_one_is_its_own() -> None:
+    mean, own = interval_of_mean([rate(3, 10)], of=1), wilson_interval(3, 10)
+    assert (mean.low, mean.high) == pytest.approx((own.low, own.high))
+
+
+def test_score_counts_successes_and_averages_only_their_steps() -> None:
+    records = [
+        make_record(1, env_steps=3),
+        make_record(2, env_steps=6),
+        make_record(3, EpisodeOutcome.TACTILE, env_steps=1),
+        make_record(4, EpisodeOutcome.POLICY_FAILED, env_steps=0),
+    ]
+    result = score(records)
+    assert (result.episodes, result.successes, result.success_rate, result.mean_steps) == (4, 2, 0.5, 4.5)
+    assert result.interval == wilson_interval(2, 4)
+    assert result.outcomes == {"success": 2, "tactile": 1, "policy_failed": 1}
+    assert {shape: (rate.successes, rate.episodes) for shape, rate in result.by_shape.items()} == {
+        "cuboid": (1, 2),
+        "trapezoid": (1, 1),
+        "concave1": (0, 1),
+    }
+
+
+def test_without_success_there_is_no_mean() -> None:
+    result = score([make_record(1, EpisodeOutcome.STEPS, env_steps=8)])
+    assert (result.success_rate, result.mean_steps) == (0.0, None)
+
+
+@given(st.lists(st.tuples(st.sampled_from(list(EpisodeOutcome)), st.integers(1, 8)), min_size=1), st.randoms())
+def test_score_does_not_depend_on_order(ends: list[tuple[EpisodeOutcome, int]], shuffler: random.Random) -> None:
+    records = [make_record(number, outcome, steps) for number, (outcome, steps) in enumerate(ends, start=1)]
+    shuffled = list(records)
+    shuffler.shuffle(shuffled)
+    assert score(shuffled) == score(records)

@@ -1,0 +1,134 @@
+"""Shards of 2025 text logs, with an environment that simulates nothing."""
+
+import io
+from pathlib import Path
+from typing import Any
+
+import pytest
+from evaluation_fakes import FakeEnvironment
+from text_log_writer import text_log
+from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord
+from vitac.evaluator.logs.findings import ImpossibleReason
+from vitac.evaluator.logs.text_2025 import read_text_log
+from vitac.evaluator.logs.text_2025.kinds import all_kinds
+from vitac.evaluator.logs.text_2025.recordings import why_not_resimulated
+from vitac.evaluator.shards.log import LogShard
+from vitac.evaluator.shards.result import ShardEnd, ShardResult
+from vitac.evaluator.shards.text_log import resimulate_text_log
+from vitac.evaluator.tracks import load_track
+from vitac.evaluator.tracks.cut import cut
+
+TRACK = load_track("track_1")
+KINDS = {kind.name: kind for kind in all_kinds()}
+PEG, LOCK = KINDS["track 1 peg insertion"], KINDS["track 1 lock opening"]
+TASKS = {PEG.name: TRACK.tasks["peg-insertion"], LOCK.name: TRACK.tasks["lock-opening"]}
+
+
+def test_lists_of_2025_are_ours() -> None:
+    for kind in (PEG, LOCK):
+        starts = [(start.shape, start.offset) for start in kind.starts()]
+        assert starts == [(episode.shape, episode.offset) for episode in TASKS[kind.name].episodes]
+
+
+def whole_list(kind: Any, actions: list[tuple[float, ...]]) -> list[dict[str, Any]]:
+    """Every test of the list with the same actions and, where the kind logs it, its start."""
+    steps = [{"n": n, "action": action} for n, action in enumerate(actions, start=1)]
+    return [
+        {"episode": n, "steps": steps, "result": "FAIL"} | ({"initial_offset": s.offset} if kind.logs_offsets else {})
+        for n, s in enumerate(kind.starts(), start=1)
+    ]
+
+
+def written(path: Path, episodes: list[dict[str, Any]], kind: Any = PEG) -> Path:
+    path.write_text(text_log(episodes, kind.environment, kind.script_md5[0]))
+    return path
+
+
+def resimulated(log: Path, shard: int, skip: tuple[int, ...] = ()) -> tuple[ShardResult, list[EpisodeRecord]]:
+    records: list[EpisodeRecord] = []
+    task = TASKS[PEG.name]
+    part = LogShard(
+        log=log, track=TRACK, task=task, shard=cut(task)[shard], skip=skip, make_env=lambda *_: FakeEnvironment()
+    )
+    return resimulate_text_log(part, records.append), records
+
+
+def test_episode_ends_where_our_physics_ends_it(tmp_path: Path) -> None:
+    log = written(tmp_path / "log", whole_list(PEG, [(0.5, 0, 0), (1, 0, 0), (0.5, 0, 0)]))
+    result, records = resimulated(log, 1, skip=(31,))
+    assert (result.end, [record.episode for record in records]) == (ShardEnd.COMPLETE, list(range(32, 61)))
+    assert (records[0].outcome, records[0].env_steps) == (EpisodeOutcome.SUCCESS, 2)
+    assert records[0].actions.to_array().tolist() == [[0.5, 0, 0], [1, 0, 0]]
+    listed = TASKS[PEG.name].episodes[31]
+    assert (records[0].shape, records[0].initial_offset) == (listed.shape, listed.offset)
+
+
+def test_actions_that_end_before_the_episode_does_are_no_success(tmp_path: Path) -> None:
+    _, records = resimulated(written(tmp_path / "log", whole_list(PEG, [(0.5, 0, 0)])), 0)
+    assert {(record.outcome, record.env_steps, record.success) for record in records} == {
+        (EpisodeOutcome.ACTIONS_ENDED, 1, False)
+    }
+
+
+def test_log_that_changed_in_the_store_is_impossible(tmp_path: Path) -> None:
+    result, records = resimulated(written(tmp_path / "log", whole_list(PEG, [(0.5, 0, 0)])[:-1]), 0)
+    assert (result.end, records) == (ShardEnd.REFUTED, [])
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda tests: tests[4].update(steps=[]), ImpossibleReason.WRONG_ACTION),
+        (lambda tests: tests[4].update(steps=[{"n": 1, "action": (0, 0, 0)}]), ImpossibleReason.WRONG_ACTION),
+        (lambda tests: tests[4].update(steps=[{"n": 1, "action": (0, -1.5)}]), ImpossibleReason.WRONG_ACTION),
+        (lambda tests: tests[4].update(steps=tests[0]["steps"] * 51), ImpossibleReason.TOO_MANY_STEPS),
+        (lambda tests: tests[4].update(episode=6), ImpossibleReason.EPISODE_MISSING),
+        (lambda tests: tests.append({**tests[0], "episode": 161}), ImpossibleReason.NOT_IN_LIST),
+        (lambda tests: tests.pop(), ImpossibleReason.EPISODE_MISSING),
+    ],
+)
+def test_lock_log_that_cannot_be_resimulated_is_named(change: Any, reason: ImpossibleReason) -> None:
+    tests = whole_list(LOCK, [(0.5, 0.5)])
+    assert why_not_resimulated(_read(tests), LOCK, TASKS[LOCK.name]) is None
+    change(tests)
+    found = why_not_resimulated(_read(tests), LOCK, TASKS[LOCK.name])
+    assert found is not None
+    assert found.reason is reason
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda test: test.pop("initial_offset"), "Test 5 names no start; in the list it starts at "),
+        (lambda test: test.update(initial_offset=(1.0,)), "Test 5 starts at (1.0,), in the list at "),
+        (lambda test: test.update(initial_offset=(1.0,) * 900), "Test 5 starts at (1.0, 1.0, "),
+    ],
+)
+def test_peg_log_without_the_start_of_the_list_is_named(change: Any, message: str) -> None:
+    tests = whole_list(PEG, [(0.5, 0, 0)])
+    assert why_not_resimulated(_read(tests, PEG), PEG, TASKS[PEG.name]) is None
+    change(tests[4])
+    found = why_not_resimulated(_read(tests, PEG), PEG, TASKS[PEG.name])
+    assert found is not None
+    assert (found.reason, found.episode) == (ImpossibleReason.OTHER_START, 5)
+    assert found.message.startswith(message)
+    assert len(found.message) < 200
+
+
+def _read(tests: list[dict[str, Any]], kind: Any = LOCK) -> Any:
+    readable = [{**test, "steps": test["steps"] or [{"n": 1, "action": ()}]} for test in tests]
+    return read_text_log(io.BytesIO(text_log(readable, kind.environment, kind.script_md5[0]).encode()))
+
+
+def test_log_of_another_list_is_named() -> None:
+    found = why_not_resimulated(_read(whole_list(LOCK, [(0.5, 0.5)])), LOCK, TASKS[PEG.name])
+    assert found is not None
+    assert found.reason is ImpossibleReason.OTHER_EVALUATION
+
+
+def test_number_beyond_float32_is_out_of_bounds() -> None:
+    log = _read(whole_list(LOCK, [(0.5, 0.5)]))
+    log.episodes[6].steps[0].action = (0.5, 1e39)
+    found = why_not_resimulated(log, LOCK, TASKS[LOCK.name])
+    assert found is not None
+    assert found.message == "Test 7 has the action z = inf at env step 1; actions lie within -1 and 1."

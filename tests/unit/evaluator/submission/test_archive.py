@@ -1,0 +1,231 @@
+import contextlib
+import io
+import stat
+import struct
+import tempfile
+import zipfile
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from submissions import FILES, entry, submission_zip, zip_bytes
+from vitac.evaluator.agent.limits import Limits
+from vitac.evaluator.submission.archive import ArchiveFault, ArchiveRejected, unpack
+from vitac.evaluator.submission.names import NamedEntry, check_names
+
+
+def rejected(data: bytes, folder: Path, limits: Limits | None = None) -> ArchiveRejected:
+    """Unpack what must be refused; also makes sure that nothing was left and nothing escaped."""
+    destination = folder / "inside" / "unpacked"
+    with pytest.raises(ArchiveRejected) as caught:
+        unpack(io.BytesIO(data), destination, limits)
+    assert not destination.exists() or list(destination.iterdir()) == []
+    assert [path.name for path in folder.rglob("*") if path.is_file() or path.is_symlink()] == []
+    assert caught.value.message
+    return caught.value
+
+
+def with_file(name: str | zipfile.ZipInfo, content: str | bytes = "x") -> bytes:
+    files: dict[str | zipfile.ZipInfo, str | bytes] = {f"Track_1/{path}": text for path, text in FILES.items()}
+    return zip_bytes({**files, name: content})
+
+
+def patched(data: bytes, name: bytes, new_name: bytes) -> bytes:
+    """Replace a name of the same length in local header and directory, as a tool that refuses it would not."""
+    assert len(name) == len(new_name)
+    assert data.count(name) >= 2
+    return data.replace(name, new_name)
+
+
+def test_unpacks_a_submission_readable_by_everyone(tmp_path: Path) -> None:
+    folder = unpack(io.BytesIO(submission_zip({**FILES, "weights/a.bin": b"\0" * 10})), tmp_path / "out")
+    assert folder == tmp_path / "out" / "Track_1"
+    assert (folder / "policy.py").read_text() == FILES["policy.py"]
+    assert stat.S_IMODE((folder / "weights").stat().st_mode) == 0o755
+    assert stat.S_IMODE((folder / "weights" / "a.bin").stat().st_mode) == 0o644
+
+
+def test_unpacks_from_a_path(tmp_path: Path) -> None:
+    (tmp_path / "s.zip").write_bytes(submission_zip())
+    assert (unpack(tmp_path / "s.zip", tmp_path / "out") / "submission.yaml").is_file()
+
+
+def test_accepts_folder_entries_and_leaves_caches_out(tmp_path: Path) -> None:
+    data = zip_bytes(
+        {
+            entry("Track_1/", stat.S_IFDIR | 0o755): "",
+            "Track_1/policy.py": "x",
+            entry("Track_1/empty/", stat.S_IFDIR | 0o755): "",
+            "Track_1/__pycache__/policy.cpython-311.pyc": "y",
+            "Track_1/.DS_Store": "z",
+            "__MACOSX/Track_1/._policy.py": "z",
+        }
+    )
+    folder = unpack(io.BytesIO(data), tmp_path / "out")
+    assert sorted(path.name for path in folder.rglob("*")) == ["policy.py"]
+
+
+@pytest.mark.parametrize(
+    ("name", "fault"),
+    [
+        ("Track_1/../evil.py", ArchiveFault.PARENT_PATH),
+        ("../evil.py", ArchiveFault.PARENT_PATH),
+        ("Track_1/./a.py", ArchiveFault.PARENT_PATH),
+        ("Track_1//a.py", ArchiveFault.PARENT_PATH),
+        ("/etc/evil", ArchiveFault.ABSOLUTE_PATH),
+        ("C:/evil", ArchiveFault.ABSOLUTE_PATH),
+        ("Track_1/..\\evil.py", ArchiveFault.BAD_CHARACTERS),
+        ("Track_1/a\nb.py", ArchiveFault.BAD_CHARACTERS),
+        ("Track_1/a\x1b[31m.py", ArchiveFault.BAD_CHARACTERS),
+        ("Track_1/a\u202eyp.exe", ArchiveFault.BAD_CHARACTERS),
+        ("Track_1/" + "d/" * 16 + "a.py", ArchiveFault.TOO_DEEP),
+        ("Track_1/" + "a" * 256, ArchiveFault.NAME_TOO_LONG),
+        ("Track_1/" + "ä" * 128, ArchiveFault.NAME_TOO_LONG),
+        ("Track_1/Policy.py", ArchiveFault.CASE_DUPLICATE),
+        ("track_1/other.py", ArchiveFault.CASE_DUPLICATE),
+        ("Track_2/policy.py", ArchiveFault.WRONG_TOP_FOLDER),
+        ("policy.py", ArchiveFault.WRONG_TOP_FOLDER),
+        ("Track_1/policy.py/inside", ArchiveFault.DUPLICATE),
+    ],
+)
+def test_rejects_archive_with_bad_name(name: str, fault: ArchiveFault, tmp_path: Path) -> None:
+    assert rejected(with_file(name), tmp_path).code is fault
+
+
+def test_rejects_a_name_with_a_null_byte_that_readers_cut_off(tmp_path: Path) -> None:
+    data = patched(with_file("Track_1/aaXbb.py"), b"Track_1/aaXbb.py", b"Track_1/aa\0bb.py")
+    assert rejected(data, tmp_path).code is ArchiveFault.BAD_CHARACTERS
+
+
+def test_rejects_archive_with_the_same_file_twice(tmp_path: Path) -> None:
+    data = patched(with_file("Track_1/policx.py"), b"Track_1/policx.py", b"Track_1/policy.py")
+    assert rejected(data, tmp_path).code is ArchiveFault.DUPLICATE
+
+
+def test_rejects_archive_with_symlink(tmp_path: Path) -> None:
+    data = with_file(entry("Track_1/link", stat.S_IFLNK | 0o777), "/etc/passwd")
+    assert rejected(data, tmp_path).code is ArchiveFault.LINK
+
+
+@pytest.mark.parametrize("kind", [stat.S_IFCHR, stat.S_IFBLK, stat.S_IFIFO, stat.S_IFSOCK])
+def test_rejects_archive_with_device(kind: int, tmp_path: Path) -> None:
+    assert rejected(with_file(entry("Track_1/device", kind | 0o666)), tmp_path).code is ArchiveFault.SPECIAL_FILE
+
+
+def test_rejects_archive_with_ten_thousand_files(tmp_path: Path) -> None:
+    data = submission_zip({f"f{number}": "" for number in range(10_000)})
+    assert rejected(data, tmp_path).code is ArchiveFault.TOO_MANY_FILES
+
+
+def test_rejects_huge_directory_before_reading_it(tmp_path: Path) -> None:
+    """The end record may lie about the number; the directory's size counts."""
+    limits = Limits(archive_files=2)
+    data = bytearray(submission_zip({f"{'n' * 200}{number}": "" for number in range(40)}))
+    end = data.rfind(b"PK\x05\x06")
+    struct.pack_into("<HH", data, end + 8, 1, 1)
+    assert rejected(bytes(data), tmp_path, limits).code is ArchiveFault.TOO_MANY_FILES
+
+
+def test_rejects_zip64_end_record(tmp_path: Path) -> None:
+    """A valid archive never needs one, and its directory could be of any size."""
+    data = submission_zip()
+    end = data.rfind(b"PK\x05\x06")
+    locator = struct.pack("<4sLQL", b"PK\x06\x07", 0, 0, 1)
+    assert rejected(data[:end] + locator + data[end:], tmp_path).code is ArchiveFault.TOO_MANY_FILES
+
+
+def test_rejects_bomb_by_ratio(tmp_path: Path) -> None:
+    data = submission_zip({**FILES, "zeros": b"\0" * (40 * 1024 * 1024)})
+    assert rejected(data, tmp_path).code is ArchiveFault.COMPRESSED_TOO_MUCH
+
+
+def test_rejects_what_unpacks_to_too_much(tmp_path: Path) -> None:
+    limits = Limits(archive_unpacked_bytes=1000)
+    assert rejected(submission_zip({"a": b"a" * 1001}), tmp_path, limits).code is ArchiveFault.UNPACKED_TOO_LARGE
+
+
+def test_rejects_bomb_that_lies_about_its_size(tmp_path: Path) -> None:
+    """The directory announces 10 bytes, the data inflates to a million."""
+    data = bytearray(submission_zip({"zeros": b"\0" * 1_000_000}))
+    directory = data.find(b"PK\x01\x02")
+    struct.pack_into("<L", data, directory + 24, 10)
+    struct.pack_into("<L", data, 22, 10)
+    assert rejected(bytes(data), tmp_path).code is ArchiveFault.DAMAGED
+
+
+def test_rejects_overlapping_entries(tmp_path: Path) -> None:
+    """Many directory entries that point at the same data unpack to more than the archive could hold."""
+    data = bytearray(submission_zip({f"f{number}": b"\0" * 1_000_000 for number in range(2)}))
+    first = data.find(b"PK\x01\x02")
+    second = data.find(b"PK\x01\x02", first + 4)
+    struct.pack_into("<L", data, second + 42, 0)
+    assert rejected(bytes(data), tmp_path).code is ArchiveFault.DAMAGED
+
+
+def test_rejects_packed_size_over_limit(tmp_path: Path) -> None:
+    assert rejected(submission_zip(), tmp_path, Limits(archive_packed_bytes=100)).code is ArchiveFault.TOO_LARGE
+
+
+@pytest.mark.parametrize("data", [b"", b"PK", b"no zip at all", b"\x1f\x8b" + b"\0" * 100, b"\0" * 1000])
+def test_rejects_what_is_no_zip(data: bytes, tmp_path: Path) -> None:
+    assert rejected(data, tmp_path).code is ArchiveFault.NOT_A_ZIP
+
+
+@pytest.mark.parametrize("kept", [10, 100, 0.5, 0.9, -1])
+def test_rejects_truncated_archive(kept: float, tmp_path: Path) -> None:
+    data = submission_zip()
+    length = int(len(data) * kept) if isinstance(kept, float) else kept
+    assert rejected(data[:length], tmp_path).code is ArchiveFault.DAMAGED
+
+
+def test_rejects_corrupt_contents(tmp_path: Path) -> None:
+    data = bytearray(submission_zip({"a.bin": bytes(range(256)) * 20}))
+    data[60] ^= 0xFF
+    assert rejected(bytes(data), tmp_path).code is ArchiveFault.DAMAGED
+
+
+def test_rejects_encrypted_file(tmp_path: Path) -> None:
+    data = bytearray(submission_zip())
+    directory = data.find(b"PK\x01\x02")
+    data[directory + 8] |= 1
+    assert rejected(bytes(data), tmp_path).code is ArchiveFault.ENCRYPTED
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_rejects_other_compression_methods(method: int, tmp_path: Path) -> None:
+    data = with_file(entry("Track_1/a", method=method), "x" * 100)
+    assert rejected(data, tmp_path).code is ArchiveFault.COMPRESSION_METHOD
+
+
+def test_rejects_empty_archive(tmp_path: Path) -> None:
+    assert rejected(zip_bytes({}), tmp_path).code is ArchiveFault.WRONG_TOP_FOLDER
+
+
+def test_refuses_to_unpack_over_something(tmp_path: Path) -> None:
+    unpack(io.BytesIO(submission_zip()), tmp_path)
+    with pytest.raises(FileExistsError):
+        unpack(io.BytesIO(submission_zip()), tmp_path)
+
+
+@given(st.lists(st.text(max_size=12), max_size=6))
+def test_names_that_pass_stay_below_their_folder(names: list[str]) -> None:
+    try:
+        check_names((NamedEntry(path=name, is_folder=False) for name in names), Limits())
+    except ArchiveRejected:
+        return
+    for name in names:
+        parts = Path("/base", name).parts
+        assert parts[1] == "base"
+        assert ".." not in parts
+        assert name.isprintable() or " " in name or not name.isascii()
+    assert len({name.casefold() for name in names}) == len(names)
+
+
+@given(st.binary(max_size=400), st.integers(0, 400))
+def test_damaged_archives_never_raise_anything_else(noise: bytes, position: int) -> None:
+    data = submission_zip()
+    position = min(position, len(data))
+    damaged = data[:position] + noise + data[position + len(noise) :]
+    with tempfile.TemporaryDirectory() as folder, contextlib.suppress(ArchiveRejected):
+        unpack(io.BytesIO(damaged), Path(folder, "out"))

@@ -1,0 +1,166 @@
+import json
+from pathlib import Path
+
+import pytest
+import yaml
+from vitac.evaluator.strict_model import DocumentRejected, parse_yaml
+from vitac.evaluator.tracks import Track, UnknownTask, UnknownTrack, find_task, list_tracks, load_track
+
+TRACK_1 = Path(__file__).parents[4] / "evaluator" / "tracks" / "track_1.yaml"
+
+OFFSETS = [
+    (-4, -4, -8), (-4, -2, 2), (-4, 1, -6), (-4, 3, 6), (-3, -3, -2), (-3, -1, 8), (-3, 2, 2), (-2, -4, -6),
+    (-2, -2, 4), (-2, 1, -2), (-2, 3, 8), (-1, -3, 0), (-1, 0, 6), (-1, 3, 4), (0, -3, -4), (0, 0, 6),
+    (0, 3, 4), (1, -3, -4), (1, 0, -4), (1, 3, 0), (2, -3, -8), (2, -1, 4), (2, 2, -4), (2, 4, 6),
+    (3, -2, 0), (3, 1, -8), (3, 3, 2), (4, -3, -4), (4, -1, 6), (4, 2, -2),
+]  # fmt: skip
+
+
+@pytest.fixture
+def content() -> dict[str, object]:
+    loaded = yaml.safe_load(TRACK_1.read_text(encoding="utf-8"))
+    assert isinstance(loaded, dict)
+    return loaded
+
+
+def parse(content: object) -> Track:
+    return parse_yaml(Track, yaml.safe_dump(content), "track_1.yaml")
+
+
+def test_peg_list_has_three_repeats_of_thirty_offsets_of_three_shapes() -> None:
+    episodes = load_track("track_1").tasks["peg-insertion"].episodes
+    assert [episode.number for episode in episodes] == list(range(1, 271))
+    assert [episode.shape for episode in episodes] == ["cuboid", "trapezoid", "concave1"] * 90
+    assert [episode.offset for episode in episodes[::3]] == OFFSETS * 3
+
+
+def test_lock_list_has_four_keys_with_two_repeats_of_twenty_offsets() -> None:
+    episodes = load_track("track_1").tasks["lock-opening"].episodes
+    assert [episode.number for episode in episodes] == list(range(1, 161))
+    assert [episode.shape for episode in episodes] == [
+        key for key in ("key1", "key2", "key3", "key4") for _ in range(40)
+    ]
+    assert [episode.offset for episode in episodes] == [(0.25 * step, 0, 0) for step in range(20)] * 8
+
+
+def test_every_episode_has_its_own_random_seed() -> None:
+    episodes = load_track("track_1").tasks["peg-insertion"].episodes
+    assert len({episode.options["rng_seed"] for episode in episodes}) == 270
+    assert episodes[41].options == {"shape": "concave1", "offset_mm_deg": (-1.0, 3.0, 4.0), "rng_seed": (0, 42)}
+    lock = load_track("track_1").tasks["lock-opening"].episodes
+    assert lock[41].options == {"shape": "key2", "offset_mm": (0.25, 0.0, 0.0), "rng_seed": (0, 42)}
+
+
+@pytest.mark.parametrize(("task", "log"), [("peg-insertion", "peg_insertion"), ("lock-opening", "open_lock")])
+def test_list_order_matches_the_organizers_log(task: str, log: str, reference_dir: Path) -> None:
+    lines = (reference_dir / "logs" / f"track1_{log}.repeat0.jsonl").read_text().splitlines()
+    logged = [json.loads(line) for line in lines]
+    episodes = load_track("track_1").tasks[task].episodes
+    listed = [episodes[e["episode"] - 1] for e in logged]
+    assert [(e["shape"], tuple(e["initial_offset"])) for e in logged] == [(e.shape, e.offset) for e in listed]
+
+
+def test_loops_set_the_nesting(content: dict[str, object]) -> None:
+    episode_list = content["tasks"]["peg-insertion"]["episode_list"]  # type: ignore[index]
+    episode_list |= {"loops": ["shape", "repeat", "offset"], "repeats": 2, "offsets": [[0, 0, 1], [0, 0, 2]]}
+    episodes = parse(content).tasks["peg-insertion"].episodes
+    assert [(e.shape, e.offset[2]) for e in episodes[:5]] == [
+        ("cuboid", 1), ("cuboid", 2), ("cuboid", 1), ("cuboid", 2), ("trapezoid", 1),
+    ]  # fmt: skip
+
+
+def test_unknown_track_names_the_tracks() -> None:
+    with pytest.raises(UnknownTrack, match=r"'track_9'.*track_1"):
+        load_track("track_9")
+
+
+def test_unknown_task_names_the_tasks() -> None:
+    with pytest.raises(UnknownTask, match=r"'peg'.*peg-insertion"):
+        find_task("peg")
+
+
+def test_find_task_gives_its_track() -> None:
+    track, task = find_task("peg-insertion")
+    assert (track.name, task.env_id) == ("track_1", "ViTac/PegInsertion-v1")
+
+
+def test_every_packaged_track_is_valid() -> None:
+    assert [load_track(name).name for name in list_tracks()] == list(list_tracks())
+
+
+def test_digest_changes_with_the_list(content: dict[str, object]) -> None:
+    content["tasks"]["peg-insertion"]["episode_list"]["list_seed"] = 7  # type: ignore[index]
+    changed = parse(content).tasks["peg-insertion"]
+    assert changed.digest() != load_track("track_1").tasks["peg-insertion"].digest()
+
+
+@pytest.mark.parametrize(
+    ("place", "key", "nearest"),
+    [
+        ((), "rankingrule", "ranking_rule"),
+        (("tasks", "peg-insertion"), "shardsize", "shard_size"),
+        (("tasks", "peg-insertion", "episode_list"), "repeat", "repeats"),
+        (("tasks", "peg-insertion", "observations", 0), "units", "unit"),
+    ],
+)
+def test_unknown_key_names_the_nearest(
+    content: dict[str, object], place: tuple[str | int, ...], key: str, nearest: str
+) -> None:
+    target = content
+    for part in place:
+        target = target[part]  # type: ignore[index,assignment]
+    target[key] = 1
+    dotted = ".".join(map(str, (*place, key)))
+    with pytest.raises(DocumentRejected, match=f"track_1.yaml: Unknown key '{dotted}'; did you mean '{nearest}'"):
+        parse(content)
+
+
+def test_unlike_key_lists_all_valid_ones(content: dict[str, object]) -> None:
+    with pytest.raises(DocumentRejected, match="valid keys are accepts, combination_rule, name, ranking_rule"):
+        parse(content | {"zzzz": 1})
+
+
+def test_missing_key_is_named(content: dict[str, object]) -> None:
+    del content["title"]
+    with pytest.raises(DocumentRejected, match="Missing key 'title'"):
+        parse(content)
+
+
+def test_key_given_twice_is_refused() -> None:
+    with pytest.raises(DocumentRejected, match="key 'name' is given twice"):
+        parse_yaml(Track, "name: a\nname: b\n", "track_1.yaml")
+
+
+@pytest.mark.parametrize("text", ["{", "- &a [*a]\n- *b", "!!python/object:os.system {}", "\x00"])
+def test_text_that_is_not_plain_yaml_is_refused(text: str) -> None:
+    with pytest.raises(DocumentRejected, match="is not valid YAML"):
+        parse_yaml(Track, text, "track_1.yaml")
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), "many", None])
+def test_offsets_must_be_finite_numbers(content: dict[str, object], value: object) -> None:
+    content["tasks"]["peg-insertion"]["episode_list"]["offsets"][3][1] = value  # type: ignore[index]
+    with pytest.raises(DocumentRejected, match=r"offsets\.3\.1"):
+        parse(content)
+
+
+def test_loops_must_name_each_once(content: dict[str, object]) -> None:
+    content["tasks"]["peg-insertion"]["episode_list"]["loops"] = ["repeat", "repeat", "shape"]  # type: ignore[index]
+    with pytest.raises(DocumentRejected, match="once each"):
+        parse(content)
+
+
+def test_several_tasks_need_a_combination_rule_and_one_has_none(content: dict[str, object]) -> None:
+    rule = content.pop("combination_rule")
+    with pytest.raises(DocumentRejected, match="combination_rule must be given where there are several tasks"):
+        parse(content)
+    del content["tasks"]["lock-opening"]  # type: ignore[attr-defined]
+    assert parse(content).combination_rule is None
+    with pytest.raises(DocumentRejected, match="and only there"):
+        parse(content | {"combination_rule": rule})
+
+
+def test_task_must_carry_the_name_of_its_key(content: dict[str, object]) -> None:
+    content["tasks"]["peg-insertion"]["name"] = "peg"  # type: ignore[index]
+    with pytest.raises(DocumentRejected, match=r"tasks\.peg-insertion\.name is 'peg'"):
+        parse(content)

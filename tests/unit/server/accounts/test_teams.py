@@ -1,0 +1,61 @@
+import threading
+
+import pytest
+from vitac.server.accounts import teams
+from vitac.server.accounts.principals import CONSOLE
+from vitac.server.db.engine import Database
+from vitac.server.errors import ProblemCode, ServiceError
+
+
+def register(database: Database, name: str) -> str:
+    with database.transaction() as session:
+        return teams.register(session, None, name=name).name
+
+
+def test_names_are_shown_composed_with_single_spaces(database: Database) -> None:
+    assert register(database, "  Équipe \t rouge ") == "Équipe rouge"
+
+
+@pytest.mark.parametrize("same", ["team a", "TEAM  A", "Ｔｅａｍ Ａ"])
+def test_names_that_look_alike_are_one_name(database: Database, same: str) -> None:
+    register(database, "Team A")
+    with pytest.raises(ServiceError) as refused:
+        register(database, same)
+    assert refused.value.code is ProblemCode.TEAM_EXISTS
+    with database.transaction() as session:
+        assert teams.find(session, same).name == "Team A"
+
+
+@pytest.mark.parametrize("name", ["", " ", "x", "a" * 65, "two\x00parts", "turned \u202e around"])
+def test_names_that_cannot_be_shown_are_refused(database: Database, name: str) -> None:
+    with pytest.raises(ServiceError) as refused:
+        register(database, name)
+    assert refused.value.code is ProblemCode.INVALID_REQUEST
+
+
+def test_of_two_registrations_at_once_one_wins(database: Database) -> None:
+    outcomes: list[str] = []
+    barrier = threading.Barrier(5)
+
+    def run() -> None:
+        barrier.wait()
+        try:
+            outcomes.append(register(database, "Team A"))
+        except ServiceError as error:
+            outcomes.append(error.code)
+
+    threads = [threading.Thread(target=run) for _ in range(5)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert sorted(outcomes) == ["Team A", *["team_exists"] * 4]
+
+
+def test_team_is_found_by_name_and_id_and_listed_in_order(database: Database) -> None:
+    with database.transaction() as session:
+        second, first = (teams.register(session, CONSOLE, name=name) for name in ("beta", "Alpha"))
+        assert teams.find(session, "BETA").id == teams.find(session, str(second.id)).id == second.id
+        assert [team.id for team in teams.list_teams(session)] == [first.id, second.id]
+    with pytest.raises(ServiceError, match="There is no team 'gamma'"), database.transaction() as session:
+        teams.find(session, "gamma")

@@ -1,0 +1,230 @@
+import pytest
+from service_factories import (
+    LOCK,
+    TASK,
+    claim,
+    finish,
+    make_failed_record,
+    make_manifest,
+    make_principal,
+    make_record,
+    make_settings,
+    play,
+    play_all,
+    shard_ids,
+    state_of,
+    store,
+    submit,
+)
+from sqlalchemy import select, text
+from vitac.evaluator.agent.verdicts import VerdictCode
+from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord, FailureStage, result_hash
+from vitac.evaluator.scoring.score import score
+from vitac.evaluator.shards.result import ShardEnd
+from vitac.server.db.engine import Database
+from vitac.server.db.models import EpisodeResult
+from vitac.server.db.states import EvaluationState, ShardState
+from vitac.server.evaluations import evaluations
+from vitac.server.evaluations.evaluations import EpisodesMissing
+from vitac.server.evaluations.result_hashes import combine_hashes
+from vitac.server.evaluations.scores import combined_score, scores_of
+from vitac.server.queue.leases import LeaseLost, key_of
+from vitac.server.submissions import submissions
+
+
+def outcome_of(episode: int) -> EpisodeOutcome:
+    return EpisodeOutcome.SUCCESS if episode % 3 == 0 else EpisodeOutcome.STEPS
+
+
+def some_record(episode: int, *, task: str = TASK) -> EpisodeRecord:
+    return make_record(episode, outcome_of(episode), task)
+
+
+def test_a_new_evaluation_has_the_fixed_shards_and_a_job_for_each(database: Database) -> None:
+    with database.transaction() as session:
+        submission = submit(session, make_principal(session))
+    with database.transaction() as session:
+        shards = submissions.newest_evaluation(session, submission).shards
+        assert [len(shard.episodes) for shard in shards] == [30] * 9
+        assert sorted(episode for shard in shards for episode in shard.episodes) == list(range(1, 271))
+        jobs = session.execute(
+            text("SELECT (args ->> 'shard_id')::bigint FROM procrastinate_jobs ORDER BY 1")
+        ).scalars()
+        assert list(jobs) == [shard.id for shard in shards]
+
+
+def test_jobs_vanish_with_a_transaction_that_is_rolled_back(database: Database) -> None:
+    with database.transaction() as session:
+        submit(session, make_principal(session))
+        session.rollback()
+    with database.transaction() as session:
+        assert session.scalar(text("SELECT count(*) FROM procrastinate_jobs")) == 0
+        assert session.scalar(text("SELECT count(*) FROM submissions")) == 0
+
+
+def test_last_shard_scores_the_evaluation_with_the_evaluators_own_functions(database: Database) -> None:
+    with database.transaction() as session:
+        submission = submit(session, make_principal(session))
+        ids = shard_ids(session, submission)
+    for shard_id in (*ids[5:], *ids[:5]):
+        with database.transaction() as session:
+            assert submissions.newest_evaluation(session, submission).state is not EvaluationState.COMPLETED
+        play(database, shard_id, some_record)
+    records = [some_record(episode) for episode in range(1, 271)]
+    with database.transaction() as session:
+        evaluation = submissions.newest_evaluation(session, submission)
+        assert evaluation.state is EvaluationState.COMPLETED
+        assert scores_of(evaluation) == {TASK: score(records)}
+        combined = combined_score(evaluation)
+        assert combined is not None
+        assert combined.success_rate == score(records).success_rate / 2  # of the track's two tasks
+        assert combined.mean_steps is None
+        assert evaluation.result_hash == result_hash(make_manifest(), records)
+        assert evaluation.scores is not None
+        assert evaluation.scores[0]["task"] == TASK
+        assert evaluation.scores[0]["outcomes"] == {"steps": 180, "success": 90}
+
+
+def test_shard_that_lacks_an_episode_cannot_be_reported_as_complete(database: Database) -> None:
+    with database.transaction() as session:
+        submission = submit(session, make_principal(session))
+        first = shard_ids(session, submission)[0]
+    lease = claim(database, first)
+    store(database, lease, [make_record(episode) for episode in lease.episodes[:-1]])
+    with pytest.raises(EpisodesMissing, match=r"\[30\]"):
+        finish(database, lease)
+    with database.transaction() as session:
+        assert state_of(session, first) is ShardState.RUNNING
+
+
+def test_broken_policy_fails_the_evaluation_with_the_first_failure_whatever_the_order(database: Database) -> None:
+    with database.transaction() as session:
+        submission = submit(session, make_principal(session))
+        ids = shard_ids(session, submission)
+    early, late = claim(database, ids[0]), claim(database, ids[4])
+    store(database, late, [make_failed_record(121, stage=FailureStage.LOAD, code=VerdictCode.IMPORT_ERROR)])
+    finish(database, late, ShardEnd.BROKEN)
+    with database.transaction() as session:
+        # Later shards end, earlier ones may still change the verdict.
+        assert [state_of(session, shard_id) for shard_id in ids[5:]] == [ShardState.CANCELLED] * 4
+        assert submissions.newest_evaluation(session, submission).state is EvaluationState.RUNNING
+        assert session.scalar(text("SELECT count(*) FROM procrastinate_jobs WHERE status = 'todo'")) == 5
+    store(database, early, [make_failed_record(episode, output=f"out {episode}") for episode in (7, 3, 9)])
+    finish(database, early, ShardEnd.BROKEN)
+    with database.transaction() as session:
+        evaluation = submissions.newest_evaluation(session, submission)
+        assert evaluation.state is EvaluationState.FAILED
+        assert (evaluation.verdict_code, evaluation.verdict_task, evaluation.verdict_episode) == ("crashed", TASK, 3)
+        assert evaluation.log_tail == "out 3"
+        assert evaluation.result_hash is None
+
+
+def test_two_tasks_are_scored_each_and_together(database: Database) -> None:
+    with database.transaction() as session:
+        submission = submit(session, make_principal(session), tasks=(TASK, LOCK))
+        shards = submissions.newest_evaluation(session, submission).shards
+        assert [len(shard.episodes) for shard in shards] == [30] * 9 + [20] * 8
+    play_all(database, submission, lambda n, task: make_record(n, task=task) if task == LOCK else some_record(n))
+    with database.transaction() as session:
+        evaluation = submissions.newest_evaluation(session, submission)
+        scores = scores_of(evaluation)
+        assert [(task, score.episodes, score.successes) for task, score in scores.items()] == [
+            (TASK, 270, 90),
+            (LOCK, 160, 160),
+        ]
+        combined = combined_score(evaluation)
+        assert combined is not None
+        assert combined.success_rate == pytest.approx((1 / 3 + 1) / 2)
+        assert combined.mean_steps == 3.0
+        hashes = {row["task"]: row["result_hash"] for row in evaluation.scores or []}
+        expected = [make_record(episode, task=LOCK) for episode in range(1, 161)]
+        assert hashes[LOCK] == result_hash(make_manifest(LOCK), expected)
+        assert evaluation.result_hash == combine_hashes(hashes) != hashes[TASK]
+
+
+def test_a_policy_that_is_broken_in_one_task_fails_with_that_task_named(database: Database) -> None:
+    with database.transaction() as session:
+        submission = submit(session, make_principal(session), tasks=(TASK, LOCK))
+        ids = shard_ids(session, submission)
+    lease = claim(database, ids[9])
+    store(database, lease, [make_failed_record(episode, task=LOCK) for episode in (1, 2, 3)])
+    finish(database, lease, ShardEnd.BROKEN)
+    for shard_id in ids[:9]:
+        play(database, shard_id)
+    with database.transaction() as session:
+        evaluation = submissions.newest_evaluation(session, submission)
+        assert (evaluation.verdict_code, evaluation.verdict_task, evaluation.verdict_episode) == ("crashed", LOCK, 1)
+
+
+def test_a_few_policy_failures_are_unsuccessful_episodes_of_a_completed_evaluation(database: Database) -> None:
+    with database.transaction() as session:
+        submission = submit(session, make_principal(session))
+    play_all(database, submission, lambda n, task: make_failed_record(n) if n in (5, 100) else make_record(n))
+    with database.transaction() as session:
+        evaluation = submissions.newest_evaluation(session, submission)
+        assert evaluation.state is EvaluationState.COMPLETED
+        assert scores_of(evaluation)[TASK].successes == 268
+        assert "[peg-insertion, episode 5: crashed]" in evaluation.log_tail
+
+
+def test_output_that_the_database_cannot_hold_is_stored_all_the_same(database: Database) -> None:
+    with database.transaction() as session:
+        submission = submit(session, make_principal(session))
+        first = shard_ids(session, submission)[0]
+    lease = claim(database, first)
+    store(database, lease, [make_failed_record(n, output="nul \0 and half \ud800 a pair") for n in (1, 2, 3)])
+    finish(database, lease, ShardEnd.BROKEN)
+    with database.transaction() as session:
+        view = submissions.newest_evaluation(session, submission)
+        assert view.state is EvaluationState.FAILED
+        assert view.log_tail == "nul \N{REPLACEMENT CHARACTER} and half ? a pair"
+
+
+def test_cancel_ends_the_evaluation_and_fences_off_its_workers(database: Database) -> None:
+    with database.transaction() as session:
+        principal = make_principal(session)
+        submission = submit(session, principal)
+        ids = shard_ids(session, submission)
+    play(database, ids[0])
+    lease = claim(database, ids[1])
+    with database.transaction() as session:
+        submissions.cancel(session, principal, submission.id)
+    with pytest.raises(LeaseLost):
+        store(database, lease, [make_record(lease.episodes[0])])
+    with pytest.raises(LeaseLost):
+        finish(database, lease)
+    with database.transaction() as session:
+        assert submissions.newest_evaluation(session, submission).state is EvaluationState.CANCELLED
+        assert [state_of(session, shard_id) for shard_id in ids] == [ShardState.DONE] + [ShardState.CANCELLED] * 8
+        assert session.scalar(text("SELECT count(*) FROM procrastinate_jobs WHERE status = 'todo'")) == 1
+        assert len(session.scalars(select(EpisodeResult)).all()) == 30
+
+
+def test_evaluation_of_a_second_run_has_records_of_its_own(database: Database) -> None:
+    with database.transaction() as session:
+        principal = make_principal(session)
+        submission = submit(session, principal)
+    play_all(database, submission)
+    with database.transaction() as session:
+        submit(session, principal, again=True)
+    with database.transaction() as session:
+        evaluation = submissions.newest_evaluation(session, submission)
+        assert (evaluation.run, evaluation.episodes_reused) == (2, 0)
+    play_all(database, submission)
+    with database.transaction() as session:
+        hashes = {
+            entry.result_hash
+            for entry in submissions.get(session, make_settings(), principal, submission.id).evaluations
+        }
+        assert len(hashes) == 1
+        assert len(session.scalars(select(EpisodeResult)).all()) == 540
+
+
+def test_records_are_read_back_as_they_were_written(database: Database) -> None:
+    with database.transaction() as session:
+        submission = submit(session, make_principal(session))
+    play_all(database, submission, some_record)
+    with database.transaction() as session:
+        key = key_of(submissions.newest_evaluation(session, submission), submission)
+        read = evaluations.records_of(session, key, TASK)
+    assert read == [some_record(episode) for episode in range(1, 271)]

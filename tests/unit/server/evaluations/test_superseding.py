@@ -1,0 +1,105 @@
+import pytest
+from service_factories import make_principal, make_settings, play, play_all, shard_ids, submit
+from sqlalchemy import text
+from vitac.evaluator.version import evaluator_version
+from vitac.server.accounts.principals import Principal
+from vitac.server.db.engine import Database
+from vitac.server.db.models import Evaluation, Submission, Worker
+from vitac.server.db.states import EvaluationState, WorkerState
+from vitac.server.evaluations.superseding import SUPERSEDE_LOCK, supersede_outdated
+from vitac.server.queue import workers
+from vitac.server.submissions import submissions
+
+SETTINGS = make_settings()
+
+
+@pytest.fixture
+def principal(database: Database) -> Principal:
+    with database.transaction() as session:
+        return make_principal(session)
+
+
+@pytest.fixture
+def outdated(database: Database, principal: Principal) -> Submission:
+    """A half-done submission that waits for an evaluator version of yesterday."""
+    with database.transaction() as session:
+        submission = submit(session, principal)
+        first = shard_ids(session, submission)[0]
+    play(database, first)
+    with database.transaction() as session:
+        session.execute(text("UPDATE evaluations SET evaluator_version = 'yesterday'"))
+    return submission
+
+
+def add_worker(database: Database, version: str) -> None:
+    worker = Worker(
+        host="h",
+        pid=1,
+        slots=1,
+        state=WorkerState.READY,
+        evaluator_version=version,
+        platform_class="p",
+        isolation="i",
+        message="",
+    )
+    with database.transaction() as session:
+        workers.register(session, worker)
+
+
+def supersede(database: Database) -> int:
+    with database.transaction() as session:
+        return supersede_outdated(session, SETTINGS)
+
+
+def newest(database: Database, submission: Submission) -> Evaluation:
+    with database.transaction() as session:
+        return submissions.newest_evaluation(session, submission)
+
+
+def test_evaluation_of_a_version_that_nobody_runs_is_begun_again(
+    database: Database, principal: Principal, outdated: Submission
+) -> None:
+    add_worker(database, evaluator_version())
+    assert supersede(database) == 1
+    with database.transaction() as session:
+        view = submissions.get(session, SETTINGS, principal, outdated.id)
+    assert [(entry.state, entry.evaluator_version) for entry in view.evaluations] == [
+        (EvaluationState.QUEUED, evaluator_version()),
+        (EvaluationState.CANCELLED, "yesterday"),
+    ]
+    assert supersede(database) == 0
+    play_all(database, outdated)
+    assert newest(database, outdated).state is EvaluationState.COMPLETED
+
+
+def test_it_is_left_alone_while_a_worker_of_its_version_lives(database: Database, outdated: Submission) -> None:
+    add_worker(database, evaluator_version())
+    add_worker(database, "yesterday")
+    assert supersede(database) == 0
+    assert newest(database, outdated).state is EvaluationState.RUNNING
+
+
+def test_it_is_left_alone_while_nobody_runs_the_new_version(database: Database, outdated: Submission) -> None:
+    assert supersede(database) == 0
+    assert newest(database, outdated).state is EvaluationState.RUNNING
+
+
+def test_finished_evaluations_and_those_of_this_version_are_left_alone(
+    database: Database, principal: Principal
+) -> None:
+    with database.transaction() as session:
+        done = submit(session, principal, "done")
+    play_all(database, done)
+    with database.transaction() as session:
+        session.execute(text("UPDATE evaluations SET evaluator_version = 'yesterday'"))
+        submit(session, principal, "waiting")
+    add_worker(database, evaluator_version())
+    assert supersede(database) == 0
+
+
+def test_two_processes_at_once_do_it_once(database: Database, outdated: Submission) -> None:
+    add_worker(database, evaluator_version())
+    with database.transaction() as session:
+        session.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": SUPERSEDE_LOCK})
+        assert supersede(database) == 0
+    assert supersede(database) == 1

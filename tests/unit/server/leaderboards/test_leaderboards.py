@@ -1,0 +1,78 @@
+import pytest
+from service_factories import LOCK, TASK, TRACK, make_principal, make_score, make_settings, submit_scored
+from sqlalchemy import update
+from vitac.evaluator.scoring.score import interval_of_mean
+from vitac.server.accounts.principals import CONSOLE
+from vitac.server.db.engine import Database
+from vitac.server.db.models import Submission
+from vitac.server.db.states import SubmissionKind
+from vitac.server.leaderboards.leaderboards import leaderboard
+from vitac.server.submissions import submissions
+from vitac.server.views.views import LeaderboardView, RankView
+
+
+def board_of(database: Database, task: str | None = None) -> LeaderboardView:
+    with database.transaction() as session:
+        return leaderboard(session, TRACK, task=task)
+
+
+def standings(board: LeaderboardView) -> list[tuple[int | None, str, str]]:
+    return [(entry.rank, entry.team, entry.submission_name) for entry in board.entries]
+
+
+@pytest.fixture
+def two_teams(database: Database) -> Database:
+    """Team A enters both tasks at once and the lock once more alone; Team B enters the peg only, and is good at it."""
+    with database.transaction() as session:
+        first, second = make_principal(session, "Team A"), make_principal(session, "Team B")
+        submit_scored(session, first, "both", {TASK: make_score(50), LOCK: make_score(60, 160, 9.0)})
+        submit_scored(session, first, "lock", {LOCK: make_score(100, 160)})
+        submit_scored(session, second, "peg", {TASK: make_score(80)})
+    return database
+
+
+def test_together_the_tasks_of_the_track_count_equally_and_a_missing_one_as_nothing(two_teams: Database) -> None:
+    board = board_of(two_teams)
+    assert standings(board) == [(1, "Team A", "both"), (2, "Team B", "peg")]
+    both, peg = board.entries
+    assert (both.success_rate, both.mean_steps) == ((0.5 + 60 / 160) / 2, 6.5)
+    assert (peg.success_rate, peg.mean_steps) == (0.4, None)
+    interval = interval_of_mean([make_score(50), make_score(60, 160)], of=2)
+    assert both.success_rate_interval == (interval.low, interval.high)
+    assert [score.task for score in both.scores] == [TASK, LOCK]
+    assert "mean of the success rates" in board.ranking_rule
+
+
+def test_a_task_has_a_board_of_all_that_play_it_with_each_teams_best_entry_there(two_teams: Database) -> None:
+    board = board_of(two_teams, LOCK)
+    assert standings(board) == [(1, "Team A", "lock")]
+    assert (board.entries[0].success_rate, board.entries[0].mean_steps) == (100 / 160, 4.0)
+    assert standings(board_of(two_teams, TASK)) == [(1, "Team B", "peg"), (2, "Team A", "both")]
+    assert [score.task for score in board_of(two_teams, TASK).entries[1].scores] == [TASK]
+
+
+def test_missing_steps_come_after_all_others_of_the_same_rate(database: Database) -> None:
+    with database.transaction() as session:
+        one = {TASK: make_score(80)}
+        both = {TASK: make_score(40), LOCK: make_score(40, mean_steps=50.0)}
+        submit_scored(session, make_principal(session, "one"), "a", one)
+        submit_scored(session, make_principal(session, "both"), "b", both)
+    assert [entry.team for entry in board_of(database).entries] == ["both", "one"]
+
+
+def test_logs_are_not_ranked_with_models(two_teams: Database) -> None:
+    with two_teams.transaction() as session:
+        session.execute(update(Submission).where(Submission.name == "lock").values(kind=SubmissionKind.LOG))
+    assert standings(board_of(two_teams, LOCK)) == [(1, "Team A", "both")]
+
+
+def test_a_submission_knows_its_places_and_what_it_lacks(two_teams: Database) -> None:
+    with two_teams.transaction() as session:
+        listed = submissions.list_submissions(session, make_settings(), CONSOLE).items
+    views = {view.name: view for view in listed}
+    first_of_two, second_of_two = RankView(rank=1, of=2), RankView(rank=2, of=2)
+    assert (views["both"].rank, views["both"].task_ranks) == (first_of_two, {TASK: second_of_two})
+    assert (views["lock"].rank, views["lock"].task_ranks) == (None, {LOCK: RankView(rank=1, of=1)})
+    assert (views["peg"].rank, views["peg"].task_ranks) == (second_of_two, {TASK: first_of_two})
+    assert [views[name].missing_tasks for name in ("both", "lock", "peg")] == [[], [TASK], [LOCK]]
+    assert views["both"].evaluation.success_rate == (0.5 + 60 / 160) / 2
