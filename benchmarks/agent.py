@@ -49,7 +49,7 @@ def main() -> None:
 
 @contextmanager
 def submission() -> Iterator[Path]:
-    """A policy that does nothing, where the sandbox's user can read it."""
+    """Return a policy that does nothing, where the sandbox's user can read it."""
     with tempfile.TemporaryDirectory(prefix="vitac-benchmark-") as name:
         folder = Path(name)
         folder.chmod(0o755)

@@ -18,7 +18,7 @@ PARTS = ("physics", "markers", "policy", "channel")
 
 
 def main() -> None:
-    """Evaluates once to warm the compiled kernels and once for the clock."""
+    """Evaluate once to warm the compiled kernels and once for the clock."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--json", type=Path, help="write the numbers to this file")
@@ -36,7 +36,7 @@ def main() -> None:
 
 
 def play(submission: Path, workers: int, episodes: tuple[int, ...] | None = None) -> Evaluation:
-    """Evaluates the peg task."""
+    """Evaluate the peg task."""
     track, task = find_task("peg-insertion")
     return evaluate(submission_dir=submission, track=track, task=task, workers=workers, episodes=episodes)
 

@@ -56,7 +56,7 @@ def compared(task: Task, starts: int) -> dict[str, Any]:
 
 
 def actors(task: Task) -> dict[str, MakeAct]:
-    """What acts in an episode, by name."""
+    """Return what acts in an episode, by name."""
     size = len(task.actions)
 
     def anything(number: int) -> Act:
@@ -71,7 +71,7 @@ def actors(task: Task) -> dict[str, MakeAct]:
 
 
 def example(task: str) -> MakeAct:
-    """The task's example policy."""
+    """Return the task's example policy."""
     policy = run_path(str(EXAMPLES / FOLDERS[task] / "Track_1" / "policy.py"))["Policy"]()
 
     def begun(_: int) -> Act:

@@ -70,7 +70,7 @@ class OwnGel(Meshes):
         self._gel = gel
 
     def gel(self) -> GelMesh:
-        """The gel of both sensors."""
+        """Return the gel of both sensors."""
         return self._gel
 
 
@@ -145,7 +145,7 @@ def node_count(cells: GelCells) -> int:
 
 
 def draw(families: dict[str, list[Figures]], path: Path) -> None:
-    """The curves of the families, on logarithmic axes."""
+    """Return the curves of the families, on logarithmic axes."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(5.0, 3.2), layout="constrained")

@@ -45,7 +45,7 @@ def main() -> None:
 
 
 def played_episode(env: LockOpeningEnv, episode: Episode, draws: int) -> dict[str, Any]:
-    """The episode's end with every draw, beside what the log says and what lifting alone would do."""
+    """Return the episode's end with every draw, beside what the log says and what lifting alone would do."""
     return {
         "episode": episode["episode"],
         "key": episode["shape"],
@@ -68,7 +68,7 @@ def end(env: LockOpeningEnv, episode: Episode, draw: int) -> dict[str, Any]:
 
 
 def lifted_at(episode: Episode) -> int | None:
-    """The env step at which a key that follows the gripper exactly would stand high enough to succeed."""
+    """Return the env step at which a key that follows the gripper exactly would stand high enough to succeed."""
     _, down_mm = LockOpeningSettings().action_scale_mm
     tooth_mm = 1e3 * key_control_points(KeyShape(episode["shape"])).rear_tooth_m[:, 2].max()
     heights_mm = tooth_mm - np.cumsum([down_mm * step["action"][1] for step in episode["steps"]])

@@ -102,7 +102,7 @@ def misses(replay: Replay, reference: Reference) -> list[Figures]:
 
 
 def against_logs(replay: Replay, reference: Reference) -> list[Figures]:
-    """The same actions here and in the organizers' run of the 2025 simulator, by env step."""
+    """Return the same actions here and in the organizers' run of the 2025 simulator, by env step."""
     rows, played = [], replay.by_step()
     logged = {(e["episode"], step["n"]): step for e in reference.log for step in e["steps"]}
     for n in ENV_STEPS:

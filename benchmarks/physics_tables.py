@@ -24,7 +24,7 @@ class DocumentError(ValueError):
 
 
 def with_tables(document: str, figures: Figures) -> str:
-    """The document with every marked table made anew."""
+    """Return the document with every marked table made anew."""
     marked = [match[1] for match in _MARKED.findall(document)]
     if sorted(marked) != sorted(TABLES):
         raise DocumentError(f"Expected one mark for each of {sorted(TABLES)}, found {sorted(marked)}.")
@@ -32,7 +32,7 @@ def with_tables(document: str, figures: Figures) -> str:
 
 
 def markdown(table: Table) -> str:
-    """A table with its head."""
+    """Return a table with its head."""
     head, *rows = (f"| {' | '.join(row)} |\n" for row in table)
     return head + "|" + "---|" * len(table[0]) + "\n" + "".join(rows)
 

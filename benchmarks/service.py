@@ -107,7 +107,7 @@ def evaluation_figures(services: Services, principal: Principal, n_workers: int)
 
 
 def parts(services: Services, records: Sequence[EpisodeRecord]) -> dict[str, float]:
-    """Sums over the episodes [s]; `database_s` is what storing exactly these records takes, measured once more."""
+    """Sum over the episodes [s]; `database_s` is what storing exactly these records takes, measured once more."""
     names = ("physics_s", "markers_s", "policy_s", "channel_s", "wall_s")
     sums = {name: sum(getattr(record.timings, name) for record in records) for name in names}
     sums["database_s"] = storing_s(services, records)
@@ -135,7 +135,7 @@ def storing_s(services: Services, records: Sequence[EpisodeRecord]) -> float:
 
 
 def claim(services: Services, shard_id: int) -> leases.Lease:
-    """Takes a shard for the benchmark itself."""
+    """Take a shard for the benchmark itself."""
     with services.database.transaction() as session:
         lease = leases.claim(session, shard_id, uuid4(), LIMIT_S)
     if lease is None:
@@ -163,14 +163,14 @@ def wait_figures(services: Services, principal: Principal, n: int) -> dict[str, 
 
 
 def started_after_s(services: Services, submission_id: UUID) -> float:
-    """Waits for a worker to start a submission and returns how long that took [s]."""
+    """Wait for a worker to start a submission and return how long that took [s]."""
     wait_until(lambda: newest(services, submission_id).started_at is not None)
     begun = newest(services, submission_id)
     return (begun.started_at - begun.created_at).total_seconds() if begun.started_at else float("nan")
 
 
 def upload(services: Services, principal: Principal, note: str = "") -> UUID:
-    """Submits the example policy (with a note, so that it is another content) and returns its id."""
+    """Submit the example policy (with a note, so that it is another content) and return its id."""
     with tempfile.TemporaryDirectory(dir=services.settings.scratch_dir) as name:
         folder = Path(name) / "packed" / "Track_1"
         shutil.copytree(EXAMPLE, folder)
@@ -185,7 +185,7 @@ def upload(services: Services, principal: Principal, note: str = "") -> UUID:
 
 
 def newest(services: Services, submission_id: UUID) -> Evaluation:
-    """The newest evaluation of a submission."""
+    """Return the newest evaluation of a submission."""
     with services.database.transaction() as session:
         query = select(Evaluation).where(Evaluation.submission_id == submission_id)
         found = session.scalars(query.order_by(Evaluation.created_at.desc())).first()
@@ -209,7 +209,7 @@ def count_workers(services: Services) -> int:
 
 
 def wait_until(holds: Callable[[], bool]) -> None:
-    """Waits for something to become true."""
+    """Wait for something to become true."""
     deadline = time.monotonic() + LIMIT_S
     while not holds():
         if time.monotonic() > deadline:

@@ -50,7 +50,7 @@ class CutOffOracle(SlowOracle):
 
 
 def conjugate_gradients(matrix: Any, right: FloatArray) -> FloatArray:
-    """A fixed number of iterations with the inverse diagonal as preconditioner; fewer at a negative curvature."""
+    """Run a fixed number of iterations with the inverse diagonal as preconditioner; fewer at negative curvature."""
     inverse = 1.0 / np.abs(matrix.diagonal())
     solution, residual = np.zeros_like(right), right
     direction = inverse * residual

@@ -76,7 +76,7 @@ def command(
 
 
 def _check_outputs(json: Path | None, log: Path | None, team: str | None) -> None:
-    """What would only fail after minutes of evaluation is refused before them."""
+    """Return what would only fail after minutes of evaluation is refused before them."""
     from vitac.evaluator.logs.log import is_team_name
 
     for option, path in (("--json", json), ("--log", log)):

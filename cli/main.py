@@ -40,7 +40,7 @@ NOUNS = (
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Runs the command line; exits with 0 for done, 1 for refused, 2 for wrong usage, 130 for Ctrl-C."""
+    """Run the command line; exit with 0 for done, 1 for refused, 2 for wrong usage, 130 for Ctrl-C."""
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     try:
         build_app(arguments)(arguments, prog_name="vitac")
@@ -50,7 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def build_app(arguments: Sequence[str]) -> typer.Typer:
-    """The command line with every noun listed, but only the one that is asked for imported."""
+    """Return the command line with every noun listed, but only the one that is asked for imported."""
     app = typer.Typer(
         callback=_options,
         no_args_is_help=True,
@@ -84,7 +84,7 @@ def _options(
         bool, typer.Option("--version", help="Show the version and exit.", is_eager=True, callback=_show_version)
     ] = False,
 ) -> None:
-    """Evaluation server and submission scoring for manipulation with vision and touch."""
+    """Serve, evaluate and score submissions for manipulation with vision and touch."""
 
 
 def _listed_only() -> None:

@@ -151,7 +151,7 @@ def require_extra() -> None:
 
 
 def find_start(task: str, number: int) -> Start:
-    """An episode of a task's list, or the random start of an environment that has the number as its seed.
+    """Return an episode of a task's list, or the random start of an environment that has the number as its seed.
 
     Raises:
         UnknownTask: there is neither such a task nor such an environment.
@@ -246,7 +246,7 @@ def _one_by_one(actions: "NDArray[np.float32]") -> "NextAction":
 
 
 def _chosen(playback: "Playback", kind: "Kind", step: int | None) -> slice:
-    """The moments that are drawn."""
+    """Return the moments that are drawn."""
     if kind is not kind.PNG:
         return slice(None)
     ends = playback.last_moments

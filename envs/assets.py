@@ -28,7 +28,7 @@ class AssetsMissing(VitacError):
 
 
 def assets_dir_from_environment() -> Path | None:
-    """The folder in VITAC_ASSETS_DIR, or None where it is unset or empty.
+    """Return the folder in VITAC_ASSETS_DIR, or None where it is unset or empty.
 
     Entry points (the command line) call this and pass the folder down; an environment never reads the variable by
     itself, so a variable left set cannot change a ranked evaluation.

@@ -35,7 +35,7 @@ class _UniqueKeyLoader(yaml.SafeLoader):
     """Safe YAML loader that refuses a key given twice, where PyYAML would keep the last one in silence."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        """Builds one mapping after looking for repeated keys."""
+        """Build one mapping after looking for repeated keys."""
         seen: set[object] = set()
         for key_node, _ in node.value:
             key = self.construct_object(key_node, deep=True)
@@ -46,7 +46,7 @@ class _UniqueKeyLoader(yaml.SafeLoader):
 
 
 def parse_yaml(model: type[ModelT], text: str, origin: str) -> ModelT:
-    """Reads one YAML document into a model.
+    """Read one YAML document into a model.
 
     Args:
         model: what the document must be.
@@ -64,7 +64,7 @@ def parse_yaml(model: type[ModelT], text: str, origin: str) -> ModelT:
 
 
 def validate(model: type[ModelT], content: object, origin: str) -> ModelT:
-    """Checks parsed content against a model.
+    """Check parsed content against a model.
 
     Raises:
         DocumentRejected: with one sentence for each thing that is wrong.
@@ -98,7 +98,7 @@ def _nearest(key: str, valid: list[str]) -> str:
 
 
 def _keys_at(model: type[BaseModel], place: tuple[int | str, ...]) -> list[str]:
-    """Valid keys of the (nested) model that a location inside a document points to."""
+    """Return the valid keys of the (nested) model that a location inside a document points to."""
     if not place:
         return sorted(model.model_fields)
     field = model.model_fields.get(str(place[0]))

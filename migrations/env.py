@@ -5,7 +5,7 @@ from sqlalchemy import Connection
 
 
 def run(connection: Connection) -> None:
-    """Runs the wanted migrations, each in a transaction of its own."""
+    """Run the wanted migrations, each in a transaction of its own."""
     context.configure(connection=connection, transaction_per_migration=True)
     with context.begin_transaction():
         context.run_migrations()

@@ -104,7 +104,7 @@ class SettingsError(VitacError):
 
 
 def not_found(noun: str, name: object) -> ServiceError:
-    """The refusal for a thing that is missing or belongs to somebody else: both look alike from outside."""
+    """Return the refusal for a thing that is missing or belongs to somebody else: both look alike from outside."""
     return ServiceError(
         ProblemCode.NOT_FOUND, f"There is no {noun} {name} that you may see. Check the id and the token."
     )

@@ -36,7 +36,7 @@ class Housekeeping:
         self._thread.start()
 
     def stop(self) -> None:
-        """Ends after the round at work."""
+        """End after the round at work."""
         self._stopping.set()
         self._thread.join()
 
@@ -62,7 +62,7 @@ class Housekeeping:
 
 
 def prune(services: Services) -> None:
-    """Removes finished jobs, stored files without a submission and leftovers of interrupted uploads."""
+    """Remove finished jobs, stored files without a submission and leftovers of interrupted uploads."""
     with services.database.transaction() as session:
         prune_finished_jobs(session, timedelta(hours=services.settings.finished_jobs_kept_h))
         known = set(session.scalars(select(Submission.archive_sha256)))

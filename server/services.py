@@ -23,7 +23,7 @@ class Services:
 
 @contextmanager
 def open_services(settings: Settings) -> Iterator[Services]:
-    """Starts or finds the database, brings its schema up to date and opens the file store.
+    """Start or finds the database, brings its schema up to date and opens the file store.
 
     Raises:
         VitacError: one of them cannot be used here; the message says what to do.

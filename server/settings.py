@@ -106,7 +106,7 @@ class Settings(BaseSettings):
 
 
 def load_settings(**overrides: Any) -> Settings:
-    """The settings of this process; values given here win over the environment.
+    """Return the settings of this process; values given here win over the environment.
 
     Raises:
         SettingsError: a variable has a value that cannot be used.

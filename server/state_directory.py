@@ -20,7 +20,7 @@ def default_state_directory() -> Path:
 
 
 def choose_state_directory(*, checkout: Path | None, user_state: Path, is_root: bool, system_state: Path) -> Path:
-    """The rule behind `default_state_directory`, with all that it depends on passed in."""
+    """Return the rule behind `default_state_directory`, with all that it depends on passed in."""
     wanted = checkout / ".state" if checkout is not None else user_state / "vitac-arena"
     if not is_root or others_can_enter(wanted.parent):
         return wanted
@@ -36,7 +36,7 @@ def others_can_enter(folder: Path) -> bool:
 
 
 def checkout_directory() -> Path | None:
-    """The source tree that this package runs from, or None when it was installed from a wheel."""
+    """Return the source tree that this package runs from, or None when it was installed from a wheel."""
     spec = find_spec("vitac.server")
     if spec is None or spec.origin is None:
         return None

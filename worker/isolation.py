@@ -26,7 +26,7 @@ class IsolationReport:
 
 
 def probe_isolation(run: RunProbes = run_probes) -> IsolationReport:
-    """Runs the quick probes in real sandboxes."""
+    """Run the quick probes in real sandboxes."""
     outcomes = list(run(tuple(probe for probe in PROBES if probe.name not in SLOW_PROBES)))
     return IsolationReport(level=_level_of(outcomes), problems=tuple(_sentences(outcomes)))
 

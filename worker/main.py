@@ -28,7 +28,7 @@ PROBE_AGAIN_S = 60.0
 
 
 def run(settings: Settings) -> None:
-    """Evaluates what is in the queue until SIGTERM or SIGINT; shards at work are given back then.
+    """Evaluate what is in the queue until SIGTERM or SIGINT; shards at work are given back then.
 
     Raises:
         VitacError: database or file store cannot be used.
@@ -38,7 +38,7 @@ def run(settings: Settings) -> None:
 
 
 def work(services: Services, *, start: StartShard = running_shard, probe: ProbeIsolation = probe_isolation) -> None:
-    """Runs one worker on open services; must be called in the main thread."""
+    """Run one worker on open services; must be called in the main thread."""
     stopping = threading.Event()
     with _stopped_by_signals(stopping):
         while not stopping.is_set():
@@ -85,7 +85,7 @@ def _stop_when(stopping: threading.Event, worker: QueueWorker) -> None:
 
 @contextmanager
 def _stopped_by_signals(stopping: threading.Event) -> Iterator[None]:
-    """Sets the event on SIGTERM or SIGINT while the block runs; a second one of the kind ends the process at once."""
+    """Set the event on SIGTERM or SIGINT while the block runs; a second one of the kind ends the process at once."""
 
     def handle(number: int, _frame: object) -> None:
         signal.signal(number, before[signal.Signals(number)])

@@ -29,7 +29,7 @@ class Presence:
         self._thread = threading.Thread(target=self._run, name="presence", daemon=True)
 
     def start(self) -> None:
-        """Registers the worker and begins."""
+        """Register the worker and begins."""
         with self._services.database.transaction() as session:
             workers.register(session, self._row())
         self._thread.start()

@@ -41,7 +41,7 @@ class RunningShard(Protocol):
         """What the shard ended with."""
 
     def kill(self) -> None:
-        """Ends it at once."""
+        """End it at once."""
 
 
 StartShard = Callable[[ShardOrder], AbstractContextManager[RunningShard]]
@@ -89,7 +89,7 @@ class ShardRun:
             renewing.join()
 
     def stop(self) -> None:
-        """Ends the process; `run` gives the shard back."""
+        """End the process; `run` gives the shard back."""
         self._stopping.set()
         self._kill()
 
@@ -100,7 +100,7 @@ class ShardRun:
         return RunEnd.FINISHED
 
     def _result_without_running(self, stored: StoredEpisodes) -> ShardResult | None:
-        """The shard's end when nothing is left to play; None when something is, or nobody has played the task yet."""
+        """Return the shard's end if nothing is left to play; None otherwise, or if nobody has played the task yet."""
         broken = is_broken(stored.failures)
         if not broken and not stored.numbers.issuperset(self._lease.episodes):
             return None
@@ -156,7 +156,7 @@ class ShardRun:
                 logger.warning("lease_not_renewed", shard=self._lease.shard_id, error=str(error))
 
     def _end_silence(self) -> None:
-        """Ends a process that hangs: its limits bound the policy, but nothing else bounds the simulation."""
+        """End a process that hangs: its limits bound the policy, but nothing else bounds the simulation."""
         if time.monotonic() - self._heard_at > self._services.settings.shard_silence_s:
             self._silent.set()
             self._kill()
@@ -180,7 +180,7 @@ class ShardRun:
         return RunEnd.BROKE
 
     def _database(self, work: Callable[[Session], ResultT]) -> ResultT:
-        """Runs a transaction, again and again while the database is away and the worker is not told to stop."""
+        """Run a transaction, again and again while the database is away and the worker is not told to stop."""
         patience_s = 5.0 if self._stopping.is_set() else DATABASE_PATIENCE_S
         return self._services.database.retrying(work, give_up_after_s=patience_s)
 

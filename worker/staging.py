@@ -44,7 +44,7 @@ class SubmissionStage:
 
     @contextmanager
     def submission(self, kind: SubmissionKind, archive_sha256: str) -> Iterator[Path]:
-        """The folder of an unpacked model, or the file of a log, there as long as the block runs.
+        """Return the folder of an unpacked model, or the file of a log, there as long as the block runs.
 
         Raises:
             ServiceError: the stored file cannot be read.
@@ -65,7 +65,7 @@ class SubmissionStage:
                 self._forget_idle()
 
     def close(self) -> None:
-        """Removes everything."""
+        """Remove everything."""
         shutil.rmtree(self._folder, ignore_errors=True)
 
     def _fetch(self, kind: SubmissionKind, archive_sha256: str, folder: Path) -> Path:
@@ -86,7 +86,7 @@ class SubmissionStage:
 
 
 def remove_leftovers(scratch_dir: Path) -> None:
-    """Removes folders of workers of this machine that were killed."""
+    """Remove folders of workers of this machine that were killed."""
     prefix = f"{_PREFIX}-{socket.gethostname()}-"
     for folder in scratch_dir.glob(f"{prefix}*"):
         pid = folder.name.removeprefix(prefix).partition("-")[0]

@@ -59,7 +59,7 @@ class QueueWorker:
                     await asyncio.wait_for(self._stopped.wait(), RECONNECT_PAUSE_S)
 
     def stop(self) -> None:
-        """Gives all shards back and ends."""
+        """Give all shards back and ends."""
         with self._lock:
             self._stopping = True
             running = list(self._runs)

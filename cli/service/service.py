@@ -124,5 +124,5 @@ def log_to(stream: TextIO) -> None:
 
 
 def _environment(settings: Settings) -> dict[str, str]:
-    """What a worker must know that came from our command line and not from the environment."""
+    """Return what a worker must know that came from our command line and not from the environment."""
     return {"VITAC_STATE_DIR": str(settings.state_dir), "VITAC_WORKER_SLOTS": str(settings.worker_slots)}

@@ -40,7 +40,7 @@ class Colouring:
 
 
 def colouring(playback: Playback, quantity: Quantity) -> Colouring:
-    """The quantity at all moments, on one scale that 98 % of the values are within."""
+    """Return the quantity at all moments, on one scale that 98 % of the values are within."""
     values = tuple(
         (_values(playback, moment, 0, quantity), _values(playback, moment, 1, quantity)) for moment in playback.moments
     )

@@ -43,7 +43,7 @@ class Destination:
 
     @classmethod
     def at(cls, path: Path) -> "Destination":
-        """The kind is told by the suffix; no suffix means a folder.
+        """Return the kind is told by the suffix; no suffix means a folder.
 
         Raises:
             PicturesNotWritable: the suffix is of another kind, or the place is not free or cannot be written to.
@@ -59,7 +59,7 @@ class Destination:
         return destination
 
     def write(self, pictures: Sequence[Picture], *, names: Sequence[str], durations_ms: Sequence[int]) -> list[Path]:
-        """Writes the pictures, RGB of shape [height, width, 3]; the files that were written.
+        """Write the pictures, RGB of shape [height, width, 3]; the files that were written.
 
         Args:
             pictures: one for a PNG, at least one for the others.

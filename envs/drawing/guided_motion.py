@@ -35,7 +35,7 @@ def straight_to_target(env_id: str) -> Callable[[Observation, Info], ActionArray
 
 
 def _insert_peg(_: Observation, info: Info) -> ActionArray:
-    """Takes the offset away: x and y in the gripper's own axes, which turn with it, and the angle."""
+    """Take the offset away: x and y in the gripper's own axes, which turn with it, and the angle."""
     x_mm, y_mm, theta_deg = info["gt_offset_mm_deg"].tolist()
     sine, cosine = sine_cosine(radians(theta_deg))
     way = (-cosine * x_mm - sine * y_mm, sine * x_mm - cosine * y_mm, -theta_deg)
@@ -51,6 +51,6 @@ def _open_lock(_: Observation, info: Info) -> ActionArray:
 
 
 def _in_proportion(way: NDArray[np.float64], scale: NDArray[np.float64]) -> ActionArray:
-    """The longest action along a way that does not go beyond its end."""
+    """Return the longest action along a way that does not go beyond its end."""
     action = way / scale
     return np.asarray(action / max(1.0, float(np.abs(action).max())), dtype=np.float32)

@@ -109,13 +109,13 @@ class Painter:
         self._sensors = SensorPanels(playback)
 
     def picture(self, index: int) -> NDArray[np.uint8]:
-        """The picture of one moment, RGB of shape [height, width, 3]."""
+        """Return the picture of one moment, RGB of shape [height, width, 3]."""
         canvas = FigureCanvasAgg(self.figure(index))
         canvas.draw()  # type: ignore[no-untyped-call]
         return np.asarray(canvas.buffer_rgba())[..., :3].copy()  # type: ignore[no-untyped-call]
 
     def figure(self, index: int) -> Figure:
-        """The drawing of one moment."""
+        """Return the drawing of one moment."""
         dpi = self._size_px[0] / _WIDTH_IN
         # The canvas rounds down to whole pixels.
         width_in, height_in = ((pixels + 0.5) / dpi for pixels in self._size_px)

@@ -34,7 +34,7 @@ def draw_section(axes: Axes, perspective: Perspective, playback: Playback, momen
 
 
 def draw_progress(axes: Axes, progress: Progress, playback: Playback, index: int) -> None:
-    """The heights that decide, over the env steps of the whole episode, with the present moment marked."""
+    """Return the heights that decide, over the env steps of the whole episode, with the present moment marked."""
     ends = [playback.moments[last] for last in playback.last_moments]
     steps = np.array([moment.env_step for moment in ends])
     heights = np.array([progress.heights_mm(moment.info) for moment in ends])
@@ -62,7 +62,7 @@ def draw_progress(axes: Axes, progress: Progress, playback: Playback, index: int
 
 
 def style(axes: Axes, title: str) -> None:
-    """The look that all plots share."""
+    """Return the look that all plots share."""
     axes.set_title(title, size=TITLE_PT, color=INK, pad=4)
     axes.tick_params(labelsize=TICK_PT, length=2.5, color=INK, labelcolor=INK, pad=2)
     for spine in axes.spines.values():

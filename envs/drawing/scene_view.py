@@ -87,7 +87,7 @@ class SceneView:
         self._background = self._look_at_fixed()
 
     def image(self, moment: Moment, values: tuple[FloatArray, FloatArray], colours: ColourMap) -> SceneImage:
-        """The scene at a moment, the gels coloured by values at their nodes, each of shape [n]."""
+        """Return the scene at a moment, the gels coloured by values at their nodes, each of shape [n]."""
         gels, held = self._gels(moment, values), self._held(moment)
         behind = self._background.copy()
         self._add([self._fixed], gels, behind)
@@ -119,7 +119,7 @@ class SceneView:
         return _Part(vertices_m=moment.held_m, triangles=triangles, edges=self._held_edges, colour=HELD_COLOUR)
 
     def _framing(self, camera: ParallelCamera) -> ParallelCamera:
-        """The same camera, moved and scaled so that all moments fit."""
+        """Return the same camera, moved and scaled so that all moments fit."""
         kept = self._fixed.vertices_m[self._cut.heights_m(self._fixed.vertices_m) <= 0.0]
         moving = [part for moment in self._playback.moments for part in (*moment.gel_nodes_m, moment.held_m)]
         points_m = np.concatenate(

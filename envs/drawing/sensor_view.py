@@ -72,7 +72,7 @@ class SensorPanels:
             axes.set_yticklabels([])
 
     def _face_px(self, moment: Moment, side: Side) -> Triangulation:
-        """The sensing surface as its camera sees it."""
+        """Return the sensing surface as its camera sees it."""
         pose = moment.sensor_poses[side.index]
         nodes_m = moment.gel_nodes_m[side.index][self._mesh.sensing_nodes]
         pixels = project(camera_frame(nodes_m, pose.rotation, pose.centre_m))
@@ -80,7 +80,7 @@ class SensorPanels:
 
 
 def arrows(marker_flow: NDArray[np.float32]) -> tuple[FloatArray, FloatArray]:
-    """Starts and lengths of the marker flow of one sensor [pixel], shapes [m, 2]; each marker once.
+    """Start and lengths of the marker flow of one sensor [pixel], shapes [m, 2]; each marker once.
 
     Args:
         marker_flow: reference and current positions, shape [2, 128, 2]; the last one is repeated where fewer are seen.

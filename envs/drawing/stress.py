@@ -24,7 +24,7 @@ def deformation_gradients(rest_m: FloatArray, positions_m: FloatArray, tetrahedr
 
 
 def cauchy_stress_pa(F: FloatArray, *, youngs_modulus_pa: float, poisson_ratio: float) -> FloatArray:
-    """True stress of the gels' compressible neo-Hookean material [Pa], shape [t, 3, 3].
+    """Return the true stress of the gels' compressible neo-Hookean material [Pa], shape [t, 3, 3].
 
         sigma = (mu (B - I) + lambda ln J I) / J,   B = F F^T,   J = det F
 

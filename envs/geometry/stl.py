@@ -18,7 +18,7 @@ class StlError(VitacError):
 
 
 def read_stl(path: Path, *, scale: float = 1e-3) -> SurfaceMesh:
-    """Closed surface in an STL file; corners at equal positions become one vertex, in order of appearance.
+    """Read the closed surface in an STL file; corners at equal positions become one vertex, in order of appearance.
 
     Args:
         path: binary or ASCII file.

@@ -53,7 +53,7 @@ class Clocks:
 
 
 def fixed_at_origin(mesh: SurfaceMesh, *, friction: float) -> RigidBody:
-    """A part that never moves, its own frame being the world's."""
+    """Return a part that never moves, its own frame being the world's."""
     return RigidBody(mesh=mesh, rotation=np.eye(3), translation_m=np.zeros(3), friction=friction, fixed=True)
 
 
@@ -147,7 +147,7 @@ class GraspedScene:
         return np.stack([self.sensor_pose(index).centre_m for index in range(len(self._sensors))])
 
     def take_reports(self) -> tuple[StepReport, ...]:
-        """Reports of the IPC steps since the last call."""
+        """Report of the IPC steps since the last call."""
         reports, self._reports = tuple(self._reports), []
         return reports
 

@@ -52,7 +52,7 @@ class GripperPose:
     def moved(
         self, *, x_m: float = 0.0, y_m: float = 0.0, z_m: float = 0.0, angle_rad: float = 0.0, closing_m: float = 0.0
     ) -> "GripperPose":
-        """The pose after a translation [m], a turn about its own centre [rad] and a closing of each jaw [m]."""
+        """Return the pose after a translation [m], a turn about its own centre [rad] and a closing of each jaw [m]."""
         return GripperPose(
             x_m=self.x_m + x_m,
             y_m=self.y_m + y_m,
@@ -62,7 +62,7 @@ class GripperPose:
         )
 
     def towards(self, goal: "GripperPose", part: int, parts: int) -> "GripperPose":
-        """The pose `part` of `parts` equal pieces on the way to the goal; the goal itself at the end."""
+        """Return the pose `part` of `parts` equal pieces on the way to the goal; the goal itself at the end."""
         if part == parts:
             return goal
         fraction = part / parts

@@ -73,7 +73,7 @@ def gelsight_mini_mesh() -> GelMesh:
 
 
 def structured_gel(*, name: str, size: GelDimensions | None = None, cells: GelCells | None = None) -> GelMesh:
-    """A gel of hexahedral cells, each cut into five tetrahedra, mirrored from cell to cell like a chessboard.
+    """Return a gel of hexahedral cells, each cut into five tetrahedra, mirrored from cell to cell like a chessboard.
 
     The back face is driven, the face between the bevels is sensing.
     """
@@ -129,13 +129,13 @@ def _cut_cells(x_lines: int, y_lines: int, layers: int) -> NDArray[np.int64]:
 
 
 def _neighbours(corner: tuple[int, int, int]) -> tuple[tuple[int, int, int], ...]:
-    """The three corners of a cell that share an edge with this one."""
+    """Return the three corners of a cell that share an edge with this one."""
     x, y, z = corner
     return (1 - x, y, z), (x, 1 - y, z), (x, y, 1 - z)
 
 
 def _oriented(nodes: NDArray[np.float64], tetrahedra: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The tetrahedra with two corners swapped where that makes the volume positive."""
+    """Return the tetrahedra with two corners swapped where that makes the volume positive."""
     a, b, c = (nodes[tetrahedra[:, k]] - nodes[tetrahedra[:, 0]] for k in (1, 2, 3))
     negative = (np.cross(a, b) * c).sum(axis=1) < 0
     turned = tetrahedra.copy()

@@ -104,7 +104,7 @@ def marker_flow(
     settings: MarkerSettings,
     random: np.random.Generator,
 ) -> FloatArray:
-    """Reference and current pixel positions of 128 markers, shape [2, 128, 2] [pixel].
+    """Return the reference and current pixel positions of 128 markers, shape [2, 128, 2] [pixel].
 
     Args:
         surface: sensing surface of the gel.
@@ -219,7 +219,7 @@ def _in_hull(x: float, y: float, hull: FloatArray) -> bool:
 
 @allocating_kernel
 def _nearest(x: float, y: float, centroids: FloatArray) -> IndexArray:
-    """Indices of the nearest centroids, nearest first, at most four; of equally near ones the lower index first."""
+    """Return the indices of at most four nearest centroids, nearest first; lower index first among equals."""
     count = min(_CANDIDATE_TRIANGLES, centroids.shape[0])
     best = np.empty(count, dtype=np.int64)
     distance = np.full(count, np.inf)

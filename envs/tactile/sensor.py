@@ -47,7 +47,7 @@ class TactileSensor:
         return mean_distance_m(self._reference(), view_m)
 
     def marker_flow(self, view_m: FloatArray, random: np.random.Generator) -> FloatArray:
-        """Reference and current marker positions, shape [2, 128, 2] [pixel]."""
+        """Return the reference and current marker positions, shape [2, 128, 2] [pixel]."""
         return marker_flow(self._surface, self._reference(), view_m, settings=self._settings, random=random)
 
     def _reference(self) -> FloatArray:

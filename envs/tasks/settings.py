@@ -14,7 +14,7 @@ class SettingsError(VitacError):
 
 
 def settings_from(kind: type[Settings], overrides: dict[str, Any]) -> Settings:
-    """Settings with some values replaced.
+    """Return the settings with some values replaced.
 
     Raises:
         SettingsError: a name is not a setting of this task, or its value has another type than the default.
@@ -29,7 +29,7 @@ def settings_from(kind: type[Settings], overrides: dict[str, Any]) -> Settings:
 
 
 def nearest(name: str, known: "dict[str, Any] | list[str]") -> str:
-    """A hint with the most similar known name, or all of them."""
+    """Return a hint with the most similar known name, or all of them."""
     close = get_close_matches(name, list(known), n=1)
     return f"did you mean '{close[0]}'?" if close else f"expected one of {', '.join(sorted(known))}."
 

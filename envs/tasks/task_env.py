@@ -209,7 +209,7 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
 
     @abstractmethod
     def _reset_info(self) -> Info:
-        """The task's own entries of `info` after a reset."""
+        """Return the task's own entries of `info` after a reset."""
 
     @abstractmethod
     def _move(self, command: FloatArray) -> None:
@@ -225,7 +225,7 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
 
     @abstractmethod
     def _privileged_observation(self) -> Mapping[str, FloatArray]:
-        """The truth that only training sees."""
+        """Return the truth that only training sees."""
 
     def _observation(self) -> Observation:
         assert self._episode_random is not None  # noqa: S101 - set by reset
@@ -252,7 +252,7 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
                 raise ResetOptionsError(f"{self.env_id} has no reset option '{name}'; {nearest(name, known)}")
 
     def _generator(self, rng_seed: Any) -> np.random.Generator:
-        """Generator of the episode: from the seed sequence in the options, else the environment's own."""
+        """Return the generator of the episode: from the seed sequence in the options, else the environment's own."""
         if rng_seed is None:
             return self.np_random
         parts = list(rng_seed) if isinstance(rng_seed, (tuple, list)) else [rng_seed]

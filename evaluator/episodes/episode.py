@@ -38,7 +38,7 @@ class Environment(Protocol):
     marker_cpu_s: float
 
     def reset(self, *, options: Mapping[str, object]) -> tuple[Observation, dict[str, Any]]:
-        """Starts an episode."""
+        """Start an episode."""
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Plays one env step; goes on after an end, so that recorded actions can all be played."""
@@ -62,7 +62,7 @@ class Policy(Protocol):
         """Time between question and answer that the policy did not compute."""
 
     def act(self, observation: Observation) -> NDArray[np.float32]:
-        """The action for an observation.
+        """Return the action for an observation.
 
         Raises:
             PolicyFailed: it crashed, broke a limit or answered wrongly.
@@ -77,7 +77,7 @@ class Session(Protocol):
         """How strongly it is isolated."""
 
     def episode(self, *, task: str, action_shape: tuple[int, ...]) -> AbstractContextManager[Policy]:
-        """A fresh process of the policy for one episode.
+        """Return a fresh process of the policy for one episode.
 
         Raises:
             PolicyFailed: its reset failed.
@@ -88,7 +88,7 @@ OpenSession = Callable[[], Session]
 
 
 def make_environment(task: Task, assets_dir: Path | None = None) -> Environment:
-    """The environment of a task, as policies are scored in it (nothing privileged).
+    """Return the environment of a task, as policies are scored in it (nothing privileged).
 
     Args:
         task: whose environment.
@@ -143,7 +143,7 @@ def run_episode(*, env: Environment, task: Task, episode: Episode, open_session:
 
 
 def json_info(info: Mapping[str, Any]) -> dict[str, JsonValue]:
-    """An env step's info as JSON values; arrays become lists. Solver reports are left out."""
+    """Return an env step's info as JSON values; arrays become lists. Solver reports are left out."""
     return {key: _json_value(key, value) for key, value in info.items() if key not in _INFO_KEYS_NOT_RECORDED}
 
 
@@ -185,7 +185,7 @@ def _play(env: Environment, task: Task, policy: Policy, observation: Observation
 
 
 def public_part(task: Task, observation: Observation) -> Observation:
-    """The observation, after making sure that it holds what the track's table lists and nothing else."""
+    """Return the observation, after making sure that it holds what the track's table lists and nothing else."""
     listed = {row.key for row in task.observations}
     if set(observation) != listed:
         raise EnvironmentBroken(

@@ -7,7 +7,7 @@ from .records import Manifest
 
 
 def make_manifest(track: Track, task: Task, env: Environment) -> Manifest:
-    """What an evaluation in this environment is made with."""
+    """Return what an evaluation in this environment is made with."""
     return Manifest(
         track=track.name,
         task=task.name,

@@ -58,7 +58,7 @@ class ActionSequence(StrictModel):
         return cls(shape=(actions.shape[0], actions.shape[1]), float32_base64=data)
 
     def to_array(self) -> NDArray[np.float32]:
-        """The actions, shape [env steps, action size]."""
+        """Return the actions, shape [env steps, action size]."""
         return np.frombuffer(base64.b64decode(self.float32_base64), dtype="<f4").reshape(self.shape).astype(np.float32)
 
     @model_validator(mode="after")
@@ -179,7 +179,7 @@ def result_hash(manifest: Manifest, records: Iterable[EpisodeRecord]) -> str:
 
 
 def in_order(task: str, records: Iterable[EpisodeRecord]) -> list[EpisodeRecord]:
-    """Records sorted by episode number.
+    """Return the records sorted by episode number.
 
     Raises:
         RecordsDisagree: an episode came twice, or a record is of another task.
@@ -195,7 +195,7 @@ def in_order(task: str, records: Iterable[EpisodeRecord]) -> list[EpisodeRecord]
 
 
 def canonical_json(content: Mapping[str, Any]) -> bytes:
-    """The one JSON text of some content: sorted keys, no blanks, ASCII, no NaN."""
+    """Return the one JSON text of some content: sorted keys, no blanks, ASCII, no NaN."""
     return json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False).encode("ascii")
 
 

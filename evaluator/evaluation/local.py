@@ -57,7 +57,7 @@ def evaluate(
     assets_dir: Path | None = None,
     on_episode: Callable[[EpisodeRecord], None] = lambda _: None,
 ) -> Evaluation:
-    """Evaluates a submission in processes of its own, one shard at a time in each.
+    """Evaluate a submission in processes of its own, one shard at a time in each.
 
     Args:
         submission_dir: folder of the unpacked submission.
@@ -113,7 +113,7 @@ class _Crew:
         self._threads = [threading.Thread(target=self._work, args=(slot,), daemon=True) for slot in range(workers)]
 
     def run(self) -> Generator[EpisodeRecord, None, None]:
-        """Runs everything; gives the records as they come. Whatever ends it early ends the processes too."""
+        """Run everything; give the records as they come. Whatever ends it early ends the processes too."""
         for thread in self._threads:
             thread.start()
         try:

@@ -23,7 +23,7 @@ class EvaluationReport(StrictModel):
 
     @classmethod
     def of(cls, evaluation: Evaluation, *, name: str, digest: str) -> Self:
-        """The report on an evaluation of the submission of that name and digest."""
+        """Return the report on an evaluation of the submission of that name and digest."""
         return cls(
             name=name,
             submission_digest=digest,

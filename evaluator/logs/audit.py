@@ -49,7 +49,7 @@ def audit(
     open_session: OpenSession,
     on_episode: Callable[[AuditedEpisode], None] = lambda _: None,
 ) -> Audit:
-    """Shows a model what the log's actions lead to and compares what it would have done.
+    """Show a model what the log's actions lead to and compare what it would have done.
 
     The environment always follows the log, so one other action does not spoil the comparison of those after it.
 
@@ -73,7 +73,7 @@ def audit(
 
 
 def compare_actions(log: Mapping[int, ActionSequence], model: Mapping[int, ActionSequence]) -> Audit:
-    """Compares a log with what a model did from the same starts, by episode number, without playing anything.
+    """Compare a log with what a model did from the same starts, by episode number, without playing anything.
 
     Up to the first other action of an episode both saw the same. What comes after it cannot be compared, and counts as
     not reproduced.

@@ -26,7 +26,7 @@ _KEYS_THAT_MUST_AGREE = (
 
 
 def known_without_running(track: Track, task: Task) -> dict[str, object]:
-    """What the manifest of an evaluation by this evaluator must say, as far as no environment has to be made."""
+    """Return what the manifest of an evaluation by this evaluator must say, as far as no environment has to be made."""
     return {
         "track": track.name,
         "task": task.name,
@@ -37,7 +37,7 @@ def known_without_running(track: Track, task: Task) -> dict[str, object]:
 
 
 def must_agree(manifest: Manifest) -> dict[str, object]:
-    """What the manifest of a log must say to be that of an evaluation with this manifest."""
+    """Return what the manifest of a log must say to be that of an evaluation with this manifest."""
     return manifest.model_dump(include=set(_KEYS_THAT_MUST_AGREE))
 
 
@@ -101,7 +101,7 @@ def why_record_impossible(task: Task, record: EpisodeRecord) -> Impossibility | 
 
 
 def out_of_bounds(task: Task, actions: NDArray[np.float32]) -> str | None:
-    """The rest of a sentence about the first action outside -1 and 1; None if all are inside.
+    """Return the rest of a sentence about the first action outside -1 and 1; None if all are inside.
 
     Args:
         task: what was played.

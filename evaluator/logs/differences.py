@@ -22,7 +22,7 @@ class LogDifference(StrictModel):
 def first_difference(
     first: tuple[LogHeader, Iterable[EpisodeRecord]], second: tuple[LogHeader, Iterable[EpisodeRecord]]
 ) -> LogDifference | None:
-    """The first difference of two logs in what was played, or None; whose they are does not count."""
+    """Return the first difference of two logs in what was played, or None; whose they are does not count."""
     ours, theirs = first[0].manifest, second[0].manifest
     for key in type(ours).model_fields:
         if getattr(ours, key) != getattr(theirs, key):

@@ -81,18 +81,18 @@ class LogFinding(StrictModel):
 
     @classmethod
     def diverged(cls, divergence: Divergence) -> "LogFinding":
-        """The finding that a log's actions lead elsewhere."""
+        """Return the finding that a log's actions lead elsewhere."""
         reason = f"diverged at episode {divergence.episode} env step {divergence.env_step}"
         return cls(verdict=LogVerdict.DIVERGED, reason=reason, divergence=divergence)
 
     @classmethod
     def impossible(cls, impossibility: Impossibility) -> "LogFinding":
-        """The finding that no evaluation can have made a log."""
+        """Return the finding that no evaluation can have made a log."""
         return cls(verdict=LogVerdict.IMPOSSIBLE, reason=impossibility.message, impossibility=impossibility)
 
 
 def comparable(recorded: JsonValue, ours: JsonValue) -> JsonValue:
-    """What of a recorded value has the form of ours; the rest, which could be anything, becomes None."""
+    """Return what of a recorded value has the form of ours; the rest, which could be anything, becomes None."""
     if isinstance(ours, dict) and isinstance(recorded, dict):
         return {key: comparable(recorded.get(key), value) for key, value in ours.items()}
     if isinstance(ours, list) and isinstance(recorded, list) and len(ours) == len(recorded):

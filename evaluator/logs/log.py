@@ -107,7 +107,7 @@ class _EndLine(StrictModel):
 
 
 def write_log(stream: BinaryIO, header: LogHeader, records: Iterable[EpisodeRecord]) -> None:
-    """Writes a whole log; records come in the order of their numbers and lose their timings.
+    """Write a whole log; records come in the order of their numbers and lose their timings.
 
     The same evaluation gives the same bytes.
     """
@@ -152,7 +152,7 @@ class LogReader:
         return self._digest
 
     def records(self) -> Iterator[EpisodeRecord]:
-        """The records in their order; a log is whole and unaltered only once this has come to its end."""
+        """Return the records in their order; a log is whole and unaltered only once this has come to its end."""
         seen: set[int] = set()
         last = 0
         while True:

@@ -35,7 +35,7 @@ class UnpackFailed(VitacError):
 
 @contextmanager
 def open_log(path: Path, most_bytes: int = MAX_UNPACKED_BYTES) -> Iterator[io.BufferedReader]:
-    """A log's unpacked bytes as a stream, whatever its name.
+    """Return a log's unpacked bytes as a stream, whatever its name.
 
     Reading raises `UnpackFailed` where the file is damaged or unpacks to more than `most_bytes`.
     """
@@ -54,11 +54,11 @@ class _Bounded(io.RawIOBase):
         self._left = self._most = most_bytes
 
     def readable(self) -> bool:
-        """It is."""
+        """Return True, as the stream can be read."""
         return True
 
     def readinto(self, buffer: Any) -> int:
-        """Fills the buffer, or a part of it."""
+        """Fill the buffer, or a part of it."""
         try:
             data = self._source.read(len(buffer))
         except (EOFError, zlib.error, gzip.BadGzipFile) as error:

@@ -59,7 +59,7 @@ class _EpisodeOf2025(_Line):
 
 
 def read_recordings(path: Path, task: Task) -> Iterator[Recording]:
-    """The recorded episodes of a file, one at a time.
+    """Return the recorded episodes of a file, one at a time.
 
     Args:
         path: one of our logs; or JSON lines, each an episode record of ours or of a 2025 log.
@@ -79,7 +79,7 @@ def read_recordings(path: Path, task: Task) -> Iterator[Recording]:
 
 
 def recording_of(record: EpisodeRecord, task: Task) -> Recording:
-    """The recording in one of our records.
+    """Return the recording in one of our records.
 
     Raises:
         RecordingRejected: it is of another task, or its actions do not fit.
@@ -120,7 +120,7 @@ def _recording_of_2025(content: _EpisodeOf2025, place: str, task: Task) -> Recor
 
 
 def _episode(task: Task, number: int, shape: str, offset: tuple[float, ...], place: str) -> Episode:
-    """The start as it was recorded, which need not be in the task's list."""
+    """Return the start as it was recorded, which need not be in the task's list."""
     example = task.episodes[0]
     if shape not in task.episode_list.shapes or len(offset) != len(example.offset):
         expected = f"one of {', '.join(task.episode_list.shapes)} and {len(example.offset)} numbers"

@@ -56,7 +56,7 @@ def resimulate_all(env: Environment, recordings: Iterable[Recording]) -> Iterato
 
 
 def report(env: Environment, episodes: Iterable[ReportedEpisode]) -> Report:
-    """The report on all episodes that were played in this environment since it was made."""
+    """Return the report on all episodes that were played in this environment since it was made."""
     return Report(
         episodes=tuple(episodes),
         solver_version=env.solver_version,
@@ -66,7 +66,7 @@ def report(env: Environment, episodes: Iterable[ReportedEpisode]) -> Report:
 
 
 def reported_step(number: int, info: dict[str, JsonValue]) -> ReportedStep:
-    """What a report holds of the info of one env step, ours or recorded."""
+    """Return what a report holds of the info of one env step, ours or recorded."""
     known: dict[str, Any] = {key: info[key] for key in ("peg_relative_z_mm", *_FLAGS) if key in info}
     if "surface_diff_m" in info:
         metres: Any = info["surface_diff_m"]

@@ -65,7 +65,7 @@ def verify(
     episodes: Collection[int] | None = None,
     on_episode: Callable[[EpisodeRecord], None] = lambda _: None,
 ) -> Verification:
-    """Checks and re-simulates a log, until it is clear that it diverges.
+    """Check and re-simulates a log, until it is clear that it diverges.
 
     Args:
         env: the task's environment.
@@ -125,7 +125,7 @@ def check_episode(
 
 
 def find_divergence(record: EpisodeRecord, played: Resimulated) -> Divergence | None:
-    """The first state that is not the recorded one, or the first sign that the episode ended otherwise."""
+    """Return the first state that is not the recorded one, or the first sign that the episode ended otherwise."""
     pairs = zip(record.state_hashes, played.state_hashes, strict=True)
     step = next((step for step, (recorded, ours) in enumerate(pairs) if recorded != ours), None)
     if step is None and _ended_as_recorded(record, played):
@@ -158,7 +158,7 @@ def _ended_as_recorded(record: EpisodeRecord, played: Resimulated) -> bool:
 
 
 def _with_our_states(record: EpisodeRecord, played: Resimulated) -> EpisodeRecord:
-    """The record as it came here; what the log tells beside actions and ends is left out."""
+    """Return the record as it came here; what the log tells beside actions and ends is left out."""
     failure = record.failure and record.failure.model_copy(
         update={"message": "The log says so; the policy was not seen.", "output_tail": ""}
     )

@@ -16,7 +16,7 @@ def is_broken(failures: Collection[PolicyFailure]) -> bool:
 
 
 def breaking_failure(shards: Sequence[Shard], records: Iterable[EpisodeRecord]) -> PolicyFailure | None:
-    """The failure that ends an evaluation as failed, or None while the policy works well enough to be scored.
+    """Return the failure that ends an evaluation as failed, or None while the policy works well enough to be scored.
 
     That is the first failure of the first shard that is broken, or there the one that ended it at once: a function of
     the records and the fixed cut only, so the same for any number of workers and for a resumed evaluation.

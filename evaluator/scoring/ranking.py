@@ -51,7 +51,7 @@ class CombinedScore:
 
 
 def combine(tasks: Collection[str], scores: Mapping[str, Score]) -> CombinedScore:
-    """The combination of a track's tasks: the mean of their success rates, and the mean of their mean env steps.
+    """Return the combination of a track's tasks: the mean of their success rates, and the mean of their mean env steps.
 
     A task without a score counts as 0 successes and has no mean of steps.
 

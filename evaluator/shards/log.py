@@ -46,7 +46,7 @@ class LogShard:
         return self.shard.numbers - set(self.skip)
 
     def result(self, manifest: Manifest, finding: LogFinding | None) -> ShardResult:
-        """What the shard ends with."""
+        """Return what the shard ends with."""
         end = ShardEnd.REFUTED if finding else ShardEnd.COMPLETE
         return ShardResult(index=self.shard.index, end=end, manifest=manifest, isolation=None, finding=finding)
 
@@ -68,7 +68,7 @@ def resimulate_log(part: LogShard, on_episode: Callable[[EpisodeRecord], None]) 
 
 
 def _why_impossible(part: LogShard, manifest: Manifest) -> LogFinding | None:
-    """The upload was checked, but not against the mesh and the solver, which only an environment knows."""
+    """Return the upload was checked, but not against the mesh and the solver, which only an environment knows."""
     with open_log(part.log) as stream:
         reader = LogReader(stream)
         found = why_impossible(must_agree(manifest), part.task, reader.header, reader.records())

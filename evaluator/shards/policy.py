@@ -20,7 +20,7 @@ LoadPolicy = Callable[[Path, Limits, int], AbstractContextManager[Session]]
 
 
 def load_in_sandbox(submission_dir: Path, limits: Limits, slot: int) -> AbstractContextManager[Session]:
-    """Loads the policy of a submission in its sandbox.
+    """Load the policy of a submission in its sandbox.
 
     Raises:
         PolicyFailed: it cannot be loaded.

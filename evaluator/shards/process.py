@@ -121,11 +121,11 @@ class ShardProcess:
         _ = self.result
 
     def kill(self) -> None:
-        """Ends the process, and with it its sandbox, at once; `records` then raises. Any thread may call it."""
+        """End the process, and with it its sandbox, at once; `records` then raises. Any thread may call it."""
         self._process.kill()
 
     def close(self) -> None:
-        """Ends the process and waits for it."""
+        """End the process and wait for it."""
         self.kill()
         self._process.wait()
         _pipe(self._process.stdout).close()
@@ -133,7 +133,7 @@ class ShardProcess:
 
 @contextmanager
 def running_shard(order: ShardOrder) -> Iterator[ShardProcess]:
-    """A shard in a process of its own, which has ended when the block is left."""
+    """Return a shard in a process of its own, which has ended when the block is left."""
     process = ShardProcess(order)
     try:
         yield process

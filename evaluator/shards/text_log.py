@@ -43,7 +43,7 @@ def resimulate_text_log(part: LogShard, on_episode: Callable[[EpisodeRecord], No
 
 
 def _record(task: Task, recording: Recording, played: Resimulated) -> EpisodeRecord:
-    """The episode up to its end in our physics, or to that of the recorded actions if it has none there."""
+    """Return the episode up to its end in our physics, or to that of the recorded actions if it has none there."""
     steps = len(recording.actions) if played.end_step is None else played.end_step
     return EpisodeRecord(
         episode=recording.episode.number,

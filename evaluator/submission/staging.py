@@ -10,7 +10,7 @@ from .manifest import stage
 
 @contextmanager
 def staged(submission: Path) -> Iterator[Path]:
-    """The folder of an unpacked copy of a submission, which is removed when the block is left.
+    """Return the folder of an unpacked copy of a submission, which is removed when the block is left.
 
     Args:
         submission: zip or folder.

@@ -26,7 +26,7 @@ def list_tracks() -> tuple[str, ...]:
 
 @cache
 def load_track(name: str) -> Track:
-    """Reads one track.
+    """Read one track.
 
     Raises:
         UnknownTrack: no such track.
@@ -42,7 +42,7 @@ def load_track(name: str) -> Track:
 
 
 def find_task(name: str) -> tuple[Track, Task]:
-    """The task of that name and its track; task names are unique over all tracks.
+    """Return the task of that name and its track; task names are unique over all tracks.
 
     Raises:
         UnknownTask: no track has it.

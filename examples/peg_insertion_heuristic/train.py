@@ -36,7 +36,7 @@ def main() -> None:
 
 
 def play(step: int) -> tuple[np.ndarray, np.ndarray]:
-    """What is felt at an env step and by how much the offset is then misjudged [mm, mm, degrees]."""
+    """Return what is felt at an env step and by how much the offset is then misjudged [mm, mm, degrees]."""
     env = gymnasium.make("ViTac/PegInsertion-v1", privileged=True, disable_env_checker=True).unwrapped
     policy = Policy()
     policy.readings.append(BLANK)
@@ -58,7 +58,7 @@ def play(step: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def fit(felt: np.ndarray, misjudged: np.ndarray, boldness: float) -> tuple[dict[str, list], np.ndarray]:
-    """The weights, and how much of the variance of x, y and theta they explain in the first, held-out fifth."""
+    """Return the weights, and how much of the variance of x, y and theta they explain in the first, held-out fifth."""
     held_out = len(felt) // 5
     mean, scale = felt.mean(axis=0), felt.std(axis=0) + 1e-3  # What always saturates has no spread.
     normal = (felt - mean) / scale

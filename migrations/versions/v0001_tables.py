@@ -22,7 +22,7 @@ TABLES = (
 
 
 def upgrade() -> None:
-    """Makes the tables."""
+    """Make the tables."""
     op.create_table(
         "audit_log",
         sa.Column("id", sa.BigInteger(), sa.Identity(always=True), nullable=False),
@@ -276,6 +276,6 @@ def upgrade() -> None:
 
 
 def downgrade() -> None:
-    """Removes the tables with all their rows."""
+    """Remove the tables with all their rows."""
     for table in reversed(TABLES):
         op.drop_table(table)

@@ -29,7 +29,7 @@ TRANSITIONS = {
 
 
 def upgrade() -> None:
-    """Adds the triggers."""
+    """Add the triggers."""
     for table, pairs in TRANSITIONS.items():
         allowed = ", ".join(f"('{old}', '{new}')" for old, new in pairs)
         op.execute(
@@ -68,7 +68,7 @@ def upgrade() -> None:
 
 
 def downgrade() -> None:
-    """Removes the triggers."""
+    """Remove the triggers."""
     op.execute("DROP FUNCTION refuse_audit_change() CASCADE")
     for table in TRANSITIONS:
         op.execute(f"DROP FUNCTION check_{table}_transition() CASCADE")

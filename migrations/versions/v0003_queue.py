@@ -19,7 +19,7 @@ LAST_QUEUE_MIGRATION = "03.04.00_50_post_add_retry_failed_job_procedure.sql"
 
 
 def upgrade() -> None:
-    """Runs procrastinate's migrations up to LAST_QUEUE_MIGRATION."""
+    """Run procrastinate's migrations up to LAST_QUEUE_MIGRATION."""
     folder = files("procrastinate.sql") / "migrations"
     names = sorted(path.name for path in folder.iterdir() if path.name.endswith(".sql"))
     with op.get_context().autocommit_block():
@@ -31,12 +31,12 @@ def upgrade() -> None:
 
 
 def downgrade() -> None:
-    """Removes the queue with all jobs."""
+    """Remove the queue with all jobs."""
     remove_queue()
 
 
 def remove_queue() -> None:
-    """Drops whatever of the queue there is."""
+    """Drop whatever of the queue there is."""
     op.execute(
         """
         DO $$

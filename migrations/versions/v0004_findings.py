@@ -11,7 +11,7 @@ depends_on = None
 
 
 def upgrade() -> None:
-    """Adds the column; no shard that exists has a finding."""
+    """Add the column; no shard that exists has a finding."""
     op.add_column(
         "shards", sa.Column("finding", postgresql.JSONB(none_as_null=True, astext_type=sa.Text()), nullable=True)
     )
@@ -21,6 +21,6 @@ def upgrade() -> None:
 
 
 def downgrade() -> None:
-    """Removes the column."""
+    """Remove the column."""
     op.drop_constraint(op.f("ck_shards_finding_is_a_failure"), "shards")
     op.drop_column("shards", "finding")

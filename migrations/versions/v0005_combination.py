@@ -10,7 +10,7 @@ depends_on = None
 
 
 def upgrade() -> None:
-    """Removes both columns and what was asked of them."""
+    """Remove both columns and what was asked of them."""
     op.drop_constraint(op.f("ck_evaluations_only_completed_has_a_score"), "evaluations")
     op.drop_column("evaluations", "success_rate")
     op.drop_column("evaluations", "mean_steps")
@@ -22,7 +22,7 @@ def upgrade() -> None:
 
 
 def downgrade() -> None:
-    """Adds them again with the mean of the tasks that were played; a track's other tasks are not known here."""
+    """Add them again with the mean of the tasks that were played; a track's other tasks are not known here."""
     op.add_column("evaluations", sa.Column("success_rate", sa.Float(), nullable=True))
     op.add_column("evaluations", sa.Column("mean_steps", sa.Float(), nullable=True))
     op.execute(

@@ -12,10 +12,10 @@ if TYPE_CHECKING:
 
 
 def record(session: Session, by: "Principal", action: str, subject: str, detail: Mapping[str, Any]) -> None:
-    """Adds one line: who did what (`noun.verb`) to which thing (`noun:id`)."""
+    """Add one line: who did what (`noun.verb`) to which thing (`noun:id`)."""
     session.add(AuditEntry(actor=by.actor, action=action, subject=subject, detail=dict(detail)))
 
 
 def newest_entries(session: Session, limit: int = 100) -> list[AuditEntry]:
-    """The last lines, newest first."""
+    """Return the last lines, newest first."""
     return list(session.scalars(select(AuditEntry).order_by(AuditEntry.id.desc()).limit(limit)))

@@ -19,7 +19,7 @@ CONTACT_LENGTH = 254
 
 
 def register(session: Session, by: Principal | None, *, name: str, contact: str | None = None) -> Team:
-    """Makes a team; `by` is None for somebody who registers their own.
+    """Make a team; `by` is None for somebody who registers their own.
 
     Raises:
         ServiceError: the name is taken (case, spaces and compatibility forms do not count) or cannot be shown.
@@ -39,7 +39,7 @@ def register(session: Session, by: Principal | None, *, name: str, contact: str 
 
 
 def find(session: Session, name_or_id: str) -> Team:
-    """The team of that name or id.
+    """Return the team of that name or id.
 
     Raises:
         ServiceError: there is none.
@@ -55,7 +55,7 @@ def find(session: Session, name_or_id: str) -> Team:
 
 
 def own(session: Session, by: Principal) -> Team:
-    """The principal's team.
+    """Return the principal's team.
 
     Raises:
         ServiceError: an organizer belongs to none.
@@ -72,7 +72,7 @@ def list_teams(session: Session) -> list[Team]:
 
 
 def clean_name(name: str) -> str:
-    """The name as it is shown: composed characters, single spaces.
+    """Return the name as it is shown: composed characters, single spaces.
 
     Raises:
         ServiceError: empty, too long, or with characters that do not print.
@@ -87,7 +87,7 @@ def clean_name(name: str) -> str:
 
 
 def name_key(name: str) -> str:
-    """The name by which teams are told apart."""
+    """Return the name by which teams are told apart."""
     folded = unicodedata.normalize("NFKC", name).casefold()
     return re.sub(r"\s+", " ", folded).strip()[:NAME_LENGTH]
 

@@ -39,7 +39,7 @@ def issue(
     team: Team | None = None,
     lifetime: timedelta | None,
 ) -> IssuedToken:
-    """Makes a token for a team, or for an organizer (no team).
+    """Make a token for a team, or for an organizer (no team).
 
     Raises:
         ServiceError: the principal may not give such a token.
@@ -62,7 +62,7 @@ def issue(
 
 
 def authenticate(session: Session, secret: str) -> Principal:
-    """The principal behind a secret.
+    """Return the principal behind a secret.
 
     Raises:
         ServiceError: unknown, expired or revoked; the three are told apart, since only the holder can see the answer.
@@ -76,7 +76,7 @@ def authenticate(session: Session, secret: str) -> Principal:
 
 
 def principal_of_token_id(session: Session, token_id: UUID) -> Principal:
-    """The principal of a token that was shown earlier (page sessions keep the id only); same checks.
+    """Return the principal of a token that was shown earlier (page sessions keep the id only); same checks.
 
     Raises:
         ServiceError: unknown, expired or revoked.
@@ -93,7 +93,7 @@ def list_tokens(session: Session, by: Principal) -> list[ApiToken]:
 
 
 def revoke(session: Session, by: Principal, token_id: UUID) -> None:
-    """Ends a token at once; ending it again changes nothing.
+    """End a token at once; ending it again changes nothing.
 
     Raises:
         ServiceError: there is no such token that the principal may see.
@@ -107,7 +107,7 @@ def revoke(session: Session, by: Principal, token_id: UUID) -> None:
 
 
 def hash_secret(secret: str) -> str:
-    """What is kept of a secret: a plain hash is enough for 256 random bits."""
+    """Return what is kept of a secret: a plain hash is enough for 256 random bits."""
     return hashlib.sha256(secret.encode()).hexdigest()
 
 

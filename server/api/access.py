@@ -13,7 +13,7 @@ _bearer = HTTPBearer(auto_error=False, description="An API token: `vitac_` and 4
 
 
 def services_of(request: Request) -> Services:
-    """The services that the app opened at its start."""
+    """Return the services that the app opened at its start."""
     services: Services = request.app.state.services
     return services
 

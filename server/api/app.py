@@ -23,7 +23,7 @@ document (RFC 9457, `application/problem+json`) with a stable `code`.
 
 
 def create_app(settings: Settings, routers: Sequence[APIRouter] = (), services: Services | None = None) -> FastAPI:
-    """The application. It opens database and files at its start, unless open `services` are given.
+    """Return the application. It opens database and files at its start, unless open `services` are given.
 
     Args:
         settings: of this process.

@@ -19,7 +19,7 @@ OK = "ok"
 
 @router.get("/health")
 async def get_health() -> HealthView:
-    """The process answers."""
+    """Return the process answers."""
     return HealthView(status=OK, version=version("vitac-arena"))
 
 

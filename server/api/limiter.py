@@ -20,7 +20,7 @@ class WindowLimiter:
         self._lock = threading.Lock()
 
     def note(self, key: str, what: str) -> None:
-        """Counts one event.
+        """Count one event.
 
         Raises:
             ServiceError: too many; `retry_after_s` says when the next one is possible.
@@ -57,7 +57,7 @@ class ConcurrencyLimiter:
 
     @contextmanager
     def one(self, key: str, what: str) -> Iterator[None]:
-        """Counts one thing while the block runs.
+        """Count one thing while the block runs.
 
         Raises:
             ServiceError: as many as possible are running.

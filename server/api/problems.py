@@ -31,7 +31,7 @@ RESPONSES: dict[int | str, dict[str, Any]] = {
 
 
 def install(app: FastAPI) -> None:
-    """Makes every error of the app a problem."""
+    """Make every error of the app a problem."""
     app.add_exception_handler(ServiceError, _on_service_error)
     app.add_exception_handler(RequestValidationError, _on_invalid_request)
     app.add_exception_handler(HTTPException, _on_http_error)
@@ -40,7 +40,7 @@ def install(app: FastAPI) -> None:
 
 
 def problem(request: Request, error: ServiceError, headers: Mapping[str, str] | None = None) -> JSONResponse:
-    """The answer for a refusal."""
+    """Return the answer for a refusal."""
     content = {
         "type": f"urn:vitac:problem:{error.code}",
         "title": error.status.phrase,

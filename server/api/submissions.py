@@ -66,7 +66,7 @@ async def post_submission(
     team: Annotated[str | None, Query(description="For organizers: whose submission this is.")] = None,
     again: Annotated[bool, Query(description="Play all episodes anew although results are stored.")] = False,
 ) -> SubmissionView:
-    """Uploads a submission and starts its evaluation.
+    """Upload a submission and start its evaluation.
 
     The body of a `model` is a zip with one folder `Track_1`. Where the track takes them, the body of a `log` is what
     `vitac evaluate --log` writes, and that of a `text_log` a log of the 2025 challenge; either may be gzip. Logs are
@@ -97,7 +97,7 @@ def list_submissions(
     before: Annotated[UUID | None, Query(description="`next_before` of the page before.")] = None,
     limit: Annotated[int, Query(ge=1, le=100)] = 50,
 ) -> SubmissionListView:
-    """The team's submissions, newest first; all teams' for an organizer."""
+    """Return the team's submissions, newest first; all teams' for an organizer."""
     with services.database.transaction() as session:
         return submissions.list_submissions(
             session, services.settings, principal, track=track, state=state, team=team, before=before, limit=limit
@@ -136,7 +136,7 @@ def get_log(
     submission_id: UUID,
     task: Annotated[str | None, Query(description="Needed where the submission plays several.")] = None,
 ) -> Response:
-    """What was played, as `vitac evaluate --log` writes it: enough to play it again without the policy."""
+    """Return what was played, as `vitac evaluate --log` writes it: enough to play it again without the policy."""
     with services.database.transaction() as session:
         content = export_log(session, principal, submission_id, task)
     name = f"{submission_id}-{task or 'log'}.jsonl"
@@ -145,7 +145,7 @@ def get_log(
 
 @router.post("/{submission_id}/cancel")
 def cancel_submission(services: ServicesOf, principal: PrincipalOf, submission_id: UUID) -> SubmissionView:
-    """Ends a queued or running evaluation. Finished episodes stay stored: uploading again takes it up."""
+    """End a queued or running evaluation. Finished episodes stay stored: uploading again takes it up."""
     with services.database.transaction() as session:
         submissions.cancel(session, principal, submission_id)
     with services.database.transaction() as session:
@@ -154,7 +154,7 @@ def cancel_submission(services: ServicesOf, principal: PrincipalOf, submission_i
 
 @router.post("/{submission_id}/requeue", status_code=HTTPStatus.ACCEPTED)
 def requeue_submission(services: ServicesOf, principal: PrincipalOf, submission_id: UUID) -> SubmissionView:
-    """Starts a new run that plays all episodes anew (organizers only). Earlier results stay."""
+    """Start a new run that plays all episodes anew (organizers only). Earlier results stay."""
     with services.database.transaction() as session:
         submissions.run_again(session, principal, submission_id)
     with services.database.transaction() as session:
@@ -169,7 +169,7 @@ def requeue_submission(services: ServicesOf, principal: PrincipalOf, submission_
 async def follow_submission(
     request: Request, services: ServicesOf, principal: PrincipalOf, submission_id: UUID
 ) -> EventSourceResponse:
-    """The submission as server-sent events: now, after each change, and `end` when its evaluation has ended."""
+    """Return the submission as server-sent events: now, after each change, and `end` when its evaluation has ended."""
     # Before the stream begins, so that a foreign id is answered with 404 and not with an empty stream.
     await run_in_threadpool(get_submission, services, principal, submission_id)
     return EventSourceResponse(_events(request, services, principal, submission_id), ping=PING_S)
@@ -244,7 +244,7 @@ def _announced_bytes(request: Request) -> int | None:
 
 
 def _claimed_sha256(request: Request) -> str | None:
-    """The digest that the client sent along, as hex; either header will do."""
+    """Return the digest that the client sent along, as hex; either header will do."""
     plain = request.headers.get("x-content-sha256")
     if plain is not None:
         return plain.strip()

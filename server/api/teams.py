@@ -49,7 +49,7 @@ class NewToken(BaseModel):
 def post_team(
     request: Request, services: ServicesOf, principal: OptionalPrincipalOf, new: NewTeam
 ) -> RegisteredTeamView:
-    """Registers a team and gives it its first token. The secret is shown this once."""
+    """Register a team and give it its first token. The secret is shown this once."""
     by_organizer = principal is not None and principal.is_organizer
     if services.settings.registration is Registration.CLOSED and not by_organizer:
         raise ServiceError(ProblemCode.REGISTRATION_CLOSED, "Only organizers register teams here; ask them.")
@@ -65,7 +65,7 @@ def post_team(
 
 @router.post("/tokens", status_code=HTTPStatus.CREATED)
 def post_token(services: ServicesOf, principal: PrincipalOf, new: NewToken) -> NewTokenView:
-    """Makes a further token of the own team; an organizer's without `team` is an organizer's token."""
+    """Make a further token of the own team; an organizer's without `team` is an organizer's token."""
     with services.database.transaction() as session:
         owner = _owner_of_new_token(session, principal, new)
         issued = tokens.issue(
@@ -81,14 +81,14 @@ def post_token(services: ServicesOf, principal: PrincipalOf, new: NewToken) -> N
 
 @router.get("/tokens")
 def list_tokens(services: ServicesOf, principal: PrincipalOf) -> TokenListView:
-    """The team's tokens, without secrets; all for an organizer."""
+    """Return the team's tokens, without secrets; all for an organizer."""
     with services.database.transaction() as session:
         return TokenListView(items=[token_view(token) for token in tokens.list_tokens(session, principal)])
 
 
 @router.delete("/tokens/{token_id}", status_code=HTTPStatus.NO_CONTENT, response_class=Response)
 def delete_token(services: ServicesOf, principal: PrincipalOf, token_id: UUID) -> None:
-    """Ends a token at once."""
+    """End a token at once."""
     with services.database.transaction() as session:
         tokens.revoke(session, principal, token_id)
 
@@ -106,7 +106,7 @@ def get_me(services: ServicesOf, principal: PrincipalOf) -> MeView:
 
 
 def token_view(token: ApiToken) -> TokenView:
-    """A token as it is shown, without its secret."""
+    """Return a token as it is shown, without its secret."""
     return TokenView(
         id=token.id,
         label=token.label,
@@ -120,7 +120,7 @@ def token_view(token: ApiToken) -> TokenView:
 
 
 def new_token_view(issued: tokens.IssuedToken) -> NewTokenView:
-    """A new token with its secret."""
+    """Return a new token with its secret."""
     return NewTokenView(**token_view(issued.token).model_dump(), secret=issued.secret)
 
 

@@ -40,6 +40,6 @@ def get_leaderboard(
 
 @router.get("/leaderboards/{track}/logs")
 def get_log_boards(services: ServicesOf, track: str) -> LogBoardsView:
-    """Verified logs of a track, ranked among themselves by task, and 2025 text logs, which are not ranked."""
+    """Return the verified logs of a track, ranked by task, and the 2025 text logs, which are not ranked."""
     with services.database.transaction() as session:
         return log_boards(session, track)

@@ -33,12 +33,12 @@ class Database:
 
     @contextmanager
     def transaction(self) -> Iterator[Session]:
-        """A session whose work is committed at the end of the block and rolled back on an error."""
+        """Return a session whose work is committed at the end of the block and rolled back on an error."""
         with self._sessions.begin() as session:
             yield session
 
     def retrying(self, work: Callable[[Session], ResultT], *, give_up_after_s: float) -> ResultT:
-        """Runs a transaction again while the database is away (restart, kill); for work that may be repeated.
+        """Run a transaction again while the database is away (restart, kill); for work that may be repeated.
 
         Raises:
             DBAPIError: the database stayed away for longer than `give_up_after_s`, or another error came.
@@ -57,7 +57,7 @@ class Database:
                 failures += 1
 
     def dispose(self) -> None:
-        """Closes all pooled connections."""
+        """Close all pooled connections."""
         self.engine.dispose()
 
 
@@ -75,6 +75,6 @@ def is_connection_loss(error: DBAPIError) -> bool:
 
 
 def sqlalchemy_url(address: str) -> str:
-    """The address with our driver named; libpq's form (`postgresql://`) is what settings and files hold."""
+    """Return the address with our driver named; libpq's form (`postgresql://`) is what settings and files hold."""
     url = make_url(address).set(drivername="postgresql+psycopg")
     return url.render_as_string(hide_password=False)

@@ -21,7 +21,7 @@ UPGRADE_LOCK = 0x7669_7461_6301
 
 
 def upgrade(database: Database, *, lock_timeout_s: float = LOCK_TIMEOUT_S) -> None:
-    """Runs all migrations that are missing, each in a transaction of its own; does nothing on a current database.
+    """Run all migrations that are missing, each in a transaction of its own; do nothing on a current database.
 
     Raises:
         sqlalchemy.exc.OperationalError: another transaction held a table for longer than `lock_timeout_s`.
@@ -33,14 +33,14 @@ def upgrade(database: Database, *, lock_timeout_s: float = LOCK_TIMEOUT_S) -> No
 
 
 def downgrade(database: Database, revision: str) -> None:
-    """Takes back all migrations after a revision (`base`: all of them), with the rows they hold."""
+    """Take back all migrations after a revision (`base`: all of them), with the rows they hold."""
     with _migrating(database, LOCK_TIMEOUT_S) as (_, configuration):
         command.downgrade(configuration, revision)
 
 
 @contextmanager
 def _migrating(database: Database, lock_timeout_s: float) -> Iterator[tuple[Connection, Config]]:
-    """A connection of its own, closed afterwards, that alone may change the schema."""
+    """Return a connection of its own, closed afterwards, that alone may change the schema."""
     engine = create_engine(sqlalchemy_url(database.address), poolclass=NullPool)
     with engine.connect() as connection:
         # For the session, not for a transaction: the migrations have one each.

@@ -47,7 +47,7 @@ class WrongEvaluator(VitacError):
 
 
 def start(session: Session, submission: Submission, run: int) -> Evaluation:
-    """Makes an evaluation with its shards and their jobs, all in the caller's transaction."""
+    """Make an evaluation with its shards and their jobs, all in the caller's transaction."""
     evaluation = Evaluation(
         submission=submission,
         run=run,
@@ -79,7 +79,7 @@ def start(session: Session, submission: Submission, run: int) -> Evaluation:
 
 
 def finish_shard(session: Session, lease: Lease, result: ShardResult) -> None:
-    """Ends a shard, and with the last one the evaluation: scores and state change in this one transaction.
+    """End a shard, and with the last one the evaluation: scores and state change in this one transaction.
 
     Raises:
         LeaseLost: the shard is not ours any more.
@@ -113,7 +113,7 @@ def _require_all_stored(session: Session, lease: Lease) -> None:
 
 
 def report_broken_machine(session: Session, settings: Settings, lease: Lease, message: str) -> None:
-    """A worker could not run a shard, and not because of the policy: another attempt later, or the end after the last.
+    """Queue a shard again that a machine, not the policy, has failed; after the last attempt, end its evaluation.
 
     Raises:
         LeaseLost: the shard is not ours any more.
@@ -132,13 +132,13 @@ def report_broken_machine(session: Session, settings: Settings, lease: Lease, me
 
 
 def fail_by_machines(session: Session, evaluation: Evaluation, message: str) -> None:
-    """Ends an evaluation whose shard could not be run in all its attempts."""
+    """End an evaluation whose shard could not be run in all its attempts."""
     _cancel_shards(session, evaluation)
     _fail(evaluation, ServiceVerdict.MACHINE_FAILED, message)
 
 
 def cancel(session: Session, evaluation: Evaluation) -> None:
-    """Ends a queued or running evaluation; its workers find out at their next renewal."""
+    """End a queued or running evaluation; its workers find out at their next renewal."""
     _cancel_shards(session, evaluation)
     evaluation.state = EvaluationState.CANCELLED
     evaluation.finished_at = datetime.now(UTC)
@@ -160,7 +160,7 @@ def count_stored(session: Session, key: EpisodeKey) -> int:
 
 
 def manifest_of(session: Session, evaluation: Evaluation, task: str) -> Manifest:
-    """What a completed evaluation played a task with."""
+    """Return what a completed evaluation played a task with."""
     found = session.scalars(
         select(Shard.manifest).where(
             Shard.evaluation_id == evaluation.id, Shard.task == task, Shard.state == ShardState.DONE
@@ -170,7 +170,7 @@ def manifest_of(session: Session, evaluation: Evaluation, task: str) -> Manifest
 
 
 def first_refuted_shard(session: Session, evaluation: Evaluation) -> Shard | None:
-    """The first shard in which an uploaded log was found to be untrue, whatever the order in which shards ended."""
+    """Return the first shard in which an uploaded log was found to be untrue, in the order of the list."""
     return session.scalars(
         select(Shard)
         .where(Shard.evaluation_id == evaluation.id, Shard.finding.is_not(None))
@@ -234,7 +234,7 @@ def _fail(evaluation: Evaluation, code: str, message: str) -> None:
 
 
 def _output_of(records: dict[str, list[EpisodeRecord]]) -> str:
-    """What the policy printed in the few episodes that it failed in, the last ones if that is too much."""
+    """Return what the policy printed in the few episodes that it failed in, the last ones if that is too much."""
     parts = [
         f"[{task}, episode {record.episode}: {record.failure.code}]\n{record.failure.output_tail}\n"
         for task, of_task in records.items()

@@ -54,7 +54,7 @@ def queue_position(session: Session, evaluation: Evaluation) -> int | None:
 
 
 def seconds_to_end(session: Session, evaluation: Evaluation, progress: ProgressView, slots: int) -> float | None:
-    """Expected time [s] until all episodes are there; None when finished, or when nobody works or nothing was measured.
+    """Return the expected time [s] to the end; None when finished, without workers, or before anything was measured.
 
     Episodes ahead in the queue and our own, times the mean wall time of the last ones, over the workers' slots.
     """

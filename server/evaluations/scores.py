@@ -11,14 +11,14 @@ from vitac.server.views.views import ShapeScoreView, TaskScoreView
 
 
 def store_scores(evaluation: Evaluation, scores: Mapping[str, Score], hashes: Mapping[str, str]) -> None:
-    """Writes the score of each task into the row of an evaluation; their combination is derived where it is shown."""
+    """Write the score of each task into the row of an evaluation; their combination is derived where it is shown."""
     evaluation.scores = [
         {"task": task, "result_hash": hashes[task], **score.model_dump(mode="json")} for task, score in scores.items()
     ]
 
 
 def scores_of(evaluation: Evaluation) -> dict[str, Score]:
-    """The stored score of each task; empty before the end."""
+    """Return the stored score of each task; empty before the end."""
     return {
         row["task"]: Score.model_validate({key: row[key] for key in Score.model_fields})
         for row in evaluation.scores or []
@@ -26,13 +26,13 @@ def scores_of(evaluation: Evaluation) -> dict[str, Score]:
 
 
 def combined_score(evaluation: Evaluation) -> CombinedScore | None:
-    """The score over all tasks of the track, by today's rule; None without a score."""
+    """Return the score over all tasks of the track, by today's rule; None without a score."""
     scores = scores_of(evaluation)
     return combine(_tasks_that_count(evaluation), scores) if scores else None
 
 
 def score_views(evaluation: Evaluation) -> list[TaskScoreView]:
-    """The score of each task as it is shown."""
+    """Return the score of each task as it is shown."""
     hashes = {row["task"]: row["result_hash"] for row in evaluation.scores or []}
     return [_score_view(task, score, hashes[task]) for task, score in scores_of(evaluation).items()]
 

@@ -36,7 +36,7 @@ VERDICTS_ON_LOGS = frozenset({ServiceVerdict.DIVERGED, ServiceVerdict.IMPOSSIBLE
 
 
 def sentence_of(code: str) -> str:
-    """The sentence of a stored verdict."""
+    """Return the sentence of a stored verdict."""
     if code in {verdict.value for verdict in ServiceVerdict}:
         return ServiceVerdict(code).sentence
     return VerdictCode(code).sentence

@@ -35,7 +35,7 @@ class Result:
 
 
 def leaderboard(session: Session, track_name: str, *, task: str | None = None) -> LeaderboardView:
-    """The best entry of each team, ranked; then entries of teams that only have results of another evaluator version.
+    """Return the best entry of each team, ranked; then teams with results of another evaluator version only.
 
     Args:
         session: of the transaction.
@@ -97,7 +97,7 @@ def best_of_teams(results: Iterable[Result]) -> list[Result]:
 
 
 def load_known_track(name: str) -> Track:
-    """The track of that name.
+    """Return the track of that name.
 
     Raises:
         ServiceError: there is none; the message lists those that exist.

@@ -26,7 +26,7 @@ MOST_TEXT_LOGS = 200
 
 
 def log_boards(session: Session, track_name: str) -> LogBoardsView:
-    """The logs of a track.
+    """Return the logs of a track.
 
     Raises:
         ServiceError: there is no such track.
@@ -64,7 +64,7 @@ def _with_teams(evaluations: Select[Evaluation]) -> Select[Evaluation]:
 
 
 def _newest_text_logs(session: Session, track: str) -> Sequence[Evaluation]:
-    """The newest completed evaluation of each text log, cut before anything is loaded."""
+    """Return the newest completed evaluation of each text log, cut before anything is loaded."""
     newest_of_each = (
         _completed(track, SubmissionKind.TEXT_LOG)
         .with_only_columns(Evaluation.id)
@@ -76,7 +76,7 @@ def _newest_text_logs(session: Session, track: str) -> Sequence[Evaluation]:
 
 
 def _entries(evaluations: Sequence[Evaluation], task: str) -> list[LogEntryView]:
-    """The best log of each team that this evaluator verified; then those of teams that only have older ones."""
+    """Return the best log of each team that this evaluator verified; then those of teams that only have older ones."""
     results, current = results_on(evaluations, task), evaluator_version()
     ranked = best_of_teams(result for result in results if result.evaluation.evaluator_version == current)
     teams = {result.team_id for result in ranked}

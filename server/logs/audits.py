@@ -24,7 +24,7 @@ MOST_MODELS = 20
 
 
 def audits(session: Session, by: Principal, submission_id: UUID) -> list[AuditView]:
-    """The audits of a verified log by the team's models of the same evaluator, newest first; none of other submissions.
+    """Return how the team's models of the same evaluator compare with a verified log, newest first.
 
     Raises:
         ServiceError: there is no such submission.

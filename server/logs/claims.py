@@ -30,7 +30,7 @@ class LogClaim(StrictModel):
 
     @classmethod
     def of_log(cls, header: LogHeader, records: Collection[EpisodeRecord]) -> Self:
-        """What one of our logs claims."""
+        """Return what one of our logs claims."""
         claimed = score(records)
         return cls(
             team=header.team,
@@ -45,7 +45,7 @@ class LogClaim(StrictModel):
 
     @classmethod
     def of_text_log(cls, summary: TextLogSummary, problems: tuple[str, ...]) -> Self:
-        """What a text log claims in its last lines."""
+        """Return what a text log claims in its last lines."""
         return cls(
             team=summary.team,
             episodes=summary.episodes,
@@ -56,5 +56,5 @@ class LogClaim(StrictModel):
         )
 
     def stored(self) -> dict[str, Any]:
-        """The claims as the submission's `manifest` column holds them."""
+        """Return the claims as the submission's `manifest` column holds them."""
         return self.model_dump(mode="json")

@@ -14,7 +14,7 @@ from vitac.server.submissions import submissions
 
 
 def export_log(session: Session, by: Principal, submission_id: UUID, task: str | None) -> bytes:
-    """What was played for a submission, to be verified anywhere; a few MB.
+    """Return what was played for a submission, to be verified anywhere; a few MB.
 
     Args:
         session: of the transaction.

@@ -42,7 +42,7 @@ def log_view(session: Session, submission: Submission, evaluation: Evaluation) -
 
 
 def verdict_of(claim: LogClaim, evaluation: Evaluation) -> LogVerdict:
-    """The verdict on one of our logs whose evaluation is completed, so that nothing was found against it.
+    """Return the verdict on one of our logs whose evaluation is completed, so that nothing was found against it.
 
     The result hash covers every state: where it is the log's own, no state differs. An evaluation with another one is
     only completed where the log was made on another class of machines and all its episodes end as it says.
@@ -51,7 +51,7 @@ def verdict_of(claim: LogClaim, evaluation: Evaluation) -> LogVerdict:
 
 
 def _finding(session: Session, evaluation: Evaluation) -> LogFinding | None:
-    """What was found against the log, where the evaluation ended by it.
+    """Return what was found against the log, where the evaluation ended by it.
 
     A shard may have found something where the evaluation ended otherwise, as by machines that failed at an earlier one.
     """

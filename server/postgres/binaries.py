@@ -34,7 +34,7 @@ class PostgresBinaries:
 
 
 def find_binaries(*, configured: Path | None = None, major: int | None = None) -> PostgresBinaries:
-    """The PostgreSQL to run.
+    """Return the PostgreSQL to run.
 
     Args:
         configured: folder with initdb and postgres that must be used.
@@ -61,7 +61,7 @@ def inspect_bin_dir(folder: Path) -> PostgresBinaries | None:
 
 
 def copy_binaries(binaries: PostgresBinaries, destination: Path) -> PostgresBinaries:
-    """Copies a self-contained installation to where the database's user can run it; an earlier complete copy is kept.
+    """Copy a self-contained installation to where the database's user can run it; an earlier complete copy is kept.
 
     Args:
         binaries: what to copy.

@@ -67,7 +67,7 @@ class Account:
         return self.uid != os.geteuid()
 
     def own(self, path: Path) -> None:
-        """Gives a file or folder to this user."""
+        """Give a file or folder to this user."""
         if self.is_other():
             os.chown(path, self.uid, self.gid)
 
@@ -111,7 +111,7 @@ class Cluster:
         return self.folder / "server.log"
 
     def make_folder(self) -> None:
-        """Creates the folder, passable for the database's user.
+        """Create the folder, passable for the database's user.
 
         Raises:
             StateDirectoryUnreachable: a folder above lets nobody else through.
@@ -127,7 +127,7 @@ class Cluster:
             )
 
     def initialise(self) -> None:
-        """Makes data directory and password once; a half-made one of an interrupted first start is made again."""
+        """Make data directory and password once; a half-made one of an interrupted first start is made again."""
         binaries = self._binaries()
         parent = self.data_dir.parent
         parent.mkdir(mode=0o700, exist_ok=True)
@@ -137,7 +137,7 @@ class Cluster:
             self._initdb(binaries)
 
     def start(self) -> "subprocess.Popen[bytes]":
-        """Starts the server and waits until it takes connections.
+        """Start the server and wait until it takes connections.
 
         Must be called in a thread that lives as long as the server shall: its end is the server's.
 
@@ -164,7 +164,7 @@ class Cluster:
             return
 
     def make_database(self) -> None:
-        """Creates our database in a fresh cluster and writes the address file."""
+        """Create our database in a fresh cluster and write the address file."""
         with psycopg.connect(self.dsn("postgres"), autocommit=True) as connection:
             known = connection.execute("SELECT 1 FROM pg_database WHERE datname = %s", [DATABASE]).fetchone()
             if known is None:
@@ -253,7 +253,7 @@ class Cluster:
         return bool(lines) and lines[0] == str(pid) and lines[-1].strip() == "ready"
 
     def _end_leftover_server(self) -> None:
-        """Ends a server whose starter was killed, and forgets a pid file whose number belongs to something else."""
+        """End a server whose starter was killed, and forget a pid file whose number belongs to something else."""
         lines = self._pid_file_lines()
         if not lines or not lines[0].isdigit():
             return
@@ -295,7 +295,7 @@ def _serves(pid: int, data_dir: Path) -> bool:
 
 
 def _write_private(path: Path, text: str) -> None:
-    """Writes a file that only we can read, whole or not at all."""
+    """Write a file that only we can read, whole or not at all."""
     unfinished = path.with_name(f"{path.name}.{os.getpid()}.unfinished")
     unfinished.unlink(missing_ok=True)
     with os.fdopen(os.open(unfinished, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:

@@ -45,7 +45,7 @@ class EmbeddedPostgres:
         return self._process.pid if self._process is not None else None
 
     def start(self, timeout_s: float = 120.0) -> str:
-        """Makes the database available and returns its address.
+        """Make the database available and returns its address.
 
         Raises:
             VitacError: it cannot be started here; the message says why.
@@ -68,7 +68,7 @@ class EmbeddedPostgres:
         )
 
     def stop(self) -> None:
-        """Ends the server if this process runs it, otherwise only stops waiting for the ownership."""
+        """End the server if this process runs it, otherwise only stops waiting for the ownership."""
         self._stopping.set()
         if self._keeper is not None:
             self._keeper.join()
@@ -83,7 +83,7 @@ class EmbeddedPostgres:
         self.stop()
 
     def _address(self) -> str | None:
-        """The address if somebody answers there."""
+        """Return the address if somebody answers there."""
         try:
             address = self.cluster.dsn_file.read_text()
             psycopg.connect(address, connect_timeout=2).close()
@@ -102,7 +102,7 @@ class EmbeddedPostgres:
                 fcntl.flock(lock, fcntl.LOCK_UN)
 
     def _own(self) -> None:
-        """Runs the server until `stop`, starting it again when it dies."""
+        """Run the server until `stop`, starting it again when it dies."""
         deaths = 0
         while not self._stopping.is_set():
             started = time.monotonic()

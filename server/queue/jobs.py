@@ -37,7 +37,7 @@ def enqueue_shards(
     delay_s: float = 0.0,
     priority: int = FIRST_TIME,
 ) -> None:
-    """Adds one job per shard; they become visible when the session commits, and never if it rolls back."""
+    """Add one job per shard; they become visible when the session commits, and never if it rolls back."""
     arguments: list[Any] = [{"shard_id": shard_id} for shard_id in shard_ids]
     if arguments:
         deferrer = _enqueuer.configure_task(
@@ -51,12 +51,12 @@ def enqueue_shards(
 
 
 def raw_connection(session: Session) -> "psycopg.Connection[Any]":
-    """The driver's connection below a session, inside its transaction."""
+    """Return the driver's connection below a session, inside its transaction."""
     return cast("psycopg.Connection[Any]", session.connection().connection.driver_connection)
 
 
 def withdraw_jobs(session: Session, shard_ids: Iterable[int]) -> None:
-    """Removes waiting jobs of shards that need no worker any more."""
+    """Remove waiting jobs of shards that need no worker any more."""
     session.execute(
         text(
             "DELETE FROM procrastinate_jobs WHERE status = 'todo' AND task_name = :task "
@@ -67,7 +67,7 @@ def withdraw_jobs(session: Session, shard_ids: Iterable[int]) -> None:
 
 
 def prune_finished_jobs(session: Session, older_than: timedelta) -> int:
-    """Removes finished jobs and jobs of workers that are gone; the number of removed ones."""
+    """Remove finished jobs and jobs of workers that are gone; the number of removed ones."""
     removed = session.execute(
         text(
             "DELETE FROM procrastinate_jobs job WHERE status IN ('succeeded', 'failed', 'cancelled', 'aborted') "
@@ -81,5 +81,5 @@ def prune_finished_jobs(session: Session, older_than: timedelta) -> int:
 
 
 def make_worker_app(address: str) -> procrastinate.App:
-    """The queue as a worker uses it: asynchronous, with connections of its own."""
+    """Return the queue as a worker uses it: asynchronous, with connections of its own."""
     return procrastinate.App(connector=PsycopgConnector(conninfo=address, min_size=1, max_size=4))

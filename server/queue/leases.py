@@ -39,7 +39,7 @@ class EpisodeKey:
     run: int
 
     def conditions(self) -> tuple[Any, ...]:
-        """The key as conditions on `EpisodeResult`."""
+        """Return the key as conditions on `EpisodeResult`."""
         return (
             EpisodeResult.submission_digest == self.submission_digest,
             EpisodeResult.evaluator_version == self.evaluator_version,
@@ -83,7 +83,7 @@ def key_of(evaluation: Evaluation, submission: Submission) -> EpisodeKey:
 
 
 def claim(session: Session, shard_id: int, worker_id: UUID, lease_s: float) -> Lease | None:
-    """Takes a queued shard; None when there is nothing to do (taken, finished, cancelled).
+    """Take a queued shard; None when there is nothing to do (taken, finished, cancelled).
 
     A running shard is not taken away here: the sweep queues it again when its lease has run out.
     """
@@ -119,7 +119,7 @@ def claim(session: Session, shard_id: int, worker_id: UUID, lease_s: float) -> L
 
 
 def renew(session: Session, lease: Lease, lease_s: float) -> None:
-    """Keeps the shard for another while.
+    """Keep the shard for another while.
 
     Raises:
         LeaseLost: it is not ours any more, for example because the evaluation was cancelled.
@@ -128,7 +128,7 @@ def renew(session: Session, lease: Lease, lease_s: float) -> None:
 
 
 def store_episode(session: Session, lease: Lease, record: EpisodeRecord) -> None:
-    """Stores a finished episode; storing it again writes nothing.
+    """Store a finished episode; storing it again writes nothing.
 
     Raises:
         LeaseLost: the shard is not ours any more.
@@ -161,7 +161,7 @@ def store_episode(session: Session, lease: Lease, record: EpisodeRecord) -> None
 
 
 def printable(record: EpisodeRecord) -> EpisodeRecord:
-    """The record without characters that the database cannot hold; a policy may print whatever it likes."""
+    """Return the record without characters that the database cannot hold; a policy may print whatever it likes."""
     if record.failure is None:
         return record
     cleaned = {name: _storable(getattr(record.failure, name)) for name in ("message", "output_tail")}
@@ -183,7 +183,7 @@ def stored_episodes(session: Session, lease: Lease) -> StoredEpisodes:
 
 
 def known_manifest(session: Session, lease: Lease) -> Manifest | None:
-    """What this evaluator version plays the task with, from any shard that has said so."""
+    """Return what this evaluator version plays the task with, from any shard that has said so."""
     found = session.scalar(
         select(Shard.manifest)
         .join(Evaluation)
@@ -200,7 +200,7 @@ def known_manifest(session: Session, lease: Lease) -> Manifest | None:
 
 
 def end_shard(session: Session, lease: Lease, state: ShardState, result: ShardResult) -> None:
-    """Marks the shard as done or failed.
+    """Mark the shard as done or failed.
 
     Raises:
         LeaseLost: the shard is not ours any more.
@@ -236,7 +236,7 @@ def hand_back(session: Session, lease: Lease, *, counts_as_attempt: bool, delay_
 
 
 def lock_evaluation(session: Session, evaluation_id: UUID) -> Evaluation:
-    """The evaluation, locked. Always locked before its shards, so that no two transactions wait for each other.
+    """Return the evaluation, locked. Always locked before its shards, so that no two transactions wait for each other.
 
     The lock leaves foreign keys alone: storing an episode only holds its shard and refers to the evaluation.
     """
@@ -253,7 +253,7 @@ def _storable(text: str) -> str:
 
 
 def _isolation_of(result: ShardResult) -> str | None:
-    """The level of isolation as one string; None when no policy ran because all episodes were stored."""
+    """Return the level of isolation as one string; None when no policy ran because all episodes were stored."""
     if result.isolation is None:
         return None
     return ", ".join(f"{name.replace('_', ' ')}: {value}" for name, value in asdict(result.isolation).items())

@@ -24,13 +24,13 @@ class WorkersAlive:
 
 
 def register(session: Session, worker: Worker) -> None:
-    """Adds a worker process and forgets those that were silent for a week."""
+    """Add a worker process and forgets those that were silent for a week."""
     session.execute(delete(Worker).where(Worker.heartbeat_at < datetime.now(UTC) - FORGOTTEN_AFTER))
     session.add(worker)
 
 
 def heartbeat(session: Session, worker_id: UUID, state: WorkerState, message: str = "") -> None:
-    """Notes that a worker is there and what it says about itself."""
+    """Record that a worker is there and what it says about itself."""
     session.execute(
         update(Worker)
         .where(Worker.id == worker_id)

@@ -22,7 +22,7 @@ class BlobStore:
 
     @classmethod
     def from_settings(cls, settings: Settings) -> "BlobStore":
-        """The store that the settings name; by default the folder `blobs` of the state directory."""
+        """Return the store that the settings name; by default the folder `blobs` of the state directory."""
         if settings.storage_url is not None:
             return cls(from_url(settings.storage_url))
         folder = settings.state_dir / "blobs"
@@ -30,7 +30,7 @@ class BlobStore:
         return cls(LocalStore(folder))
 
     def put(self, path: Path, sha256: str) -> None:
-        """Stores a file under its digest; a file that is there already is left as it is.
+        """Store a file under its digest; a file that is there already is left as it is.
 
         Raises:
             ServiceError: the store cannot be written.
@@ -43,7 +43,7 @@ class BlobStore:
             raise _unavailable(error) from error
 
     def fetch(self, sha256: str, destination: Path) -> None:
-        """Writes a stored file to a local path and checks its digest on the way.
+        """Write a stored file to a local path and checks its digest on the way.
 
         Raises:
             ServiceError: it is not there, was altered, or the store cannot be read.
@@ -70,7 +70,7 @@ class BlobStore:
         return True
 
     def delete(self, sha256: str) -> None:
-        """Removes a file; removing it again changes nothing.
+        """Remove a file; removing it again changes nothing.
 
         Raises:
             ServiceError: the store does not work.
@@ -95,7 +95,7 @@ class BlobStore:
         return [meta["path"].rsplit("/", 1)[-1] for meta in files if meta["last_modified"] <= oldest_kept]
 
     def check(self) -> None:
-        """Writes and removes a small file.
+        """Write and removes a small file.
 
         Raises:
             ServiceError: that does not work.

@@ -51,7 +51,7 @@ class CheckedUpload:
 def create(
     session: Session, by: Principal, upload: CheckedUpload, *, team: str | None = None, again: bool = False
 ) -> tuple[Submission, bool]:
-    """Makes the submission and its evaluation, or finds the one that exists; whether a new evaluation was started.
+    """Make the submission and its evaluation, or finds the one that exists; whether a new evaluation was started.
 
     The same content of the same team is one submission. While its evaluation is active or completed nothing new is
     started, unless `again` asks for a run that uses no stored episodes; after a cancel the run is taken up where it
@@ -99,7 +99,7 @@ def list_submissions(
     before: UUID | None = None,
     limit: int = 50,
 ) -> SubmissionListView:
-    """A page of the team's submissions, or of all teams' for an organizer; newest first.
+    """Return a page of the team's submissions, or of all teams' for an organizer; newest first.
 
     Raises:
         ServiceError: `before` or `team` names nothing that the principal may see.
@@ -125,7 +125,7 @@ def list_submissions(
 
 
 def cancel(session: Session, by: Principal, submission_id: UUID) -> None:
-    """Ends the evaluation of a submission; its workers stop within seconds.
+    """End the evaluation of a submission; its workers stop within seconds.
 
     Raises:
         ServiceError: there is no such submission, or its evaluation has ended.
@@ -143,7 +143,7 @@ def cancel(session: Session, by: Principal, submission_id: UUID) -> None:
 
 
 def run_again(session: Session, by: Principal, submission_id: UUID) -> Submission:
-    """Starts a new run that plays all episodes anew; the earlier results stay.
+    """Start a new run that plays all episodes anew; the earlier results stay.
 
     Raises:
         ServiceError: not an organizer, no such submission, or its evaluation is still active.
@@ -185,7 +185,7 @@ def episodes(session: Session, by: Principal, submission_id: UUID) -> list[Episo
 
 
 def visible(session: Session, by: Principal, submission_id: UUID) -> Submission:
-    """The submission of that id.
+    """Return the submission of that id.
 
     Raises:
         ServiceError: there is none that the principal may see.
@@ -197,14 +197,14 @@ def visible(session: Session, by: Principal, submission_id: UUID) -> Submission:
 
 
 def newest_evaluation(session: Session, submission: Submission) -> Evaluation:
-    """The evaluation that a submission shows."""
+    """Return the evaluation that a submission shows."""
     return session.scalars(_history(submission).limit(1)).one()
 
 
 async def watch(
     database: Database, settings: Settings, by: Principal, submission_id: UUID
 ) -> AsyncGenerator[SubmissionView, None]:
-    """The submission now and after each change, until its evaluation has ended.
+    """Return the submission now and after each change, until its evaluation has ended.
 
     Raises:
         ServiceError: there is no such submission.
@@ -234,7 +234,7 @@ def _owner(session: Session, by: Principal, team: str | None) -> Team:
 
 
 def _find_or_add(session: Session, owner: Team, upload: CheckedUpload) -> Submission:
-    """The row of this content, locked: two equal uploads at once go on one after the other."""
+    """Return the row of this content, locked: two equal uploads at once go on one after the other."""
     session.execute(
         insert(Submission)
         .values(
@@ -265,7 +265,7 @@ def _find_or_add(session: Session, owner: Team, upload: CheckedUpload) -> Submis
 
 
 def _next_run(session: Session, submission: Submission, *, again: bool) -> int | None:
-    """Number of the run to start, or None when the existing evaluation answers the request.
+    """Return the number of the run to start, or None when the existing evaluation answers the request.
 
     A score answers it, and so does what was found against a log: its actions would lead to the same states again.
     """

@@ -33,7 +33,7 @@ PlacesOf = Callable[[str], PlacesOfBoards]
 def submission_view(
     session: Session, settings: Settings, submission: Submission, places_of: PlacesOf | None = None
 ) -> SubmissionView:
-    """The submission with its newest evaluation.
+    """Return the submission with its newest evaluation.
 
     Args:
         session: of the transaction.
@@ -73,14 +73,14 @@ def submission_view(
 
 
 def _missing_tasks(submission: Submission) -> list[str]:
-    """What a model does not play; a log is of one task and no other is missed."""
+    """Return what a model does not play; a log is of one task and no other is missed."""
     if submission.kind is not SubmissionKind.MODEL:
         return []
     return [task for task in load_track(submission.track).tasks if task not in submission.tasks]
 
 
 def team_view(team: Team) -> TeamView:
-    """A team as it is shown."""
+    """Return a team as it is shown."""
     return TeamView(id=team.id, name=team.name, created_at=team.created_at)
 
 
@@ -128,7 +128,7 @@ def _verdict(evaluation: Evaluation) -> VerdictView | None:
 
 
 def _log_tail(session: Session, evaluation: Evaluation, submission: Submission) -> str:
-    """What was kept at the end; while it runs, the output of the last episode that the policy failed in.
+    """Return what was kept at the end; while it runs, the output of the last episode that the policy failed in.
 
     Nothing for a log: no policy ran here, and the output that a log names could be anything.
     """

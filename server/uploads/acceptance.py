@@ -37,7 +37,7 @@ def check_kind(kind: SubmissionKind, track: Track) -> None:
 def accept(
     services: Services, received: ReceivedFile, *, kind: SubmissionKind, track: str | None, owner: str
 ) -> CheckedUpload:
-    """Checks a body and stores it.
+    """Check a body and stores it.
 
     Args:
         services: of this process.

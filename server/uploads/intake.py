@@ -30,7 +30,7 @@ class ReceivedFile:
 
 @contextmanager
 def upload_folder(settings: Settings) -> Iterator[Path]:
-    """A private folder for one upload, gone with all it holds when the block is left."""
+    """Return a private folder for one upload, gone with all it holds when the block is left."""
     settings.scratch_dir.mkdir(mode=0o700, parents=True, exist_ok=True)
     folder = Path(tempfile.mkdtemp(prefix="upload-", dir=settings.scratch_dir))
     try:
@@ -57,7 +57,7 @@ def check_announced_size(n_bytes: int | None, limit_bytes: int) -> None:
 async def receive(
     body: AsyncIterator[bytes], folder: Path, *, limit_bytes: int, silence_s: float, announced_bytes: int | None
 ) -> ReceivedFile:
-    """Writes a body to disk while counting and hashing it.
+    """Write a body to disk while counting and hashing it.
 
     Raises:
         ServiceError: larger than the limit, shorter than announced, silent for too long, or empty.
@@ -78,7 +78,7 @@ async def receive(
 
 
 def check_digest(received: ReceivedFile, claimed: str | None) -> None:
-    """Compares the digest that the client gave with what came.
+    """Compare the digest that the client gave with what came.
 
     Raises:
         ServiceError: they differ, so the body was damaged on its way.
@@ -92,7 +92,7 @@ def check_digest(received: ReceivedFile, claimed: str | None) -> None:
 
 
 def truncated(what: str) -> ServiceError:
-    """The refusal of a body that ended early."""
+    """Return the refusal of a body that ended early."""
     return ServiceError(
         ProblemCode.UPLOAD_TRUNCATED, f"The upload ended early: {what}. Nothing was kept; send it again."
     )
@@ -107,7 +107,7 @@ def _too_large(limit_bytes: int, what: str) -> ServiceError:
 
 
 async def _without_silence(body: AsyncIterator[bytes], limit_s: float) -> AsyncIterator[bytes]:
-    """The chunks of a body as long as they keep coming."""
+    """Return the chunks of a body as long as they keep coming."""
     while True:
         try:
             chunk = await asyncio.wait_for(anext(body), limit_s)

@@ -20,7 +20,7 @@ DIGITS_IN_NAME = 8
 
 
 def check_log(received: ReceivedFile, owner: str, limit_bytes: int) -> CheckedUpload:
-    """Reads a log once, line by line, and keeps its claims.
+    """Read a log once, line by line, and keeps its claims.
 
     Args:
         received: the body, packed or not.
@@ -68,12 +68,12 @@ def require_own_team(named: str | None, owner: str) -> None:
 
 
 def rejected(message: str, reason: str, line: int | None) -> ServiceError:
-    """The refusal of a file that cannot be read as one whole log."""
+    """Return the refusal of a file that cannot be read as one whole log."""
     return ServiceError(ProblemCode.LOG_REJECTED, message, reason=str(reason), line=line)
 
 
 def impossible(found: Impossibility, line: int | None) -> ServiceError:
-    """The refusal of a log that no evaluation can have made."""
+    """Return the refusal of a log that no evaluation can have made."""
     place = f"Line {line}: " if line else ""
     return ServiceError(
         ProblemCode.LOG_IMPOSSIBLE,
@@ -105,7 +105,7 @@ def _track_and_task(manifest: Manifest) -> tuple[Track, Task]:
 
 
 def _keeping(kept: list[EpisodeRecord], records: Iterable[EpisodeRecord]) -> Iterator[EpisodeRecord]:
-    """The records as they come; keeps them without infos and messages, which alone can be large."""
+    """Return the records as they come; keeps them without infos and messages, which alone can be large."""
     for record in records:
         failure = record.failure and record.failure.model_copy(update={"message": "", "output_tail": ""})
         kept.append(record.model_copy(update={"infos": (), "failure": failure}))

@@ -30,7 +30,7 @@ MOST_CHARACTERS = 200
 
 
 def check_text_log(received: ReceivedFile, owner: str, limit_bytes: int) -> CheckedUpload:
-    """Reads a text log and keeps its claims.
+    """Read a text log and keeps its claims.
 
     Args:
         received: the body, packed or not.

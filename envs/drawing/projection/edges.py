@@ -48,7 +48,7 @@ def unit_normals(vertices_m: FloatArray, triangles: IndexArray) -> FloatArray:
 def visible_lines(
     ends_m: FloatArray, camera: ParallelCamera, visible: Visible, *, kept_m: FloatArray | None = None
 ) -> list[FloatArray]:
-    """The parts of straight lines that nothing hides, as polylines in picture coordinates [pixel], each [k, 2].
+    """Return the visible parts of straight lines, as polylines in picture coordinates [pixel], each [k, 2].
 
     Args:
         ends_m: both ends of every line in the world [m], shape [l, 2, 3].

@@ -27,7 +27,7 @@ class Plane:
 
 
 def section_loops_m(vertices_m: FloatArray, triangles: IndexArray, plane: Plane) -> list[FloatArray]:
-    """Closed outlines in which a plane cuts a closed surface, each of shape [k, 3] [m], the first point not repeated.
+    """Return the closed outlines where a plane cuts a closed surface, each [k, 3] [m], the first point not repeated.
 
     Seen against the plane's normal, material lies to the left of an outline, so that outlines of holes turn the other
     way. A vertex exactly on the plane counts as above it.
@@ -55,7 +55,7 @@ def _crossings(triangles: IndexArray, above: NDArray[np.bool_]) -> list[tuple[Ed
 
 
 def _entry_and_exit(triangle: list[int], above: NDArray[np.bool_]) -> tuple[Edge, Edge]:
-    """The outline enters by the edge that falls through the plane and leaves by the one that rises."""
+    """Return the two crossings of an outline: in by the edge that falls through the plane, out by the one that rises."""
     edges = [(triangle[i], triangle[(i + 1) % 3]) for i in range(3)]
     falling = next(edge for edge in edges if above[edge[0]] and not above[edge[1]])
     rising = next(edge for edge in edges if not above[edge[0]] and above[edge[1]])

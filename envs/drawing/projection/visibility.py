@@ -35,7 +35,7 @@ class Visible:
 
     @classmethod
     def nothing(cls, camera: ParallelCamera) -> "Visible":
-        """An empty picture."""
+        """Return an empty picture."""
         shape = (camera.height_px, camera.width_px)
         return cls(
             triangle=np.full(shape, NOTHING, dtype=np.int32),
@@ -44,7 +44,7 @@ class Visible:
         )
 
     def copy(self) -> "Visible":
-        """A picture to which more can be added."""
+        """Return a picture to which more can be added."""
         return Visible(triangle=self.triangle.copy(), weights=self.weights.copy(), depth_m=self.depth_m.copy())
 
     def add(self, corners: FloatArray, *, first: int, kept_m: FloatArray | None = None) -> None:

@@ -76,7 +76,7 @@ def orthogonality_error(A: Mat3) -> Mat3:
 
 @kernel
 def orthogonality_energy(E: Mat3) -> float:
-    """|A A^T - I|_F^2 from E = A A^T - I (ABD equation 6, without its factor kappa V)."""
+    """Return |A A^T - I|_F^2 from E = A A^T - I (ABD equation 6, without its factor kappa V)."""
     return dot(E[0], E[0]) + dot(E[1], E[1]) + dot(E[2], E[2])
 
 

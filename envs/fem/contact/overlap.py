@@ -26,7 +26,7 @@ class Overlap(NamedTuple):
 
 @allocating_kernel
 def find_overlap(surfaces: Surfaces, y: FloatArray) -> Overlap:
-    """The first pair of bodies whose surfaces cross or of which one lies inside the other; all -1 if there is none.
+    """Return the first pair of bodies that cross or of which one lies inside the other; all -1 if there is none.
 
     Points y [m] have shape [p, 3].
     """
@@ -42,7 +42,7 @@ def find_overlap(surfaces: Surfaces, y: FloatArray) -> Overlap:
 
 @allocating_kernel
 def _crossing(surfaces: Surfaces, y: FloatArray, a: int, b: int) -> tuple[int, int]:
-    """An edge of body a and a triangle of body b that cross."""
+    """Return an edge of body a and a triangle of body b that cross."""
     edges = near_rows(
         surfaces.edges,
         surfaces.edge_start[a],

@@ -35,7 +35,7 @@ def new_batch() -> FloatArray:
 
 @kernel
 def get_number(batch: FloatArray, row: int, i: int) -> float:
-    """Number of tetrahedron i."""
+    """Return the number of tetrahedron i."""
     return float(batch[BATCH * row + i])
 
 
@@ -47,7 +47,7 @@ def set_number(batch: FloatArray, row: int, i: int, value: float) -> None:
 
 @kernel
 def get_vector(batch: FloatArray, first: int, k: int, i: int) -> Vec3:
-    """The k-th of the vectors of tetrahedron i whose rows begin at `first`."""
+    """Return the k-th of the vectors of tetrahedron i whose rows begin at `first`."""
     row = first + 3 * k
     return get_number(batch, row, i), get_number(batch, row + 1, i), get_number(batch, row + 2, i)
 

@@ -17,7 +17,7 @@ class SceneError(VitacError):
 
 
 def check_bodies(gels: Sequence[GelBody], bodies: Sequence[RigidBody]) -> None:
-    """Looks at where bodies stand and what they are made of.
+    """Look at where bodies stand and what they are made of.
 
     Raises:
         SceneError: there is no gel, a body is placed by no rotation or at no finite place, or a material is none.
@@ -36,7 +36,7 @@ def check_bodies(gels: Sequence[GelBody], bodies: Sequence[RigidBody]) -> None:
 
 
 def check_settings(time_step_s: float, contact: ContactSettings, solver: SolverSettings) -> None:
-    """Looks at the ranges of all settings.
+    """Look at the ranges of all settings.
 
     Raises:
         SceneError: one is out of its range.

@@ -382,7 +382,7 @@ def _force_at(
     workspace: Workspace,
     fraction: float,
 ) -> float:
-    """The force along the solution, see `_force_along`, when a part of the move is made."""
+    """Return the force along the solution, see `_force_along`, when a part of the move is made."""
     add_rows(x, fraction, s.move, s.trial)
     point_positions(model.points, s.trial, s.y_other)
     assemble(

@@ -64,7 +64,7 @@ class LockFlags:
 
 
 def judge_flags(state: LockState, *, max_steps: int) -> LockFlags:
-    """Flags of an env step.
+    """Return the flags of an env step.
 
     Success means that both teeth stand in absolute windows, not that each is aligned with its slot [D8]; it asks for
     no flag. No angle is tested [D12].
@@ -79,7 +79,7 @@ def judge_flags(state: LockState, *, max_steps: int) -> LockFlags:
 
 
 def alignment_error(state: LockState) -> float:
-    """The error e of the reward: 500 per metre of distance of both teeth from where they should be."""
+    """Return the error e of the reward: 500 per metre of distance of both teeth from where they should be."""
     entrance_x_m = _mean(state.entrance_m)[0]
     inside = all(tooth[:, 0].max() < entrance_x_m for tooth in (state.rear_tooth_m, state.front_tooth_m))
     goal_z_m = LIFTED_Z_M if inside else CEILING_Z_M

@@ -56,7 +56,7 @@ class LockStart:
 
 
 def choose_start(options: dict[str, Any], random: np.random.Generator, *, x_mm: float, jitter_mm: float) -> LockStart:
-    """The start given by the options; what they leave open is drawn: key, x, then size and sign of each jitter.
+    """Return the start given by the options; what they leave open is drawn: key, x, then size and sign of each jitter.
 
     Args:
         options: may hold `shape`, `offset_mm` and `sensor_jitter_mm`.
@@ -82,7 +82,7 @@ def _random_jitter(random: np.random.Generator, jitter_mm: float) -> SensorJitte
 
 
 def _random_sided(random: np.random.Generator, largest: float) -> float:
-    """A size from 0 to the largest, then a sign."""
+    """Return a size from 0 to the largest, then a sign."""
     size = largest * random.random()
     return size if random.integers(2) else -size
 

@@ -50,7 +50,7 @@ class PegFlags:
 
 
 def judge_flags(state: PegState, *, max_steps: int, z_step_mm: float) -> PegFlags:
-    """Flags of an env step.
+    """Return the flags of an env step.
 
     The limits of the offset are tested once per env step on the commanded values, not after each IPC step as published
     [D3]. Success asks for the commanded *and* the measured depth [D6], and for no flag; a large surface motion is such

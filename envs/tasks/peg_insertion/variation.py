@@ -46,7 +46,7 @@ class PegStart:
 
 
 def choose_start(options: dict[str, Any], random: np.random.Generator, *, xy_mm: float, theta_deg: float) -> PegStart:
-    """The start given by the options; what they leave open is drawn: first the shape, then a blocked offset.
+    """Return the start given by the options; what they leave open is drawn: first the shape, then a blocked offset.
 
     Args:
         options: may hold `shape` and `offset_mm_deg`.
@@ -67,7 +67,7 @@ def choose_start(options: dict[str, Any], random: np.random.Generator, *, xy_mm:
 
 
 def random_blocked_offset(shape: PegShape, random: np.random.Generator, *, xy_mm: float, theta_deg: float) -> PegOffset:
-    """A uniform offset (drawn x, y, theta), drawn again until the peg cannot just fall into the hole.
+    """Return a uniform offset (drawn x, y, theta), drawn again until the peg cannot just fall into the hole.
 
     The 2025 code asks a collision library about the solids; prisms with one axis collide where their profiles do.
     """

@@ -11,12 +11,12 @@ PRINTED_MM = 2e-5
 
 
 def check(log: TextLog, kind: Kind) -> list[str]:
-    """What is wrong with a log, beyond what is out of place in it; one sentence with a line or test number each."""
+    """Return what is wrong with a log, beyond misplaced lines; one sentence each, with a line or test number."""
     return [*_check_header(log, kind), *_check_episodes(log, kind), *_check_totals(log)]
 
 
 def hole_top(log: TextLog, kind: Kind) -> float | None:
-    """The hole's top that the log was made with [mm]; None where the kind has none or the log shows none."""
+    """Return the hole's top that the log was made with [mm]; None where the kind has none or the log shows none."""
     shown = log.episodes[0].initial_offset if log.episodes else None
     if not kind.hole_tops_mm or shown is None or len(shown) < 4:
         return None
@@ -150,7 +150,7 @@ def _check_flags(step: TextStep, kind: Kind, rules: PegRules, top: float | None)
 
 
 def _moved(before: Sequence[float], action: Sequence[float], rules: PegRules) -> list[float]:
-    """The commanded offset after an action: scaled, clipped, xy turned by the angle before (challenge-facts 5)."""
+    """Return the commanded offset after an action: scaled, clipped, xy turned by the angle before it."""
     pairs = zip(action, rules.action_scale, strict=True)
     motion = [min(max(value * scale, -scale), scale) for value, scale in pairs]
     angle = radians(before[2])
@@ -197,7 +197,7 @@ def _is_number(value: object) -> bool:
 
 
 def _plain(value: object) -> object:
-    """Lists and tuples alike, so that a printed and a configured value compare."""
+    """List and tuples alike, so that a printed and a configured value compare."""
     if isinstance(value, list | tuple):
         return tuple(_plain(item) for item in value)
     if isinstance(value, dict):

@@ -61,7 +61,7 @@ class Kind(StrictModel):
     """Vision track only: heights of the hole's top in use; the published logs have the first (challenge-facts D20)."""
 
     def starts(self, hole_top_mm: float | None = None) -> list[Start]:
-        """The list, in the order of the script's loops.
+        """Return the list, in the order of the script's loops.
 
         Args:
             hole_top_mm: which of `hole_tops_mm`; the first by default.
@@ -84,7 +84,7 @@ class Kind(StrictModel):
         return found
 
     def _shown(self, offset: tuple[float, ...], hole_top_mm: float | None) -> tuple[float, ...]:
-        """The start as the log shows it; in the vision track relative to the target (challenge-facts 2.3, 6)."""
+        """Return the start as the log shows it; in the vision track relative to the target (challenge-facts 2.3, 6)."""
         if not self.hole_tops_mm:
             return offset
         x, y, theta, z, left = offset
@@ -97,11 +97,11 @@ class _Kinds(StrictModel):
 
 @cache
 def all_kinds() -> tuple[Kind, ...]:
-    """The four kinds."""
+    """Return the four kinds."""
     origin = "kinds.yaml"
     return parse_yaml(_Kinds, files(__package__).joinpath(origin).read_text(encoding="utf-8"), origin).kinds
 
 
 def kind_of(environment: dict[str, Any]) -> Kind | None:
-    """The kind of a log by the environment it prints, or None."""
+    """Return the kind of a log by the environment it prints, or None."""
     return next((kind for kind in all_kinds() if kind.marked_by in environment), None)

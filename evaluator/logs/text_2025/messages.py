@@ -44,7 +44,7 @@ class Message:
 
 
 def messages(stream: BinaryIO) -> Iterator[Message]:
-    """The messages of a log in their order; lines without a prefix belong to the message before.
+    """Return the messages of a log in their order; lines without a prefix belong to the message before.
 
     Raises:
         TextLogRejected: it is not text, not a log, or larger than any true one.
@@ -75,7 +75,7 @@ def messages(stream: BinaryIO) -> Iterator[Message]:
 
 
 def vector(message: Message, text: str) -> tuple[float, ...]:
-    """The numbers of a printed NumPy array, `[-4. 0.5 2e-3]`.
+    """Return the numbers of a printed NumPy array, `[-4. 0.5 2e-3]`.
 
     Raises:
         TextLogRejected: it is something else, or a number is not finite.
@@ -87,7 +87,7 @@ def vector(message: Message, text: str) -> tuple[float, ...]:
 
 
 def number(message: Message, text: str) -> float:
-    """A finite number.
+    """Return a finite number.
 
     Raises:
         TextLogRejected: it is something else.
@@ -102,7 +102,7 @@ def number(message: Message, text: str) -> float:
 
 
 def whole_number(message: Message, text: str) -> int:
-    """A number of at most nine digits.
+    """Return a number of at most nine digits.
 
     Raises:
         TextLogRejected: it is something else.
@@ -113,7 +113,7 @@ def whole_number(message: Message, text: str) -> int:
 
 
 def printed_dict(message: Message, text: str) -> dict[str, Any]:
-    """A printed Python dict of plain values and NumPy arrays; arrays become tuples.
+    """Return a printed Python dict of plain values and NumPy arrays; arrays become tuples.
 
     Raises:
         TextLogRejected: it is something else, or a number is not finite.

@@ -58,7 +58,7 @@ class TextLog:
 
 
 def read_text_log(stream: BinaryIO) -> TextLog:
-    """Reads a log.
+    """Read a log.
 
     Args:
         stream: the file, opened for reading bytes.
@@ -103,7 +103,7 @@ class _Reader:
         ]
 
     def take(self, message: Message) -> None:
-        """Puts one message where it belongs."""
+        """Put one message where it belongs."""
         if self._last and message.time < self._last.time:
             self._problem(message, "its time is before that of the line before it")
         self._last = message
@@ -215,7 +215,7 @@ class _Reader:
         return None
 
     def _open_step(self, message: Message, part: str) -> TextStep | None:
-        """The env step that a part belongs to; None where it belongs to none, or repeats what the step already has."""
+        """Return the env step that a part belongs to; None if it belongs to none or repeats what the step has."""
         episode = self._open_episode(message)
         if not episode:
             return None

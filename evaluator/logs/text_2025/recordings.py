@@ -41,7 +41,7 @@ def why_not_resimulated(log: TextLog, kind: Kind, task: Task) -> Impossibility |
 
 
 def text_log_recordings(log: TextLog, task: Task) -> Iterator[Recording]:
-    """The recordings of a text log that can be re-simulated, in the order of the list."""
+    """Return the recordings of a text log that can be re-simulated, in the order of the list."""
     for episode, listed in zip(log.episodes, task.episodes, strict=True):
         yield Recording(episode=listed, actions=_actions(episode, task), infos=(), success=episode.success is True)
 
@@ -79,6 +79,6 @@ def _starts_at(offset: tuple[float, ...], listed: Episode) -> bool:
 
 
 def _actions(episode: TextEpisode, task: Task) -> NDArray[np.float32]:
-    """The actions as printed, which may lack their last bits; shape [env steps, action size]."""
+    """Return the actions as printed, which may lack their last bits; shape [env steps, action size]."""
     with np.errstate(over="ignore"):  # A number too large for float32 becomes infinite, and so out of bounds.
         return np.array([step.action for step in episode.steps]).astype(np.float32).reshape(-1, len(task.actions))

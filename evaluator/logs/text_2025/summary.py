@@ -23,7 +23,7 @@ class TextLogSummary(StrictModel):
 
 
 def summarize(log: TextLog) -> tuple[Kind, TextLogSummary]:
-    """The kind of a log and its summary.
+    """Return the kind of a log and its summary.
 
     Raises:
         TextLogRejected: its environment is that of no known kind.

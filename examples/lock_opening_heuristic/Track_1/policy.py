@@ -52,5 +52,5 @@ def rotation(reference, current):
 
 
 def action(pull=0.0, lift=0.0):
-    """The action for a motion outwards and upwards [mm]; float32, each within -1 to 1."""
+    """Return the action for a motion outwards and upwards [mm]; float32, each within -1 to 1."""
     return np.array([-pull, -lift] / MAX_MOTION, dtype=np.float32)

@@ -29,7 +29,7 @@ class Policy:
         self.env_step = 0
 
     def act(self, observation):
-        """Moves from where the peg is thought to be towards the hole."""
+        """Move from where the peg is thought to be towards the hole."""
         motion = observation["relative_motion"][:3]
         if self.env_step < len(self.readings):
             self.felt = np.concatenate([features(observation["marker_flow"]), self.felt, motion])
@@ -42,7 +42,7 @@ class Policy:
 
 
 def features(marker_flow):
-    """What is felt: affine parts of both gels' motion, their sums and differences, also saturated; 24 numbers."""
+    """Return 24 features: affine parts of both gels' motion, their sums and differences, also saturated."""
     left, right = (affine_motion(reference, current) for reference, current in marker_flow)
     felt = np.concatenate([left + right, left - right])
     return np.concatenate([felt, np.tanh(2 * felt)])
@@ -61,13 +61,13 @@ def affine_motion(reference, current):
 
 
 def read_offset(reading, felt):
-    """The offset [mm, mm, degrees], or the correction of it, that the features speak for."""
+    """Return the offset [mm, mm, degrees], or the correction of it, that the features speak for."""
     normal = (felt - reading["mean"]) / reading["scale"]
     return (normal[:, None] * reading["weights"]).sum(axis=0)
 
 
 def towards_hole(start, motion):
-    """The action that undoes the start's offset, as far as one env step can, after some motion of the gripper.
+    """Return the action that undoes the start's offset, as far as one env step can, after some motion of the gripper.
 
     The angle is left alone: it cannot be felt. What the gripper has turned by turns its own axes.
     """
