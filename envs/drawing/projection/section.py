@@ -55,7 +55,7 @@ def _crossings(triangles: IndexArray, above: NDArray[np.bool_]) -> list[tuple[Ed
 
 
 def _entry_and_exit(triangle: list[int], above: NDArray[np.bool_]) -> tuple[Edge, Edge]:
-    """Return the two crossings of an outline: in by the edge that falls through the plane, out by the one that rises."""
+    """Return the two crossings of an outline: in by the edge that falls through the plane, out by the rising one."""
     edges = [(triangle[i], triangle[(i + 1) % 3]) for i in range(3)]
     falling = next(edge for edge in edges if above[edge[0]] and not above[edge[1]])
     rising = next(edge for edge in edges if not above[edge[0]] and above[edge[1]])
