@@ -134,7 +134,7 @@ def import_(
 
 
 @app.command()
-def audit(
+def match(
     log: LogFile,
     submission: Annotated[Path, typer.Argument(help="Zip or folder of the model.")],
     json: AsJson = False,
@@ -142,7 +142,7 @@ def audit(
     """Tell how many of a log's actions a model gives; exit code 0 if all, 1 if not."""
     from vitac.evaluator.agent.limits import Limits
     from vitac.evaluator.episodes.episode import make_environment
-    from vitac.evaluator.logs.audit import audit as audit_log
+    from vitac.evaluator.logs.action_match import match_actions
     from vitac.evaluator.shards.policy import load_in_sandbox
     from vitac.evaluator.submission.staging import staged
     from vitac.evaluator.tracks import find_task
@@ -152,7 +152,7 @@ def audit(
     header, records = _read(log)
     _, task = find_task(header.manifest.task)
     with staged(submission) as folder, load_in_sandbox(folder, Limits(), 0) as session:
-        result = audit_log(
+        result = match_actions(
             env=make_environment(task),
             task=task,
             records=records,
@@ -165,10 +165,10 @@ def audit(
     else:
         print(f"the model gives {result.reproduced} of {result.actions} actions")
         for episode in result.episodes:
-            if episode.first_other:
+            if episode.first_mismatch:
                 print(
-                    f"episode {episode.episode}: {episode.reproduced} of {episode.actions}, other from env step "
-                    f"{episode.first_other} {episode.failure or ''}"
+                    f"episode {episode.episode}: {episode.reproduced} of {episode.actions}, different from env step "
+                    f"{episode.first_mismatch} {episode.failure or ''}"
                 )
     if result.reproduced != result.actions:
         raise typer.Exit(1)

@@ -2,7 +2,7 @@
 
 A model and the log were played from the same fixed starts. As long as their actions in an episode are equal, both saw
 the same observations to the last bit; the first other action says that this model did not choose the log's. `vitac log
-audit` goes further: it shows the model the log's states also after that.
+match` goes further: it shows the model the log's states also after that.
 """
 
 from collections.abc import Sequence
@@ -11,7 +11,7 @@ from uuid import UUID
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 from vitac.evaluator.episodes.records import ActionSequence
-from vitac.evaluator.logs.audit import AuditedEpisode, compare_actions
+from vitac.evaluator.logs.action_match import EpisodeMatch, compare_actions
 from vitac.server.accounts.principals import Principal
 from vitac.server.db.models import EpisodeResult, Evaluation, Submission
 from vitac.server.db.states import EvaluationState, SubmissionKind
@@ -76,10 +76,10 @@ def _audit(model: Evaluation, of_log: dict[int, ActionSequence], of_model: dict[
         actions=audited.actions,
         reproduced=audited.reproduced,
         episodes=len(audited.episodes),
-        episodes_reproduced=sum(episode.first_other is None for episode in audited.episodes),
-        others=[_episode(episode) for episode in audited.episodes if episode.first_other is not None],
+        episodes_reproduced=sum(episode.first_mismatch is None for episode in audited.episodes),
+        others=[_episode(episode) for episode in audited.episodes if episode.first_mismatch is not None],
     )
 
 
-def _episode(episode: AuditedEpisode) -> AuditedEpisodeView:
+def _episode(episode: EpisodeMatch) -> AuditedEpisodeView:
     return AuditedEpisodeView(**episode.model_dump(exclude={"failure"}))

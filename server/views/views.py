@@ -184,7 +184,7 @@ class AuditedEpisodeView(View):
     episode: int
     actions: int
     reproduced: int
-    first_other: int | None = Field(description="Env step of the first other action; null if there is none.")
+    first_mismatch: int | None = Field(description="Env step of the first other action; null if there is none.")
 
 
 class AuditView(View):

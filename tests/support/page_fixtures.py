@@ -303,7 +303,7 @@ def an_audit() -> AuditView:
         reproduced=808,
         episodes=270,
         episodes_reproduced=269,
-        others=[AuditedEpisodeView(episode=5, actions=3, reproduced=1, first_other=2)],
+        others=[AuditedEpisodeView(episode=5, actions=3, reproduced=1, first_mismatch=2)],
     )
 
 

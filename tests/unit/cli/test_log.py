@@ -167,17 +167,17 @@ def model(tmp_path: Path) -> Path:
     return folder
 
 
-def test_audit_counts_the_actions_that_a_model_gives(
+def test_match_counts_the_actions_that_a_model_gives(
     log: Path, model: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def load(answer: Any) -> None:
         monkeypatch.setattr(policy, "load_in_sandbox", lambda *_: FakeSession(answer).load())
 
     load(succeed)
-    assert run(capsys, "audit", log, model) == (0, "the model gives 9 of 9 actions\n", "")
+    assert run(capsys, "match", log, model) == (0, "the model gives 9 of 9 actions\n", "")
     load(lambda _, step: succeed(1, 3 if step == 2 else step))
-    code, out, _ = run(capsys, "audit", log, model)
+    code, out, _ = run(capsys, "match", log, model)
     assert code == 1
-    assert out.splitlines()[:2] == ["the model gives 6 of 9 actions", "episode 1: 2 of 3, other from env step 2 "]
-    content = json.loads(run(capsys, "audit", log, model, "--json")[1])
-    assert (content["reproduced"], content["actions"], content["episodes"][0]["first_other"]) == (6, 9, 2)
+    assert out.splitlines()[:2] == ["the model gives 6 of 9 actions", "episode 1: 2 of 3, different from env step 2 "]
+    content = json.loads(run(capsys, "match", log, model, "--json")[1])
+    assert (content["reproduced"], content["actions"], content["episodes"][0]["first_mismatch"]) == (6, 9, 2)

@@ -316,12 +316,12 @@ def test_later_model_that_gives_all_actions_of_a_log_is_told(service: Service) -
     assert (audit["episodes_reproduced"], audit["episodes"], audit["others"]) == (270, 270, [])
 
 
-def test_other_model_is_told_by_its_first_other_action(service: Service) -> None:
+def test_names_the_first_mismatch(service: Service) -> None:
     with_model(service, parts_from_the_second_step)
     log = resimulated(service, a_log())
     (audit,) = service.get(f"/submissions/{log.id}/audits").json()
     assert (audit["reproduced"], audit["episodes_reproduced"]) == (808, 269)
-    assert audit["others"] == [{"episode": 5, "actions": 3, "reproduced": 1, "first_other": 2}]
+    assert audit["others"] == [{"episode": 5, "actions": 3, "reproduced": 1, "first_mismatch": 2}]
 
 
 def test_only_complete_models_of_the_same_team_and_evaluator_are_compared(service: Service) -> None:

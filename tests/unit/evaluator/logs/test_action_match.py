@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from vitac.evaluator.agent.verdicts import PolicyFailed, VerdictCode
 from vitac.evaluator.episodes.episode import run_episode
 from vitac.evaluator.episodes.records import ActionSequence, EpisodeRecord
-from vitac.evaluator.logs.audit import Audit, audit, compare_actions
+from vitac.evaluator.logs.action_match import ActionMatch, compare_actions, match_actions
 
 TASK = small_track().tasks["peg-insertion"]
 
@@ -29,20 +29,20 @@ def log_of(answer: Answer) -> list[EpisodeRecord]:
     ]
 
 
-def check(answer: Answer, records: list[EpisodeRecord]) -> Audit:
-    return audit(env=FakeEnvironment(), task=TASK, records=records, open_session=partial(opened, answer))
+def check(answer: Answer, records: list[EpisodeRecord]) -> ActionMatch:
+    return match_actions(env=FakeEnvironment(), task=TASK, records=records, open_session=partial(opened, answer))
 
 
 def test_model_that_made_the_log_gives_all_its_actions() -> None:
     result = check(succeed, log_of(succeed))
     assert (result.actions, result.reproduced) == (6, 6)
-    assert [episode.first_other for episode in result.episodes] == [None, None]
+    assert [episode.first_mismatch for episode in result.episodes] == [None, None]
 
 
-def test_other_model_is_told_by_its_first_other_action_and_compared_to_the_end() -> None:
+def test_names_the_first_mismatch_and_compares_to_the_end() -> None:
     result = check(lambda _, step: action(0.25 if step == 2 else succeed(1, step)[0]), log_of(succeed))
     assert (result.actions, result.reproduced) == (6, 4)
-    assert [episode.first_other for episode in result.episodes] == [2, 2]
+    assert [episode.first_mismatch for episode in result.episodes] == [2, 2]
 
 
 def test_last_bit_counts() -> None:
@@ -50,14 +50,14 @@ def test_last_bit_counts() -> None:
     assert check(lambda _, step: action(almost if step < 3 else 1.0), log_of(succeed)).reproduced == 2
 
 
-def test_model_that_fails_gives_what_it_gave_before() -> None:
+def test_keeps_what_was_compared_before_a_failure() -> None:
     result = check(lambda _, step: fail() if step == 2 else action(0.5), log_of(succeed))
     assert result.reproduced == 2
-    assert result.episodes[0].first_other == 2
+    assert result.episodes[0].first_mismatch == 2
     assert "crashed" in (result.episodes[0].failure or "")
 
 
-def test_model_sees_what_the_logs_actions_lead_to() -> None:
+def test_model_gets_the_observations_of_the_logs_actions() -> None:
     """The fake environment shows the number of env steps in `relative_motion`."""
     seen: list[float] = []
 
@@ -71,7 +71,9 @@ def test_model_sees_what_the_logs_actions_lead_to() -> None:
         def episode(self, *, task: str, action_shape: tuple[int, ...]) -> Iterator[FakePolicy]:
             yield Watching(succeed, 1)
 
-    audit(env=FakeEnvironment(), task=TASK, records=log_of(succeed)[:1], open_session=lambda: WatchingSession(succeed))
+    match_actions(
+        env=FakeEnvironment(), task=TASK, records=log_of(succeed)[:1], open_session=lambda: WatchingSession(succeed)
+    )
     assert seen == [0, 1, 2]
 
 
@@ -80,22 +82,22 @@ def test_model_that_cannot_be_loaded_is_refused() -> None:
         raise PolicyFailed(VerdictCode.IMPORT_ERROR, "No module named 'torch'.")
 
     with pytest.raises(PolicyFailed):
-        audit(env=FakeEnvironment(), task=TASK, records=log_of(succeed), open_session=cannot_load)
+        match_actions(env=FakeEnvironment(), task=TASK, records=log_of(succeed), open_session=cannot_load)
 
 
 def actions_of(answer: Answer) -> dict[int, ActionSequence]:
     return {record.episode: record.actions for record in log_of(answer)}
 
 
-def test_models_own_episodes_are_compared_up_to_the_first_other_action() -> None:
+def test_stored_actions_are_compared_up_to_the_first_mismatch() -> None:
     log, other = actions_of(succeed), actions_of(lambda _, step: action(0.25 if step == 2 else succeed(1, step)[0]))
-    assert [episode.first_other for episode in compare_actions(log, log).episodes] == [None, None]
+    assert [episode.first_mismatch for episode in compare_actions(log, log).episodes] == [None, None]
     parted = compare_actions(log, {**log, 2: other[2]})
-    assert [(episode.reproduced, episode.first_other) for episode in parted.episodes] == [(3, None), (1, 2)]
+    assert [(episode.reproduced, episode.first_mismatch) for episode in parted.episodes] == [(3, None), (1, 2)]
 
 
-def test_episode_that_goes_on_or_is_missing_is_another() -> None:
+def test_longer_or_missing_episode_is_a_mismatch() -> None:
     log = actions_of(succeed)
     longer = ActionSequence.from_array(np.vstack([log[1].to_array(), action(0.5)]))
     compared = compare_actions(log, {1: longer})
-    assert [(episode.reproduced, episode.first_other) for episode in compared.episodes] == [(3, 4), (0, 1)]
+    assert [(episode.reproduced, episode.first_mismatch) for episode in compared.episodes] == [(3, 4), (0, 1)]

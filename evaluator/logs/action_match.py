@@ -1,4 +1,4 @@
-"""How many of a log's actions does a model give? Called by `vitac log audit`, and by the server for a later model."""
+"""How many of a log's actions does a model give? Called by `vitac log match`, and by the server for a later model."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from itertools import takewhile
@@ -14,21 +14,21 @@ from ..tracks import Task
 from .recordings import Recording, recording_of
 
 
-class AuditedEpisode(StrictModel):
-    """One episode: how many of its actions the model gave to the last bit, and the first env step where it did not."""
+class EpisodeMatch(StrictModel):
+    """One episode: how many of its actions the model gave, bit for bit, and the first env step where it did not."""
 
     episode: int
     actions: NonNegativeInt
     reproduced: NonNegativeInt
-    first_other: int | None
+    first_mismatch: int | None
     failure: str | None = None
-    """Why the model gave no more answers."""
+    """Why the model stopped giving actions."""
 
 
-class Audit(StrictModel):
-    """All episodes of a log."""
+class ActionMatch(StrictModel):
+    """The action match of a whole log."""
 
-    episodes: tuple[AuditedEpisode, ...]
+    episodes: tuple[EpisodeMatch, ...]
 
     @property
     def actions(self) -> int:
@@ -37,74 +37,76 @@ class Audit(StrictModel):
 
     @property
     def reproduced(self) -> int:
-        """Those that the model gave."""
+        """Actions that the model gave, too."""
         return sum(episode.reproduced for episode in self.episodes)
 
 
-def audit(
+def match_actions(
     *,
     env: Environment,
     task: Task,
     records: Iterable[EpisodeRecord],
     open_session: OpenSession,
-    on_episode: Callable[[AuditedEpisode], None] = lambda _: None,
-) -> Audit:
-    """Show a model what the log's actions lead to and compare what it would have done.
+    on_episode: Callable[[EpisodeMatch], None] = lambda _: None,
+) -> ActionMatch:
+    """Show a model the observations that the log's actions lead to, and compare its actions with the log's.
 
-    The environment always follows the log, so one other action does not spoil the comparison of those after it.
+    The environment always follows the log, so one different action does not end the comparison.
 
     Args:
         env: environment of the task.
-        task: what was played.
-        records: of the log.
-        open_session: gives the loaded policy.
-        on_episode: gets each episode as soon as it is compared.
+        task: task of the log.
+        records: episodes of the log.
+        open_session: returns a session with the loaded policy.
+        on_episode: called with each episode as soon as it is compared.
 
     Raises:
         PolicyFailed: the policy cannot be loaded.
         RecordingRejected: a record is of another task.
     """
     session = open_session()
-    audited = []
+    matched = []
     for record in records:
-        audited.append(_audit_episode(env, task, recording_of(record, task), session))
-        on_episode(audited[-1])
-    return Audit(episodes=tuple(audited))
+        matched.append(_match_episode(env, task, recording_of(record, task), session))
+        on_episode(matched[-1])
+    return ActionMatch(episodes=tuple(matched))
 
 
-def compare_actions(log: Mapping[int, ActionSequence], model: Mapping[int, ActionSequence]) -> Audit:
-    """Compare a log with what a model did from the same starts, by episode number, without playing anything.
+def compare_actions(log: Mapping[int, ActionSequence], model: Mapping[int, ActionSequence]) -> ActionMatch:
+    """Compare a log with a model's stored actions from the same starts, by episode number, without running either.
 
-    Up to the first other action of an episode both saw the same. What comes after it cannot be compared, and counts as
-    not reproduced.
+    Up to the first different action of an episode both had the same observations. Later actions cannot be compared
+    and count as not reproduced.
     """
-    return Audit(episodes=tuple(_compare_episode(number, log[number], model.get(number)) for number in sorted(log)))
+    return ActionMatch(
+        episodes=tuple(_compare_episode(number, log[number], model.get(number)) for number in sorted(log))
+    )
 
 
-def _compare_episode(number: int, log: ActionSequence, model: ActionSequence | None) -> AuditedEpisode:
+def _compare_episode(number: int, log: ActionSequence, model: ActionSequence | None) -> EpisodeMatch:
     ours, theirs = log.to_array(), model.to_array() if model else np.empty((0, log.shape[1]), np.float32)
     equal = (one.tobytes() == other.tobytes() for one, other in zip(ours, theirs, strict=False))
     reproduced = sum(takewhile(bool, equal))
     complete = len(ours) == len(theirs) == reproduced
-    return AuditedEpisode(
-        episode=number, actions=len(ours), reproduced=reproduced, first_other=None if complete else reproduced + 1
+    return EpisodeMatch(
+        episode=number, actions=len(ours), reproduced=reproduced, first_mismatch=None if complete else reproduced + 1
     )
 
 
-def _audit_episode(env: Environment, task: Task, recording: Recording, session: Session) -> AuditedEpisode:
+def _match_episode(env: Environment, task: Task, recording: Recording, session: Session) -> EpisodeMatch:
     equal: list[bool] = []
     failure = None
     try:
         with session.episode(task=task.name, action_shape=(len(task.actions),)) as policy:
-            equal.extend(_comparisons(env, task, recording, policy))  # What came before a failure is kept.
+            equal.extend(_comparisons(env, task, recording, policy))  # Keeps what was compared before a failure.
     except PolicyFailed as failed:
         failure = str(failed)
     complete = len(equal) == len(recording.actions) and all(equal)
-    return AuditedEpisode(
+    return EpisodeMatch(
         episode=recording.episode.number,
         actions=len(recording.actions),
         reproduced=sum(equal),
-        first_other=None if complete else [*equal, False].index(False) + 1,
+        first_mismatch=None if complete else [*equal, False].index(False) + 1,
         failure=failure,
     )
 
