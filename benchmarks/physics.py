@@ -6,7 +6,7 @@ Plays the organizers' logged peg episodes and prints JSON. REFERENCE_DIR holds a
 logs/track1_peg_insertion.repeat0.jsonl and physics_truth.json. One thread, no GPU, about half a minute; run it twice,
 for the first run also compiles the kernels. `--ledger` also plays half of the episodes with every solver setting, some
 minutes. `--write-docs` does all of it, keeps the figures in benchmarks/physics.json and writes the tables of
-docs/physics.md from them; `--fuzz` puts results of tests/support/physics_fuzz.py in.
+docs/physics.md from them; `--fuzz` puts results of tests/support/physics/physics_fuzz.py in.
 """
 
 import argparse

@@ -24,7 +24,7 @@ from vitac.envs.tasks.lock_opening.scene import LockScene
 from vitac.envs.tasks.lock_opening.settings import LockOpeningSettings
 from vitac.envs.tasks.lock_opening.variation import KeyOffset, LockStart, SensorJitter
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support" / "physics"))
 from slow_oracle import SlowOracle
 
 FloatArray = NDArray[np.float64]

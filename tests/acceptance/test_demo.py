@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from service_database import state_directory
+from databases import state_directory
 
 LIMIT_S = 900  # on a machine that does other work at the same time
 MAIN = "from vitac.cli.main import main; main()"

@@ -1,7 +1,7 @@
 """The same actions give the states they gave before, to the last bit, wherever and whenever they are played.
 
 A difference means that recorded results can no longer be reproduced: either the change is unwanted, or the solver
-version goes up and `tests/support/pinned_states.py` pins the new states.
+version goes up and `tests/support/envs/pinned_states.py` pins the new states.
 """
 
 import json

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 import short_evaluation
+from databases import state_directory
 from honest_policy import HONEST
 from service_client import Service, live_service
-from service_database import state_directory
 from service_factories import TASK, TRACK
 from short_evaluation import StartWorker
 from vitac.evaluator.evaluation.local import Evaluation, evaluate

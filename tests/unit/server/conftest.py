@@ -1,7 +1,7 @@
 from collections.abc import Iterator
 
 import pytest
-from service_database import fresh_database
+from databases import fresh_database
 from vitac.server.db.engine import Database
 
 

@@ -3,8 +3,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from databases import fresh_database
 from service_client import make_archive
-from service_database import fresh_database
 from service_factories import make_settings
 from vitac.server.db.engine import Database
 from vitac.server.services import Services

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import quick_worker
 from cli_service import submission_folder
-from service_database import fresh_database
+from databases import fresh_database
 from vitac.cli.demo.demo import short_isolation
 from vitac.cli.service.web_server import bind
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import httpx
 import pytest
-from service_database import fresh_database, state_directory
+from databases import fresh_database, state_directory
 from vitac.cli.service.web_server import bind
 
 SERVE = "from vitac.cli.main import main; main()"

@@ -9,8 +9,8 @@ import psycopg
 import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
+from databases import FAST, fresh_database, state_directory
 from procrastinate.schema import SchemaManager
-from service_database import FAST, fresh_database, state_directory
 from service_factories import LOCK, TASK, make_principal, make_score, submit_scored
 from sqlalchemy import text
 from sqlalchemy.exc import IntegrityError, OperationalError

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import psycopg
 import pytest
-from service_database import state_directory
+from databases import state_directory
 from vitac.server.postgres.binaries import PostgresNotFound, copy_binaries, find_binaries
 from vitac.server.postgres.cluster import SOCKET_PATH_LIMIT, Cluster, StateDirectoryUnreachable
 from vitac.server.postgres.embedded import EmbeddedPostgres

@@ -1,7 +1,7 @@
 """Random episodes at the bounds of what a policy may do, every IPC step checked.
 
-Usage: python tests/support/physics_fuzz.py [--task peg|lock] [--first SEED] [--episodes N] [--past-end] [--eigenvalues]
-                                             [--json FILE]
+Usage: python tests/support/physics/physics_fuzz.py [--task peg|lock] [--first SEED] [--episodes N] [--past-end]
+                                                     [--eigenvalues] [--json FILE]
 
 Prints every IPC step that was divided, did not converge or would not last, with the numbers that play it again.
 """

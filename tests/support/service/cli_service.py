@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import quick_worker
-from service_database import fresh_database
+from databases import fresh_database
 from service_factories import make_principal, make_secret, make_settings
 from typer.testing import CliRunner, Result
 from vitac.cli.main import build_app

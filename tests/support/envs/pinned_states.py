@@ -9,7 +9,7 @@ import numpy as np
 import vitac.envs  # noqa: F401 - registers the ids
 from vitac.envs.fem import SOLVER_VERSION
 
-PINNED = Path(__file__).resolve().parents[1] / "contract" / "golden_states.json"
+PINNED = Path(__file__).resolve().parents[2] / "contract" / "golden_states.json"
 EPISODES: dict[str, dict[str, Any]] = {
     "peg cuboid": {
         "env_id": "ViTac/PegInsertion-v1",
