@@ -27,7 +27,7 @@ from vitac.server.accounts import teams
 from vitac.server.accounts.principals import CONSOLE, Principal
 from vitac.server.db.models import Evaluation, Shard, Worker
 from vitac.server.db.states import TERMINAL_EVALUATION_STATES, EvaluationState, Role, SubmissionKind
-from vitac.server.evaluations import evaluations
+from vitac.server.evaluations.episode_store import EpisodeKey, records_of, store_episode
 from vitac.server.housekeeping import Housekeeping
 from vitac.server.queue import leases, workers
 from vitac.server.queue.jobs import withdraw_jobs
@@ -92,7 +92,7 @@ def evaluation_figures(services: Services, principal: Principal, n_workers: int)
         raise SystemExit(f"The evaluation ended as {done.state}: {done.verdict_code} {done.verdict_message}")
     with services.database.transaction() as session:
         task = done.submission.tasks[0]
-        records = evaluations.records_of(session, leases.key_of(done, done.submission), task)
+        records = records_of(session, EpisodeKey.of(done, done.submission), task)
         machines = list(session.scalars(select(Worker.platform_class).distinct()))
     return {
         "episodes": len(records),
@@ -127,7 +127,7 @@ def storing_s(services: Services, records: Sequence[EpisodeRecord]) -> float:
     started = time.perf_counter()
     for record in records:
         with services.database.transaction() as session:
-            leases.store_episode(session, held[shards[record.episode]], record)
+            store_episode(session, held[shards[record.episode]], record)
     took_s = time.perf_counter() - started
     with services.database.transaction() as session:
         submissions.cancel(session, CONSOLE, submission.id)

@@ -11,6 +11,7 @@ from sqlalchemy.exc import DBAPIError
 from vitac.envs.errors import VitacError
 
 from .db.models import Submission
+from .evaluations.lifecycle import fail_by_machines
 from .evaluations.superseding import supersede_outdated
 from .queue.jobs import prune_finished_jobs
 from .queue.sweep import sweep
@@ -54,7 +55,7 @@ class Housekeeping:
 
     def _sweep(self) -> None:
         with self._services.database.transaction() as session:
-            done = sweep(session, self._services.settings)
+            done = sweep(session, self._services.settings, give_up=fail_by_machines)
         with self._services.database.transaction() as session:
             supersede_outdated(session, self._services.settings)
         if done.queued_again or done.given_up or done.woken:

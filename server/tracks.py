@@ -1,11 +1,38 @@
-"""Tracks as the API and the pages show them, with the limits that submissions have to keep."""
+"""Tracks by their names, and as the API and the pages show them, with the limits that submissions have to keep."""
 
 from dataclasses import asdict
 
-from vitac.evaluator.tracks import Track, list_tracks, load_track
+from vitac.evaluator.tracks import Track, UnknownTrack, list_tracks, load_track
 from vitac.server.db.states import SubmissionKind
+from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.settings import Settings
 from vitac.server.views.views import TrackListView, TrackTaskView, TrackView
+
+
+def load_known_track(name: str) -> Track:
+    """Return the track of that name.
+
+    Raises:
+        ServiceError: there is none; the message lists those that exist.
+    """
+    try:
+        return load_track(name)
+    except UnknownTrack as error:
+        raise ServiceError(ProblemCode.UNKNOWN_TRACK, str(error), tracks=list(list_tracks())) from error
+
+
+def require_task(track: Track, task: str) -> None:
+    """Refuse a task that a track does not have.
+
+    Raises:
+        ServiceError: with the tasks that it has.
+    """
+    if task not in track.tasks:
+        raise ServiceError(
+            ProblemCode.UNKNOWN_TASK,
+            f"Track {track.name!r} has no task {task!r}; its tasks are {', '.join(track.tasks)}.",
+            tasks=list(track.tasks),
+        )
 
 
 def track_views(settings: Settings) -> TrackListView:

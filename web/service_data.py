@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from vitac.server.accounts import tokens
 from vitac.server.errors import ProblemCode, ServiceError
-from vitac.server.leaderboards import leaderboards, log_boards
+from vitac.server.leaderboards import log_boards, standings
 from vitac.server.logs import audits
 from vitac.server.submissions import submissions
 
@@ -57,7 +57,7 @@ class ServiceData:
 
     async def leaderboard(self, track: str, task: str | None) -> LeaderboardView:
         """Return the leaderboard of a track, or of one of its tasks."""
-        return await self._ask(lambda session: leaderboards.leaderboard(session, track, task=task))
+        return await self._ask(lambda session: standings.leaderboard(session, track, task=task))
 
     async def log_boards(self, track: str) -> LogBoardsView:
         """Return the logs of a track."""

@@ -16,9 +16,11 @@ from vitac.evaluator.scoring.failures import is_broken
 from vitac.evaluator.shards.process import ShardOrder, running_shard
 from vitac.evaluator.shards.result import ShardEnd, ShardResult
 from vitac.server.db.states import SubmissionKind
-from vitac.server.evaluations.evaluations import finish_shard, report_broken_machine
+from vitac.server.evaluations.episode_store import StoredEpisodes, store_episode, stored_episodes
+from vitac.server.evaluations.lifecycle import finish_shard, report_broken_machine
+from vitac.server.evaluations.provenance import known_manifest
 from vitac.server.queue import leases
-from vitac.server.queue.leases import Lease, LeaseLost, StoredEpisodes
+from vitac.server.queue.leases import Lease, LeaseLost
 from vitac.server.services import Services
 
 from .staging import SubmissionStage
@@ -94,7 +96,7 @@ class ShardRun:
         self._kill()
 
     def _run(self) -> RunEnd:
-        stored = self._database(lambda session: leases.stored_episodes(session, self._lease))
+        stored = self._database(lambda session: stored_episodes(session, self._lease))
         result = self._result_without_running(stored) or self._play(stored)
         self._database(lambda session: finish_shard(session, self._lease, result))
         return RunEnd.FINISHED
@@ -104,7 +106,7 @@ class ShardRun:
         broken = is_broken(stored.failures)
         if not broken and not stored.numbers.issuperset(self._lease.episodes):
             return None
-        manifest: Manifest | None = self._database(lambda session: leases.known_manifest(session, self._lease))
+        manifest: Manifest | None = self._database(lambda session: known_manifest(session, self._lease))
         if manifest is None:
             return None
         end = ShardEnd.BROKEN if broken else ShardEnd.COMPLETE
@@ -129,7 +131,7 @@ class ShardRun:
             submission_dir=path if kind is SubmissionKind.MODEL else None,
             log=path if kind is SubmissionKind.LOG else None,
             text_log=path if kind is SubmissionKind.TEXT_LOG else None,
-            track=self._lease.key.track,
+            track=self._lease.track,
             task=self._lease.task,
             shard=self._lease.number,
             episodes=self._lease.episodes,
@@ -140,7 +142,7 @@ class ShardRun:
 
     def _store(self, record: EpisodeRecord) -> None:
         self._heard_at = time.monotonic()
-        self._database(lambda session: leases.store_episode(session, self._lease, record))
+        self._database(lambda session: store_episode(session, self._lease, record))
 
     def _keep_lease(self) -> None:
         settings = self._services.settings

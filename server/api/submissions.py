@@ -17,12 +17,12 @@ from starlette.requests import ClientDisconnect
 from vitac.server.accounts.principals import Principal
 from vitac.server.db.states import EvaluationState, SubmissionKind
 from vitac.server.errors import ProblemCode, ServiceError
-from vitac.server.leaderboards.leaderboards import load_known_track
 from vitac.server.logs import audits
 from vitac.server.logs.export import export_log
 from vitac.server.services import Services
 from vitac.server.submissions import submissions
 from vitac.server.submissions.submissions import CheckedUpload
+from vitac.server.tracks import load_known_track
 from vitac.server.uploads import intake
 from vitac.server.uploads.acceptance import accept, check_kind
 from vitac.server.views.views import AuditView, EpisodeView, SubmissionListView, SubmissionView

@@ -3,9 +3,9 @@
 from typing import Annotated
 
 from fastapi import APIRouter, Query
-from vitac.server.leaderboards.leaderboards import leaderboard, load_known_track
 from vitac.server.leaderboards.log_boards import log_boards
-from vitac.server.tracks import track_view, track_views
+from vitac.server.leaderboards.standings import leaderboard
+from vitac.server.tracks import load_known_track, track_view, track_views
 from vitac.server.views.views import LeaderboardView, LogBoardsView, TrackListView, TrackView
 
 from .access import ServicesOf

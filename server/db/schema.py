@@ -9,15 +9,13 @@ from alembic import command
 from alembic.config import Config
 from alembic.runtime.migration import MigrationContext
 from alembic.script import ScriptDirectory
-from sqlalchemy import Connection, NullPool, create_engine, text
+from sqlalchemy import Connection, NullPool, create_engine
 
+from .advisory_locks import AdvisoryLock, wait_for_lock
 from .engine import Database, sqlalchemy_url
 
 LOCK_TIMEOUT_S = 5.0
 """A migration that cannot get its table lock fails instead of stopping all other work behind it."""
-
-UPGRADE_LOCK = 0x7669_7461_6301
-"""Advisory lock: of several processes that start at once, one migrates and the others wait."""
 
 
 def upgrade(database: Database, *, lock_timeout_s: float = LOCK_TIMEOUT_S) -> None:
@@ -44,7 +42,7 @@ def _migrating(database: Database, lock_timeout_s: float) -> Iterator[tuple[Conn
     engine = create_engine(sqlalchemy_url(database.address), poolclass=NullPool)
     with engine.connect() as connection:
         # For the session, not for a transaction: the migrations have one each.
-        connection.execute(text("SELECT pg_advisory_lock(:key)"), {"key": UPGRADE_LOCK})
+        wait_for_lock(connection, AdvisoryLock.SCHEMA_UPGRADE)
         connection.exec_driver_sql(f"SET lock_timeout = {round(1000 * lock_timeout_s)}")
         connection.commit()
         configuration = _configuration()

@@ -74,3 +74,4 @@ SHARD_TRANSITIONS: Mapping[ShardState, frozenset[ShardState]] = MappingProxyType
 TERMINAL_EVALUATION_STATES = frozenset(state for state, following in EVALUATION_TRANSITIONS.items() if not following)
 ACTIVE_EVALUATION_STATES = frozenset(EvaluationState) - TERMINAL_EVALUATION_STATES
 TERMINAL_SHARD_STATES = frozenset(state for state, following in SHARD_TRANSITIONS.items() if not following)
+OPEN_SHARD_STATES = frozenset(ShardState) - TERMINAL_SHARD_STATES

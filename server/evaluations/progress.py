@@ -6,9 +6,8 @@ from sqlalchemy import ColumnElement, func, select, tuple_
 from sqlalchemy.orm import Session
 from vitac.evaluator.tracks import load_track
 from vitac.server.db.models import EpisodeResult, Evaluation, Shard, Submission
-from vitac.server.db.states import ACTIVE_EVALUATION_STATES, EvaluationState
-from vitac.server.evaluations.evaluations import OPEN_SHARDS
-from vitac.server.queue.leases import key_of
+from vitac.server.db.states import ACTIVE_EVALUATION_STATES, OPEN_SHARD_STATES, EvaluationState
+from vitac.server.evaluations.episode_store import EpisodeKey
 from vitac.server.views.views import ProgressView, TaskProgressView
 
 EPISODES_FOR_TIMING = 300
@@ -18,7 +17,7 @@ def progress_of(session: Session, evaluation: Evaluation, submission: Submission
     """Finished episodes, by task."""
     rows = session.execute(
         select(EpisodeResult.task, func.count(), func.count().filter(EpisodeResult.success))
-        .where(*key_of(evaluation, submission).conditions())
+        .where(*EpisodeKey.of(evaluation, submission).conditions())
         .group_by(EpisodeResult.task)
     ).all()
     done = {task: (episodes, successes) for task, episodes, successes in rows}
@@ -85,7 +84,7 @@ def _episodes_ahead(session: Session, evaluation: Evaluation) -> int:
             select(func.sum(func.cardinality(Shard.episodes)))
             .join(Evaluation)
             .where(
-                Shard.state.in_(OPEN_SHARDS),
+                Shard.state.in_(OPEN_SHARD_STATES),
                 Evaluation.state.in_(ACTIVE_EVALUATION_STATES),
                 _is_older_than(evaluation),
             )

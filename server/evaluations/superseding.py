@@ -5,21 +5,19 @@ from datetime import timedelta
 from uuid import UUID
 
 import structlog
-from sqlalchemy import func, select, text
+from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 from vitac.evaluator.version import evaluator_version
+from vitac.server.db.row_locks import lock_evaluation
+from vitac.server.evaluations import lifecycle
 
+from ..db.advisory_locks import AdvisoryLock, try_lock
 from ..db.models import Evaluation, Worker
 from ..db.states import ACTIVE_EVALUATION_STATES, WorkerState
-from ..queue.leases import lock_evaluation
 from ..queue.workers import workers_alive
 from ..settings import Settings
-from . import evaluations
 
 logger = structlog.get_logger(__name__)
-
-SUPERSEDE_LOCK = 0x7669_7461_6303
-"""Advisory lock: one process at a time is enough."""
 
 
 def supersede_outdated(session: Session, settings: Settings) -> int:
@@ -29,7 +27,7 @@ def supersede_outdated(session: Session, settings: Settings) -> int:
     by side would take each other's work away.
     """
     current = evaluator_version()
-    if not session.scalar(text("SELECT pg_try_advisory_xact_lock(:key)"), {"key": SUPERSEDE_LOCK}):
+    if not try_lock(session, AdvisoryLock.SUPERSEDE):
         return 0
     if not workers_alive(session, settings, current).alive:
         return 0
@@ -55,13 +53,13 @@ def _begin_again(session: Session, evaluation_id: UUID, current: str) -> bool:
     evaluation = lock_evaluation(session, evaluation_id)
     if evaluation.state not in ACTIVE_EVALUATION_STATES:
         return False
-    evaluations.cancel(session, evaluation)
+    lifecycle.cancel(session, evaluation)
     session.flush()
     done_before = session.scalar(
         select(func.max(Evaluation.run)).where(
             Evaluation.submission_id == evaluation.submission_id, Evaluation.evaluator_version == current
         )
     )
-    evaluations.start(session, evaluation.submission, 1 + (done_before or 0))
+    lifecycle.start(session, evaluation.submission, 1 + (done_before or 0))
     logger.warning("evaluation_superseded", evaluation=str(evaluation_id), version=evaluation.evaluator_version)
     return True

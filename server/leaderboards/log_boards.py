@@ -13,9 +13,10 @@ from vitac.evaluator.version import evaluator_version
 from vitac.server.db.models import Evaluation, Submission
 from vitac.server.db.states import EvaluationState, SubmissionKind
 from vitac.server.evaluations.scores import score_views
-from vitac.server.leaderboards.leaderboards import Result, best_of_teams, load_known_track, results_on
+from vitac.server.leaderboards.standings import Result, best_of_teams, results_on
 from vitac.server.logs.claims import LogClaim
 from vitac.server.logs.view import LABELS, verdict_of
+from vitac.server.tracks import load_known_track
 from vitac.server.views.views import LogBoardsView, LogBoardView, LogEntryView, TextLogEntryView
 
 RANKING_RULE = (

@@ -15,7 +15,7 @@ from vitac.evaluator.logs.action_match import EpisodeMatch, compare_actions
 from vitac.server.accounts.principals import Principal
 from vitac.server.db.models import EpisodeResult, Evaluation, Submission
 from vitac.server.db.states import EvaluationState, SubmissionKind
-from vitac.server.queue.leases import EpisodeKey, key_of
+from vitac.server.evaluations.episode_store import EpisodeKey
 from vitac.server.submissions import submissions
 from vitac.server.views.views import AuditedEpisodeView, AuditView
 
@@ -34,9 +34,9 @@ def audits(session: Session, by: Principal, submission_id: UUID) -> list[AuditVi
     if log.kind is not SubmissionKind.LOG or evaluation.state is not EvaluationState.COMPLETED:
         return []
     task = log.tasks[0]
-    of_log = _actions(session, key_of(evaluation, log), task)
+    of_log = _actions(session, EpisodeKey.of(evaluation, log), task)
     return [
-        _audit(model, of_log, _actions(session, key_of(model, model.submission), task))
+        _audit(model, of_log, _actions(session, EpisodeKey.of(model, model.submission), task))
         for model in _models(session, log, evaluation.evaluator_version)
     ]
 

@@ -8,8 +8,8 @@ from vitac.evaluator.logs.log import LogHeader, write_log
 from vitac.server.accounts.principals import Principal
 from vitac.server.db.states import EvaluationState, SubmissionKind
 from vitac.server.errors import ProblemCode, ServiceError
-from vitac.server.evaluations.evaluations import manifest_of, records_of
-from vitac.server.queue.leases import key_of
+from vitac.server.evaluations.episode_store import EpisodeKey, records_of
+from vitac.server.evaluations.provenance import manifest_of
 from vitac.server.submissions import submissions
 
 
@@ -50,5 +50,5 @@ def export_log(session: Session, by: Principal, submission_id: UUID, task: str |
         manifest=manifest_of(session, evaluation, chosen),
     )
     stream = BytesIO()
-    write_log(stream, header, records_of(session, key_of(evaluation, submission), chosen))
+    write_log(stream, header, records_of(session, EpisodeKey.of(evaluation, submission), chosen))
     return stream.getvalue()

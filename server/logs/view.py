@@ -4,7 +4,7 @@ from sqlalchemy.orm import Session
 from vitac.evaluator.logs.findings import LogFinding, LogVerdict
 from vitac.server.db.models import Evaluation, Submission
 from vitac.server.db.states import EvaluationState, SubmissionKind
-from vitac.server.evaluations.evaluations import first_refuted_shard
+from vitac.server.evaluations.lifecycle import first_refuted_shard
 from vitac.server.evaluations.verdicts import VERDICTS_ON_LOGS
 from vitac.server.logs.claims import LogClaim
 from vitac.server.views.views import DivergenceView, LogView

@@ -11,7 +11,7 @@ from typing import Any, cast
 import procrastinate
 import psycopg
 from procrastinate import PsycopgConnector, SyncPsycopgConnector
-from sqlalchemy import text
+from sqlalchemy import ColumnElement, select, text
 from sqlalchemy.orm import Session
 
 RUN_SHARD = "run_shard"
@@ -22,6 +22,36 @@ ONCE_MORE = 1
 
 _enqueuer = procrastinate.App(connector=SyncPsycopgConnector())
 """Never opened: each call brings the connection of the caller's transaction."""
+
+
+_WITHDRAW = text("""
+    DELETE FROM procrastinate_jobs
+    WHERE status = 'todo' AND task_name = :task AND (args ->> 'shard_id')::bigint = ANY(:shards)
+""")
+
+_PRUNE = text("""
+    DELETE FROM procrastinate_jobs job
+    WHERE status IN ('succeeded', 'failed', 'cancelled', 'aborted')
+      AND NOT EXISTS (SELECT 1 FROM procrastinate_events event
+                      WHERE event.job_id = job.id AND event.at > now() - CAST(:age AS interval))
+    RETURNING id
+""")
+
+_FORGET = text("""
+    DELETE FROM procrastinate_jobs job USING shards
+    WHERE job.status = 'doing' AND job.task_name = :task
+      AND shards.id = (job.args ->> 'shard_id')::bigint AND shards.state <> 'running'
+      AND NOT EXISTS (SELECT FROM procrastinate_workers worker
+                      WHERE worker.id = job.worker_id AND worker.last_heartbeat > now() - interval '1 minute')
+""")
+
+_WAKES_SHARD = text("""
+    job.task_name = :task AND (job.args ->> 'shard_id')::bigint = shards.id
+    AND (job.status = 'todo'
+         OR EXISTS (SELECT FROM procrastinate_events event
+                    WHERE event.job_id = job.id AND event.type = 'started'
+                      AND event.at > clock_timestamp() - CAST(:lately AS interval)))
+""")
 
 
 def queue_name(evaluator_version: str) -> str:
@@ -57,27 +87,23 @@ def raw_connection(session: Session) -> "psycopg.Connection[Any]":
 
 def withdraw_jobs(session: Session, shard_ids: Iterable[int]) -> None:
     """Remove waiting jobs of shards that need no worker any more."""
-    session.execute(
-        text(
-            "DELETE FROM procrastinate_jobs WHERE status = 'todo' AND task_name = :task "
-            "AND (args ->> 'shard_id')::bigint = ANY(:shards)"
-        ),
-        {"task": RUN_SHARD, "shards": list(shard_ids)},
-    )
+    session.execute(_WITHDRAW, {"task": RUN_SHARD, "shards": list(shard_ids)})
 
 
 def prune_finished_jobs(session: Session, older_than: timedelta) -> int:
     """Remove finished jobs and jobs of workers that are gone; the number of removed ones."""
-    removed = session.execute(
-        text(
-            "DELETE FROM procrastinate_jobs job WHERE status IN ('succeeded', 'failed', 'cancelled', 'aborted') "
-            "AND NOT EXISTS (SELECT 1 FROM procrastinate_events event WHERE event.job_id = job.id "
-            "                AND event.at > now() - CAST(:age AS interval)) "
-            "RETURNING id"
-        ),
-        {"age": older_than},
-    )
-    return len(removed.all())
+    return len(session.execute(_PRUNE, {"age": older_than}).all())
+
+
+def forget_jobs_of_ended_shards(session: Session) -> None:
+    """Remove jobs that a dead worker has left as running, once their shard has no lease."""
+    session.execute(_FORGET, {"task": RUN_SHARD})
+
+
+def has_job(*, started_within: timedelta) -> ColumnElement[bool]:
+    """Whether a row of `shards` has a job that waits, or that a worker took so lately that it may still claim it."""
+    wakes = _WAKES_SHARD.bindparams(task=RUN_SHARD, lately=started_within)
+    return select(text("1")).select_from(text("procrastinate_jobs job")).where(wakes).exists()
 
 
 def make_worker_app(address: str) -> procrastinate.App:

@@ -1,4 +1,4 @@
-"""Leases on shards: claim, renewal, storing of episodes, and the ways in which a lease ends.
+"""Leases on shards: claim, renewal, and the ways in which a lease ends.
 
 Each claim raises the shard's token. Every later statement names the token, so a worker that was paused, and whose shard
 went to another one, changes nothing any more: its next statement raises `LeaseLost`.
@@ -10,42 +10,19 @@ from datetime import timedelta
 from typing import Any
 from uuid import UUID
 
-import structlog
 from sqlalchemy import Interval, cast, func, select, update
-from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
 from vitac.envs.errors import VitacError
-from vitac.evaluator.episodes.records import EpisodeRecord, Manifest, PolicyFailure
 from vitac.evaluator.shards.result import ShardResult
-from vitac.server.db.models import EpisodeResult, Evaluation, Shard, Submission
+from vitac.server.db.models import Evaluation, Shard
+from vitac.server.db.row_locks import lock_evaluation
 from vitac.server.db.states import EvaluationState, ShardState, SubmissionKind
 
 from .jobs import ONCE_MORE, enqueue_shards
 
-logger = structlog.get_logger(__name__)
-
 
 class LeaseLost(VitacError):
     """The shard belongs to another worker or its evaluation has ended: stop working on it and report nothing."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class EpisodeKey:
-    """What episode rows of one evaluation have in common; an episode is computed once for each such key."""
-
-    submission_digest: str
-    evaluator_version: str
-    track: str
-    run: int
-
-    def conditions(self) -> tuple[Any, ...]:
-        """Return the key as conditions on `EpisodeResult`."""
-        return (
-            EpisodeResult.submission_digest == self.submission_digest,
-            EpisodeResult.evaluator_version == self.evaluator_version,
-            EpisodeResult.track == self.track,
-            EpisodeResult.run == self.run,
-        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,30 +33,15 @@ class Lease:
     token: int
     attempt: int
     evaluation_id: UUID
-    key: EpisodeKey
     kind: SubmissionKind
+    submission_digest: str
+    evaluator_version: str
+    track: str
+    run: int
     archive_sha256: str
     task: str
     number: int
     episodes: tuple[int, ...]
-
-
-@dataclass(frozen=True, kw_only=True)
-class StoredEpisodes:
-    """What is known of a shard before it runs."""
-
-    numbers: frozenset[int]
-    failures: tuple[PolicyFailure, ...]
-
-
-def key_of(evaluation: Evaluation, submission: Submission) -> EpisodeKey:
-    """Key of an evaluation's episodes."""
-    return EpisodeKey(
-        submission_digest=submission.digest,
-        evaluator_version=evaluation.evaluator_version,
-        track=submission.track,
-        run=evaluation.run,
-    )
 
 
 def claim(session: Session, shard_id: int, worker_id: UUID, lease_s: float) -> Lease | None:
@@ -109,8 +71,11 @@ def claim(session: Session, shard_id: int, worker_id: UUID, lease_s: float) -> L
         token=shard.token,
         attempt=shard.attempts,
         evaluation_id=evaluation.id,
-        key=key_of(evaluation, submission),
         kind=submission.kind,
+        submission_digest=submission.digest,
+        evaluator_version=evaluation.evaluator_version,
+        track=submission.track,
+        run=evaluation.run,
         archive_sha256=submission.archive_sha256,
         task=shard.task,
         number=shard.number,
@@ -127,76 +92,14 @@ def renew(session: Session, lease: Lease, lease_s: float) -> None:
     _change_held(session, lease, lease_expires_at=_lease_end(lease_s))
 
 
-def store_episode(session: Session, lease: Lease, record: EpisodeRecord) -> None:
-    """Store a finished episode; storing it again writes nothing.
+def lock_held(session: Session, lease: Lease) -> None:
+    """Keep others from ending the lease until the end of the transaction.
 
     Raises:
         LeaseLost: the shard is not ours any more.
     """
-    _lock_held(session, lease)
-    record = printable(record)
-    digest = record.record_digest()
-    added = session.scalar(
-        insert(EpisodeResult)
-        .values(
-            submission_digest=lease.key.submission_digest,
-            evaluator_version=lease.key.evaluator_version,
-            track=lease.key.track,
-            task=record.task,
-            episode=record.episode,
-            run=lease.key.run,
-            outcome=record.outcome.value,
-            success=record.success,
-            env_steps=record.env_steps,
-            record=record.model_dump(mode="json"),
-            record_digest=digest,
-            wall_s=record.timings.wall_s,
-            evaluation_id=lease.evaluation_id,
-        )
-        .on_conflict_do_nothing(constraint="uq_episode_results_key")
-        .returning(EpisodeResult.id)
-    )
-    if added is None:
-        _report_difference(session, lease, record, digest)
-
-
-def printable(record: EpisodeRecord) -> EpisodeRecord:
-    """Return the record without characters that the database cannot hold; a policy may print whatever it likes."""
-    if record.failure is None:
-        return record
-    cleaned = {name: _storable(getattr(record.failure, name)) for name in ("message", "output_tail")}
-    return record.model_copy(update={"failure": record.failure.model_copy(update=cleaned)})
-
-
-def stored_episodes(session: Session, lease: Lease) -> StoredEpisodes:
-    """Which episodes of the shard need not be played, and how the policy failed in them."""
-    rows = session.scalars(
-        select(EpisodeResult).where(
-            *lease.key.conditions(), EpisodeResult.task == lease.task, EpisodeResult.episode.in_(lease.episodes)
-        )
-    ).all()
-    records = [EpisodeRecord.model_validate(row.record) for row in sorted(rows, key=lambda row: row.episode)]
-    return StoredEpisodes(
-        numbers=frozenset(record.episode for record in records),
-        failures=tuple(record.failure for record in records if record.failure is not None),
-    )
-
-
-def known_manifest(session: Session, lease: Lease) -> Manifest | None:
-    """Return what this evaluator version plays the task with, from any shard that has said so."""
-    found = session.scalar(
-        select(Shard.manifest)
-        .join(Evaluation)
-        .join(Submission)
-        .where(
-            Evaluation.evaluator_version == lease.key.evaluator_version,
-            Submission.track == lease.key.track,
-            Shard.task == lease.task,
-            Shard.manifest.is_not(None),
-        )
-        .limit(1)
-    )
-    return Manifest.model_validate(found) if found is not None else None
+    if session.scalar(select(Shard.id).where(*_held(lease)).with_for_update()) is None:
+        raise _lost(lease)
 
 
 def end_shard(session: Session, lease: Lease, state: ShardState, result: ShardResult) -> None:
@@ -218,7 +121,7 @@ def end_shard(session: Session, lease: Lease, state: ShardState, result: ShardRe
 
 
 def hand_back(session: Session, lease: Lease, *, counts_as_attempt: bool, delay_s: float = 0.0) -> None:
-    """Queues the shard again for whoever comes first (after a while), for example when the worker is told to stop.
+    """Queue the shard again for whoever comes first (after a while), for example when the worker is told to stop.
 
     Raises:
         LeaseLost: the shard is not ours any more.
@@ -232,24 +135,7 @@ def hand_back(session: Session, lease: Lease, *, counts_as_attempt: bool, delay_
         worker_id=None,
         queued_at=func.clock_timestamp(),
     )
-    enqueue_shards(session, [lease.shard_id], lease.key.evaluator_version, delay_s=delay_s, priority=ONCE_MORE)
-
-
-def lock_evaluation(session: Session, evaluation_id: UUID) -> Evaluation:
-    """Return the evaluation, locked. Always locked before its shards, so that no two transactions wait for each other.
-
-    The lock leaves foreign keys alone: storing an episode only holds its shard and refers to the evaluation.
-    """
-    return session.scalars(
-        select(Evaluation)
-        .where(Evaluation.id == evaluation_id)
-        .with_for_update(key_share=True)
-        .execution_options(populate_existing=True)
-    ).one()
-
-
-def _storable(text: str) -> str:
-    return text.replace("\0", "\N{REPLACEMENT CHARACTER}").encode("utf-8", "replace").decode("utf-8")
+    enqueue_shards(session, [lease.shard_id], lease.evaluator_version, delay_s=delay_s, priority=ONCE_MORE)
 
 
 def _isolation_of(result: ShardResult) -> str | None:
@@ -266,11 +152,6 @@ def _lock_evaluation_of(session: Session, shard_id: int) -> Evaluation | None:
 
 def _held(lease: Lease) -> Sequence[Any]:
     return (Shard.id == lease.shard_id, Shard.token == lease.token, Shard.state == ShardState.RUNNING)
-
-
-def _lock_held(session: Session, lease: Lease) -> None:
-    if session.scalar(select(Shard.id).where(*_held(lease)).with_for_update()) is None:
-        raise _lost(lease)
 
 
 def _change_held(session: Session, lease: Lease, **values: Any) -> None:
@@ -291,14 +172,3 @@ def _lease_end(lease_s: float) -> Any:
 
 def _lost(lease: Lease) -> LeaseLost:
     return LeaseLost(f"Shard {lease.shard_id} is not held under token {lease.token} any more.")
-
-
-def _report_difference(session: Session, lease: Lease, record: EpisodeRecord, digest: str) -> None:
-    stored = session.scalar(
-        select(EpisodeResult.record_digest).where(
-            *lease.key.conditions(), EpisodeResult.task == record.task, EpisodeResult.episode == record.episode
-        )
-    )
-    if stored != digest:
-        # The first one counts. Different records under one key: a policy or a machine that does not repeat itself.
-        logger.warning("episode_differs_from_stored", shard=lease.shard_id, episode=record.episode, kept=stored)

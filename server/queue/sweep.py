@@ -4,25 +4,25 @@ Lost means: a shard whose worker did not renew its lease, or a queued shard with
 job too many does no harm, because a shard can be claimed only once.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import timedelta
 
 import structlog
-from sqlalchemy import ColumnElement, Interval, cast, func, select, text
+from sqlalchemy import ColumnElement, Interval, cast, func, select
 from sqlalchemy.orm import Session
-from vitac.server.db.models import Evaluation, Shard
-from vitac.server.db.states import ShardState
-from vitac.server.evaluations.evaluations import fail_by_machines
-from vitac.server.settings import Settings
 
-from .jobs import ONCE_MORE, RUN_SHARD, enqueue_shards
-from .leases import lock_evaluation
+from ..db.advisory_locks import AdvisoryLock, try_lock
+from ..db.models import Evaluation, Shard
+from ..db.row_locks import lock_evaluation
+from ..db.states import ShardState
+from ..settings import Settings
+from .jobs import ONCE_MORE, enqueue_shards, forget_jobs_of_ended_shards, has_job
 
 logger = structlog.get_logger(__name__)
 
-SWEEP_LOCK = 0x7669_7461_6302
-"""Advisory lock: one sweep at a time is enough."""
+GiveUp = Callable[[Session, Evaluation, str], None]
+"""Ends an evaluation, locked, whose shard was lost in all its attempts; the text says what was lost."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,17 +34,15 @@ class Sweep:
     woken: int = 0
 
 
-def sweep(session: Session, settings: Settings) -> Sweep:
-    """Queues lost shards again, gives up those that were lost too often, and enqueues missing jobs."""
-    if not session.scalar(text("SELECT pg_try_advisory_xact_lock(:key)"), {"key": SWEEP_LOCK}):
+def sweep(session: Session, settings: Settings, *, give_up: GiveUp) -> Sweep:
+    """Queue lost shards again, give up those that were lost too often, and enqueue missing jobs."""
+    if not try_lock(session, AdvisoryLock.SWEEP):
         return Sweep()
-    queued_again = given_up = 0
-    for shard_id in _shards_with_expired_lease(session, settings):
-        again = _recover(session, shard_id, settings)
-        queued_again, given_up = queued_again + again, given_up + (not again)
+    expired = _shards_with_expired_lease(session, settings)
+    recovered = [_recover(session, shard_id, settings, give_up) for shard_id in expired]
     woken = _enqueue_missing_jobs(session, settings)
-    _forget_jobs_of_ended_shards(session)
-    return Sweep(queued_again=queued_again, given_up=given_up, woken=woken)
+    forget_jobs_of_ended_shards(session)
+    return Sweep(queued_again=recovered.count(True), given_up=recovered.count(False), woken=woken)
 
 
 def _shards_with_expired_lease(session: Session, settings: Settings) -> Sequence[int]:
@@ -57,8 +55,8 @@ def _shards_with_expired_lease(session: Session, settings: Settings) -> Sequence
     ).all()
 
 
-def _recover(session: Session, shard_id: int, settings: Settings) -> bool:
-    """Queues one lost shard again, or ends its evaluation; whether the first."""
+def _recover(session: Session, shard_id: int, settings: Settings, give_up: GiveUp) -> bool:
+    """Queue one lost shard again, or give its evaluation up; whether the first."""
     shard = session.get_one(Shard, shard_id)
     evaluation = lock_evaluation(session, shard.evaluation_id)
     session.refresh(shard, with_for_update=True)
@@ -66,7 +64,7 @@ def _recover(session: Session, shard_id: int, settings: Settings) -> bool:
         return True
     if shard.attempts >= settings.shard_attempts:
         logger.error("shard_given_up", shard=shard_id, attempts=shard.attempts)
-        fail_by_machines(session, evaluation, _explain(shard))
+        give_up(session, evaluation, _explain(shard))
         return False
     logger.warning("shard_lost", shard=shard_id, worker=str(shard.worker_id), attempts=shard.attempts)
     _queue_again(session, shard, evaluation)
@@ -93,37 +91,20 @@ def _explain(shard: Shard) -> str:
 
 
 def _enqueue_missing_jobs(session: Session, settings: Settings) -> int:
-    """Wakes queued shards that nothing else will: their job was taken by a worker that never claimed the shard."""
-    waiting = select(text("1")).where(
-        text(
-            "EXISTS (SELECT FROM procrastinate_jobs job WHERE job.task_name = :task "
-            "AND (job.args ->> 'shard_id')::bigint = shards.id "
-            "AND (job.status = 'todo' OR EXISTS (SELECT FROM procrastinate_events event WHERE event.job_id = job.id "
-            "AND event.type = 'started' AND event.at > clock_timestamp() - CAST(:lately AS interval))))"
-        ).bindparams(task=RUN_SHARD, lately=timedelta(seconds=settings.lease_s))
-    )
+    """Wake queued shards that nothing else will: their job was taken by a worker that never claimed the shard."""
     rows = session.execute(
         select(Shard.id, Evaluation.evaluator_version)
         .join(Evaluation)
-        .where(Shard.state == ShardState.QUEUED, Shard.queued_at < _ago(settings.lease_s), ~waiting.exists())
+        .where(
+            Shard.state == ShardState.QUEUED,
+            Shard.queued_at < _ago(settings.lease_s),
+            ~has_job(started_within=timedelta(seconds=settings.lease_s)),
+        )
         .order_by(Shard.id)
     ).all()
     for shard_id, version in rows:
         enqueue_shards(session, [shard_id], version, priority=ONCE_MORE)
     return len(rows)
-
-
-def _forget_jobs_of_ended_shards(session: Session) -> None:
-    """Jobs that a dead worker has left as running, once their shard has no lease."""
-    session.execute(
-        text(
-            "DELETE FROM procrastinate_jobs job USING shards WHERE job.status = 'doing' AND job.task_name = :task "
-            "AND shards.id = (job.args ->> 'shard_id')::bigint AND shards.state <> 'running' "
-            "AND NOT EXISTS (SELECT FROM procrastinate_workers worker WHERE worker.id = job.worker_id "
-            "AND worker.last_heartbeat > now() - interval '1 minute')"
-        ),
-        {"task": RUN_SHARD},
-    )
 
 
 def _ago(seconds: float) -> ColumnElement[object]:

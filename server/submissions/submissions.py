@@ -16,6 +16,7 @@ from vitac.server.accounts.audit import record
 from vitac.server.accounts.principals import Principal
 from vitac.server.db.engine import Database
 from vitac.server.db.models import EpisodeResult, Evaluation, Submission, Team
+from vitac.server.db.row_locks import lock_evaluation
 from vitac.server.db.states import (
     ACTIVE_EVALUATION_STATES,
     TERMINAL_EVALUATION_STATES,
@@ -23,10 +24,10 @@ from vitac.server.db.states import (
     SubmissionKind,
 )
 from vitac.server.errors import ProblemCode, ServiceError, not_found
-from vitac.server.evaluations import evaluations
+from vitac.server.evaluations import lifecycle
+from vitac.server.evaluations.episode_store import EpisodeKey
 from vitac.server.evaluations.verdicts import VERDICTS_ON_LOGS, ServiceVerdict
-from vitac.server.leaderboards.leaderboards import places
-from vitac.server.queue.leases import key_of, lock_evaluation
+from vitac.server.leaderboards.standings import places
 from vitac.server.settings import Settings
 from vitac.server.submissions.view import submission_view
 from vitac.server.views.views import EpisodeView, SubmissionListView, SubmissionView
@@ -65,7 +66,7 @@ def create(
     run = _next_run(session, submission, again=again)
     if run is None:
         return submission, False
-    evaluations.start(session, submission, run)
+    lifecycle.start(session, submission, run)
     record(session, by, "submission.evaluate", f"submission:{submission.id}", {"run": run, "digest": upload.digest})
     return submission, True
 
@@ -138,7 +139,7 @@ def cancel(session: Session, by: Principal, submission_id: UUID) -> None:
             f"The evaluation of submission {submission.id} is {evaluation.state} already; there is nothing to cancel.",
             state=evaluation.state.value,
         )
-    evaluations.cancel(session, evaluation)
+    lifecycle.cancel(session, evaluation)
     record(session, by, "submission.cancel", f"submission:{submission.id}", {"evaluation": str(evaluation.id)})
 
 
@@ -156,7 +157,7 @@ def run_again(session: Session, by: Principal, submission_id: UUID) -> Submissio
         raise ServiceError(
             ProblemCode.NOT_REQUEUABLE, f"Submission {submission.id} is being evaluated; cancel that first."
         )
-    evaluations.start(session, submission, run)
+    lifecycle.start(session, submission, run)
     record(session, by, "submission.requeue", f"submission:{submission.id}", {"run": run})
     return submission
 
@@ -168,7 +169,7 @@ def episodes(session: Session, by: Principal, submission_id: UUID) -> list[Episo
         ServiceError: there is no such submission.
     """
     submission = visible(session, by, submission_id)
-    key = key_of(newest_evaluation(session, submission), submission)
+    key = EpisodeKey.of(newest_evaluation(session, submission), submission)
     rows = session.execute(
         select(
             EpisodeResult.task,

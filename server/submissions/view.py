@@ -6,15 +6,16 @@ from functools import partial
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 from vitac.evaluator.tracks import load_track
-from vitac.server.db.models import EpisodeResult, Evaluation, Shard, Submission, Team
+from vitac.server.db.models import EpisodeResult, Evaluation, Submission, Team
 from vitac.server.db.states import TERMINAL_EVALUATION_STATES, EvaluationState, SubmissionKind
-from vitac.server.evaluations.evaluations import LOG_TAIL_CHARACTERS
+from vitac.server.evaluations.episode_store import EpisodeKey
+from vitac.server.evaluations.lifecycle import LOG_TAIL_CHARACTERS
 from vitac.server.evaluations.progress import progress_of, queue_position, seconds_to_end
+from vitac.server.evaluations.provenance import isolation_levels
 from vitac.server.evaluations.scores import bounds, combined_score, score_views
 from vitac.server.evaluations.verdicts import sentence_of
-from vitac.server.leaderboards.leaderboards import PlacesOfBoards, places
+from vitac.server.leaderboards.standings import PlacesOfBoards, places
 from vitac.server.logs.view import log_view
-from vitac.server.queue.leases import key_of
 from vitac.server.queue.workers import WorkersAlive, workers_alive
 from vitac.server.settings import Settings
 from vitac.server.views.views import (
@@ -111,7 +112,7 @@ def _evaluation_view(
         scores=score_views(evaluation),
         evaluator_hash=evaluation.evaluator_hash,
         platform_class=evaluation.platform_class,
-        isolation=_isolation(session, evaluation),
+        isolation=isolation_levels(session, evaluation),
     )
 
 
@@ -138,16 +139,11 @@ def _log_tail(session: Session, evaluation: Evaluation, submission: Submission) 
         return evaluation.log_tail
     tail = session.scalar(
         select(EpisodeResult.record["failure"]["output_tail"].astext)
-        .where(*key_of(evaluation, submission).conditions(), EpisodeResult.outcome == "policy_failed")
+        .where(*EpisodeKey.of(evaluation, submission).conditions(), EpisodeResult.outcome == "policy_failed")
         .order_by(EpisodeResult.created_at.desc())
         .limit(1)
     )
     return (tail or "")[-LOG_TAIL_CHARACTERS:]
-
-
-def _isolation(session: Session, evaluation: Evaluation) -> list[str]:
-    query = select(Shard.isolation).where(Shard.evaluation_id == evaluation.id, Shard.isolation.is_not(None))
-    return sorted({isolation for isolation in session.scalars(query) if isolation is not None})
 
 
 def _summary(evaluation: Evaluation) -> EvaluationSummaryView:

@@ -9,10 +9,10 @@ from vitac.evaluator.submission.names import ArchiveRejected
 from vitac.evaluator.tracks import Accepted, Track
 from vitac.server.db.states import SubmissionKind
 from vitac.server.errors import ProblemCode, ServiceError
-from vitac.server.leaderboards.leaderboards import load_known_track
 from vitac.server.services import Services
 from vitac.server.settings import Settings
 from vitac.server.submissions.submissions import CheckedUpload
+from vitac.server.tracks import load_known_track
 from vitac.server.uploads.intake import ReceivedFile
 from vitac.server.uploads.logs import check_log
 from vitac.server.uploads.text_logs import check_text_log

@@ -12,9 +12,9 @@ from vitac.evaluator.logs.text_2025 import Kind, TextLog, TextLogRejected, read_
 from vitac.evaluator.logs.text_2025.recordings import track_and_task_names, why_not_resimulated
 from vitac.evaluator.tracks import Task
 from vitac.server.db.states import SubmissionKind
-from vitac.server.leaderboards.leaderboards import load_known_track
 from vitac.server.logs.claims import LogClaim
 from vitac.server.submissions.submissions import CheckedUpload
+from vitac.server.tracks import load_known_track
 from vitac.server.uploads.intake import ReceivedFile
 from vitac.server.uploads.logs import DIGITS_IN_NAME, impossible, rejected, require_own_team
 

@@ -16,7 +16,7 @@ from short_evaluation import StartWorker
 from vitac.evaluator.evaluation.local import Evaluation, evaluate
 from vitac.evaluator.submission.archive import unpack
 from vitac.evaluator.tracks import load_track
-from vitac.server.evaluations import evaluations
+from vitac.server.evaluations import lifecycle
 from vitac.server.settings import load_settings
 
 QUICK = {"lease_s": 3.0, "lease_renewal_s": 0.3, "sweep_interval_s": 0.3, "worker_heartbeat_s": 0.5}
@@ -26,7 +26,7 @@ QUICK = {"lease_s": 3.0, "lease_renewal_s": 0.3, "sweep_interval_s": 0.3, "worke
 @pytest.fixture
 def live(monkeypatch: pytest.MonkeyPatch) -> Iterator[Service]:
     """A service with an embedded database of its own, whose evaluations are short."""
-    monkeypatch.setattr(evaluations, "cut", short_evaluation.short_cut)
+    monkeypatch.setattr(lifecycle, "cut", short_evaluation.short_cut)
     folder = state_directory()
     settings = load_settings(state_dir=folder, database_url=None, **QUICK)
     with live_service(settings) as service:

@@ -29,8 +29,9 @@ from vitac.server.accounts import teams, tokens
 from vitac.server.accounts.principals import CONSOLE, Principal
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Shard, Submission
-from vitac.server.db.states import EvaluationState, Role, SubmissionKind
-from vitac.server.evaluations import evaluations
+from vitac.server.db.states import EvaluationState, Role, ShardState, SubmissionKind
+from vitac.server.evaluations import lifecycle
+from vitac.server.evaluations.episode_store import store_episode
 from vitac.server.evaluations.scores import store_scores
 from vitac.server.queue import leases
 from vitac.server.queue.leases import Lease
@@ -163,16 +164,23 @@ def claim(database: Database, shard_id: int, worker_id: UUID | None = None, leas
     return lease
 
 
+def take_away(database: Database, shard_id: int) -> None:
+    """What the sweep does with a shard whose lease has run out."""
+    with database.transaction() as session:
+        shard = session.get_one(Shard, shard_id)
+        shard.state, shard.lease_expires_at, shard.token = ShardState.QUEUED, None, shard.token + 1
+
+
 def store(database: Database, lease: Lease, records: Iterable[EpisodeRecord]) -> None:
     for record in records:
         with database.transaction() as session:
-            leases.store_episode(session, lease, record)
+            store_episode(session, lease, record)
 
 
 def finish(database: Database, lease: Lease, end: ShardEnd = ShardEnd.COMPLETE) -> None:
     with database.transaction() as session:
         result = ShardResult(index=lease.number, end=end, manifest=make_manifest(lease.task), isolation=ISOLATION)
-        evaluations.finish_shard(session, lease, result)
+        lifecycle.finish_shard(session, lease, result)
 
 
 class RecordOf(Protocol):

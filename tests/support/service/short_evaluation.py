@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 
 from vitac.evaluator.tracks import Task
 from vitac.evaluator.tracks.cut import Shard, cut
-from vitac.server.evaluations import evaluations
+from vitac.server.evaluations import lifecycle
 
 EPISODES = (1, 2, 3, 4, 31, 32, 33, 34)
 """Four of each of the first two shards."""
@@ -23,7 +23,7 @@ def short_cut(task: Task) -> Sequence[Shard]:
 
 
 def shorten() -> None:
-    setattr(evaluations, "cut", short_cut)  # noqa: B010 - a name that the module imports
+    setattr(lifecycle, "cut", short_cut)  # noqa: B010 - a name that the module imports
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ from vitac.evaluator.shards.process import ShardOrder
 from vitac.server.accounts.principals import CONSOLE
 from vitac.server.db.models import EpisodeResult, Shard, Submission
 from vitac.server.db.states import EvaluationState, ShardState
+from vitac.server.evaluations.episode_store import store_episode
 from vitac.server.housekeeping import Housekeeping
 from vitac.server.queue import leases
 from vitac.server.services import Services
@@ -141,7 +142,7 @@ def test_shard_of_a_silent_worker_goes_to_another_one_which_resumes_it(services:
     with services.database.transaction() as session:
         lost = leases.claim(session, shard_ids(session, submission)[0], uuid4(), 0.2)
         assert lost is not None
-        leases.store_episode(session, lost, make_record(1))
+        store_episode(session, lost, make_record(1))
         first_job = text("DELETE FROM procrastinate_jobs WHERE (args ->> 'shard_id')::bigint = :shard")
         session.execute(first_job, {"shard": lost.shard_id})
     shards = FakeShards()

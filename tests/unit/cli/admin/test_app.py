@@ -14,7 +14,7 @@ from vitac.server.db.models import Submission, Worker
 from vitac.server.db.states import WorkerState
 from vitac.server.errors import ServiceError
 from vitac.server.evaluations import scores
-from vitac.server.leaderboards.leaderboards import leaderboard
+from vitac.server.leaderboards.standings import leaderboard
 
 
 def admin(service: CliService, *arguments: str) -> Result:

@@ -3,10 +3,11 @@ from service_factories import make_principal, make_settings, play, play_all, sha
 from sqlalchemy import text
 from vitac.evaluator.version import evaluator_version
 from vitac.server.accounts.principals import Principal
+from vitac.server.db.advisory_locks import AdvisoryLock
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Evaluation, Submission, Worker
 from vitac.server.db.states import EvaluationState, WorkerState
-from vitac.server.evaluations.superseding import SUPERSEDE_LOCK, supersede_outdated
+from vitac.server.evaluations.superseding import supersede_outdated
 from vitac.server.queue import workers
 from vitac.server.submissions import submissions
 
@@ -100,6 +101,6 @@ def test_finished_evaluations_and_those_of_this_version_are_left_alone(
 def test_two_processes_at_once_do_it_once(database: Database, outdated: Submission) -> None:
     add_worker(database, evaluator_version())
     with database.transaction() as session:
-        session.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": SUPERSEDE_LOCK})
+        session.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": AdvisoryLock.SUPERSEDE})
         assert supersede(database) == 0
     assert supersede(database) == 1

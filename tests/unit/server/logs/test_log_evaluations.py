@@ -32,7 +32,7 @@ from vitac.evaluator.shards.result import ShardEnd, ShardResult
 from vitac.evaluator.version import evaluator_version
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Evaluation, Submission
-from vitac.server.evaluations import evaluations
+from vitac.server.evaluations import lifecycle
 from vitac.server.leaderboards import log_boards
 from vitac.server.queue.leases import Lease
 from vitac.server.submissions import submissions
@@ -87,7 +87,7 @@ def refute(service: Service, lease: Lease, finding: LogFinding) -> None:
         result = ShardResult(
             index=lease.number, end=ShardEnd.REFUTED, manifest=log_manifest(), isolation=None, finding=finding
         )
-        evaluations.finish_shard(session, lease, result)
+        lifecycle.finish_shard(session, lease, result)
 
 
 def leases_of(service: Service, submission: Submission) -> list[Lease]:
@@ -155,7 +155,7 @@ def test_finding_of_a_later_shard_is_not_shown_as_the_verdict_of_machines_that_f
     first, second, *_ = leases_of(service, log)
     refute(service, second, diverged_at(37))
     with service.database.transaction() as session:
-        evaluations.report_broken_machine(session, make_settings(shard_attempts=1), first, "no disk")
+        lifecycle.report_broken_machine(session, make_settings(shard_attempts=1), first, "no disk")
     found = shown(service, log)
     assert found["evaluation"]["verdict"]["code"] == "machine_failed"
     assert (found["log"]["verdict"], found["log"]["reason"], found["log"]["divergence"]) == (None, None, None)

@@ -13,12 +13,14 @@ from service_factories import (
     submit,
 )
 from sqlalchemy import text
+from vitac.server.db.advisory_locks import AdvisoryLock
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Submission
 from vitac.server.db.states import EvaluationState, ShardState
+from vitac.server.evaluations.lifecycle import fail_by_machines
 from vitac.server.queue.jobs import prune_finished_jobs
 from vitac.server.queue.leases import LeaseLost
-from vitac.server.queue.sweep import SWEEP_LOCK, Sweep, sweep
+from vitac.server.queue.sweep import Sweep, sweep
 from vitac.server.settings import Settings
 from vitac.server.submissions import submissions
 
@@ -40,7 +42,7 @@ def ids_of(database: Database, submission: Submission) -> list[int]:
 def run_sweep(database: Database, settings: Settings = SETTINGS) -> Sweep:
     with database.transaction() as session:
         session.execute(text("SELECT pg_sleep(0.01)"))
-        return sweep(session, settings)
+        return sweep(session, settings, give_up=fail_by_machines)
 
 
 def jobs(database: Database, status: str = "todo") -> list[int]:
@@ -122,7 +124,7 @@ def test_job_that_was_just_taken_is_given_time_to_claim_its_shard(database: Data
 def test_two_sweeps_at_once_do_the_work_of_one(database: Database, submission: Submission) -> None:
     forget_jobs(database)
     with database.transaction() as session:
-        session.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": SWEEP_LOCK})
+        session.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": AdvisoryLock.SWEEP})
         assert run_sweep(database) == Sweep()
     assert run_sweep(database).woken == 9
 

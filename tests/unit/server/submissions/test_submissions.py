@@ -28,7 +28,7 @@ from vitac.server.db.engine import Database
 from vitac.server.db.models import Submission, Worker
 from vitac.server.db.states import EvaluationState, WorkerState
 from vitac.server.errors import ProblemCode, ServiceError
-from vitac.server.evaluations import evaluations
+from vitac.server.evaluations import lifecycle
 from vitac.server.queue import workers
 from vitac.server.submissions import submissions
 from vitac.server.views.views import SubmissionView
@@ -170,7 +170,7 @@ def test_upload_after_the_machines_failed_takes_the_run_up(database: Database, p
     submission, _ = create(database, principal)
     play(database, ids_of(database, submission)[0])
     with database.transaction() as session:
-        evaluations.fail_by_machines(session, submissions.newest_evaluation(session, submission), "lost")
+        lifecycle.fail_by_machines(session, submissions.newest_evaluation(session, submission), "lost")
     _, is_new = create(database, principal)
     view = view_of(database, principal, submission)
     assert is_new

@@ -24,11 +24,11 @@ from vitac.evaluator.shards.result import ShardEnd
 from vitac.server.db.engine import Database
 from vitac.server.db.models import EpisodeResult
 from vitac.server.db.states import EvaluationState, ShardState
-from vitac.server.evaluations import evaluations
-from vitac.server.evaluations.evaluations import EpisodesMissing
+from vitac.server.evaluations.episode_store import EpisodeKey, records_of
+from vitac.server.evaluations.lifecycle import EpisodesMissing
 from vitac.server.evaluations.result_hashes import combine_hashes
 from vitac.server.evaluations.scores import combined_score, scores_of
-from vitac.server.queue.leases import LeaseLost, key_of
+from vitac.server.queue.leases import LeaseLost
 from vitac.server.submissions import submissions
 
 
@@ -225,6 +225,6 @@ def test_records_are_read_back_as_they_were_written(database: Database) -> None:
         submission = submit(session, make_principal(session))
     play_all(database, submission, some_record)
     with database.transaction() as session:
-        key = key_of(submissions.newest_evaluation(session, submission), submission)
-        read = evaluations.records_of(session, key, TASK)
+        key = EpisodeKey.of(submissions.newest_evaluation(session, submission), submission)
+        read = records_of(session, key, TASK)
     assert read == [some_record(episode) for episode in range(1, 271)]

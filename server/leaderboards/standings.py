@@ -9,12 +9,12 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session, joinedload
 from vitac.evaluator.scoring.ranking import CombinedScore, Standing, rank
 from vitac.evaluator.scoring.score import Score
-from vitac.evaluator.tracks import Track, UnknownTrack, list_tracks, load_track
+from vitac.evaluator.tracks import load_track
 from vitac.evaluator.version import evaluator_version
 from vitac.server.db.models import Evaluation, Submission
 from vitac.server.db.states import EvaluationState, SubmissionKind
-from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.evaluations.scores import bounds, combined_score, score_views, scores_of
+from vitac.server.tracks import load_known_track, require_task
 from vitac.server.views.views import LeaderboardEntryView, LeaderboardView, RankView
 
 PlacesOfBoards = Mapping[str | None, Mapping[UUID, RankView]]
@@ -46,7 +46,8 @@ def leaderboard(session: Session, track_name: str, *, task: str | None = None) -
         ServiceError: there is no such track or task.
     """
     track = load_known_track(track_name)
-    _require_task(track, task)
+    if task is not None:
+        require_task(track, task)
     current = evaluator_version()
     results = results_on(_completed(session, track_name), task)
     ranked = best_of_teams(result for result in results if result.evaluation.evaluator_version == current)
@@ -94,27 +95,6 @@ def best_of_teams(results: Iterable[Result]) -> list[Result]:
         result = by_id[ranked.standing.id]
         best.setdefault(result.team_id, result)
     return list(best.values())
-
-
-def load_known_track(name: str) -> Track:
-    """Return the track of that name.
-
-    Raises:
-        ServiceError: there is none; the message lists those that exist.
-    """
-    try:
-        return load_track(name)
-    except UnknownTrack as error:
-        raise ServiceError(ProblemCode.UNKNOWN_TRACK, str(error), tracks=list(list_tracks())) from error
-
-
-def _require_task(track: Track, task: str | None) -> None:
-    if task is not None and task not in track.tasks:
-        raise ServiceError(
-            ProblemCode.UNKNOWN_TASK,
-            f"Track {track.name!r} has no task {task!r}; its tasks are {', '.join(track.tasks)}.",
-            tasks=list(track.tasks),
-        )
 
 
 def _completed(session: Session, track: str) -> Sequence[Evaluation]:

@@ -6,7 +6,7 @@ from vitac.server.accounts.principals import CONSOLE
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Submission
 from vitac.server.db.states import SubmissionKind
-from vitac.server.leaderboards.leaderboards import leaderboard
+from vitac.server.leaderboards.standings import leaderboard
 from vitac.server.submissions import submissions
 from vitac.server.views.views import LeaderboardView, RankView
 

@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 from sqlalchemy import func, select, update
 from sqlalchemy.orm import Session
 from vitac.envs.errors import VitacError
-from vitac.evaluator.episodes.records import EpisodeRecord, Manifest, PolicyFailure, result_hash
+from vitac.evaluator.episodes.records import EpisodeRecord, PolicyFailure, result_hash
 from vitac.evaluator.logs.findings import LogFinding
 from vitac.evaluator.scoring.failures import breaking_failure
 from vitac.evaluator.scoring.score import score
@@ -14,25 +14,18 @@ from vitac.evaluator.shards.result import ShardEnd, ShardResult
 from vitac.evaluator.tracks import load_track
 from vitac.evaluator.tracks.cut import cut
 from vitac.evaluator.version import evaluator_hash, evaluator_version
-from vitac.server.db.models import EpisodeResult, Evaluation, Shard, Submission
-from vitac.server.db.states import TERMINAL_SHARD_STATES, EvaluationState, ShardState
+from vitac.server.db.models import Evaluation, Shard, Submission
+from vitac.server.db.row_locks import lock_evaluation
+from vitac.server.db.states import OPEN_SHARD_STATES, EvaluationState, ShardState
+from vitac.server.evaluations.episode_store import EpisodeKey, count_stored, records_of, stored_episodes
+from vitac.server.evaluations.provenance import manifest_of
 from vitac.server.evaluations.result_hashes import combine_hashes
 from vitac.server.evaluations.scores import store_scores
 from vitac.server.evaluations.verdicts import ServiceVerdict
 from vitac.server.queue.jobs import enqueue_shards, withdraw_jobs
-from vitac.server.queue.leases import (
-    EpisodeKey,
-    Lease,
-    end_shard,
-    hand_back,
-    key_of,
-    lock_evaluation,
-    renew,
-    stored_episodes,
-)
+from vitac.server.queue.leases import Lease, end_shard, hand_back, renew
 from vitac.server.settings import Settings
 
-OPEN_SHARDS = tuple(state for state in ShardState if state not in TERMINAL_SHARD_STATES)
 LOG_TAIL_CHARACTERS = 64 * 1024
 RETRY_DELAY_S = 2.0
 """Pause before the second attempt of a shard that a machine could not run; the third comes after twice as long."""
@@ -73,7 +66,7 @@ def start(session: Session, submission: Submission, run: int) -> Evaluation:
             )
     session.add(evaluation)
     session.flush()
-    evaluation.episodes_reused = count_stored(session, key_of(evaluation, submission))
+    evaluation.episodes_reused = count_stored(session, EpisodeKey.of(evaluation, submission))
     enqueue_shards(session, [shard.id for shard in evaluation.shards], evaluation.evaluator_version)
     return evaluation
 
@@ -99,7 +92,7 @@ def finish_shard(session: Session, lease: Lease, result: ShardResult) -> None:
     else:
         # Earlier shards run on: the verdict is the first one's, whatever the order in which they end.
         _cancel_shards(session, evaluation, after=lease.shard_id)
-    if not _count_shards(session, evaluation, OPEN_SHARDS):
+    if not _count_open_shards(session, evaluation):
         _conclude(session, evaluation)
 
 
@@ -144,31 +137,6 @@ def cancel(session: Session, evaluation: Evaluation) -> None:
     evaluation.finished_at = datetime.now(UTC)
 
 
-def records_of(session: Session, key: EpisodeKey, task: str) -> list[EpisodeRecord]:
-    """All stored records of one task, by episode."""
-    rows = session.scalars(
-        select(EpisodeResult.record)
-        .where(*key.conditions(), EpisodeResult.task == task)
-        .order_by(EpisodeResult.episode)
-    )
-    return [EpisodeRecord.model_validate(row) for row in rows]
-
-
-def count_stored(session: Session, key: EpisodeKey) -> int:
-    """How many episodes of an evaluation are stored."""
-    return session.scalar(select(func.count()).select_from(EpisodeResult).where(*key.conditions())) or 0
-
-
-def manifest_of(session: Session, evaluation: Evaluation, task: str) -> Manifest:
-    """Return what a completed evaluation played a task with."""
-    found = session.scalars(
-        select(Shard.manifest).where(
-            Shard.evaluation_id == evaluation.id, Shard.task == task, Shard.state == ShardState.DONE
-        )
-    ).first()
-    return Manifest.model_validate(found)
-
-
 def first_refuted_shard(session: Session, evaluation: Evaluation) -> Shard | None:
     """Return the first shard in which an uploaded log was found to be untrue, in the order of the list."""
     return session.scalars(
@@ -188,7 +156,7 @@ def _conclude(session: Session, evaluation: Evaluation) -> None:
         return
     submission = evaluation.submission
     track = load_track(submission.track)
-    key = key_of(evaluation, submission)
+    key = EpisodeKey.of(evaluation, submission)
     records = {task: records_of(session, key, task) for task in submission.tasks}
     evaluation.log_tail = _output_of(records)
     for task in submission.tasks:
@@ -247,7 +215,7 @@ def _output_of(records: dict[str, list[EpisodeRecord]]) -> str:
 def _cancel_shards(session: Session, evaluation: Evaluation, after: int = 0) -> None:
     ended = session.scalars(
         update(Shard)
-        .where(Shard.evaluation_id == evaluation.id, Shard.id > after, Shard.state.in_(OPEN_SHARDS))
+        .where(Shard.evaluation_id == evaluation.id, Shard.id > after, Shard.state.in_(OPEN_SHARD_STATES))
         .values(state=ShardState.CANCELLED, lease_expires_at=None, finished_at=func.clock_timestamp())
         .returning(Shard.id)
         .execution_options(synchronize_session=False)
@@ -255,6 +223,6 @@ def _cancel_shards(session: Session, evaluation: Evaluation, after: int = 0) -> 
     withdraw_jobs(session, ended)
 
 
-def _count_shards(session: Session, evaluation: Evaluation, states: Sequence[ShardState]) -> int:
+def _count_open_shards(session: Session, evaluation: Evaluation) -> int:
     query = select(func.count()).select_from(Shard)
-    return session.scalar(query.where(Shard.evaluation_id == evaluation.id, Shard.state.in_(states))) or 0
+    return session.scalar(query.where(Shard.evaluation_id == evaluation.id, Shard.state.in_(OPEN_SHARD_STATES))) or 0

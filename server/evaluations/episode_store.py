@@ -1,0 +1,152 @@
+"""Stored episodes: one row for each key and episode, written by whoever holds the shard, never written twice."""
+
+from dataclasses import dataclass
+from typing import Any, Self
+
+import structlog
+from sqlalchemy import func, select
+from sqlalchemy.dialects.postgresql import insert
+from sqlalchemy.orm import Session
+from vitac.evaluator.episodes.records import EpisodeRecord, PolicyFailure
+
+from ..db.models import EpisodeResult, Evaluation, Submission
+from ..queue.leases import Lease, lock_held
+
+logger = structlog.get_logger(__name__)
+
+
+@dataclass(frozen=True, kw_only=True)
+class EpisodeKey:
+    """What episode rows of one evaluation have in common; an episode is computed once for each such key."""
+
+    submission_digest: str
+    evaluator_version: str
+    track: str
+    run: int
+
+    @classmethod
+    def of(cls, evaluation: Evaluation, submission: Submission) -> Self:
+        """Return the key of an evaluation's episodes."""
+        return cls(
+            submission_digest=submission.digest,
+            evaluator_version=evaluation.evaluator_version,
+            track=submission.track,
+            run=evaluation.run,
+        )
+
+    @classmethod
+    def of_lease(cls, lease: Lease) -> Self:
+        """Return the key of the episodes that are played under a lease."""
+        return cls(
+            submission_digest=lease.submission_digest,
+            evaluator_version=lease.evaluator_version,
+            track=lease.track,
+            run=lease.run,
+        )
+
+    def conditions(self) -> tuple[Any, ...]:
+        """Return the key as conditions on `EpisodeResult`."""
+        return (
+            EpisodeResult.submission_digest == self.submission_digest,
+            EpisodeResult.evaluator_version == self.evaluator_version,
+            EpisodeResult.track == self.track,
+            EpisodeResult.run == self.run,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class StoredEpisodes:
+    """What is known of a shard before it runs."""
+
+    numbers: frozenset[int]
+    failures: tuple[PolicyFailure, ...]
+
+
+def store_episode(session: Session, lease: Lease, record: EpisodeRecord) -> None:
+    """Store a finished episode; storing it again writes nothing.
+
+    Raises:
+        LeaseLost: the shard is not ours any more.
+    """
+    lock_held(session, lease)
+    record = storable(record)
+    key = EpisodeKey.of_lease(lease)
+    digest = record.record_digest()
+    added = session.scalar(
+        insert(EpisodeResult)
+        .values(
+            submission_digest=key.submission_digest,
+            evaluator_version=key.evaluator_version,
+            track=key.track,
+            task=record.task,
+            episode=record.episode,
+            run=key.run,
+            outcome=record.outcome.value,
+            success=record.success,
+            env_steps=record.env_steps,
+            record=record.model_dump(mode="json"),
+            record_digest=digest,
+            wall_s=record.timings.wall_s,
+            evaluation_id=lease.evaluation_id,
+        )
+        .on_conflict_do_nothing(constraint="uq_episode_results_key")
+        .returning(EpisodeResult.id)
+    )
+    if added is None:
+        _report_difference(session, lease, record, digest)
+
+
+def storable(record: EpisodeRecord) -> EpisodeRecord:
+    """Return the record without characters that the database cannot hold; a policy may print whatever it likes."""
+    if record.failure is None:
+        return record
+    cleaned = {name: _without_nul(getattr(record.failure, name)) for name in ("message", "output_tail")}
+    return record.model_copy(update={"failure": record.failure.model_copy(update=cleaned)})
+
+
+def stored_episodes(session: Session, lease: Lease) -> StoredEpisodes:
+    """Which episodes of the shard need not be played, and how the policy failed in them."""
+    rows = session.scalars(
+        select(EpisodeResult).where(
+            *EpisodeKey.of_lease(lease).conditions(),
+            EpisodeResult.task == lease.task,
+            EpisodeResult.episode.in_(lease.episodes),
+        )
+    ).all()
+    records = [EpisodeRecord.model_validate(row.record) for row in sorted(rows, key=lambda row: row.episode)]
+    return StoredEpisodes(
+        numbers=frozenset(record.episode for record in records),
+        failures=tuple(record.failure for record in records if record.failure is not None),
+    )
+
+
+def records_of(session: Session, key: EpisodeKey, task: str) -> list[EpisodeRecord]:
+    """All stored records of one task, by episode."""
+    rows = session.scalars(
+        select(EpisodeResult.record)
+        .where(*key.conditions(), EpisodeResult.task == task)
+        .order_by(EpisodeResult.episode)
+    )
+    return [EpisodeRecord.model_validate(row) for row in rows]
+
+
+def count_stored(session: Session, key: EpisodeKey) -> int:
+    """How many episodes of an evaluation are stored."""
+    return session.scalar(select(func.count()).select_from(EpisodeResult).where(*key.conditions())) or 0
+
+
+def _without_nul(text: str) -> str:
+    return text.replace("\0", "\N{REPLACEMENT CHARACTER}").encode("utf-8", "replace").decode("utf-8")
+
+
+def _report_difference(session: Session, lease: Lease, record: EpisodeRecord, digest: str) -> None:
+    stored = session.scalar(
+        select(EpisodeResult.record_digest).where(
+            *EpisodeKey.of_lease(lease).conditions(),
+            EpisodeResult.task == record.task,
+            EpisodeResult.episode == record.episode,
+        )
+    )
+    if stored != digest:
+        # The first one counts. Different records under one key: a policy or a machine that does not repeat itself.
+        logger.warning("episode_differs_from_stored", shard=lease.shard_id, episode=record.episode, kept=stored)

@@ -1,0 +1,44 @@
+import pytest
+from service_factories import claim, make_principal, make_record, shard_ids, state_of, store, submit, take_away
+from sqlalchemy import select, text
+from vitac.evaluator.episodes.records import EpisodeOutcome
+from vitac.server.db.engine import Database
+from vitac.server.db.models import EpisodeResult
+from vitac.server.db.row_locks import lock_evaluation
+from vitac.server.db.states import ShardState
+from vitac.server.evaluations.episode_store import store_episode, stored_episodes
+
+
+@pytest.fixture
+def shard_id(database: Database) -> int:
+    with database.transaction() as session:
+        return shard_ids(session, submit(session, make_principal(session)))[0]
+
+
+def test_episode_delivered_twice_is_one_row_and_the_first_one_counts(database: Database, shard_id: int) -> None:
+    lease = claim(database, shard_id)
+    store(database, lease, [make_record(1), make_record(1), make_record(1, EpisodeOutcome.STEPS)])
+    with database.transaction() as session:
+        rows = session.scalars(select(EpisodeResult)).all()
+        assert [(row.episode, row.outcome) for row in rows] == [(1, "success")]
+
+
+def test_stored_episodes_are_known_to_the_next_claim(database: Database, shard_id: int) -> None:
+    store(database, claim(database, shard_id), [make_record(2), make_record(7)])
+    take_away(database, shard_id)
+    lease = claim(database, shard_id)
+    with database.transaction() as session:
+        stored = stored_episodes(session, lease)
+    assert stored.numbers == {2, 7}
+    assert stored.failures == ()
+
+
+def test_storing_and_cancelling_at_once_do_not_wait_for_each_other(database: Database, shard_id: int) -> None:
+    lease = claim(database, shard_id)
+    with database.transaction() as storing:
+        store_episode(storing, lease, make_record(1))
+        with database.transaction() as locking:
+            locking.execute(text("SET LOCAL lock_timeout = 2000"))
+            lock_evaluation(locking, lease.evaluation_id)
+    with database.transaction() as session:
+        assert state_of(session, shard_id) is ShardState.RUNNING
