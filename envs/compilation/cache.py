@@ -1,0 +1,77 @@
+"""Machine code on disk, found by what it was compiled from: a folder for each module and digest of its sources."""
+
+import logging
+import pickle
+from pathlib import Path
+from typing import Any
+
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
+
+from .folders import cache_directory, note_use, remove_unused
+from .sources import source_digest
+
+_LOG = logging.getLogger("vitac.envs.compilation")
+
+
+class _SourceLocator(_CacheLocator):
+    """Tells Numba the folder of a kernel's module, which no path and no time enters."""
+
+    def __init__(self, function: Any, file: str) -> None:
+        self._py_file = file
+        self._line = function.__code__.co_firstlineno
+        self._digest = source_digest(Path(file))
+        self._folder = cache_directory() / f"{function.__module__}-{self._digest[:16]}"
+
+    @classmethod
+    def from_function(cls, py_func: Any, py_file: str) -> "_SourceLocator":
+        return cls(py_func, py_file)
+
+    def get_cache_path(self) -> str:
+        return str(self._folder)
+
+    def get_source_stamp(self) -> str:
+        return self._digest
+
+    def get_disambiguator(self) -> str:
+        return str(self._line)
+
+
+class _KernelCacheFiles(CompileResultCacheImpl):
+    _locator_classes: list[type[object]] = [_SourceLocator]  # noqa: RUF012 - as Numba declares it
+
+
+class KernelCache(FunctionCache):
+    """Keeps the machine code of one kernel, for all argument types and CPUs that it was compiled for.
+
+    Numba writes every file under another name and renames it. A file that cannot be read back is compiled anew.
+    """
+
+    _impl_class = _KernelCacheFiles
+
+    def holds(self, signature: Any, target_context: Any) -> bool:
+        """Whether machine code was kept for these argument types and this CPU."""
+        try:
+            key = self._index_key(signature, target_context.codegen())  # type: ignore[no-untyped-call]
+            return key in self._cache_file._load_index()  # type: ignore[no-untyped-call]
+        except _DAMAGED:
+            return False
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Load machine code; None if there is none."""
+        try:
+            found = super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+        except _DAMAGED as error:
+            _LOG.warning("Compiled kernels in %s cannot be read (%s); compiling anew.", self.cache_path, error)
+            return None
+        if found is not None:
+            note_use(Path(self.cache_path))
+        return found
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep machine code, and remove what nobody uses any more."""
+        super().save_overload(sig, data)  # type: ignore[no-untyped-call]
+        remove_unused(Path(self.cache_path).parent)
+
+
+# What reading a file raises that was cut off or is no pickle.
+_DAMAGED = (EOFError, pickle.UnpicklingError, ValueError, AttributeError, ImportError, IndexError)

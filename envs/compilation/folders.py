@@ -1,0 +1,57 @@
+"""Where compiled kernels are kept, and when what nobody uses is removed."""
+
+import os
+import shutil
+import tempfile
+import time
+from functools import cache
+from pathlib import Path
+
+_NAME = "kernels"
+# A folder that no process has read or written for so long [s] is removed.
+_UNUSED_S = 30 * 86400.0
+# A folder's time of use is written at most so often [s].
+_USE_NOTED_S = 86400.0
+
+
+@cache
+def cache_directory() -> Path:
+    """Folder of compiled kernels: in `VITAC_CACHE_DIR`, else the user's cache folder, else a private temporary one."""
+    directory = _candidate_root() / _NAME
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return _private_directory()
+    return directory if os.access(directory, os.W_OK) else _private_directory()
+
+
+def note_use(folder: Path) -> None:
+    """Set the time of use of a module's folder, where it is long ago."""
+    if time.time() - folder.stat().st_mtime > _USE_NOTED_S:
+        os.utime(folder)
+
+
+def remove_unused(directory: Path) -> None:
+    """Remove what has not been used for 30 days: modules' folders, and caches of earlier versions beside them."""
+    folders = [path for path in directory.iterdir() if path.is_dir()]
+    folders += [path for path in directory.parent.glob(f"{_NAME}-*") if path.is_dir()]
+    for folder in folders:
+        try:
+            unused = time.time() - folder.stat().st_mtime > _UNUSED_S
+        except FileNotFoundError:  # another process has removed it
+            continue
+        if unused:
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+def _candidate_root() -> Path:
+    if explicit := os.environ.get("VITAC_CACHE_DIR"):
+        return Path(explicit)
+    home_cache = os.environ.get("XDG_CACHE_HOME")
+    return (Path(home_cache) if home_cache else Path.home() / ".cache") / "vitac"
+
+
+def _private_directory() -> Path:
+    directory = Path(tempfile.mkdtemp(prefix="vitac-")) / _NAME
+    directory.mkdir()
+    return directory

@@ -1,0 +1,87 @@
+"""What a kernel's machine code depends on: its module, all that this imports of ours, and the compiler."""
+
+import ast
+import hashlib
+import platform
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+import llvmlite  # type: ignore[import-untyped]
+import numba
+import numpy as np
+
+_ENVS = Path(__file__).parent.parent
+_PACKAGE = "vitac.envs"
+
+
+def source_digest(module: Path, envs: Path = _ENVS) -> str:
+    """SHA-256 [hex] of a module, of all modules of `vitac.envs` that it imports, and of what compiles it.
+
+    A kernel freezes the kernels it calls, constants and field orders of the modules it imports from, whether they hold
+    kernels or not, and so on for theirs. Neither the folder they stand in nor their times matter, so that two clones
+    share machine code. Modules elsewhere, like those of tests, must not take kernels from each other.
+    """
+    sources = imported_modules(module, envs) | set((envs / "compilation").glob("*.py"))
+    digest = hashlib.sha256(_compiler().encode())
+    for path in sorted(sources - {module}):
+        digest.update(path.relative_to(envs).as_posix().encode() + b"\0" + _file_digest(path))
+    digest.update(_file_digest(module))
+    return digest.hexdigest()
+
+
+def imported_modules(module: Path, envs: Path = _ENVS) -> set[Path]:
+    """All files of `vitac.envs` that a module imports, directly or through others."""
+    found: set[Path] = set()
+    waiting = [module]
+    while waiting:
+        for path in _imports(waiting.pop(), envs):
+            if path not in found:
+                found.add(path)
+                waiting.append(path)
+    return found
+
+
+def _compiler() -> str:
+    """Versions that decide on machine code; Numba itself keeps builds for different CPUs apart."""
+    versions = {"numba": numba.__version__, "llvmlite": llvmlite.__version__, "numpy": np.__version__}
+    return f"python {platform.python_version()} {versions}"
+
+
+@cache
+def _file_digest(path: Path) -> bytes:
+    return hashlib.sha256(path.read_bytes()).digest()
+
+
+@cache
+def _imports(module: Path, envs: Path) -> frozenset[Path]:
+    """Files of `vitac.envs` that a module names in its imports."""
+    paths: set[Path] = set()
+    for node in ast.walk(ast.parse(module.read_bytes())):
+        if isinstance(node, ast.ImportFrom):
+            paths.update(_files_of(node, module, envs))
+        elif isinstance(node, ast.Import):
+            for alias in node.names:
+                if alias.name.startswith(f"{_PACKAGE}."):
+                    paths.update(_file_of(envs.joinpath(*alias.name.split(".")[2:])))
+    return frozenset(paths)
+
+
+def _files_of(node: ast.ImportFrom, module: Path, envs: Path) -> Iterator[Path]:
+    """Files of `from package import a, b`: of the package, and of a and b where these are modules."""
+    names = (node.module or "").split(".") if node.module else []
+    if node.level:
+        base = module.parents[node.level - 1].joinpath(*names)
+    elif names[:2] == _PACKAGE.split("."):
+        base = envs.joinpath(*names[2:])
+    else:
+        return
+    yield from _file_of(base)
+    for alias in node.names:
+        yield from _file_of(base / alias.name)
+
+
+def _file_of(base: Path) -> Iterator[Path]:
+    for path in (base.with_name(f"{base.name}.py"), base / "__init__.py"):
+        if path.is_file():
+            yield path

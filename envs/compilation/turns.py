@@ -1,0 +1,61 @@
+"""One process of a machine compiles at a time; the others wait until its machine code can be loaded."""
+
+import fcntl
+import logging
+import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+_LOG = logging.getLogger("vitac.envs.compilation")
+_LOCK_FILE = "compiling.lock"
+# How often a waiting process looks, and after how long it says that it waits.
+_POLL_S = 0.1
+_SILENT_S = 1.0
+
+
+class CompilingTurn:
+    """The turn to compile, held by at most one process for each cache folder.
+
+    A kernel compiles those that it calls, so a process that has the turn takes it again at once. The operating system
+    ends the turn of a process that dies. Threads are kept apart by Numba's own lock, which callers hold.
+    """
+
+    def __init__(self) -> None:
+        self._depth = 0
+
+    @contextmanager
+    def taken(self, folder: Path) -> Iterator[None]:
+        """Wait for the turn, and hold it for the body.
+
+        Raises:
+            OSError: the folder cannot be written to, or its file system has no locks.
+        """
+        if self._depth:
+            yield
+            return
+        lock = os.open(folder / _LOCK_FILE, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+        try:
+            _wait_for(lock, folder)
+            self._depth += 1
+            try:
+                yield
+            finally:
+                self._depth -= 1
+        finally:
+            os.close(lock)
+
+
+def _wait_for(lock: int, folder: Path) -> None:
+    started, said = time.monotonic(), False
+    while True:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            if not said and time.monotonic() - started > _SILENT_S:
+                _LOG.warning("Another process is compiling the physics into %s; waiting for it.", folder)
+                said = True
+            time.sleep(_POLL_S)
+        else:
+            return

@@ -1,0 +1,109 @@
+"""Machine code is found by every copy of the same sources, and made anew only where these changed."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import vitac.envs
+
+FOLDER = Path(vitac.envs.__file__).parent
+# Prints where the sources are and which kernels were compiled.
+SMALL_KERNELS = """
+from vitac.envs.fem.algebra import mat3, vec3
+v = (1.0, 2.0, 3.0)
+vec3.cross(v, v)
+mat3.scale_matrix(2.0, (v, v, v))
+"""
+BOTH_TASKS = """
+import gymnasium
+from vitac.envs import ENVIRONMENTS
+for task in ENVIRONMENTS:
+    env = gymnasium.make(task)
+    env.reset(seed=1)
+    env.step(env.action_space.sample() * 0)
+"""
+REPORT = """
+import json, sys
+from numba.core import event
+compiled = []
+class Listener(event.Listener):
+    def on_start(self, started): pass
+    def on_end(self, ended): compiled.append(ended.data["dispatcher"].py_func.__qualname__)
+event.register("numba:compile", Listener())
+exec(sys.argv[1])
+import vitac.envs
+print(json.dumps([vitac.envs.__file__, compiled]))
+"""
+
+
+def clone(folder: Path) -> Path:
+    """Copy our sources, all with another time; returns the folder to import from."""
+    envs = folder / "vitac" / "envs"
+    shutil.copytree(FOLDER, envs, ignore=shutil.ignore_patterns("__pycache__"), copy_function=shutil.copyfile)
+    for path in envs.rglob("*.py"):
+        os.utime(path, (1e9, 1e9))
+    return folder
+
+
+def compiled_by(sources: Path, play: str, **environment: str) -> list[str]:
+    """Names of the kernels that a process compiles which plays something with these sources."""
+    done = subprocess.run(
+        [sys.executable, "-c", REPORT, play],
+        env=os.environ | {"PYTHONPATH": str(sources)} | environment,
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+    imported, compiled = json.loads(done.stdout)
+    assert Path(imported).is_relative_to(sources)
+    return list(compiled)
+
+
+def test_a_second_clone_compiles_nothing(tmp_path: Path) -> None:
+    """Both tasks; the first clone compiles what this machine has not compiled before."""
+    compiled_by(clone(tmp_path / "first"), BOTH_TASKS)
+    assert compiled_by(clone(tmp_path / "second"), BOTH_TASKS) == []
+
+
+@pytest.mark.parametrize(
+    ("changed", "expected"),
+    [
+        ("fem/algebra/mat3.py", ["scale_matrix"]),
+        ("fem/algebra/vec3.py", ["cross", "scale", "scale_matrix"]),
+        ("fem/algebra/rows.py", []),
+        ("compilation/kernels.py", ["cross", "scale", "scale_matrix"]),
+    ],
+)
+def test_a_changed_module_is_compiled_with_what_depends_on_it(
+    tmp_path: Path, changed: str, expected: list[str]
+) -> None:
+    cache = str(tmp_path / "cache")
+    sources = clone(tmp_path / "clone")
+    assert compiled_by(sources, SMALL_KERNELS, VITAC_CACHE_DIR=cache) == ["cross", "scale", "scale_matrix"]
+    path = sources / "vitac" / "envs" / changed
+    path.write_text(path.read_text() + "# changed\n")
+    assert compiled_by(sources, SMALL_KERNELS, VITAC_CACHE_DIR=cache) == expected
+
+
+def test_files_that_were_cut_off_are_compiled_anew(tmp_path: Path) -> None:
+    cache = str(tmp_path / "cache")
+    sources = clone(tmp_path / "clone")
+    compiled_by(sources, SMALL_KERNELS, VITAC_CACHE_DIR=cache)
+    for path in tmp_path.rglob("*.nbc"):
+        path.write_bytes(path.read_bytes()[:100])
+    for path in tmp_path.rglob("cross*.nbi"):
+        path.write_bytes(b"")
+    assert compiled_by(sources, SMALL_KERNELS, VITAC_CACHE_DIR=cache) == ["cross", "scale", "scale_matrix"]
+    assert compiled_by(sources, SMALL_KERNELS, VITAC_CACHE_DIR=cache) == []
+
+
+def test_a_folder_that_cannot_be_written_is_not_needed(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    sources = clone(tmp_path / "clone")
+    environment = {"VITAC_CACHE_DIR": str(tmp_path / "file" / "cache"), "TMPDIR": str(tmp_path)}
+    assert compiled_by(sources, SMALL_KERNELS, **environment) == ["cross", "scale", "scale_matrix"]
+    assert list(tmp_path.glob("vitac-*/kernels/*/*.nbc"))

@@ -1,0 +1,35 @@
+"""What nobody uses any more is removed from the cache."""
+
+import os
+import time
+from pathlib import Path
+
+from vitac.envs.compilation.folders import note_use, remove_unused
+
+DAY_S = 86400.0
+
+
+def folder(path: Path, days_ago: float) -> Path:
+    path.mkdir(parents=True)
+    (path / "kernel.nbc").touch()
+    used = time.time() - days_ago * DAY_S
+    os.utime(path, (used, used))
+    return path
+
+
+def test_only_folders_unused_for_a_month_are_removed(tmp_path: Path) -> None:
+    directory = tmp_path / "kernels"
+    kept = [folder(directory / "a-1", 29), folder(tmp_path / "kernels-0123", 1), folder(tmp_path / "other", 99)]
+    removed = [folder(directory / "a-0", 31), folder(tmp_path / "kernels-4567", 31)]
+    (directory / "compiling.lock").touch()
+    remove_unused(directory)
+    assert [path.exists() for path in kept] == [True] * 3
+    assert [path.exists() for path in removed] == [False] * 2
+    assert (directory / "compiling.lock").exists()
+
+
+def test_a_folder_that_is_used_stays(tmp_path: Path) -> None:
+    used = folder(tmp_path / "kernels" / "a-0", 31)
+    note_use(used)
+    remove_unused(tmp_path / "kernels")
+    assert used.exists()
