@@ -1,4 +1,4 @@
-"""What of a log can be checked without simulating it; called by the verification and by the server at an upload."""
+"""Checks of a log that need no simulation; called by the verification and by the server at an upload."""
 
 from collections.abc import Collection, Iterable, Mapping
 
@@ -26,7 +26,7 @@ _KEYS_THAT_MUST_AGREE = (
 
 
 def known_without_running(track: Track, task: Task) -> dict[str, object]:
-    """Return what the manifest of an evaluation by this evaluator must say, as far as no environment has to be made."""
+    """Return the manifest values of an evaluation by this evaluator that are known without making an environment."""
     return {
         "track": track.name,
         "task": task.name,
@@ -37,7 +37,7 @@ def known_without_running(track: Track, task: Task) -> dict[str, object]:
 
 
 def must_agree(manifest: Manifest) -> dict[str, object]:
-    """Return what the manifest of a log must say to be that of an evaluation with this manifest."""
+    """Return the manifest values that a log must share with an evaluation that has this manifest."""
     return manifest.model_dump(include=set(_KEYS_THAT_MUST_AGREE))
 
 
@@ -48,19 +48,19 @@ def why_impossible(
     records: Iterable[EpisodeRecord],
     episodes: Collection[int] | None = None,
 ) -> Impossibility | None:
-    """Why no evaluation can have made the log; None if one can.
+    """Return why no evaluation can have made the log; None if one can.
 
     Args:
         expected: values that the header's manifest must have.
-        task: what must have been played.
-        header: of the log.
-        records: of the log; read one after the other, and none is kept.
-        episodes: numbers that must be there; the whole list by default.
+        task: task that the log must be of.
+        header: header of the log.
+        records: episodes of the log; read one at a time, none is kept in memory.
+        episodes: numbers of the required episodes; the whole list by default.
     """
     for key in _KEYS_THAT_MUST_AGREE:
-        came = getattr(header.manifest, key)
-        if came != expected.get(key, came):
-            message = f"The log was made with {key} {came!r}, here it is {expected[key]!r}; evaluate again."
+        got = getattr(header.manifest, key)
+        if got != expected.get(key, got):
+            message = f"Expected a log made with {key} {expected[key]!r}, got {got!r}; evaluate again."
             return Impossibility(reason=ImpossibleReason.OTHER_EVALUATION, message=message)
     wanted = {episode.number for episode in task.episodes} if episodes is None else set(episodes)
     missing = set(wanted)
@@ -75,7 +75,7 @@ def why_impossible(
 
 
 def why_record_impossible(task: Task, record: EpisodeRecord) -> Impossibility | None:
-    """Why no evaluation of the task can have made a record; None if one can."""
+    """Return why no evaluation of the task can have made a record; None if one can."""
     place = f"Episode {record.episode}"
 
     def found(reason: ImpossibleReason, message: str) -> Impossibility:
@@ -85,13 +85,13 @@ def why_record_impossible(task: Task, record: EpisodeRecord) -> Impossibility | 
         message = f"{place} is of task {record.task!r}, expected {task.name!r}."
         return found(ImpossibleReason.OTHER_TASK, message)
     if record.episode > len(task.episodes):
-        return found(ImpossibleReason.NOT_IN_LIST, f"{place} is not in the list, which ends with {len(task.episodes)}.")
+        return found(ImpossibleReason.NOT_IN_LIST, f"{place} is not in the list of {len(task.episodes)} episodes.")
     listed = task.episodes[record.episode - 1]
     if (record.shape, record.initial_offset) != (listed.shape, listed.offset):
-        came, expected = f"{record.shape} at {record.initial_offset}", f"{listed.shape} at {listed.offset}"
-        return found(ImpossibleReason.OTHER_START, f"{place} starts with {came}, in the list with {expected}.")
+        expected, got = f"{listed.shape} at {listed.offset}", f"{record.shape} at {record.initial_offset}"
+        return found(ImpossibleReason.OTHER_START, f"{place}: expected the start {expected}, got {got}.")
     if record.env_steps > task.max_steps:
-        message = f"{place} has {record.env_steps} env steps; the task ends after {task.max_steps}."
+        message = f"{place} has {record.env_steps} env steps, expected at most {task.max_steps}."
         return found(ImpossibleReason.TOO_MANY_STEPS, message)
     try:
         outside = out_of_bounds(task, recording_of(record, task).actions)
@@ -101,25 +101,25 @@ def why_record_impossible(task: Task, record: EpisodeRecord) -> Impossibility | 
 
 
 def out_of_bounds(task: Task, actions: NDArray[np.float32]) -> str | None:
-    """Return the rest of a sentence about the first action outside -1 and 1; None if all are inside.
+    """Return the end of a sentence about the first action outside [-1, 1]; None if all are inside.
 
     Args:
-        task: what was played.
+        task: task of the actions.
         actions: shape [env steps, action size].
     """
     outside = np.argwhere(np.abs(actions) > 1)
     if not len(outside):
         return None
     step, component = outside[0]
-    came = f"{task.actions[component].name} = {actions[step, component]:g}"
-    return f"has the action {came} at env step {step + 1}; actions lie within -1 and 1."
+    got = f"{task.actions[component].name} = {actions[step, component]:g}"
+    return f"has the action {got} at env step {step + 1}, expected values in [-1, 1]."
 
 
 def _missing(missing: Collection[int], wanted: Collection[int]) -> Impossibility | None:
     if not missing:
         return None
     first = min(missing)
-    message = f"Episode {first} is missing, {len(missing)} of {len(wanted)} in all; a log must hold the whole list."
+    message = f"Expected {len(wanted)} episodes, got {len(wanted) - len(missing)}; the first missing one is {first}."
     return Impossibility(reason=ImpossibleReason.EPISODE_MISSING, message=message, episode=first)
 
 
@@ -128,5 +128,5 @@ def _broken(task: Task, failed: Collection[EpisodeRecord]) -> Impossibility | No
     if failure is None:
         return None
     episode = next(record.episode for record in failed if record.failure == failure)
-    message = f"The policy failed too often from episode {episode} on; such an evaluation ends without a score."
+    message = f"The policy failed too often, starting at episode {episode}; such an evaluation ends without a score."
     return Impossibility(reason=ImpossibleReason.BROKEN_POLICY, message=message, episode=episode)

@@ -1,4 +1,4 @@
-"""Where two logs first part; called by `vitac log diff`."""
+"""The first difference between two logs; called by `vitac log diff`."""
 
 from collections.abc import Iterable
 from itertools import zip_longest
@@ -10,7 +10,7 @@ from .log import LogHeader
 
 
 class LogDifference(StrictModel):
-    """The first thing in which two logs differ; no episode means the header, no env step the whole episode."""
+    """The first difference between two logs; no episode means the header, no env step the whole episode."""
 
     episode: int | None = None
     env_step: int | None = None
@@ -22,7 +22,7 @@ class LogDifference(StrictModel):
 def first_difference(
     first: tuple[LogHeader, Iterable[EpisodeRecord]], second: tuple[LogHeader, Iterable[EpisodeRecord]]
 ) -> LogDifference | None:
-    """Return the first difference of two logs in what was played, or None; whose they are does not count."""
+    """Return the first difference between the episodes of two logs, or None; team and submission are not compared."""
     ours, theirs = first[0].manifest, second[0].manifest
     for key in type(ours).model_fields:
         if getattr(ours, key) != getattr(theirs, key):

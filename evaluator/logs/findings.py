@@ -1,6 +1,6 @@
-"""What may be said of a log: the verdicts on it, why it cannot be true, and where it first parts from the physics.
+"""What is found about a log: its verification result, why it is impossible, and where it first diverges.
 
-`log_checks` and `verification` find it, shards carry it to the service.
+`checks` and `verification` make findings, shards carry them to the service.
 """
 
 from enum import StrEnum
@@ -12,15 +12,15 @@ from ..strict_model import StrictModel
 _LONGEST_TEXT = 100
 
 
-class LogVerdict(StrEnum):
-    """What re-simulation says of a log."""
+class VerificationResult(StrEnum):
+    """The result of checking and re-simulating a log."""
 
     VERIFIED = "verified"
     """Every state hash is equal."""
     WITHIN_TOLERANCE = "verified within tolerance"
-    """Made on another class of machines; states differ, all outcomes and numbers of env steps are equal."""
+    """Made on another platform class; states differ, all outcomes and numbers of env steps are equal."""
     DIVERGED = "diverged"
-    """The actions do not lead where the log says."""
+    """The actions lead to other states than the log says."""
     IMPOSSIBLE = "impossible"
     """No evaluation of this list can have made it."""
 
@@ -33,21 +33,21 @@ class ImpossibleReason(StrEnum):
     OTHER_TASK = "other_task"
     """A record is of another task than the header says."""
     NOT_IN_LIST = "not_in_list"
-    """The list has no such episode."""
+    """An episode is not in the list."""
     OTHER_START = "other_start"
-    """An episode starts elsewhere than in the list."""
+    """An episode has another start than in the list."""
     TOO_MANY_STEPS = "too_many_steps"
-    """An episode goes on after the task's last env step."""
+    """An episode has more env steps than the task allows."""
     WRONG_ACTION = "wrong_action"
-    """An action has the wrong size or a component outside -1 and 1."""
+    """An action has the wrong size or a value outside [-1, 1]."""
     EPISODE_MISSING = "episode_missing"
-    """The list is not whole."""
+    """An episode of the list is missing."""
     BROKEN_POLICY = "broken_policy"
     """The policy failed so often that its evaluation would have ended without a score."""
 
 
 class Impossibility(StrictModel):
-    """Why no evaluation can have made a log; `episode` is None where it concerns the whole."""
+    """Why no evaluation can have made a log; `episode` is None where it concerns the whole log."""
 
     reason: ImpossibleReason
     message: str
@@ -55,7 +55,7 @@ class Impossibility(StrictModel):
 
 
 class Divergence(StrictModel):
-    """The first env step of the first episode whose state is not the recorded one; step 0 is after the reset."""
+    """The first env step of the first episode whose state is not the recorded one; env step 0 is the reset."""
 
     episode: int
     env_step: int
@@ -68,31 +68,31 @@ class Divergence(StrictModel):
 class LogFinding(StrictModel):
     """Why a log earns no score: it diverged, or it is impossible."""
 
-    verdict: LogVerdict
+    verdict: VerificationResult
     reason: str
     divergence: Divergence | None = None
     impossibility: Impossibility | None = None
 
     @property
     def episode(self) -> int | None:
-        """The episode that it is about, if it is about one."""
+        """Number of the episode concerned; None for the whole log."""
         about = self.divergence or self.impossibility
         return about.episode if about else None
 
     @classmethod
     def diverged(cls, divergence: Divergence) -> "LogFinding":
-        """Return the finding that a log's actions lead elsewhere."""
-        reason = f"diverged at episode {divergence.episode} env step {divergence.env_step}"
-        return cls(verdict=LogVerdict.DIVERGED, reason=reason, divergence=divergence)
+        """Return the finding that a log's actions lead to other states."""
+        reason = f"diverged at episode {divergence.episode}, env step {divergence.env_step}"
+        return cls(verdict=VerificationResult.DIVERGED, reason=reason, divergence=divergence)
 
     @classmethod
     def impossible(cls, impossibility: Impossibility) -> "LogFinding":
         """Return the finding that no evaluation can have made a log."""
-        return cls(verdict=LogVerdict.IMPOSSIBLE, reason=impossibility.message, impossibility=impossibility)
+        return cls(verdict=VerificationResult.IMPOSSIBLE, reason=impossibility.message, impossibility=impossibility)
 
 
 def comparable(recorded: JsonValue, ours: JsonValue) -> JsonValue:
-    """Return what of a recorded value has the form of ours; the rest, which could be anything, becomes None."""
+    """Return the parts of a recorded value that have the structure of ours; replace all others by None."""
     if isinstance(ours, dict) and isinstance(recorded, dict):
         return {key: comparable(recorded.get(key), value) for key, value in ours.items()}
     if isinstance(ours, list) and isinstance(recorded, list) and len(ours) == len(recorded):

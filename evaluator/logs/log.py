@@ -1,8 +1,9 @@
 """Our evaluation log: one JSON line for the header, one for each episode, one for the end.
 
 `vitac evaluate --log` and the service write it, teams upload it, `replay` re-simulates it. Every line carries a SHA-256
-over its content and the line before it, so that a line that was altered, moved, doubled or lost can be named; the last
-line's is that of the whole log. That guards against accidents; what proves a log is the re-simulation of its actions.
+over its content and the digest of the line before, so a line that was altered, moved, duplicated or lost is named by
+its number; the digest of the last line is that of the whole log. Digests detect accidents, not forgery: only the
+re-simulation of its actions verifies a log.
 """
 
 import hashlib
@@ -22,14 +23,14 @@ from .packing import open_log
 
 FORMAT_VERSION = 1
 MAX_LINE_BYTES = 1 << 20
-"""Longest line that is read [bytes]; 50 env steps take about 75,000, and the output of a policy that failed 390,000."""
+"""Longest line that is accepted [bytes]; 50 env steps take about 75,000, a failed policy's output up to 390,000."""
 MAX_INFO_BYTES = 6 << 10
-"""Largest info of an env step that is read, as JSON [bytes]; the tasks' own have up to 1,418."""
+"""Largest info of an env step that is accepted, as JSON [bytes]; the tasks' own infos have up to 1,418."""
 MAX_INFO_VALUES = 500
-"""Most values in an info, its lists and objects counted too; the tasks' own have up to 115.
+"""Largest number of values in an info, lists and objects included; the tasks' own infos have up to 115.
 
-Reading costs time for each value rather than for each byte: without this limit the worst log of 32 MiB takes a minute,
-and each shard reads it twice.
+Reading time grows with the number of values rather than of bytes: without this limit the worst log of 32 MiB takes a
+minute to read, and each shard reads it twice.
 """
 
 _TEAM_CHARACTERS = 200
@@ -45,25 +46,25 @@ class LogProblem(StrEnum):
     UNKNOWN_VERSION = "unknown_version"
     """The format is of another version."""
     LINE_TOO_LONG = "line_too_long"
-    """A line is longer than any true one."""
+    """A line is longer than the limit."""
     INFO_TOO_LARGE = "info_too_large"
-    """The info of an env step is larger than any true one."""
+    """The info of an env step is larger than the limit."""
     NOT_JSON = "not_json"
     """A line is not one JSON object of finite numbers."""
     INVALID = "invalid"
     """A line lacks a key, has an unknown one, or a wrong value."""
     ALTERED = "altered"
-    """A line, or one before it, was changed, moved, doubled or removed."""
+    """A line, or one before it, was changed, moved, duplicated or removed."""
     EPISODE_REPEATED = "episode_repeated"
-    """An episode came before."""
+    """An episode is in the log twice."""
     TRUNCATED = "truncated"
     """The last line is missing."""
     TRAILING = "trailing"
-    """Something follows the last line."""
+    """There is data after the last line."""
 
 
 class LogRejected(VitacError):
-    """A log cannot be read as one evaluation; correct or make it again.
+    """A log cannot be read as one evaluation; correct it or make it again.
 
     Attributes:
         problem: stable code.
@@ -77,12 +78,12 @@ class LogRejected(VitacError):
 
 
 def is_team_name(text: str) -> bool:
-    """Whether the header of a log can name this team."""
+    """Return whether a log's header can name this team."""
     return len(text) <= _TEAM_CHARACTERS and text.isprintable()
 
 
 class LogHeader(StrictModel):
-    """The first line: what the evaluation was made with, and whose it is."""
+    """The first line: provenance of the evaluation, its team and its submission."""
 
     format: Literal["vitac-log"] = "vitac-log"
     version: Literal[1] = 1
@@ -107,9 +108,12 @@ class _EndLine(StrictModel):
 
 
 def write_log(stream: BinaryIO, header: LogHeader, records: Iterable[EpisodeRecord]) -> None:
-    """Write a whole log; records come in the order of their numbers and lose their timings.
+    """Write a whole log, without the timings of its records; the same evaluation gives the same bytes.
 
-    The same evaluation gives the same bytes.
+    Args:
+        stream: where the log is written.
+        header: its first line.
+        records: one for each episode, in the order of their numbers.
     """
     digest = _write_line(stream, "", header.model_dump(mode="json"))
     episodes = 0
@@ -120,19 +124,19 @@ def write_log(stream: BinaryIO, header: LogHeader, records: Iterable[EpisodeReco
 
 
 def is_log(path: Path) -> bool:
-    """Whether a file starts like one of our logs, packed or not."""
+    """Return whether a file starts like one of our logs, gzipped or not."""
     with open_log(path) as stream:
         return b'"vitac-log"' in stream.readline(MAX_LINE_BYTES)
 
 
 class LogReader:
-    """Reads a log line by line, in little memory whatever its size.
+    """Reads a log line by line; memory does not grow with its size.
 
     Args:
         stream: the log, opened for reading bytes.
 
     Raises:
-        LogRejected: from here for the header, from `records` for the rest.
+        LogRejected: raised here for the header, by `records` for the rest.
     """
 
     def __init__(self, stream: BinaryIO) -> None:
@@ -152,13 +156,13 @@ class LogReader:
         return self._digest
 
     def records(self) -> Iterator[EpisodeRecord]:
-        """Return the records in their order; a log is whole and unaltered only once this has come to its end."""
+        """Yield the records in order; only after the last one is the log known to be whole and unaltered."""
         seen: set[int] = set()
         last = 0
         while True:
             text = self._next_line()
             if not text.endswith(b"\n"):
-                raise self._rejected(LogProblem.TRUNCATED, "the log ends without its last line; it was cut off.")
+                raise self._rejected(LogProblem.TRUNCATED, "the log has no last line; it is truncated.")
             content = self._object(text)
             if "episodes" in content:
                 self._check_end(self._checked(_EndLine, content), len(seen))
@@ -166,10 +170,10 @@ class LogReader:
             self._require_small_infos(content.get("record"))
             record = self._checked(_EpisodeLine, content).record
             if record.episode in seen:
-                raise self._rejected(LogProblem.EPISODE_REPEATED, f"episode {record.episode} came before.")
+                raise self._rejected(LogProblem.EPISODE_REPEATED, f"episode {record.episode} is in the log twice.")
             if record.episode < last:
                 raise self._rejected(
-                    LogProblem.ALTERED, f"episode {record.episode} stands after {last}; they go by their numbers."
+                    LogProblem.ALTERED, f"expected episodes in ascending order, got {record.episode} after {last}."
                 )
             seen.add(record.episode)
             last = record.episode
@@ -180,24 +184,28 @@ class LogReader:
         if content.get("format") != "vitac-log":
             raise self._rejected(LogProblem.NOT_A_LOG, 'expected the header of a log, {"format": "vitac-log", ...}.')
         if content.get("version") != FORMAT_VERSION:
-            came = content.get("version")
+            got = content.get("version")
             raise self._rejected(
-                LogProblem.UNKNOWN_VERSION, f"the log is of format version {came!r:.40}, expected {FORMAT_VERSION}."
+                LogProblem.UNKNOWN_VERSION, f"expected format version {FORMAT_VERSION}, got {got!r:.40}."
             )
         return self._checked(LogHeader, content)
 
     def _check_end(self, end: _EndLine, episodes: int) -> None:
         if end.episodes != episodes:
-            raise self._rejected(LogProblem.ALTERED, f"it counts {end.episodes} episodes, but {episodes} came.")
+            raise self._rejected(
+                LogProblem.ALTERED, f"expected {end.episodes} episodes, as the last line says, got {episodes}."
+            )
         if self._stream.read(1):
             self._line += 1
-            raise self._rejected(LogProblem.TRAILING, "something follows the end of the log; upload one log at a time.")
+            raise self._rejected(
+                LogProblem.TRAILING, "there is data after the end of the log; upload one log at a time."
+            )
 
     def _next_line(self) -> bytes:
         self._line += 1
         text = self._stream.readline(MAX_LINE_BYTES + 1)
         if len(text) > MAX_LINE_BYTES:
-            raise self._rejected(LogProblem.LINE_TOO_LONG, f"it is longer than {MAX_LINE_BYTES} bytes.")
+            raise self._rejected(LogProblem.LINE_TOO_LONG, f"expected at most {MAX_LINE_BYTES} bytes, got more.")
         return text
 
     def _object(self, text: bytes, problem: LogProblem = LogProblem.NOT_JSON) -> dict[str, Any]:
@@ -206,7 +214,7 @@ class LogReader:
         except (ValueError, RecursionError) as error:
             raise self._rejected(problem, f"it is not JSON: {error!s:.120}.") from error
         if not isinstance(content, dict):
-            raise self._rejected(problem, f"expected a JSON object, came a {type(content).__name__}.")
+            raise self._rejected(problem, f"expected a JSON object, got a {type(content).__name__}.")
         return content
 
     def _checked(self, model: type[LineT], content: dict[str, Any]) -> LineT:
@@ -217,21 +225,21 @@ class LogReader:
             raise self._rejected(LogProblem.INVALID, explain(model, error)) from error
         self._digest = _line_digest(self._digest, content)
         if claimed != self._digest:
-            raise self._rejected(LogProblem.ALTERED, "its digest is wrong: the line was altered, moved or doubled.")
+            raise self._rejected(LogProblem.ALTERED, "its digest is wrong: the line was altered, moved or duplicated.")
         return line
 
     def _require_small_infos(self, record: object) -> None:
-        """Refuses large infos before any is looked into; whatever has not their form is refused after this."""
+        """Refuse oversized infos before any is validated; wrong types are refused by the validation that follows."""
         infos = record.get("infos") if isinstance(record, dict) else None
         for env_step, info in enumerate(infos if isinstance(infos, list) else [], start=1):
-            came = f"the info of env step {env_step} has"
+            place = f"the info of env step {env_step}"
             values = count_values(info, MAX_INFO_VALUES)
             if values > MAX_INFO_VALUES:
-                message = f"{came} over {MAX_INFO_VALUES} values, expected at most so many."
+                message = f"{place}: expected at most {MAX_INFO_VALUES} values, got more."
                 raise self._rejected(LogProblem.INFO_TOO_LARGE, message)
             n_bytes = len(json.dumps(info, separators=(",", ":")))
             if n_bytes > MAX_INFO_BYTES:
-                message = f"{came} {n_bytes} bytes of JSON, expected at most {MAX_INFO_BYTES}."
+                message = f"{place}: expected at most {MAX_INFO_BYTES} bytes of JSON, got {n_bytes}."
                 raise self._rejected(LogProblem.INFO_TOO_LARGE, message)
 
     def _rejected(self, problem: LogProblem, message: str) -> LogRejected:
@@ -248,14 +256,14 @@ def _line_digest(previous: str, content: dict[str, Any]) -> str:
     return hashlib.sha256(previous.encode("ascii") + canonical_json(content)).hexdigest()
 
 
-def count_values(content: object, most: int) -> int:
-    """Values in some JSON, the whole and every list and object counted; stops soon after `most`."""
-    left, values = [content], 0
-    while left and values <= most:
-        value = left.pop()
+def count_values(content: object, limit: int) -> int:
+    """Return the number of values in JSON content, lists and objects included; stop counting soon after `limit`."""
+    pending, values = [content], 0
+    while pending and values <= limit:
+        value = pending.pop()
         values += 1
         if isinstance(value, dict | list):
-            left.extend(islice(value.values() if isinstance(value, dict) else value, most))
+            pending.extend(islice(value.values() if isinstance(value, dict) else value, limit))
     return values
 
 
@@ -266,5 +274,5 @@ def _refuse_constant(name: str) -> None:
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     content = dict(pairs)
     if len(content) != len(pairs):
-        raise ValueError("a key came twice")
+        raise ValueError("a key is repeated")
     return content

@@ -1,4 +1,4 @@
-"""Opens a log as it is or packed with gzip, and never gives more bytes than a limit."""
+"""Opens a log, plain or gzipped, and reads at most a given number of bytes from it."""
 
 import gzip
 import io
@@ -13,20 +13,20 @@ from vitac.envs.errors import VitacError
 
 GZIP_MAGIC = b"\x1f\x8b"
 MAX_UNPACKED_BYTES = 1 << 28
-"""Largest log that is read, unpacked [bytes]; a whole one of ours has about 2,000,000."""
+"""Largest log that is accepted, uncompressed [bytes]; a whole one of ours has about 2,000,000."""
 
 
 class UnpackProblem(StrEnum):
-    """Why a packed log cannot be read; stable codes for the API."""
+    """Why a gzipped log cannot be read; stable codes for the API."""
 
     DAMAGED = "damaged"
-    """It is not whole gzip."""
+    """The gzip data is truncated or corrupt."""
     TOO_LARGE = "too_large"
-    """Unpacked it is larger than is read."""
+    """Uncompressed it is larger than the limit."""
 
 
 class UnpackFailed(VitacError):
-    """A packed log cannot be read: pack it again, or give it unpacked."""
+    """A gzipped log cannot be read: compress it again, or give it uncompressed."""
 
     def __init__(self, problem: UnpackProblem, message: str) -> None:
         super().__init__(message)
@@ -34,39 +34,40 @@ class UnpackFailed(VitacError):
 
 
 @contextmanager
-def open_log(path: Path, most_bytes: int = MAX_UNPACKED_BYTES) -> Iterator[io.BufferedReader]:
-    """Return a log's unpacked bytes as a stream, whatever its name.
+def open_log(path: Path, max_bytes: int = MAX_UNPACKED_BYTES) -> Iterator[io.BufferedReader]:
+    """Open a log as a stream of its uncompressed bytes, whatever the file's name.
 
-    Reading raises `UnpackFailed` where the file is damaged or unpacks to more than `most_bytes`.
+    Reading raises `UnpackFailed` where the gzip data is corrupt or the log is larger than `max_bytes`.
     """
     with path.open("rb") as file:
         packed = file.read(len(GZIP_MAGIC)) == GZIP_MAGIC
         file.seek(0)
         source = cast(BinaryIO, gzip.GzipFile(fileobj=file)) if packed else file
-        yield io.BufferedReader(_Bounded(source, most_bytes))
+        yield io.BufferedReader(_Bounded(source, max_bytes))
 
 
 class _Bounded(io.RawIOBase):
     """Reads another stream up to a number of bytes."""
 
-    def __init__(self, source: BinaryIO, most_bytes: int) -> None:
+    def __init__(self, source: BinaryIO, max_bytes: int) -> None:
         self._source = source
-        self._left = self._most = most_bytes
+        self._remaining = self._max_bytes = max_bytes
 
     def readable(self) -> bool:
-        """Return True, as the stream can be read."""
+        """Return True: the stream can be read."""
         return True
 
     def readinto(self, buffer: Any) -> int:
-        """Fill the buffer, or a part of it."""
+        """Fill the buffer or a part of it, and return the number of bytes read."""
         try:
             data = self._source.read(len(buffer))
         except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-            raise UnpackFailed(UnpackProblem.DAMAGED, f"The file is not whole gzip: {error}. Pack it again.") from error
-        self._left -= len(data)
-        if self._left < 0:
+            message = f"The gzip data is truncated or corrupt: {error}. Compress the log again."
+            raise UnpackFailed(UnpackProblem.DAMAGED, message) from error
+        self._remaining -= len(data)
+        if self._remaining < 0:
             raise UnpackFailed(
-                UnpackProblem.TOO_LARGE, f"A log may have at most {self._most} bytes, unpacked; more came."
+                UnpackProblem.TOO_LARGE, f"Expected at most {self._max_bytes} bytes of uncompressed log, got more."
             )
         buffer[: len(data)] = data
         return len(data)

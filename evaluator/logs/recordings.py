@@ -1,4 +1,4 @@
-"""Reads recorded actions for re-simulation: from our own logs and records, and from 2025 logs as JSON lines."""
+"""Reads recorded actions for re-simulation: our own logs and records, and 2025 text logs converted to JSON lines."""
 
 import json
 from collections.abc import Iterator, Sequence
@@ -17,8 +17,7 @@ from .log import MAX_LINE_BYTES, LogReader, is_log
 from .packing import open_log
 
 TASKS_OF_2025 = {"peg_insertion": "peg-insertion", "open_lock": "lock-opening"}
-"""Our names of the tasks of the 2025 logs."""
-
+"""Our name of each task of the 2025 text logs."""
 
 _LARGEST_FLOAT32 = float(np.finfo(np.float32).max)
 
@@ -38,7 +37,7 @@ class Recording:
 
 
 class _Line(BaseModel):
-    """Part of a 2025 line: what is not needed may be anything."""
+    """Part of a converted 2025 line; unknown keys are ignored."""
 
     model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False)
 
@@ -59,15 +58,15 @@ class _EpisodeOf2025(_Line):
 
 
 def read_recordings(path: Path, task: Task) -> Iterator[Recording]:
-    """Return the recorded episodes of a file, one at a time.
+    """Yield the recorded episodes of a file.
 
     Args:
-        path: one of our logs; or JSON lines, each an episode record of ours or of a 2025 log.
-        task: what must have been played.
+        path: one of our logs; or JSON lines, each one of our episode records or a converted 2025 episode.
+        task: task that the recordings must be of.
 
     Raises:
         RecordingRejected: a line cannot be read or is of another task.
-        LogRejected: one of our logs is damaged.
+        LogRejected: one of our logs is truncated or altered.
     """
     if is_log(path):
         with open_log(path) as stream:
@@ -79,10 +78,10 @@ def read_recordings(path: Path, task: Task) -> Iterator[Recording]:
 
 
 def recording_of(record: EpisodeRecord, task: Task) -> Recording:
-    """Return the recording in one of our records.
+    """Return one of our records as a recording.
 
     Raises:
-        RecordingRejected: it is of another task, or its actions do not fit.
+        RecordingRejected: it is of another task, or its actions have the wrong size.
     """
     place = f"Episode {record.episode}"
     if record.task != task.name:
@@ -110,7 +109,7 @@ def _recording_in(line: bytes, number: int, task: Task) -> Recording:
 
 def _recording_of_2025(content: _EpisodeOf2025, place: str, task: Task) -> Recording:
     if TASKS_OF_2025.get(content.task) != task.name:
-        raise RecordingRejected(f"{place} is of task {content.task!r}, which is not {task.name!r}.")
+        raise RecordingRejected(f"{place} is of task {content.task!r}, expected {task.name!r}.")
     return Recording(
         episode=_episode(task, content.episode, content.shape, content.initial_offset, place),
         actions=_actions(task, [step.action for step in content.steps], place),
@@ -120,11 +119,11 @@ def _recording_of_2025(content: _EpisodeOf2025, place: str, task: Task) -> Recor
 
 
 def _episode(task: Task, number: int, shape: str, offset: tuple[float, ...], place: str) -> Episode:
-    """Return the start as it was recorded, which need not be in the task's list."""
+    """Return the start as recorded; it may differ from the one in the task's list."""
     example = task.episodes[0]
     if shape not in task.episode_list.shapes or len(offset) != len(example.offset):
         expected = f"one of {', '.join(task.episode_list.shapes)} and {len(example.offset)} numbers"
-        raise RecordingRejected(f"{place} starts with {shape!r} at {offset}; expected {expected}.")
+        raise RecordingRejected(f"{place}: expected a start with {expected}, got {shape!r} at {offset}.")
     return Episode(
         number=number,
         shape=shape,
@@ -139,4 +138,4 @@ def _actions(task: Task, rows: Sequence[Sequence[float]], place: str) -> NDArray
     if all(len(row) == size and all(abs(value) <= _LARGEST_FLOAT32 for value in row) for row in rows):
         return np.array(rows, dtype=np.float32).reshape(len(rows), size)
     names = ", ".join(row.name for row in task.actions)
-    raise RecordingRejected(f"{place} has an action that is not [{names}] in float32.")
+    raise RecordingRejected(f"{place}: expected actions [{names}] in the range of float32.")

@@ -1,4 +1,4 @@
-"""The report of `vitac resimulate`: what recorded actions do in our physics, beside what was recorded with them."""
+"""The report of `vitac resimulate`: recorded actions in our physics, beside the recorded results."""
 
 from collections.abc import Iterable, Iterator
 from typing import Any
@@ -16,7 +16,7 @@ _TEETH = ("key1_pts_m", "key2_pts_m")
 
 
 class ReportedStep(StrictModel):
-    """One env step, lengths in mm. Quantities that the task does not have are left out of the JSON.
+    """One env step, lengths in mm. The JSON omits quantities that the task does not have.
 
     `tooth_z_mm` is the height of the lowest top corner of the rear and of the front measured tooth.
     """
@@ -50,13 +50,13 @@ class Report(StrictModel):
 
 
 def resimulate_all(env: Environment, recordings: Iterable[Recording]) -> Iterator[tuple[Recording, ReportedEpisode]]:
-    """Plays the recordings one after the other; what was recorded and what came out."""
+    """Re-simulate the recordings one at a time; yield each with its report."""
     for recording in recordings:
         yield recording, _episode(recording, resimulate(env, recording.episode, recording.actions))
 
 
 def report(env: Environment, episodes: Iterable[ReportedEpisode]) -> Report:
-    """Return the report on all episodes that were played in this environment since it was made."""
+    """Return the report on all episodes that this environment has run since it was made."""
     return Report(
         episodes=tuple(episodes),
         solver_version=env.solver_version,
@@ -66,7 +66,7 @@ def report(env: Environment, episodes: Iterable[ReportedEpisode]) -> Report:
 
 
 def reported_step(number: int, info: dict[str, JsonValue]) -> ReportedStep:
-    """Return what a report holds of the info of one env step, ours or recorded."""
+    """Return the reported part of the info of one env step, ours or recorded."""
     known: dict[str, Any] = {key: info[key] for key in ("peg_relative_z_mm", *_FLAGS) if key in info}
     if "surface_diff_m" in info:
         metres: Any = info["surface_diff_m"]

@@ -1,4 +1,4 @@
-"""Is a log true? Its actions are checked and re-simulated; called by `vitac log verify` and the service's workers.
+"""Verifies a log: checks and re-simulates its actions; called by `vitac log verify` and the service's workers.
 
 Re-simulation proves the actions, not that a policy chose them.
 """
@@ -14,22 +14,22 @@ from ..scoring.score import Score, score
 from ..strict_model import StrictModel
 from ..tracks import Task, Track
 from .checks import must_agree, why_impossible
-from .findings import Divergence, LogFinding, LogVerdict, comparable
+from .findings import Divergence, LogFinding, VerificationResult, comparable
 from .log import LogHeader
 from .recordings import recording_of
 
 
 class Verification(StrictModel):
-    """The verdict on a log.
+    """The result of verifying a log.
 
-    Where it is verified, `records` are the log's with states, infos and rewards as they came here. They, not the log's
-    own, are to be scored and shown.
+    For a verified log, `records` are the log's records with the re-simulated states, infos and rewards. Score and show
+    these, not the log's own.
     """
 
-    verdict: LogVerdict
+    verdict: VerificationResult
     reason: str
     manifest: Manifest
-    """What re-simulated it."""
+    """Provenance of the re-simulation."""
     divergence: Divergence | None = None
     records: tuple[EpisodeRecord, ...] = ()
 
@@ -44,10 +44,10 @@ class CheckedEpisode:
     """A record of a log after its re-simulation.
 
     Attributes:
-        record: the log's, with states, infos and rewards as they came here.
-        divergence: where the states first differ, or, where that alone is no fault, where the episode ended otherwise;
-            None if they are all equal.
-        holds: whether the episode counts: equal to the last bit or, made on another class of machines, ended equally.
+        record: the log's record with the re-simulated states, infos and rewards.
+        divergence: the first state that differs; on another platform class, the different end of the episode if there
+            is one; None if all states are equal.
+        holds: whether the episode is accepted: all states equal or, on another platform class, the same end.
     """
 
     record: EpisodeRecord
@@ -65,16 +65,16 @@ def verify(
     episodes: Collection[int] | None = None,
     on_episode: Callable[[EpisodeRecord], None] = lambda _: None,
 ) -> Verification:
-    """Check and re-simulates a log, until it is clear that it diverges.
+    """Check and re-simulate a log; stop at the first divergence.
 
     Args:
         env: the task's environment.
-        track: its track.
-        task: what must have been played.
-        header: of the log.
-        records: of the log.
-        episodes: numbers that must be there; the whole list by default.
-        on_episode: gets each re-simulated record.
+        track: the task's track.
+        task: task that the log must be of.
+        header: header of the log.
+        records: episodes of the log.
+        episodes: numbers of the required episodes; the whole list by default.
+        on_episode: called with each re-simulated record.
     """
     manifest = make_manifest(track, task, env)
     impossible = why_impossible(must_agree(manifest), task, header, records, episodes)
@@ -90,7 +90,7 @@ def verify(
         played.append(checked.record)
         on_episode(played[-1])
     return Verification(
-        verdict=LogVerdict.WITHIN_TOLERANCE if first else LogVerdict.VERIFIED,
+        verdict=VerificationResult.WITHIN_TOLERANCE if first else VerificationResult.VERIFIED,
         reason=f"made on {header.manifest.platform_class}; all outcomes are equal" if first else "all states are equal",
         manifest=manifest,
         divergence=first,
@@ -101,31 +101,31 @@ def verify(
 def check_episode(
     env: Environment, task: Task, manifest: Manifest, header: LogHeader, record: EpisodeRecord
 ) -> CheckedEpisode:
-    """Re-simulates one record of a log.
+    """Re-simulate one record of a log.
 
     Args:
         env: the task's environment.
-        task: what was played.
-        manifest: what re-simulates it.
-        header: of the log.
-        record: one that is possible.
+        task: task of the log.
+        manifest: provenance of the re-simulation.
+        header: header of the log.
+        record: a record that `why_record_impossible` accepts.
     """
     recording = recording_of(record, task)
     played = resimulate(env, recording.episode, recording.actions)
     divergence = find_divergence(record, played)
-    elsewhere = header.manifest.platform_class != manifest.platform_class
+    other_platform = header.manifest.platform_class != manifest.platform_class
     ended_as_recorded = _ended_as_recorded(record, played)
-    if elsewhere and not ended_as_recorded:
+    if other_platform and not ended_as_recorded:
         divergence = _divergence_at(min(record.env_steps, played.end_step or record.env_steps), record, played)
     return CheckedEpisode(
         record=_with_our_states(record, played),
         divergence=divergence,
-        holds=divergence is None or (elsewhere and ended_as_recorded),
+        holds=divergence is None or (other_platform and ended_as_recorded),
     )
 
 
 def find_divergence(record: EpisodeRecord, played: Resimulated) -> Divergence | None:
-    """Return the first state that is not the recorded one, or the first sign that the episode ended otherwise."""
+    """Return the first state that differs from the recorded one, or the different end of the episode; None if equal."""
     pairs = zip(record.state_hashes, played.state_hashes, strict=True)
     step = next((step for step, (recorded, ours) in enumerate(pairs) if recorded != ours), None)
     if step is None and _ended_as_recorded(record, played):
@@ -158,9 +158,9 @@ def _ended_as_recorded(record: EpisodeRecord, played: Resimulated) -> bool:
 
 
 def _with_our_states(record: EpisodeRecord, played: Resimulated) -> EpisodeRecord:
-    """Return the record as it came here; what the log tells beside actions and ends is left out."""
+    """Return the record with re-simulated values; the log's own claims, except actions and end, are dropped."""
     failure = record.failure and record.failure.model_copy(
-        update={"message": "The log says so; the policy was not seen.", "output_tail": ""}
+        update={"message": "Claimed by the log; the policy was not seen.", "output_tail": ""}
     )
     return record.model_copy(
         update={

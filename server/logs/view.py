@@ -1,7 +1,7 @@
 """What is shown of an uploaded log: its claims, the verdict on it and how models of the team go along with it."""
 
 from sqlalchemy.orm import Session
-from vitac.evaluator.logs.findings import LogFinding, LogVerdict
+from vitac.evaluator.logs.findings import LogFinding, VerificationResult
 from vitac.server.db.models import Evaluation, Submission
 from vitac.server.db.states import EvaluationState, SubmissionKind
 from vitac.server.evaluations.lifecycle import first_refuted_shard
@@ -41,13 +41,17 @@ def log_view(session: Session, submission: Submission, evaluation: Evaluation) -
     )
 
 
-def verdict_of(claim: LogClaim, evaluation: Evaluation) -> LogVerdict:
+def verdict_of(claim: LogClaim, evaluation: Evaluation) -> VerificationResult:
     """Return the verdict on one of our logs whose evaluation is completed, so that nothing was found against it.
 
     The result hash covers every state: where it is the log's own, no state differs. An evaluation with another one is
     only completed where the log was made on another class of machines and all its episodes end as it says.
     """
-    return LogVerdict.VERIFIED if evaluation.result_hash == claim.result_hash else LogVerdict.WITHIN_TOLERANCE
+    return (
+        VerificationResult.VERIFIED
+        if evaluation.result_hash == claim.result_hash
+        else VerificationResult.WITHIN_TOLERANCE
+    )
 
 
 def _finding(session: Session, evaluation: Evaluation) -> LogFinding | None:
@@ -61,9 +65,9 @@ def _finding(session: Session, evaluation: Evaluation) -> LogFinding | None:
     return LogFinding.model_validate(refuted.finding) if refuted else None
 
 
-def _reason(verdict: LogVerdict | None, claim: LogClaim) -> str | None:
-    if verdict is LogVerdict.VERIFIED:
+def _reason(verdict: VerificationResult | None, claim: LogClaim) -> str | None:
+    if verdict is VerificationResult.VERIFIED:
         return "all states are equal"
-    if verdict is LogVerdict.WITHIN_TOLERANCE and claim.manifest:
+    if verdict is VerificationResult.WITHIN_TOLERANCE and claim.manifest:
         return f"made on {claim.manifest.platform_class}; all outcomes are equal"
     return None

@@ -8,7 +8,7 @@ import hashlib
 
 from vitac.evaluator.logs.findings import Impossibility, ImpossibleReason
 from vitac.evaluator.logs.packing import UnpackFailed, open_log
-from vitac.evaluator.logs.text_2025 import Kind, TextLog, TextLogRejected, read_text_log, summarize
+from vitac.evaluator.logs.text_2025 import Script, TextLog, TextLogRejected, read_text_log, summarize
 from vitac.evaluator.logs.text_2025.recordings import track_and_task_names, why_not_resimulated
 from vitac.evaluator.tracks import Task
 from vitac.server.db.states import SubmissionKind
@@ -43,14 +43,14 @@ def check_text_log(received: ReceivedFile, owner: str, limit_bytes: int) -> Chec
     try:
         with open_log(received.path, limit_bytes) as stream:
             log = read_text_log(stream)
-        kind, summary = summarize(log)
+        script, summary = summarize(log)
     except TextLogRejected as error:
         raise rejected(str(error), NOT_A_TEXT_LOG, error.line) from error
     except UnpackFailed as error:
         raise rejected(str(error), error.problem, None) from error
     require_own_team(log.team, owner)
-    track, task = _task_of(kind)
-    _require_whole(log, kind, task)
+    track, task = _task_of(script)
+    _require_whole(log, script, task)
     digest = _digest_of(received, limit_bytes)
     return CheckedUpload(
         kind=SubmissionKind.TEXT_LOG,
@@ -64,19 +64,19 @@ def check_text_log(received: ReceivedFile, owner: str, limit_bytes: int) -> Chec
     )
 
 
-def _task_of(kind: Kind) -> tuple[str, Task]:
-    track_name, task_name = track_and_task_names(kind)
+def _task_of(script: Script) -> tuple[str, Task]:
+    track_name, task_name = track_and_task_names(script)
     track = load_known_track(track_name)
     if task_name not in track.tasks:
-        message = f"The log is of {kind.name}; the tasks of {track_name} here are {', '.join(track.tasks)}."
+        message = f"The log is of {script.name}; the tasks of {track_name} here are {', '.join(track.tasks)}."
         raise impossible(Impossibility(reason=ImpossibleReason.OTHER_EVALUATION, message=message), None)
     return track_name, track.tasks[task_name]
 
 
-def _require_whole(log: TextLog, kind: Kind, task: Task) -> None:
+def _require_whole(log: TextLog, script: Script, task: Task) -> None:
     if log.misplaced:
         raise rejected(f"L{log.problems[0].removeprefix('l')}.", OUT_OF_PLACE, log.misplaced[0])
-    found = why_not_resimulated(log, kind, task)
+    found = why_not_resimulated(log, script, task)
     if found:
         line = log.episodes[found.episode - 1].line if found.episode and found.episode <= len(log.episodes) else None
         raise impossible(found, line)

@@ -5,7 +5,7 @@ from typing import Any
 from uuid import UUID
 
 from pydantic import BaseModel, ConfigDict, Field
-from vitac.evaluator.logs.findings import LogVerdict
+from vitac.evaluator.logs.findings import VerificationResult
 from vitac.server.db.states import EvaluationState, Role, SubmissionKind
 
 
@@ -164,7 +164,7 @@ class LogView(View):
     """What an uploaded log claims, and what its re-simulation says of it."""
 
     label: str = Field(description="What a score of it is worth, in a few words.")
-    verdict: LogVerdict | None = Field(description="Null before the end, and always for a 2025 text log.")
+    verdict: VerificationResult | None = Field(description="Null before the end, and always for a 2025 text log.")
     reason: str | None = Field(description="The verdict in a sentence.")
     divergence: DivergenceView | None
     claimed_episodes: int
@@ -296,7 +296,7 @@ class LogEntryView(View):
     team: str
     submission_id: UUID
     submission_name: str
-    verdict: LogVerdict
+    verdict: VerificationResult
     submitted_at: datetime
     episodes: int
     successes: int

@@ -22,7 +22,7 @@ from page_fixtures import (
 from playwright.sync_api import Browser, Page, sync_playwright
 from site_under_test import SiteUnderTest
 from vitac.cli.service.web_server import WebServer, address_of, bind
-from vitac.evaluator.logs.findings import LogVerdict
+from vitac.evaluator.logs.findings import VerificationResult
 from vitac.server.db.states import EvaluationState, Role, SubmissionKind
 from vitac.server.views.views import LeaderboardView, VerdictView
 
@@ -82,8 +82,8 @@ def site() -> Iterator[SiteUnderTest]:
         task_boards={TASK: boards()[TASK]},
         audited=[an_audit()],
         found=[
-            a_log(EvaluationState.COMPLETED, LogVerdict.VERIFIED, reason="all states are equal"),
-            a_log(EvaluationState.FAILED, LogVerdict.DIVERGED, divergence=DIVERGENCE),
+            a_log(EvaluationState.COMPLETED, VerificationResult.VERIFIED, reason="all states are equal"),
+            a_log(EvaluationState.FAILED, VerificationResult.DIVERGED, divergence=DIVERGENCE),
             a_log(EvaluationState.COMPLETED, None, kind=SubmissionKind.TEXT_LOG, problems=["test 3: no step"] * 30),
             a_submission("Gelbots", EvaluationState.QUEUED, name="waits", workers=0),
             a_submission("Gelbots", EvaluationState.RUNNING, name="runs", done=137),

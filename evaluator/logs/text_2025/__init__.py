@@ -1,22 +1,22 @@
-"""The 2025 challenge's text logs: read whole, checked for everything that can be checked, converted to JSON lines."""
+"""2025 text logs: read, checked against themselves and the published rules, and converted to JSON lines."""
 
 from .checks import check
 from .conversion import to_json_lines
-from .kinds import Kind, kind_of
 from .messages import TextLogRejected
 from .reader import TextEpisode, TextLog, TextStep, read_text_log
+from .scripts import Script, script_of
 from .summary import TextLogSummary, summarize
 
 __all__ = [
-    "Kind",
+    "Script",
     "TextEpisode",
     "TextLog",
     "TextLogRejected",
     "TextLogSummary",
     "TextStep",
     "check",
-    "kind_of",
     "read_text_log",
+    "script_of",
     "summarize",
     "to_json_lines",
 ]

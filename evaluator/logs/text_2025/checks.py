@@ -1,95 +1,96 @@
-"""Everything in a text log that can be checked against itself and the published rules (challenge-facts 6, 7, 13)."""
+"""Checks of a 2025 text log against itself and the published rules (challenge-facts 6, 7, 13)."""
 
 from collections.abc import Iterator, Sequence
 from math import cos, hypot, isclose, radians, sin
 
-from .kinds import Kind, PegRules, Start
 from .reader import TextEpisode, TextLog, TextStep
+from .scripts import PegRules, Script, Start
 
 PRINTED_MM = 2e-5
-"""Printed float32 and eight decimals agree with our arithmetic within this [mm, degrees, reward]."""
+"""Largest difference between printed values and our arithmetic [mm, degrees, reward]."""
 
 
-def check(log: TextLog, kind: Kind) -> list[str]:
-    """Return what is wrong with a log, beyond misplaced lines; one sentence each, with a line or test number."""
-    return [*_check_header(log, kind), *_check_episodes(log, kind), *_check_totals(log)]
+def check(log: TextLog, script: Script) -> list[str]:
+    """Return what is wrong with a log besides misplaced lines; one sentence each, with a line or test number."""
+    return [*_check_header(log, script), *_check_episodes(log, script), *_check_totals(log)]
 
 
-def hole_top(log: TextLog, kind: Kind) -> float | None:
-    """Return the hole's top that the log was made with [mm]; None where the kind has none or the log shows none."""
+def hole_top(log: TextLog, script: Script) -> float | None:
+    """Return the hole's top that the log was made with [mm]; None if the script has none or the log prints none."""
     shown = log.episodes[0].initial_offset if log.episodes else None
-    if not kind.hole_tops_mm or shown is None or len(shown) < 4:
+    if not script.hole_tops_mm or shown is None or len(shown) < 4:
         return None
-    return min(kind.hole_tops_mm, key=lambda top: abs(kind.starts(top)[0].offset[3] - shown[3]))
+    return min(script.hole_tops_mm, key=lambda top: abs(script.starts(top)[0].offset[3] - shown[3]))
 
 
-def _check_header(log: TextLog, kind: Kind) -> Iterator[str]:
+def _check_header(log: TextLog, script: Script) -> Iterator[str]:
     if log.script_md5 is None:
         yield "the header has no MD5 of the script"
-    elif log.script_md5 not in kind.script_md5:
-        yield f"the script's MD5 {log.script_md5} is not that of the published one, {kind.script_md5[0]}"
-    for key, official in kind.environment.items():
-        came = log.environment.get(key)
-        if _plain(came) != _plain(official):
-            yield f"the environment has {key} = {came!r:.60}, the official one {official!r}"
-    for key in sorted(log.environment.keys() - kind.environment.keys() - {"vision_params"}):
-        yield f"the environment has {key!r:.60}, which the official one has not"
+    elif log.script_md5 not in script.md5:
+        yield f"expected the published script's MD5 {script.md5[0]}, got {log.script_md5}"
+    for key, official in script.environment.items():
+        got = log.environment.get(key)
+        if _plain(got) != _plain(official):
+            yield f"environment: expected the official {key} = {official!r}, got {got!r:.60}"
+    for key in sorted(log.environment.keys() - script.environment.keys() - {"vision_params"}):
+        yield f"environment: {key!r:.60} is not an official setting"
     if not log.parameters:
         yield "the header has no parameters"
 
 
-def _check_episodes(log: TextLog, kind: Kind) -> Iterator[str]:
-    starts = kind.starts(hole_top(log, kind))
+def _check_episodes(log: TextLog, script: Script) -> Iterator[str]:
+    starts = script.starts(hole_top(log, script))
     if len(log.episodes) != len(starts):
-        yield f"there are {len(log.episodes)} tests, the list has {len(starts)}"
+        yield f"expected the {len(starts)} tests of the list, got {len(log.episodes)}"
     for episode, start in zip(log.episodes, starts, strict=False):
-        for problem in _check_episode(episode, start, kind, hole_top(log, kind)):
+        for problem in _check_episode(episode, start, script, hole_top(log, script)):
             yield f"test {episode.number}: {problem}"
 
 
-def _check_episode(episode: TextEpisode, start: Start, kind: Kind, top: float | None) -> Iterator[str]:
+def _check_episode(episode: TextEpisode, start: Start, script: Script, top: float | None) -> Iterator[str]:
     if episode.success is None:
         yield "it has no RESULT"
     if not episode.steps:
-        yield "it has no step"
-    if len(episode.steps) > kind.max_steps:
-        yield f"it has {len(episode.steps)} steps, the task ends after {kind.max_steps}"
+        yield "it has no env steps"
+    if len(episode.steps) > script.max_steps:
+        yield f"expected at most {script.max_steps} env steps, got {len(episode.steps)}"
     for step in episode.steps:
-        if len(step.action) != kind.action_size:
-            yield f"step {step.n} has {len(step.action)} action values, expected {kind.action_size}"
+        if len(step.action) != script.action_size:
+            yield f"env step {step.n}: expected {script.action_size} action values, got {len(step.action)}"
         elif max(map(abs, step.action)) > 1:
-            yield f"step {step.n} has an action outside -1 and 1"
-    if kind.peg and episode.initial_offset is None:
+            yield f"env step {step.n} has an action outside [-1, 1]"
+    if script.peg and episode.initial_offset is None:
         yield "it has no initial offset"
-    elif kind.peg and episode.initial_offset is not None:
+    elif script.peg and episode.initial_offset is not None:
         if not _close(episode.initial_offset, start.offset):
-            yield f"it starts at {episode.initial_offset!s:.80}, in the list at {start.offset}"
+            yield f"expected the start {start.offset}, got {episode.initial_offset!s:.80}"
         if len(episode.initial_offset) != len(start.offset):
             return
-        yield from _check_peg_episode(episode, episode.initial_offset, kind, kind.peg, top)
+        yield from _check_peg_episode(episode, episode.initial_offset, script, script.peg, top)
 
 
 def _check_peg_episode(
-    episode: TextEpisode, start: tuple[float, ...], kind: Kind, rules: PegRules, top: float | None
+    episode: TextEpisode, start: tuple[float, ...], script: Script, rules: PegRules, top: float | None
 ) -> Iterator[str]:
     before = start
     for step in episode.steps:
-        missing = _missing(step, kind)
+        missing = _missing(step, script)
         if missing:
-            yield f"step {step.n} lacks {missing}"
+            yield f"env step {step.n} lacks {missing}"
             return
-        for problem in _check_step(step, before, start, kind, rules, top):
-            yield f"step {step.n}: {problem}"
+        for problem in _check_step(step, before, start, script, rules, top):
+            yield f"env step {step.n}: {problem}"
         before = step.info["gt_offset_mm_deg"]
         ended = step.info["is_success"] or _flagged(step)
         if ended != (step is episode.steps[-1]):
-            yield f"step {step.n} {'ended the test, but others follow' if ended else 'is the last, but ended nothing'}"
+            fault = "ended the test, but is not the last" if ended else "is the last, but did not end the test"
+            yield f"env step {step.n} {fault}"
     if episode.steps and episode.success != episode.steps[-1].info["is_success"]:
-        yield f"RESULT says {'SUCCESS' if episode.success else 'FAIL'}, its last step the opposite"
+        yield f"RESULT says {'SUCCESS' if episode.success else 'FAIL'}, the last env step the opposite"
 
 
-def _missing(step: TextStep, kind: Kind) -> str | None:
-    size = kind.action_size
+def _missing(step: TextStep, script: Script) -> str | None:
+    size = script.action_size
     lengths = {
         "surface_diff_m": 2,
         "relative_motion_mm_deg": 4,
@@ -111,33 +112,33 @@ def _missing(step: TextStep, kind: Kind) -> str | None:
 
 
 def _check_step(
-    step: TextStep, before: Sequence[float], start: Sequence[float], kind: Kind, rules: PegRules, top: float | None
+    step: TextStep, before: Sequence[float], start: Sequence[float], script: Script, rules: PegRules, top: float | None
 ) -> Iterator[str]:
     info, offset = step.info, step.info["gt_offset_mm_deg"]
     if info.get("steps") != step.n:
-        yield f"info steps is {info.get('steps')!r:.40}"
+        yield f"expected {step.n} in info steps, got {info.get('steps')!r:.40}"
     if not _close(offset, _moved(before, step.action, rules)):
         yield f"the action does not lead to offset {offset}"
     if not _close(step.offset or (), offset):
-        yield f"offset {step.offset} is not that of the info, {offset}"
+        yield f"expected the offset of the info, {offset}, got {step.offset}"
     motion = [now - then for now, then in zip(offset, start, strict=True)]
     if len(motion) == 3:
         motion.append(-step.n * rules.descent_per_step_mm)
     if not _close(info["relative_motion_mm_deg"], motion):
         yield f"relative motion {info['relative_motion_mm_deg']} does not follow from the offset"
-    yield from _check_flags(step, kind, rules, top)
-    if not isclose(step.reward or 0.0, _reward(step, before, kind, rules), abs_tol=1e-4):
+    yield from _check_flags(step, script, rules, top)
+    if not isclose(step.reward or 0.0, _reward(step, before, script, rules), abs_tol=1e-4):
         yield f"reward {step.reward} does not follow from the rules"
 
 
-def _check_flags(step: TextStep, kind: Kind, rules: PegRules, top: float | None) -> Iterator[str]:
+def _check_flags(step: TextStep, script: Script, rules: PegRules, top: float | None) -> Iterator[str]:
     info, offset = step.info, list(step.info["gt_offset_mm_deg"])
     if top is not None:
         offset[3] -= top
     limits = zip(offset, rules.offset_limit, strict=True)
     expected = {
         "tactile_movement_too_large": max(info["surface_diff_m"]) > rules.surface_limit_m,
-        "too_many_steps": step.n >= kind.max_steps,
+        "too_many_steps": step.n >= script.max_steps,
         "error_too_large": any(abs(value) > limit + 1e-5 for value, limit in limits),
     }
     deep = step.n * rules.descent_per_step_mm > rules.commanded_depth_mm or not rules.commanded_depth_mm
@@ -146,7 +147,7 @@ def _check_flags(step: TextStep, kind: Kind, rules: PegRules, top: float | None)
     expected["is_success"] = not any(expected.values()) and deep and inserted and centred
     for key, value in expected.items():
         if info[key] != value:
-            yield f"{key} is {info[key]}, by the rules {value}"
+            yield f"{key}: expected {value} by the rules, got {info[key]}"
 
 
 def _moved(before: Sequence[float], action: Sequence[float], rules: PegRules) -> list[float]:
@@ -159,29 +160,29 @@ def _moved(before: Sequence[float], action: Sequence[float], rules: PegRules) ->
     return [value + change for value, change in zip(before, motion, strict=True)]
 
 
-def _reward(step: TextStep, before: Sequence[float], kind: Kind, rules: PegRules) -> float:
-    """Progress minus penalty, plus what the end gives (challenge-facts 6.1, 6.3)."""
+def _reward(step: TextStep, before: Sequence[float], script: Script, rules: PegRules) -> float:
+    """Return progress minus penalty, plus the final reward (challenge-facts 6.1, 6.3)."""
     progress = hypot(*before) - hypot(*step.info["gt_offset_mm_deg"])
     reward = progress - rules.step_penalty
     if step.info["tactile_movement_too_large"] or step.info["error_too_large"]:
-        return reward - 2 * rules.step_penalty * (kind.max_steps - step.n) + rules.step_penalty
+        return reward - 2 * rules.step_penalty * (script.max_steps - step.n) + rules.step_penalty
     return reward + (rules.final_reward if step.info["is_success"] else 0.0)
 
 
 def _check_totals(log: TextLog) -> Iterator[str]:
     if not log.has_totals:
-        yield "the log ends without its totals"
+        yield "the log has no totals at its end"
         return
     steps = [len(episode.steps) for episode in log.episodes if episode.success]
     rate = len(steps) / len(log.episodes) if log.episodes else 0.0
     claimed = log.claimed_success_rate or 0.0
     if not isclose(claimed, rate, abs_tol=0.5001e-4):
-        yield f"the success rate is {100 * rate:.2f} %, claimed are {100 * claimed:.2f} %"
+        yield f"the success rate is {100 * rate:.2f} %, the log claims {100 * claimed:.2f} %"
     mean = sum(steps) / len(steps) if steps else None
     if (mean is None) != (log.claimed_average_steps is None):
-        yield f"the average of steps is {mean}, claimed is {log.claimed_average_steps}"
+        yield f"the average of env steps is {mean}, the log claims {log.claimed_average_steps}"
     elif mean is not None and not isclose(log.claimed_average_steps or 0.0, mean, abs_tol=0.00501):
-        yield f"the average of steps is {mean:.2f}, claimed is {log.claimed_average_steps}"
+        yield f"the average of env steps is {mean:.2f}, the log claims {log.claimed_average_steps}"
 
 
 def _flagged(step: TextStep) -> bool:
@@ -197,7 +198,7 @@ def _is_number(value: object) -> bool:
 
 
 def _plain(value: object) -> object:
-    """List and tuples alike, so that a printed and a configured value compare."""
+    """Return the value with lists as tuples, so that printed and configured values compare equal."""
     if isinstance(value, list | tuple):
         return tuple(_plain(item) for item in value)
     if isinstance(value, dict):

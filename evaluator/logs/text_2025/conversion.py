@@ -1,12 +1,12 @@
-"""A text log as JSON lines, one object for each episode (challenge-facts 13)."""
+"""Converts a 2025 text log to JSON lines, one object per episode (challenge-facts 13)."""
 
 from collections.abc import Iterator
 from datetime import datetime
 from typing import Any
 
 from .checks import hole_top
-from .kinds import Kind, Start
 from .reader import TextEpisode, TextLog, TextStep
+from .scripts import Script, Start
 
 _INFO_KEYS = (
     "surface_diff_m",
@@ -20,16 +20,16 @@ _INFO_KEYS = (
 )
 
 
-def to_json_lines(log: TextLog, kind: Kind) -> Iterator[dict[str, Any]]:
-    """One JSON object for each episode that the list has too."""
-    for episode, start in zip(log.episodes, kind.starts(hole_top(log, kind)), strict=False):
-        yield _episode(episode, start, kind)
+def to_json_lines(log: TextLog, script: Script) -> Iterator[dict[str, Any]]:
+    """Yield one JSON object for each episode that is also in the list."""
+    for episode, start in zip(log.episodes, script.starts(hole_top(log, script)), strict=False):
+        yield _episode(episode, start, script)
 
 
-def _episode(episode: TextEpisode, start: Start, kind: Kind) -> dict[str, Any]:
+def _episode(episode: TextEpisode, start: Start, script: Script) -> dict[str, Any]:
     content: dict[str, Any] = {
         "episode": episode.number,
-        "task": kind.task,
+        "task": script.task,
         "shape_index": start.shape_index,
         "repeat_index": start.repeat_index,
         "offset_index": start.offset_index,
@@ -41,7 +41,7 @@ def _episode(episode: TextEpisode, start: Start, kind: Kind) -> dict[str, Any]:
         "reset_s": _seconds(episode.started, episode.reset_ended),
         "wall_s": _seconds(episode.started, episode.ended),
     }
-    return content | ({"choose_left": start.shape_index} if kind.hole_tops_mm else {})
+    return content | ({"choose_left": start.shape_index} if script.hole_tops_mm else {})
 
 
 def _step(step: TextStep) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""A text log as messages, and the Python values printed inside them. Nothing is ever evaluated."""
+"""Splits a 2025 text log into messages and parses the Python values printed in them, without evaluating code."""
 
 import ast
 import re
@@ -13,17 +13,17 @@ from vitac.envs.errors import VitacError
 MAX_LINE_BYTES = 1 << 18
 MAX_MESSAGE_CHARACTERS = 1 << 18
 MAX_LOG_BYTES = 8 << 20
-"""Bounds on what is read: a true log has lines of 10,000 bytes and 5 MB in all."""
+"""Limits on what is read; a real log has lines of up to 10,000 bytes and 5 MB in all."""
 
 # `<date> <time>.<ms> | <LEVEL padded> | <module>:<function>:<line> - <message>`; the organizers' own log starts with
-# stray blanks (challenge-facts 7.1), so blanks before the date are no fault.
+# stray blanks (challenge-facts 7.1), so blanks before the date are accepted.
 _PREFIX = re.compile(
     r"\s*(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d\.\d{3}) \| ([A-Z]+) *\| ([\w.]+):([\w<>.]+):(\d+) - (.*)", re.DOTALL
 )
 
 
 class TextLogRejected(VitacError):
-    """The file is not a text log of the challenge; the message names the line and the reason.
+    """The file is not a 2025 text log; the message names the line and the reason.
 
     Attributes:
         line: number of the line, from 1; None where it is the whole file.
@@ -44,10 +44,10 @@ class Message:
 
 
 def messages(stream: BinaryIO) -> Iterator[Message]:
-    """Return the messages of a log in their order; lines without a prefix belong to the message before.
+    """Yield the messages of a log in order; a line without a prefix continues the message before it.
 
     Raises:
-        TextLogRejected: it is not text, not a log, or larger than any true one.
+        TextLogRejected: it is not text, not a log, or larger than the limits.
     """
     first: tuple[int, re.Match[str]] | None = None
     text: list[str] = []
@@ -60,14 +60,15 @@ def messages(stream: BinaryIO) -> Iterator[Message]:
             first, text, length = (number, match), [match[6]], len(line)
         elif first is None:
             raise TextLogRejected(
-                f"Line {number} does not start like a log line, `<date> <time> | INFO | ...`.", line=number
+                f"Line {number}: expected `<date> <time> | INFO | ...`, got {line!r:.60}.", line=number
             )
         else:
             text.append(line)
             length += len(line) + 1
             if length > MAX_MESSAGE_CHARACTERS:
                 raise TextLogRejected(
-                    f"Line {number} belongs to a message longer than {MAX_MESSAGE_CHARACTERS}.", line=number
+                    f"Line {number}: expected a message of at most {MAX_MESSAGE_CHARACTERS} characters, got more.",
+                    line=number,
                 )
     if first is None:
         raise TextLogRejected("Line 1: the file is empty.", line=1)
@@ -82,7 +83,7 @@ def vector(message: Message, text: str) -> tuple[float, ...]:
     """
     inside = text.strip()
     if not (inside.startswith("[") and inside.endswith("]")):
-        raise _rejected(message, f"expected numbers in brackets, came {inside!r:.60}")
+        raise _rejected(message, f"expected numbers in brackets, got {inside!r:.60}")
     return tuple(number(message, part) for part in inside[1:-1].split())
 
 
@@ -95,9 +96,9 @@ def number(message: Message, text: str) -> float:
     try:
         value = float(text)
     except ValueError as error:
-        raise _rejected(message, f"{text.strip()!r:.60} is not a number") from error
+        raise _rejected(message, f"expected a number, got {text.strip()!r:.60}") from error
     if not isfinite(value):
-        raise _rejected(message, f"{text.strip()!r:.60} is not a finite number")
+        raise _rejected(message, f"expected a finite number, got {text.strip()!r:.60}")
     return value
 
 
@@ -108,7 +109,7 @@ def whole_number(message: Message, text: str) -> int:
         TextLogRejected: it is something else.
     """
     if not re.fullmatch(r"\d{1,9}", text):
-        raise _rejected(message, f"{text.strip()!r:.60} is not a count")
+        raise _rejected(message, f"expected a count of at most nine digits, got {text.strip()!r:.60}")
     return int(text)
 
 
@@ -141,12 +142,12 @@ def _value(node: ast.expr) -> Any:
         case ast.Dict():
             keys = [_value(key) for key in node.keys if key is not None]
             if len(set(keys)) != len(node.values):
-                raise ValueError("a key comes twice or is none")
+                raise ValueError("a key is repeated or missing")
             return dict(zip(keys, map(_value, node.values), strict=True))
         case ast.Call(func=ast.Name(id="array"), args=[ast.List() as elements]):
             return _value(elements)
         case _:
-            raise ValueError(f"{ast.unparse(node):.40} is not a plain finite value")
+            raise ValueError(f"expected a plain finite value, got {ast.unparse(node):.40}")
 
 
 def _lines(stream: BinaryIO) -> Iterator[tuple[int, str]]:
@@ -155,14 +156,15 @@ def _lines(stream: BinaryIO) -> Iterator[tuple[int, str]]:
         number, total = number + 1, total + len(line)
         if len(line) > MAX_LINE_BYTES or total > MAX_LOG_BYTES:
             raise TextLogRejected(
-                f"Line {number} is longer than {MAX_LINE_BYTES} bytes, or the file too large.", line=number
+                f"Line {number}: expected at most {MAX_LINE_BYTES} bytes a line and {MAX_LOG_BYTES} in all, got more.",
+                line=number,
             )
         try:
             text = line.decode("utf-8")
         except UnicodeDecodeError as error:
             raise TextLogRejected(f"Line {number} is not UTF-8 text.", line=number) from error
         if "\x00" in text:
-            raise TextLogRejected(f"Line {number} holds binary data.", line=number)
+            raise TextLogRejected(f"Line {number} contains binary data.", line=number)
         yield number, text.rstrip("\r\n")
 
 
@@ -170,7 +172,7 @@ def _message(line: int, prefix: re.Match[str], text: list[str]) -> Message:
     try:
         time = datetime.strptime(prefix[1], "%Y-%m-%d %H:%M:%S.%f")
     except ValueError as error:
-        raise TextLogRejected(f"Line {line}: {prefix[1]} is no date and time.", line=line) from error
+        raise TextLogRejected(f"Line {line}: expected a date and time, got {prefix[1]}.", line=line) from error
     return Message(line=line, time=time, text="\n".join(text))
 
 

@@ -1,4 +1,4 @@
-"""The messages of a text log as header, episodes and totals; what is out of place becomes a problem."""
+"""Reads the messages of a 2025 text log into header, episodes and totals; a misplaced line becomes a problem."""
 
 import re
 from collections.abc import Callable
@@ -9,12 +9,12 @@ from typing import Any, BinaryIO
 from .messages import Message, TextLogRejected, messages, number, printed_dict, vector, whole_number
 
 MAX_PROBLEMS = 200
-"""A file with more lines out of place is no log of the challenge."""
+"""A file with more misplaced lines is refused as not a 2025 text log."""
 
 
 @dataclass(kw_only=True)
 class TextStep:
-    """One env step. The lock's log has nothing but the action; `ended` is the time of the message after it."""
+    """One env step. The lock's log has only the action; `ended` is the time of the next message."""
 
     line: int
     n: int
@@ -28,7 +28,7 @@ class TextStep:
 
 @dataclass(kw_only=True)
 class TextEpisode:
-    """One test. `number` is the logged one."""
+    """One test; `number` is the logged one."""
 
     line: int
     number: int
@@ -42,7 +42,7 @@ class TextEpisode:
 
 @dataclass(kw_only=True)
 class TextLog:
-    """A whole log. `problems` are sentences about what is out of place, `misplaced` the numbers of their lines."""
+    """A whole log. `problems` are sentences about misplaced lines, `misplaced` their line numbers."""
 
     team: str | None = None
     script_md5: str | None = None
@@ -58,26 +58,26 @@ class TextLog:
 
 
 def read_text_log(stream: BinaryIO) -> TextLog:
-    """Read a log.
+    """Read a 2025 text log.
 
     Args:
         stream: the file, opened for reading bytes.
 
     Raises:
-        TextLogRejected: it is not a text log of the challenge.
+        TextLogRejected: it is not a 2025 text log.
     """
     reader = _Reader()
     for message in messages(stream):
         reader.take(message)
     if reader.log.team is None or not reader.log.environment:
         raise TextLogRejected(
-            "Line 1: no `#KEY` and no environment; this is not an evaluation log of the challenge.", line=1
+            "Line 1: expected a 2025 text log with `#KEY` and its environment; one of them is missing.", line=1
         )
     return reader.log
 
 
 class _Reader:
-    """Puts one message after the other into a log."""
+    """Adds one message after the other to a log."""
 
     def __init__(self) -> None:
         self.log = TextLog()
@@ -103,9 +103,9 @@ class _Reader:
         ]
 
     def take(self, message: Message) -> None:
-        """Put one message where it belongs."""
+        """Add one message to the part of the log that it belongs to."""
         if self._last and message.time < self._last.time:
-            self._problem(message, "its time is before that of the line before it")
+            self._problem(message, "its time is earlier than that of the line before")
         self._last = message
         for pattern, rule in self._rules:
             match = pattern.fullmatch(message.text)
@@ -119,7 +119,9 @@ class _Reader:
             self._problem(message, "a second log begins here")
             return
         if not match[1].isprintable():
-            raise TextLogRejected(f"Line {message.line}: the team's name holds control characters.", line=message.line)
+            raise TextLogRejected(
+                f"Line {message.line}: the team's name contains control characters.", line=message.line
+            )
         self.log.team = match[1].strip()
 
     def _md5(self, _: Message, match: re.Match[str]) -> None:
@@ -146,9 +148,9 @@ class _Reader:
         if self.log.episodes and self.log.episodes[-1].success is None:
             self._problem(message, f"test {self.log.episodes[-1].number} has no RESULT")
         if test in self._tests:
-            self._problem(message, f"test {test} comes twice")
+            self._problem(message, f"test {test} is repeated")
         elif test != self._test_before + 1:
-            self._problem(message, f"test {test} comes after test {self._test_before}")
+            self._problem(message, f"expected test {self._test_before + 1}, got test {test}")
         self._test_before = test
         self._tests.add(test)
         self.log.episodes.append(TextEpisode(line=message.line, number=test, started=message.time))
@@ -170,7 +172,7 @@ class _Reader:
         episode.reset_ended = episode.reset_ended or message.time
         n, action = whole_number(message, match[1]), vector(message, match[2])
         if n != len(episode.steps) + 1:
-            self._problem(message, f"step {n} comes after {len(episode.steps)} steps")
+            self._problem(message, f"expected env step {len(episode.steps) + 1}, got {n}")
         episode.steps.append(TextStep(line=message.line, n=n, action=action, started=message.time))
 
     def _offset(self, message: Message, text: str) -> None:
@@ -194,16 +196,16 @@ class _Reader:
             return
         self._end_step(episode, message)
         if text.strip() not in ("SUCCESS", "FAIL"):
-            self._problem(message, f"RESULT is {text!r:.40}, expected SUCCESS or FAIL")
+            self._problem(message, f"expected RESULT SUCCESS or FAIL, got {text!r:.40}")
         episode.success, episode.ended = text.strip() == "SUCCESS", message.time
 
     def _success_rate(self, message: Message, match: re.Match[str]) -> None:
         if self.log.has_totals:
-            self._problem(message, "the totals come twice")
+            self._problem(message, "the totals are repeated")
         self.log.has_totals = True
         self.log.claimed_success_rate = number(message, match[1]) / 100 if match[1] else 0.0
         if self.log.claimed_success_rate > 1:
-            self._problem(message, f"a success rate of {match[1]} % is above 100 %")
+            self._problem(message, f"expected a success rate of at most 100 %, got {match[1]} %")
 
     def _average_steps(self, message: Message, match: re.Match[str]) -> None:
         self.log.claimed_average_steps = number(message, match[1]) if match[1] else None
@@ -211,16 +213,16 @@ class _Reader:
     def _open_episode(self, message: Message) -> TextEpisode | None:
         if self.log.episodes and self.log.episodes[-1].success is None:
             return self.log.episodes[-1]
-        self._problem(message, "it stands outside a test")
+        self._problem(message, "it is outside a test")
         return None
 
     def _open_step(self, message: Message, part: str) -> TextStep | None:
-        """Return the env step that a part belongs to; None if it belongs to none or repeats what the step has."""
+        """Return the env step that a part belongs to; None if there is none or it already has this part."""
         episode = self._open_episode(message)
         if not episode:
             return None
         if not episode.steps:
-            self._problem(message, "it comes before the first action")
+            self._problem(message, "it is before the first action")
             return None
         if part in self._parts_of_step:
             self._problem(message, f"a second {part} of this env step")
@@ -237,5 +239,5 @@ class _Reader:
         self.log.misplaced.append(message.line)
         if len(self.log.problems) > MAX_PROBLEMS:
             raise TextLogRejected(
-                f"Line {message.line}: more than {MAX_PROBLEMS} lines are out of place.", line=message.line
+                f"Line {message.line}: more than {MAX_PROBLEMS} lines are misplaced.", line=message.line
             )

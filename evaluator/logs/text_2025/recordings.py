@@ -1,7 +1,7 @@
-"""A 2025 text log as recordings of our own episodes; called by the server at an upload and by the shards.
+"""Turns a 2025 text log into recordings of our own episodes; called by the server at an upload and by the shards.
 
-The log's list must be ours. What it does not tell, an episode's seeded draw fills in: the noise of the markers and, for
-the lock, the place of the key between the sensors.
+The log's list must be ours. What it does not contain is drawn from the episode's seed: the noise of the markers and,
+for the lock, the position of the key between the sensors.
 """
 
 from collections.abc import Iterator
@@ -14,67 +14,71 @@ from ...tracks import Episode, Task
 from ..checks import out_of_bounds
 from ..findings import Impossibility, ImpossibleReason
 from ..recordings import TASKS_OF_2025, Recording
-from . import Kind, TextEpisode, TextLog
+from . import Script, TextEpisode, TextLog
 from .checks import PRINTED_MM
 
 
-def track_and_task_names(kind: Kind) -> tuple[str, str]:
-    """Our names of what a text log was made for; we need not have such a track or task."""
-    return kind.track.lower(), TASKS_OF_2025.get(kind.task, kind.task.replace("_", "-"))
+def track_and_task_names(script: Script) -> tuple[str, str]:
+    """Return our names of a script's track and task, whether or not we have them."""
+    return script.track.lower(), TASKS_OF_2025.get(script.task, script.task.replace("_", "-"))
 
 
-def why_not_resimulated(log: TextLog, kind: Kind, task: Task) -> Impossibility | None:
-    """Why a text log cannot be re-simulated as a whole evaluation of our task; None if it can."""
-    if [(start.shape, start.offset) for start in kind.starts()] != [(e.shape, e.offset) for e in task.episodes]:
+def why_not_resimulated(log: TextLog, script: Script, task: Task) -> Impossibility | None:
+    """Return why a text log cannot be re-simulated as a whole evaluation of our task; None if it can."""
+    if [(start.shape, start.offset) for start in script.starts()] != [(e.shape, e.offset) for e in task.episodes]:
         return Impossibility(
             reason=ImpossibleReason.OTHER_EVALUATION, message=f"The list of {task.name} is not the one of 2025."
         )
     for number, episode in enumerate(log.episodes, start=1):
-        found = _why_episode_not_resimulated(number, episode, task, kind)
+        found = _why_episode_not_resimulated(number, episode, task, script)
         if found:
             return found
     if len(log.episodes) < len(task.episodes):
         first = len(log.episodes) + 1
-        message = f"Test {first} is missing; the log holds {len(log.episodes)} of {len(task.episodes)} tests."
+        message = f"Expected {len(task.episodes)} tests, got {len(log.episodes)}; the first missing one is {first}."
         return Impossibility(reason=ImpossibleReason.EPISODE_MISSING, message=message, episode=first)
     return None
 
 
 def text_log_recordings(log: TextLog, task: Task) -> Iterator[Recording]:
-    """Return the recordings of a text log that can be re-simulated, in the order of the list."""
+    """Yield the recordings of a text log that can be re-simulated, in the order of the list."""
     for episode, listed in zip(log.episodes, task.episodes, strict=True):
         yield Recording(episode=listed, actions=_actions(episode, task), infos=(), success=episode.success is True)
 
 
-def _why_episode_not_resimulated(number: int, episode: TextEpisode, task: Task, kind: Kind) -> Impossibility | None:
+def _why_episode_not_resimulated(number: int, episode: TextEpisode, task: Task, script: Script) -> Impossibility | None:
     place = f"Test {number}"
 
     def found(reason: ImpossibleReason, message: str) -> Impossibility:
         return Impossibility(reason=reason, message=message, episode=number)
 
     if number > len(task.episodes):
-        return found(ImpossibleReason.NOT_IN_LIST, f"{place} is not in the list, which ends with {len(task.episodes)}.")
+        return found(ImpossibleReason.NOT_IN_LIST, f"{place} is not in the list of {len(task.episodes)} tests.")
     if episode.number != number:
-        return found(ImpossibleReason.EPISODE_MISSING, f"{place} is numbered {episode.number} in the log.")
+        return found(
+            ImpossibleReason.EPISODE_MISSING, f"{place}: expected its number in the log, got {episode.number}."
+        )
     listed = task.episodes[number - 1]
-    if episode.initial_offset is None and kind.logs_offsets:
-        return found(ImpossibleReason.OTHER_START, f"{place} names no start; in the list it starts at {listed.offset}.")
+    if episode.initial_offset is None and script.logs_offsets:
+        return found(ImpossibleReason.OTHER_START, f"{place}: expected the start {listed.offset}, got none.")
     if episode.initial_offset is not None and not _starts_at(episode.initial_offset, listed):
-        message = f"{place} starts at {episode.initial_offset!s:.80}, in the list at {listed.offset}."
+        message = f"{place}: expected the start {listed.offset}, got {episode.initial_offset!s:.80}."
         return found(ImpossibleReason.OTHER_START, message)
     if len(episode.steps) > task.max_steps:
-        message = f"{place} has {len(episode.steps)} env steps; the task ends after {task.max_steps}."
+        message = f"{place} has {len(episode.steps)} env steps, expected at most {task.max_steps}."
         return found(ImpossibleReason.TOO_MANY_STEPS, message)
     if not episode.steps or any(len(step.action) != len(task.actions) for step in episode.steps):
         names = ", ".join(row.name for row in task.actions)
-        return found(ImpossibleReason.WRONG_ACTION, f"{place} has no actions, or one that is not [{names}].")
+        return found(
+            ImpossibleReason.WRONG_ACTION, f"{place}: expected actions [{names}], got none or one of another size."
+        )
     outside = out_of_bounds(task, _actions(episode, task))
     return found(ImpossibleReason.WRONG_ACTION, f"{place} {outside}") if outside else None
 
 
 def _starts_at(offset: tuple[float, ...], listed: Episode) -> bool:
     return len(offset) == len(listed.offset) and all(
-        isclose(came, expected, abs_tol=PRINTED_MM) for came, expected in zip(offset, listed.offset, strict=True)
+        isclose(value, expected, abs_tol=PRINTED_MM) for value, expected in zip(offset, listed.offset, strict=True)
     )
 
 

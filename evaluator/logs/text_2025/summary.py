@@ -1,10 +1,10 @@
-"""A text log in a few numbers and problems: the JSON of `vitac log import`."""
+"""Summarises a 2025 text log in a few numbers and its problems: the JSON of `vitac log import`."""
 
 from ...strict_model import StrictModel
 from .checks import check
-from .kinds import Kind, kind_of
 from .messages import TextLogRejected
 from .reader import TextLog
+from .scripts import Script, script_of
 
 
 class TextLogSummary(StrictModel):
@@ -22,19 +22,19 @@ class TextLogSummary(StrictModel):
     problems: tuple[str, ...]
 
 
-def summarize(log: TextLog) -> tuple[Kind, TextLogSummary]:
-    """Return the kind of a log and its summary.
+def summarize(log: TextLog) -> tuple[Script, TextLogSummary]:
+    """Return the script that wrote a log, and the log's summary.
 
     Raises:
-        TextLogRejected: its environment is that of no known kind.
+        TextLogRejected: its environment is not that of any known script.
     """
-    kind = kind_of(log.environment)
-    if kind is None:
-        raise TextLogRejected("The environment printed in the header is that of no task of the 2025 challenge.")
+    script = script_of(log.environment)
+    if script is None:
+        raise TextLogRejected("The environment in the header is not that of any task of the 2025 challenge.")
     successes = sum(episode.success is True for episode in log.episodes)
-    return kind, TextLogSummary(
-        task=kind.task,
-        track=kind.track,
+    return script, TextLogSummary(
+        task=script.task,
+        track=script.track,
         team=log.team or "",
         script_md5=log.script_md5,
         episodes=len(log.episodes),
@@ -42,5 +42,5 @@ def summarize(log: TextLog) -> tuple[Kind, TextLogSummary]:
         success_rate=successes / len(log.episodes) if log.episodes else 0.0,
         claimed_success_rate=log.claimed_success_rate,
         claimed_average_steps=log.claimed_average_steps,
-        problems=(*log.problems, *check(log, kind)),
+        problems=(*log.problems, *check(log, script)),
     )

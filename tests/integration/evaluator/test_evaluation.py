@@ -9,7 +9,7 @@ from vitac.evaluator.episodes.episode import make_environment
 from vitac.evaluator.episodes.records import EpisodeOutcome, result_hash
 from vitac.evaluator.episodes.replay import resimulate
 from vitac.evaluator.evaluation.local import Evaluation, evaluate
-from vitac.evaluator.logs.findings import LogVerdict
+from vitac.evaluator.logs.findings import VerificationResult
 from vitac.evaluator.logs.log import LogHeader
 from vitac.evaluator.logs.verification import verify
 from vitac.evaluator.shards.process import ShardOrder, running_shard
@@ -116,7 +116,7 @@ def test_log_of_an_evaluation_is_verified(submission: Path) -> None:
         records=evaluation.records,
         episodes=(1, 2, 31),
     )
-    assert verification.verdict is LogVerdict.VERIFIED
+    assert verification.verdict is VerificationResult.VERIFIED
     assert verification.score == evaluation.score
     assert result_hash(verification.manifest, verification.records) == evaluation.result_hash
 
@@ -161,4 +161,4 @@ def test_lock_opening_is_evaluated_and_its_log_verified(submission: Path, reposi
         records=evaluation.records,
         episodes=(1, 160),
     )
-    assert (verification.verdict, verification.score) == (LogVerdict.VERIFIED, evaluation.score)
+    assert (verification.verdict, verification.score) == (VerificationResult.VERIFIED, evaluation.score)

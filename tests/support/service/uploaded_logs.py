@@ -11,7 +11,7 @@ from service_factories import TASK, TRACK, make_manifest, make_record
 from text_log_writer import text_log
 from vitac.evaluator.episodes.records import EpisodeRecord, Manifest
 from vitac.evaluator.logs.log import LogHeader, write_log
-from vitac.evaluator.logs.text_2025.kinds import all_kinds
+from vitac.evaluator.logs.text_2025.scripts import all_scripts
 from vitac.evaluator.tracks import load_track
 
 EPISODES = tuple(range(1, 271))
@@ -39,12 +39,12 @@ def a_log(records: Iterable[EpisodeRecord] | None = None, team: str | None = "Te
 
 def a_text_log(team: str = "Team A", **changes: Any) -> bytes:
     """A 2025 text log of the peg task, every test with two actions; 13 of 270 succeed."""
-    kind = next(kind for kind in all_kinds() if kind.name == "track 1 peg insertion")
-    episodes = [_test(number, start.offset) for number, start in enumerate(kind.starts(), start=1)]
+    script = next(script for script in all_scripts() if script.name == "track 1 peg insertion")
+    episodes = [_test(number, start.offset) for number, start in enumerate(script.starts(), start=1)]
     values: dict[str, Any] = {
         "episodes": episodes,
-        "environment": kind.environment,
-        "md5": kind.script_md5[0],
+        "environment": script.environment,
+        "md5": script.md5[0],
         "totals": ("#SUCCESS_RATE: 4.81%", "#AVG_STEP: 2.00"),
         "team": team,
     }

@@ -8,7 +8,7 @@ from typing import Any
 from uuid import UUID, uuid5
 
 from fastapi import FastAPI
-from vitac.evaluator.logs.findings import LogVerdict
+from vitac.evaluator.logs.findings import VerificationResult
 from vitac.evaluator.scoring.ranking import CombinedScore, combine
 from vitac.evaluator.scoring.score import Score, rate
 from vitac.evaluator.tracks import load_track
@@ -46,7 +46,7 @@ from vitac.web.session import SessionSigner
 from vitac.web.site import Site
 
 NOW = datetime(2026, 11, 21, 3, 15, tzinfo=UTC)
-WITHIN_TOLERANCE = LogVerdict.WITHIN_TOLERANCE
+WITHIN_TOLERANCE = VerificationResult.WITHIN_TOLERANCE
 NAMESPACE = UUID("5ecf6a5e-8f3c-4b0e-9d5e-000000000000")
 TASK = "peg-insertion"
 LOCK = "lock-opening"
@@ -250,7 +250,11 @@ def some_episodes(task: str, count: int) -> list[EpisodeView]:
 
 
 def a_log(
-    state: EvaluationState, verdict: LogVerdict | None, *, kind: SubmissionKind = SubmissionKind.LOG, **changes: Any
+    state: EvaluationState,
+    verdict: VerificationResult | None,
+    *,
+    kind: SubmissionKind = SubmissionKind.LOG,
+    **changes: Any,
 ) -> SubmissionView:
     """A log of the Gelbots; `changes` are those of its `LogView`."""
     text_log = kind is SubmissionKind.TEXT_LOG
@@ -310,7 +314,10 @@ def an_audit() -> AuditView:
 def some_log_boards() -> LogBoardsView:
     """Two verified logs of the peg task, none of the lock's, and a 2025 text log."""
     track = load_track("track_1")
-    entries = [a_log_entry(1, "Gelbots", 243, LogVerdict.VERIFIED), a_log_entry(2, "Bears", 40, WITHIN_TOLERANCE)]
+    entries = [
+        a_log_entry(1, "Gelbots", 243, VerificationResult.VERIFIED),
+        a_log_entry(2, "Bears", 40, WITHIN_TOLERANCE),
+    ]
     return LogBoardsView(
         track=track.name,
         title=track.title,
@@ -340,7 +347,7 @@ def some_log_boards() -> LogBoardsView:
     )
 
 
-def a_log_entry(place: int, team: str, successes: int, verdict: LogVerdict) -> LogEntryView:
+def a_log_entry(place: int, team: str, successes: int, verdict: VerificationResult) -> LogEntryView:
     """A line of the logs' ranking."""
     whole = rate(successes, 270)
     return LogEntryView(

@@ -22,7 +22,7 @@ from page_fixtures import (
     an_id,
 )
 from sqlalchemy.exc import OperationalError
-from vitac.evaluator.logs.findings import LogVerdict
+from vitac.evaluator.logs.findings import VerificationResult
 from vitac.server.db.states import EvaluationState, Role, SubmissionKind
 from vitac.server.views.views import LeaderboardView, SubmissionView, VerdictView
 from vitac.web import session
@@ -503,8 +503,8 @@ def test_wrong_method_is_a_page(browser: AsgiBrowser) -> None:
 
 # ---- logs ----
 
-VERIFIED = a_log(EvaluationState.COMPLETED, LogVerdict.VERIFIED, reason="all states are equal")
-DIVERGED = a_log(EvaluationState.FAILED, LogVerdict.DIVERGED, divergence=DIVERGENCE)
+VERIFIED = a_log(EvaluationState.COMPLETED, VerificationResult.VERIFIED, reason="all states are equal")
+DIVERGED = a_log(EvaluationState.FAILED, VerificationResult.DIVERGED, divergence=DIVERGENCE)
 TEXT_LOG = a_log(
     EvaluationState.COMPLETED,
     None,

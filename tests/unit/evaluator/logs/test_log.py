@@ -153,13 +153,13 @@ def test_missing_line_is_refused() -> None:
 def test_episode_twice_is_refused_even_with_right_digests() -> None:
     rejection = refused(written([RECORDS[0], RECORDS[1], make_record(1, env_steps=4)]))
     assert (rejection.problem, rejection.line) == (LogProblem.EPISODE_REPEATED, 4)
-    assert "episode 1 came before" in str(rejection)
+    assert "episode 1 is in the log twice" in str(rejection)
 
 
 def test_episodes_out_of_their_order_are_refused() -> None:
     rejection = refused(written(RECORDS[::-1]))
     assert (rejection.problem, rejection.line) == (LogProblem.ALTERED, 3)
-    assert "they go by their numbers" in str(rejection)
+    assert "expected episodes in ascending order" in str(rejection)
 
 
 def test_two_logs_glued_together_are_refused() -> None:
@@ -238,18 +238,21 @@ def test_info_up_to_the_limits_is_read(info: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("info", "came"),
+    ("info", "expected"),
     [
-        ({"flat": [0] * (MAX_INFO_VALUES - 1)}, f"over {MAX_INFO_VALUES} values"),
-        ({"deep": [[[0]]] * 200}, f"over {MAX_INFO_VALUES} values"),
-        ({str(key): {} for key in range(MAX_INFO_VALUES)}, f"over {MAX_INFO_VALUES} values"),
-        ({"text": "x" * (MAX_INFO_BYTES - 10)}, f"{MAX_INFO_BYTES + 1} bytes of JSON, expected at most"),
+        ({"flat": [0] * (MAX_INFO_VALUES - 1)}, f"expected at most {MAX_INFO_VALUES} values, got more"),
+        ({"deep": [[[0]]] * 200}, f"expected at most {MAX_INFO_VALUES} values, got more"),
+        ({str(key): {} for key in range(MAX_INFO_VALUES)}, f"expected at most {MAX_INFO_VALUES} values, got more"),
+        (
+            {"text": "x" * (MAX_INFO_BYTES - 10)},
+            f"expected at most {MAX_INFO_BYTES} bytes of JSON, got {MAX_INFO_BYTES + 1}",
+        ),
     ],
 )
-def test_info_larger_than_any_true_one_is_refused_with_its_line_and_env_step(info: Any, came: str) -> None:
+def test_oversized_info_is_refused_with_its_line_and_env_step(info: Any, expected: str) -> None:
     rejection = refused(with_info(info))
     assert (rejection.problem, rejection.line) == (LogProblem.INFO_TOO_LARGE, 3)
-    assert f"Line 3: the info of env step 3 has {came}" in str(rejection)
+    assert f"Line 3: the info of env step 3: {expected}" in str(rejection)
 
 
 @pytest.mark.parametrize("number", ["NaN", "Infinity", "-Infinity", "1e999"])

@@ -7,8 +7,8 @@ from vitac.evaluator.logs.packing import UnpackFailed, UnpackProblem, open_log
 CONTENT = b"".join(b"line %d\n" % n for n in range(10_000))
 
 
-def read(path: Path, most_bytes: int = len(CONTENT)) -> bytes:
-    with open_log(path, most_bytes) as stream:
+def read(path: Path, max_bytes: int = len(CONTENT)) -> bytes:
+    with open_log(path, max_bytes) as stream:
         return stream.read()
 
 

@@ -7,7 +7,7 @@ from evaluation_fakes import FakeEnvironment, FakeSession, action, fail, small_t
 from vitac.evaluator.episodes.episode import run_episode
 from vitac.evaluator.episodes.provenance import make_manifest
 from vitac.evaluator.episodes.records import ActionSequence, EpisodeOutcome, EpisodeRecord, Manifest, result_hash
-from vitac.evaluator.logs.findings import LogVerdict, comparable
+from vitac.evaluator.logs.findings import VerificationResult, comparable
 from vitac.evaluator.logs.log import LogHeader
 from vitac.evaluator.logs.verification import Verification, verify
 from vitac.evaluator.scoring.score import score
@@ -49,7 +49,7 @@ def made_elsewhere(**changes: Any) -> LogHeader:
 def test_true_log_is_verified_with_the_score_and_hash_of_its_evaluation() -> None:
     assert [record.outcome for record in RECORDS] == ["success", "steps", "policy_failed"]
     verification = check()
-    assert (verification.verdict, verification.divergence) == (LogVerdict.VERIFIED, None)
+    assert (verification.verdict, verification.divergence) == (VerificationResult.VERIFIED, None)
     assert verification.score == score(RECORDS)
     assert result_hash(verification.manifest, verification.records) == result_hash(HEADER.manifest, RECORDS)
 
@@ -80,7 +80,7 @@ def test_other_state_is_named_by_episode_and_env_step_with_both_states(step: int
     hashes[step] = "f" * 64
     verification = check(with_record(2, state_hashes=tuple(hashes)))
     assert (verification.verdict, verification.reason) == (
-        LogVerdict.DIVERGED, f"diverged at episode 2 env step {step}",
+        VerificationResult.DIVERGED, f"diverged at episode 2, env step {step}",
     )  # fmt: skip
     assert verification.divergence is not None
     assert verification.divergence.recorded_state == "f" * 64
@@ -93,17 +93,17 @@ def test_other_action_diverges_where_it_was_taken() -> None:
     actions = RECORDS[1].actions.to_array()
     actions[1, 2] = 0.125
     verification = check(with_record(2, actions=ActionSequence.from_array(actions)))
-    assert verification.reason == "diverged at episode 2 env step 2"
+    assert verification.reason == "diverged at episode 2, env step 2"
 
 
 def test_false_success_diverges_even_where_all_states_are_equal() -> None:
     verification = check(with_record(2, outcome=EpisodeOutcome.SUCCESS))
-    assert verification.verdict is LogVerdict.DIVERGED
+    assert verification.verdict is VerificationResult.DIVERGED
 
 
 def test_success_cannot_be_passed_off_as_a_failed_policy() -> None:
     lie = with_record(1, outcome=EpisodeOutcome.POLICY_FAILED, failure=RECORDS[2].failure)
-    assert check(lie).verdict is LogVerdict.DIVERGED
+    assert check(lie).verdict is VerificationResult.DIVERGED
 
 
 def test_actions_after_the_end_diverge() -> None:
@@ -116,25 +116,25 @@ def test_actions_after_the_end_diverge() -> None:
         state_hashes=(*solved.state_hashes, "0" * 64),
         infos=(*solved.infos, {}),
     )
-    assert check(longer).verdict is LogVerdict.DIVERGED
+    assert check(longer).verdict is VerificationResult.DIVERGED
 
 
 def test_other_bits_of_other_machines_are_tolerated_while_outcomes_agree() -> None:
     hashes = ("f" * 64, *RECORDS[1].state_hashes[1:])
     verification = check(with_record(2, state_hashes=hashes), made_elsewhere(platform_class="aarch64-linux"))
-    assert verification.verdict is LogVerdict.WITHIN_TOLERANCE
+    assert verification.verdict is VerificationResult.WITHIN_TOLERANCE
     assert verification.score == score(RECORDS)
     assert verification.records[1].state_hashes == RECORDS[1].state_hashes
     assert verification.divergence is not None
 
 
 def test_equal_states_of_other_machines_are_verified() -> None:
-    assert check(header=made_elsewhere(platform_class="aarch64-linux")).verdict is LogVerdict.VERIFIED
+    assert check(header=made_elsewhere(platform_class="aarch64-linux")).verdict is VerificationResult.VERIFIED
 
 
 def test_other_outcome_of_other_machines_diverges() -> None:
     lie = with_record(2, outcome=EpisodeOutcome.SUCCESS)
-    assert check(lie, made_elsewhere(platform_class="aarch64-linux")).verdict is LogVerdict.DIVERGED
+    assert check(lie, made_elsewhere(platform_class="aarch64-linux")).verdict is VerificationResult.DIVERGED
 
 
 def test_where_states_may_differ_a_log_diverges_where_an_episode_ended_otherwise() -> None:
@@ -161,42 +161,49 @@ def test_where_states_may_differ_a_log_diverges_where_an_episode_ended_otherwise
 def test_log_of_another_list_or_version_is_impossible(changes: dict[str, Any]) -> None:
     verification = check(header=made_elsewhere(**changes))
     key, value = next(iter(changes.items()))
-    assert verification.verdict is LogVerdict.IMPOSSIBLE
-    assert verification.reason.startswith(f"The log was made with {key} {value!r}, here it is ")
+    assert verification.verdict is VerificationResult.IMPOSSIBLE
+    assert verification.reason.startswith(f"Expected a log made with {key} ")
+    assert verification.reason.endswith(f", got {value!r}; evaluate again.")
 
 
 @pytest.mark.parametrize(
     ("records", "reason"),
     [
-        (RECORDS[1:], "Episode 1 is missing, 1 of 3"),
-        ([], "Episode 1 is missing, 3 of 3"),
+        (RECORDS[1:], "Expected 3 episodes, got 2; the first missing one is 1"),
+        ([], "Expected 3 episodes, got 0; the first missing one is 1"),
         ([*RECORDS, RECORDS[0].model_copy(update={"episode": 4})], "Episode 4 is not in the list"),
-        (with_record(2, shape="cuboid"), "Episode 2 starts with cuboid at"),
-        (with_record(2, initial_offset=(0.0, 0.0, 0.0)), "Episode 2 starts with trapezoid at (0.0, 0.0, 0.0)"),
+        (
+            with_record(2, shape="cuboid"),
+            "Episode 2: expected the start trapezoid at (-4.0, -4.0, -8.0), got cuboid at",
+        ),
+        (
+            with_record(2, initial_offset=(0.0, 0.0, 0.0)),
+            "Episode 2: expected the start trapezoid at (-4.0, -4.0, -8.0), got trapezoid at (0.0, 0.0, 0.0)",
+        ),
         (with_record(3, task="lock-opening"), "Episode 3 is of task 'lock-opening'"),
     ],
 )
 def test_log_that_is_not_the_whole_list_is_impossible(records: list[EpisodeRecord], reason: str) -> None:
     verification = check(records)
-    assert verification.verdict is LogVerdict.IMPOSSIBLE
+    assert verification.verdict is VerificationResult.IMPOSSIBLE
     assert verification.reason.startswith(reason)
 
 
 def test_part_of_a_list_can_be_verified_where_it_is_asked_for() -> None:
-    assert check(RECORDS[:2], episodes=[1, 2]).verdict is LogVerdict.VERIFIED
+    assert check(RECORDS[:2], episodes=[1, 2]).verdict is VerificationResult.VERIFIED
 
 
 def test_action_out_of_bounds_is_impossible() -> None:
     actions = RECORDS[1].actions.to_array()
     actions[3, 1] = -1.5
     verification = check(with_record(2, actions=ActionSequence.from_array(actions)))
-    assert verification.verdict is LogVerdict.IMPOSSIBLE
-    assert verification.reason == "Episode 2 has the action y = -1.5 at env step 4; actions lie within -1 and 1."
+    assert verification.verdict is VerificationResult.IMPOSSIBLE
+    assert verification.reason == "Episode 2 has the action y = -1.5 at env step 4, expected values in [-1, 1]."
 
 
 def test_action_of_another_size_is_impossible() -> None:
     wide = ActionSequence.from_array(np.zeros((RECORDS[1].env_steps, 4), np.float32))
-    assert check(with_record(2, actions=wide)).verdict is LogVerdict.IMPOSSIBLE
+    assert check(with_record(2, actions=wide)).verdict is VerificationResult.IMPOSSIBLE
 
 
 def test_three_failures_of_the_policy_in_one_shard_are_impossible() -> None:
@@ -206,8 +213,8 @@ def test_three_failures_of_the_policy_in_one_shard_are_impossible() -> None:
         for record in RECORDS
     ]
     verification = check(records)
-    assert verification.verdict is LogVerdict.IMPOSSIBLE
-    assert verification.reason.startswith("The policy failed too often from episode 1 on")
+    assert verification.verdict is VerificationResult.IMPOSSIBLE
+    assert verification.reason.startswith("The policy failed too often, starting at episode 1;")
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from evaluation_fakes import FakeEnvironment, FakeSession, action, small_track, 
 from vitac.evaluator.episodes.episode import run_episode
 from vitac.evaluator.episodes.provenance import make_manifest
 from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord
-from vitac.evaluator.logs.findings import LogVerdict
+from vitac.evaluator.logs.findings import VerificationResult
 from vitac.evaluator.logs.log import LogHeader, write_log
 from vitac.evaluator.shards.log import LogShard, resimulate_log
 from vitac.evaluator.shards.result import ShardEnd, ShardResult
@@ -74,7 +74,7 @@ def test_first_divergence_ends_the_shard_and_records_before_it_hold(tmp_path: Pa
     assert (result.end, [record.episode for record in records]) == (ShardEnd.REFUTED, [1, 2])
     assert result.finding is not None
     assert (result.finding.verdict, result.finding.reason, result.finding.episode) == (
-        LogVerdict.DIVERGED, "diverged at episode 3 env step 1", 3,
+        VerificationResult.DIVERGED, "diverged at episode 3, env step 1", 3,
     )  # fmt: skip
     assert resimulated(write(tmp_path / "other", lie(3)), shard=1)[0].end is ShardEnd.COMPLETE
 
@@ -93,4 +93,4 @@ def test_log_of_another_mesh_or_solver_is_impossible_in_every_shard(tmp_path: Pa
         result, records = resimulated(write(tmp_path / f"log {shard}", RECORDS, **changes), shard)
         assert (result.end, records) == (ShardEnd.REFUTED, [])
         assert result.finding is not None
-        assert (result.finding.verdict, result.finding.episode) == (LogVerdict.IMPOSSIBLE, None)
+        assert (result.finding.verdict, result.finding.episode) == (VerificationResult.IMPOSSIBLE, None)

@@ -10,8 +10,8 @@ from text_log_writer import text_log
 from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord
 from vitac.evaluator.logs.findings import ImpossibleReason
 from vitac.evaluator.logs.text_2025 import read_text_log
-from vitac.evaluator.logs.text_2025.kinds import all_kinds
 from vitac.evaluator.logs.text_2025.recordings import why_not_resimulated
+from vitac.evaluator.logs.text_2025.scripts import all_scripts
 from vitac.evaluator.shards.log import LogShard
 from vitac.evaluator.shards.result import ShardEnd, ShardResult
 from vitac.evaluator.shards.text_log import resimulate_text_log
@@ -19,28 +19,28 @@ from vitac.evaluator.tracks import load_track
 from vitac.evaluator.tracks.cut import cut
 
 TRACK = load_track("track_1")
-KINDS = {kind.name: kind for kind in all_kinds()}
-PEG, LOCK = KINDS["track 1 peg insertion"], KINDS["track 1 lock opening"]
+SCRIPTS = {script.name: script for script in all_scripts()}
+PEG, LOCK = SCRIPTS["track 1 peg insertion"], SCRIPTS["track 1 lock opening"]
 TASKS = {PEG.name: TRACK.tasks["peg-insertion"], LOCK.name: TRACK.tasks["lock-opening"]}
 
 
 def test_lists_of_2025_are_ours() -> None:
-    for kind in (PEG, LOCK):
-        starts = [(start.shape, start.offset) for start in kind.starts()]
-        assert starts == [(episode.shape, episode.offset) for episode in TASKS[kind.name].episodes]
+    for script in (PEG, LOCK):
+        starts = [(start.shape, start.offset) for start in script.starts()]
+        assert starts == [(episode.shape, episode.offset) for episode in TASKS[script.name].episodes]
 
 
-def whole_list(kind: Any, actions: list[tuple[float, ...]]) -> list[dict[str, Any]]:
-    """Every test of the list with the same actions and, where the kind logs it, its start."""
+def whole_list(script: Any, actions: list[tuple[float, ...]]) -> list[dict[str, Any]]:
+    """Every test of the list with the same actions and, where the script logs it, its start."""
     steps = [{"n": n, "action": action} for n, action in enumerate(actions, start=1)]
     return [
-        {"episode": n, "steps": steps, "result": "FAIL"} | ({"initial_offset": s.offset} if kind.logs_offsets else {})
-        for n, s in enumerate(kind.starts(), start=1)
+        {"episode": n, "steps": steps, "result": "FAIL"} | ({"initial_offset": s.offset} if script.logs_offsets else {})
+        for n, s in enumerate(script.starts(), start=1)
     ]
 
 
-def written(path: Path, episodes: list[dict[str, Any]], kind: Any = PEG) -> Path:
-    path.write_text(text_log(episodes, kind.environment, kind.script_md5[0]))
+def written(path: Path, episodes: list[dict[str, Any]], script: Any = PEG) -> Path:
+    path.write_text(text_log(episodes, script.environment, script.md5[0]))
     return path
 
 
@@ -99,9 +99,12 @@ def test_lock_log_that_cannot_be_resimulated_is_named(change: Any, reason: Impos
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda test: test.pop("initial_offset"), "Test 5 names no start; in the list it starts at "),
-        (lambda test: test.update(initial_offset=(1.0,)), "Test 5 starts at (1.0,), in the list at "),
-        (lambda test: test.update(initial_offset=(1.0,) * 900), "Test 5 starts at (1.0, 1.0, "),
+        (lambda test: test.pop("initial_offset"), "Test 5: expected the start (-4.0, -2.0, 2.0), got none"),
+        (lambda test: test.update(initial_offset=(1.0,)), "Test 5: expected the start (-4.0, -2.0, 2.0), got (1.0,)"),
+        (
+            lambda test: test.update(initial_offset=(1.0,) * 900),
+            "Test 5: expected the start (-4.0, -2.0, 2.0), got (1.0, 1.0, ",
+        ),
     ],
 )
 def test_peg_log_without_the_start_of_the_list_is_named(change: Any, message: str) -> None:
@@ -115,9 +118,9 @@ def test_peg_log_without_the_start_of_the_list_is_named(change: Any, message: st
     assert len(found.message) < 200
 
 
-def _read(tests: list[dict[str, Any]], kind: Any = LOCK) -> Any:
+def _read(tests: list[dict[str, Any]], script: Any = LOCK) -> Any:
     readable = [{**test, "steps": test["steps"] or [{"n": 1, "action": ()}]} for test in tests]
-    return read_text_log(io.BytesIO(text_log(readable, kind.environment, kind.script_md5[0]).encode()))
+    return read_text_log(io.BytesIO(text_log(readable, script.environment, script.md5[0]).encode()))
 
 
 def test_log_of_another_list_is_named() -> None:
@@ -131,4 +134,4 @@ def test_number_beyond_float32_is_out_of_bounds() -> None:
     log.episodes[6].steps[0].action = (0.5, 1e39)
     found = why_not_resimulated(log, LOCK, TASKS[LOCK.name])
     assert found is not None
-    assert found.message == "Test 7 has the action z = inf at env step 1; actions lie within -1 and 1."
+    assert found.message == "Test 7 has the action z = inf at env step 1, expected values in [-1, 1]."

@@ -301,7 +301,7 @@ def test_problems_of_a_text_log_are_kept_short_and_printable(service: Service) -
     answer = upload_log(service, log, "text_log")
     assert answer.status_code == 202, answer.text
     found = answer.json()["log"]["problems"]
-    assert any(r"info steps is '\x00\ud800\x1b[2J" in problem for problem in found)
+    assert any(r"in info steps, got '\x00\ud800\x1b[2J" in problem for problem in found)
     assert all(problem.isprintable() and len(problem) <= 200 for problem in found)
     assert any(len(problem) == 200 for problem in found)
 

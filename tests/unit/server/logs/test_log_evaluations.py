@@ -125,9 +125,9 @@ def test_divergence_fails_the_evaluation_and_shows_both_states(service: Service)
     found = shown(service, log)
     assert (found["evaluation"]["state"], found["evaluation"]["scores"]) == ("failed", [])
     verdict = found["evaluation"]["verdict"]
-    assert (verdict["code"], verdict["message"]) == ("diverged", "diverged at episode 3 env step 2")
+    assert (verdict["code"], verdict["message"]) == ("diverged", "diverged at episode 3, env step 2")
     assert (verdict["task"], verdict["episode"]) == ("peg-insertion", 3)
-    assert (found["log"]["verdict"], found["log"]["reason"]) == ("diverged", "diverged at episode 3 env step 2")
+    assert (found["log"]["verdict"], found["log"]["reason"]) == ("diverged", "diverged at episode 3, env step 2")
     divergence = found["log"]["divergence"]
     assert (divergence["recorded_state"], divergence["resimulated_state"]) == (sha256("theirs"), sha256("ours"))
     assert (divergence["recorded_info"], divergence["resimulated_info"]) == (
@@ -164,7 +164,7 @@ def test_finding_of_a_later_shard_is_not_shown_as_the_verdict_of_machines_that_f
 def test_log_that_only_a_worker_can_see_to_be_impossible_is_refused_by_name(service: Service) -> None:
     """The mesh: the server does not make one."""
     log = uploaded(service, a_log(mesh_hash="other"))
-    message = "The log was made with mesh_hash 'other', here it is '1234'; evaluate again."
+    message = "Expected a log made with mesh_hash '1234', got 'other'; evaluate again."
     found = Impossibility(reason=ImpossibleReason.OTHER_EVALUATION, message=message)
     refute(service, leases_of(service, log)[0], LogFinding.impossible(found))
     assert shown(service, log)["evaluation"]["verdict"]["code"] == "impossible"

@@ -7,16 +7,16 @@ from typing import Any
 
 import pytest
 from text_log_writer import text_log
-from vitac.evaluator.logs.text_2025 import TextLogRejected, TextLogSummary, check, kinds, read_text_log, summarize
+from vitac.evaluator.logs.text_2025 import TextLogRejected, TextLogSummary, check, read_text_log, scripts, summarize
 
-OFFICIAL_KINDS = kinds.all_kinds()
-OFFICIAL = next(kind for kind in OFFICIAL_KINDS if kind.name == "track 1 peg insertion")
+OFFICIAL_SCRIPTS = scripts.all_scripts()
+OFFICIAL = next(script for script in OFFICIAL_SCRIPTS if script.name == "track 1 peg insertion")
 PEG = OFFICIAL.model_copy(update={"repeats": 1, "offsets": OFFICIAL.offsets[:5]})
 
 
 @pytest.fixture(autouse=True)
 def short_list(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(kinds, "all_kinds", lambda: (PEG,))
+    monkeypatch.setattr(scripts, "all_scripts", lambda: (PEG,))
 
 
 def summary_of(text: str) -> TextLogSummary:
@@ -57,7 +57,7 @@ def solved_episode(number: int, start: tuple[float, ...], shape: str) -> dict[st
 def own_log(
     change: Callable[[list[dict[str, Any]]], Any] = lambda _: None,
     environment: dict[str, Any] | None = None,
-    md5: str = PEG.script_md5[0],
+    md5: str = PEG.md5[0],
     totals: tuple[str, ...] = ("#SUCCESS_RATE: 100.00%", "#AVG_STEP: 3.00"),
 ) -> str:
     episodes = [solved_episode(i, start.offset, start.shape) for i, start in enumerate(PEG.starts(), start=1)]
@@ -80,23 +80,23 @@ def test_own_log_has_no_problem() -> None:
     ("key", "value", "problem"),
     [
         ("action", [0.5, 0.5, 0.5], "the action does not lead to offset"),
-        ("action", [1.5, 0, 0], "an action outside -1 and 1"),
-        ("action", [0.5, 0.5], "has 2 action values, expected 3"),
-        ("offset_obs", [9.0, 0.0, 0.0], "is not that of the info"),
-        ("info_steps", 7, "info steps is 7"),
-        ("info_steps", "\x1b[2J\x00\ud800", "info steps is '\\x1b[2J\\x00\\ud800'"),
-        ("surface_diff_m", [0.0005, 0.0016], "tactile_movement_too_large is False, by the rules True"),
+        ("action", [1.5, 0, 0], "an action outside [-1, 1]"),
+        ("action", [0.5, 0.5], "expected 3 action values, got 2"),
+        ("offset_obs", [9.0, 0.0, 0.0], "expected the offset of the info"),
+        ("info_steps", 7, "in info steps, got 7"),
+        ("info_steps", "\x1b[2J\x00\ud800", "in info steps, got '\\x1b[2J\\x00\\ud800'"),
+        ("surface_diff_m", [0.0005, 0.0016], "tactile_movement_too_large: expected True by the rules, got False"),
         ("surface_diff_m", [0.0005], "lacks info surface_diff_m of 2 numbers"),
-        ("too_many_steps", True, "too_many_steps is True, by the rules False"),
-        ("error_too_large", True, "error_too_large is True, by the rules False"),
-        ("is_success", True, "is_success is True, by the rules False"),
+        ("too_many_steps", True, "too_many_steps: expected False by the rules, got True"),
+        ("error_too_large", True, "error_too_large: expected False by the rules, got True"),
+        ("is_success", True, "is_success: expected False by the rules, got True"),
         ("peg_relative_z_mm", [], "lacks info peg_relative_z_mm"),
         ("relative_motion_mm_deg", [0, 0, 0, -0.25], "does not follow from the offset"),
         ("gt_offset_mm_deg", [0.0, 0.0, 0.0], "the action does not lead to offset"),
         ("reward", 10.0, "reward 10.0 does not follow from the rules"),
     ],
 )
-def test_one_wrong_thing_in_a_step_is_found(key: str, value: object, problem: str) -> None:
+def test_one_fault_in_an_env_step_is_found(key: str, value: object, problem: str) -> None:
     found = problems(own_log(lambda episodes: episodes[3]["steps"][1].update({key: value})))
     assert found
     assert any(problem in text for text in found)
@@ -105,7 +105,7 @@ def test_one_wrong_thing_in_a_step_is_found(key: str, value: object, problem: st
 
 def test_shallow_peg_is_no_success() -> None:
     found = problems(own_log(lambda episodes: episodes[0]["steps"][2].update(peg_relative_z_mm=[-0.4, -0.29])))
-    assert found == ("test 1: step 3: is_success is True, by the rules False",)
+    assert found == ("test 1: env step 3: is_success: expected False by the rules, got True",)
 
 
 def test_success_before_the_third_step_is_impossible() -> None:
@@ -113,30 +113,39 @@ def test_success_before_the_third_step_is_impossible() -> None:
         episodes[12]["steps"].pop()
         episodes[12]["steps"][1].update(is_success=True)
 
-    assert any("test 13: step 2: is_success is True, by the rules False" in text for text in problems(own_log(shorten)))
+    assert any(
+        "test 13: env step 2: is_success: expected False by the rules, got True" in text
+        for text in problems(own_log(shorten))
+    )
 
 
 @pytest.mark.parametrize(
     ("change", "problem"),
     [
-        (lambda e: e[1].update(initial_offset=[0.0, 0.0, 0.0]), "test 2: it starts at (0.0, 0.0, 0.0), in the list at"),
-        (lambda e: e[1].update(initial_offset=[1.0]), "test 2: it starts at (1.0,), in the list at"),
-        (lambda e: e[1].update(initial_offset=[1, 2, 3, 4]), "test 2: it starts at (1.0, 2.0, 3.0, 4.0), in the list"),
-        (lambda e: e[1].update(result="FAIL"), "test 2: RESULT says FAIL, its last step the opposite"),
-        (lambda e: e[1].update(result="MAYBE"), "RESULT is 'MAYBE', expected SUCCESS or FAIL"),
-        (lambda e: e[1]["steps"].pop(), "test 2: step 2 is the last, but ended nothing"),
+        (
+            lambda e: e[1].update(initial_offset=[0.0, 0.0, 0.0]),
+            "test 2: expected the start (-4.0, -4.0, -8.0), got (0.0, 0.0, 0.0)",
+        ),
+        (lambda e: e[1].update(initial_offset=[1.0]), "test 2: expected the start (-4.0, -4.0, -8.0), got (1.0,)"),
+        (
+            lambda e: e[1].update(initial_offset=[1, 2, 3, 4]),
+            "test 2: expected the start (-4.0, -4.0, -8.0), got (1.0, 2.0, 3.0, 4.0)",
+        ),
+        (lambda e: e[1].update(result="FAIL"), "test 2: RESULT says FAIL, the last env step the opposite"),
+        (lambda e: e[1].update(result="MAYBE"), "expected RESULT SUCCESS or FAIL, got 'MAYBE'"),
+        (lambda e: e[1]["steps"].pop(), "test 2: env step 2 is the last, but did not end the test"),
         (
             lambda e: e[1]["steps"].append(e[1]["steps"][2] | {"n": 4}),
-            "test 2: step 3 ended the test, but others follow",
+            "test 2: env step 3 ended the test, but is not the last",
         ),
-        (lambda e: e[1]["steps"].append(e[1]["steps"][2] | {"n": 9}), "step 9 comes after 3 steps"),
-        (lambda e: e.pop(), "there are 14 tests, the list has 15"),
-        (lambda e: e.insert(1, e[0]), "test 1 comes twice"),
-        (lambda e: e[5].update(episode=60), "test 60 comes after test 5"),
-        (lambda e: e.insert(0, e.pop(1)), "test 2 comes after test 0"),
+        (lambda e: e[1]["steps"].append(e[1]["steps"][2] | {"n": 9}), "expected env step 4, got 9"),
+        (lambda e: e.pop(), "expected the 15 tests of the list, got 14"),
+        (lambda e: e.insert(1, e[0]), "test 1 is repeated"),
+        (lambda e: e[5].update(episode=60), "expected test 6, got test 60"),
+        (lambda e: e.insert(0, e.pop(1)), "expected test 1, got test 2"),
     ],
 )
-def test_one_wrong_thing_in_a_test_is_found(change: Callable[[list[dict[str, Any]]], Any], problem: str) -> None:
+def test_one_fault_in_a_test_is_found(change: Callable[[list[dict[str, Any]]], Any], problem: str) -> None:
     found = problems(own_log(change))
     assert any(problem in text for text in found), found
 
@@ -144,13 +153,13 @@ def test_one_wrong_thing_in_a_test_is_found(change: Callable[[list[dict[str, Any
 @pytest.mark.parametrize(
     ("totals", "problem"),
     [
-        ((), "the log ends without its totals"),
-        (("#SUCCESS_RATE: 99.63%", "#AVG_STEP: 3.00"), "the success rate is 100.00 %, claimed are 99.63 %"),
-        (("#SUCCESS_RATE: 0", "#AVG_STEP: 3.00"), "claimed are 0.00 %"),
-        (("#SUCCESS_RATE: 100.00%", "#AVG_STEP: 2.99"), "the average of steps is 3.00, claimed is 2.99"),
-        (("#SUCCESS_RATE: 100.00%", "#AVG_STEP: NA"), "the average of steps is 3.0, claimed is None"),
-        (("#SUCCESS_RATE: 100.00%", "#AVG_STEP: 3.00", "#SUCCESS_RATE: 100.00%"), "the totals come twice"),
-        (("#SUCCESS_RATE: 100.01%", "#AVG_STEP: 3.00"), "a success rate of 100.01 % is above 100 %"),
+        ((), "the log has no totals at its end"),
+        (("#SUCCESS_RATE: 99.63%", "#AVG_STEP: 3.00"), "the success rate is 100.00 %, the log claims 99.63 %"),
+        (("#SUCCESS_RATE: 0", "#AVG_STEP: 3.00"), "the log claims 0.00 %"),
+        (("#SUCCESS_RATE: 100.00%", "#AVG_STEP: 2.99"), "the average of env steps is 3.00, the log claims 2.99"),
+        (("#SUCCESS_RATE: 100.00%", "#AVG_STEP: NA"), "the average of env steps is 3.0, the log claims None"),
+        (("#SUCCESS_RATE: 100.00%", "#AVG_STEP: 3.00", "#SUCCESS_RATE: 100.00%"), "the totals are repeated"),
+        (("#SUCCESS_RATE: 100.01%", "#AVG_STEP: 3.00"), "expected a success rate of at most 100 %, got 100.01 %"),
         (("#SUCCESS_RATE: " + "9" * 300 + ".00%", "#AVG_STEP: 3.00"), "unknown message '#SUCCESS_RATE: 999"),
         (("#SUCCESS_RATE: 100.00%", "#AVG_STEP: 10000.00"), "unknown message '#AVG_STEP: 10000.00'"),
         (("#SUCCESS_RATE: very good", "#AVG_STEP: 3.00"), "unknown message '#SUCCESS_RATE: very good'"),
@@ -163,15 +172,15 @@ def test_false_totals_are_found(totals: tuple[str, ...], problem: str) -> None:
 
 def test_other_script_is_found() -> None:
     assert problems(own_log(md5="0" * 32)) == (
-        f"the script's MD5 {'0' * 32} is not that of the published one, 60c79ed6fbb14a804fe317d9ab4559f9",
+        f"expected the published script's MD5 60c79ed6fbb14a804fe317d9ab4559f9, got {'0' * 32}",
     )
 
 
 @pytest.mark.parametrize(
     ("change", "problem"),
     [
-        ({"max_steps": 80}, "the environment has max_steps = 80, the official one 8"),
-        ({"cheat": 1}, "the environment has 'cheat', which the official one has not"),
+        ({"max_steps": 80}, "environment: expected the official max_steps = 8, got 80"),
+        ({"cheat": 1}, "environment: 'cheat' is not an official setting"),
     ],
 )
 def test_other_settings_are_found(change: dict[str, Any], problem: str) -> None:
@@ -181,19 +190,19 @@ def test_other_settings_are_found(change: dict[str, Any], problem: str) -> None:
 def test_time_that_runs_backwards_is_found() -> None:
     lines = own_log().splitlines(keepends=True)
     lines[9] = lines[9].replace("2025-01-01 00", "2024-01-01 00")
-    assert problems("".join(lines)) == ("line 10: its time is before that of the line before it",)
+    assert problems("".join(lines)) == ("line 10: its time is earlier than that of the line before",)
 
 
-def test_two_logs_glued_together_are_found() -> None:
+def test_two_concatenated_logs_are_found() -> None:
     found = problems(own_log() + own_log())
     assert any("a second log begins here" in text for text in found)
-    assert any("test 1 comes twice" in text for text in found)
-    assert any("the totals come twice" in text for text in found)
+    assert any("test 1 is repeated" in text for text in found)
+    assert any("the totals are repeated" in text for text in found)
 
 
-def test_file_with_hundreds_of_lines_out_of_place_is_refused() -> None:
+def test_file_with_hundreds_of_misplaced_lines_is_refused() -> None:
     line = own_log().splitlines(keepends=True)[-2]
-    with pytest.raises(TextLogRejected, match="more than 200 lines are out of place"):
+    with pytest.raises(TextLogRejected, match="more than 200 lines are misplaced"):
         problems(own_log() + line * 300)
 
 
@@ -211,20 +220,20 @@ def test_a_long_value_makes_no_long_problem() -> None:
 
 
 def test_vision_log_with_a_short_start_is_checked() -> None:
-    kind = next(kind for kind in OFFICIAL_KINDS if kind.hole_tops_mm)
+    script = next(script for script in OFFICIAL_SCRIPTS if script.hole_tops_mm)
     log = read_text_log(io.BytesIO(own_log(lambda episodes: episodes[0].update(initial_offset=[1.0])).encode()))
-    assert any(problem.startswith("test 1: it starts at (1.0,), in the list at") for problem in check(log, kind))
+    assert any(problem.startswith("test 1: expected the start (") for problem in check(log, script))
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("2025-01-01 10:00:00.123 | INFO     | a:b:1 - hello\n", "not an evaluation log of the challenge"),
-        (own_log(environment={"max_speed": 3}), "no task of the 2025 challenge"),
-        (own_log().replace("Reward: ", "Reward: nan", 1), "is not a"),
+        ("2025-01-01 10:00:00.123 | INFO     | a:b:1 - hello\n", "expected a 2025 text log with"),
+        (own_log(environment={"max_speed": 3}), "not that of any task of the 2025 challenge"),
+        (own_log().replace("Reward: ", "Reward: nan", 1), "expected a number, got"),
         (own_log().replace("#KEY: Touch", "#KEY: Touch\x1b[2J"), "control characters"),
-        (own_log().replace("Action: [", "Action: [nan ", 1), "is not a finite number"),
-        (own_log().replace("'steps': 1", "'steps': nan", 1), "is not a plain finite value"),
+        (own_log().replace("Action: [", "Action: [nan ", 1), "expected a finite number, got"),
+        (own_log().replace("'steps': 1", "'steps': nan", 1), "expected a plain finite value, got"),
     ],
 )
 def test_what_cannot_be_a_log_of_the_challenge_is_refused(text: str, message: str) -> None:

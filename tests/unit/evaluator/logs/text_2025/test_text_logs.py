@@ -8,17 +8,17 @@ from typing import Any
 import pytest
 from text_log_writer import text_log
 from vitac.evaluator.logs.text_2025 import TextLogSummary, read_text_log, summarize, to_json_lines
-from vitac.evaluator.logs.text_2025.kinds import Kind, all_kinds
+from vitac.evaluator.logs.text_2025.scripts import Script, all_scripts
 
-KINDS = {kind.name: kind for kind in all_kinds()}
-PEG, LOCK = KINDS["track 1 peg insertion"], KINDS["track 1 lock opening"]
-VISION, DESIGN = KINDS["track 2 peg insertion"], KINDS["track 3 peg insertion"]
+SCRIPTS = {script.name: script for script in all_scripts()}
+PEG, LOCK = SCRIPTS["track 1 peg insertion"], SCRIPTS["track 1 lock opening"]
+VISION, DESIGN = SCRIPTS["track 2 peg insertion"], SCRIPTS["track 3 peg insertion"]
 
 
 def summary_of(text: str | bytes) -> tuple[TextLogSummary, list[dict[str, Any]]]:
     log = read_text_log(io.BytesIO(text.encode() if isinstance(text, str) else text))
-    kind, summary = summarize(log)
-    return summary, json.loads(json.dumps(list(to_json_lines(log, kind))))
+    script, summary = summarize(log)
+    return summary, json.loads(json.dumps(list(to_json_lines(log, script))))
 
 
 def parsed(reference_dir: Path, name: str) -> list[dict[str, Any]]:
@@ -41,7 +41,7 @@ def test_hand_edited_peg_log_is_read_whole_and_only_its_end_is_missing(reference
         "success_rate": 13 / 90,
         "claimed_success_rate": None,
         "claimed_average_steps": None,
-        "problems": ("there are 90 tests, the list has 270", "the log ends without its totals"),
+        "problems": ("expected the 270 tests of the list, got 90", "the log has no totals at its end"),
     }
     assert lines == parsed(reference_dir, "track1_peg_insertion.repeat0.jsonl")
 
@@ -54,25 +54,25 @@ def test_vision_log_is_read_whole_without_a_problem(reference_dir: Path) -> None
 
 
 @pytest.mark.parametrize(
-    ("kind", "name", "listed", "successes"),
+    ("script", "name", "listed", "successes"),
     [(LOCK, "track1_open_lock", 160, None), (DESIGN, "track3_peg_insertion", 270, None)],
 )
-def test_other_kinds_are_read_from_what_the_organizers_log_holds(
-    reference_dir: Path, kind: Kind, name: str, listed: int, successes: int | None
+def test_other_scripts_logs_are_read_from_what_the_organizers_log_holds(
+    reference_dir: Path, script: Script, name: str, listed: int, successes: int | None
 ) -> None:
     episodes = parsed(reference_dir, f"{name}.repeat0.jsonl")
-    if kind is LOCK:  # Repeat 0 of each key; the whole list has two. The scripts log no start of it.
+    if script is LOCK:  # Repeat 0 of each key; the whole list has two. The scripts log no start of it.
         numbered = [{"steps": e["steps"], "result": e["result"], "episode": n} for n, e in enumerate(episodes, start=1)]
     else:
         numbered = episodes
     environment = header(reference_dir, f"{name}.header.json")["env"]
-    summary, lines = summary_of(text_log(numbered, environment, kind.script_md5[0]))
-    assert (summary.track, summary.task) == (kind.track, kind.task)
+    summary, lines = summary_of(text_log(numbered, environment, script.md5[0]))
+    assert (summary.track, summary.task) == (script.track, script.task)
     assert summary.episodes == len(episodes)
     assert summary.successes == sum(episode["result"] == "SUCCESS" for episode in episodes)
     assert summary.problems == (
-        f"there are {len(episodes)} tests, the list has {listed}",
-        "the log ends without its totals",
+        f"expected the {listed} tests of the list, got {len(episodes)}",
+        "the log has no totals at its end",
     )
     assert [[step["action"] for step in line["steps"]] for line in lines] == [
         [step["action"] for step in episode["steps"]] for episode in episodes
@@ -80,7 +80,7 @@ def test_other_kinds_are_read_from_what_the_organizers_log_holds(
 
 
 def test_lists_have_their_published_lengths_and_orders() -> None:
-    assert {name: len(kind.starts()) for name, kind in KINDS.items()} == {
+    assert {name: len(script.starts()) for name, script in SCRIPTS.items()} == {
         "track 1 peg insertion": 270,
         "track 1 lock opening": 160,
         "track 2 peg insertion": 150,

@@ -1,4 +1,4 @@
-"""The four kinds of text logs: episode lists, limits and rules of the 2025 challenge (challenge-facts 5 to 7)."""
+"""The four evaluation scripts of 2025: their episode lists, limits and rules (challenge-facts 5 to 7)."""
 
 from functools import cache
 from importlib.resources import files
@@ -27,7 +27,7 @@ class PegRules(StrictModel):
 
 
 class Start(StrictModel):
-    """One start of a list, as the log shows it."""
+    """One start of a list, as the log prints it."""
 
     shape_index: int
     shape: str
@@ -36,16 +36,16 @@ class Start(StrictModel):
     offset: tuple[float, ...]
 
 
-class Kind(StrictModel):
-    """One kind of log."""
+class Script(StrictModel):
+    """One of the evaluation scripts that wrote text logs."""
 
     name: str
     track: str
     task: str
-    script_md5: tuple[str, ...]
-    """Of the published scripts, the newest first."""
+    md5: tuple[str, ...]
+    """MD5 of each published version, the newest first."""
     marked_by: str
-    """A key of the environment that only this kind prints."""
+    """A key of the environment that only this script prints."""
     environment: dict[str, Any]
     """The official evaluation's values."""
     action_size: PositiveInt
@@ -91,17 +91,17 @@ class Kind(StrictModel):
         return x, y + 22.625 - (45.25 if left else 0.0), theta, z + (hole_top_mm or self.hole_tops_mm[0]) - 6.9
 
 
-class _Kinds(StrictModel):
-    kinds: tuple[Kind, ...]
+class _Scripts(StrictModel):
+    scripts: tuple[Script, ...]
 
 
 @cache
-def all_kinds() -> tuple[Kind, ...]:
-    """Return the four kinds."""
-    origin = "kinds.yaml"
-    return parse_yaml(_Kinds, files(__package__).joinpath(origin).read_text(encoding="utf-8"), origin).kinds
+def all_scripts() -> tuple[Script, ...]:
+    """Return the four evaluation scripts."""
+    origin = "scripts.yaml"
+    return parse_yaml(_Scripts, files(__package__).joinpath(origin).read_text(encoding="utf-8"), origin).scripts
 
 
-def kind_of(environment: dict[str, Any]) -> Kind | None:
-    """Return the kind of a log by the environment it prints, or None."""
-    return next((kind for kind in all_kinds() if kind.marked_by in environment), None)
+def script_of(environment: dict[str, Any]) -> Script | None:
+    """Return the script that prints these environment settings, or None."""
+    return next((script for script in all_scripts() if script.marked_by in environment), None)
