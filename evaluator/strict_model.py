@@ -1,6 +1,7 @@
 """Validated records for file borders: unknown keys are refused and the nearest valid one is named.
 
-Used for track files, episode records and logs; `parse_yaml` is the one way a YAML file enters the evaluator.
+Used for track files, episode records and logs; YAML enters the evaluator by `parse_yaml` where we wrote the file and
+by `parse_untrusted_yaml` where a stranger did.
 """
 
 from collections.abc import Iterator
@@ -11,8 +12,13 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from vitac.envs.errors import VitacError
 
-_MOST_PROBLEMS = 5
+from .strict_yaml import UniqueKeyLoader, UntrustedLoader
+
+_TOLD_PROBLEMS = 5
 """Told of one document; the rest is counted."""
+_SHOWN_CHARS = 80
+_SHOWN_BITS = 256
+"""A larger integer is not written out: Python refuses to beyond 4,300 digits."""
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
 
@@ -31,22 +37,8 @@ class StrictModel(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-class _UniqueKeyLoader(yaml.SafeLoader):
-    """Safe YAML loader that refuses a key given twice, where PyYAML would keep the last one in silence."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        """Build one mapping after looking for repeated keys."""
-        seen: set[object] = set()
-        for key_node, _ in node.value:
-            key = self.construct_object(key_node, deep=True)
-            if key in seen:
-                raise yaml.constructor.ConstructorError(None, None, f"key {key!r} is given twice", key_node.start_mark)
-            seen.add(key)
-        return super().construct_mapping(node, deep)
-
-
 def parse_yaml(model: type[ModelT], text: str, origin: str) -> ModelT:
-    """Read one YAML document into a model.
+    """Read one YAML document of our own into a model.
 
     Args:
         model: what the document must be.
@@ -54,10 +46,23 @@ def parse_yaml(model: type[ModelT], text: str, origin: str) -> ModelT:
         origin: name of the file, for the error message.
 
     Raises:
-        DocumentRejected: not YAML, a key twice, an unknown or missing key, or a value of the wrong kind.
+        DocumentRejected: not YAML, a key twice, an unknown or missing key, or a value of the wrong type.
     """
+    return _parse(model, text, origin, UniqueKeyLoader)
+
+
+def parse_untrusted_yaml(model: type[ModelT], text: str, origin: str) -> ModelT:
+    """Read one YAML document that a stranger wrote into a model; bound the length of the text before.
+
+    Raises:
+        DocumentRejected: as `parse_yaml`, and where it has tags, anchors, aliases, or too many or too deep values.
+    """
+    return _parse(model, text, origin, UntrustedLoader)
+
+
+def _parse(model: type[ModelT], text: str, origin: str, loader: type[UniqueKeyLoader]) -> ModelT:
     try:
-        content = yaml.load(text, Loader=_UniqueKeyLoader)  # noqa: S506 - derives from SafeLoader
+        content = yaml.load(text, Loader=loader)  # noqa: S506 - both derive from SafeLoader
     except yaml.YAMLError as error:
         raise DocumentRejected(f"{origin} is not valid YAML: {_one_line(error)}. Correct the file.") from error
     return validate(model, content, origin)
@@ -78,18 +83,29 @@ def validate(model: type[ModelT], content: object, origin: str) -> ModelT:
 def explain(model: type[BaseModel], error: ValidationError) -> str:
     """One sentence for each problem of a validation error, with the nearest valid key for an unknown one."""
     problems = error.errors(include_url=False)
-    more = f" And {len(problems) - _MOST_PROBLEMS} more." if len(problems) > _MOST_PROBLEMS else ""
-    return " ".join(_sentence(model, dict(problem)) for problem in problems[:_MOST_PROBLEMS]) + more
+    more = f" And {len(problems) - _TOLD_PROBLEMS} more." if len(problems) > _TOLD_PROBLEMS else ""
+    return " ".join(_sentence(model, dict(problem)) for problem in problems[:_TOLD_PROBLEMS]) + more
 
 
 def _sentence(model: type[BaseModel], problem: dict[str, Any]) -> str:
-    place = ".".join(str(part) for part in problem["loc"]) or "the document"
+    place = ".".join(str(part) for part in problem["loc"])[:_SHOWN_CHARS] or "the document"
     if problem["type"] == "extra_forbidden":
-        return f"Unknown key {place!r:.80}; {_nearest(str(problem['loc'][-1]), _keys_at(model, problem['loc'][:-1]))}."
+        return f"Unknown key {place!r}; {_nearest(str(problem['loc'][-1]), _keys_at(model, problem['loc'][:-1]))}."
     if problem["type"] == "missing":
         return f"Missing key {place!r}; add it."
-    came = "" if isinstance(problem["input"], dict | list) else f" (came: {problem['input']!r:.80})"
-    return f"{place}: {problem['msg']}{came}."
+    given = "" if isinstance(problem["input"], dict | list) else f" (got: {_shown(problem['input'])})"
+    return f"{place}: {problem['msg']}{given}."
+
+
+def _shown(value: object) -> str:
+    """Return a scalar for a message, cut before it is formatted."""
+    if isinstance(value, str | bytes):
+        return repr(value[:_SHOWN_CHARS])
+    if isinstance(value, int) and value.bit_length() > _SHOWN_BITS:
+        return f"an integer of {value.bit_length()} bits"
+    if value is None or isinstance(value, bool | int | float):
+        return repr(value)
+    return type(value).__name__
 
 
 def _nearest(key: str, valid: list[str]) -> str:

@@ -13,12 +13,12 @@ from vitac.envs.errors import VitacError
 
 from ..agent.limits import Limits
 from ..agent.verdicts import VerdictCode
-from ..strict_model import DocumentRejected, StrictModel, parse_yaml
+from ..strict_model import DocumentRejected, StrictModel, parse_untrusted_yaml
 from .archive import TOP_FOLDERS, Entry, packed_entries, unpack, write
 from .names import NamedEntry, check_names, is_left_out, link, special_file
 
 MANIFEST_NAME: Final = "submission.yaml"
-_MANIFEST_MAX_BYTES: Final = 64 * 1024
+_MANIFEST_MAX_BYTES: Final = 16 * 1024
 _ENTRY_POINT: Final = r"^[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*$"
 
 
@@ -44,9 +44,9 @@ Name = Annotated[str, Field(min_length=1, max_length=80), AfterValidator(_printa
 class SubmissionManifest(StrictModel):
     """submission.yaml."""
 
-    track: Annotated[str, Field(description="Track that it enters, such as track_1.")]
+    track: Annotated[Name, Field(description="Track that it enters, such as track_1.")]
     tasks: Annotated[
-        tuple[str, ...], Field(min_length=1, max_length=16, description="Tasks that it plays, such as peg-insertion.")
+        tuple[Name, ...], Field(min_length=1, max_length=16, description="Tasks that it plays, such as peg-insertion.")
     ]
     name: Annotated[Name, Field(description="Shown on the leaderboard.")]
     entry_point: Annotated[
@@ -66,8 +66,6 @@ def load_manifest(submission_dir: Path) -> SubmissionManifest:
             data = file.read(_MANIFEST_MAX_BYTES + 1)
     except FileNotFoundError as error:
         raise ManifestRejected(f"{MANIFEST_NAME} is missing; put it directly into the submission's folder.") from error
-    if len(data) > _MANIFEST_MAX_BYTES:
-        raise ManifestRejected(f"{MANIFEST_NAME} is larger than {_MANIFEST_MAX_BYTES} bytes; make it smaller.")
     return parse_manifest(data)
 
 
@@ -75,11 +73,15 @@ def parse_manifest(data: bytes) -> SubmissionManifest:
     """Return the manifest that the bytes of submission.yaml hold.
 
     Raises:
-        ManifestRejected: no YAML, or a key or value is wrong.
+        ManifestRejected: too large, no YAML, or a key or value is wrong.
     """
+    if len(data) > _MANIFEST_MAX_BYTES:
+        raise ManifestRejected(f"{MANIFEST_NAME} is larger than {_MANIFEST_MAX_BYTES} bytes; make it smaller.")
     try:
-        manifest = parse_yaml(SubmissionManifest, data.decode("utf-8"), MANIFEST_NAME)
-    except (DocumentRejected, UnicodeDecodeError, RecursionError) as error:
+        manifest = parse_untrusted_yaml(SubmissionManifest, data.decode("utf-8"), MANIFEST_NAME)
+    except UnicodeDecodeError as error:
+        raise ManifestRejected(f"{MANIFEST_NAME} is not UTF-8 ({error}); save it as UTF-8.") from error
+    except DocumentRejected as error:
         raise ManifestRejected(str(error)) from error
     _check_tasks(manifest)
     return manifest

@@ -1,9 +1,15 @@
+import contextlib
 import io
 import os
 import stat
+import time
+import tracemalloc
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as st
 from submissions import FILES, MANIFEST, submission_folder, submission_zip, zip_bytes
 from vitac.evaluator.agent.limits import Limits
 from vitac.evaluator.submission.archive import ArchiveFault, ArchiveRejected, unpack
@@ -67,6 +73,116 @@ def test_entry_point_must_be_module_and_class(entry_point: str) -> None:
 )
 def test_wrong_values_are_told(old: str, new: str, told: str) -> None:
     assert told in manifest_error(MANIFEST.replace(old, new))
+
+
+ALIASES_UNDER_PAIRS = "a: &a !!pairs [x: y]\n" + "".join(
+    f"{new}: &{new} !!pairs [x: *{old}, x: *{old}, x: *{old}]\n" for old, new in pairwise("abcdefghijk")
+)
+"""A few hundred bytes whose text form would have 3 ** 10 parts."""
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        ALIASES_UNDER_PAIRS,
+        "? [a]\n: b\n",
+        "? {a: b}\n: c\n",
+        "name: " + "1" * 5_000,
+        "name: 0x" + "f" * 8_000,
+        "name: 2001-99-99",
+        "name: 0b_",
+        "name: !!int a",
+        "name: !!bool a",
+        "name: !!timestamp a",
+        "name: !!float abc",
+        "<<: [[a]]",
+        "=: 1",
+        '"\\ud800": 1',
+        'name: "\\0"',
+        'track: "track_1\\0"',
+    ],
+)
+def test_values_that_cannot_be_built_are_refused(text: str) -> None:
+    told = manifest_error(text)
+    assert len(told) < 1_000
+    assert told.isprintable()
+
+
+def test_tags_and_aliases_are_named() -> None:
+    assert "tags (!) are not allowed" in manifest_error(MANIFEST.replace("test policy", "!!str test"))
+    assert "aliases (*) are not allowed" in manifest_error(MANIFEST.replace("test policy", "&a test"))
+
+
+@pytest.mark.parametrize("name", ["2001-01-01", "=", "<<"])
+def test_what_only_looks_like_a_date_or_merge_key_is_text(name: str) -> None:
+    assert parse_manifest(MANIFEST.replace("test policy", name).encode()).name == name
+
+
+@pytest.mark.parametrize(
+    ("text", "told"), [("[" * 9, "nested more than 8"), ("- a\n" * 1_001, "more than 1000 values")]
+)
+def test_too_many_or_too_deep_values_are_refused(text: str, told: str) -> None:
+    assert told in manifest_error(text)
+
+
+SCRAPS = [*"[]{}:,-?&*!|>'\"#%@`~=<\n \t\r\0\ufeff\x85", *MANIFEST.splitlines(keepends=True)]
+SCRAPS += [
+    "&a ",
+    "*a ",
+    "!!pairs ",
+    "!!set ",
+    "!!omap ",
+    "!<x> ",
+    "<<: ",
+    "? ",
+    "- ",
+    "--- ",
+    "...\n",
+    "%YAML 1.1\n",
+    ": ",
+]
+SCRAPS += [
+    "0b_",
+    "1_",
+    "0x_",
+    "1:60",
+    "1e999",
+    ".inf",
+    ".nan",
+    "null",
+    "2001-99-99",
+    '"\\ud800"',
+    '"\\x00"',
+    "9" * 5_000,
+]
+texts = st.lists(st.sampled_from(SCRAPS) | st.text(max_size=5), max_size=12).map("".join)
+
+
+@st.composite
+def manifests(draw: st.DrawFn) -> bytes:
+    """Something, then something many times, then something."""
+    middle = draw(texts)
+    times = draw(st.integers(0, 16 * 1024 // max(1, len(middle.encode("utf-8", "ignore")))))
+    return (draw(texts) + middle * times + draw(texts)).encode("utf-8", "ignore")
+
+
+@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(st.binary(max_size=17_000) | manifests())
+@example(ALIASES_UNDER_PAIRS.encode())
+@example(b"{" * 16_000)
+@example(b"[" + b"a," * 8_000 + b"]")
+def test_a_manifest_is_read_or_refused_quickly_and_in_little_memory(data: bytes) -> None:
+    tracemalloc.start()
+    try:
+        started_s = time.thread_time()
+        with contextlib.suppress(ManifestRejected):
+            parse_manifest(data)
+        taken_s = time.thread_time() - started_s
+        _, peak_bytes = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert taken_s < 0.5
+    assert peak_bytes < 50e6
 
 
 @pytest.mark.parametrize("data", ["[" * 20_000, b"\xff\xfe", "a: [b", "- a\n- b\n", "", "!!python/object:os.system x"])
