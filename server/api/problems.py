@@ -1,6 +1,6 @@
 """Every error answer of the API as RFC 9457 problem JSON with a stable `code`."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from http import HTTPStatus
 from typing import Any
 
@@ -73,9 +73,14 @@ def _leaves_body_unread(request: Request) -> bool:
 
 def _on_invalid_request(request: Request, error: Exception) -> JSONResponse:
     assert isinstance(error, RequestValidationError)  # noqa: S101 - the registration says so
-    errors = [{"place": ".".join(str(part) for part in item["loc"]), "message": item["msg"]} for item in error.errors()]
+    errors = [{"place": _place(item["loc"]), "message": item["msg"]} for item in error.errors()]
     detail = " ".join(f"{item['place']}: {item['message']}." for item in errors)
     return problem(request, ServiceError(ProblemCode.INVALID_REQUEST, detail, errors=errors))
+
+
+def _place(location: Sequence[object]) -> str:
+    """Return where in a request something is wrong; a key of a JSON body need not be valid text."""
+    return ".".join(map(str, location)).encode("utf-8", "backslashreplace").decode()
 
 
 def _on_http_error(request: Request, error: Exception) -> JSONResponse:

@@ -23,7 +23,8 @@ from .problems import RESPONSES
 
 router = APIRouter(tags=["teams"], responses=RESPONSES)
 
-Label = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[^\x00-\x1f\x7f]+$")]
+_ONE_LINE = r"^[^\x00-\x1f\x7f]+$"
+Label = Annotated[str, Field(min_length=1, max_length=64, pattern=_ONE_LINE)]
 
 
 class NewTeam(BaseModel):
@@ -32,7 +33,7 @@ class NewTeam(BaseModel):
     model_config = ConfigDict(extra="forbid")
     name: str = Field(min_length=2, max_length=teams.NAME_LENGTH, description="Shown on the leaderboard.")
     contact: str | None = Field(
-        default=None, max_length=teams.CONTACT_LENGTH, pattern=r"^[^\x00-\x1f\x7f]+$", description="For the organizers."
+        default=None, max_length=teams.CONTACT_LENGTH, pattern=_ONE_LINE, description="For the organizers."
     )
 
 
@@ -42,7 +43,7 @@ class NewToken(BaseModel):
     model_config = ConfigDict(extra="forbid")
     label: Label = Field(description="To tell tokens apart.")
     expires_in_days: int | None = Field(default=None, ge=1, le=3650, description="The server's default if null.")
-    team: str | None = Field(default=None, description="For organizers: whose token this is.")
+    team: str | None = Field(default=None, pattern=_ONE_LINE, description="For organizers: whose token this is.")
 
 
 @router.post("/teams", status_code=HTTPStatus.CREATED)

@@ -1,0 +1,52 @@
+import json
+from typing import Any
+
+import pytest
+from service_client import Service, problem_of
+
+JSON = {"Content-Type": "application/json"}
+PATHS = [
+    "/submissions?track=%00",
+    "/submissions?team=a%00b",
+    "/submissions?before=%00",
+    "/leaderboards/%00",
+    "/leaderboards/track_1?task=%00",
+    "/leaderboards/%00/logs",
+    "/tracks/track_1%00",
+    "/submissions/%00",
+]
+
+
+@pytest.mark.parametrize("path", PATHS)
+def test_nul_in_path_or_query_is_refused(service: Service, path: str) -> None:
+    for token in (service.token, service.organizer_token):
+        problem = problem_of(service.get(path, token), 422, "invalid_request")
+        assert "NUL" in problem["detail"]
+
+
+def test_nul_in_the_query_of_an_upload_is_refused(service: Service) -> None:
+    problem_of(service.upload(b"", service.organizer_token, query="?team=%00"), 422, "invalid_request")
+
+
+BODIES: list[dict[str, Any]] = [
+    {"label": "a", "team": "\x00"},
+    {"label": "\x00"},
+    {"label": "a", "team": "\ud800"},
+    {"label": "\ud800"},
+    {"label": "a", "\ud800": 1},
+    {"label": "a", "\x00": 1},
+]
+
+
+@pytest.mark.parametrize("body", BODIES)
+def test_what_is_no_text_in_a_body_is_refused(service: Service, body: dict[str, Any]) -> None:
+    problem_of(
+        service.post("/tokens", service.organizer_token, content=json.dumps(body), headers=JSON), 422, "invalid_request"
+    )
+
+
+@pytest.mark.parametrize("name", ["\x00ab", "\ud800ab"])
+def test_what_is_no_text_in_a_team_name_is_refused(service: Service, name: str) -> None:
+    for body in ({"name": name}, {"name": "fine", "contact": name}):
+        answer = service.client.post("/api/v1/teams", content=json.dumps(body), headers=JSON)
+        problem_of(answer, 422, "invalid_request")
