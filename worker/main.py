@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 
 import structlog
-from vitac.evaluator.shards.process import running_shard
+from vitac.evaluator.shards.process import ShardProcesses
 from vitac.server.db.states import WorkerState
 from vitac.server.housekeeping import Housekeeping
 from vitac.server.services import Services, open_services
@@ -33,11 +33,11 @@ def run(settings: Settings) -> None:
     Raises:
         VitacError: database or file store cannot be used.
     """
-    with open_services(settings) as services:
-        work(services)
+    with open_services(settings) as services, ShardProcesses() as processes:
+        work(services, processes.running_shard)
 
 
-def work(services: Services, *, start: StartShard = running_shard, probe: ProbeIsolation = probe_isolation) -> None:
+def work(services: Services, start: StartShard, *, probe: ProbeIsolation = probe_isolation) -> None:
     """Run one worker on open services; must be called in the main thread."""
     stopping = threading.Event()
     with _stopped_by_signals(stopping):

@@ -13,7 +13,7 @@ from sqlalchemy.orm import Session
 from vitac.envs.errors import VitacError
 from vitac.evaluator.episodes.records import EpisodeRecord, Manifest
 from vitac.evaluator.scoring.failures import is_broken
-from vitac.evaluator.shards.process import ShardOrder, running_shard
+from vitac.evaluator.shards.order import ShardOrder
 from vitac.evaluator.shards.result import ShardEnd, ShardResult
 from vitac.server.db.states import SubmissionKind
 from vitac.server.evaluations.episode_store import StoredEpisodes, store_episode, stored_episodes
@@ -61,9 +61,7 @@ class RunEnd(StrEnum):
 class ShardRun:
     """The work on one lease. `run` does it; `stop` may be called from any thread."""
 
-    def __init__(
-        self, services: Services, stage: SubmissionStage, lease: Lease, start: StartShard = running_shard
-    ) -> None:
+    def __init__(self, services: Services, stage: SubmissionStage, lease: Lease, start: StartShard) -> None:
         self._services = services
         self._stage = stage
         self._lease = lease

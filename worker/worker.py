@@ -10,7 +10,6 @@ from uuid import UUID
 import structlog
 from procrastinate.exceptions import ProcrastinateException
 from sqlalchemy.exc import DBAPIError
-from vitac.evaluator.shards.process import running_shard
 from vitac.evaluator.version import evaluator_version
 from vitac.server.queue import leases
 from vitac.server.queue.jobs import RUN_SHARD, make_worker_app, queue_name
@@ -30,9 +29,7 @@ RECONNECT_PAUSE_S = 0.5
 class QueueWorker:
     """Runs shards of the queue. `run` returns after `stop`, which may be called from any thread."""
 
-    def __init__(
-        self, services: Services, stage: SubmissionStage, worker_id: UUID, start: StartShard = running_shard
-    ) -> None:
+    def __init__(self, services: Services, stage: SubmissionStage, worker_id: UUID, start: StartShard) -> None:
         self._services = services
         self._stage = stage
         self._worker_id = worker_id

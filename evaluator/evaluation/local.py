@@ -14,7 +14,8 @@ from ..agent.session import Isolation
 from ..episodes.records import EpisodeRecord, Manifest, PolicyFailure, RecordsDisagree, in_order, result_hash
 from ..scoring.failures import breaking_failure
 from ..scoring.score import Score, score
-from ..shards.process import ShardOrder, ShardProcess, running_shard
+from ..shards.order import ShardOrder
+from ..shards.process import ShardProcess, ShardProcesses
 from ..shards.result import ShardEnd, ShardResult
 from ..tracks import Task, Track
 from ..tracks.cut import Shard, cut
@@ -86,25 +87,27 @@ def evaluate(
         )
         for shard in shards
     ]
-    crew = _Crew(orders, min(workers, len(orders)))
     records = []
-    with closing(crew.run()) as finished:
-        for record in finished:
-            records.append(record)
-            on_episode(record)
+    with ShardProcesses() as processes:
+        pool = _ShardPool(processes, orders, min(workers, len(orders)))
+        with closing(pool.run()) as finished:
+            for record in finished:
+                records.append(record)
+                on_episode(record)
     return Evaluation(
-        manifest=_common_manifest(crew.results),
+        manifest=_common_manifest(pool.results),
         shards=shards,
         records=tuple(in_order(task.name, records)),
-        isolation=next((result.isolation for result in crew.results if result.isolation), None),
+        isolation=next((result.isolation for result in pool.results if result.isolation), None),
     )
 
 
-class _Crew:
+class _ShardPool:
     """Threads that each wait for one shard process after another."""
 
-    def __init__(self, orders: Sequence[ShardOrder], workers: int) -> None:
+    def __init__(self, processes: ShardProcesses, orders: Sequence[ShardOrder], workers: int) -> None:
         self.results: list[ShardResult] = []
+        self._processes = processes
         self._orders = deque(orders)
         self._lock = threading.Lock()
         self._running: dict[int, ShardProcess] = {}
@@ -146,7 +149,7 @@ class _Crew:
         self._queue.put(None)
 
     def _run_order(self, order: ShardOrder, slot: int) -> None:
-        with running_shard(order.model_copy(update={"slot": slot})) as process:
+        with self._processes.running_shard(order.model_copy(update={"slot": slot})) as process:
             self._register(slot, process)
             for record in process.records():
                 self._queue.put(record)

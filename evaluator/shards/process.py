@@ -1,97 +1,125 @@
-"""Runs a shard in a process of its own and streams its records back; used by local evaluation and by the workers.
+"""Runs shards in processes of their own and streams their records back; used by local evaluation and by the workers.
 
-The simulation is heavy Python code: in the caller's process it would stop heartbeats and progress bars. The child reads
-one order from stdin and writes one JSON line for each episode and one for its end to stdout. It dies with its parent.
+The simulation is heavy Python code: in the caller's process it would stop heartbeats and progress bars. One process,
+`host`, has it loaded and forks a copy for each shard. A copy reads one order, writes one JSON line for each episode and
+one for its end, and dies with its host, which ends when the process that started it closes the control socket or dies.
 """
 
-import ctypes
 import os
+import select
 import signal
+import socket
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from pathlib import Path
-from types import MappingProxyType
-from typing import IO, Self
+import threading
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from types import MappingProxyType, TracebackType
+from typing import Self
 
-from pydantic import NonNegativeInt, model_validator
 from vitac.envs.errors import VitacError
 
-from ..agent.limits import Limits
-from ..episodes.records import EpisodeRecord, PolicyFailure
-from ..strict_model import StrictModel
-from ..tracks import Task, Track, load_track
-from ..tracks.cut import Shard, cut
-from .log import LogShard, resimulate_log
-from .policy import run_shard
+from ..episodes.records import EpisodeRecord
+from .order import PROCESS_ID, ShardMessage, ShardOrder
 from .result import ShardResult
-from .text_log import resimulate_text_log
+
+COMMAND = (sys.executable, "-P", "-m", "vitac.evaluator.shards.host")
 
 _ONE_THREAD = MappingProxyType(
     dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 )
-_PR_SET_PDEATHSIG = 1
-
-
-COMMAND = (sys.executable, "-P", "-m", "vitac.evaluator.shards.process")
 
 
 class ShardProcessFailed(VitacError):
     """The process of a shard ended without a result: the machine, the sandbox or the simulation broke. Run it again."""
 
 
-class ShardOrder(StrictModel):
-    """What a shard process has to do: play a submission, or re-simulate an uploaded log."""
+class ShardProcesses:
+    """Starts processes of shards, any number at once, from any thread. Leaving the block ends all of them."""
 
-    submission_dir: Path | None = None
-    log: Path | None = None
-    text_log: Path | None = None
-    track: str
-    task: str
-    shard: NonNegativeInt
-    episodes: tuple[int, ...] | None = None
-    slot: NonNegativeInt = 0
-    limits: Limits = Limits()
-    assets_dir: Path | None = None
-    skip: tuple[int, ...] = ()
-    earlier_failures: tuple[PolicyFailure, ...] = ()
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._host: subprocess.Popen[bytes] | None = None
+        self._control: socket.socket | None = None
 
-    @model_validator(mode="after")
-    def _names_one_source(self) -> Self:
-        if sum(source is not None for source in (self.submission_dir, self.log, self.text_log)) != 1:
-            raise ValueError("exactly one of submission_dir, log and text_log must be given")
+    def __enter__(self) -> Self:
         return self
 
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with self._lock:
+            self._end_host()
 
-class ShardMessage(StrictModel):
-    """One line from a shard process: exactly one of its fields."""
+    @contextmanager
+    def running_shard(self, order: ShardOrder) -> Iterator["ShardProcess"]:
+        """Run a shard in a process of its own, which has ended when the block is left.
 
-    record: EpisodeRecord | None = None
-    result: ShardResult | None = None
-    error: str | None = None
+        Raises:
+            ShardProcessFailed: it cannot be started.
+        """
+        process = self._start(order)
+        try:
+            yield process
+        finally:
+            process.close()
+
+    def _start(self, order: ShardOrder) -> "ShardProcess":
+        with ExitStack() as theirs:
+            ours, connection = socket.socketpair()
+            exit_pipe, exit_end = os.pipe()
+            theirs.callback(connection.close)
+            theirs.callback(os.close, exit_end)
+            with self._lock:
+                control = self._running_host()
+                try:
+                    socket.send_fds(control, [b"\n"], [connection.fileno(), exit_end])
+                except OSError as error:
+                    raise ShardProcessFailed(f"A shard could not be started: {error.strerror}.") from error
+        return ShardProcess(order, ours, exit_pipe)
+
+    def _running_host(self) -> socket.socket:
+        """Return the control socket of the host, which is started anew if it has ended."""
+        if self._host is None or self._control is None or self._host.poll() is not None:
+            self._end_host()
+            self._control, theirs = socket.socketpair(type=socket.SOCK_SEQPACKET)
+            with theirs:
+                self._host = subprocess.Popen(  # noqa: S603 - our own interpreter and module
+                    [*COMMAND, str(theirs.fileno())],
+                    stdin=subprocess.DEVNULL,
+                    env=os.environ | _ONE_THREAD,
+                    pass_fds=[theirs.fileno()],
+                    start_new_session=True,
+                )
+        return self._control
+
+    def _end_host(self) -> None:
+        if self._control is not None:
+            self._control.close()
+        if self._host is not None:
+            self._host.kill()
+            self._host.wait()
+        self._host = self._control = None
 
 
 class ShardProcess:
-    """A running shard. Use `running_shard`, which also ends it."""
+    """A running shard; made by `ShardProcesses.running_shard`, which also ends it."""
 
-    def __init__(self, order: ShardOrder) -> None:
-        self._process = subprocess.Popen(  # noqa: S603 - our own interpreter and module
-            [*COMMAND, str(os.getpid())],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            env=os.environ | _ONE_THREAD,
-            start_new_session=True,
-        )
+    def __init__(self, order: ShardOrder, connection: socket.socket, exit_pipe: int) -> None:
+        self._connection = connection
+        self._exit_pipe = exit_pipe
+        self._lock = threading.Lock()
+        self._fork: _Fork | None = None
+        self._is_killed = False
         self._result: ShardResult | None = None
-        stdin = _pipe(self._process.stdin)
-        stdin.write(order.model_dump_json().encode())
-        stdin.close()
+        with suppress(BrokenPipeError):  # The host has ended; whoever reads the records is told.
+            connection.sendall(order.model_dump_json().encode())
+            connection.shutdown(socket.SHUT_WR)
 
     @property
     def pid(self) -> int:
-        """Process id of the child."""
-        return self._process.pid
+        """Process id of the shard; waits until it has been forked."""
+        return self._forked().pid
 
     @property
     def result(self) -> ShardResult:
@@ -101,108 +129,93 @@ class ShardProcess:
             ShardProcessFailed: there is none.
         """
         if self._result is None:
-            code = self._process.wait()
+            code = os.read(self._exit_pipe, 16).decode() or "unknown"
             raise ShardProcessFailed(f"The process of a shard ended with exit code {code} and no result; run it again.")
         return self._result
 
     def records(self) -> Iterator[EpisodeRecord]:
-        """Each record as soon as its episode is over; afterwards `result` is there.
+        """Yield each record as soon as its episode is over; afterwards `result` is there.
 
         Raises:
             ShardProcessFailed: the process ended early.
         """
-        for line in _pipe(self._process.stdout):
-            message = ShardMessage.model_validate_json(line)
-            if message.error is not None:
-                raise ShardProcessFailed(message.error)
-            if message.record is not None:
-                yield message.record
-            self._result = message.result
+        self._forked()
+        with self._connection.makefile("rb") as answers:
+            for line in answers:
+                message = ShardMessage.model_validate_json(line)
+                if message.error is not None:
+                    raise ShardProcessFailed(message.error)
+                if message.record is not None:
+                    yield message.record
+                self._result = message.result
         _ = self.result
 
     def kill(self) -> None:
         """End the process, and with it its sandbox, at once; `records` then raises. Any thread may call it."""
-        self._process.kill()
+        with self._lock:
+            self._is_killed = True
+            if self._fork is not None:
+                self._fork.kill()
+            else:
+                # A process that is forked later finds nobody to answer to and ends.
+                with suppress(OSError):
+                    self._connection.shutdown(socket.SHUT_RDWR)
 
     def close(self) -> None:
         """End the process and wait for it."""
         self.kill()
-        self._process.wait()
-        _pipe(self._process.stdout).close()
+        with suppress(ShardProcessFailed):
+            fork = self._forked()
+            fork.wait()
+            with self._lock:
+                fork.close()
+        self._connection.close()
+        os.close(self._exit_pipe)
+
+    def _forked(self) -> "_Fork":
+        """Return the process, which introduces itself before its first answer."""
+        if self._fork is None:
+            fork = _Fork.received(self._connection)
+            with self._lock:
+                self._fork = fork
+                if self._is_killed:
+                    fork.kill()
+        return self._fork
 
 
-@contextmanager
-def running_shard(order: ShardOrder) -> Iterator[ShardProcess]:
-    """Return a shard in a process of its own, which has ended when the block is left."""
-    process = ShardProcess(order)
-    try:
-        yield process
-    finally:
-        process.close()
+class _Fork:
+    """A process that the host has forked. Its descriptor, unlike its number, never means another process."""
 
+    def __init__(self, pid: int, pidfd: int) -> None:
+        self.pid = pid
+        self._pidfd: int | None = pidfd
 
-def _pipe(stream: IO[bytes] | None) -> IO[bytes]:
-    if stream is None:
-        raise ShardProcessFailed("The pipe to the process of the shard is missing.")
-    return stream
+    @classmethod
+    def received(cls, connection: socket.socket) -> Self:
+        """Wait for the process to introduce itself.
 
+        Raises:
+            ShardProcessFailed: it never will.
+        """
+        introduction, descriptors, _, _ = socket.recv_fds(connection, PROCESS_ID.size, 1)
+        if not descriptors:
+            raise ShardProcessFailed("The process of a shard was not started; run it again.")
+        (pid,) = PROCESS_ID.unpack(introduction)
+        return cls(pid, descriptors[0])
 
-def _die_with(parent: int) -> None:
-    """Asks the kernel to kill this process when its parent ends."""
-    ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
-    if os.getppid() != parent:  # It ended before the request.
-        os._exit(1)
+    def kill(self) -> None:
+        """End it at once, unless it has ended."""
+        if self._pidfd is not None:
+            with suppress(ProcessLookupError):
+                signal.pidfd_send_signal(self._pidfd, signal.SIGKILL)
 
+    def wait(self) -> None:
+        """Return when it has ended."""
+        if self._pidfd is not None:
+            select.select([self._pidfd], [], [])
 
-def _run(order: ShardOrder, answer: IO[str]) -> None:
-    def send(message: ShardMessage) -> None:
-        answer.write(message.model_dump_json(exclude_unset=True) + "\n")
-        answer.flush()
-
-    try:
-        result = _result_of(order, lambda record: send(ShardMessage(record=record)))
-    except VitacError as error:
-        send(ShardMessage(error=f"{type(error).__name__}: {error}"))
-    else:
-        send(ShardMessage(result=result))
-
-
-def _result_of(order: ShardOrder, on_episode: Callable[[EpisodeRecord], None]) -> ShardResult:
-    track = load_track(order.track)
-    task = track.tasks[order.task]
-    shard = next(shard for shard in cut(task, order.episodes) if shard.index == order.shard)
-    if order.submission_dir is None:
-        return _resimulate(order, track, task, shard, on_episode)
-    return run_shard(
-        submission_dir=order.submission_dir,
-        track=track,
-        task=task,
-        shard=shard,
-        on_episode=on_episode,
-        limits=order.limits,
-        slot=order.slot,
-        assets_dir=order.assets_dir,
-        skip=order.skip,
-        earlier_failures=order.earlier_failures,
-    )
-
-
-def _resimulate(
-    order: ShardOrder, track: Track, task: Task, shard: Shard, on_episode: Callable[[EpisodeRecord], None]
-) -> ShardResult:
-    log, resimulate = (order.log, resimulate_log) if order.log else (order.text_log, resimulate_text_log)
-    assert log is not None  # noqa: S101 - the order names one source
-    return resimulate(LogShard(log=log, track=track, task=task, shard=shard, skip=order.skip), on_episode)
-
-
-def main() -> None:
-    """Entry point of the child process; its argument is the parent's process id."""
-    _die_with(int(sys.argv[1]))
-    # Whatever prints to stdout must not mix with the answer: it goes to stderr.
-    with os.fdopen(os.dup(1), "w", encoding="utf-8") as answer:
-        os.dup2(2, 1)
-        _run(ShardOrder.model_validate_json(sys.stdin.read()), answer)
-
-
-if __name__ == "__main__":
-    main()
+    def close(self) -> None:
+        """Let go of a process that has ended."""
+        if self._pidfd is not None:
+            os.close(self._pidfd)
+        self._pidfd = None

@@ -12,7 +12,8 @@ from vitac.evaluator.evaluation.local import Evaluation, evaluate
 from vitac.evaluator.logs.findings import VerificationResult
 from vitac.evaluator.logs.log import LogHeader
 from vitac.evaluator.logs.verification import verify
-from vitac.evaluator.shards.process import ShardOrder, running_shard
+from vitac.evaluator.shards.order import ShardOrder
+from vitac.evaluator.shards.process import ShardProcesses
 from vitac.evaluator.tracks import find_task
 
 TRACK, TASK = find_task("peg-insertion")
@@ -66,7 +67,7 @@ def test_hash_is_the_same_for_workers_order_and_resume(submission: Path) -> None
     order = ShardOrder(
         submission_dir=submission, track="track_1", task="peg-insertion", shard=0, episodes=(1, 2), skip=(1,)
     )
-    with running_shard(order) as process:
+    with ShardProcesses() as processes, processes.running_shard(order) as process:
         resumed = [one.records[0], *process.records(), one.records[2]]
         assert result_hash(process.result.manifest, resumed) == one.result_hash
 

@@ -104,7 +104,14 @@ def test_kill_of_the_database_in_the_middle_changes_nothing(attempt: Attempt) ->
 def test_kill_of_the_shards_own_process_in_the_middle_changes_nothing(
     attempt: Attempt, worker: "subprocess.Popen[bytes]"
 ) -> None:
-    os.kill(child_of(worker, "vitac.evaluator.shards.process"), signal.SIGKILL)
+    os.kill(host_child_of(host_child_of(worker.pid)), signal.SIGKILL)
+    attempt.assert_same_result()
+
+
+def test_kill_of_the_process_that_forks_shards_changes_nothing(
+    attempt: Attempt, worker: "subprocess.Popen[bytes]"
+) -> None:
+    os.kill(host_child_of(worker.pid), signal.SIGKILL)
     attempt.assert_same_result()
 
 
@@ -135,17 +142,18 @@ def test_kill_of_the_worker_in_the_middle_of_a_log_changes_nothing(
     assert [entry["result_hash"] for entry in boards[0]["entries"]] == [undisturbed_hash]
 
 
-def child_of(process: "subprocess.Popen[bytes]", module: str) -> int:
+def host_child_of(pid: int) -> int:
+    """Wait for a child that holds the loaded simulation: the host below a worker, a shard below the host."""
     found: list[int] = []
 
     def look() -> bool:
         for status in Path("/proc").glob("[0-9]*/status"):
             try:
-                parent = f"\nPPid:\t{process.pid}\n" in status.read_text()
+                parent = f"\nPPid:\t{pid}\n" in status.read_text()
                 command = status.with_name("cmdline").read_bytes().decode().split("\0")
             except (FileNotFoundError, ProcessLookupError):
                 continue
-            if parent and module in command:
+            if parent and "vitac.evaluator.shards.host" in command:
                 found.append(int(status.parent.name))
         return bool(found)
 

@@ -12,7 +12,7 @@ from typing import Any
 from evaluation_fakes import FakeEnvironment, FakeSession, action, cannot_load, fail, succeed
 from vitac.evaluator.agent.limits import Limits
 from vitac.evaluator.agent.verdicts import SandboxFailed
-from vitac.evaluator.shards import process as shard_process
+from vitac.evaluator.shards import execution, host
 from vitac.evaluator.shards.policy import run_shard
 
 
@@ -55,7 +55,8 @@ def load_policy(submission_dir: Path, limits: Limits, slot: int) -> Any:
 
 
 if __name__ == "__main__":
-    shard_process.run_shard = partial(  # type: ignore[attr-defined]
+    execution.run_shard = partial(  # type: ignore[attr-defined]
         run_shard, load_policy=load_policy, make_env=lambda *_: FakeEnvironment()
     )
-    shard_process.main()
+    host.make_environment = lambda *_: FakeEnvironment()  # type: ignore[attr-defined]
+    host.main()

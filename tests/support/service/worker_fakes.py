@@ -8,7 +8,8 @@ from contextlib import contextmanager
 from service_factories import ISOLATION, make_manifest, make_record
 from vitac.evaluator.episodes.records import EpisodeRecord, PolicyFailure
 from vitac.evaluator.scoring.failures import is_broken
-from vitac.evaluator.shards.process import ShardOrder, ShardProcessFailed
+from vitac.evaluator.shards.order import ShardOrder
+from vitac.evaluator.shards.process import ShardProcessFailed
 from vitac.evaluator.shards.result import ShardEnd, ShardResult
 from vitac.evaluator.tracks import load_track
 from vitac.evaluator.tracks.cut import cut

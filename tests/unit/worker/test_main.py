@@ -56,7 +56,7 @@ def test_worker_registers_evaluates_and_says_goodbye_on_a_signal(
 
     before = signal.getsignal(number)
     with signalled_when(is_completed, number):
-        main.work(services, start=FakeShards(), probe=lambda: SOUND)
+        main.work(services, FakeShards(), probe=lambda: SOUND)
     assert signal.getsignal(number) is before
     worker = rows(services)[0]
     assert (worker.state, worker.isolation, worker.pid) == (WorkerState.STOPPED, "user: root", os.getpid())
@@ -75,7 +75,7 @@ def test_living_worker_is_counted_and_its_heartbeat_goes_on(services: Services) 
         return len(seen) == 3
 
     with signalled_when(beats):
-        main.work(services, start=FakeShards(), probe=lambda: SOUND)
+        main.work(services, FakeShards(), probe=lambda: SOUND)
     assert len(seen) == 3
 
 
@@ -88,7 +88,7 @@ def test_worker_on_a_machine_that_leaks_takes_nothing_and_says_why(services: Ser
         return any(row.state is WorkerState.REFUSING for row in rows(services))
 
     with signalled_when(refuses):
-        main.work(services, start=shards, probe=lambda: LEAKY)
+        main.work(services, shards, probe=lambda: LEAKY)
     assert shards.started == []
     assert "network refused: escaped" in rows(services)[0].message
     with services.database.transaction() as session:
@@ -103,5 +103,5 @@ def test_worker_goes_to_work_when_the_machine_was_mended(services: Services, mon
         return any(row.state is WorkerState.READY for row in rows(services))
 
     with signalled_when(is_ready):
-        main.work(services, start=FakeShards(), probe=lambda: next(reports))
+        main.work(services, FakeShards(), probe=lambda: next(reports))
     assert sorted(str(row.isolation) for row in rows(services)) == ["user: root"] * 2

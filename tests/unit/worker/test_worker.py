@@ -8,7 +8,7 @@ from uuid import uuid4
 import pytest
 from service_factories import make_principal, make_record, make_upload, shard_ids
 from sqlalchemy import select, text
-from vitac.evaluator.shards.process import ShardOrder
+from vitac.evaluator.shards.order import ShardOrder
 from vitac.server.accounts.principals import CONSOLE
 from vitac.server.db.models import EpisodeResult, Shard, Submission
 from vitac.server.db.states import EvaluationState, ShardState

@@ -1,14 +1,17 @@
 import os
 import select
+import signal
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import fake_shard_process
 import pytest
 from vitac.evaluator.episodes.records import EpisodeRecord
 from vitac.evaluator.shards import process as shard_process
-from vitac.evaluator.shards.process import ShardOrder, ShardProcessFailed, running_shard
+from vitac.evaluator.shards.order import ShardOrder
+from vitac.evaluator.shards.process import ShardProcesses, ShardProcessFailed
 from vitac.evaluator.shards.result import ShardEnd, ShardResult
 
 FAKE = (sys.executable, fake_shard_process.__file__)
@@ -24,10 +27,20 @@ def order(behaviour: str, **changes: object) -> ShardOrder:
     return ShardOrder.model_validate(fields | {"episodes": (1, 2, 3)} | changes)
 
 
+@pytest.fixture
+def processes() -> Iterator[ShardProcesses]:
+    with ShardProcesses() as processes:
+        yield processes
+
+
 def run(behaviour: str, **changes: object) -> tuple[ShardResult, list[EpisodeRecord]]:
-    with running_shard(order(behaviour, **changes)) as process:
+    with ShardProcesses() as processes, processes.running_shard(order(behaviour, **changes)) as process:
         records = list(process.records())
         return process.result, records
+
+
+def parent_of(pid: int) -> int:
+    return int(Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[1])
 
 
 def is_alive(pid: int) -> bool:
@@ -71,15 +84,48 @@ def test_process_that_ends_early_is_a_fault_of_ours() -> None:
         run("exit_early")
 
 
-def test_kill_ends_a_policy_that_hangs() -> None:
-    with running_shard(order("hang")) as process:
+def test_kill_ends_a_policy_that_hangs(processes: ShardProcesses) -> None:
+    with processes.running_shard(order("hang")) as process:
+        assert is_alive(process.pid)
         process.kill()
         with pytest.raises(ShardProcessFailed, match="exit code -9"):
             list(process.records())
 
 
-def test_leaving_the_block_ends_the_process() -> None:
-    with running_shard(order("hang")) as process:
+def test_kill_before_the_process_is_forked_keeps_it_from_running(processes: ShardProcesses) -> None:
+    with processes.running_shard(order("hang")) as process:
+        process.kill()
+        with pytest.raises(ShardProcessFailed):
+            list(process.records())
+
+
+def test_one_loaded_process_forks_all_shards(processes: ShardProcesses) -> None:
+    parents = set()
+    for _ in range(2):
+        with processes.running_shard(order("hang")) as one, processes.running_shard(order("hang", slot=1)) as other:
+            assert one.pid != other.pid
+            parents |= {parent_of(one.pid), parent_of(other.pid)}
+    assert len(parents) == 1
+    assert parents != {os.getpid()}
+
+
+def test_shard_after_the_death_of_the_loaded_process_gets_a_new_one(processes: ShardProcesses) -> None:
+    with processes.running_shard(order("hang")) as process:
+        os.kill(parent_of(process.pid), signal.SIGKILL)
+        with pytest.raises(ShardProcessFailed, match="exit code unknown"):
+            list(process.records())
+    with processes.running_shard(order("succeed")) as process:
+        assert len(list(process.records())) == 3
+
+
+def test_leaving_the_block_of_all_ends_every_process() -> None:
+    with ShardProcesses() as processes, processes.running_shard(order("hang")) as process:
+        pids = [process.pid, parent_of(process.pid)]
+    assert not any(map(is_alive, pids))
+
+
+def test_leaving_the_block_ends_the_process(processes: ShardProcesses) -> None:
+    with processes.running_shard(order("hang")) as process:
         pid = process.pid
         assert is_alive(pid)
     assert not is_alive(pid)
@@ -89,11 +135,12 @@ def test_process_dies_with_its_parent() -> None:
     code = (
         f"import sys; sys.path.insert(0, {str(Path(fake_shard_process.__file__).parent)!r})\n"
         "from vitac.evaluator.shards import process as shard_process\n"
+        "from vitac.evaluator.shards.order import ShardOrder\n"
         f"shard_process.COMMAND = {FAKE!r}\n"
-        f"order = shard_process.ShardOrder.model_validate_json({order('hang').model_dump_json()!r})\n"
-        "process = shard_process.ShardProcess(order)\n"
-        "print(process.pid, flush=True)\n"
-        "list(process.records())\n"
+        f"order = ShardOrder.model_validate_json({order('hang').model_dump_json()!r})\n"
+        "with shard_process.ShardProcesses() as processes, processes.running_shard(order) as process:\n"
+        "    print(process.pid, flush=True)\n"
+        "    list(process.records())\n"
     )
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE) as parent:
         assert parent.stdout is not None
