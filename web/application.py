@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 from vitac.evaluator.tracks import list_tracks
 from vitac.server.api.app import create_app
 
-from . import pages, session
-from .service_data import ServiceData
-from .session import SessionSigner
+from .data.service import ServiceData
+from .pages import routes
+from .session.signer import SessionSigner, load_key
 from .site import Site
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ def create(services: Services) -> FastAPI:
         tracks=list_tracks(),
         public_url=settings.public_url,
     )
-    pages.install(app, site)
+    routes.install(app, site)
     return app
 
 
@@ -40,4 +40,4 @@ def signing_key(settings: Settings) -> bytes:
     """Return the key that signs page sessions: the configured one, else the state directory's."""
     if settings.session_key is not None:
         return settings.session_key.get_secret_value().encode()
-    return session.load_key(settings.state_dir / KEY_FILE)
+    return load_key(settings.state_dir / KEY_FILE)

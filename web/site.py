@@ -10,8 +10,8 @@ from urllib.parse import quote
 from starlette.exceptions import HTTPException
 from starlette.responses import HTMLResponse, RedirectResponse
 
-from . import session
 from .rendering import render
+from .session.signer import COOKIE
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from starlette.requests import Request
     from starlette.responses import Response
 
-    from .page_data import PageData, Visitor
-    from .session import SessionSigner
+    from .data.protocol import PageData, Visitor
+    from .session.signer import SessionSigner
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,7 +76,7 @@ def site_of(request: Request) -> Site:
 async def viewer_of(request: Request) -> Viewer | None:
     """Return who is signed in, or None; a session ends with its token."""
     site = site_of(request)
-    cookie = request.cookies.get(session.COOKIE)
+    cookie = request.cookies.get(COOKIE)
     found = site.signer.read(cookie, now=datetime.now(UTC))
     if cookie is None or found is None:
         return None
@@ -97,7 +97,7 @@ def require_form_token(request: Request, fields: Mapping[str, str], viewer: View
         HTTPException: 403.
     """
     token = fields.get("form_token", "")
-    if not site_of(request).signer.accepts_form_token(request.cookies.get(session.COOKIE), token):
+    if not site_of(request).signer.accepts_form_token(request.cookies.get(COOKIE), token):
         raise HTTPException(403, f"This form was not made for {viewer.name}'s session. Load the page again and repeat.")
 
 

@@ -40,9 +40,9 @@ from vitac.server.views.views import (
     VerdictView,
     WorkersView,
 )
-from vitac.web import pages
-from vitac.web.page_data import LimitRow, Visitor
-from vitac.web.session import SessionSigner
+from vitac.web.data.protocol import LimitRow, Visitor
+from vitac.web.pages import routes
+from vitac.web.session.signer import SessionSigner
 from vitac.web.site import Site
 
 NOW = datetime(2026, 11, 21, 3, 15, tzinfo=UTC)
@@ -435,5 +435,5 @@ class FixedData:
 def an_application(data: FixedData) -> FastAPI:
     """Pages over fixed content, as `vitac serve` mounts them."""
     app = FastAPI(docs_url=None, redoc_url=None)
-    pages.install(app, Site(data=data, signer=SIGNER, version="0.1.0", tracks=("track_1",)))
+    routes.install(app, Site(data=data, signer=SIGNER, version="0.1.0", tracks=("track_1",)))
     return app

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 from starlette.exceptions import HTTPException
 from vitac.evaluator.tracks import Accepted, UnknownTrack, load_track
 
-from .rendering import steps, words
-from .site import page, site_of, viewer_of
+from ..rendering import steps, words
+from ..site import page, site_of, viewer_of
 
 if TYPE_CHECKING:
     from starlette.requests import Request

@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING
 from fastapi import APIRouter
 from starlette.staticfiles import StaticFiles
 
-from . import error_pages, sign_in_pages, submission_pages, track_pages
-from .headers import SecurityHeaders
-from .rendering import STATIC
+from ..headers import SecurityHeaders
+from ..rendering import STATIC
+from . import errors, sign_in, submissions, tracks
 
 if TYPE_CHECKING:
     from fastapi import FastAPI
     from starlette.responses import Response
     from starlette.types import Scope
 
-    from .site import Site
+    from ..site import Site
 
 ONE_YEAR_S = 365 * 24 * 3600
 
@@ -38,23 +38,23 @@ def install(app: FastAPI, site: Site) -> None:
     app.include_router(_router())
     app.mount("/static", VersionedStaticFiles(directory=STATIC), name="static")
     app.add_middleware(SecurityHeaders)
-    error_pages.install(app)
+    errors.install(app)
 
 
 def _router() -> APIRouter:
     router = APIRouter()
     for path, page, method in (
-        ("/", track_pages.home, "GET"),
-        ("/tracks/{track}", track_pages.leaderboard, "GET"),
-        ("/tracks/{track}/logs", track_pages.logs, "GET"),
-        ("/tracks/{track}/rules", track_pages.rules, "GET"),
-        ("/submissions", submission_pages.submissions, "GET"),
-        ("/submissions/{submission_id}", submission_pages.submission, "GET"),
-        ("/submissions/{submission_id}/events", submission_pages.events, "GET"),
-        ("/submissions/{submission_id}/cancel", submission_pages.cancel, "POST"),
-        ("/sign-in", sign_in_pages.sign_in_form, "GET"),
-        ("/sign-in", sign_in_pages.sign_in, "POST"),
-        ("/sign-out", sign_in_pages.sign_out, "POST"),
+        ("/", tracks.home, "GET"),
+        ("/tracks/{track}", tracks.leaderboard, "GET"),
+        ("/tracks/{track}/logs", tracks.logs, "GET"),
+        ("/tracks/{track}/rules", tracks.rules, "GET"),
+        ("/submissions", submissions.submissions, "GET"),
+        ("/submissions/{submission_id}", submissions.submission, "GET"),
+        ("/submissions/{submission_id}/events", submissions.events, "GET"),
+        ("/submissions/{submission_id}/cancel", submissions.cancel, "POST"),
+        ("/sign-in", sign_in.sign_in_form, "GET"),
+        ("/sign-in", sign_in.sign_in, "POST"),
+        ("/sign-out", sign_in.sign_out, "POST"),
     ):
         router.add_route(path, page, methods=[method], include_in_schema=False)
     return router

@@ -25,8 +25,8 @@ from sqlalchemy.exc import OperationalError
 from vitac.evaluator.logs.findings import VerificationResult
 from vitac.server.db.states import EvaluationState, Role, SubmissionKind
 from vitac.server.views.views import LeaderboardView, SubmissionView, VerdictView
-from vitac.web import session
 from vitac.web.headers import HEADERS
+from vitac.web.session import signer
 
 GELBOTS, BEARS, ORGANIZERS = a_visitor("Gelbots"), a_visitor("Bears"), a_visitor("organizers", Role.ORGANIZER)
 RUNNING = a_submission("Gelbots", EvaluationState.RUNNING, name="runs", done=137)
@@ -59,7 +59,7 @@ def sign_in(browser: AsgiBrowser, name: str, **fields: str) -> None:
 
 
 def form_token(browser: AsgiBrowser) -> str:
-    return SIGNER.form_token(browser.cookies[session.COOKIE])
+    return SIGNER.form_token(browser.cookies[signer.COOKIE])
 
 
 class Outline(HTMLParser):
@@ -192,7 +192,7 @@ def test_wrong_token_is_told_beside_the_field(browser: AsgiBrowser) -> None:
     assert 'aria-invalid="true"' in answer.text
     assert "unknown, revoked or expired" in answer.text
     assert "vitac_wrong" not in answer.text
-    assert session.COOKIE not in browser.cookies
+    assert signer.COOKIE not in browser.cookies
 
 
 @pytest.mark.parametrize(
@@ -220,8 +220,8 @@ def test_revoked_token_ends_its_session(data: FixedData, browser: AsgiBrowser) -
 
 
 def test_expired_session_is_none(browser: AsgiBrowser) -> None:
-    long_ago = datetime.now(UTC) - session.LIFETIME - timedelta(seconds=5)
-    browser.cookies.set(session.COOKIE, SIGNER.sign(session.begin(GELBOTS.token_id, now=long_ago)))
+    long_ago = datetime.now(UTC) - signer.LIFETIME - timedelta(seconds=5)
+    browser.cookies.set(signer.COOKIE, SIGNER.sign(signer.begin(GELBOTS.token_id, now=long_ago)))
     assert browser.get("/submissions").status_code == 303
 
 
@@ -229,7 +229,7 @@ def test_sign_out_ends_the_session(browser: AsgiBrowser) -> None:
     sign_in(browser, "Gelbots")
     answer = browser.post("/sign-out", data={"form_token": form_token(browser)})
     assert answer.status_code == 303
-    assert session.COOKIE not in browser.cookies
+    assert signer.COOKIE not in browser.cookies
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,8 @@ from starlette.exceptions import HTTPException
 from vitac.server.db.engine import is_connection_loss
 from vitac.server.errors import ServiceError
 
-from .headers import HEADERS
-from .site import page
+from ..headers import HEADERS
+from ..site import page
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable

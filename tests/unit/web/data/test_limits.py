@@ -2,7 +2,7 @@ from dataclasses import fields, replace
 
 import pytest
 from vitac.evaluator.agent.limits import Limits
-from vitac.web.limits_table import limit_rows, size
+from vitac.web.data.limits import limit_rows, size
 
 NOT_FOR_TEAMS = {"message_bytes"}  # of the channel, which only the evaluator's runtime uses
 

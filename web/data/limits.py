@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from .page_data import LimitRow
+from .protocol import LimitRow
 
 if TYPE_CHECKING:
     from vitac.evaluator.agent.limits import Limits

@@ -13,10 +13,10 @@ from vitac.evaluator.tracks import load_track
 from vitac.server.db.states import TERMINAL_EVALUATION_STATES
 from vitac.server.errors import not_found
 
+from ..rendering import render
+from ..session.forms import read_form
+from ..site import page, require_form_token, require_viewer, site_of, viewer_of
 from .episode_map import episode_map
-from .forms import read_form
-from .rendering import render
-from .site import page, require_form_token, require_viewer, site_of, viewer_of
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Sequence
@@ -25,8 +25,9 @@ if TYPE_CHECKING:
     from vitac.evaluator.tracks import Track
     from vitac.server.views.views import EpisodeView, RankView, SubmissionView, TaskProgressView, TaskScoreView
 
+    from ..site import Viewer
     from .episode_map import EpisodeMap
-    from .site import Viewer
+
 POLL_S = 1.0  # between two looks at a running evaluation; a page changes at most that often
 
 

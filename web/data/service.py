@@ -15,8 +15,8 @@ from vitac.server.leaderboards import log_boards, standings
 from vitac.server.logs import audits
 from vitac.server.submissions import submissions
 
-from .limits_table import limit_rows, size
-from .page_data import Visitor
+from .limits import limit_rows, size
+from .protocol import Visitor
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
         SubmissionView,
     )
 
-    from .page_data import LimitRow
+    from .protocol import LimitRow
 
 ResultT = TypeVar("ResultT")
 

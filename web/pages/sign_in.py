@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 from starlette.responses import RedirectResponse
 
-from . import session
-from .forms import local_target, read_form
-from .site import page, require_form_token, site_of, viewer_of
+from ..session import signer
+from ..session.forms import local_target, read_form
+from ..site import page, require_form_token, site_of, viewer_of
 
 if TYPE_CHECKING:
     from starlette.requests import Request
@@ -36,9 +36,9 @@ async def sign_in(request: Request) -> Response:
         )
     answer = RedirectResponse(target, status_code=303)
     answer.set_cookie(
-        session.COOKIE,
-        site.signer.sign(session.begin(visitor.token_id, now=datetime.now(UTC))),
-        max_age=int(session.LIFETIME.total_seconds()),
+        signer.COOKIE,
+        site.signer.sign(signer.begin(visitor.token_id, now=datetime.now(UTC))),
+        max_age=int(signer.LIFETIME.total_seconds()),
         httponly=True,
         samesite="strict",
         secure=request.url.scheme == "https",
@@ -53,5 +53,5 @@ async def sign_out(request: Request) -> Response:
     if viewer is not None:
         require_form_token(request, fields, viewer)
     answer = RedirectResponse("/", status_code=303)
-    answer.delete_cookie(session.COOKIE, httponly=True, samesite="strict", secure=request.url.scheme == "https")
+    answer.delete_cookie(signer.COOKIE, httponly=True, samesite="strict", secure=request.url.scheme == "https")
     return answer

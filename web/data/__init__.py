@@ -1,0 +1,1 @@
+"""The data that the pages show: the protocol, and its implementation on the service layer."""

@@ -1,0 +1,1 @@
+"""The browser's session: its signed cookie, and the forms that belong to it."""
