@@ -49,6 +49,7 @@ class Limits:
     archive_packed_bytes: int = 512 * MIB
     archive_unpacked_bytes: int = 1 * GIB
     archive_files: int = 5_000
+    """Files and folders, with the folders that paths imply."""
     archive_depth: int = 16
     archive_ratio: float = 200.0
     """Unpacked over packed size."""

@@ -82,17 +82,18 @@ def check_names(entries: Iterable[NamedEntry], limits: Limits) -> None:
         ArchiveRejected: a rule about names, depth, number or likeness is broken.
     """
     likeness = _Likeness()
-    for number, entry in enumerate(entries, start=1):
-        if number > limits.archive_files:
-            raise too_many_files(limits)
+    for entry in entries:
         _check_path(entry.path, limits)
         likeness.check(entry)
+        if likeness.n_paths > limits.archive_files:
+            raise too_many_files(limits)
 
 
 def too_many_files(limits: Limits) -> ArchiveRejected:
     """Return the rejection of an archive or folder with too many entries."""
     return ArchiveRejected(
-        ArchiveFault.TOO_MANY_FILES, f"More than {limits.archive_files} files; put small files together in one."
+        ArchiveFault.TOO_MANY_FILES,
+        f"More than {limits.archive_files} files and folders; put small files together in one.",
     )
 
 
@@ -128,6 +129,11 @@ class _Likeness:
     _spellings: dict[str, str] = field(default_factory=dict)
     _files: set[str] = field(default_factory=set)
     _folders: set[str] = field(default_factory=set)
+
+    @property
+    def n_paths(self) -> int:
+        """Files and folders so far, with the folders that paths imply."""
+        return len(self._files) + len(self._folders)
 
     def check(self, entry: NamedEntry) -> None:
         """Take one path, as a file system that ignores case and accents' encoding would.

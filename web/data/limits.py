@@ -17,7 +17,7 @@ def limit_rows(limits: Limits) -> tuple[LimitRow, ...]:
     rows = {
         "Archive, packed": size(limits.archive_packed_bytes),
         "Archive, unpacked": size(limits.archive_unpacked_bytes),
-        "Files in the archive": f"{limits.archive_files:,}".replace(",", "\N{NARROW NO-BREAK SPACE}"),
+        "Files and folders in the archive": f"{limits.archive_files:,}".replace(",", "\N{NARROW NO-BREAK SPACE}"),
         "Folder depth in the archive": str(limits.archive_depth),
         "Unpacked over packed size": f"{limits.archive_ratio:g}",
         "Start (import and load)": time_limits(limits.start_cpu_s, limits.start_wall_s),

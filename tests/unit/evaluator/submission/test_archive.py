@@ -154,6 +154,14 @@ def test_rejects_bomb_that_lies_about_its_size(tmp_path: Path) -> None:
     assert rejected(bytes(data), tmp_path).code is ArchiveFault.DAMAGED
 
 
+def test_folders_that_paths_imply_count_as_files(tmp_path: Path) -> None:
+    """4,990 files in 15 folders each make 79,841 files and folders."""
+    deep = {"/".join(f"{number}_{depth}" for depth in range(15)) + "/f": b"" for number in range(4_990)}
+    assert rejected(submission_zip(FILES | deep), tmp_path).code is ArchiveFault.TOO_MANY_FILES
+    assert rejected(submission_zip(FILES | {"a/b/f": ""}), tmp_path, Limits(archive_files=5)).code
+    unpack(io.BytesIO(submission_zip(FILES | {"a/b/f": ""})), tmp_path / "fits", Limits(archive_files=6))
+
+
 def test_rejects_overlapping_entries(tmp_path: Path) -> None:
     """Many directory entries that point at the same data unpack to more than the archive could hold."""
     data = bytearray(submission_zip({f"f{number}": b"\0" * 1_000_000 for number in range(2)}))
