@@ -24,6 +24,13 @@ def test_interval_of_the_organizers_result() -> None:
     assert (round(interval.low, 3), round(interval.high, 3)) == (0.111, 0.195)
 
 
+def test_interval_reaches_exactly_to_0_without_a_success_and_to_1_without_a_failure() -> None:
+    for episodes in range(1, 301):
+        none, all_of_them = wilson_interval(0, episodes), wilson_interval(episodes, episodes)
+        assert (none.low, all_of_them.high) == (0.0, 1.0), episodes
+        assert none.high == pytest.approx(1 - all_of_them.low)
+
+
 def test_interval_shrinks_with_episodes() -> None:
     few, many = wilson_interval(3, 10), wilson_interval(300, 1000)
     assert few.low < many.low < many.high < few.high

@@ -4,6 +4,7 @@ import stat
 import struct
 import tempfile
 import zipfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -11,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from submissions import FILES, entry, submission_zip, zip_bytes
 from vitac.evaluator.agent.limits import Limits
-from vitac.evaluator.submission.archive import ArchiveFault, ArchiveRejected, unpack
+from vitac.evaluator.submission.archive import ArchiveFault, ArchiveRejected, Entry, unpack, write
 from vitac.evaluator.submission.names import NamedEntry, check_names
 
 
@@ -214,6 +215,52 @@ def test_refuses_to_unpack_over_something(tmp_path: Path) -> None:
     unpack(io.BytesIO(submission_zip()), tmp_path)
     with pytest.raises(FileExistsError):
         unpack(io.BytesIO(submission_zip()), tmp_path)
+
+
+def file_of(content: bytes, path: str = "policy.py") -> Entry:
+    return Entry(path=path, n_bytes=len(content), open=lambda: io.BytesIO(content))
+
+
+@pytest.mark.parametrize("sizes", [(10,), (6, 4), (9, 1), (10, 0)])
+def test_writes_as_many_bytes_as_are_allowed(sizes: tuple[int, ...], tmp_path: Path) -> None:
+    files = [file_of(b"x" * size, f"{number}.bin") for number, size in enumerate(sizes)]
+    folder = write(files, tmp_path / "out", "Track_1", Limits(archive_unpacked_bytes=10))
+    assert tuple(path.stat().st_size for path in sorted(folder.iterdir())) == sizes
+
+
+@pytest.mark.parametrize("sizes", [(11,), (6, 5), (10, 1)])
+def test_rejects_one_byte_more_than_is_allowed(sizes: tuple[int, ...], tmp_path: Path) -> None:
+    files = [file_of(b"x" * size, f"{number}.bin") for number, size in enumerate(sizes)]
+    with pytest.raises(ArchiveRejected) as caught:
+        write(files, tmp_path / "out", "Track_1", Limits(archive_unpacked_bytes=10))
+    assert caught.value.code is ArchiveFault.UNPACKED_TOO_LARGE
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_never_writes_through_a_link_that_appears_while_unpacking(tmp_path: Path) -> None:
+    outside = tmp_path / "outside"
+    outside.write_bytes(b"ours")
+
+    def files() -> Iterator[Entry]:
+        (tmp_path / "out" / "Track_1" / "policy.py").symlink_to(outside)
+        yield file_of(b"theirs")
+
+    with pytest.raises(FileExistsError):
+        write(files(), tmp_path / "out", "Track_1", Limits())
+    assert outside.read_bytes() == b"ours"
+
+
+def test_never_writes_into_a_file_that_appears_while_unpacking(tmp_path: Path) -> None:
+    outside = tmp_path / "outside"
+    outside.write_bytes(b"ours")
+
+    def files() -> Iterator[Entry]:
+        (tmp_path / "out" / "Track_1" / "policy.py").hardlink_to(outside)
+        yield file_of(b"theirs")
+
+    with pytest.raises(FileExistsError):
+        write(files(), tmp_path / "out", "Track_1", Limits())
+    assert outside.read_bytes() == b"ours"
 
 
 @given(st.lists(st.text(max_size=12), max_size=6))
