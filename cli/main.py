@@ -24,7 +24,7 @@ class Noun:
 
 
 NOUNS = (
-    Noun(name="demo", module="demo.demo", summary="Evaluate the example on a service of its own."),
+    Noun(name="demo", module="demo.command", summary="Evaluate the example on a service of its own."),
     Noun(name="check", module="check", summary="Tell what would be refused in a submission."),
     Noun(name="evaluate", module="evaluate", summary="Evaluate a submission here, as the service does."),
     Noun(name="resimulate", module="resimulate", summary="Play recorded actions through the physics."),

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from rich.progress import TaskID
 
-    from .client import Json
+    from .http import Json
 
 LINES_PER_EVALUATION = 10
 

@@ -10,11 +10,11 @@ import typer
 from vitac.envs.errors import VitacError
 
 from ..terminal.output import percent, print_json, print_pairs, print_table
-from .client import client_from
+from .http import client_from
 from .progress import EvaluationProgress
 
 if TYPE_CHECKING:
-    from .client import Client, Json
+    from .http import Client, Json
 
 POLL_S = 0.5
 FINISHED = frozenset({"completed", "failed", "cancelled"})

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..terminal.output import print_json
-from .client import client_from
+from .http import client_from
 from .packing import pack
 from .upload_kind import UploadKind, kind_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from .client import Client, Json
+    from .http import Client, Json
 
 DEFAULT_TRACK = "track_1"
 

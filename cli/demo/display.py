@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
     from pathlib import Path
 
-    from ..client.client import Json
+    from ..client.http import Json
 
 INDENT = 2
 LABEL_WIDTH = 12

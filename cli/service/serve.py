@@ -1,12 +1,15 @@
 """`vitac serve`: the service on this machine."""
 
 import sys
+from functools import partial
 from typing import Annotated
 
 import typer
 
 from .database import load_settings
-from .service import StopRequest, log_to, running_service
+from .events import write_events_to
+from .process_tree import running_service
+from .stop_request import StopRequest
 from .web_server import bind
 
 
@@ -19,17 +22,17 @@ def command(
 ) -> None:
     """Run the service until Ctrl-C: API, pages, and the embedded database unless VITAC_DATABASE_URL is set."""
     settings = load_settings(host=host, port=port)
-    log_to(sys.stderr)
+    write_events_to(sys.stderr)
     listener = bind(settings.host, settings.port)
     with (
         StopRequest().listening() as stop,
         running_service(
-            settings, listener, workers=workers, log=sys.stderr.fileno(), say=lambda text: print(text, file=sys.stderr)
+            settings, listener, workers=workers, log=sys.stderr.fileno(), notify=partial(print, file=sys.stderr)
         ) as service,
     ):
         service.workers.start()
         print(f"ViTac Arena serves at {service.address}", flush=True)
         print(f"workers: {workers}" if workers else "workers: none here; start some with `vitac worker`", flush=True)
         print("Ctrl-C stops it.", flush=True)
-        stop.look_after(service.workers)
+        stop.supervise(service.workers)
         print("stopping", flush=True)

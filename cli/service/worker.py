@@ -17,9 +17,9 @@ def command(
     """Run a worker until Ctrl-C. Any number may run, on any machine that reaches the database and the storage."""
     from vitac.worker.main import run
 
-    from .service import log_to
+    from .events import write_events_to
 
-    log_to(sys.stderr)
+    write_events_to(sys.stderr)
     if parent is not None:
         end_with(parent)
     run(load_settings(worker_slots=slots))

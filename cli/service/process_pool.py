@@ -1,4 +1,4 @@
-"""Worker processes that belong to this one: started, started again when they die, ended.
+"""A pool of worker processes: started, restarted when they end, stopped with this process.
 
 Called by `serve` and `demo`.
 """
@@ -18,51 +18,51 @@ if TYPE_CHECKING:
 
 COMMAND = ("-c", "import sys; from vitac.cli.main import main; main(['worker', '--end-with', sys.argv[1]])")
 STOP_LIMIT_S = 15.0
-RESTART_PAUSE_S = 2.0  # a worker that dies at once shall not keep the machine busy with starting it
+RESTART_PAUSE_S = 2.0  # limits how often a worker that ends at once is restarted
 
 
 @dataclass(kw_only=True)
-class WorkerProcesses:
-    """Some worker processes.
+class ProcessPool:
+    """Several worker processes.
 
     Attributes:
-        count: how many shall run.
-        log: where they write.
+        count: number of processes.
+        log: file that they write their service events to.
         environment: added to this process's environment.
-        say: told in a sentence when one has died.
-        command: arguments of the Python interpreter that make a worker; our process id follows.
+        notify: called with a sentence when one has ended.
+        command: arguments of the Python interpreter that start a worker; our process id is appended.
     """
 
     count: int
     log: IO[bytes] | int
     environment: dict[str, str] = field(default_factory=dict)
-    say: Callable[[str], None]
+    notify: Callable[[str], None]
     command: Sequence[str] = COMMAND
     _running: list[subprocess.Popen[bytes]] = field(default_factory=list, init=False)
     _not_before: float = field(default=0.0, init=False)
 
     @property
     def pids(self) -> list[int]:
-        """Process ids of those that run."""
+        """Ids of the running processes."""
         return [process.pid for process in self._running]
 
     def start(self) -> None:
-        """Start them all. Must be called in a thread that lives as long as they shall."""
+        """Start all. Call this in a thread that lives as long as they should: they end with it."""
         for _ in range(self.count):
             self._running.append(self._launch())
 
-    def look_after(self) -> None:
-        """Start another one for each that has died; called often."""
+    def restart_ended(self) -> None:
+        """Start a new process for each that has ended; call this regularly."""
         for process in [process for process in self._running if process.poll() is not None]:
             if time.monotonic() < self._not_before:
                 return
             self._running.remove(process)
-            self.say(f"worker {process.pid} ended with code {process.returncode}; starting another one")
+            self.notify(f"worker {process.pid} ended with code {process.returncode}; starting another one")
             self._running.append(self._launch())
             self._not_before = time.monotonic() + RESTART_PAUSE_S
 
     def stop(self) -> None:
-        """Ask all to end, and kill those that do not within the limit."""
+        """Send all SIGTERM, and kill those that have not ended within the limit."""
         for process in self._running:
             process.send_signal(signal.SIGTERM)
         deadline = time.monotonic() + STOP_LIMIT_S
@@ -75,7 +75,7 @@ class WorkerProcesses:
         self._running.clear()
 
     def _launch(self) -> subprocess.Popen[bytes]:
-        # A session of its own: Ctrl-C reaches only this process, which then ends the workers in order.
+        # A session of its own: Ctrl-C reaches only this process, which then stops the workers in order.
         return subprocess.Popen(  # noqa: S603 - our own interpreter and arguments
             [sys.executable, *self.command, str(os.getpid())],
             stdin=subprocess.DEVNULL,

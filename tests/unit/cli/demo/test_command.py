@@ -10,16 +10,16 @@ import pytest
 import quick_worker
 from cli_service import submission_folder
 from databases import fresh_database
-from vitac.cli.demo.demo import short_isolation
+from vitac.cli.demo.command import short_isolation
 from vitac.cli.service.web_server import bind
 
 RUN = """
 import sys
-from vitac.cli.demo import demo
+from vitac.cli.demo import command
 from vitac.cli.main import main
-from vitac.cli.service import worker_processes
-worker_processes.COMMAND = (sys.argv[1],)
-demo.WARM_UP = sys.argv[2]
+from vitac.cli.service import process_pool
+process_pool.COMMAND = (sys.argv[1],)
+command.WARM_UP = sys.argv[2]
 main(["demo", *sys.argv[3:]])
 """
 """The demo with a worker that makes its results up, and without the physics."""

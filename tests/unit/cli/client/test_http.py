@@ -4,7 +4,7 @@ from pathlib import Path
 
 import httpx
 import pytest
-from vitac.cli.client.client import DEFAULT_SERVER, HINTS, Client, RequestRefused, ServiceUnreachable, client_from
+from vitac.cli.client.http import DEFAULT_SERVER, HINTS, Client, RequestRefused, ServiceUnreachable, client_from
 from vitac.envs.errors import VitacError
 from vitac.server.errors import ProblemCode
 

@@ -15,12 +15,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from vitac.envs.errors import VitacError
 
-from ..client.client import Client
+from ..client.http import Client
 from ..client.progress import EvaluationProgress
 from ..client.status import FINISHED, require_score
 from ..client.submit import packed
 from ..service.database import load_settings
-from ..service.service import StopRequest, log_to, running_service
+from ..service.events import write_events_to
+from ..service.process_tree import running_service
+from ..service.stop_request import StopRequest
 from ..service.web_server import bind_or_any
 from ..terminal.program import program_name
 from .display import INDENT, DemoDisplay
@@ -30,8 +32,8 @@ if TYPE_CHECKING:
     from vitac.server.db.models import Worker
     from vitac.server.settings import Settings
 
-    from ..client.client import Json
-    from ..service.service import RunningService
+    from ..client.http import Json
+    from ..service.process_tree import RunningService
 
 TRACK = "track_1"
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "peg_insertion_heuristic"
@@ -67,7 +69,7 @@ def command(
     display.title(version("vitac-arena"))
     settings.state_dir.mkdir(parents=True, exist_ok=True)
     with (settings.state_dir / LOG).open("a") as log, StopRequest().listening() as stop:
-        log_to(log)
+        write_events_to(log)
         demo = Demo(settings=settings, display=display, stop=stop, submission=submission, again=again, log=log.fileno())
         try:
             demo.run(stay=not exit_after)
@@ -118,7 +120,7 @@ class Demo:
         with self.display.step("Service", "starting the database and the server") as step:
             listener = bind_or_any(self.settings.host, wanted)
             service = stack.enter_context(
-                running_service(self.settings, listener, workers=1, log=self.log, say=self.display.remark)
+                running_service(self.settings, listener, workers=1, log=self.log, notify=self.display.remark)
             )
             taken = listener.getsockname()[1] != wanted and wanted != 0
             step.done(service.address + (f" (port {wanted} is taken)" if taken else ""))
@@ -180,7 +182,7 @@ class Demo:
                     raise DemoRefused(f"The worker takes no policies on this machine. {worker.message}")
             if self.stop.wait(POLL_S):
                 raise Interrupted
-            service.workers.look_after()
+            service.workers.restart_ended()
         raise DemoRefused(f"No worker was ready in time; the end of {self.settings.state_dir / LOG} says why.")
 
     def _evaluate(self, service: RunningService, client: Client, submission_id: str) -> Json:
@@ -193,7 +195,7 @@ class Demo:
                     break
                 if self.stop.wait(POLL_S):
                     raise Interrupted
-                service.workers.look_after()
+                service.workers.restart_ended()
         self.display.line("Evaluation", evaluated(found), time.monotonic() - began)
         return found
 
@@ -214,7 +216,7 @@ class Demo:
         if not service.workers.pids:
             service.workers.start()
         self.display.staying()
-        self.stop.look_after(service.workers)
+        self.stop.supervise(service.workers)
 
 
 def evaluated(found: Json) -> str:

@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from vitac.cli.service import worker_processes
-from vitac.cli.service.worker_processes import WorkerProcesses
+from vitac.cli.service import process_pool
+from vitac.cli.service.process_pool import ProcessPool
 
 SLEEPER = ("-c", "import time; time.sleep(600)")
 STUBBORN = ("-c", "import signal, time; signal.signal(15, signal.SIG_IGN); print('deaf', flush=True); time.sleep(600)")
@@ -30,18 +30,18 @@ def eventually(condition: Callable[[], bool]) -> bool:
 
 
 @pytest.fixture
-def said() -> list[str]:
+def notices() -> list[str]:
     return []
 
 
 @pytest.fixture
-def workers(said: list[str]) -> Iterator[WorkerProcesses]:
-    workers = WorkerProcesses(count=2, log=subprocess.DEVNULL, say=said.append, command=SLEEPER)
+def workers(notices: list[str]) -> Iterator[ProcessPool]:
+    workers = ProcessPool(count=2, log=subprocess.DEVNULL, notify=notices.append, command=SLEEPER)
     yield workers
     workers.stop()
 
 
-def test_starts_so_many_and_ends_them_all(workers: WorkerProcesses) -> None:
+def test_starts_so_many_and_ends_them_all(workers: ProcessPool) -> None:
     workers.start()
     pids = workers.pids
     assert len(set(pids)) == 2
@@ -51,39 +51,39 @@ def test_starts_so_many_and_ends_them_all(workers: WorkerProcesses) -> None:
     assert workers.pids == []
 
 
-def test_one_that_was_killed_is_replaced(workers: WorkerProcesses, said: list[str]) -> None:
+def test_one_that_was_killed_is_replaced(workers: ProcessPool, notices: list[str]) -> None:
     workers.start()
     killed, other = workers.pids
     subprocess.run(["kill", "-9", str(killed)], check=True)
     assert eventually(lambda: not alive(killed))
-    workers.look_after()
+    workers.restart_ended()
     assert other in workers.pids
     assert killed not in workers.pids
     assert len(workers.pids) == 2
-    assert said == [f"worker {killed} ended with code -9; starting another one"]
+    assert notices == [f"worker {killed} ended with code -9; starting another one"]
 
 
-def test_one_that_dies_at_once_is_not_started_over_and_over(said: list[str]) -> None:
-    workers = WorkerProcesses(count=1, log=subprocess.DEVNULL, say=said.append, command=("-c", "raise SystemExit(3)"))
+def test_one_that_dies_at_once_is_not_started_over_and_over(notices: list[str]) -> None:
+    workers = ProcessPool(count=1, log=subprocess.DEVNULL, notify=notices.append, command=("-c", "raise SystemExit(3)"))
     workers.start()
     try:
         first = workers.pids[0]
         assert eventually(lambda: not alive(first))
         for _ in range(50):
-            workers.look_after()
+            workers.restart_ended()
         second = workers.pids[0]
         assert eventually(lambda: not alive(second))
         for _ in range(50):
-            workers.look_after()
-        assert len(said) == 1
+            workers.restart_ended()
+        assert len(notices) == 1
     finally:
         workers.stop()
 
 
 def test_one_that_does_not_listen_is_killed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(worker_processes, "STOP_LIMIT_S", 0.2)
+    monkeypatch.setattr(process_pool, "STOP_LIMIT_S", 0.2)
     with tempfile.TemporaryFile() as log:
-        workers = WorkerProcesses(count=1, log=log.fileno(), say=print, command=STUBBORN)
+        workers = ProcessPool(count=1, log=log.fileno(), notify=print, command=STUBBORN)
         workers.start()
         pid = workers.pids[0]
         assert eventually(lambda: log.tell() > 0 or _size(log.fileno()) > 0)
@@ -99,8 +99,8 @@ def test_they_end_with_their_starter_even_when_it_is_killed() -> None:
     )
     starter = (
         "import subprocess, time\n"
-        "from vitac.cli.service.worker_processes import WorkerProcesses\n"
-        f"workers = WorkerProcesses(count=1, log=subprocess.DEVNULL, say=print, command=('-c', {child!r}))\n"
+        "from vitac.cli.service.process_pool import ProcessPool\n"
+        f"workers = ProcessPool(count=1, log=subprocess.DEVNULL, notify=print, command=('-c', {child!r}))\n"
         "workers.start(); print(workers.pids[0], flush=True); time.sleep(600)\n"
     )
     with subprocess.Popen([sys.executable, "-c", starter], stdout=subprocess.PIPE, text=True) as process:

@@ -1,0 +1,53 @@
+"""Waits for Ctrl-C or SIGTERM. Called by `serve` and `demo`."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from .process_pool import ProcessPool
+
+SUPERVISION_PERIOD_S = 0.5
+
+
+class StopRequest:
+    """A request to stop, by Ctrl-C or SIGTERM. A second signal ends the process at once."""
+
+    def __init__(self) -> None:
+        self._received = threading.Event()
+
+    @contextmanager
+    def listening(self) -> Iterator[StopRequest]:
+        """Handle the two signals inside the block; restore the previous handlers after it."""
+        numbers = (signal.SIGINT, signal.SIGTERM)
+        before = {number: signal.signal(number, self._handle) for number in numbers}
+        try:
+            yield self
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+    @property
+    def received(self) -> bool:
+        """Whether a signal was received."""
+        return self._received.is_set()
+
+    def wait(self, timeout_s: float) -> bool:
+        """Wait for the request for at most `timeout_s`; return whether it was received."""
+        return self._received.wait(timeout_s)
+
+    def supervise(self, workers: ProcessPool) -> None:
+        """Restart workers that end, until the request is received."""
+        while not self.wait(SUPERVISION_PERIOD_S):
+            workers.restart_ended()
+
+    def _handle(self, number: int, _frame: object) -> None:
+        if self.received:
+            signal.signal(number, signal.SIG_DFL)
+            signal.raise_signal(number)
+        self._received.set()
