@@ -10,7 +10,6 @@ of log(value) by log(nodes) within a family. One thread, no GPU; run it twice, f
 import argparse
 import json
 import sys
-from itertools import pairwise
 from pathlib import Path
 from time import process_time
 
@@ -19,7 +18,6 @@ from physics_document import REPOSITORY, keep
 from physics_tables import GEL_QUANTITIES, Figures
 from vitac.envs.assets import Meshes
 from vitac.envs.fem.linear.elimination import factorise
-from vitac.envs.fem.model.mesh import GelMesh
 from vitac.envs.fem.scene.scene import StepReport
 from vitac.envs.geometry.pegs import PegShape
 from vitac.envs.scene.grasped_scene import Clocks
@@ -62,18 +60,6 @@ OFFSETS = (
 )
 
 
-class OwnGel(Meshes):
-    """Generated pegs and plates, and a gel of our choice."""
-
-    def __init__(self, gel: GelMesh) -> None:
-        super().__init__()
-        self._gel = gel
-
-    def gel(self) -> GelMesh:
-        """Return the gel of both sensors."""
-        return self._gel
-
-
 def measure(name: str, cells: GelCells, size: GelDimensions) -> Figures:
     """Play the scene on one gel."""
     begun_s = process_time()
@@ -82,15 +68,15 @@ def measure(name: str, cells: GelCells, size: GelDimensions) -> Figures:
     clocks = Clocks(physics=Stopwatch(), markers=Stopwatch())
     scene = PegScene(
         start=PegStart(shape=PegShape.CUBOID, offset=OFFSETS[0]),
-        meshes=OwnGel(gel),
+        meshes=Meshes(gel=gel),
         settings=PegInsertionSettings(),
         clocks=clocks,
     )
     set_up_s = process_time() - begun_s
     before_s = clocks.physics.elapsed_s
     scene.grasp()
-    for here, there in pairwise(OFFSETS):
-        scene.travel(here, there)
+    for offset in OFFSETS[1:]:
+        scene.travel(offset)
     physics_s = clocks.physics.elapsed_s - before_s
     reports: tuple[StepReport, ...] = scene.grasped.take_reports()
     iterations = sum(report.newton_iterations for report in reports)

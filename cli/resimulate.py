@@ -9,6 +9,7 @@ import typer
 if TYPE_CHECKING:
     from vitac.evaluator.logs.recordings import Recording
     from vitac.evaluator.logs.resimulation import ReportedEpisode, ReportedStep
+    from vitac.evaluator.tracks import Task
 
 
 def command(
@@ -25,7 +26,7 @@ def command(
     """Play recorded actions through the physics, all of them, also those after the end of an episode.
 
     For each env step it prints ours and, behind a stroke, what was recorded [mm]: movement of the gel surfaces (left,
-    right), and height of the peg's bottom vertices over the plate, or of the key's teeth.
+    right), and the heights that decide about success (the peg's bottom vertices, the key's teeth).
     """
     from vitac.envs.assets import assets_dir_from_environment
     from vitac.evaluator.episodes.episode import make_environment
@@ -37,9 +38,9 @@ def command(
     recordings = read_recordings(file, definition)
     env = make_environment(definition, assets or assets_dir_from_environment())
     episodes = []
-    for recording, played in resimulate_all(env, recordings):
+    for recording, played in resimulate_all(env, definition, recordings):
         episodes.append(played)
-        for line in _lines(recording, played):
+        for line in _lines(definition, recording, played):
             print(line)
     result = report(env, episodes)
     if json:
@@ -51,26 +52,25 @@ def command(
     )
 
 
-def _lines(recording: "Recording", played: "ReportedEpisode") -> Iterator[str]:
+def _lines(task: "Task", recording: "Recording", played: "ReportedEpisode") -> Iterator[str]:
     from vitac.evaluator.logs.resimulation import reported_step
 
     start = " ".join(f"{value:g}" for value in recording.episode.offset)
     yield f"Episode {played.episode}: {recording.episode.shape} at {start}"
     for ours, info in zip(played.steps, recording.infos, strict=False):
-        yield _step_line(ours, reported_step(ours.n, info))
+        yield _step_line(task, ours, reported_step(task, ours.n, info))
     end = f"{played.end_reason} at env step {played.end_step}" if played.end_reason else "not ended"
     recorded = "success" if recording.success else "no success"
     yield f"  {end} | recorded {recorded} after {len(recording.actions)} env steps"
 
 
-def _step_line(ours: "ReportedStep", recorded: "ReportedStep") -> str:
-    columns = {
-        "surface": (ours.surface_diff_mm, recorded.surface_diff_mm),
-        "peg": (ours.peg_relative_z_mm, recorded.peg_relative_z_mm),
-        "teeth": (ours.tooth_z_mm, recorded.tooth_z_mm),
-    }
-    shown = (f"  {name} {_numbers(a)} | {_numbers(b)}" for name, (a, b) in columns.items() if a or b)
-    return f"  step {ours.n:2}" + "".join(shown)
+def _step_line(task: "Task", ours: "ReportedStep", recorded: "ReportedStep") -> str:
+    line = f"  step {ours.n:2}"
+    for measure in task.definition.measures:
+        played, before = ours.measures.get(measure.name), recorded.measures.get(measure.name)
+        if played or before:
+            line += f"  {measure.label} {_numbers(played)} | {_numbers(before)}"
+    return line
 
 
 def _numbers(values: tuple[float, ...] | None) -> str:

@@ -183,7 +183,8 @@ def _environment(env_id: str, assets: Path | None) -> "TactileTaskEnv[Any, Any]"
 
 @contextmanager
 def _player(start: Start, policy: Path | None, actions: Path | None) -> Iterator[Played]:
-    from vitac.envs.drawing.guided_motion import DESCRIPTION, straight_to_target
+    from vitac.envs.drawing.drawable import straight_to_target
+    from vitac.envs.scene.guided_motion import DESCRIPTION
 
     if not policy and not actions:
         yield Played(start=start, next_action=straight_to_target(start.env_id), actions=DESCRIPTION)

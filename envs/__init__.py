@@ -2,11 +2,10 @@
 
 import gymnasium
 
-ENVIRONMENTS = {
-    "ViTac/LockOpening-v1": "vitac.envs.tasks.lock_opening.env:LockOpeningEnv",
-    "ViTac/PegInsertion-v1": "vitac.envs.tasks.peg_insertion.env:PegInsertionEnv",
-}
-"""Entry point of every id; a string, so that registering does not import the simulation."""
+from .tasks.registry import task_definitions
+
+ENVIRONMENTS = {env_id: task.environment for env_id, task in task_definitions().items()}
+"""Place of the class of every environment; a string, so that registering does not import the simulation."""
 
 for _id, _entry_point in ENVIRONMENTS.items():
     if _id not in gymnasium.registry:

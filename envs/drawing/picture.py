@@ -16,8 +16,9 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
+from ..scene.perspective import Beside, Perspective
 from .colouring import Quantity, colouring
-from .perspectives import Beside, Perspective, perspective_of
+from .drawable import perspective_of
 from .playback import Moment, Playback
 from .plots import INK, QUIET, draw_progress, draw_section
 from .scene_view import SceneImage, SceneView

@@ -7,9 +7,9 @@ from matplotlib.path import Path
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from .perspectives import Perspective, Progress, SectionView
+from ..scene.perspective import Perspective, Plane, Progress, SectionView
 from .playback import Moment, Playback
-from .projection.section import Plane, section_loops_m
+from .projection.section import section_loops_m
 from .projection.shading import CUT_COLOUR, HELD_COLOUR
 
 FloatArray = NDArray[np.float64]

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .perspectives import Perspective
+from ..scene.perspective import Perspective
 from .playback import Moment, Playback
 from .projection.camera import ParallelCamera
 from .projection.edges import sharp_edges, unique_edges, unit_normals, visible_lines

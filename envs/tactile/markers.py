@@ -21,11 +21,11 @@ from ..deterministic_math import normal_pairs, sine_cosine
 from ..errors import VitacError
 from ..fem.model.mesh import GelMesh
 from .camera import project
+from .sizes import MARKER_COUNT
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 
-MARKER_COUNT = 128
 # Half extent of the grid before translation and rotation.
 _GRID_HALF_X_MM = 8.0
 _GRID_HALF_Y_MM = 6.0

@@ -186,7 +186,7 @@ def _play(env: Environment, task: Task, policy: Policy, observation: Observation
 
 def public_part(task: Task, observation: Observation) -> Observation:
     """Return the observation, after making sure that it holds what the track's table lists and nothing else."""
-    listed = {row.key for row in task.observations}
+    listed = {row.name for row in task.observables}
     if set(observation) != listed:
         raise EnvironmentBroken(
             f"{task.env_id} gave observation keys {sorted(observation)}, expected exactly {sorted(listed)}; "

@@ -1,33 +1,33 @@
 """The report of `vitac resimulate`: recorded actions in our physics, beside the recorded results."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
-from pydantic import JsonValue
+from pydantic import JsonValue, SerializerFunctionWrapHandler, model_serializer
 
 from ..episodes.episode import Environment
 from ..episodes.records import EpisodeOutcome
 from ..episodes.replay import Resimulated, resimulate
 from ..strict_model import StrictModel
+from ..tracks import Task
 from .recordings import Recording
 
 _FLAGS = ("is_success", "tactile_movement_too_large", "error_too_large")
-_TEETH = ("key1_pts_m", "key2_pts_m")
 
 
 class ReportedStep(StrictModel):
-    """One env step, lengths in mm. The JSON omits quantities that the task does not have.
-
-    `tooth_z_mm` is the height of the lowest top corner of the rear and of the front measured tooth.
-    """
+    """One env step. In JSON the task's own measures [mm] stand beside `n`; it omits what the info does not have."""
 
     n: int
-    surface_diff_mm: tuple[float, ...] | None = None
-    peg_relative_z_mm: tuple[float, ...] | None = None
-    tooth_z_mm: tuple[float, ...] | None = None
+    measures: dict[str, tuple[float, ...]]
     is_success: bool | None = None
     tactile_movement_too_large: bool | None = None
     error_too_large: bool | None = None
+
+    @model_serializer(mode="wrap")
+    def _flat(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        written = write(self)
+        return {"n": written.pop("n"), **written.pop("measures"), **written}
 
 
 class ReportedEpisode(StrictModel):
@@ -49,10 +49,18 @@ class Report(StrictModel):
     cpu_s_per_ipc_step: float
 
 
-def resimulate_all(env: Environment, recordings: Iterable[Recording]) -> Iterator[tuple[Recording, ReportedEpisode]]:
-    """Re-simulate the recordings one at a time; yield each with its report."""
+def resimulate_all(
+    env: Environment, task: Task, recordings: Iterable[Recording]
+) -> Iterator[tuple[Recording, ReportedEpisode]]:
+    """Re-simulate the recordings one at a time; yield each with its report.
+
+    Args:
+        env: environment of the task.
+        task: what was played.
+        recordings: actions of its episodes.
+    """
     for recording in recordings:
-        yield recording, _episode(recording, resimulate(env, recording.episode, recording.actions))
+        yield recording, _episode(task, recording, resimulate(env, recording.episode, recording.actions))
 
 
 def report(env: Environment, episodes: Iterable[ReportedEpisode]) -> Report:
@@ -65,22 +73,17 @@ def report(env: Environment, episodes: Iterable[ReportedEpisode]) -> Report:
     )
 
 
-def reported_step(number: int, info: dict[str, JsonValue]) -> ReportedStep:
-    """Return the reported part of the info of one env step, ours or recorded."""
-    known: dict[str, Any] = {key: info[key] for key in ("peg_relative_z_mm", *_FLAGS) if key in info}
-    if "surface_diff_m" in info:
-        metres: Any = info["surface_diff_m"]
-        known["surface_diff_mm"] = tuple(1000 * value for value in metres)
-    if all(key in info for key in _TEETH):
-        teeth: Any = [info[key] for key in _TEETH]
-        known["tooth_z_mm"] = tuple(1000 * min(z for _, _, z in tooth) for tooth in teeth)
-    return ReportedStep.model_validate({"n": number, **known})
+def reported_step(task: Task, number: int, info: Mapping[str, JsonValue]) -> ReportedStep:
+    """Return what a report holds of the info of one env step, ours or recorded."""
+    shown = [measure for measure in task.definition.measures if all(key in info for key in measure.needs)]
+    flags: dict[str, Any] = {key: info[key] for key in _FLAGS if key in info}
+    return ReportedStep(n=number, measures={measure.name: measure.read(info) for measure in shown}, **flags)
 
 
-def _episode(recording: Recording, played: Resimulated) -> ReportedEpisode:
+def _episode(task: Task, recording: Recording, played: Resimulated) -> ReportedEpisode:
     return ReportedEpisode(
         episode=recording.episode.number,
-        steps=tuple(reported_step(number, info) for number, info in enumerate(played.infos, start=1)),
+        steps=tuple(reported_step(task, number, info) for number, info in enumerate(played.infos, start=1)),
         success=played.outcome is EpisodeOutcome.SUCCESS,
         end_step=played.end_step,
         end_reason=played.outcome,

@@ -1,37 +1,22 @@
 """What a track file may say; the models that `load_track` returns."""
 
 import hashlib
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property
 from itertools import product
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
-from pydantic import Field, PositiveInt, model_validator
+from pydantic import Field, PositiveInt, field_validator, model_validator
+from vitac.envs.observable import Observable
+from vitac.envs.tasks.definition import ActionComponent, TaskDefinition
+from vitac.envs.tasks.registry import task_definitions
 
 from ..strict_model import StrictModel
 
 Loop = Literal["repeat", "offset", "shape"]
-
-
-class ObservationRow(StrictModel):
-    """One row of the observation table of the rules page."""
-
-    key: str
-    shape: tuple[PositiveInt, ...]
-    dtype: str
-    unit: str
-    meaning: str
-
-
-class ActionRow(StrictModel):
-    """One component of the action, each in [-1, 1], in order."""
-
-    name: str
-    scale: float = Field(gt=0)
-    unit: str
-    meaning: str
 
 
 class EpisodeList(StrictModel):
@@ -72,7 +57,7 @@ class Episode:
 
 
 class Task(StrictModel):
-    """One task of a track: its environment, its episode list and the tables of its rules page."""
+    """One task of a track: its environment and its episode list. What is observed and done is the environment's."""
 
     name: str
     env_id: str
@@ -82,9 +67,29 @@ class Task(StrictModel):
     max_steps: PositiveInt
     shard_size: PositiveInt
     notes: tuple[str, ...] = ()
-    observations: tuple[ObservationRow, ...] = Field(min_length=1)
-    actions: tuple[ActionRow, ...] = Field(min_length=1)
     episode_list: EpisodeList
+
+    @property
+    def definition(self) -> TaskDefinition:
+        """Return what the task's own folder says of it."""
+        return task_definitions()[self.env_id]
+
+    @property
+    def observables(self) -> tuple[Observable[Any], ...]:
+        """Return what a policy observes, nothing privileged."""
+        return self.definition.public_observables
+
+    @property
+    def actions(self) -> tuple[ActionComponent, ...]:
+        """Return the components of an action, in order."""
+        return self.definition.actions
+
+    @field_validator("env_id")
+    @classmethod
+    def _is_known(cls, env_id: str) -> str:
+        if env_id not in task_definitions():
+            raise ValueError(f"is {env_id!r}, expected one of {', '.join(sorted(task_definitions()))}")
+        return env_id
 
     @cached_property
     def episodes(self) -> tuple[Episode, ...]:
@@ -109,7 +114,9 @@ class Task(StrictModel):
 
     def digest(self) -> str:
         """SHA-256 [hex] of the whole definition; it changes with the list, the limits and the tables."""
-        return hashlib.sha256(self.model_dump_json().encode()).hexdigest()
+        observed = [(row.name, row.shape, row.dtype, row.unit, row.meaning) for row in self.observables]
+        done = [(row.name, row.scale, row.unit, row.meaning) for row in self.actions]
+        return hashlib.sha256((self.model_dump_json() + json.dumps([observed, done])).encode()).hexdigest()
 
 
 class Accepted(StrEnum):

@@ -16,7 +16,8 @@ from gymnasium.utils.env_checker import check_env
 from trajectories import digests as trajectory_digests
 from trajectories import trajectory_digest
 from vitac.envs.errors import VitacError
-from vitac.envs.tasks.task_env import ActionError, ResetOptionsError
+from vitac.envs.tasks.options import ResetOptionsError
+from vitac.envs.tasks.task_env import ActionError
 
 ENV_IDS = sorted(vitac.envs.ENVIRONMENTS)
 PUBLIC_KEYS = {"marker_flow", "relative_motion"}

@@ -24,7 +24,7 @@ def env(task: Task) -> Any:
 
 
 def test_observation_table_is_the_observation_space(task: Task, env: Any) -> None:
-    listed = {row.key: (row.shape, row.dtype) for row in task.observations}
+    listed = {row.name: (row.shape, row.dtype) for row in task.observables}
     assert listed == {key: (space.shape, str(space.dtype)) for key, space in env.observation_space.spaces.items()}
 
 

@@ -19,22 +19,11 @@ THICK_DOME = structured_gel(
 )
 
 
-class OwnGel(Meshes):
-    """Generated pegs and plates, and this gel."""
-
-    def __init__(self, gel: GelMesh) -> None:
-        super().__init__()
-        self._gel = gel
-
-    def gel(self) -> GelMesh:
-        return self._gel
-
-
 def grasped(gel: GelMesh) -> tuple[PegScene, tuple[StepReport, ...]]:
     """The peg scene after grasp and descent."""
     scene = PegScene(
         start=PegStart(shape=PegShape.CUBOID, offset=PegOffset(x_mm=-4.0, y_mm=1.0, theta_deg=-6.0)),
-        meshes=OwnGel(gel),
+        meshes=Meshes(gel=gel),
         settings=PegInsertionSettings(),
         clocks=Clocks(physics=Stopwatch(), markers=Stopwatch()),
     )

@@ -45,7 +45,7 @@ def test_names_every_verdict_with_its_sentence(manual: str) -> None:
 def test_shows_the_observations_of_the_track(manual: str, task: Task) -> None:
     own = section(manual, f"Track 1, {task.title.lower()}")
     shown = set(re.findall(r"^\| `(\w+)` \| (\([\d, ]+\)) (\w+) \|", own, re.MULTILINE))
-    assert shown == {(row.key, str(tuple(row.shape)), row.dtype) for row in task.observations}
+    assert shown == {(row.name, str(tuple(row.shape)), row.dtype) for row in task.observables}
 
 
 @pytest.mark.parametrize("task", TASKS, ids=lambda task: task.name)

@@ -7,7 +7,7 @@ from math import cos, radians, sin
 import numpy as np
 from numpy.typing import NDArray
 
-from .section import Plane
+from ...scene.perspective import Plane
 
 FloatArray = NDArray[np.float64]
 

@@ -1,29 +1,12 @@
 """Cuts of closed surfaces by a plane: the outlines that a section shows. Used for cut-open parts and section views."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
+from ...scene.perspective import Plane
+
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Plane:
-    """The plane normal . x = offset.
-
-    Attributes:
-        normal: unit vector.
-        offset_m: distance from the origin along the normal [m].
-    """
-
-    normal: tuple[float, float, float]
-    offset_m: float
-
-    def heights_m(self, points_m: FloatArray) -> FloatArray:
-        """Signed distances from the plane [m], positive on the normal's side, shape [..., 3] to [...]."""
-        return np.asarray(points_m @ np.array(self.normal) - self.offset_m)
 
 
 def section_loops_m(vertices_m: FloatArray, triangles: IndexArray, plane: Plane) -> list[FloatArray]:

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ...scene.perspective import Plane
 from .camera import ParallelCamera
-from .section import Plane
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

@@ -13,8 +13,9 @@ from ...geometry.solid import nearest_vertices
 from ...scene.grasped_scene import Clocks, GraspedScene, fixed_at_origin
 from ...scene.gripper import GEL_HALF_THICKNESS_MM, GripperPose, SensorMount
 from ...scene.motion import ipc_steps
+from .meshes import key_mesh, lock_mesh
 from .settings import LockOpeningSettings
-from .task import LockState
+from .task import CEILING_Z_M, LockState
 from .variation import LockStart
 
 FloatArray = NDArray[np.float64]
@@ -26,6 +27,10 @@ GRASP_HEIGHT_MM = 16.0
 SPEED_M_S = 2e-3
 # Distance of the sensors from the key's tip.
 SENSOR_X_MM = {KeyShape.KEY1: 70.0, KeyShape.KEY2: 75.0, KeyShape.KEY3: 70.0, KeyShape.KEY4: 80.0}
+
+# Where the 2025 code records the grasp to be on every key, instead of at the sensors [mm from the tip].
+_RECORDED_GRASP_X_MM = 49.5
+_POINT_SCALE_PER_M = 200.0
 
 # Both gels' x axes point outwards along the key; the left one looks along +y, the right one along -y.
 MOUNTS = (
@@ -44,11 +49,18 @@ class KeyVertices:
 
 
 class LockScene:
-    """A lock scene and the gripper motions of the task."""
+    """A lock scene and the gripper motions of the task.
+
+    Attributes:
+        grasped: the physics, the gripper and its sensors.
+        env_steps: played so far in the episode.
+    """
 
     def __init__(self, *, start: LockStart, meshes: Meshes, settings: LockOpeningSettings, clocks: Clocks) -> None:
         self._settings = settings
-        key = meshes.key(start.shape)
+        self._shape = start.shape
+        self.env_steps = 0
+        key = key_mesh(meshes, start.shape)
         points = key_control_points(start.shape)
         self._vertices = KeyVertices(
             rear_tooth=nearest_vertices(key, points.rear_tooth_m),
@@ -66,7 +78,7 @@ class LockScene:
                 density_kg_m3=settings.physics.rigid_density_kg_m3,
                 friction=settings.key_friction,
             ),
-            fixed=fixed_at_origin(meshes.lock(start.shape), friction=settings.lock_friction),
+            fixed=fixed_at_origin(lock_mesh(meshes, start.shape), friction=settings.lock_friction),
             mounts=MOUNTS,
             pose=self._grasp_pose,
             physics=settings.physics,
@@ -81,6 +93,11 @@ class LockScene:
         self.grasped.move_to(goal, ipc_steps=self._ipc_steps(closing_m))
         self.grasped.capture_references()
 
+    def move(self, command: FloatArray) -> None:
+        """Move the gripper as an action says, into the lock and down."""
+        inwards_mm, down_mm = (np.clip(command, -1.0, 1.0) * np.array(self._settings.action_scale_mm)).tolist()
+        self.travel(-inwards_mm, -down_mm)
+
     def travel(self, x_mm: float, z_mm: float) -> None:
         """Move the gripper by x and z [mm], both together."""
         longest_m = max(abs(x_mm), abs(z_mm)) * 1e-3
@@ -88,21 +105,48 @@ class LockScene:
         self.grasped.move_to(goal, ipc_steps=self._ipc_steps(longest_m))
 
     def relative_motion_mm(self) -> FloatArray:
-        """Motion of the gripper's centre since the start [mm], shape [3]."""
-        now, first = self.grasped.pose, self._grasp_pose
-        return np.array([now.x_m - first.x_m, now.y_m - first.y_m, now.z_m - first.z_m]) * 1e3
+        """Motion of the gripper's centre since the start [mm], shape [3].
 
-    def state(self, env_steps: int) -> LockState:
+        The 2025 code measures from a wrong grasp centre after the first env step, so that x jumps by 20.5, 25.5, 20.5
+        or 30.5 mm and gives the key away (challenge-facts 14.2); only `reference_quirks` does so here.
+        """
+        now, first = self.grasped.pose, self._grasp_pose
+        motion_mm = np.array([now.x_m - first.x_m, now.y_m - first.y_m, now.z_m - first.z_m]) * 1e3
+        if self._settings.reference_quirks and self.env_steps > 0:
+            motion_mm[0] += SENSOR_X_MM[self._shape] - _RECORDED_GRASP_X_MM
+        return motion_mm
+
+    def state(self) -> LockState:
         """Measured points and surface motion, in arrays of their own."""
         return LockState(
-            env_steps=env_steps,
+            env_steps=self.env_steps,
             rear_tooth_m=self.grasped.held_vertices_m(self._vertices.rear_tooth),
             front_tooth_m=self.grasped.held_vertices_m(self._vertices.front_tooth),
-            rear_slot_m=self._lock_points.rear_slot_m.copy(),
-            front_slot_m=self._lock_points.front_slot_m.copy(),
-            entrance_m=self._lock_points.entrance_m.copy(),
+            rear_slot_m=self.rear_slot_m(),
+            front_slot_m=self.front_slot_m(),
+            entrance_m=self.entrance_m(),
             surface_diff_m=self.grasped.surface_diff_m(),
         )
+
+    def rear_slot_m(self) -> FloatArray:
+        """Lower corners of the slot for the rear tooth [m], shape [4, 3]."""
+        return self._lock_points.rear_slot_m.copy()
+
+    def front_slot_m(self) -> FloatArray:
+        """Lower corners of the slot for the front tooth [m], shape [4, 3]."""
+        return self._lock_points.front_slot_m.copy()
+
+    def entrance_m(self) -> FloatArray:
+        """Corners of the lock's entrance face [m], shape [4, 3]."""
+        return self._lock_points.entrance_m.copy()
+
+    def rear_tooth_from_slot(self) -> FloatArray:
+        """Mean corner of the rear tooth from its slot [5 mm], shape [3]; see `_tooth_from_slot`."""
+        return _tooth_from_slot(self.grasped.held_vertices_m(self._vertices.rear_tooth), self.rear_slot_m())
+
+    def front_tooth_from_slot(self) -> FloatArray:
+        """Mean corner of the front tooth from its slot [5 mm], shape [3]; see `_tooth_from_slot`."""
+        return _tooth_from_slot(self.grasped.held_vertices_m(self._vertices.front_tooth), self.front_slot_m())
 
     def tip_m(self) -> FloatArray:
         """Corners of the key's tip in the world [m], shape [4, 3]."""
@@ -127,3 +171,10 @@ def _open_pose(start: LockStart) -> GripperPose:
         angle_rad=0.0,
         half_opening_m=(KEY_HALF_THICKNESS_MM + GEL_HALF_THICKNESS_MM + START_GAP_MM) * 1e-3,
     )
+
+
+def _tooth_from_slot(tooth_m: FloatArray, slot_m: FloatArray) -> FloatArray:
+    """Mean tooth corner relative to its slot: x from the slot's middle, y, z from the ceiling, times 200 per metre."""
+    tooth = tooth_m.sum(axis=0) / len(tooth_m)
+    slot_x_m = slot_m[:, 0].sum() / len(slot_m)
+    return np.asarray(_POINT_SCALE_PER_M * (tooth - np.array([slot_x_m, 0.0, CEILING_Z_M])))

@@ -7,6 +7,7 @@ from ...fem.model.settings import ContactSettings
 from ...scene.grasped_scene import PhysicsSettings
 from ...tactile.markers import MarkerSettings
 from ..settings import require
+from .definition import TASK
 
 
 def lock_physics() -> PhysicsSettings:
@@ -36,7 +37,7 @@ class LockOpeningSettings:
     """
 
     max_steps: int = 50
-    action_scale_mm: tuple[float, float] = (2.0, 1.0)
+    action_scale_mm: tuple[float, ...] = TASK.action_scale
     step_penalty: float = 1.0
     final_reward: float = 10.0
     failure_penalty: float = 5.0

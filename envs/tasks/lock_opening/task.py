@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..task_env import LARGEST_SURFACE_DIFF_M, EndReason
+from ..ending import Flags, surface_moved_too_far
 
 FloatArray = NDArray[np.float64]
 
@@ -44,34 +44,15 @@ class LockState:
     surface_diff_m: FloatArray
 
 
-@dataclass(frozen=True, kw_only=True)
-class LockFlags:
-    """Flags of an env step; success may be raised together with others, and then it is a success."""
-
-    tactile_movement_too_large: bool
-    error_too_large: bool
-    too_many_steps: bool
-    is_success: bool
-
-    @property
-    def failure(self) -> EndReason | None:
-        """The flag that cuts the episode off, if any: tactile before error before steps."""
-        if self.tactile_movement_too_large:
-            return EndReason.TACTILE
-        if self.error_too_large:
-            return EndReason.ERROR
-        return EndReason.STEPS if self.too_many_steps else None
-
-
-def judge_flags(state: LockState, *, max_steps: int) -> LockFlags:
+def judge_flags(state: LockState, *, max_steps: int) -> Flags:
     """Return the flags of an env step.
 
     Success means that both teeth stand in absolute windows, not that each is aligned with its slot [D8]; it asks for
     no flag. No angle is tested [D12].
     """
     teeth = (state.rear_tooth_m, state.front_tooth_m)
-    return LockFlags(
-        tactile_movement_too_large=bool((state.surface_diff_m > LARGEST_SURFACE_DIFF_M).any()),
+    return Flags(
+        tactile_movement_too_large=surface_moved_too_far(state.surface_diff_m),
         error_too_large=any(_out_of_range(tooth) for tooth in teeth),
         too_many_steps=state.env_steps >= max_steps,
         is_success=all(_lifted(tooth, entrance_x_m=_mean(state.entrance_m)[0]) for tooth in teeth),
@@ -88,7 +69,7 @@ def alignment_error(state: LockState) -> float:
 
 
 def reward(
-    flags: LockFlags,
+    flags: Flags,
     surface_diff_m: FloatArray,
     *,
     progress: float,

@@ -1,15 +1,15 @@
 """Which episode is played: the key and where it stands in its lock, and how far off the sensors grip it."""
 
 from dataclasses import dataclass
-from math import isfinite
 from typing import Any
 
 import numpy as np
 
 from ...geometry.keys import KeyShape
-from ..task_env import ResetOptionsError
+from ..options import choice, numbers, refusal
+from .definition import TASK
 
-ENV_ID = "ViTac/LockOpening-v1"
+ENV_ID = TASK.env_id
 SHAPE, OFFSET, JITTER = "shape", "offset_mm", "sensor_jitter_mm"
 # A start at which the key's tip is clear of the end wall and its shaft and teeth of floor, ceiling and walls.
 X_RANGE_MM = (-1.4, 40.0)
@@ -68,12 +68,16 @@ def choose_start(options: dict[str, Any], random: np.random.Generator, *, x_mm: 
         ResetOptionsError: an option is not a known key or not a usable offset or jitter.
     """
     given = options.get(SHAPE)
-    shape = list(KeyShape)[int(random.integers(len(KeyShape)))] if given is None else _shape(given)
+    shape = _random_shape(random) if given is None else choice(ENV_ID, SHAPE, given, KeyShape)
     wanted = options.get(OFFSET)
     offset = KeyOffset(x_mm=x_mm * random.random(), y_mm=0.0, z_mm=0.0) if wanted is None else _offset(wanted)
     off = options.get(JITTER)
     jitter = _random_jitter(random, jitter_mm) if off is None else _jitter(off)
     return LockStart(shape=shape, offset=offset, jitter=jitter)
+
+
+def _random_shape(random: np.random.Generator) -> KeyShape:
+    return list(KeyShape)[int(random.integers(len(KeyShape)))]
 
 
 def _random_jitter(random: np.random.Generator, jitter_mm: float) -> SensorJitter:
@@ -87,39 +91,20 @@ def _random_sided(random: np.random.Generator, largest: float) -> float:
     return size if random.integers(2) else -size
 
 
-def _shape(value: Any) -> KeyShape:
-    try:
-        return KeyShape(value)
-    except ValueError:
-        names = ", ".join(KeyShape)
-        raise ResetOptionsError(f"{ENV_ID}: option '{SHAPE}' is {value!r}, expected one of {names}.") from None
-
-
 def _offset(value: Any) -> KeyOffset:
     low, high = X_RANGE_MM
     expected = (
         f"expected (x, y, z) in mm with {low:g} <= x <= {high:g}, |y| <= {LARGEST_Y_MM:g}, |z| <= {LARGEST_Z_MM:g}"
     )
-    numbers = _numbers(value, 3, OFFSET, expected)
-    x_mm, y_mm, z_mm = numbers
+    x_mm, y_mm, z_mm = numbers(ENV_ID, OFFSET, value, 3, expected)
     if not (low <= x_mm <= high and abs(y_mm) <= LARGEST_Y_MM and abs(z_mm) <= LARGEST_Z_MM):
-        raise ResetOptionsError(f"{ENV_ID}: option '{OFFSET}' is {value!r}, {expected}.")
+        raise refusal(ENV_ID, OFFSET, value, expected)
     return KeyOffset(x_mm=x_mm, y_mm=y_mm, z_mm=z_mm)
 
 
 def _jitter(value: Any) -> SensorJitter:
     expected = f"expected (x, z) in mm within {LARGEST_JITTER_MM:g} either way"
-    x_mm, z_mm = _numbers(value, 2, JITTER, expected)
+    x_mm, z_mm = numbers(ENV_ID, JITTER, value, 2, expected)
     if max(abs(x_mm), abs(z_mm)) > LARGEST_JITTER_MM:
-        raise ResetOptionsError(f"{ENV_ID}: option '{JITTER}' is {value!r}, {expected}.")
+        raise refusal(ENV_ID, JITTER, value, expected)
     return SensorJitter(x_mm=x_mm, z_mm=z_mm)
-
-
-def _numbers(value: Any, count: int, option: str, expected: str) -> list[float]:
-    try:
-        numbers = [float(number) for number in value]
-    except (TypeError, ValueError):
-        numbers = []
-    if len(numbers) != count or not all(isfinite(number) for number in numbers):
-        raise ResetOptionsError(f"{ENV_ID}: option '{option}' is {value!r}, {expected}.")
-    return numbers

@@ -12,7 +12,9 @@ from ...geometry.pegs import GRIPPED_WIDTH_MM, PEG_HEIGHT_MM, PLATE_THICKNESS_MM
 from ...scene.grasped_scene import Clocks, GraspedScene, fixed_at_origin
 from ...scene.gripper import GEL_HALF_THICKNESS_MM, GripperPose, SensorMount
 from ...scene.motion import ipc_steps
+from .meshes import hole_mesh, peg_mesh
 from .settings import PegInsertionSettings
+from .task import PegState
 from .variation import PegOffset, PegStart
 
 # Free space before the grasp, between gel and peg and between peg and plate.
@@ -30,18 +32,27 @@ MOUNTS = (
 
 
 class PegScene:
-    """A peg scene and the gripper motions of the task."""
+    """A peg scene, the commanded offset of the peg from its hole, and the gripper motions of the task.
+
+    Attributes:
+        grasped: the physics, the gripper and its sensors.
+        env_steps: played so far in the episode.
+        offset: commanded offset from the hole.
+    """
 
     def __init__(self, *, start: PegStart, meshes: Meshes, settings: PegInsertionSettings, clocks: Clocks) -> None:
         self._settings = settings
-        peg = meshes.peg(start.shape)
+        self._initial = start.offset
+        self.offset: PegOffset = start.offset
+        self.env_steps = 0
+        peg = peg_mesh(meshes, start.shape)
         self._bottom = bottom_vertices(start.shape, peg)
         # Commanded height of the gripper, relative to the grasp.
         self._z_mm = 0.0
         self.grasped = GraspedScene(
             gel=meshes.gel(),
             held=self._placed_peg(peg_offset=start.offset, start=start, meshes=meshes),
-            fixed=fixed_at_origin(meshes.hole(start.shape), friction=settings.hole_friction),
+            fixed=fixed_at_origin(hole_mesh(meshes, start.shape), friction=settings.hole_friction),
             mounts=MOUNTS,
             pose=self._open_pose(start.offset),
             physics=settings.physics,
@@ -57,19 +68,51 @@ class PegScene:
         grasped.capture_references()
         self._descend(START_GAP_MM + settings.z_step_mm, APPROACH_SPEED_M_S)
 
-    def travel(self, before: PegOffset, now: PegOffset) -> None:
-        """Move the gripper from one commanded offset to another, x, y and theta together, then one z step down."""
-        distance_m = max(abs(now.x_mm - before.x_mm), abs(now.y_mm - before.y_mm)) * 1e-3
-        turn_rad = radians(now.theta_deg - before.theta_deg)
+    def move(self, command: NDArray[np.float64]) -> None:
+        """Update the commanded offset as an action says, and drive the gripper there."""
+        self.travel(self._commanded(command))
+
+    def travel(self, goal: PegOffset) -> None:
+        """Move the gripper to an offset, x, y and theta together, then one z step down."""
+        distance_m = max(abs(goal.x_mm - self.offset.x_mm), abs(goal.y_mm - self.offset.y_mm)) * 1e-3
+        turn_rad = radians(goal.theta_deg - self.offset.theta_deg)
         steps = max(self._ipc_steps(distance_m, TRAVEL_SPEED_M_S), self._ipc_steps(turn_rad, TURN_SPEED_RAD_S))
-        pose = self.grasped.pose
-        goal = self._open_pose(now).moved(z_m=self._z_mm * 1e-3, closing_m=self._closing_m(pose))
-        self.grasped.move_to(goal, ipc_steps=steps)
+        closing_m = self._closing_m(self.grasped.pose)
+        self.offset = goal
+        self.grasped.move_to(self._open_pose(goal).moved(z_m=self._z_mm * 1e-3, closing_m=closing_m), ipc_steps=steps)
         self._descend(self._settings.z_step_mm, TRAVEL_SPEED_M_S)
+
+    def relative_motion_mm_deg(self) -> NDArray[np.float64]:
+        """Commanded x, y, theta, z since the reset [mm, mm, deg, mm]; the descent of the reset is not counted."""
+        now, initial = self.offset, self._initial
+        descent_mm = -self.env_steps * self._settings.z_step_mm
+        return np.array(
+            [now.x_mm - initial.x_mm, now.y_mm - initial.y_mm, now.theta_deg - initial.theta_deg, descent_mm]
+        )
+
+    def state(self) -> PegState:
+        """Return what the env step that was just played is judged by."""
+        return PegState(
+            env_steps=self.env_steps,
+            offset=self.offset,
+            surface_diff_m=self.grasped.surface_diff_m(),
+            peg_relative_z_mm=self.peg_relative_z_mm(),
+        )
 
     def peg_relative_z_mm(self) -> NDArray[np.float64]:
         """Height of the peg's bottom corners above the plate's upper face [mm], in the order of the logs."""
         return self.grasped.held_vertices_m(self._bottom)[:, 2] * 1e3 - PLATE_THICKNESS_MM
+
+    def _commanded(self, command: NDArray[np.float64]) -> PegOffset:
+        """Offset after an action: scaled, clipped, and x and y turned by the angle before the env step."""
+        scale = np.array(self._settings.action_scale_mm_deg)
+        dx, dy, dtheta = np.clip(command * scale, -scale, scale).tolist()
+        sine, cosine = sine_cosine(radians(self.offset.theta_deg))
+        return PegOffset(
+            x_mm=self.offset.x_mm + (dx * cosine - dy * sine),
+            y_mm=self.offset.y_mm + (dx * sine + dy * cosine),
+            theta_deg=self.offset.theta_deg + dtheta,
+        )
 
     def _descend(self, distance_mm: float, speed_m_s: float) -> None:
         self._z_mm -= distance_mm
@@ -99,7 +142,7 @@ class PegScene:
     def _placed_peg(self, *, peg_offset: PegOffset, start: PegStart, meshes: Meshes) -> RigidBody:
         sine, cosine = sine_cosine(radians(peg_offset.theta_deg))
         return RigidBody(
-            mesh=meshes.peg(start.shape),
+            mesh=peg_mesh(meshes, start.shape),
             rotation=np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]]),
             translation_m=np.array([peg_offset.x_mm, peg_offset.y_mm, PLATE_THICKNESS_MM + START_GAP_MM]) * 1e-3,
             density_kg_m3=self._settings.physics.rigid_density_kg_m3,

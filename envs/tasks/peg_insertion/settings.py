@@ -6,6 +6,7 @@ from math import isfinite
 from ...scene.grasped_scene import PhysicsSettings
 from ...tactile.markers import MarkerSettings
 from ..settings import require
+from .definition import TASK
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,7 +32,7 @@ class PegInsertionSettings:
 
     max_steps: int = 8
     z_step_mm: float = 0.125
-    action_scale_mm_deg: tuple[float, float, float] = (2.0, 2.0, 4.0)
+    action_scale_mm_deg: tuple[float, ...] = TASK.action_scale
     step_penalty: float = 1.0
     final_reward: float = 10.0
     indentation_mm: float = 0.875

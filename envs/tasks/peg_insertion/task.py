@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..task_env import LARGEST_SURFACE_DIFF_M, EndReason
+from ..ending import Flags, surface_moved_too_far
 from .variation import LARGEST_THETA_DEG, LARGEST_XY_MM, PegOffset
 
 SUCCESS_DEPTH_MM = 0.3
@@ -30,33 +30,14 @@ class PegState:
     peg_relative_z_mm: NDArray[np.float64]
 
 
-@dataclass(frozen=True, kw_only=True)
-class PegFlags:
-    """Flags of an env step; several can be raised at once."""
-
-    tactile_movement_too_large: bool
-    too_many_steps: bool
-    error_too_large: bool
-    is_success: bool
-
-    @property
-    def failure(self) -> EndReason | None:
-        """The flag that cuts the episode off, if any: tactile before error before steps."""
-        if self.tactile_movement_too_large:
-            return EndReason.TACTILE
-        if self.error_too_large:
-            return EndReason.ERROR
-        return EndReason.STEPS if self.too_many_steps else None
-
-
-def judge_flags(state: PegState, *, max_steps: int, z_step_mm: float) -> PegFlags:
+def judge_flags(state: PegState, *, max_steps: int, z_step_mm: float) -> Flags:
     """Return the flags of an env step.
 
     The limits of the offset are tested once per env step on the commanded values, not after each IPC step as published
     [D3]. Success asks for the commanded *and* the measured depth [D6], and for no flag; a large surface motion is such
     a flag rather than a threshold of its own [D7].
     """
-    tactile = bool((state.surface_diff_m > LARGEST_SURFACE_DIFF_M).any())
+    tactile = surface_moved_too_far(state.surface_diff_m)
     steps = state.env_steps >= max_steps
     error = (
         max(abs(state.offset.x_mm), abs(state.offset.y_mm)) > LARGEST_XY_MM + _LIMIT_TOLERANCE
@@ -64,7 +45,7 @@ def judge_flags(state: PegState, *, max_steps: int, z_step_mm: float) -> PegFlag
     )
     deep_enough = state.env_steps * z_step_mm > SUCCESS_COMMANDED_DEPTH_MM
     inside = bool((state.peg_relative_z_mm < -SUCCESS_DEPTH_MM).all())
-    return PegFlags(
+    return Flags(
         tactile_movement_too_large=tactile,
         too_many_steps=steps,
         error_too_large=error,
@@ -73,7 +54,7 @@ def judge_flags(state: PegState, *, max_steps: int, z_step_mm: float) -> PegFlag
 
 
 def reward(
-    flags: PegFlags,
+    flags: Flags,
     *,
     progress: float,
     env_steps: int,

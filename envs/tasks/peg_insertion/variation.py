@@ -1,17 +1,19 @@
 """Which episode is played: a given shape and offset, or a random start that really blocks the peg."""
 
 from dataclasses import dataclass
-from math import isfinite, radians, sqrt
+from math import radians, sqrt
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...deterministic_math import sine_cosine
 from ...geometry.pegs import PLATE_OUTLINE_MM, PROFILES_MM, PegShape, hole_outline_mm
 from ...geometry.polygon import overlaps_plate
-from ..task_env import ResetOptionsError
+from ..options import choice, numbers, refusal
+from .definition import TASK
 
-ENV_ID = "ViTac/PegInsertion-v1"
+ENV_ID = TASK.env_id
 SHAPE, OFFSET = "shape", "offset_mm_deg"
 # The task's own limits of the commanded offset.
 LARGEST_XY_MM = 12.0
@@ -36,6 +38,10 @@ class PegOffset:
         """Euclidean norm of (x mm, y mm, theta deg), the error e of the reward."""
         return sqrt(self.x_mm * self.x_mm + self.y_mm * self.y_mm + self.theta_deg * self.theta_deg)
 
+    def as_array(self) -> NDArray[np.float64]:
+        """Return x [mm], y [mm] and theta [deg], shape [3]."""
+        return np.array([self.x_mm, self.y_mm, self.theta_deg])
+
 
 @dataclass(frozen=True, kw_only=True)
 class PegStart:
@@ -58,7 +64,7 @@ def choose_start(options: dict[str, Any], random: np.random.Generator, *, xy_mm:
         ResetOptionsError: an option is not a known shape or not a usable offset.
     """
     given = options.get(SHAPE)
-    shape = _random_shape(random) if given is None else _shape(given)
+    shape = _random_shape(random) if given is None else choice(ENV_ID, SHAPE, given, PegShape)
     wanted = options.get(OFFSET)
     offset = (
         random_blocked_offset(shape, random, xy_mm=xy_mm, theta_deg=theta_deg) if wanted is None else _offset(wanted)
@@ -90,23 +96,11 @@ def _random_shape(random: np.random.Generator) -> PegShape:
     return list(PegShape)[int(random.integers(len(PegShape)))]
 
 
-def _shape(value: Any) -> PegShape:
-    try:
-        return PegShape(value)
-    except ValueError:
-        names = ", ".join(PegShape)
-        raise ResetOptionsError(f"{ENV_ID}: option '{SHAPE}' is {value!r}, expected one of {names}.") from None
-
-
 def _offset(value: Any) -> PegOffset:
     expected = (
         f"expected (x mm, y mm, theta deg) within {LARGEST_XY_MM:g} mm and {LARGEST_THETA_DEG:g} degrees either way"
     )
-    try:
-        x_mm, y_mm, theta_deg = (float(number) for number in value)
-    except (TypeError, ValueError):
-        raise ResetOptionsError(f"{ENV_ID}: option '{OFFSET}' is {value!r}, {expected}.") from None
-    usable = max(abs(x_mm), abs(y_mm)) <= LARGEST_XY_MM and abs(theta_deg) <= LARGEST_THETA_DEG
-    if not (isfinite(x_mm + y_mm + theta_deg) and usable):
-        raise ResetOptionsError(f"{ENV_ID}: option '{OFFSET}' is {value!r}, {expected}.")
+    x_mm, y_mm, theta_deg = numbers(ENV_ID, OFFSET, value, 3, expected)
+    if max(abs(x_mm), abs(y_mm)) > LARGEST_XY_MM or abs(theta_deg) > LARGEST_THETA_DEG:
+        raise refusal(ENV_ID, OFFSET, value, expected)
     return PegOffset(x_mm=x_mm, y_mm=y_mm, theta_deg=theta_deg)

@@ -29,9 +29,8 @@ class RecordedPeg:
     """A peg between two gels, as it was placed and not yet grasped."""
 
     def __init__(self, shape: PegShape, offset: OffsetMmDeg, *, meshes: Meshes | None = None) -> None:
-        self._offset = _offset(offset)
         self._scene = PegScene(
-            start=PegStart(shape=shape, offset=self._offset),
+            start=PegStart(shape=shape, offset=_offset(offset)),
             meshes=meshes or Meshes(),
             settings=PegInsertionSettings(),
             clocks=Clocks(physics=Stopwatch(), markers=Stopwatch()),
@@ -48,8 +47,7 @@ class RecordedPeg:
 
     def travel(self, goal: OffsetMmDeg) -> None:
         """What an env step does, to a commanded offset from the hole."""
-        self._scene.travel(self._offset, _offset(goal))
-        self._offset = _offset(goal)
+        self._scene.travel(_offset(goal))
         self.reports.extend(self.grasped.take_reports())
 
     def _record(self) -> None:

@@ -158,7 +158,7 @@ def fuzz_episode(
     for env_step in range(1, ENV_STEPS + 1):
         if not env.scene.solved or (ended and not past_end):
             return
-        *_, info = env.step(fuzzed_action(random, len(env.action_names)))
+        *_, info = env.step(fuzzed_action(random, len(env.task.actions)))
         yield from _steps(task, seed, env_step, info["step_reports"], watch.take(), ended)
         ended = ended or info["end_reason"] is not None
 

@@ -190,8 +190,7 @@ def test_missing_extra_is_refused_with_the_command_that_installs_it(
 
 
 def test_every_task_that_is_scored_can_be_drawn() -> None:
-    from vitac.envs.drawing.guided_motion import straight_to_target
-    from vitac.envs.drawing.perspectives import perspective_of
+    from vitac.envs.drawing.drawable import perspective_of, straight_to_target
     from vitac.evaluator.tracks import list_tracks, load_track
 
     tasks = [task for track in list_tracks() for task in load_track(track).tasks]

@@ -7,15 +7,17 @@ from vitac.envs.geometry.keys import KeyShape
 from vitac.envs.geometry.pegs import PegShape
 from vitac.envs.geometry.stl import StlError
 from vitac.envs.tactile.gel_files import GelFilesError
+from vitac.envs.tasks.lock_opening.meshes import key_mesh, lock_mesh
+from vitac.envs.tasks.peg_insertion.meshes import hole_mesh, peg_mesh
 from vitac.envs.tasks.peg_insertion.settings import PegInsertionSettings
 
 
 def test_meshes_are_generated_by_default() -> None:
     meshes = Meshes()
     assert meshes.gel().name == "generated GelSight Mini gel"
-    assert meshes.peg(PegShape.CUBOID) is meshes.peg(PegShape.CUBOID)
-    assert [len(meshes.key(shape).vertices_m) for shape in KeyShape] == [32, 32, 32, 38]
-    assert [len(meshes.lock(shape).vertices_m) for shape in KeyShape] == [32, 32, 32, 40]
+    assert peg_mesh(meshes, PegShape.CUBOID) is peg_mesh(meshes, PegShape.CUBOID)
+    assert [len(key_mesh(meshes, shape).vertices_m) for shape in KeyShape] == [32, 32, 32, 38]
+    assert [len(lock_mesh(meshes, shape).vertices_m) for shape in KeyShape] == [32, 32, 32, 40]
 
 
 def test_all_meshes_of_the_challenge_are_read(reference_dir: Path) -> None:
@@ -23,11 +25,11 @@ def test_all_meshes_of_the_challenge_are_read(reference_dir: Path) -> None:
     assert meshes.gel().name == "gelsight_mini_e430/tet.msh"
     assert meshes.gel() is Meshes(str(reference_dir / "assets" / "track1")).gel()
     for shape in PegShape:
-        assert meshes.peg(shape).name == f"{shape}_peg.STL"
-        assert meshes.hole(shape).name == f"{shape}_hole_1.5mm.STL"
+        assert peg_mesh(meshes, shape).name == f"{shape}_peg.STL"
+        assert hole_mesh(meshes, shape).name == f"{shape}_hole_1.5mm.STL"
     for number, key in enumerate(KeyShape, 1):
-        assert meshes.key(key).name == f"key{number}.STL"
-        assert meshes.lock(key).name == f"lock_core_sim{number}.STL"
+        assert key_mesh(meshes, key).name == f"key{number}.STL"
+        assert lock_mesh(meshes, key).name == f"lock_core_sim{number}.STL"
 
 
 def test_missing_folder_is_a_named_refusal(tmp_path: Path) -> None:
@@ -41,9 +43,9 @@ def test_missing_files_are_named(tmp_path: Path) -> None:
     with pytest.raises(GelFilesError, match="meta_file"):
         meshes.gel()
     with pytest.raises(StlError, match=r"cuboid_peg\.STL"):
-        meshes.peg(PegShape.CUBOID)
+        peg_mesh(meshes, PegShape.CUBOID)
     with pytest.raises(StlError, match=r"lock_core_sim4\.STL"):
-        meshes.lock(KeyShape.KEY4)
+        lock_mesh(meshes, KeyShape.KEY4)
 
 
 def test_folder_comes_from_the_environment_variable(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -57,7 +59,7 @@ def test_folder_comes_from_the_environment_variable(monkeypatch: pytest.MonkeyPa
 
 def test_mesh_hash_tells_meshes_and_settings_apart() -> None:
     meshes = Meshes()
-    peg, hole = meshes.peg(PegShape.CUBOID), meshes.hole(PegShape.CUBOID)
+    peg, hole = peg_mesh(meshes, PegShape.CUBOID), hole_mesh(meshes, PegShape.CUBOID)
     base = mesh_hash(meshes.gel(), [peg, hole], PegInsertionSettings())
     assert base == mesh_hash(meshes.gel(), [peg, hole], PegInsertionSettings())
     assert base != mesh_hash(meshes.gel(), [hole, peg], PegInsertionSettings())

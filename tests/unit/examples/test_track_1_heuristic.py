@@ -37,7 +37,7 @@ def test_each_episode_is_played_by_the_policy_of_its_task(policy: Any) -> None:
     still = np.stack([flow(np.zeros((3, 2))) for _ in range(2)])
     for task in load_track("track_1").tasks.values():
         policy.reset(task.name)
-        (motion,) = (row for row in task.observations if row.key == "relative_motion")
+        (motion,) = (row for row in task.observables if row.name == "relative_motion")
         observation = {"marker_flow": still, "relative_motion": np.zeros(motion.shape, np.float32)}
         action = policy.act(observation)
         assert (action.dtype, action.shape) == (np.float32, (len(task.actions),))

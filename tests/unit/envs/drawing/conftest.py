@@ -1,6 +1,6 @@
 import pytest
 from fake_scene import FakeScene
-from vitac.envs.drawing.guided_motion import straight_to_target
+from vitac.envs.drawing.drawable import straight_to_target
 from vitac.envs.drawing.playback import Playback, record
 from vitac.envs.tasks.peg_insertion.env import PegInsertionEnv
 

@@ -7,11 +7,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 from vitac.envs.drawing.colouring import Quantity
-from vitac.envs.drawing.guided_motion import DESCRIPTION, straight_to_target
-from vitac.envs.drawing.perspectives import NotDrawable, perspective_of
+from vitac.envs.drawing.drawable import NotDrawable, perspective_of, straight_to_target
 from vitac.envs.drawing.picture import Caption, Painter, draw, picture_size_px
 from vitac.envs.drawing.playback import Playback, record
 from vitac.envs.drawing.sensor_view import arrows, magnification
+from vitac.envs.scene.guided_motion import DESCRIPTION
 from vitac.envs.tasks.lock_opening.env import LockOpeningEnv
 
 CAPTION = Caption(title="Peg insertion, episode 5: trapezoid", actions=DESCRIPTION)

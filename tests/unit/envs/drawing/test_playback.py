@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 from fake_scene import FakeScene
-from vitac.envs.drawing.guided_motion import straight_to_target
+from vitac.envs.drawing.drawable import straight_to_target
 from vitac.envs.drawing.playback import Pace, Playback, record
 from vitac.envs.tasks.peg_insertion.env import PegInsertionEnv
 from vitac.envs.tasks.task_env import Info, Observation

@@ -9,6 +9,7 @@ from vitac.envs.scene.grasped_scene import Clocks, GraspedScene, PhysicsSettings
 from vitac.envs.scene.gripper import GripperPose
 from vitac.envs.scene.stopwatch import Stopwatch
 from vitac.envs.tactile.markers import MarkerSettings
+from vitac.envs.tasks.peg_insertion.meshes import hole_mesh, peg_mesh
 from vitac.envs.tasks.peg_insertion.scene import MOUNTS
 
 POSE = GripperPose(x_m=0.0, y_m=0.0, z_m=0.0621, angle_rad=0.0, half_opening_m=0.0171)
@@ -18,7 +19,7 @@ def scene() -> GraspedScene:
     meshes = Meshes()
 
     def placed(fixed: bool) -> RigidBody:
-        mesh = meshes.hole(PegShape.CUBOID) if fixed else meshes.peg(PegShape.CUBOID)
+        mesh = hole_mesh(meshes, PegShape.CUBOID) if fixed else peg_mesh(meshes, PegShape.CUBOID)
         return RigidBody(mesh=mesh, rotation=np.eye(3), translation_m=np.zeros(3), fixed=fixed)
 
     return GraspedScene(
@@ -96,7 +97,7 @@ def test_held_vertices_are_those_of_the_first_body(fake_scenes: list[FakeScene])
     made = scene()
     made.move_to(POSE.moved(z_m=-1e-3), ipc_steps=1)
     chosen = np.array([0, 3])
-    rest = Meshes().peg(PegShape.CUBOID).vertices_m[chosen]
+    rest = peg_mesh(Meshes(), PegShape.CUBOID).vertices_m[chosen]
     assert made.held_vertices_m(chosen) == pytest.approx(rest - np.array([0, 0, 1e-3]))
 
 

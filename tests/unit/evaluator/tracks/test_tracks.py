@@ -100,7 +100,6 @@ def test_digest_changes_with_the_list(content: dict[str, object]) -> None:
         ((), "rankingrule", "ranking_rule"),
         (("tasks", "peg-insertion"), "shardsize", "shard_size"),
         (("tasks", "peg-insertion", "episode_list"), "repeat", "repeats"),
-        (("tasks", "peg-insertion", "observations", 0), "units", "unit"),
     ],
 )
 def test_unknown_key_names_the_nearest(
@@ -163,4 +162,10 @@ def test_several_tasks_need_a_combination_rule_and_one_has_none(content: dict[st
 def test_task_must_carry_the_name_of_its_key(content: dict[str, object]) -> None:
     content["tasks"]["peg-insertion"]["name"] = "peg"  # type: ignore[index]
     with pytest.raises(DocumentRejected, match=r"tasks\.peg-insertion\.name is 'peg'"):
+        parse(content)
+
+
+def test_unknown_environment_names_those_that_there_are(content: dict[str, object]) -> None:
+    content["tasks"]["peg-insertion"]["env_id"] = "ViTac/Peg-v1"  # type: ignore[index]
+    with pytest.raises(DocumentRejected, match=r"'ViTac/Peg-v1', expected one of ViTac/LockOpening-v1, ViTac/Peg"):
         parse(content)

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 from vitac.envs.drawing.projection.camera import ParallelCamera
-from vitac.envs.drawing.projection.section import Plane
+from vitac.envs.scene.perspective import Plane
 
 
 def camera(azimuth_deg: float = -38.0, elevation_deg: float = 24.0) -> ParallelCamera:

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from vitac.envs.drawing.projection.camera import ParallelCamera
-from vitac.envs.drawing.projection.section import Plane
 from vitac.envs.drawing.projection.visibility import NOTHING, Visible
+from vitac.envs.scene.perspective import Plane
 
 FloatArray = NDArray[np.float64]
 

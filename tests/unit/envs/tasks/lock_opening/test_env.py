@@ -9,8 +9,9 @@ from vitac.envs.fem.scene.scene import StepStatus
 from vitac.envs.geometry.keys import KeyShape, key_control_points
 from vitac.envs.tasks.lock_opening.env import LockOpeningEnv
 from vitac.envs.tasks.lock_opening.scene import MOUNTS, SENSOR_X_MM
+from vitac.envs.tasks.options import ResetOptionsError
 from vitac.envs.tasks.settings import SettingsError
-from vitac.envs.tasks.task_env import ActionError, ResetOptionsError
+from vitac.envs.tasks.task_env import ActionError
 
 START = {"shape": "key1", "offset_mm": (0.0, 0.0, 0.0), "sensor_jitter_mm": (1.0, -0.5), "rng_seed": (0, 1)}
 OUT, IN, UP, STAY = [-1.0, 0.0], [1.0, 0.0], [0.0, -1.0], [0.0, 0.0]
@@ -207,7 +208,7 @@ def test_rng_seed_fixes_jitter_and_noise() -> None:
 
 def test_unusable_action_and_option_are_refused() -> None:
     env, *_ = played()
-    with pytest.raises(ActionError, match=r"shape \(3,\), expected \(2,\) \[in_mm, down_mm\] for ViTac/LockOpening-v1"):
+    with pytest.raises(ActionError, match=r"shape \(3,\), expected \(2,\) \[x mm, z mm\] for ViTac/LockOpening-v1"):
         env.step(np.zeros(3, dtype=np.float32))
     with pytest.raises(ResetOptionsError, match=r"'offset_mm_deg'; did you mean 'offset_mm'\?"):
         env.reset(options={"offset_mm_deg": (0, 0, 0)})

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from vitac.envs.geometry.keys import KeyShape, key_control_points
 from vitac.envs.geometry.locks import lock_control_points
-from vitac.envs.tasks.lock_opening.task import LockFlags, LockState, alignment_error, judge_flags, reward
-from vitac.envs.tasks.task_env import EndReason
+from vitac.envs.tasks.ending import EndReason, Flags
+from vitac.envs.tasks.lock_opening.task import LockState, alignment_error, judge_flags, reward
 
 
 def state(
@@ -31,7 +31,7 @@ def state(
     )
 
 
-def flags(*, x_mm: float = 13.0, y_mm: float = 0.0, z_mm: float = 6.0) -> LockFlags:
+def flags(*, x_mm: float = 13.0, y_mm: float = 0.0, z_mm: float = 6.0) -> Flags:
     return judge_flags(state(x_mm=x_mm, y_mm=y_mm, z_mm=z_mm), max_steps=50)
 
 
@@ -98,7 +98,7 @@ def test_alignment_error_asks_for_the_ceiling_outside() -> None:
     assert alignment_error(state(x_mm=23.0, z_mm=0.0)) == pytest.approx(500 * 2 * (10 + 1) * 1e-3)
 
 
-def gained(raised: LockFlags, surface_diff_m: tuple[float, float] = (0.0, 0.0)) -> float:
+def gained(raised: Flags, surface_diff_m: tuple[float, float] = (0.0, 0.0)) -> float:
     return reward(
         raised,
         np.array(surface_diff_m),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from vitac.envs.geometry.keys import KeyShape
 from vitac.envs.tasks.lock_opening.variation import KeyOffset, LockStart, SensorJitter, choose_start
-from vitac.envs.tasks.task_env import ResetOptionsError
+from vitac.envs.tasks.options import ResetOptionsError
 
 GOLDEN_START = LockStart(
     shape=KeyShape.KEY3,

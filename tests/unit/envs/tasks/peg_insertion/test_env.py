@@ -7,9 +7,10 @@ import pytest
 from fake_scene import FakeScene
 from vitac.envs.assets import AssetsMissing
 from vitac.envs.fem.scene.scene import StepStatus
+from vitac.envs.tasks.options import ResetOptionsError
 from vitac.envs.tasks.peg_insertion.env import PegInsertionEnv
 from vitac.envs.tasks.settings import SettingsError
-from vitac.envs.tasks.task_env import ActionError, NotReset, ResetOptionsError
+from vitac.envs.tasks.task_env import ActionError, NotReset
 
 START = {"shape": "cuboid", "offset_mm_deg": (-4.0, -3.0, 6.0), "rng_seed": (0, 1)}
 
@@ -228,7 +229,7 @@ def test_unknown_reset_option_names_the_nearest() -> None:
     [
         (
             [0.0, 0.0],
-            r"Action has shape \(2,\), expected \(3,\) \[dx_mm, dy_mm, dtheta_deg\] for ViTac/PegInsertion-v1",
+            r"Action has shape \(2,\), expected \(3,\) \[x mm, y mm, theta degree\] for ViTac/PegInsertion-v1",
         ),
         ([[0.0, 0.0, 0.0]], r"shape \(1, 3\)"),
         (0.0, r"shape \(\)"),

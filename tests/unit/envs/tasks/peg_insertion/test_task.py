@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
-from vitac.envs.tasks.peg_insertion.task import PegFlags, PegState, judge_flags, reward
+from vitac.envs.tasks.ending import EndReason, Flags
+from vitac.envs.tasks.peg_insertion.task import PegState, judge_flags, reward
 from vitac.envs.tasks.peg_insertion.variation import PegOffset
-from vitac.envs.tasks.task_env import EndReason
 
 SEATED = (-0.5, -0.5, -0.5, -0.5)
 
@@ -14,7 +14,7 @@ def flags(
     surface_diff_m: tuple[float, float] = (4e-4, 4e-4),
     z_mm: tuple[float, ...] = SEATED,
     z_step_mm: float = 0.125,
-) -> PegFlags:
+) -> Flags:
     x_mm, y_mm, theta_deg = offset
     state = PegState(
         env_steps=env_steps,
@@ -73,7 +73,7 @@ def test_first_of_several_flags_names_the_end() -> None:
     assert flags().failure is None
 
 
-def gained(raised: PegFlags, env_steps: int) -> float:
+def gained(raised: Flags, env_steps: int) -> float:
     return reward(
         raised,
         progress=1.0,

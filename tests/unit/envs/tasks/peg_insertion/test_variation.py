@@ -3,6 +3,7 @@ from typing import Any
 import numpy as np
 import pytest
 from vitac.envs.geometry.pegs import PegShape
+from vitac.envs.tasks.options import ResetOptionsError
 from vitac.envs.tasks.peg_insertion.variation import (
     PegOffset,
     PegStart,
@@ -10,7 +11,6 @@ from vitac.envs.tasks.peg_insertion.variation import (
     is_blocked,
     random_blocked_offset,
 )
-from vitac.envs.tasks.task_env import ResetOptionsError
 
 GOLDEN_STARTS = [
     ("trapezoid", PegOffset(x_mm=0.5713805020622631, y_mm=3.009080868919721, theta_deg=9.130276349506772)),

@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 from fake_scene import FakeScene
-from vitac.envs.drawing.guided_motion import straight_to_target
-from vitac.envs.drawing.perspectives import NotDrawable
+from vitac.envs.drawing.drawable import NotDrawable, straight_to_target
 from vitac.envs.drawing.playback import record
 from vitac.envs.tasks.lock_opening.env import LockOpeningEnv
 from vitac.envs.tasks.peg_insertion.env import PegInsertionEnv

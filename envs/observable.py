@@ -1,0 +1,34 @@
+"""What can be observed of a scene, as objects: a task lists them; space, tables and reading follow from the list."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+SceneT = TypeVar("SceneT")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Observable(Generic[SceneT]):
+    """One entry of an observation.
+
+    Attributes:
+        name: key of the observation.
+        shape: of the array.
+        unit: of its numbers.
+        meaning: what they are, for tables.
+        read: gives the value from the scene of the running episode; draws noise from the episode's generator only. What
+            comes earlier in a list is read earlier.
+        dtype: of the array; the value is converted to it.
+        privileged: it is a truth that only training sees.
+    """
+
+    name: str
+    shape: tuple[int, ...]
+    unit: str
+    meaning: str
+    read: Callable[[SceneT, np.random.Generator], NDArray[Any]]
+    dtype: str = "float32"
+    privileged: bool = False

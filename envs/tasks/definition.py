@@ -1,0 +1,113 @@
+"""What a task says of itself without being run: names, actions, observables, and where its parts lie."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from inspect import cleandoc
+from typing import Any
+
+from ..observable import Observable
+
+InfoView = Mapping[str, Any]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ActionComponent:
+    """One number of an action, in [-1, 1].
+
+    Attributes:
+        name: of the number.
+        scale: motion at 1, in `unit`.
+        unit: of the motion.
+        meaning: what moves, and which way.
+    """
+
+    name: str
+    scale: float
+    unit: str
+    meaning: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measure:
+    """Quantities in an info that a report of a re-simulation shows.
+
+    Attributes:
+        name: key in the report.
+        label: short name for a column.
+        needs: entries of the info that it is read from.
+        read: gives the quantities [mm] from an info that has these entries.
+    """
+
+    name: str
+    label: str
+    needs: tuple[str, ...]
+    read: Callable[[InfoView], tuple[float, ...]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class TaskDefinition:
+    """A task, as other parts of the house need to know it; nothing here imports the simulation.
+
+    Places are given as `package.module:NAME` and imported when they are needed.
+
+    Attributes:
+        env_id: registered id of its environment.
+        environment: place of the environment's class.
+        actions: numbers of an action, in order.
+        observables: entries of the observation, in the order in which they are read.
+        measures: what a report of a re-simulation shows of it.
+        perspective: place of the `Perspective` it is drawn from; None where it is not drawn.
+        guided_motion: place of the `NextAction` that goes to its target; None where there is none.
+    """
+
+    env_id: str
+    environment: str
+    actions: tuple[ActionComponent, ...]
+    observables: tuple[Observable[Any], ...]
+    measures: tuple[Measure, ...] = ()
+    perspective: str | None = None
+    guided_motion: str | None = None
+
+    @property
+    def action_scale(self) -> tuple[float, ...]:
+        """Motion at an action of 1, in the units of the actions."""
+        return tuple(component.scale for component in self.actions)
+
+    @property
+    def public_observables(self) -> tuple[Observable[Any], ...]:
+        """Return what a policy sees in an evaluation."""
+        return tuple(observable for observable in self.observables if not observable.privileged)
+
+
+def with_tables(docstring: str, task: TaskDefinition) -> str:
+    """Return the docstring of an environment with the tables of its actions and observations at the end."""
+    actions = [
+        f"| {index} | {component.name} | {component.scale:g} {component.unit} | {component.meaning} |"
+        for index, component in enumerate(task.actions)
+    ]
+    observations = [
+        f"| {entry.name} | {entry.shape} | {entry.dtype} | {entry.unit} | {_meaning(entry)} |"
+        for entry in task.observables
+    ]
+    return "\n".join(
+        [
+            cleandoc(docstring),
+            "",
+            f"Action space: `Box(-1, 1, ({len(task.actions)},), float32)`",
+            "",
+            "| index | name | at 1 | meaning |",
+            "|---|---|---|---|",
+            *actions,
+            "",
+            "Observation space: `Dict`",
+            "",
+            "| key | shape | type | unit | meaning |",
+            "|---|---|---|---|---|",
+            *observations,
+            "",
+        ]
+    )
+
+
+def _meaning(observable: Observable[Any]) -> str:
+    return f"{observable.meaning} **Only with `privileged=True`.**" if observable.privileged else observable.meaning

@@ -1,0 +1,78 @@
+"""The lock task as others need to know it: actions, observables and where its parts lie."""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from ...observable import Observable
+from ...scene.observables import marker_flow
+from ..definition import ActionComponent, InfoView, Measure, TaskDefinition
+from ..measures import SURFACE_DIFF
+
+if TYPE_CHECKING:
+    from .scene import FloatArray, LockScene
+
+
+def _corners(name: str, meaning: str, read: "Callable[[LockScene], FloatArray]") -> "Observable[LockScene]":
+    return Observable(
+        name=name, shape=(4, 3), unit="m", meaning=meaning, read=lambda scene, _: read(scene), privileged=True
+    )
+
+
+def _tooth(name: str, meaning: str, read: "Callable[[LockScene], FloatArray]") -> "Observable[LockScene]":
+    return Observable(
+        name=name, shape=(3,), unit="5 mm", meaning=meaning, read=lambda scene, _: read(scene), privileged=True
+    )
+
+
+def _lowest_corners_mm(info: InfoView) -> tuple[float, ...]:
+    """Height of the lowest top corner of the rear and of the front measured tooth."""
+    return tuple(1000 * min(z for _, _, z in info[key]) for key in ("key1_pts_m", "key2_pts_m"))
+
+
+RELATIVE_MOTION: "Observable[LockScene]" = Observable(
+    name="relative_motion",
+    shape=(3,),
+    unit="mm",
+    meaning="Commanded gripper motion [dx, dy, dz] since the start; world frame, x out of the lock, z up.",
+    read=lambda scene, _: scene.relative_motion_mm(),
+)
+
+TASK = TaskDefinition(
+    env_id="ViTac/LockOpening-v1",
+    environment="vitac.envs.tasks.lock_opening.env:LockOpeningEnv",
+    actions=(
+        ActionComponent(
+            name="x",
+            scale=2.0,
+            unit="mm",
+            meaning=(
+                "Gripper motion into the lock, along -x; negative values pull the key out. Both components are moved "
+                "together."
+            ),
+        ),
+        ActionComponent(name="z", scale=1.0, unit="mm", meaning="Gripper motion down; negative values lift the key."),
+    ),
+    observables=(
+        _corners("key_side_pts", "Corners of the key's tip.", lambda scene: scene.tip_m()),
+        _corners("lock1_pts", "Lower corners of the slot for the key's rear tooth.", lambda scene: scene.rear_slot_m()),
+        _corners("lock2_pts", "Lower corners of the slot for the front tooth.", lambda scene: scene.front_slot_m()),
+        _corners("lock_side_pts", "Corners of the lock's entrance face.", lambda scene: scene.entrance_m()),
+        _tooth(
+            "key1",
+            "Rear tooth from its slot: x, y, and height above the ceiling.",
+            lambda scene: scene.rear_tooth_from_slot(),
+        ),
+        _tooth("key2", "Front tooth from its slot, as key1.", lambda scene: scene.front_tooth_from_slot()),
+        RELATIVE_MOTION,
+        marker_flow(
+            "The left sensor is at -y. u+ is into the lock for both sensors; v+ is up for the left and down for the "
+            "right one."
+        ),
+    ),
+    measures=(
+        SURFACE_DIFF,
+        Measure(name="tooth_z_mm", label="teeth", needs=("key1_pts_m", "key2_pts_m"), read=_lowest_corners_mm),
+    ),
+    perspective="vitac.envs.tasks.lock_opening.perspective:PERSPECTIVE",
+    guided_motion="vitac.envs.tasks.lock_opening.guided_motion:out_and_up",
+)

@@ -1,0 +1,17 @@
+"""The rigid parts of the lock task, and where they lie among the challenge's own files."""
+
+from ...assets import Meshes
+from ...fem.model.mesh import SurfaceMesh
+from ...geometry.keys import KeyShape, key_surface
+from ...geometry.locks import lock_surface
+
+
+def key_mesh(meshes: Meshes, shape: KeyShape) -> SurfaceMesh:
+    """Key of this shape."""
+    return meshes.part(lambda: key_surface(shape), f"key_lock/{shape}.STL")
+
+
+def lock_mesh(meshes: Meshes, shape: KeyShape) -> SurfaceMesh:
+    """Lock for this key."""
+    number = list(KeyShape).index(shape) + 1
+    return meshes.part(lambda: lock_surface(shape), f"key_lock/lock_core_sim{number}.STL")

@@ -1,0 +1,82 @@
+"""Options of `reset`: each is checked and refused by name. Used by the base and by every task's `variation`."""
+
+from collections.abc import Collection, Mapping
+from enum import StrEnum
+from math import isfinite
+from typing import Any, TypeVar
+
+import numpy as np
+
+from ..errors import VitacError
+from .settings import nearest
+
+RNG_SEED = "rng_seed"
+
+ChoiceT = TypeVar("ChoiceT", bound=StrEnum)
+
+
+class ResetOptionsError(VitacError):
+    """An option of `reset` is unknown or out of range; the message names it and what it may be."""
+
+
+def refuse_unknown(env_id: str, options: Mapping[str, Any], known: Collection[str]) -> None:
+    """Refuse an option that a task does not have; `rng_seed` is every task's.
+
+    Raises:
+        ResetOptionsError: one is unknown.
+    """
+    names = [*known, RNG_SEED]
+    for name in options:
+        if name not in names:
+            raise ResetOptionsError(f"{env_id} has no reset option '{name}'; {nearest(name, names)}")
+
+
+def seeded_generator(env_id: str, rng_seed: Any) -> np.random.Generator:
+    """Return the generator of an episode, from the integers in the options.
+
+    Raises:
+        ResetOptionsError: they are no seed.
+    """
+    parts = list(rng_seed) if isinstance(rng_seed, (tuple, list)) else [rng_seed]
+    if not parts or not all(isinstance(part, int) and part >= 0 for part in parts):
+        raise refusal(env_id, RNG_SEED, rng_seed, "expected non-negative integers (list seed, episode number)")
+    return np.random.Generator(np.random.PCG64(np.random.SeedSequence(parts)))
+
+
+def choice(env_id: str, option: str, value: Any, kind: type[ChoiceT]) -> ChoiceT:
+    """Return the member of a closed set that an option names.
+
+    Raises:
+        ResetOptionsError: it names none.
+    """
+    try:
+        return kind(value)
+    except ValueError:
+        raise refusal(env_id, option, value, f"expected one of {', '.join(kind)}") from None
+
+
+def numbers(env_id: str, option: str, value: Any, count: int, expected: str) -> list[float]:
+    """Return the finite numbers of an option.
+
+    Args:
+        env_id: for the message.
+        option: its name.
+        value: as given.
+        count: how many numbers it must be.
+        expected: what it must be, for the message.
+
+    Raises:
+        ResetOptionsError: it is not so many finite numbers.
+    """
+    try:
+        found = [float(number) for number in value]
+    except (TypeError, ValueError):
+        found = []
+    if len(found) != count or not all(isfinite(number) for number in found):
+        raise refusal(env_id, option, value, expected)
+    return found
+
+
+def refusal(env_id: str, option: str, value: Any, expected: str) -> ResetOptionsError:
+    """Return the error for an option with an unusable value."""
+    return ResetOptionsError(f"{env_id}: option '{option}' is {value!r}, {expected}.")

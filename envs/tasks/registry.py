@@ -1,0 +1,63 @@
+"""All tasks by the id of their environment: those in the folders beside this module, and those of other packages.
+
+A package of somebody else's adds a task by an entry point of the group `vitac.tasks` that names a `TaskDefinition`.
+"""
+
+from collections.abc import Iterator, Mapping
+from functools import cache
+from importlib import import_module
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from pkgutil import iter_modules
+
+from ..errors import VitacError
+from .definition import TaskDefinition
+
+ENTRY_POINT_GROUP = "vitac.tasks"
+
+
+class TaskRejected(VitacError):
+    """A package adds a task that cannot be used; the message names the package. Correct it or uninstall it."""
+
+
+@cache
+def task_definitions() -> Mapping[str, TaskDefinition]:
+    """Return the definition of every task by the id of its environment.
+
+    Raises:
+        TaskRejected: another package adds what is no task, or one that is there already.
+    """
+    known = {task.env_id: task for task in _own_tasks()}
+    for point in added_tasks():
+        task = _loaded(point)
+        if task.env_id in known:
+            raise TaskRejected(f"{_origin(point)} adds {task.env_id}, which is there already; choose another id.")
+        known[task.env_id] = task
+    return known
+
+
+def added_tasks() -> tuple[EntryPoint, ...]:
+    """Return the entry points by which other packages add tasks, sorted by name."""
+    return tuple(sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda point: (point.name, point.value)))
+
+
+def _own_tasks() -> Iterator[TaskDefinition]:
+    """Yield the task of each folder beside this module."""
+    for folder in iter_modules([str(Path(__file__).parent)]):
+        if folder.ispkg:
+            yield import_module(f"{__package__}.{folder.name}.definition").TASK
+
+
+def _loaded(point: EntryPoint) -> TaskDefinition:
+    try:
+        task = point.load()
+    except (ImportError, AttributeError) as error:
+        raise TaskRejected(f"{_origin(point)} adds the task {point.value}, which cannot be loaded: {error}.") from error
+    if not isinstance(task, TaskDefinition):
+        found = type(task).__name__
+        raise TaskRejected(f"{_origin(point)} adds {point.value}, expected a TaskDefinition, got {found}.")
+    return task
+
+
+def _origin(point: EntryPoint) -> str:
+    return f"The package {point.dist.name}" if point.dist else f"The entry point {point.name}"
