@@ -51,15 +51,15 @@ class KernelCache(FunctionCache):
     def holds(self, signature: Any, target_context: Any) -> bool:
         """Whether machine code was kept for these argument types and this CPU."""
         try:
-            key = self._index_key(signature, target_context.codegen())  # type: ignore[no-untyped-call]
-            return key in self._cache_file._load_index()  # type: ignore[no-untyped-call]
+            key = self._index_key(signature, target_context.codegen())
+            return key in self._cache_file._load_index()
         except _DAMAGED:
             return False
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Load machine code; None if there is none."""
         try:
-            found = super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+            found = super().load_overload(sig, target_context)
         except _DAMAGED as error:
             _LOG.warning("Compiled kernels in %s cannot be read (%s); compiling anew.", self.cache_path, error)
             return None
@@ -69,7 +69,7 @@ class KernelCache(FunctionCache):
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep machine code, and remove what nobody uses any more."""
-        super().save_overload(sig, data)  # type: ignore[no-untyped-call]
+        super().save_overload(sig, data)
         remove_unused(Path(self.cache_path).parent)
 
 

@@ -59,7 +59,7 @@ def test_another_folder_hash_seed_blas_kernel_and_vector_unit_change_no_bit(
 
 
 def test_a_cold_cache_and_a_build_for_any_cpu_change_no_bit(tmp_path: Path, digests: dict[str, str]) -> None:
-    """Compiles all kernels anew, without the instructions that only this CPU has; takes a minute or two."""
+    """Compiles all kernels anew, without the instructions that only this CPU has; takes half a minute."""
     cache = tmp_path / "cache"
     generic = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
     found, surroundings, _ = played_elsewhere(tmp_path, VITAC_CACHE_DIR=str(cache), **generic)
