@@ -28,12 +28,13 @@ from vitac.server.accounts.principals import CONSOLE, Principal
 from vitac.server.db.models import Evaluation, Shard, Worker
 from vitac.server.db.states import TERMINAL_EVALUATION_STATES, EvaluationState, Role, SubmissionKind
 from vitac.server.evaluations.episode_store import EpisodeKey, records_of, store_episode
+from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.housekeeping import Housekeeping
 from vitac.server.queue import leases, workers
 from vitac.server.queue.jobs import withdraw_jobs
 from vitac.server.services import Services, open_services
 from vitac.server.settings import load_settings
-from vitac.server.submissions import submissions
+from vitac.server.submissions import creation, listing, runs
 from vitac.server.uploads.acceptance import accept
 from vitac.server.uploads.intake import ReceivedFile
 
@@ -117,10 +118,10 @@ def parts(services: Services, records: Sequence[EpisodeRecord]) -> dict[str, flo
 def storing_s(services: Services, records: Sequence[EpisodeRecord]) -> float:
     """Time to store the records of a further run, one transaction each as a worker does it [s]."""
     with services.database.transaction() as session:
-        submission = submissions.list_submissions(session, services.settings, CONSOLE).items[0]
-        again = submissions.run_again(session, CONSOLE, submission.id)
+        submission = listing.list_submissions(session, services.settings, CONSOLE).items[0]
+        again = runs.run_again(session, CONSOLE, submission.id)
         # No worker sees these jobs: they are withdrawn in the transaction that adds them.
-        evaluation = submissions.newest_evaluation(session, again)
+        evaluation = newest_evaluation(session, again)
         shards = {episode: shard.id for shard in evaluation.shards for episode in shard.episodes}
         withdraw_jobs(session, shards.values())
     held = {shard_id: claim(services, shard_id) for shard_id in set(shards.values())}
@@ -130,7 +131,7 @@ def storing_s(services: Services, records: Sequence[EpisodeRecord]) -> float:
             store_episode(session, held[shards[record.episode]], record)
     took_s = time.perf_counter() - started
     with services.database.transaction() as session:
-        submissions.cancel(session, CONSOLE, submission.id)
+        runs.cancel(session, CONSOLE, submission.id)
     return took_s
 
 
@@ -150,7 +151,7 @@ def wait_figures(services: Services, principal: Principal, n: int) -> dict[str, 
         submission_id = upload(services, principal, note=f"# {number}\n")
         waits_ms.append(1000 * started_after_s(services, submission_id))
         with services.database.transaction() as session:
-            submissions.cancel(session, principal, submission_id)
+            runs.cancel(session, principal, submission_id)
         wait_until(lambda: not running_shards(services))
         time.sleep(2 * services.settings.lease_renewal_s)
     waits_ms.sort()
@@ -180,7 +181,7 @@ def upload(services: Services, principal: Principal, note: str = "") -> UUID:
         received = ReceivedFile(path=archive, sha256=hashlib.sha256(content).hexdigest(), n_bytes=len(content))
         checked = accept(services, received, kind=SubmissionKind.MODEL, track=None, owner="benchmark")
     with services.database.transaction() as session:
-        submission, _ = submissions.create(session, principal, checked)
+        submission, _ = creation.create(session, principal, checked)
         return submission.id
 
 

@@ -6,7 +6,7 @@ from vitac.evaluator.tracks import Track, UnknownTrack, list_tracks, load_track
 from vitac.server.db.states import SubmissionKind
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.settings import Settings
-from vitac.server.views.views import TrackListView, TrackTaskView, TrackView
+from vitac.server.views.tracks import TrackListView, TrackTaskView, TrackView
 
 
 def load_known_track(name: str) -> Track:

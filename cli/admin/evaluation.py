@@ -67,10 +67,10 @@ def requeue(
 ) -> None:
     """Start a new run of the same submission, all episodes anew; this evaluation stays as it is."""
     from vitac.server.accounts.principals import CONSOLE
-    from vitac.server.submissions import submissions
+    from vitac.server.submissions import runs
 
     with consented_transaction(f"Run the submission of evaluation {evaluation} once more?", yes=yes) as session:
-        submission_id = submissions.run_again(session, CONSOLE, _find(session, evaluation).submission_id).id
+        submission_id = runs.run_again(session, CONSOLE, _find(session, evaluation).submission_id).id
     print(f"queued submission {submission_id} again")
 
 
@@ -82,15 +82,16 @@ def cancel(
     """Cancel an evaluation that waits or runs."""
     from vitac.server.accounts.principals import CONSOLE
     from vitac.server.errors import ProblemCode, ServiceError
-    from vitac.server.submissions import submissions
+    from vitac.server.evaluations.history import newest_evaluation
+    from vitac.server.submissions import runs
 
     with consented_transaction(f"Cancel evaluation {evaluation}?", yes=yes) as session:
         found = _find(session, evaluation)
-        if submissions.newest_evaluation(session, found.submission).id != evaluation:
+        if newest_evaluation(session, found.submission).id != evaluation:
             raise ServiceError(
                 ProblemCode.NOT_CANCELLABLE, f"Evaluation {evaluation} has ended; a newer run of its submission exists."
             )
-        submissions.cancel(session, CONSOLE, found.submission_id)
+        runs.cancel(session, CONSOLE, found.submission_id)
     print(f"cancelled {evaluation}")
 
 

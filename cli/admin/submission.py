@@ -11,7 +11,7 @@ from .consent import Yes, consented_transaction
 
 if TYPE_CHECKING:
     from vitac.server.db.states import EvaluationState
-    from vitac.server.views.views import SubmissionView
+    from vitac.server.views.submissions import SubmissionView
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
@@ -30,12 +30,12 @@ def list_submissions(
 ) -> None:
     """List submissions, newest first."""
     from vitac.server.accounts.principals import CONSOLE
-    from vitac.server.submissions import submissions
+    from vitac.server.submissions import listing
 
     wanted = None if state is None else known_state(state)
     settings = load_settings()
     with open_service(settings) as services, services.database.transaction() as session:
-        found = submissions.list_submissions(
+        found = listing.list_submissions(
             session, settings, CONSOLE, track=track, state=wanted, team=team, before=before, limit=limit
         )
     if as_json:
@@ -53,13 +53,13 @@ def show(
 ) -> None:
     """Show a submission with its newest evaluation."""
     from vitac.server.accounts.principals import CONSOLE
-    from vitac.server.submissions import submissions
+    from vitac.server.submissions import listing
 
     from ..client.status import show as show_status
 
     settings = load_settings()
     with open_service(settings) as services, services.database.transaction() as session:
-        found = submissions.get(session, settings, CONSOLE, submission).model_dump(mode="json")
+        found = listing.get(session, settings, CONSOLE, submission).model_dump(mode="json")
     if as_json:
         print_json(found)
     else:
@@ -73,10 +73,10 @@ def requeue(
 ) -> None:
     """Evaluate a submission once more, all episodes anew. Earlier results stay; the newest run is the one shown."""
     from vitac.server.accounts.principals import CONSOLE
-    from vitac.server.submissions import submissions
+    from vitac.server.submissions import runs
 
     with consented_transaction(f"Evaluate submission {submission} once more?", yes=yes) as session:
-        submissions.run_again(session, CONSOLE, submission)
+        runs.run_again(session, CONSOLE, submission)
     print(f"queued {submission} again")
 
 
@@ -87,10 +87,10 @@ def cancel(
 ) -> None:
     """Cancel the evaluation of a submission; its workers stop within seconds."""
     from vitac.server.accounts.principals import CONSOLE
-    from vitac.server.submissions import submissions
+    from vitac.server.submissions import runs
 
     with consented_transaction(f"Cancel the evaluation of submission {submission}?", yes=yes) as session:
-        submissions.cancel(session, CONSOLE, submission)
+        runs.cancel(session, CONSOLE, submission)
     print(f"cancelled {submission}")
 
 

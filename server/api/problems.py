@@ -12,7 +12,7 @@ from sqlalchemy.exc import DBAPIError
 from starlette.exceptions import HTTPException
 from vitac.server.db.engine import is_connection_loss
 from vitac.server.errors import ProblemCode, ServiceError
-from vitac.server.views.views import ProblemView
+from vitac.server.views.problems import ProblemView
 
 logger = structlog.get_logger(__name__)
 

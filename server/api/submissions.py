@@ -17,15 +17,17 @@ from starlette.requests import ClientDisconnect
 from vitac.server.accounts.principals import Principal
 from vitac.server.db.states import EvaluationState, SubmissionKind
 from vitac.server.errors import ProblemCode, ServiceError
-from vitac.server.logs import audits
+from vitac.server.logs import action_matches
 from vitac.server.logs.export import export_log
 from vitac.server.services import Services
-from vitac.server.submissions import submissions
-from vitac.server.submissions.submissions import CheckedUpload
+from vitac.server.submissions import creation, listing, runs
+from vitac.server.submissions.watch import watch
 from vitac.server.tracks import load_known_track
 from vitac.server.uploads import intake
 from vitac.server.uploads.acceptance import accept, check_kind
-from vitac.server.views.views import AuditView, EpisodeView, SubmissionListView, SubmissionView
+from vitac.server.uploads.checked_upload import CheckedUpload
+from vitac.server.views.logs import ActionMatchView
+from vitac.server.views.submissions import EpisodeView, SubmissionListView, SubmissionView
 
 from .access import PrincipalOf, ServicesOf
 from .problems import RESPONSES
@@ -99,7 +101,7 @@ def list_submissions(
 ) -> SubmissionListView:
     """Return the team's submissions, newest first; all teams' for an organizer."""
     with services.database.transaction() as session:
-        return submissions.list_submissions(
+        return listing.list_submissions(
             session, services.settings, principal, track=track, state=state, team=team, before=before, limit=limit
         )
 
@@ -108,21 +110,21 @@ def list_submissions(
 def get_submission(services: ServicesOf, principal: PrincipalOf, submission_id: UUID) -> SubmissionView:
     """One submission: state, place in the queue, progress, verdict, score. Another team's is answered with 404."""
     with services.database.transaction() as session:
-        return submissions.get(session, services.settings, principal, submission_id)
+        return listing.get(session, services.settings, principal, submission_id)
 
 
 @router.get("/{submission_id}/episodes")
 def get_episodes(services: ServicesOf, principal: PrincipalOf, submission_id: UUID) -> list[EpisodeView]:
     """How each finished episode ended."""
     with services.database.transaction() as session:
-        return submissions.episodes(session, principal, submission_id)
+        return listing.episodes(session, principal, submission_id)
 
 
-@router.get("/{submission_id}/audits")
-def get_audits(services: ServicesOf, principal: PrincipalOf, submission_id: UUID) -> list[AuditView]:
+@router.get("/{submission_id}/action-matches")
+def get_action_matches(services: ServicesOf, principal: PrincipalOf, submission_id: UUID) -> list[ActionMatchView]:
     """How many of a verified log's actions each later model of the team gives; empty for everything but a log."""
     with services.database.transaction() as session:
-        return audits.audits(session, principal, submission_id)
+        return action_matches.action_matches(session, principal, submission_id)
 
 
 @router.get(
@@ -147,18 +149,18 @@ def get_log(
 def cancel_submission(services: ServicesOf, principal: PrincipalOf, submission_id: UUID) -> SubmissionView:
     """End a queued or running evaluation. Finished episodes stay stored: uploading again takes it up."""
     with services.database.transaction() as session:
-        submissions.cancel(session, principal, submission_id)
+        runs.cancel(session, principal, submission_id)
     with services.database.transaction() as session:
-        return submissions.get(session, services.settings, principal, submission_id)
+        return listing.get(session, services.settings, principal, submission_id)
 
 
 @router.post("/{submission_id}/requeue", status_code=HTTPStatus.ACCEPTED)
 def requeue_submission(services: ServicesOf, principal: PrincipalOf, submission_id: UUID) -> SubmissionView:
     """Start a new run that plays all episodes anew (organizers only). Earlier results stay."""
     with services.database.transaction() as session:
-        submissions.run_again(session, principal, submission_id)
+        runs.run_again(session, principal, submission_id)
     with services.database.transaction() as session:
-        return submissions.get(session, services.settings, principal, submission_id)
+        return listing.get(session, services.settings, principal, submission_id)
 
 
 @router.get(
@@ -179,7 +181,7 @@ async def _events(
     request: Request, services: Services, principal: Principal, submission_id: UUID
 ) -> AsyncIterator[ServerSentEvent]:
     with request.app.state.stream_limiter.one("all", "event streams"):
-        watching = submissions.watch(services.database, services.settings, principal, submission_id)
+        watching = watch(services.database, services.settings, principal, submission_id)
         async with aclosing(watching) as views:
             async for view in views:
                 yield ServerSentEvent(view.model_dump_json(), event="submission")
@@ -203,7 +205,7 @@ def _check_head(request: Request, services: Services, track: str | None, kind: S
 
 def _owner_name(services: Services, principal: Principal, team: str | None) -> str:
     with services.database.transaction() as session:
-        return submissions.owner_name(session, principal, team)
+        return creation.owner_name(session, principal, team)
 
 
 async def _take_in(
@@ -229,9 +231,9 @@ def _create(
     services: Services, principal: Principal, upload: CheckedUpload, team: str | None, again: bool
 ) -> tuple[SubmissionView, bool]:
     with services.database.transaction() as session:
-        submission, is_new = submissions.create(session, principal, upload, team=team, again=again)
+        submission, is_new = creation.create(session, principal, upload, team=team, again=again)
     with services.database.transaction() as session:
-        return submissions.get(session, services.settings, principal, submission.id), is_new
+        return listing.get(session, services.settings, principal, submission.id), is_new
 
 
 def _announced_bytes(request: Request) -> int | None:

@@ -16,7 +16,7 @@ from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.services import Services
 from vitac.server.settings import Registration
 from vitac.server.submissions.view import team_view
-from vitac.server.views.views import MeView, NewTokenView, RegisteredTeamView, TokenListView, TokenView
+from vitac.server.views.accounts import MeView, NewTokenView, RegisteredTeamView, TokenListView, TokenView
 
 from .access import OptionalPrincipalOf, PrincipalOf, ServicesOf
 from .problems import RESPONSES

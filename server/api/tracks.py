@@ -6,7 +6,8 @@ from fastapi import APIRouter, Query
 from vitac.server.leaderboards.log_boards import log_boards
 from vitac.server.leaderboards.standings import leaderboard
 from vitac.server.tracks import load_known_track, track_view, track_views
-from vitac.server.views.views import LeaderboardView, LogBoardsView, TrackListView, TrackView
+from vitac.server.views.leaderboards import LeaderboardView, LogBoardsView
+from vitac.server.views.tracks import TrackListView, TrackView
 
 from .access import ServicesOf
 from .problems import RESPONSES

@@ -8,7 +8,7 @@ from vitac.evaluator.tracks import load_track
 from vitac.server.db.models import EpisodeResult, Evaluation, Shard, Submission
 from vitac.server.db.states import ACTIVE_EVALUATION_STATES, OPEN_SHARD_STATES, EvaluationState
 from vitac.server.evaluations.episode_store import EpisodeKey
-from vitac.server.views.views import ProgressView, TaskProgressView
+from vitac.server.views.evaluations import ProgressView, TaskProgressView
 
 EPISODES_FOR_TIMING = 300
 

@@ -7,7 +7,7 @@ from vitac.evaluator.scoring.score import Interval, Rate, Score
 from vitac.evaluator.tracks import load_track
 from vitac.server.db.models import Evaluation
 from vitac.server.db.states import SubmissionKind
-from vitac.server.views.views import ShapeScoreView, TaskScoreView
+from vitac.server.views.scores import ShapeScoreView, TaskScoreView
 
 
 def store_scores(evaluation: Evaluation, scores: Mapping[str, Score], hashes: Mapping[str, str]) -> None:

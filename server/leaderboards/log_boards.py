@@ -17,7 +17,7 @@ from vitac.server.leaderboards.standings import Result, best_of_teams, results_o
 from vitac.server.logs.claims import LogClaim
 from vitac.server.logs.view import LABELS, verdict_of
 from vitac.server.tracks import load_known_track
-from vitac.server.views.views import LogBoardsView, LogBoardView, LogEntryView, TextLogEntryView
+from vitac.server.views.leaderboards import LogBoardsView, LogBoardView, LogEntryView, TextLogEntryView
 
 RANKING_RULE = (
     "Higher success rate first; then fewer mean env steps of the successful episodes; then the earlier submission. "

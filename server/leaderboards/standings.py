@@ -15,7 +15,8 @@ from vitac.server.db.models import Evaluation, Submission
 from vitac.server.db.states import EvaluationState, SubmissionKind
 from vitac.server.evaluations.scores import bounds, combined_score, score_views, scores_of
 from vitac.server.tracks import load_known_track, require_task
-from vitac.server.views.views import LeaderboardEntryView, LeaderboardView, RankView
+from vitac.server.views.leaderboards import LeaderboardEntryView, LeaderboardView
+from vitac.server.views.submissions import RankView
 
 PlacesOfBoards = Mapping[str | None, Mapping[UUID, RankView]]
 """Places by submission on each board of a track: that of a task, or under None that of all tasks together."""

@@ -6,11 +6,12 @@ from uuid import UUID
 from sqlalchemy.orm import Session
 from vitac.evaluator.logs.log import LogHeader, write_log
 from vitac.server.accounts.principals import Principal
+from vitac.server.accounts.visibility import visible
 from vitac.server.db.states import EvaluationState, SubmissionKind
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.evaluations.episode_store import EpisodeKey, records_of
+from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.evaluations.provenance import manifest_of
-from vitac.server.submissions import submissions
 
 
 def export_log(session: Session, by: Principal, submission_id: UUID, task: str | None) -> bytes:
@@ -25,8 +26,8 @@ def export_log(session: Session, by: Principal, submission_id: UUID, task: str |
     Raises:
         ServiceError: there is no such submission or task, or its evaluation is not completed.
     """
-    submission = submissions.visible(session, by, submission_id)
-    evaluation = submissions.newest_evaluation(session, submission)
+    submission = visible(session, by, submission_id)
+    evaluation = newest_evaluation(session, submission)
     if submission.kind is SubmissionKind.TEXT_LOG:
         raise ServiceError(
             ProblemCode.NO_LOG, "What our physics makes of a 2025 text log is no evaluation; there is no log of it."

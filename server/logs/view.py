@@ -7,7 +7,7 @@ from vitac.server.db.states import EvaluationState, SubmissionKind
 from vitac.server.evaluations.lifecycle import first_refuted_shard
 from vitac.server.evaluations.verdicts import VERDICTS_ON_LOGS
 from vitac.server.logs.claims import LogClaim
-from vitac.server.views.views import DivergenceView, LogView
+from vitac.server.views.logs import DivergenceView, LogView
 
 LABELS = {
     SubmissionKind.LOG: "actions verified, policy not seen",

@@ -1,4 +1,4 @@
-"""Makes the view of a submission out of its rows; called by `submissions` for the API and the pages."""
+"""Makes the view of a submission out of its rows; called by `listing` for the API and the pages."""
 
 from collections.abc import Callable
 from functools import partial
@@ -9,6 +9,7 @@ from vitac.evaluator.tracks import load_track
 from vitac.server.db.models import EpisodeResult, Evaluation, Submission, Team
 from vitac.server.db.states import TERMINAL_EVALUATION_STATES, EvaluationState, SubmissionKind
 from vitac.server.evaluations.episode_store import EpisodeKey
+from vitac.server.evaluations.history import history
 from vitac.server.evaluations.lifecycle import LOG_TAIL_CHARACTERS
 from vitac.server.evaluations.progress import progress_of, queue_position, seconds_to_end
 from vitac.server.evaluations.provenance import isolation_levels
@@ -18,15 +19,10 @@ from vitac.server.leaderboards.standings import PlacesOfBoards, places
 from vitac.server.logs.view import log_view
 from vitac.server.queue.workers import WorkersAlive, workers_alive
 from vitac.server.settings import Settings
-from vitac.server.views.views import (
-    EvaluationSummaryView,
-    EvaluationView,
-    RankView,
-    SubmissionView,
-    TeamView,
-    VerdictView,
-    WorkersView,
-)
+from vitac.server.views.accounts import TeamView
+from vitac.server.views.evaluations import EvaluationSummaryView, EvaluationView, VerdictView
+from vitac.server.views.submissions import RankView, SubmissionView
+from vitac.server.views.workers import WorkersView
 
 PlacesOf = Callable[[str], PlacesOfBoards]
 
@@ -43,13 +39,8 @@ def submission_view(
         places_of: gives the places on a track's boards, for those who show many submissions and read them once.
     """
     places_of = places_of or partial(places, session)
-    history = session.scalars(
-        select(Evaluation)
-        .where(Evaluation.submission_id == submission.id)
-        .order_by(Evaluation.created_at.desc(), Evaluation.run.desc(), Evaluation.id)
-        .execution_options(populate_existing=True)
-    ).all()
-    newest = history[0]
+    runs = session.scalars(history(submission)).all()
+    newest = runs[0]
     workers = workers_alive(session, settings, newest.evaluator_version)
     ranks = _ranks(submission, newest, places_of)
     return SubmissionView(
@@ -65,7 +56,7 @@ def submission_view(
         archive_bytes=submission.archive_bytes,
         submitted_at=submission.submitted_at,
         evaluation=_evaluation_view(session, newest, submission, workers),
-        evaluations=[_summary(evaluation) for evaluation in history],
+        evaluations=[_summary(evaluation) for evaluation in runs],
         workers=WorkersView(alive=workers.alive, last_heartbeat_at=workers.last_heartbeat_at),
         rank=ranks.get(None),
         task_ranks={task: place for task, place in ranks.items() if task is not None},

@@ -11,8 +11,8 @@ from vitac.server.db.states import SubmissionKind
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.services import Services
 from vitac.server.settings import Settings
-from vitac.server.submissions.submissions import CheckedUpload
 from vitac.server.tracks import load_known_track
+from vitac.server.uploads.checked_upload import CheckedUpload
 from vitac.server.uploads.intake import ReceivedFile
 from vitac.server.uploads.logs import check_log
 from vitac.server.uploads.text_logs import check_text_log

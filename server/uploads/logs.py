@@ -12,7 +12,7 @@ from vitac.server.accounts.teams import name_key
 from vitac.server.db.states import SubmissionKind
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.logs.claims import LogClaim
-from vitac.server.submissions.submissions import CheckedUpload
+from vitac.server.uploads.checked_upload import CheckedUpload
 from vitac.server.uploads.intake import ReceivedFile
 
 DIGITS_IN_NAME = 8

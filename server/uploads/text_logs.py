@@ -13,8 +13,8 @@ from vitac.evaluator.logs.text_2025.recordings import track_and_task_names, why_
 from vitac.evaluator.tracks import Task
 from vitac.server.db.states import SubmissionKind
 from vitac.server.logs.claims import LogClaim
-from vitac.server.submissions.submissions import CheckedUpload
 from vitac.server.tracks import load_known_track
+from vitac.server.uploads.checked_upload import CheckedUpload
 from vitac.server.uploads.intake import ReceivedFile
 from vitac.server.uploads.logs import DIGITS_IN_NAME, impossible, rejected, require_own_team
 

@@ -15,8 +15,8 @@ from page_fixtures import (
     a_score,
     a_submission,
     a_visitor,
+    an_action_match,
     an_application,
-    an_audit,
     an_entry,
 )
 from playwright.sync_api import Browser, Page, sync_playwright
@@ -24,7 +24,8 @@ from site_under_test import SiteUnderTest
 from vitac.cli.service.web_server import WebServer, address_of, bind
 from vitac.evaluator.logs.findings import VerificationResult
 from vitac.server.db.states import EvaluationState, Role, SubmissionKind
-from vitac.server.views.views import LeaderboardView, VerdictView
+from vitac.server.views.evaluations import VerdictView
+from vitac.server.views.leaderboards import LeaderboardView
 
 ARGUMENTS = (
     "--disable-background-networking",
@@ -80,7 +81,7 @@ def site() -> Iterator[SiteUnderTest]:
         visitors=[a_visitor("Gelbots"), a_visitor("Bears"), a_visitor("organizers", Role.ORGANIZER)],
         board=boards()[None],
         task_boards={TASK: boards()[TASK]},
-        audited=[an_audit()],
+        matches=[an_action_match()],
         found=[
             a_log(EvaluationState.COMPLETED, VerificationResult.VERIFIED, reason="all states are equal"),
             a_log(EvaluationState.FAILED, VerificationResult.DIVERGED, divergence=DIVERGENCE),

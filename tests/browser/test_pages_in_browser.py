@@ -7,7 +7,7 @@ from page_fixtures import FixedData, a_leaderboard, a_submission
 from playwright.sync_api import Browser, ConsoleMessage, Page, expect
 from site_under_test import SiteUnderTest
 from vitac.server.db.states import EvaluationState
-from vitac.server.views.views import SubmissionView
+from vitac.server.views.submissions import SubmissionView
 
 PHONE = {"width": 375, "height": 740}
 DESK = {"width": 1280, "height": 800}

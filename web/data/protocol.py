@@ -10,14 +10,9 @@ if TYPE_CHECKING:
     from uuid import UUID
 
     from vitac.server.accounts.principals import Principal
-    from vitac.server.views.views import (
-        AuditView,
-        EpisodeView,
-        LeaderboardView,
-        LogBoardsView,
-        SubmissionListView,
-        SubmissionView,
-    )
+    from vitac.server.views.leaderboards import LeaderboardView, LogBoardsView
+    from vitac.server.views.logs import ActionMatchView
+    from vitac.server.views.submissions import EpisodeView, SubmissionListView, SubmissionView
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,7 +74,7 @@ class PageData(Protocol):
     async def episodes(self, visitor: Visitor, submission_id: UUID) -> Sequence[EpisodeView]:
         """Return how the finished episodes of a submission's newest evaluation ended."""
 
-    async def audits(self, visitor: Visitor, submission_id: UUID) -> Sequence[AuditView]:
+    async def action_matches(self, visitor: Visitor, submission_id: UUID) -> Sequence[ActionMatchView]:
         """Return how far the team's models go along with a log; nothing for other submissions."""
 
     async def cancel(self, visitor: Visitor, submission_id: UUID) -> None:

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, TypeVar
 from vitac.server.accounts import tokens
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.leaderboards import log_boards, standings
-from vitac.server.logs import audits
-from vitac.server.submissions import submissions
+from vitac.server.logs import action_matches
+from vitac.server.submissions import listing, runs
 
 from .limits import limit_rows, size
 from .protocol import Visitor
@@ -26,14 +26,9 @@ if TYPE_CHECKING:
     from vitac.server.accounts.principals import Principal
     from vitac.server.db.engine import Database
     from vitac.server.settings import Settings
-    from vitac.server.views.views import (
-        AuditView,
-        EpisodeView,
-        LeaderboardView,
-        LogBoardsView,
-        SubmissionListView,
-        SubmissionView,
-    )
+    from vitac.server.views.leaderboards import LeaderboardView, LogBoardsView
+    from vitac.server.views.logs import ActionMatchView
+    from vitac.server.views.submissions import EpisodeView, SubmissionListView, SubmissionView
 
     from .protocol import LimitRow
 
@@ -65,27 +60,25 @@ class ServiceData:
 
     async def submission(self, visitor: Visitor, submission_id: UUID) -> SubmissionView:
         """Return one submission."""
-        return await self._ask(
-            lambda session: submissions.get(session, self.settings, visitor.principal, submission_id)
-        )
+        return await self._ask(lambda session: listing.get(session, self.settings, visitor.principal, submission_id))
 
     async def submissions(self, visitor: Visitor, before: UUID | None) -> SubmissionListView:
         """Return a page of submissions."""
         return await self._ask(
-            lambda session: submissions.list_submissions(session, self.settings, visitor.principal, before=before)
+            lambda session: listing.list_submissions(session, self.settings, visitor.principal, before=before)
         )
 
     async def episodes(self, visitor: Visitor, submission_id: UUID) -> Sequence[EpisodeView]:
         """Return how the finished episodes ended."""
-        return await self._ask(lambda session: submissions.episodes(session, visitor.principal, submission_id))
+        return await self._ask(lambda session: listing.episodes(session, visitor.principal, submission_id))
 
-    async def audits(self, visitor: Visitor, submission_id: UUID) -> Sequence[AuditView]:
+    async def action_matches(self, visitor: Visitor, submission_id: UUID) -> Sequence[ActionMatchView]:
         """Return how far the team's models go along with a log."""
-        return await self._ask(lambda session: audits.audits(session, visitor.principal, submission_id))
+        return await self._ask(lambda session: action_matches.action_matches(session, visitor.principal, submission_id))
 
     async def cancel(self, visitor: Visitor, submission_id: UUID) -> None:
         """Cancel an evaluation."""
-        await self._ask(lambda session: submissions.cancel(session, visitor.principal, submission_id))
+        await self._ask(lambda session: runs.cancel(session, visitor.principal, submission_id))
 
     def log_size(self) -> str:
         """Return how large a log may be."""

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from vitac.evaluator.tracks import Episode, Task
-    from vitac.server.views.views import EpisodeView
+    from vitac.server.views.submissions import EpisodeView
 
 Kind = Literal["success", "other", "waiting"]
 

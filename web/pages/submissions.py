@@ -23,7 +23,9 @@ if TYPE_CHECKING:
 
     from starlette.requests import Request
     from vitac.evaluator.tracks import Track
-    from vitac.server.views.views import EpisodeView, RankView, SubmissionView, TaskProgressView, TaskScoreView
+    from vitac.server.views.evaluations import TaskProgressView
+    from vitac.server.views.scores import TaskScoreView
+    from vitac.server.views.submissions import EpisodeView, RankView, SubmissionView
 
     from ..site import Viewer
     from .episode_map import EpisodeMap
@@ -115,7 +117,7 @@ async def _values(request: Request, viewer: Viewer) -> dict[str, Any]:
         "took": seconds_taken(found),
         "parts": [task_part(found, track, name, ends) for name in found.tasks],
         "several": len(found.tasks) + len(found.missing_tasks) > 1,
-        "audits": await data.audits(viewer.visitor, submission_id),
+        "action_matches": await data.action_matches(viewer.visitor, submission_id),
         "missing": [track.tasks[name].title for name in found.missing_tasks],
     }
 

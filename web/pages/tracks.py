@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from starlette.requests import Request
     from starlette.responses import Response
     from vitac.evaluator.tracks import Track
-    from vitac.server.views.views import LeaderboardEntryView
+    from vitac.server.views.leaderboards import LeaderboardEntryView
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -32,11 +32,13 @@ from vitac.server.db.models import Shard, Submission
 from vitac.server.db.states import EvaluationState, Role, ShardState, SubmissionKind
 from vitac.server.evaluations import lifecycle
 from vitac.server.evaluations.episode_store import store_episode
+from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.evaluations.scores import store_scores
 from vitac.server.queue import leases
 from vitac.server.queue.leases import Lease
 from vitac.server.settings import Settings
-from vitac.server.submissions import submissions
+from vitac.server.submissions import creation
+from vitac.server.uploads.checked_upload import CheckedUpload
 
 TRACK = "track_1"
 TASK = "peg-insertion"
@@ -67,7 +69,7 @@ def make_secret(session: Session, principal: Principal) -> str:
     return tokens.issue(session, CONSOLE, role=principal.role, label="test", team=owner, lifetime=None).secret
 
 
-def make_upload(content: str = "content", **changes: Any) -> submissions.CheckedUpload:
+def make_upload(content: str = "content", **changes: Any) -> CheckedUpload:
     values: dict[str, Any] = {
         "kind": SubmissionKind.MODEL,
         "track": TRACK,
@@ -78,13 +80,13 @@ def make_upload(content: str = "content", **changes: Any) -> submissions.Checked
         "archive_bytes": 100,
         "manifest": {"track": TRACK, "name": "zero"},
     }
-    return submissions.CheckedUpload(**(values | changes))
+    return CheckedUpload(**(values | changes))
 
 
 def submit(
     session: Session, principal: Principal, content: str = "content", tasks: Iterable[str] = (TASK,), **options: Any
 ) -> Submission:
-    return submissions.create(session, principal, make_upload(content, tasks=tuple(tasks)), **options)[0]
+    return creation.create(session, principal, make_upload(content, tasks=tuple(tasks)), **options)[0]
 
 
 def make_score(successes: int, episodes: int = 100, mean_steps: float | None = 4.0) -> Score:
@@ -94,8 +96,8 @@ def make_score(successes: int, episodes: int = 100, mean_steps: float | None = 4
 def submit_scored(session: Session, principal: Principal, name: str, scores: Mapping[str, Score]) -> Submission:
     """A submission whose evaluation is complete with these scores, without the episodes behind them."""
     upload = make_upload(name, name=name, tasks=tuple(scores))
-    submission = submissions.create(session, principal, upload)[0]
-    evaluation = submissions.newest_evaluation(session, submission)
+    submission = creation.create(session, principal, upload)[0]
+    evaluation = newest_evaluation(session, submission)
     evaluation.state = EvaluationState.RUNNING
     session.flush()
     store_scores(evaluation, scores, {task: sha256(f"{name} {task}") for task in scores})
@@ -153,7 +155,7 @@ def make_manifest(task: str = TASK) -> Manifest:
 
 
 def shard_ids(session: Session, submission: Submission) -> list[int]:
-    newest = submissions.newest_evaluation(session, submission)
+    newest = newest_evaluation(session, submission)
     return [shard.id for shard in sorted(newest.shards, key=lambda shard: shard.id)]
 
 

@@ -15,31 +15,26 @@ from vitac.evaluator.tracks import load_track
 from vitac.server.accounts.principals import Principal
 from vitac.server.db.states import EvaluationState, Role, SubmissionKind
 from vitac.server.errors import ProblemCode, ServiceError, not_found
-from vitac.server.views.views import (
-    AuditedEpisodeView,
-    AuditView,
-    DivergenceView,
-    EpisodeView,
+from vitac.server.views.accounts import TeamView
+from vitac.server.views.evaluations import (
     EvaluationSummaryView,
     EvaluationView,
+    ProgressView,
+    TaskProgressView,
+    VerdictView,
+)
+from vitac.server.views.leaderboards import (
     LeaderboardEntryView,
     LeaderboardView,
     LogBoardsView,
     LogBoardView,
     LogEntryView,
-    LogView,
-    ProgressView,
-    RankView,
-    ShapeScoreView,
-    SubmissionListView,
-    SubmissionView,
-    TaskProgressView,
-    TaskScoreView,
-    TeamView,
     TextLogEntryView,
-    VerdictView,
-    WorkersView,
 )
+from vitac.server.views.logs import ActionMatchView, DivergenceView, LogView, MatchedEpisodeView
+from vitac.server.views.scores import ShapeScoreView, TaskScoreView
+from vitac.server.views.submissions import EpisodeView, RankView, SubmissionListView, SubmissionView
+from vitac.server.views.workers import WorkersView
 from vitac.web.data.protocol import LimitRow, Visitor
 from vitac.web.pages import routes
 from vitac.web.session.signer import SessionSigner
@@ -297,9 +292,9 @@ DIVERGENCE = DivergenceView(
 )
 
 
-def an_audit() -> AuditView:
+def an_action_match() -> ActionMatchView:
     """A model that gives all but two of a log's actions."""
-    return AuditView(
+    return ActionMatchView(
         submission_id=an_id("model"),
         submission_name="my model",
         evaluated_at=NOW,
@@ -307,7 +302,7 @@ def an_audit() -> AuditView:
         reproduced=808,
         episodes=270,
         episodes_reproduced=269,
-        others=[AuditedEpisodeView(episode=5, actions=3, reproduced=1, first_mismatch=2)],
+        others=[MatchedEpisodeView(episode=5, actions=3, reproduced=1, first_mismatch=2)],
     )
 
 
@@ -385,7 +380,7 @@ class FixedData:
     found: list[SubmissionView] = field(default_factory=list)
     next_before: UUID | None = None
     logs: LogBoardsView = field(default_factory=some_log_boards)
-    audited: list[AuditView] = field(default_factory=list)
+    matches: list[ActionMatchView] = field(default_factory=list)
     cancelled: list[UUID] = field(default_factory=list)
 
     async def visitor_with_token(self, token: str) -> Visitor | None:
@@ -416,8 +411,8 @@ class FixedData:
         progress = (await self.submission(visitor, submission_id)).evaluation.progress
         return [end for task in progress.tasks for end in some_episodes(task.task, task.episodes_done)]
 
-    async def audits(self, visitor: Visitor, submission_id: UUID) -> list[AuditView]:
-        return self.audited if (await self.submission(visitor, submission_id)).log else []
+    async def action_matches(self, visitor: Visitor, submission_id: UUID) -> list[ActionMatchView]:
+        return self.matches if (await self.submission(visitor, submission_id)).log else []
 
     async def cancel(self, visitor: Visitor, submission_id: UUID) -> None:
         submission = await self.submission(visitor, submission_id)

@@ -14,7 +14,7 @@ from vitac.server.errors import ServiceError
 from vitac.server.housekeeping import Housekeeping, prune
 from vitac.server.services import Services
 from vitac.server.storage.blobs import BlobStore
-from vitac.server.submissions import submissions
+from vitac.server.submissions import creation
 from worker_fakes import eventually
 
 
@@ -35,7 +35,7 @@ def put(services: Services, content: bytes) -> str:
 
 def test_lost_shards_are_found_in_the_background_also_after_the_database_was_away(services: Services) -> None:
     with services.database.transaction() as session:
-        submission = submissions.create(session, make_principal(session), make_upload())[0]
+        submission = creation.create(session, make_principal(session), make_upload())[0]
         first = shard_ids(session, submission)[0]
     claim(services.database, first, lease_s=0.1)
     keeper = Housekeeping(services)
@@ -77,7 +77,7 @@ def test_files_without_a_submission_are_removed_once_the_store_works_again(
 def test_files_without_a_submission_are_removed_when_old(services: Services, monkeypatch: pytest.MonkeyPatch) -> None:
     kept, orphan = put(services, b"kept"), put(services, b"orphan")
     with services.database.transaction() as session:
-        submissions.create(session, make_principal(session), make_upload(archive_sha256=kept))
+        creation.create(session, make_principal(session), make_upload(archive_sha256=kept))
     prune(services)
     assert services.blobs.holds(orphan)
     monkeypatch.setattr(housekeeping, "ORPHAN_KEPT", timedelta(seconds=-5))

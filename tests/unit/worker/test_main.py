@@ -10,9 +10,10 @@ from sqlalchemy import select
 from vitac.evaluator.version import evaluator_version
 from vitac.server.db.models import Worker
 from vitac.server.db.states import EvaluationState, WorkerState
+from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.queue.workers import workers_alive
 from vitac.server.services import Services
-from vitac.server.submissions import submissions
+from vitac.server.submissions import creation
 from vitac.worker import main
 from vitac.worker.isolation import IsolationReport
 from worker_fakes import FakeShards, eventually
@@ -48,11 +49,11 @@ def test_worker_registers_evaluates_and_says_goodbye_on_a_signal(
 ) -> None:
     with services.database.transaction() as session:
         principal = make_principal(session)
-        submission = submissions.create(session, principal, make_upload(archive_sha256=archive_sha256))[0]
+        submission = creation.create(session, principal, make_upload(archive_sha256=archive_sha256))[0]
 
     def is_completed() -> bool:
         with services.database.transaction() as session:
-            return submissions.newest_evaluation(session, submission).state is EvaluationState.COMPLETED
+            return newest_evaluation(session, submission).state is EvaluationState.COMPLETED
 
     before = signal.getsignal(number)
     with signalled_when(is_completed, number):
@@ -81,7 +82,7 @@ def test_living_worker_is_counted_and_its_heartbeat_goes_on(services: Services) 
 
 def test_worker_on_a_machine_that_leaks_takes_nothing_and_says_why(services: Services, archive_sha256: str) -> None:
     with services.database.transaction() as session:
-        submissions.create(session, make_principal(session), make_upload(archive_sha256=archive_sha256))
+        creation.create(session, make_principal(session), make_upload(archive_sha256=archive_sha256))
     shards = FakeShards()
 
     def refuses() -> bool:

@@ -22,9 +22,10 @@ from vitac.evaluator.shards.process import ShardProcessFailed
 from vitac.server.accounts.principals import Principal
 from vitac.server.db.models import EpisodeResult, Shard, Submission
 from vitac.server.db.states import EvaluationState, Role, ShardState, SubmissionKind
+from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.queue.leases import Lease
 from vitac.server.services import Services
-from vitac.server.submissions import submissions
+from vitac.server.submissions import creation, runs
 from vitac.worker.shard_run import RunEnd, ShardRun
 from vitac.worker.staging import SubmissionStage
 from worker_fakes import FakeShards, eventually
@@ -34,7 +35,7 @@ from worker_fakes import FakeShards, eventually
 def submission(services: Services, archive_sha256: str) -> Submission:
     with services.database.transaction() as session:
         upload = make_upload(archive_sha256=archive_sha256)
-        return submissions.create(session, make_principal(session), upload)[0]
+        return creation.create(session, make_principal(session), upload)[0]
 
 
 @pytest.fixture
@@ -153,7 +154,7 @@ def test_policy_that_breaks_a_shard_fails_the_evaluation(
     shards = FakeShards(record_of=make_failed_record)
     assert ShardRun(services, stage, lease, shards).run() is RunEnd.FINISHED
     with services.database.transaction() as session:
-        assert submissions.newest_evaluation(session, submission).state is EvaluationState.FAILED
+        assert newest_evaluation(session, submission).state is EvaluationState.FAILED
     assert stored_numbers(services) == [1, 2, 3]
 
 
@@ -172,7 +173,7 @@ def test_cancel_kills_the_process_within_a_renewal(
     wait = run_in_thread(ShardRun(services, stage, lease, shards))
     running.wait(20.0)
     with services.database.transaction() as session:
-        submissions.cancel(session, make_principal_of(submission), submission.id)
+        runs.cancel(session, make_principal_of(submission), submission.id)
     assert wait() is RunEnd.LOST
     assert stored_numbers(services) == [1, 2, 3, 4]
 
@@ -231,7 +232,7 @@ def test_machine_that_cannot_run_a_shard_costs_an_attempt_and_the_third_ends_by_
         if attempt < 3:
             lease = claim(services.database, lease.shard_id)
     with services.database.transaction() as session:
-        evaluation = submissions.newest_evaluation(session, submission)
+        evaluation = newest_evaluation(session, submission)
         assert evaluation.state is EvaluationState.FAILED
         assert evaluation.verdict_code == "machine_failed"
         assert "bubblewrap did not start" in (evaluation.verdict_message or "")
@@ -253,7 +254,7 @@ def test_process_that_hangs_is_ended_and_reported(
     assert ShardRun(impatient, stage, last, shards).run() is RunEnd.BROKE
     assert stored_numbers(services) == [1, 2, 3]
     with services.database.transaction() as session:
-        message = submissions.newest_evaluation(session, submission).verdict_message
+        message = newest_evaluation(session, submission).verdict_message
     assert message is not None
     assert message.endswith("No episode ended within 0.3 s.")
 

@@ -13,10 +13,11 @@ from vitac.server.accounts.principals import CONSOLE
 from vitac.server.db.models import EpisodeResult, Shard, Submission
 from vitac.server.db.states import EvaluationState, ShardState
 from vitac.server.evaluations.episode_store import store_episode
+from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.housekeeping import Housekeeping
 from vitac.server.queue import leases
 from vitac.server.services import Services
-from vitac.server.submissions import submissions
+from vitac.server.submissions import creation, runs
 from vitac.worker.staging import SubmissionStage
 from vitac.worker.worker import QueueWorker
 from worker_fakes import FakeShards, eventually
@@ -25,19 +26,19 @@ from worker_fakes import FakeShards, eventually
 def submit(services: Services, archive_sha256: str, team: str = "Team A", **changes: Any) -> Submission:
     with services.database.transaction() as session:
         upload = make_upload(archive_sha256=archive_sha256, **changes)
-        return submissions.create(session, make_principal(session, team), upload)[0]
+        return creation.create(session, make_principal(session, team), upload)[0]
 
 
 def state(services: Services, submission: Submission) -> EvaluationState:
     # Repeated, because some tests cut all connections, also this one.
     return services.database.retrying(
-        lambda session: submissions.newest_evaluation(session, submission).state, give_up_after_s=20.0
+        lambda session: newest_evaluation(session, submission).state, give_up_after_s=20.0
     )
 
 
 def result_hash(services: Services, submission: Submission) -> str | None:
     with services.database.transaction() as session:
-        return submissions.newest_evaluation(session, submission).result_hash
+        return newest_evaluation(session, submission).result_hash
 
 
 @contextmanager
@@ -166,7 +167,7 @@ def test_cancel_frees_the_worker_for_the_next_submission(services: Services, arc
     with working(services, shards):
         assert hung.wait(20.0)
         with services.database.transaction() as session:
-            submissions.cancel(session, CONSOLE, hanging.id)
+            runs.cancel(session, CONSOLE, hanging.id)
         assert shards.started[0].killed.wait(20.0)
         other = submit(services, archive_sha256, "Team B", digest="b" * 64)
         eventually(lambda: state(services, other) is EvaluationState.COMPLETED)

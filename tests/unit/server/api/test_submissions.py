@@ -15,7 +15,7 @@ from sqlalchemy import text
 from vitac.evaluator.agent.limits import Limits
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Submission
-from vitac.server.submissions import submissions
+from vitac.server.submissions import listing
 
 ARCHIVE = make_archive()
 
@@ -358,7 +358,7 @@ def test_events_show_the_submission_and_end_when_it_has_ended(service: Service) 
 
 
 def test_database_that_is_away_is_a_problem_with_retry_after(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(submissions, "list_submissions", lambda *_, **__: _lose_connection(service))
+    monkeypatch.setattr(listing, "list_submissions", lambda *_, **__: _lose_connection(service))
     answer = service.get("/submissions")
     problem_of(answer, 503, "database_unavailable")
     assert answer.headers["retry-after"] == "2"
@@ -370,5 +370,5 @@ def _lose_connection(service: Service) -> None:
 
 
 def test_bug_is_a_problem_without_details(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(submissions, "list_submissions", lambda *_, **__: 1 / 0)
+    monkeypatch.setattr(listing, "list_submissions", lambda *_, **__: 1 / 0)
     assert "zero" not in problem_of(service.get("/submissions"), 500, "internal_error")["detail"]

@@ -25,11 +25,12 @@ from vitac.server.db.engine import Database
 from vitac.server.db.models import EpisodeResult
 from vitac.server.db.states import EvaluationState, ShardState
 from vitac.server.evaluations.episode_store import EpisodeKey, records_of
+from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.evaluations.lifecycle import EpisodesMissing
 from vitac.server.evaluations.result_hashes import combine_hashes
 from vitac.server.evaluations.scores import combined_score, scores_of
 from vitac.server.queue.leases import LeaseLost
-from vitac.server.submissions import submissions
+from vitac.server.submissions import listing, runs
 
 
 def outcome_of(episode: int) -> EpisodeOutcome:
@@ -44,7 +45,7 @@ def test_a_new_evaluation_has_the_fixed_shards_and_a_job_for_each(database: Data
     with database.transaction() as session:
         submission = submit(session, make_principal(session))
     with database.transaction() as session:
-        shards = submissions.newest_evaluation(session, submission).shards
+        shards = newest_evaluation(session, submission).shards
         assert [len(shard.episodes) for shard in shards] == [30] * 9
         assert sorted(episode for shard in shards for episode in shard.episodes) == list(range(1, 271))
         jobs = session.execute(
@@ -68,11 +69,11 @@ def test_last_shard_scores_the_evaluation_with_the_evaluators_own_functions(data
         ids = shard_ids(session, submission)
     for shard_id in (*ids[5:], *ids[:5]):
         with database.transaction() as session:
-            assert submissions.newest_evaluation(session, submission).state is not EvaluationState.COMPLETED
+            assert newest_evaluation(session, submission).state is not EvaluationState.COMPLETED
         play(database, shard_id, some_record)
     records = [some_record(episode) for episode in range(1, 271)]
     with database.transaction() as session:
-        evaluation = submissions.newest_evaluation(session, submission)
+        evaluation = newest_evaluation(session, submission)
         assert evaluation.state is EvaluationState.COMPLETED
         assert scores_of(evaluation) == {TASK: score(records)}
         combined = combined_score(evaluation)
@@ -107,12 +108,12 @@ def test_broken_policy_fails_the_evaluation_with_the_first_failure_whatever_the_
     with database.transaction() as session:
         # Later shards end, earlier ones may still change the verdict.
         assert [state_of(session, shard_id) for shard_id in ids[5:]] == [ShardState.CANCELLED] * 4
-        assert submissions.newest_evaluation(session, submission).state is EvaluationState.RUNNING
+        assert newest_evaluation(session, submission).state is EvaluationState.RUNNING
         assert session.scalar(text("SELECT count(*) FROM procrastinate_jobs WHERE status = 'todo'")) == 5
     store(database, early, [make_failed_record(episode, output=f"out {episode}") for episode in (7, 3, 9)])
     finish(database, early, ShardEnd.BROKEN)
     with database.transaction() as session:
-        evaluation = submissions.newest_evaluation(session, submission)
+        evaluation = newest_evaluation(session, submission)
         assert evaluation.state is EvaluationState.FAILED
         assert (evaluation.verdict_code, evaluation.verdict_task, evaluation.verdict_episode) == ("crashed", TASK, 3)
         assert evaluation.log_tail == "out 3"
@@ -122,11 +123,11 @@ def test_broken_policy_fails_the_evaluation_with_the_first_failure_whatever_the_
 def test_two_tasks_are_scored_each_and_together(database: Database) -> None:
     with database.transaction() as session:
         submission = submit(session, make_principal(session), tasks=(TASK, LOCK))
-        shards = submissions.newest_evaluation(session, submission).shards
+        shards = newest_evaluation(session, submission).shards
         assert [len(shard.episodes) for shard in shards] == [30] * 9 + [20] * 8
     play_all(database, submission, lambda n, task: make_record(n, task=task) if task == LOCK else some_record(n))
     with database.transaction() as session:
-        evaluation = submissions.newest_evaluation(session, submission)
+        evaluation = newest_evaluation(session, submission)
         scores = scores_of(evaluation)
         assert [(task, score.episodes, score.successes) for task, score in scores.items()] == [
             (TASK, 270, 90),
@@ -152,7 +153,7 @@ def test_a_policy_that_is_broken_in_one_task_fails_with_that_task_named(database
     for shard_id in ids[:9]:
         play(database, shard_id)
     with database.transaction() as session:
-        evaluation = submissions.newest_evaluation(session, submission)
+        evaluation = newest_evaluation(session, submission)
         assert (evaluation.verdict_code, evaluation.verdict_task, evaluation.verdict_episode) == ("crashed", LOCK, 1)
 
 
@@ -161,7 +162,7 @@ def test_a_few_policy_failures_are_unsuccessful_episodes_of_a_completed_evaluati
         submission = submit(session, make_principal(session))
     play_all(database, submission, lambda n, task: make_failed_record(n) if n in (5, 100) else make_record(n))
     with database.transaction() as session:
-        evaluation = submissions.newest_evaluation(session, submission)
+        evaluation = newest_evaluation(session, submission)
         assert evaluation.state is EvaluationState.COMPLETED
         assert scores_of(evaluation)[TASK].successes == 268
         assert "[peg-insertion, episode 5: crashed]" in evaluation.log_tail
@@ -175,7 +176,7 @@ def test_output_that_the_database_cannot_hold_is_stored_all_the_same(database: D
     store(database, lease, [make_failed_record(n, output="nul \0 and half \ud800 a pair") for n in (1, 2, 3)])
     finish(database, lease, ShardEnd.BROKEN)
     with database.transaction() as session:
-        view = submissions.newest_evaluation(session, submission)
+        view = newest_evaluation(session, submission)
         assert view.state is EvaluationState.FAILED
         assert view.log_tail == "nul \N{REPLACEMENT CHARACTER} and half ? a pair"
 
@@ -188,13 +189,13 @@ def test_cancel_ends_the_evaluation_and_fences_off_its_workers(database: Databas
     play(database, ids[0])
     lease = claim(database, ids[1])
     with database.transaction() as session:
-        submissions.cancel(session, principal, submission.id)
+        runs.cancel(session, principal, submission.id)
     with pytest.raises(LeaseLost):
         store(database, lease, [make_record(lease.episodes[0])])
     with pytest.raises(LeaseLost):
         finish(database, lease)
     with database.transaction() as session:
-        assert submissions.newest_evaluation(session, submission).state is EvaluationState.CANCELLED
+        assert newest_evaluation(session, submission).state is EvaluationState.CANCELLED
         assert [state_of(session, shard_id) for shard_id in ids] == [ShardState.DONE] + [ShardState.CANCELLED] * 8
         assert session.scalar(text("SELECT count(*) FROM procrastinate_jobs WHERE status = 'todo'")) == 1
         assert len(session.scalars(select(EpisodeResult)).all()) == 30
@@ -208,13 +209,12 @@ def test_evaluation_of_a_second_run_has_records_of_its_own(database: Database) -
     with database.transaction() as session:
         submit(session, principal, again=True)
     with database.transaction() as session:
-        evaluation = submissions.newest_evaluation(session, submission)
+        evaluation = newest_evaluation(session, submission)
         assert (evaluation.run, evaluation.episodes_reused) == (2, 0)
     play_all(database, submission)
     with database.transaction() as session:
         hashes = {
-            entry.result_hash
-            for entry in submissions.get(session, make_settings(), principal, submission.id).evaluations
+            entry.result_hash for entry in listing.get(session, make_settings(), principal, submission.id).evaluations
         }
         assert len(hashes) == 1
         assert len(session.scalars(select(EpisodeResult)).all()) == 540
@@ -225,6 +225,6 @@ def test_records_are_read_back_as_they_were_written(database: Database) -> None:
         submission = submit(session, make_principal(session))
     play_all(database, submission, some_record)
     with database.transaction() as session:
-        key = EpisodeKey.of(submissions.newest_evaluation(session, submission), submission)
+        key = EpisodeKey.of(newest_evaluation(session, submission), submission)
         read = records_of(session, key, TASK)
     assert read == [some_record(episode) for episode in range(1, 271)]

@@ -7,9 +7,10 @@ from vitac.server.db.advisory_locks import AdvisoryLock
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Evaluation, Submission, Worker
 from vitac.server.db.states import EvaluationState, WorkerState
+from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.evaluations.superseding import supersede_outdated
 from vitac.server.queue import workers
-from vitac.server.submissions import submissions
+from vitac.server.submissions import listing
 
 SETTINGS = make_settings()
 
@@ -54,7 +55,7 @@ def supersede(database: Database) -> int:
 
 def newest(database: Database, submission: Submission) -> Evaluation:
     with database.transaction() as session:
-        return submissions.newest_evaluation(session, submission)
+        return newest_evaluation(session, submission)
 
 
 def test_evaluation_of_a_version_that_nobody_runs_is_begun_again(
@@ -63,7 +64,7 @@ def test_evaluation_of_a_version_that_nobody_runs_is_begun_again(
     add_worker(database, evaluator_version())
     assert supersede(database) == 1
     with database.transaction() as session:
-        view = submissions.get(session, SETTINGS, principal, outdated.id)
+        view = listing.get(session, SETTINGS, principal, outdated.id)
     assert [(entry.state, entry.evaluator_version) for entry in view.evaluations] == [
         (EvaluationState.QUEUED, evaluator_version()),
         (EvaluationState.CANCELLED, "yesterday"),

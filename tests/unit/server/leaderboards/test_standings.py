@@ -7,8 +7,9 @@ from vitac.server.db.engine import Database
 from vitac.server.db.models import Submission
 from vitac.server.db.states import SubmissionKind
 from vitac.server.leaderboards.standings import leaderboard
-from vitac.server.submissions import submissions
-from vitac.server.views.views import LeaderboardView, RankView
+from vitac.server.submissions import listing
+from vitac.server.views.leaderboards import LeaderboardView
+from vitac.server.views.submissions import RankView
 
 
 def board_of(database: Database, task: str | None = None) -> LeaderboardView:
@@ -68,7 +69,7 @@ def test_logs_are_not_ranked_with_models(two_teams: Database) -> None:
 
 def test_a_submission_knows_its_places_and_what_it_lacks(two_teams: Database) -> None:
     with two_teams.transaction() as session:
-        listed = submissions.list_submissions(session, make_settings(), CONSOLE).items
+        listed = listing.list_submissions(session, make_settings(), CONSOLE).items
     views = {view.name: view for view in listed}
     first_of_two, second_of_two = RankView(rank=1, of=2), RankView(rank=2, of=2)
     assert (views["both"].rank, views["both"].task_ranks) == (first_of_two, {TASK: second_of_two})

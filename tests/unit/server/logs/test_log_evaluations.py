@@ -35,7 +35,7 @@ from vitac.server.db.models import Evaluation, Submission
 from vitac.server.evaluations import lifecycle
 from vitac.server.leaderboards import log_boards
 from vitac.server.queue.leases import Lease
-from vitac.server.submissions import submissions
+from vitac.server.submissions import creation
 
 
 @pytest.fixture
@@ -214,7 +214,7 @@ def test_output_that_a_log_names_is_not_shown_as_a_policys(service: Service) -> 
 
 def test_finding_belongs_to_a_failed_shard(database: Database) -> None:
     with database.transaction() as session:
-        submission = submissions.create(session, make_principal(session), make_upload())[0]
+        submission = creation.create(session, make_principal(session), make_upload())[0]
         shard_id = shard_ids(session, submission)[0]
     with pytest.raises(IntegrityError, match="finding_is_a_failure"), database.transaction() as session:
         session.execute(text("UPDATE shards SET finding = '{}' WHERE id = :id"), {"id": shard_id})
@@ -293,7 +293,7 @@ def test_text_log_that_was_evaluated_again_is_listed_once(service: Service) -> N
 
 def with_model(service: Service, record_of: RecordOf = make_record, content: str = "model") -> Submission:
     with service.database.transaction() as session:
-        model = submissions.create(session, service.principal, make_upload(content))[0]
+        model = creation.create(session, service.principal, make_upload(content))[0]
     play_all(service.database, model, record_of)
     return model
 
@@ -308,34 +308,34 @@ def parts_from_the_second_step(episode: int, *, task: str = TASK) -> EpisodeReco
 
 def test_later_model_that_gives_all_actions_of_a_log_is_told(service: Service) -> None:
     log = resimulated(service, a_log())
-    assert service.get(f"/submissions/{log.id}/audits").json() == []
+    assert service.get(f"/submissions/{log.id}/action-matches").json() == []
     model = with_model(service)
-    (audit,) = service.get(f"/submissions/{log.id}/audits").json()
-    assert (audit["submission_id"], audit["submission_name"]) == (str(model.id), "zero")
-    assert (audit["reproduced"], audit["actions"]) == (810, 810)
-    assert (audit["episodes_reproduced"], audit["episodes"], audit["others"]) == (270, 270, [])
+    (match,) = service.get(f"/submissions/{log.id}/action-matches").json()
+    assert (match["submission_id"], match["submission_name"]) == (str(model.id), "zero")
+    assert (match["reproduced"], match["actions"]) == (810, 810)
+    assert (match["episodes_reproduced"], match["episodes"], match["others"]) == (270, 270, [])
 
 
 def test_names_the_first_mismatch(service: Service) -> None:
     with_model(service, parts_from_the_second_step)
     log = resimulated(service, a_log())
-    (audit,) = service.get(f"/submissions/{log.id}/audits").json()
-    assert (audit["reproduced"], audit["episodes_reproduced"]) == (808, 269)
-    assert audit["others"] == [{"episode": 5, "actions": 3, "reproduced": 1, "first_mismatch": 2}]
+    (match,) = service.get(f"/submissions/{log.id}/action-matches").json()
+    assert (match["reproduced"], match["episodes_reproduced"]) == (808, 269)
+    assert match["others"] == [{"episode": 5, "actions": 3, "reproduced": 1, "first_mismatch": 2}]
 
 
 def test_only_complete_models_of_the_same_team_and_evaluator_are_compared(service: Service) -> None:
     log = resimulated(service, a_log())
     model = with_model(service)
-    assert service.get(f"/submissions/{model.id}/audits").json() == []
-    problem_of(service.get(f"/submissions/{log.id}/audits", service.other_token), 404, "not_found")
+    assert service.get(f"/submissions/{model.id}/action-matches").json() == []
+    problem_of(service.get(f"/submissions/{log.id}/action-matches", service.other_token), 404, "not_found")
     others = resimulated(service, a_log(team="Team B"), token=service.other_token)
-    assert service.get(f"/submissions/{others.id}/audits", service.other_token).json() == []
+    assert service.get(f"/submissions/{others.id}/action-matches", service.other_token).json() == []
     with service.database.transaction() as session:
         session.execute(
             text("UPDATE evaluations SET evaluator_version = '0+old' WHERE submission_id = :id"), {"id": model.id}
         )
-    assert service.get(f"/submissions/{log.id}/audits").json() == []
+    assert service.get(f"/submissions/{log.id}/action-matches").json() == []
 
 
 # ---- the log of an evaluation ----

@@ -17,12 +17,12 @@ from vitac.server.db.advisory_locks import AdvisoryLock
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Submission
 from vitac.server.db.states import EvaluationState, ShardState
+from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.evaluations.lifecycle import fail_by_machines
 from vitac.server.queue.jobs import prune_finished_jobs
 from vitac.server.queue.leases import LeaseLost
 from vitac.server.queue.sweep import Sweep, sweep
 from vitac.server.settings import Settings
-from vitac.server.submissions import submissions
 
 SETTINGS = make_settings(lease_s=0.003, lease_renewal_s=0.001)
 """Leases that have run out by the time of the next statement."""
@@ -96,7 +96,7 @@ def test_evaluation_fails_by_name_when_a_shard_was_lost_in_all_its_attempts(
     claim(database, first, lease_s=0.001)
     assert run_sweep(database) == Sweep(given_up=1)
     with database.transaction() as session:
-        evaluation = submissions.newest_evaluation(session, submission)
+        evaluation = newest_evaluation(session, submission)
         assert evaluation.state is EvaluationState.FAILED
         assert evaluation.verdict_code == "machine_failed"
         assert "Episodes 1 to 30 of peg-insertion were started 3 times" in (evaluation.verdict_message or "")

@@ -1,7 +1,7 @@
 import pytest
 from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.evaluator.tracks import load_track
-from vitac.server.views.views import EpisodeView
+from vitac.server.views.submissions import EpisodeView
 from vitac.web.pages.episode_map import episode_map
 
 TASK = load_track("track_1").tasks["peg-insertion"]

@@ -16,15 +16,17 @@ from page_fixtures import (
     a_score,
     a_submission,
     a_visitor,
+    an_action_match,
     an_application,
-    an_audit,
     an_entry,
     an_id,
 )
 from sqlalchemy.exc import OperationalError
 from vitac.evaluator.logs.findings import VerificationResult
 from vitac.server.db.states import EvaluationState, Role, SubmissionKind
-from vitac.server.views.views import LeaderboardView, SubmissionView, VerdictView
+from vitac.server.views.evaluations import VerdictView
+from vitac.server.views.leaderboards import LeaderboardView
+from vitac.server.views.submissions import SubmissionView
 from vitac.web.headers import HEADERS
 from vitac.web.session import signer
 
@@ -547,7 +549,7 @@ def test_verified_log_says_what_that_proves(data: FixedData, browser: AsgiBrowse
 
 
 def test_models_that_give_the_actions_of_a_log_are_named(data: FixedData, browser: AsgiBrowser) -> None:
-    data.audited = [an_audit()]
+    data.matches = [an_action_match()]
     html = page_of(data, browser, VERIFIED)
     for shown in ("my model", "808 of 810", "269 of 270", "episode 5, env step 2"):
         assert shown in html

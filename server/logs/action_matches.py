@@ -13,30 +13,34 @@ from sqlalchemy.orm import Session
 from vitac.evaluator.episodes.records import ActionSequence
 from vitac.evaluator.logs.action_match import EpisodeMatch, compare_actions
 from vitac.server.accounts.principals import Principal
+from vitac.server.accounts.visibility import visible
 from vitac.server.db.models import EpisodeResult, Evaluation, Submission
 from vitac.server.db.states import EvaluationState, SubmissionKind
 from vitac.server.evaluations.episode_store import EpisodeKey
-from vitac.server.submissions import submissions
-from vitac.server.views.views import AuditedEpisodeView, AuditView
+from vitac.server.evaluations.history import newest_evaluation
+from vitac.server.views.logs import ActionMatchView, MatchedEpisodeView
 
 MOST_MODELS = 20
 """So many models are compared, the ones evaluated last."""
 
 
-def audits(session: Session, by: Principal, submission_id: UUID) -> list[AuditView]:
+ActionsByEpisode = dict[int, ActionSequence]
+
+
+def action_matches(session: Session, by: Principal, submission_id: UUID) -> list[ActionMatchView]:
     """Return how the team's models of the same evaluator compare with a verified log, newest first.
 
     Raises:
         ServiceError: there is no such submission.
     """
-    log = submissions.visible(session, by, submission_id)
-    evaluation = submissions.newest_evaluation(session, log)
+    log = visible(session, by, submission_id)
+    evaluation = newest_evaluation(session, log)
     if log.kind is not SubmissionKind.LOG or evaluation.state is not EvaluationState.COMPLETED:
         return []
     task = log.tasks[0]
     of_log = _actions(session, EpisodeKey.of(evaluation, log), task)
     return [
-        _audit(model, of_log, _actions(session, EpisodeKey.of(model, model.submission), task))
+        _compare(model, of_log, _actions(session, EpisodeKey.of(model, model.submission), task))
         for model in _models(session, log, evaluation.evaluator_version)
     ]
 
@@ -58,7 +62,7 @@ def _models(session: Session, log: Submission, version: str) -> Sequence[Evaluat
     ).all()
 
 
-def _actions(session: Session, key: EpisodeKey, task: str) -> dict[int, ActionSequence]:
+def _actions(session: Session, key: EpisodeKey, task: str) -> ActionsByEpisode:
     rows = session.execute(
         select(EpisodeResult.episode, EpisodeResult.record["actions"])
         .where(*key.conditions(), EpisodeResult.task == task)
@@ -67,19 +71,19 @@ def _actions(session: Session, key: EpisodeKey, task: str) -> dict[int, ActionSe
     return {episode: ActionSequence.model_validate(actions) for episode, actions in rows}
 
 
-def _audit(model: Evaluation, of_log: dict[int, ActionSequence], of_model: dict[int, ActionSequence]) -> AuditView:
-    audited = compare_actions(of_log, of_model)
-    return AuditView(
+def _compare(model: Evaluation, of_log: ActionsByEpisode, of_model: ActionsByEpisode) -> ActionMatchView:
+    match = compare_actions(of_log, of_model)
+    return ActionMatchView(
         submission_id=model.submission_id,
         submission_name=model.submission.name,
         evaluated_at=model.finished_at or model.created_at,
-        actions=audited.actions,
-        reproduced=audited.reproduced,
-        episodes=len(audited.episodes),
-        episodes_reproduced=sum(episode.first_mismatch is None for episode in audited.episodes),
-        others=[_episode(episode) for episode in audited.episodes if episode.first_mismatch is not None],
+        actions=match.actions,
+        reproduced=match.reproduced,
+        episodes=len(match.episodes),
+        episodes_reproduced=sum(episode.first_mismatch is None for episode in match.episodes),
+        others=[_episode(episode) for episode in match.episodes if episode.first_mismatch is not None],
     )
 
 
-def _episode(episode: EpisodeMatch) -> AuditedEpisodeView:
-    return AuditedEpisodeView(**episode.model_dump(exclude={"failure"}))
+def _episode(episode: EpisodeMatch) -> MatchedEpisodeView:
+    return MatchedEpisodeView(**episode.model_dump(exclude={"failure"}))

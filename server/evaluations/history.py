@@ -1,0 +1,33 @@
+"""The evaluations of a submission, newest first; the newest is the one that it shows."""
+
+from sqlalchemy import ScalarSelect, Select, select
+from sqlalchemy.orm import Session
+
+from ..db.models import Evaluation, Submission
+from ..db.states import EvaluationState
+
+
+def newest_evaluation(session: Session, submission: Submission) -> Evaluation:
+    """Return the evaluation that a submission shows."""
+    return session.scalars(history(submission).limit(1)).one()
+
+
+def history(submission: Submission) -> Select[Evaluation]:
+    """All evaluations of a submission, newest first."""
+    return (
+        select(Evaluation)
+        .where(Evaluation.submission_id == submission.id)
+        .order_by(Evaluation.created_at.desc(), Evaluation.run.desc(), Evaluation.id)
+        .execution_options(populate_existing=True)
+    )
+
+
+def newest_state() -> ScalarSelect[EvaluationState]:
+    """State of the newest evaluation of a row of `submissions`, for a query on them."""
+    return (
+        select(Evaluation.state)
+        .where(Evaluation.submission_id == Submission.id)
+        .order_by(Evaluation.created_at.desc(), Evaluation.run.desc())
+        .limit(1)
+        .scalar_subquery()
+    )

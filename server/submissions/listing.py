@@ -1,0 +1,87 @@
+"""Submissions as their team and the organizers read them: one, a page of them, the episodes of one."""
+
+from functools import cache, partial
+from uuid import UUID
+
+from sqlalchemy import select, tuple_
+from sqlalchemy.orm import Session, joinedload
+
+from ..accounts import teams
+from ..accounts.principals import Principal
+from ..accounts.visibility import visible
+from ..db.models import EpisodeResult, Submission
+from ..db.states import EvaluationState
+from ..evaluations.episode_store import EpisodeKey
+from ..evaluations.history import newest_evaluation, newest_state
+from ..leaderboards.standings import places
+from ..settings import Settings
+from ..views.submissions import EpisodeView, SubmissionListView, SubmissionView
+from .view import submission_view
+
+
+def get(session: Session, settings: Settings, by: Principal, submission_id: UUID) -> SubmissionView:
+    """One submission with its newest evaluation.
+
+    Raises:
+        ServiceError: there is none that the principal may see.
+    """
+    return submission_view(session, settings, visible(session, by, submission_id))
+
+
+def list_submissions(
+    session: Session,
+    settings: Settings,
+    by: Principal,
+    *,
+    track: str | None = None,
+    state: EvaluationState | None = None,
+    team: str | None = None,
+    before: UUID | None = None,
+    limit: int = 50,
+) -> SubmissionListView:
+    """Return a page of the team's submissions, or of all teams' for an organizer; newest first.
+
+    Raises:
+        ServiceError: `before` or `team` names nothing that the principal may see.
+    """
+    query = select(Submission).options(joinedload(Submission.team))
+    if not by.is_organizer:
+        query = query.where(Submission.team_id == by.team_id)
+    elif team is not None:
+        query = query.where(Submission.team_id == teams.find(session, team).id)
+    if track is not None:
+        query = query.where(Submission.track == track)
+    if state is not None:
+        query = query.where(newest_state() == state)
+    if before is not None:
+        last = visible(session, by, before)
+        query = query.where(tuple_(Submission.submitted_at, Submission.id) < tuple_(last.submitted_at, last.id))
+    found = session.scalars(query.order_by(Submission.submitted_at.desc(), Submission.id.desc()).limit(limit + 1)).all()
+    places_of = cache(partial(places, session))
+    return SubmissionListView(
+        items=[submission_view(session, settings, submission, places_of) for submission in found[:limit]],
+        next_before=found[limit - 1].id if len(found) > limit else None,
+    )
+
+
+def episodes(session: Session, by: Principal, submission_id: UUID) -> list[EpisodeView]:
+    """How each finished episode of the newest evaluation ended, in order.
+
+    Raises:
+        ServiceError: there is no such submission.
+    """
+    submission = visible(session, by, submission_id)
+    key = EpisodeKey.of(newest_evaluation(session, submission), submission)
+    rows = session.execute(
+        select(
+            EpisodeResult.task,
+            EpisodeResult.episode,
+            EpisodeResult.record["shape"].astext,
+            EpisodeResult.outcome,
+            EpisodeResult.success,
+            EpisodeResult.env_steps,
+        )
+        .where(*key.conditions())
+        .order_by(EpisodeResult.task, EpisodeResult.episode)
+    )
+    return [EpisodeView(**dict(zip(EpisodeView.model_fields, row, strict=True))) for row in rows]

@@ -1,0 +1,80 @@
+"""Runs of a submission's evaluation: which one comes next, cancelled, asked for again."""
+
+from uuid import UUID
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+from vitac.evaluator.version import evaluator_version
+
+from ..accounts.audit import record
+from ..accounts.principals import Principal
+from ..accounts.visibility import visible
+from ..db.models import Evaluation, Submission
+from ..db.row_locks import lock_evaluation
+from ..db.states import ACTIVE_EVALUATION_STATES, TERMINAL_EVALUATION_STATES, EvaluationState
+from ..errors import ProblemCode, ServiceError
+from ..evaluations import lifecycle
+from ..evaluations.history import history, newest_evaluation
+from ..evaluations.verdicts import VERDICTS_ON_LOGS, ServiceVerdict
+
+
+def cancel(session: Session, by: Principal, submission_id: UUID) -> None:
+    """End the evaluation of a submission; its workers stop within seconds.
+
+    Raises:
+        ServiceError: there is no such submission, or its evaluation has ended.
+    """
+    submission = visible(session, by, submission_id)
+    evaluation = lock_evaluation(session, newest_evaluation(session, submission).id)
+    if evaluation.state in TERMINAL_EVALUATION_STATES:
+        raise ServiceError(
+            ProblemCode.NOT_CANCELLABLE,
+            f"The evaluation of submission {submission.id} is {evaluation.state} already; there is nothing to cancel.",
+            state=evaluation.state.value,
+        )
+    lifecycle.cancel(session, evaluation)
+    record(session, by, "submission.cancel", f"submission:{submission.id}", {"evaluation": str(evaluation.id)})
+
+
+def run_again(session: Session, by: Principal, submission_id: UUID) -> Submission:
+    """Start a new run that plays all episodes anew; the earlier results stay.
+
+    Raises:
+        ServiceError: not an organizer, no such submission, or its evaluation is still active.
+    """
+    by.require_organizer()
+    submission = visible(session, by, submission_id)
+    session.execute(select(Submission.id).where(Submission.id == submission.id).with_for_update(key_share=True))
+    run = next_run(session, submission, again=True)
+    if run is None:
+        raise ServiceError(
+            ProblemCode.NOT_REQUEUABLE, f"Submission {submission.id} is being evaluated; cancel that first."
+        )
+    lifecycle.start(session, submission, run)
+    record(session, by, "submission.requeue", f"submission:{submission.id}", {"run": run})
+    return submission
+
+
+def next_run(session: Session, submission: Submission, *, again: bool) -> int | None:
+    """Return the number of the run to start, or None when the existing evaluation answers the request.
+
+    A score answers it, and so does what was found against a log: its actions would lead to the same states again.
+    """
+    current = evaluator_version()
+    runs = session.scalars(history(submission)).all()
+    if any(evaluation.state in ACTIVE_EVALUATION_STATES for evaluation in runs):
+        return None
+    same_version = [evaluation for evaluation in runs if evaluation.evaluator_version == current]
+    if not same_version:
+        return 1
+    newest = same_version[0]
+    if not again and (newest.state is EvaluationState.COMPLETED or newest.verdict_code in VERDICTS_ON_LOGS):
+        return None
+    if not again and _can_be_taken_up(newest):
+        return newest.run
+    return 1 + max(evaluation.run for evaluation in same_version)
+
+
+def _can_be_taken_up(evaluation: Evaluation) -> bool:
+    by_machines = evaluation.verdict_code == ServiceVerdict.MACHINE_FAILED
+    return evaluation.state is EvaluationState.CANCELLED or by_machines

@@ -1,0 +1,55 @@
+"""Teams and tokens as they are shown."""
+
+from datetime import datetime
+from uuid import UUID
+
+from ..db.states import Role
+from .base import View
+
+
+class TeamView(View):
+    """A team."""
+
+    id: UUID
+    name: str
+    created_at: datetime
+
+
+class TokenView(View):
+    """A token without its secret."""
+
+    id: UUID
+    label: str
+    role: Role
+    team: str | None
+    created_at: datetime
+    expires_at: datetime | None
+    revoked_at: datetime | None
+    last_used_at: datetime | None
+
+
+class NewTokenView(TokenView):
+    """A new token; the secret is shown this once and stored as a hash only."""
+
+    secret: str
+
+
+class RegisteredTeamView(View):
+    """A new team with its first token."""
+
+    team: TeamView
+    token: NewTokenView
+
+
+class MeView(View):
+    """Who the token belongs to."""
+
+    role: Role
+    team: TeamView | None
+    token: TokenView | None
+
+
+class TokenListView(View):
+    """Tokens of a team, or all for an organizer."""
+
+    items: list[TokenView]

@@ -1,0 +1,104 @@
+"""Leaderboards of tracks and tasks, and the boards of logs."""
+
+from datetime import datetime
+from uuid import UUID
+
+from pydantic import Field
+from vitac.evaluator.logs.findings import VerificationResult
+
+from ..db.states import SubmissionKind
+from .base import View
+from .scores import TaskScoreView
+
+
+class LeaderboardEntryView(View):
+    """Best entry of one team."""
+
+    rank: int | None = Field(description="Null for an entry that another evaluator version made: it is not comparable.")
+    stale: bool
+    team: str
+    submission_id: UUID
+    submission_name: str
+    kind: SubmissionKind
+    submitted_at: datetime
+    evaluated_at: datetime
+    episodes: int
+    successes: int
+    success_rate: float = Field(description="Of the task; without one the mean over all tasks, one not played being 0.")
+    success_rate_interval: tuple[float, float] = Field(description="95 % interval of that.")
+    mean_steps: float | None = Field(
+        description="Of the task, or the mean of all tasks' means; null where one is missing."
+    )
+    scores: list[TaskScoreView] = Field(description="Of the tasks that it plays and this leaderboard ranks.")
+    result_hash: str
+    evaluator_version: str
+
+
+class LeaderboardView(View):
+    """Standings of one track, or of one of its tasks."""
+
+    track: str
+    title: str
+    tasks: list[str] = Field(description="All tasks of the track.")
+    task: str | None = Field(description="The task that is ranked; null: all together.")
+    ranking_rule: str
+    evaluator_version: str
+    generated_at: datetime
+    teams: int
+    entries: list[LeaderboardEntryView]
+
+
+class LogEntryView(View):
+    """Best verified log of one team for one task."""
+
+    rank: int | None = Field(description="Null for an entry that another evaluator version made: it is not comparable.")
+    stale: bool
+    team: str
+    submission_id: UUID
+    submission_name: str
+    verdict: VerificationResult
+    submitted_at: datetime
+    episodes: int
+    successes: int
+    success_rate: float
+    success_rate_interval: tuple[float, float]
+    mean_steps: float | None
+    result_hash: str
+    evaluator_version: str
+
+
+class LogBoardView(View):
+    """Verified logs of one task, ranked among themselves."""
+
+    task: str
+    title: str
+    entries: list[LogEntryView]
+
+
+class TextLogEntryView(View):
+    """A 2025 text log: what it claims, and what our physics makes of its actions. Not ranked."""
+
+    team: str
+    task: str
+    submission_id: UUID
+    submission_name: str
+    submitted_at: datetime
+    claimed_success_rate: float
+    claimed_mean_steps: float | None
+    success_rate: float
+    mean_steps: float | None
+    problems: int
+    evaluator_version: str
+
+
+class LogBoardsView(View):
+    """All logs of a track, apart from the evaluated models."""
+
+    track: str
+    title: str
+    label: str
+    ranking_rule: str
+    evaluator_version: str
+    generated_at: datetime
+    boards: list[LogBoardView]
+    text_logs: list[TextLogEntryView]

@@ -1,0 +1,29 @@
+"""Scores of tasks as they are shown."""
+
+from pydantic import Field
+
+from .base import View
+
+
+class ShapeScoreView(View):
+    """Successes with one shape."""
+
+    shape: str
+    episodes: int
+    successes: int
+    success_rate: float
+    success_rate_interval: tuple[float, float] = Field(description="Wilson score interval, 95 %.")
+
+
+class TaskScoreView(View):
+    """Score of one task."""
+
+    task: str
+    episodes: int
+    successes: int
+    success_rate: float
+    success_rate_interval: tuple[float, float] = Field(description="Wilson score interval, 95 %.")
+    mean_steps: float | None = Field(description="Mean env steps of the successful episodes; null without a success.")
+    shapes: list[ShapeScoreView]
+    outcomes: dict[str, int] = Field(description="How many episodes ended in which way.")
+    result_hash: str = Field(description="The hash that `vitac evaluate` prints for the same evaluation.")

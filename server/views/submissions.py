@@ -1,0 +1,60 @@
+"""Submissions as they are shown, with their newest evaluation and their places."""
+
+from datetime import datetime
+from uuid import UUID
+
+from pydantic import Field
+
+from ..db.states import SubmissionKind
+from .accounts import TeamView
+from .base import View
+from .evaluations import EvaluationSummaryView, EvaluationView
+from .logs import LogView
+from .workers import WorkersView
+
+
+class RankView(View):
+    """Place on a leaderboard of the team's best entry there, when it is this submission."""
+
+    rank: int
+    of: int
+
+
+class SubmissionView(View):
+    """One upload and its newest evaluation."""
+
+    id: UUID
+    team: TeamView
+    kind: SubmissionKind
+    track: str
+    tasks: list[str]
+    missing_tasks: list[str] = Field(description="Tasks of the track that a model does not play; each counts as 0.")
+    name: str
+    digest: str = Field(description="SHA-256 of the content; equal for a folder and its zip, a log and its gzip.")
+    archive_sha256: str
+    archive_bytes: int
+    submitted_at: datetime
+    evaluation: EvaluationView
+    evaluations: list[EvaluationSummaryView] = Field(description="All runs, newest first.")
+    workers: WorkersView
+    rank: RankView | None = Field(description="On the leaderboard of all tasks together.")
+    task_ranks: dict[str, RankView] = Field(description="On the leaderboards of single tasks.")
+    log: LogView | None = Field(description="Null for a model.")
+
+
+class SubmissionListView(View):
+    """A page of submissions, newest first."""
+
+    items: list[SubmissionView]
+    next_before: UUID | None = Field(description="Give this as `before` for the next page; null on the last one.")
+
+
+class EpisodeView(View):
+    """How one episode ended."""
+
+    task: str
+    episode: int
+    shape: str
+    outcome: str
+    success: bool
+    env_steps: int

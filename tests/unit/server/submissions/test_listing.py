@@ -1,0 +1,65 @@
+from uuid import uuid4
+
+from service_factories import (
+    TRACK,
+    claim,
+    make_principal,
+    make_record,
+    store,
+)
+from submission_steps import SETTINGS, create, ids_of, refused, view_of
+from vitac.evaluator.episodes.records import EpisodeOutcome
+from vitac.server.accounts.principals import CONSOLE, Principal
+from vitac.server.db.engine import Database
+from vitac.server.db.states import EvaluationState
+from vitac.server.errors import ProblemCode
+from vitac.server.submissions import listing, runs
+
+
+def test_foreign_submission_looks_like_a_missing_one(database: Database, principal: Principal) -> None:
+    submission, _ = create(database, principal)
+    with database.transaction() as session:
+        other = make_principal(session, "Team B")
+    for identity in (submission.id, uuid4()):
+        for call in (
+            lambda session, wanted: listing.get(session, SETTINGS, other, wanted),
+            lambda session, wanted: runs.cancel(session, other, wanted),
+            lambda session, wanted: listing.episodes(session, other, wanted),
+            lambda session, wanted: listing.list_submissions(session, SETTINGS, other, before=wanted),
+        ):
+            with refused(ProblemCode.NOT_FOUND), database.transaction() as session:
+                call(session, identity)
+    assert view_of(database, CONSOLE, submission).id == submission.id
+
+
+def test_lists_show_own_submissions_to_a_team_and_all_to_an_organizer_page_by_page(
+    database: Database, principal: Principal
+) -> None:
+    with database.transaction() as session:
+        other = make_principal(session, "Team B")
+    mine = [create(database, principal, f"m{n}")[0].id for n in range(3)]
+    theirs = create(database, other, "t")[0].id
+    with database.transaction() as session:
+        page = listing.list_submissions(session, SETTINGS, principal, limit=2)
+        rest = listing.list_submissions(session, SETTINGS, principal, limit=2, before=page.next_before)
+        assert [item.id for item in (*page.items, *rest.items)] == mine[::-1]
+        assert rest.next_before is None
+        assert len(listing.list_submissions(session, SETTINGS, CONSOLE).items) == 4
+        of_b = listing.list_submissions(session, SETTINGS, CONSOLE, team="team b")
+        assert [item.id for item in of_b.items] == [theirs]
+        queued = listing.list_submissions(session, SETTINGS, CONSOLE, state=EvaluationState.QUEUED, track=TRACK)
+        assert len(queued.items) == 4
+        assert listing.list_submissions(session, SETTINGS, CONSOLE, state=EvaluationState.FAILED).items == []
+        assert listing.list_submissions(session, SETTINGS, CONSOLE, track="other").items == []
+
+
+def test_episodes_are_listed_in_order(database: Database, principal: Principal) -> None:
+    submission, _ = create(database, principal)
+    lease = claim(database, ids_of(database, submission)[0])
+    store(database, lease, [make_record(4, EpisodeOutcome.TACTILE), make_record(2)])
+    with database.transaction() as session:
+        listed = listing.episodes(session, principal, submission.id)
+    assert [(view.episode, view.outcome, view.success) for view in listed] == [
+        (2, "success", True),
+        (4, "tactile", False),
+    ]

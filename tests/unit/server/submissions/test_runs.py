@@ -1,0 +1,34 @@
+from service_factories import (
+    play_all,
+)
+from sqlalchemy import text
+from submission_steps import create, refused, view_of
+from vitac.server.accounts.principals import CONSOLE, Principal
+from vitac.server.db.engine import Database
+from vitac.server.errors import ProblemCode
+from vitac.server.submissions import runs
+
+
+def test_finished_evaluation_cannot_be_cancelled(database: Database, principal: Principal) -> None:
+    submission, _ = create(database, principal)
+    play_all(database, submission)
+    with refused(ProblemCode.NOT_CANCELLABLE), database.transaction() as session:
+        runs.cancel(session, principal, submission.id)
+
+
+def test_organizer_runs_a_finished_submission_again_and_the_log_says_who(
+    database: Database, principal: Principal
+) -> None:
+    submission, _ = create(database, principal)
+    with refused(ProblemCode.NOT_REQUEUABLE), database.transaction() as session:
+        runs.run_again(session, CONSOLE, submission.id)
+    play_all(database, submission)
+    with refused(ProblemCode.FORBIDDEN), database.transaction() as session:
+        runs.run_again(session, principal, submission.id)
+    with database.transaction() as session:
+        runs.run_again(session, CONSOLE, submission.id)
+    assert view_of(database, principal, submission).evaluation.run == 2
+    with database.transaction() as session:
+        lines = session.execute(text("SELECT actor, action FROM audit_log ORDER BY id")).all()
+    assert ("organizer:console", "submission.requeue") in lines
+    assert ("team:Team A", "submission.evaluate") in lines

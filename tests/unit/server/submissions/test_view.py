@@ -1,0 +1,65 @@
+import pytest
+from service_factories import (
+    TASK,
+    play,
+)
+from sqlalchemy import text
+from submission_steps import break_policy, create, ids_of, make_worker, view_of
+from vitac.server.accounts.principals import Principal
+from vitac.server.db.engine import Database
+from vitac.server.db.states import EvaluationState, WorkerState
+
+
+def test_new_submission_is_queued_with_its_position(database: Database, principal: Principal) -> None:
+    first, is_new = create(database, principal, "one")
+    second, _ = create(database, principal, "two")
+    assert is_new
+    view = view_of(database, principal, second)
+    assert view.evaluation.state is EvaluationState.QUEUED
+    assert view.evaluation.queue_position == 2
+    assert view.evaluation.eta_s is None
+    assert view.evaluation.progress.episodes_total == 270
+    assert view.workers.alive == 0
+    play(database, ids_of(database, first)[0])
+    assert view_of(database, principal, first).evaluation.queue_position is None
+    assert view_of(database, principal, second).evaluation.queue_position == 1
+
+
+def test_failed_evaluation_shows_verdict_sentence_and_output(database: Database, principal: Principal) -> None:
+    submission, _ = create(database, principal)
+    break_policy(database, submission)
+    evaluation = view_of(database, principal, submission).evaluation
+    assert evaluation.verdict is not None
+    assert (evaluation.verdict.code, evaluation.verdict.task, evaluation.verdict.episode) == ("crashed", TASK, 1)
+    assert evaluation.verdict.title.endswith("say where.")
+    assert evaluation.verdict.message == "failed in 1"
+    assert evaluation.log_tail == "out 1"
+
+
+def test_eta_counts_own_and_earlier_episodes_over_the_slots_of_living_workers(
+    database: Database, principal: Principal
+) -> None:
+    first, _ = create(database, principal, "one")
+    second, _ = create(database, principal, "two")
+    play(database, ids_of(database, first)[0])
+    assert view_of(database, principal, first).evaluation.eta_s is None
+    make_worker(database, slots=2)
+    assert view_of(database, principal, first).evaluation.eta_s == pytest.approx(240 * 0.5 / 2)
+    assert view_of(database, principal, second).evaluation.eta_s == pytest.approx((240 + 270) * 0.5 / 2)
+
+
+def test_workers_that_are_silent_refusing_or_of_another_version_do_not_count_as_alive(
+    database: Database, principal: Principal
+) -> None:
+    make_worker(database, state=WorkerState.REFUSING)
+    make_worker(database, state=WorkerState.STOPPED)
+    make_worker(database, evaluator_version="other")
+    make_worker(database)
+    with database.transaction() as session:
+        session.execute(
+            text("UPDATE workers SET heartbeat_at = now() - interval '1 hour' WHERE evaluator_version <> 'other'")
+        )
+    submission, _ = create(database, principal)
+    view = view_of(database, principal, submission)
+    assert view.workers.alive == 0
+    assert view.workers.last_heartbeat_at is not None
