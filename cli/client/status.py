@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,14 +9,12 @@ import typer
 from vitac.envs.errors import VitacError
 
 from ..terminal.output import percent, print_json, print_pairs, print_table
+from .follow import follow
 from .http import client_from
 from .progress import EvaluationProgress
 
 if TYPE_CHECKING:
     from .http import Client, Json
-
-POLL_S = 0.5
-FINISHED = frozenset({"completed", "failed", "cancelled"})
 
 
 class EvaluationEndedWithoutScore(VitacError):
@@ -44,36 +41,25 @@ def command(
         show_list(client.submissions(), as_json=as_json)
         return
     if watch:
-        follow(client, submission, as_json=as_json)
+        show_when_ended(client, submission, as_json=as_json)
     elif as_json:
         print_json(client.submission(submission))
     else:
         show(client.submission(submission))
 
 
-def follow(client: Client, submission_id: str, *, as_json: bool) -> None:
+def show_when_ended(client: Client, submission_id: str, *, as_json: bool) -> None:
     """Stay until an evaluation ends, then print it.
 
     Raises:
         EvaluationEndedWithoutScore: it failed or was cancelled.
     """
-    found = watch_submission(client, submission_id, quiet=as_json)
+    found = follow(client, submission_id, EvaluationProgress(quiet=as_json))
     if as_json:
         print_json(found)
     else:
         show(found)
     require_score(found)
-
-
-def watch_submission(client: Client, submission_id: str, *, quiet: bool = False) -> Json:
-    """Show the progress of an evaluation until it ends, and return its last state."""
-    with EvaluationProgress(quiet=quiet) as progress:
-        while True:
-            found = client.submission(submission_id)
-            progress.update(found)
-            if found["evaluation"]["state"] in FINISHED:
-                return found
-            time.sleep(POLL_S)
 
 
 def require_score(found: Json) -> None:

@@ -54,9 +54,9 @@ def command(
     if not as_json:
         describe(client, answer)
     if watch:
-        from .status import follow
+        from .status import show_when_ended
 
-        follow(client, answer["id"], as_json=as_json)
+        show_when_ended(client, answer["id"], as_json=as_json)
 
 
 @contextmanager

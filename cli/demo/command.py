@@ -8,6 +8,7 @@ import sys
 import time
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -15,9 +16,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from vitac.envs.errors import VitacError
 
+from ..client.follow import follow, has_ended
 from ..client.http import Client
 from ..client.progress import EvaluationProgress
-from ..client.status import FINISHED, require_score
+from ..client.status import require_score
 from ..client.submit import packed
 from ..service.database import load_settings
 from ..service.events import write_events_to
@@ -104,7 +106,7 @@ class Demo:
             service = self._start(stack)
             client = Client(server=service.address, token=team_token(service.database, self.settings.state_dir))
             found = self._upload(client)
-            if found["evaluation"]["state"] in FINISHED:
+            if has_ended(found):
                 self._say_stored(found)
             else:
                 self._start_workers(service)
@@ -180,24 +182,25 @@ class Demo:
                     return short_isolation(worker.isolation)
                 if worker.state is WorkerState.REFUSING:
                     raise DemoRefused(f"The worker takes no policies on this machine. {worker.message}")
-            if self.stop.wait(POLL_S):
-                raise Interrupted
-            service.workers.restart_ended()
+            self._pause(service)
         raise DemoRefused(f"No worker was ready in time; the end of {self.settings.state_dir / LOG} says why.")
 
     def _evaluate(self, service: RunningService, client: Client, submission_id: str) -> Json:
         began = time.monotonic()
-        with EvaluationProgress(console=self.display.console, indent=INDENT) as progress:
-            while True:
-                found = client.submission(submission_id)
-                progress.update(found)
-                if found["evaluation"]["state"] in FINISHED:
-                    break
-                if self.stop.wait(POLL_S):
-                    raise Interrupted
-                service.workers.restart_ended()
+        progress = EvaluationProgress(console=self.display.console, indent=INDENT)
+        found = follow(client, submission_id, progress, partial(self._pause, service))
         self.display.line("Evaluation", evaluated(found), time.monotonic() - began)
         return found
+
+    def _pause(self, service: RunningService) -> None:
+        """Wait a little; the workers are started again where they died meanwhile.
+
+        Raises:
+            Interrupted: somebody asked to stop.
+        """
+        if self.stop.wait(POLL_S):
+            raise Interrupted
+        service.workers.restart_ended()
 
     def _show(self, client: Client, found: Json) -> None:
         # A submission of one task would stand on the board of all tasks with 0 in the others.
