@@ -157,7 +157,7 @@ def test_rejects_bomb_that_lies_about_its_size(tmp_path: Path) -> None:
 
 def test_folders_that_paths_imply_count_as_files(tmp_path: Path) -> None:
     """4,990 files in 15 folders each make 79,841 files and folders."""
-    deep = {"/".join(f"{number}_{depth}" for depth in range(15)) + "/f": b"" for number in range(4_990)}
+    deep: dict[str, str] = {"/".join(f"{number}_{depth}" for depth in range(15)) + "/f": "" for number in range(4_990)}
     assert rejected(submission_zip(FILES | deep), tmp_path).code is ArchiveFault.TOO_MANY_FILES
     assert rejected(submission_zip(FILES | {"a/b/f": ""}), tmp_path, Limits(archive_files=5)).code
     unpack(io.BytesIO(submission_zip(FILES | {"a/b/f": ""})), tmp_path / "fits", Limits(archive_files=6))
