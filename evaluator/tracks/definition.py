@@ -6,33 +6,52 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property
-from itertools import product
-from typing import Any, Literal, Self
+from typing import Any, Self
 
 from pydantic import Field, PositiveInt, field_validator, model_validator
 from vitac.envs.observable import Observable
 from vitac.envs.tasks.definition import ActionComponent, TaskDefinition
 from vitac.envs.tasks.registry import task_definitions
 
-from ..strict_model import StrictModel
+from ..strict_model import StrictModel, Word
 
-Loop = Literal["repeat", "offset", "shape"]
+
+class Start(StrictModel):
+    """Where an episode starts: what is played with, and where it stands in the units of the list's `offset_option`."""
+
+    shape: Word
+    offset: tuple[float, ...] = Field(min_length=1)
+
+
+class EpisodeBlock(StrictModel):
+    """Starts that are played one after the other, the whole block `repeats` times."""
+
+    repeats: PositiveInt = 1
+    starts: tuple[Start, ...] = Field(min_length=1)
 
 
 class EpisodeList(StrictModel):
-    """A fixed list of starts: every combination of repeat, offset and shape, nested in the order of `loops`."""
+    """A fixed list of starts: block after block."""
 
     list_seed: int = Field(ge=0)
-    repeats: PositiveInt
-    shapes: tuple[str, ...] = Field(min_length=1)
-    offset_option: str
-    offsets: tuple[tuple[float, ...], ...] = Field(min_length=1)
-    loops: tuple[Loop, Loop, Loop]
+    offset_option: Word
+    blocks: tuple[EpisodeBlock, ...] = Field(min_length=1)
+
+    @property
+    def starts(self) -> tuple[Start, ...]:
+        """All starts in the order of the episodes, repeats included."""
+        return tuple(start for block in self.blocks for _ in range(block.repeats) for start in block.starts)
+
+    @property
+    def shapes(self) -> tuple[str, ...]:
+        """Every shape once, in the order in which they are first played."""
+        return tuple(dict.fromkeys(start.shape for start in self.starts))
 
     @model_validator(mode="after")
-    def _each_loop_once(self) -> Self:
-        if sorted(self.loops) != ["offset", "repeat", "shape"]:
-            raise ValueError(f"loops must name repeat, offset and shape once each, came {list(self.loops)}")
+    def _offsets_are_alike(self) -> Self:
+        lengths = {len(start.offset) for start in self.starts}
+        if len(lengths) > 1:
+            raise ValueError(f"expected offsets of one length, got {' and '.join(map(str, sorted(lengths)))} numbers")
         return self
 
 
@@ -94,22 +113,16 @@ class Task(StrictModel):
     @cached_property
     def episodes(self) -> tuple[Episode, ...]:
         """All starts in order, numbered from 1."""
-        lengths = {
-            "repeat": self.episode_list.repeats,
-            "offset": len(self.episode_list.offsets),
-            "shape": len(self.episode_list.shapes),
-        }
-        starts = product(*(range(lengths[loop]) for loop in self.episode_list.loops))
-        offset, shape = self.episode_list.loops.index("offset"), self.episode_list.loops.index("shape")
+        listed = self.episode_list
         return tuple(
             Episode(
                 number=number,
-                shape=self.episode_list.shapes[start[shape]],
-                offset=self.episode_list.offsets[start[offset]],
-                offset_option=self.episode_list.offset_option,
-                list_seed=self.episode_list.list_seed,
+                shape=start.shape,
+                offset=start.offset,
+                offset_option=listed.offset_option,
+                list_seed=listed.list_seed,
             )
-            for number, start in enumerate(starts, start=1)
+            for number, start in enumerate(listed.starts, start=1)
         )
 
     def digest(self) -> str:

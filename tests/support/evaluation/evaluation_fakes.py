@@ -12,6 +12,7 @@ from vitac.evaluator.agent.isolation.cgroup import MemoryIsolation
 from vitac.evaluator.agent.session import EpisodeIsolation, Isolation
 from vitac.evaluator.agent.verdicts import PolicyFailed, VerdictCode
 from vitac.evaluator.tracks import Task, Track, load_track
+from vitac.evaluator.tracks.definition import EpisodeBlock
 
 Answer = Callable[[int, int], NDArray[np.float32]]
 
@@ -20,9 +21,8 @@ def small_track(repeats: int = 1, shard_size: int = 4, offsets: int = 4) -> Trac
     """Track 1 with a list of `repeats` x `offsets` x 3 episodes."""
     track = load_track("track_1")
     task = track.tasks["peg-insertion"]
-    episode_list = task.episode_list.model_copy(
-        update={"repeats": repeats, "offsets": task.episode_list.offsets[:offsets]}
-    )
+    block = EpisodeBlock(repeats=repeats, starts=task.episode_list.starts[: 3 * offsets])
+    episode_list = task.episode_list.model_copy(update={"blocks": (block,)})
     # A new one, not a copy: that would bring the whole list along once somebody has asked for it.
     small = Task(**{**task.model_dump(), "episode_list": episode_list, "shard_size": shard_size})
     return track.model_copy(update={"tasks": {"peg-insertion": small}})

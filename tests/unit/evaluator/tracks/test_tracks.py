@@ -60,13 +60,14 @@ def test_list_order_matches_the_organizers_log(task: str, log: str, reference_di
     assert [(e["shape"], tuple(e["initial_offset"])) for e in logged] == [(e.shape, e.offset) for e in listed]
 
 
-def test_loops_set_the_nesting(content: dict[str, object]) -> None:
-    episode_list = content["tasks"]["peg-insertion"]["episode_list"]  # type: ignore[index]
-    episode_list |= {"loops": ["shape", "repeat", "offset"], "repeats": 2, "offsets": [[0, 0, 1], [0, 0, 2]]}
-    episodes = parse(content).tasks["peg-insertion"].episodes
-    assert [(e.shape, e.offset[2]) for e in episodes[:5]] == [
-        ("cuboid", 1), ("cuboid", 2), ("cuboid", 1), ("cuboid", 2), ("trapezoid", 1),
-    ]  # fmt: skip
+def test_blocks_are_played_one_after_the_other_each_as_often_as_it_says(content: dict[str, object]) -> None:
+    left, right = ({"shape": side, "offset": [0, 0, 0, 3.5]} for side in ("left", "right"))
+    blocks = [{"repeats": 2, "starts": [left, right]}, {"starts": [right]}]
+    content["tasks"]["peg-insertion"]["episode_list"]["blocks"] = blocks  # type: ignore[index]
+    task = parse(content).tasks["peg-insertion"]
+    assert [episode.shape for episode in task.episodes] == ["left", "right", "left", "right", "right"]
+    assert task.episode_list.shapes == ("left", "right")
+    assert {episode.offset for episode in task.episodes} == {(0.0, 0.0, 0.0, 3.5)}
 
 
 def test_unknown_track_names_the_tracks() -> None:
@@ -99,7 +100,8 @@ def test_digest_changes_with_the_list(content: dict[str, object]) -> None:
     [
         ((), "rankingrule", "ranking_rule"),
         (("tasks", "peg-insertion"), "shardsize", "shard_size"),
-        (("tasks", "peg-insertion", "episode_list"), "repeat", "repeats"),
+        (("tasks", "peg-insertion", "episode_list"), "block", "blocks"),
+        (("tasks", "peg-insertion", "episode_list", "blocks", 0), "repeat", "repeats"),
     ],
 )
 def test_unknown_key_names_the_nearest(
@@ -138,14 +140,15 @@ def test_text_that_is_not_plain_yaml_is_refused(text: str) -> None:
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), "many", None])
 def test_offsets_must_be_finite_numbers(content: dict[str, object], value: object) -> None:
-    content["tasks"]["peg-insertion"]["episode_list"]["offsets"][3][1] = value  # type: ignore[index]
-    with pytest.raises(DocumentRejected, match=r"offsets\.3\.1"):
+    content["tasks"]["peg-insertion"]["episode_list"]["blocks"][0]["starts"][3]["offset"][1] = value  # type: ignore[index]
+    with pytest.raises(DocumentRejected, match=r"blocks\.0\.starts\.3\.offset\.1"):
         parse(content)
 
 
-def test_loops_must_name_each_once(content: dict[str, object]) -> None:
-    content["tasks"]["peg-insertion"]["episode_list"]["loops"] = ["repeat", "repeat", "shape"]  # type: ignore[index]
-    with pytest.raises(DocumentRejected, match="once each"):
+def test_all_offsets_have_one_length(content: dict[str, object]) -> None:
+    starts = content["tasks"]["peg-insertion"]["episode_list"]["blocks"][0]["starts"]  # type: ignore[index]
+    starts[3]["offset"] = [0, 0]
+    with pytest.raises(DocumentRejected, match="expected offsets of one length, got 2 and 3 numbers"):
         parse(content)
 
 
