@@ -11,7 +11,7 @@ from typing import Any, cast
 import procrastinate
 import psycopg
 from procrastinate import PsycopgConnector, SyncPsycopgConnector
-from sqlalchemy import ColumnElement, select, text
+from sqlalchemy import ColumnElement, TextClause, select, text
 from sqlalchemy.orm import Session
 
 RUN_SHARD = "run_shard"
@@ -45,12 +45,15 @@ _FORGET = text("""
                       WHERE worker.id = job.worker_id AND worker.last_heartbeat > now() - interval '1 minute')
 """)
 
-_WAKES_SHARD = text("""
-    job.task_name = :task AND (job.args ->> 'shard_id')::bigint = shards.id
-    AND (job.status = 'todo'
-         OR EXISTS (SELECT FROM procrastinate_events event
-                    WHERE event.job_id = job.id AND event.type = 'started'
-                      AND event.at > clock_timestamp() - CAST(:lately AS interval)))
+_WAITS_FOR_SHARD = text("""
+    job.status = 'todo' AND job.task_name = :task AND (job.args ->> 'shard_id')::bigint = shards.id
+""")
+
+_WAS_TAKEN_FOR_SHARD = text("""
+    job.status = 'doing' AND job.task_name = :task AND (job.args ->> 'shard_id')::bigint = shards.id
+    AND EXISTS (SELECT FROM procrastinate_events event
+                WHERE event.job_id = job.id AND event.type = 'started'
+                  AND event.at > statement_timestamp() - CAST(:lately AS interval))
 """)
 
 
@@ -100,10 +103,18 @@ def forget_jobs_of_ended_shards(session: Session) -> None:
     session.execute(_FORGET, {"task": RUN_SHARD})
 
 
-def has_job(*, started_within: timedelta) -> ColumnElement[bool]:
-    """Whether a row of `shards` has a job that waits, or that a worker took so lately that it may still claim it."""
-    wakes = _WAKES_SHARD.bindparams(task=RUN_SHARD, lately=started_within)
-    return select(text("1")).select_from(text("procrastinate_jobs job")).where(wakes).exists()
+def has_waiting_job() -> ColumnElement[bool]:
+    """Whether a row of `shards` has a job that waits."""
+    return _has_job(_WAITS_FOR_SHARD.bindparams(task=RUN_SHARD))
+
+
+def has_taken_job(*, started_within: timedelta) -> ColumnElement[bool]:
+    """Whether a row of `shards` has a job that a worker took so lately that it may still claim the shard."""
+    return _has_job(_WAS_TAKEN_FOR_SHARD.bindparams(task=RUN_SHARD, lately=started_within))
+
+
+def _has_job(condition: TextClause) -> ColumnElement[bool]:
+    return select(text("1")).select_from(text("procrastinate_jobs job")).where(condition).exists()
 
 
 def make_worker_app(address: str) -> procrastinate.App:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from datetime import timedelta
 
 import structlog
-from sqlalchemy import ColumnElement, Interval, cast, func, select
+from sqlalchemy import ColumnElement, Interval, Select, cast, func, select
 from sqlalchemy.orm import Session
 
 from ..db.advisory_locks import AdvisoryLock, try_lock
@@ -17,7 +17,7 @@ from ..db.models import Evaluation, Shard
 from ..db.row_locks import lock_evaluation
 from ..db.states import ShardState
 from ..settings import Settings
-from .jobs import ONCE_MORE, enqueue_shards, forget_jobs_of_ended_shards, has_job
+from .jobs import ONCE_MORE, enqueue_shards, forget_jobs_of_ended_shards, has_taken_job, has_waiting_job
 
 logger = structlog.get_logger(__name__)
 
@@ -92,19 +92,29 @@ def _explain(shard: Shard) -> str:
 
 def _enqueue_missing_jobs(session: Session, settings: Settings) -> int:
     """Wake queued shards that nothing else will: their job was taken by a worker that never claimed the shard."""
-    rows = session.execute(
+    rows = session.execute(shards_without_job(settings)).all()
+    by_version: dict[str, list[int]] = {}
+    for shard_id, version in rows:
+        by_version.setdefault(version, []).append(shard_id)
+    for version, shard_ids in by_version.items():
+        enqueue_shards(session, shard_ids, version, priority=ONCE_MORE)
+    return len(rows)
+
+
+def shards_without_job(settings: Settings) -> Select[int, str]:
+    """Queued shards that no job wakes any more, with the versions of their evaluations."""
+    return (
         select(Shard.id, Evaluation.evaluator_version)
         .join(Evaluation)
         .where(
             Shard.state == ShardState.QUEUED,
             Shard.queued_at < _ago(settings.lease_s),
-            ~has_job(started_within=timedelta(seconds=settings.lease_s)),
+            # Apart, not joined by OR: so each is looked up in an index once for all shards.
+            ~has_waiting_job(),
+            ~has_taken_job(started_within=timedelta(seconds=settings.lease_s)),
         )
         .order_by(Shard.id)
-    ).all()
-    for shard_id, version in rows:
-        enqueue_shards(session, [shard_id], version, priority=ONCE_MORE)
-    return len(rows)
+    )
 
 
 def _ago(seconds: float) -> ColumnElement[object]:

@@ -1,6 +1,7 @@
 from datetime import timedelta
 
 import pytest
+from database_work import database_work
 from service_factories import (
     claim,
     make_principal,
@@ -12,14 +13,19 @@ from service_factories import (
     store,
     submit,
 )
-from sqlalchemy import text
+from sqlalchemy import select, text
 from vitac.server.db.advisory_locks import AdvisoryLock
 from vitac.server.db.engine import Database
-from vitac.server.db.models import Submission
+from vitac.server.db.models import Shard, Submission
 from vitac.server.db.states import EvaluationState, ShardState
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.evaluations.lifecycle import fail_by_machines
-from vitac.server.queue.jobs import prune_finished_jobs
+from vitac.server.queue.jobs import (
+    enqueue_shards,
+    forget_jobs_of_ended_shards,
+    prune_finished_jobs,
+    withdraw_jobs,
+)
 from vitac.server.queue.leases import LeaseLost
 from vitac.server.queue.sweep import Sweep, sweep
 from vitac.server.settings import Settings
@@ -144,3 +150,42 @@ def test_finished_jobs_are_pruned_by_age(database: Database, submission: Submiss
     with database.transaction() as session:
         assert prune_finished_jobs(session, timedelta(hours=1)) == 0
         assert prune_finished_jobs(session, timedelta(0)) == 9
+
+
+MANY = 2000
+
+
+@pytest.fixture
+def long_queue(database: Database, submission: Submission) -> Database:
+    """A queue of many more shards than the nine of a submission, each with its job."""
+    more = """
+        INSERT INTO shards (evaluation_id, task, number, episodes, state, token, attempts)
+        SELECT id, 'more', number, ARRAY[number], 'queued', 0, 0 FROM evaluations, generate_series(1, :many) number
+    """
+    with database.transaction() as session:
+        session.execute(text(more), {"many": MANY})
+        added = session.scalars(select(Shard.id).where(Shard.task == "more")).all()
+        enqueue_shards(session, added, newest_evaluation(session, submission).evaluator_version)
+    with database.transaction() as session:
+        session.execute(text("ANALYZE"))
+    return database
+
+
+def test_work_of_a_sweep_grows_with_the_queue_and_not_with_its_square(long_queue: Database) -> None:
+    with long_queue.transaction() as session:
+        session.execute(text("SELECT pg_sleep(0.01)"))
+        with database_work(session) as work:
+            assert sweep(session, SETTINGS, give_up=fail_by_machines) == Sweep()
+    assert work.rows_read["procrastinate_jobs"] < 5 * MANY
+    assert work.rows_read["shards"] < 5 * MANY
+
+
+def test_jobs_are_withdrawn_and_forgotten_without_reading_the_queue(
+    long_queue: Database, submission: Submission
+) -> None:
+    ids = ids_of(long_queue, submission)[:9]
+    with long_queue.transaction() as session, database_work(session) as work:
+        withdraw_jobs(session, ids)
+        forget_jobs_of_ended_shards(session)
+    assert len(jobs(long_queue)) == MANY
+    assert work.rows_read["procrastinate_jobs"] < 50
