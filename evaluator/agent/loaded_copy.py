@@ -45,6 +45,8 @@ class OpenFile:
     target: str
     position: int
     flags: int
+    mode: int
+    owner: tuple[int, int]
     locks: tuple[str, ...]
     """Locks that belong to the open file and not to a process."""
 
@@ -99,6 +101,7 @@ class LoadedCopy:
         Raises:
             TracedProcessGone: the policy has killed its own loaded copy.
         """
+        self._reset_times()
         outside_pid, inside_pid = self._process.fork(_FLAGS, self._tid_address)
         return EpisodeProcess(outside_pid=outside_pid, inside_pid=inside_pid)
 
@@ -147,7 +150,7 @@ class LoadedCopy:
         """Return whether a file is only read and lies where nobody can write."""
         if file.flags & os.O_ACCMODE != os.O_RDONLY or not file.target.startswith("/"):
             return False
-        device = Path(f"/proc/{self.pid}/fd/{file.descriptor}").stat().st_dev
+        device = self._link(file.descriptor).stat().st_dev
         return device not in self._writeable_devices()
 
     def _writeable_devices(self) -> set[int]:
@@ -163,19 +166,33 @@ class LoadedCopy:
                 self._process.call(tracing.SYS_LSEEK, before.descriptor, before.position, os.SEEK_SET)
         return True
 
+    def _reset_times(self) -> None:
+        """Set the times of output and channel to zero; else they would tell when an earlier episode printed."""
+        for file in self._files:
+            if file.target not in DEVICES and file.target in self._own_files:
+                try:
+                    os.utime(self._link(file.descriptor), ns=(0, 0))
+                except FileNotFoundError as error:
+                    raise TracedProcessGone from error
+
+    def _link(self, descriptor: int | str) -> Path:
+        return Path(f"/proc/{self.pid}/fd/{descriptor}")
+
     def _open_files(self) -> list[OpenFile]:
         files = []
         try:
             for name in (entry.name for entry in Path(f"/proc/{self.pid}/fd").iterdir()):
                 lines = Path(f"/proc/{self.pid}/fdinfo/{name}").read_text().splitlines()
                 info = dict(line.split(":", 1) for line in lines if line.startswith(("pos:", "flags:")))
-                target = str(Path(f"/proc/{self.pid}/fd/{name}").readlink())
+                state = self._link(name).stat()
                 files.append(
                     OpenFile(
                         descriptor=int(name),
-                        target=target,
+                        target=str(self._link(name).readlink()),
                         position=int(info["pos"]),
                         flags=int(info["flags"], 8),
+                        mode=state.st_mode,
+                        owner=(state.st_uid, state.st_gid),
                         locks=tuple(line for line in lines if line.startswith("lock:")),
                     )
                 )

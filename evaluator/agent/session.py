@@ -136,6 +136,7 @@ class PolicySession:
     def _start_episode(self) -> tuple[Sandbox, EpisodeProcess]:
         for _ in range(_ATTEMPTS):
             sandbox = self._sandbox or self._start()
+            sandbox.output.restart_count()  # before the copy, whose output is to look as if never read or written
             try:
                 process = self._copy()
             except (TracedProcessGone, ProcessLookupError):
@@ -144,7 +145,6 @@ class PolicySession:
             except OSError as error:
                 message = f"The loaded policy could not be copied for an episode: {error.strerror}."
                 raise PolicyFailed(VerdictCode.CRASHED, message, sandbox.output.text()) from error
-            sandbox.output.restart_count()
             return sandbox, process
         raise PolicyFailed(VerdictCode.CRASHED, "The loaded policy ended by itself before an episode could start.")
 
