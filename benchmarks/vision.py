@@ -15,8 +15,11 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "support" / "envs"))
 
+import numpy as np
 from visible_scenes import STARTS, SeenScene, fusion_scene
-from vitac.envs.vision.pictures import colour_picture, depth_picture
+from vitac.envs.vision.pictures import colour_picture, depth_picture, segmentation_picture
+from vitac.envs.vision.stereo.camera import stereo_depth_m
+from vitac.envs.vision.surfaces import Label
 
 
 def colour_and_exact_depth(scene: SeenScene) -> None:
@@ -24,6 +27,36 @@ def colour_and_exact_depth(scene: SeenScene) -> None:
     view = scene.view()
     colour_picture(view, scene.surfaces, scene.vertices_m)
     depth_picture(view)
+
+
+def colour_and_stereo_depth(scene: SeenScene) -> None:
+    """Render the two pictures of an observation in the mode `stereo`."""
+    view = scene.view()
+    colour_picture(view, scene.surfaces, scene.vertices_m)
+    random = np.random.default_rng(0)
+    stereo_depth_m(scene.surfaces, scene.vertices_m, pose=scene.pose, colour_view=view, random=random)
+
+
+def stereo_quality() -> None:
+    """Print how much of peg and base the stereo camera measures at all starts, and how well."""
+    errors_mm: dict[Label, list[np.ndarray]] = {Label.BASE: [], Label.PEG: []}
+    pixels = dict.fromkeys(errors_mm, 0)
+    for seed, start in enumerate(STARTS):
+        scene = fusion_scene(start)
+        view = scene.view()
+        random = np.random.default_rng(seed)
+        depth_m = stereo_depth_m(scene.surfaces, scene.vertices_m, pose=scene.pose, colour_view=view, random=random)
+        shown = segmentation_picture(view, scene.surfaces)
+        for label, found in errors_mm.items():
+            measured = (shown == label) & (depth_m > 0)
+            pixels[label] += int((shown == label).sum())
+            found.append((depth_m[measured] - view.depth_m[measured]) * 1e3)
+    for label, found in errors_mm.items():
+        error = np.concatenate(found)
+        print(
+            f"{label.name.lower()}: {len(error) / pixels[label]:.1%} valid, median {np.median(np.abs(error)):.2f} mm, "
+            f"p95 {np.quantile(np.abs(error), 0.95):.2f} mm, bias {np.median(error):+.2f} mm"
+        )
 
 
 def cpu_ms(observe: Callable[[SeenScene], object], count: int) -> list[float]:
@@ -43,9 +76,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--pictures", type=int, default=200)
     count = parser.parse_args().pictures
-    for name, observe in (("rgb and exact depth", colour_and_exact_depth),):
+    modes = (("rgb and exact depth", colour_and_exact_depth), ("rgb and stereo depth", colour_and_stereo_depth))
+    for name, observe in modes:
         times = sorted(cpu_ms(observe, count))
         print(f"{name}: median {statistics.median(times):.2f} ms, p95 {times[int(0.95 * count)]:.2f} ms")
+    stereo_quality()
 
 
 if __name__ == "__main__":

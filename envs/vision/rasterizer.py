@@ -5,6 +5,7 @@ No state is kept between pictures and no threads are used; the same vertices giv
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,15 @@ NO_TRIANGLE = -1
 _EDGE_ON_M = 1e-9
 # Corners are projected with rounding, so the pixels between them are looked for one pixel further out.
 _MARGIN_PX = 1
+
+
+class _Screen(NamedTuple):
+    """What is drawn on: a camera's intrinsics, the smallest depth it sees [m], and the arrays of a `View`."""
+
+    intrinsics: Intrinsics
+    near_m: float
+    depth_m: FloatArray
+    triangle: NDArray[np.int32]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -48,9 +58,15 @@ class View:
 
 
 def rasterize(
-    vertices_m: FloatArray, triangles: IndexArray, intrinsics: Intrinsics, *, height_px: int, width_px: int
+    vertices_m: FloatArray,
+    triangles: IndexArray,
+    intrinsics: Intrinsics,
+    *,
+    height_px: int,
+    width_px: int,
+    near_m: float = NEAR_M,
 ) -> View:
-    """Find the nearest triangle along every pixel's ray, from either side, at `NEAR_M` or more; the first of equals.
+    """Find the nearest triangle along every pixel's ray, from either side; the first of equals.
 
     Args:
         vertices_m: vertices in the camera's frame [m], shape [n, 3].
@@ -58,77 +74,75 @@ def rasterize(
         intrinsics: of the camera.
         height_px: rows of the picture.
         width_px: columns of the picture.
+        near_m: smallest depth that is seen [m].
     """
     depth_m = np.zeros((height_px, width_px))
     triangle = np.full((height_px, width_px), NO_TRIANGLE, dtype=np.int32)
-    _draw_triangles(vertices_m, triangles, intrinsics, depth_m, triangle)
+    _draw_all(vertices_m, triangles, _Screen(intrinsics, near_m, depth_m, triangle))
     return View(depth_m=depth_m, triangle=triangle)
 
 
 @large_kernel
-def _draw_triangles(
-    vertices_m: FloatArray,
-    triangles: IndexArray,
-    intrinsics: Intrinsics,
-    depth_m: FloatArray,
-    triangle_at: NDArray[np.int32],
-) -> None:
-    """Draw all triangles into the buffers.
-
-    A point of the ray d = (x, y, 1) is z d. It lies in the triangle abc where d.(b x c), d.(c x a) and d.(a x b) have
-    the sign of a.(b x c), and in its plane where z = n.a / n.d, n = (b - a) x (c - a). The products of an edge that two
-    triangles share differ in nothing but their sign, so no ray slips through between them.
-    """
+def _draw_all(vertices_m: FloatArray, triangles: IndexArray, screen: _Screen) -> None:
     for t in range(triangles.shape[0]):
-        a, b, c = (
-            load(vertices_m, triangles[t, 0]),
-            load(vertices_m, triangles[t, 1]),
-            load(vertices_m, triangles[t, 2]),
-        )
-        normal = cross(subtract(b, a), subtract(c, a))
-        distance = dot(normal, a)
-        if distance * distance <= _EDGE_ON_M * _EDGE_ON_M * dot(normal, normal):
+        a = load(vertices_m, triangles[t, 0])
+        b = load(vertices_m, triangles[t, 1])
+        c = load(vertices_m, triangles[t, 2])
+        if max(a[2], b[2], c[2]) < screen.near_m:
             continue
-        if max(a[2], b[2], c[2]) < NEAR_M:
-            continue
-        if distance < 0.0:
+        # Seen from the front the corners run clockwise around a ray; those of a back face are exchanged.
+        if dot(cross(b, c), a) < 0.0:
             b, c = c, b
-            normal = (-normal[0], -normal[1], -normal[2])
-            distance = -distance
-        over_a, over_b, over_c = cross(b, c), cross(c, a), cross(a, b)
-        first_row, last_row, first_column, last_column = _pixel_range(a, b, c, intrinsics, depth_m.shape)
-        for j in range(first_row, last_row + 1):
-            y = (j + 0.5 - intrinsics.centre_v_px) / intrinsics.focal_v_px
-            row_a = over_a[1] * y + over_a[2]
-            row_b = over_b[1] * y + over_b[2]
-            row_c = over_c[1] * y + over_c[2]
-            row_n = normal[1] * y + normal[2]
-            for i in range(first_column, last_column + 1):
-                x = (i + 0.5 - intrinsics.centre_u_px) / intrinsics.focal_u_px
-                if over_a[0] * x + row_a < 0.0 or over_b[0] * x + row_b < 0.0 or over_c[0] * x + row_c < 0.0:
-                    continue
-                z = distance / (normal[0] * x + row_n)
-                if z >= NEAR_M and not 0.0 < depth_m[j, i] <= z:
-                    depth_m[j, i] = z
-                    triangle_at[j, i] = t
+        _draw(t, (a, b, c), screen)
 
 
 @kernel
-def _pixel_range(
-    a: Vec3, b: Vec3, c: Vec3, intrinsics: Intrinsics, shape: tuple[int, int]
-) -> tuple[int, int, int, int]:
-    """First and last row and column that a triangle can cover: all, where it reaches nearer than `NEAR_M`."""
-    if min(a[2], b[2], c[2]) < NEAR_M:
-        return 0, shape[0] - 1, 0, shape[1] - 1
+def _draw(t: int, corners: tuple[Vec3, Vec3, Vec3], screen: _Screen) -> None:
+    """Draw a triangle abc with a.(b x c) > 0 where nothing nearer is drawn.
+
+    A point of the ray d = (x, y, 1) is z d. It lies in the triangle where d.(b x c), d.(c x a) and d.(a x b) are not
+    negative, and in its plane where z = n.a / n.d, n = (b - a) x (c - a). The products of an edge that two triangles
+    share differ in nothing but their sign, so no ray slips through between them.
+    """
+    a, b, c = corners
+    over_a, over_b, over_c = cross(b, c), cross(c, a), cross(a, b)
+    normal = cross(subtract(b, a), subtract(c, a))
+    distance = dot(normal, a)
+    if distance * distance <= _EDGE_ON_M * _EDGE_ON_M * dot(normal, normal):
+        return
+    optics = screen.intrinsics
+    first_row, last_row, first_column, last_column = _pixel_range(corners, screen)
+    for j in range(first_row, last_row + 1):
+        y = (j + 0.5 - optics.centre_v_px) / optics.focal_v_px
+        row_a, row_b = over_a[1] * y + over_a[2], over_b[1] * y + over_b[2]
+        row_c, row_n = over_c[1] * y + over_c[2], normal[1] * y + normal[2]
+        for i in range(first_column, last_column + 1):
+            x = (i + 0.5 - optics.centre_u_px) / optics.focal_u_px
+            if over_a[0] * x + row_a < 0.0 or over_b[0] * x + row_b < 0.0 or over_c[0] * x + row_c < 0.0:
+                continue
+            z = distance / (normal[0] * x + row_n)
+            if z >= screen.near_m and not 0.0 < screen.depth_m[j, i] <= z:
+                screen.depth_m[j, i] = z
+                screen.triangle[j, i] = t
+
+
+@kernel
+def _pixel_range(corners: tuple[Vec3, Vec3, Vec3], screen: _Screen) -> tuple[int, int, int, int]:
+    """First and last row and column that a triangle can cover: all, where it reaches too near."""
+    a, b, c = corners
+    height, width = screen.triangle.shape
+    if min(a[2], b[2], c[2]) < screen.near_m:
+        return 0, height - 1, 0, width - 1
+    optics = screen.intrinsics
     u = (a[0] / a[2], b[0] / b[2], c[0] / c[2])
     v = (a[1] / a[2], b[1] / b[2], c[1] / c[2])
-    first_row = intrinsics.focal_v_px * min(v) + intrinsics.centre_v_px - 0.5 - _MARGIN_PX
-    last_row = intrinsics.focal_v_px * max(v) + intrinsics.centre_v_px - 0.5 + _MARGIN_PX
-    first_column = intrinsics.focal_u_px * min(u) + intrinsics.centre_u_px - 0.5 - _MARGIN_PX
-    last_column = intrinsics.focal_u_px * max(u) + intrinsics.centre_u_px - 0.5 + _MARGIN_PX
+    first_row = optics.focal_v_px * min(v) + optics.centre_v_px - 0.5 - _MARGIN_PX
+    last_row = optics.focal_v_px * max(v) + optics.centre_v_px - 0.5 + _MARGIN_PX
+    first_column = optics.focal_u_px * min(u) + optics.centre_u_px - 0.5 - _MARGIN_PX
+    last_column = optics.focal_u_px * max(u) + optics.centre_u_px - 0.5 + _MARGIN_PX
     return (
-        int(min(max(first_row, 0.0), shape[0])),
-        int(max(min(last_row, shape[0] - 1.0), -1.0)),
-        int(min(max(first_column, 0.0), shape[1])),
-        int(max(min(last_column, shape[1] - 1.0), -1.0)),
+        int(min(max(first_row, 0.0), height)),
+        int(max(min(last_row, height - 1.0), -1.0)),
+        int(min(max(first_column, 0.0), width)),
+        int(max(min(last_column, width - 1.0), -1.0)),
     )

@@ -12,6 +12,9 @@ from typing import Any
 import gymnasium
 import numpy as np
 import vitac.envs
+from visible_scenes import STARTS, fusion_scene
+from vitac.envs.vision.pictures import colour_picture
+from vitac.envs.vision.stereo.camera import depth_of_pair, infrared_pair
 
 
 def trajectory_digest(env_id: str, seed: int, env_steps: int) -> str:
@@ -33,9 +36,21 @@ def trajectory_digest(env_id: str, seed: int, env_steps: int) -> str:
     return digest.hexdigest()
 
 
+def picture_digest(seed: int) -> str:
+    """SHA-256 over all pictures of a scene with bodies in front of each other."""
+    scene = fusion_scene(STARTS[seed])
+    view, random = scene.view(), np.random.default_rng(seed)
+    pair = infrared_pair(scene.surfaces, scene.vertices_m, pose=scene.pose, colour_view=view, random=random)
+    colours = colour_picture(view, scene.surfaces, scene.vertices_m)
+    digest = hashlib.sha256(view.depth_m.tobytes() + colours.tobytes())
+    digest.update(pair.left.tobytes() + pair.right.tobytes() + depth_of_pair(pair, view).tobytes())
+    return digest.hexdigest()
+
+
 def digests() -> dict[str, str]:
-    """Digest of a trajectory of each environment."""
-    return {env_id: trajectory_digest(env_id, 5, 2) for env_id in sorted(vitac.envs.ENVIRONMENTS)}
+    """Digest of a trajectory of each environment, and of pictures."""
+    played = {env_id: trajectory_digest(env_id, 5, 2) for env_id in sorted(vitac.envs.ENVIRONMENTS)}
+    return {**played, "pictures": picture_digest(3)}
 
 
 def numpy_simd() -> list[str]:

@@ -2,9 +2,11 @@
 
 from dataclasses import dataclass
 from functools import cache
+from math import radians
 
 import numpy as np
 from numpy.typing import NDArray
+from vitac.envs.deterministic_math import sine_cosine
 from vitac.envs.geometry.bases import RIM_MM, base_surface
 from vitac.envs.geometry.hexagons import hexagon_peg_surface
 from vitac.envs.geometry.pegs import PegShape, peg_surface
@@ -118,12 +120,11 @@ def random_rotation(random: np.random.Generator) -> FloatArray:
 
 @cache
 def fusion_scene(start: tuple[float, float, float, float, int]) -> SeenScene:
-    """The fusion task at a start, with undeformed gels that touch the peg."""
+    """The fusion task at a start, with undeformed gels that touch the peg; of the same bits everywhere."""
     x_mm, y_mm, theta_deg, z_mm, hexagon = start
     base, gel = base_surface(), gelsight_mini_mesh()
     peg = hexagon_peg_surface() if hexagon else peg_surface(PegShape.CUBOID)
-    angle = np.radians(theta_deg)
-    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1.0]])
+    sine, cosine = sine_cosine(radians(theta_deg))
     origin_m = np.array([x_mm, 22.625 + y_mm, RIM_MM + z_mm + 1.0]) * 1e-3
     surfaces = VisibleSurfaces(
         [
@@ -135,12 +136,14 @@ def fusion_scene(start: tuple[float, float, float, float, int]) -> SeenScene:
             ),
         ]
     )
-    # Columns: the gels' x, y and z axes in the gripper's frame (challenge-facts 2.1).
-    left = np.array([[0, 1, 0], [0, 0, -1], [-1, 0, 0.0]])
-    right = np.array([[0, -1, 0], [0, 0, 1], [-1, 0, 0.0]])
-    grasp_m, beside_m = np.array([0, 0, 0.042]), np.array([0, 0.017, 0])
-    gels_m = [gel.rest_position_m @ left.T + beside_m + grasp_m, gel.rest_position_m @ right.T - beside_m + grasp_m]
-    moving_m = [part_m @ turn.T + origin_m for part_m in (peg.vertices_m, *gels_m)]
+    # Left: the gel's x points down, its y along +x, its z along -y; right: down, -x, +y (challenge-facts 2.1).
+    x, y, z = gel.rest_position_m.T
+    left_m = np.column_stack([y, 0.017 - z, 0.042 - x])
+    right_m = np.column_stack([-y, z - 0.017, 0.042 - x])
+    moving_m = []
+    for part_m in (peg.vertices_m, left_m, right_m):
+        x, y, z = part_m.T
+        moving_m.append(np.column_stack([cosine * x - sine * y, sine * x + cosine * y, z]) + origin_m)
     return SeenScene(
         surfaces=surfaces,
         vertices_m=surfaces.vertices_m([base.vertices_m, *moving_m]),

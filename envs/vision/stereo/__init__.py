@@ -1,0 +1,1 @@
+"""Depth as an active stereo camera measures it: projected dots, two infrared pictures, matching, registration."""

@@ -1,0 +1,153 @@
+"""Infrared pictures of a scene that the projector lights with its dots; the projector stands at the colour camera.
+
+Every surface reflects half of what it gets: the dots, where no body stands between it and the projector, times the
+cosine of their incidence, and a little even light. Nothing comes from the background.
+"""
+
+from math import sqrt
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...compilation import kernel, large_kernel
+from ..pinhole import Intrinsics
+from ..rasterizer import NO_TRIANGLE
+from .dot_pattern import HALF_WIDTH
+
+FloatArray = NDArray[np.float64]
+TriangleMap = NDArray[np.int32]
+
+ALBEDO = 0.5
+AMBIENT = 0.02
+# Speckle is a factor of a gamma distribution of shape 1333.33 and mean 1 (challenge-facts 15); so narrow, it is normal.
+SPECKLE_SD = 1.0 / sqrt(1333.33)
+THERMAL_SD_GREY = 0.25
+# A surface is lit where the projector sees the same triangle in its direction, or another one this little nearer.
+_SHADOW_SLACK_M = 0.0015
+# Mean and standard deviation of the sum of eight random bytes.
+_BYTES_MEAN = 8 * 127.5
+_BYTES_SD = sqrt(8 * (256.0**2 - 1.0) / 12.0)
+_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+
+
+class InfraredView(NamedTuple):
+    """What an infrared camera sees.
+
+    Attributes:
+        depth_m: along the optical axis [m], shape [height, width].
+        triangle: index of the triangle at every pixel, -1 for none, shape [height, width].
+        intrinsics: of the camera.
+        x_m: how far it stands on the projector's right [m].
+    """
+
+    depth_m: FloatArray
+    triangle: TriangleMap
+    intrinsics: Intrinsics
+    x_m: float
+
+
+class Projector(NamedTuple):
+    """What the projector throws, and onto what.
+
+    Attributes:
+        pattern: brightness by direction, shape [t, t]; see `dot_pattern`.
+        depth_m: along its axis [m], shape [height, width].
+        triangle: index of the triangle that it lights in every direction, -1 for none, shape [height, width].
+        intrinsics: of the two maps.
+    """
+
+    pattern: NDArray[np.uint8]
+    depth_m: FloatArray
+    triangle: TriangleMap
+    intrinsics: Intrinsics
+
+
+def infrared_picture(
+    seen: InfraredView, projector: Projector, normals: FloatArray, noise_key: np.uint64
+) -> NDArray[np.uint8]:
+    """Expose a picture: grey levels 0 to 255, 0 where nothing is seen, shape [height, width].
+
+    Args:
+        seen: what the camera sees.
+        projector: the dots and what they fall on.
+        normals: outward unit normals of the triangles in the cameras' axes, shape [t, 3].
+        noise_key: number that the noise of all pixels is made of.
+    """
+    picture = np.zeros(seen.triangle.shape, dtype=np.uint8)
+    _expose(seen, projector, normals, noise_key, picture)
+    return picture
+
+
+@large_kernel
+def _expose(
+    seen: InfraredView, projector: Projector, normals: FloatArray, noise_key: np.uint64, picture: NDArray[np.uint8]
+) -> None:
+    height, width = picture.shape
+    for j in range(height):
+        y = (j + 0.5 - seen.intrinsics.centre_v_px) / seen.intrinsics.focal_v_px
+        for i in range(width):
+            triangle = seen.triangle[j, i]
+            if triangle == NO_TRIANGLE:
+                continue
+            z = seen.depth_m[j, i]
+            # The point as the projector sees it: the same depth, further to its right by the cameras' distance.
+            a = (i + 0.5 - seen.intrinsics.centre_u_px) / seen.intrinsics.focal_u_px + seen.x_m / z
+            brightness = AMBIENT
+            if _is_lit(projector, a, y, z, triangle):
+                n = normals[triangle]
+                towards = -(n[0] * a + n[1] * y + n[2]) / np.sqrt(a * a + y * y + 1.0)
+                brightness += max(towards, 0.0) * _pattern_at(projector.pattern, a, y) / 255.0
+            pixel = np.uint64(j * width + i)
+            speckle = 1.0 + SPECKLE_SD * _normal(noise_key, np.uint64(2) * pixel)
+            thermal = THERMAL_SD_GREY * _normal(noise_key, np.uint64(2) * pixel + np.uint64(1))
+            grey = 255.0 * ALBEDO * brightness * speckle + thermal
+            picture[j, i] = np.uint8(min(max(grey, 0.0), 255.0))
+
+
+@kernel
+def _is_lit(projector: Projector, a: float, b: float, z: float, triangle: int) -> bool:
+    """Whether the dots reach a point of a triangle in direction (a, b) at depth z; beyond the maps they always do."""
+    column = int(np.floor(projector.intrinsics.focal_u_px * a + projector.intrinsics.centre_u_px))
+    row = int(np.floor(projector.intrinsics.focal_v_px * b + projector.intrinsics.centre_v_px))
+    if row < 0 or column < 0 or row >= projector.triangle.shape[0] or column >= projector.triangle.shape[1]:
+        return True
+    first = projector.triangle[row, column]
+    if first == NO_TRIANGLE:
+        return True
+    nearest_m: float = projector.depth_m[row, column]
+    return first == triangle or nearest_m >= z - _SHADOW_SLACK_M
+
+
+@kernel
+def _pattern_at(pattern: NDArray[np.uint8], a: float, b: float) -> float:
+    """Brightness in direction (a, b), interpolated between four texels; 0 beyond the pattern."""
+    texels = pattern.shape[0]
+    column = (a + HALF_WIDTH) / (2.0 * HALF_WIDTH) * texels - 0.5
+    row = (b + HALF_WIDTH) / (2.0 * HALF_WIDTH) * texels - 0.5
+    if not (0.0 <= column < texels - 1.0 and 0.0 <= row < texels - 1.0):
+        return 0.0
+    i, j = int(column), int(row)
+    x, y = column - i, row - j
+    upper = (1.0 - x) * pattern[j, i] + x * pattern[j, i + 1]
+    lower = (1.0 - x) * pattern[j + 1, i] + x * pattern[j + 1, i + 1]
+    brightness: float = (1.0 - y) * upper + y * lower
+    return brightness
+
+
+@kernel
+def _normal(key: np.uint64, counter: np.uint64) -> float:
+    """Return a number that is nearly standard normal: the sum of the eight bytes of a mixed counter, scaled.
+
+    The mixer is splitmix64 (Steele, Lea & Flood 2014). A counter rather than a stream, so that the noise of a pixel
+    does not depend on how many others show something.
+    """
+    z = key + (counter + np.uint64(1)) * _GOLDEN
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    z = z ^ (z >> np.uint64(31))
+    total = np.uint64(0)
+    for _ in range(8):
+        total += z & np.uint64(0xFF)
+        z = z >> np.uint64(8)
+    return (float(total) - _BYTES_MEAN) / _BYTES_SD

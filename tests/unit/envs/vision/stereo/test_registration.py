@@ -1,0 +1,72 @@
+"""Depth in the colour picture: where points land, which of two counts, and where there is none."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from vitac.envs.vision.rig import BASELINE_M, COLOUR_INTRINSICS, INFRARED_INTRINSICS, LEFT_INFRARED_X_M
+from vitac.envs.vision.stereo.matching import PARTS
+from vitac.envs.vision.stereo.registration import registered_depth_m
+
+SHOWN = np.zeros((480, 640), np.int32)
+PER_DISPARITY_M = INFRARED_INTRINSICS.focal_u_px * BASELINE_M
+
+
+def one_point(row: int, column: int, disparity: int, shown: NDArray[np.int32] = SHOWN) -> NDArray[np.float32]:
+    return registered_depth_m(np.array([[disparity * PARTS]], np.int32), row, column, shown)
+
+
+def test_a_point_lands_where_the_colour_camera_sees_it() -> None:
+    depth_m = one_point(300, 350, 70)
+    z = PER_DISPARITY_M / 70
+    x = (350.5 - INFRARED_INTRINSICS.centre_u_px) / INFRARED_INTRINSICS.focal_u_px * z + LEFT_INFRARED_X_M
+    y = (300.5 - INFRARED_INTRINSICS.centre_v_px) / INFRARED_INTRINSICS.focal_v_px * z
+    column = int(COLOUR_INTRINSICS.focal_u_px * x / z + COLOUR_INTRINSICS.centre_u_px)
+    row = int(COLOUR_INTRINSICS.focal_v_px * y / z + COLOUR_INTRINSICS.centre_v_px)
+    assert depth_m[row, column] == pytest.approx(z, abs=1e-7)
+    # Its eight neighbours got nothing of their own.
+    rows, columns = np.nonzero(depth_m)
+    assert (rows.min(), rows.max(), columns.min(), columns.max()) == (row - 1, row + 1, column - 1, column + 1)
+
+
+def test_a_plane_is_covered_without_gaps() -> None:
+    found = np.full((60, 80), 70 * PARTS, np.int32)
+    depth_m = registered_depth_m(found, 200, 300, SHOWN)
+    rows, columns = np.nonzero(depth_m)
+    covered = depth_m[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
+    assert covered.shape[0] >= 60
+    assert covered.shape[1] >= 80
+    assert covered == pytest.approx(np.full(covered.shape, PER_DISPARITY_M / 70), abs=1e-7)
+
+
+def test_of_two_points_in_a_pixel_the_nearer_counts() -> None:
+    """In a row of rising disparities, columns fold over each other."""
+    found = np.array([[60 * PARTS, 95 * PARTS]], np.int32)
+    depth_m = registered_depth_m(found, 250, 320, SHOWN)
+    swapped = registered_depth_m(found[:, ::-1].copy(), 250, 320, SHOWN)
+    assert depth_m.max() == pytest.approx(PER_DISPARITY_M / 60, abs=1e-6)
+    both = (depth_m > 0) & (swapped > 0)
+    assert both.any()
+    wall = registered_depth_m(np.array([[60 * PARTS] * 30 + [95 * PARTS] * 30], np.int32), 250, 300, SHOWN)
+    near = one_point(250, 330, 95)
+    assert (wall[near > 0] == near[near > 0]).all()
+
+
+def test_the_background_has_no_depth() -> None:
+    shown = np.full((480, 640), -1, np.int32)
+    shown[:, 300:] = 0
+    found = np.full((60, 80), 70 * PARTS, np.int32)
+    depth_m = registered_depth_m(found, 200, 280, shown)
+    assert (depth_m[:, :300] == 0).all()
+    assert (depth_m[:, 300:] > 0).any()
+
+
+def test_points_beyond_the_picture_are_dropped() -> None:
+    found = np.full((12, 12), 70 * PARTS, np.int32)
+    for row, column in ((-5, 300), (474, 300), (200, -40), (200, 634)):
+        depth_m = registered_depth_m(found, row, column, SHOWN)
+        assert depth_m.shape == (480, 640)
+        assert np.isin(depth_m, [0, np.float32(PER_DISPARITY_M / 70)]).all()
+
+
+def test_no_disparity_gives_no_depth() -> None:
+    assert (registered_depth_m(np.zeros((5, 5), np.int32), 200, 300, SHOWN) == 0).all()
