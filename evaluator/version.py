@@ -6,7 +6,7 @@ Nothing here imports the environments: their sources are found and read, not run
 import hashlib
 import platform
 from functools import cache
-from importlib.metadata import version
+from importlib.metadata import entry_points, version
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -14,6 +14,8 @@ EVALUATOR_RELEASE = "1"
 """Raised by hand when a change is meant to move scores, so that people can speak of it."""
 
 _HASHED_PACKAGES = ("vitac.envs", "vitac.evaluator")
+_TASKS = "vitac.tasks"
+"""Group of the entry points by which other packages add tasks."""
 _HASHED_SUFFIXES = frozenset({".py", ".yaml"})
 _HASHED_DISTRIBUTIONS = ("llvmlite", "numba", "numpy")
 
@@ -22,12 +24,13 @@ _HASHED_DISTRIBUTIONS = ("llvmlite", "numba", "numpy")
 def evaluator_hash() -> str:
     """SHA-256 [hex] over all that can move a score: our sources and the versions of NumPy, Numba and llvmlite.
 
-    The same for a wheel and an editable installation of one tree, because only the content of packaged files counts.
+    The sources of packages that add tasks (`vitac.envs.tasks.registry`) count too, where there are any. The same for a
+    wheel and an editable installation of one tree, because only the content of packaged files counts.
     """
     digest = hashlib.sha256()
     for distribution in _HASHED_DISTRIBUTIONS:
         digest.update(f"{distribution}=={version(distribution)}\n".encode())
-    for package in _HASHED_PACKAGES:
+    for package in (*_HASHED_PACKAGES, *_packages_with_tasks()):
         _add_sources(digest, package)
     return digest.hexdigest()
 
@@ -40,6 +43,10 @@ def evaluator_version() -> str:
 def platform_class() -> str:
     """Machines of one class give the same states to the last bit, e.g. `x86_64-linux`."""
     return f"{platform.machine().lower()}-{platform.system().lower()}"
+
+
+def _packages_with_tasks() -> list[str]:
+    return sorted({point.module.partition(".")[0] for point in entry_points(group=_TASKS)})
 
 
 def _add_sources(digest: "hashlib._Hash", package: str) -> None:

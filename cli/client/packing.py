@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-TOP_FOLDER = "Track_1"
 FIXED_TIME = (1980, 1, 1, 0, 0, 0)
 READABLE_FILE = 0o100644 << 16
 UNIX = 3
@@ -23,7 +22,7 @@ def pack(folder: Path, archive: Path) -> int:
     """Write the archive of a submission's folder; order, times and modes are fixed, caches are left out.
 
     Args:
-        folder: holds `submission.yaml`, itself or in its `Track_1`.
+        folder: holds `submission.yaml`, itself or in its folder of a track, such as `Track_1`.
         archive: file to write.
 
     Returns:
@@ -31,20 +30,22 @@ def pack(folder: Path, archive: Path) -> int:
 
     Raises:
         NoSubmission: the folder holds none.
+        ManifestRejected: its manifest cannot be read.
         ArchiveRejected: a link or a device lies in the folder.
     """
-    from vitac.evaluator.submission.manifest import find_submission
+    from vitac.evaluator.submission.manifest import find_submission, top_folder
 
     found = find_submission(folder)
+    top = top_folder(found)
     paths = sorted(_files(found, ""))
     with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as writer:
         for path in paths:
-            _add(writer, found / path, path)
+            _add(writer, found / path, f"{top}/{path}")
     return len(paths)
 
 
 def _add(writer: zipfile.ZipFile, file: Path, path: str) -> None:
-    entry = zipfile.ZipInfo(f"{TOP_FOLDER}/{path}", FIXED_TIME)
+    entry = zipfile.ZipInfo(path, FIXED_TIME)
     entry.compress_type = zipfile.ZIP_DEFLATED
     entry.create_system = UNIX
     entry.external_attr = READABLE_FILE

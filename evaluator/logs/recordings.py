@@ -16,9 +16,6 @@ from ..tracks import Episode, Task
 from .log import MAX_LINE_BYTES, LogReader, is_log
 from .packing import open_log
 
-TASKS_OF_2025 = {"peg_insertion": "peg-insertion", "open_lock": "lock-opening"}
-"""Our name of each task of the 2025 text logs."""
-
 _LARGEST_FLOAT32 = float(np.finfo(np.float32).max)
 
 
@@ -108,7 +105,7 @@ def _recording_in(line: bytes, number: int, task: Task) -> Recording:
 
 
 def _recording_of_2025(content: _EpisodeOf2025, place: str, task: Task) -> Recording:
-    if TASKS_OF_2025.get(content.task) != task.name:
+    if content.task != task.name_2025:
         raise RecordingRejected(f"{place} is of task {content.task!r}, expected {task.name!r}.")
     return Recording(
         episode=_episode(task, content.episode, content.shape, content.initial_offset, place),

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import IO, BinaryIO, Final
 
 from ..agent.limits import Limits
+from ..tracks import archive_folders
 from .names import (
     ArchiveFault,
     ArchiveRejected,
@@ -30,7 +31,6 @@ from .names import (
 
 __all__ = ["ArchiveFault", "ArchiveRejected", "Entry", "packed_entries", "unpack", "write"]
 
-TOP_FOLDERS: Final = ("Track_1",)
 _CHUNK_BYTES: Final = 1024 * 1024
 _RATIO_FREE_BYTES: Final = 16 * 1024 * 1024
 """A ratio is only looked at above this size: small folders of text compress well."""
@@ -76,7 +76,7 @@ def unpack(source: Path | BinaryIO, destination: Path, limits: Limits | None = N
         limits: sizes and counts.
 
     Returns:
-        The submission's folder, `destination/Track_1`, readable by every user.
+        The submission's folder, such as `destination/Track_1`, readable by every user.
 
     Raises:
         ArchiveRejected: a rule is broken.
@@ -211,11 +211,12 @@ def _check_kind(info: zipfile.ZipInfo) -> None:
 
 
 def _top_folder(names: set[str]) -> str:
-    if len(names) == 1 and (name := names.copy().pop()) in TOP_FOLDERS:
+    allowed = archive_folders()
+    if len(names) == 1 and (name := names.copy().pop()) in allowed:
         return name
     came = ", ".join(sorted(names)[:5]) or "nothing"
     raise ArchiveRejected(
-        ArchiveFault.WRONG_TOP_FOLDER, f"The archive holds {came}, expected one folder {' or '.join(TOP_FOLDERS)}."
+        ArchiveFault.WRONG_TOP_FOLDER, f"The archive holds {came}, expected one folder {' or '.join(allowed)}."
     )
 
 

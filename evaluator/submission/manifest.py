@@ -14,7 +14,8 @@ from vitac.envs.errors import VitacError
 from ..agent.limits import Limits
 from ..agent.verdicts import VerdictCode
 from ..strict_model import DocumentRejected, StrictModel, parse_untrusted_yaml
-from .archive import TOP_FOLDERS, Entry, packed_entries, unpack, write
+from ..tracks import UnknownTrack, archive_folders, load_track
+from .archive import Entry, packed_entries, unpack, write
 from .names import NamedEntry, check_names, is_left_out, link, special_file
 
 MANIFEST_NAME: Final = "submission.yaml"
@@ -88,15 +89,24 @@ def parse_manifest(data: bytes) -> SubmissionManifest:
 
 
 def find_submission(path: Path) -> Path:
-    """Return the folder below a path that holds submission.yaml: itself, or its `Track_1`.
+    """Return the folder below a path that holds submission.yaml: itself, or its folder of a track, such as `Track_1`.
 
     Raises:
         NoSubmission: there is none.
     """
-    for folder in (path, *(path / top for top in TOP_FOLDERS)):
+    for folder in (path, *(path / top for top in archive_folders())):
         if (folder / MANIFEST_NAME).is_file():
             return folder
     raise NoSubmission(f"{path} holds no {MANIFEST_NAME}; name the submission's folder or its zip.")
+
+
+def top_folder(submission_dir: Path) -> str:
+    """Return the one folder that an archive of a submission holds: its track's.
+
+    Raises:
+        ManifestRejected: the manifest cannot be read.
+    """
+    return load_track(load_manifest(submission_dir).track).folder
 
 
 def stage(source: Path, destination: Path, limits: Limits | None = None) -> Path:
@@ -117,7 +127,7 @@ def stage(source: Path, destination: Path, limits: Limits | None = None) -> Path
     limits = limits or Limits()
     if source.is_file():
         return unpack(source, destination, limits)
-    return write(_folder_entries(find_submission(source), limits), destination, TOP_FOLDERS[0], limits)
+    return write(_folder_entries(find_submission(source), limits), destination, archive_folders()[0], limits)
 
 
 def submission_digest(source: Path, limits: Limits | None = None) -> str:
@@ -148,7 +158,7 @@ def _digest(entries: list[Entry]) -> str:
 
 def _folder_entries(folder: Path, limits: Limits) -> list[Entry]:
     entries = list(_walk(folder, ""))
-    check_names((NamedEntry(path=f"{TOP_FOLDERS[0]}/{entry.path}", is_folder=False) for entry in entries), limits)
+    check_names((NamedEntry(path=f"{archive_folders()[0]}/{entry.path}", is_folder=False) for entry in entries), limits)
     return entries
 
 
@@ -172,11 +182,9 @@ def _open(path: str) -> IO[bytes]:
 
 
 def _check_tasks(manifest: SubmissionManifest) -> None:
-    from ..tracks import UnknownTask, UnknownTrack, load_track
-
     try:
         track = load_track(manifest.track)
-    except (UnknownTrack, UnknownTask) as error:
+    except UnknownTrack as error:
         raise ManifestRejected(f"{MANIFEST_NAME}: {error}") from error
     unknown = sorted(set(manifest.tasks) - set(track.tasks))
     if unknown or len(set(manifest.tasks)) != len(manifest.tasks):

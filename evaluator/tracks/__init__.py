@@ -1,7 +1,7 @@
-"""Tracks, their tasks and fixed episode lists, read from the YAML files beside this module."""
+"""Tracks, their tasks and fixed episode lists, read from YAML files."""
 
 from .definition import Accepted, Episode, Task, Track
-from .registry import UnknownTask, UnknownTrack, find_task, list_tracks, load_track
+from .registry import UnknownTask, UnknownTrack, archive_folders, find_task, list_tracks, load_track
 
 __all__ = [
     "Accepted",
@@ -10,6 +10,7 @@ __all__ = [
     "Track",
     "UnknownTask",
     "UnknownTrack",
+    "archive_folders",
     "find_task",
     "list_tracks",
     "load_track",

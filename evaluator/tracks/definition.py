@@ -85,6 +85,7 @@ class Task(StrictModel):
     success_rule: str
     max_steps: PositiveInt
     shard_size: PositiveInt
+    name_2025: Word | None = Field(default=None, description="Its name in the text logs of 2025, if it is in them.")
     notes: tuple[str, ...] = ()
     episode_list: EpisodeList
 
@@ -146,10 +147,12 @@ class Accepted(StrEnum):
 class Track(StrictModel):
     """One track: what is scored, how it is ranked, what may be submitted, and its tasks by name.
 
-    `ranking_rule` orders the submissions of one task, `combination_rule` those of all tasks together.
+    `ranking_rule` orders the submissions of one task, `combination_rule` those of all tasks together. `folder` is the
+    one folder that the archive of a submission holds, and the challenge's own name of the track.
     """
 
-    name: str
+    name: Word
+    folder: Word
     title: str
     summary: str
     ranking_rule: str

@@ -1,12 +1,20 @@
-"""Finds track files by name; the CLI, the server and the workers all load tracks here."""
+"""Finds track files by name; the CLI, the server and the workers all load tracks here.
 
+They lie beside this module, and in the folder that VITAC_TRACKS_DIR names; server and workers must be given the same.
+"""
+
+import os
+from collections.abc import Mapping
 from functools import cache
-from importlib.resources import files
+from pathlib import Path
 
 from vitac.envs.errors import VitacError
 
 from ..strict_model import DocumentRejected, parse_yaml
 from .definition import Task, Track
+
+ENVIRONMENT_VARIABLE = "VITAC_TRACKS_DIR"
+"""Names a folder with further track files."""
 
 
 class UnknownTrack(VitacError):
@@ -19,12 +27,9 @@ class UnknownTask(VitacError):
 
 def list_tracks() -> tuple[str, ...]:
     """Names of all tracks, sorted."""
-    return tuple(
-        sorted(path.name.removesuffix(".yaml") for path in files(__package__).iterdir() if path.name.endswith(".yaml"))
-    )
+    return tuple(sorted(_track_files()))
 
 
-@cache
 def load_track(name: str) -> Track:
     """Read one track.
 
@@ -32,13 +37,10 @@ def load_track(name: str) -> Track:
         UnknownTrack: no such track.
         DocumentRejected: the file is not a valid track.
     """
-    if name not in list_tracks():
-        raise UnknownTrack(f"There is no track {name!r}; the tracks are {', '.join(list_tracks())}.")
-    origin = f"{name}.yaml"
-    track = parse_yaml(Track, files(__package__).joinpath(origin).read_text(encoding="utf-8"), origin)
-    if track.name != name:
-        raise DocumentRejected(f"{origin} says name {track.name!r}; name and file name must agree.")
-    return track
+    files = _track_files()
+    if name not in files:
+        raise UnknownTrack(f"There is no track {name!r}; the tracks are {', '.join(sorted(files))}.")
+    return _read(files[name])
 
 
 def find_task(name: str) -> tuple[Track, Task]:
@@ -46,8 +48,43 @@ def find_task(name: str) -> tuple[Track, Task]:
 
     Raises:
         UnknownTask: no track has it.
+        DocumentRejected: two tracks have it.
     """
-    found = {task: load_track(track) for track in list_tracks() for task in load_track(track).tasks}
+    found: dict[str, Track] = {}
+    for track in map(load_track, list_tracks()):
+        for task in track.tasks:
+            if task in found:
+                raise DocumentRejected(f"The tracks {found[task].name} and {track.name} both have a task {task!r}.")
+            found[task] = track
     if name not in found:
         raise UnknownTask(f"There is no task {name!r}; the tasks are {', '.join(sorted(found))}.")
     return found[name], found[name].tasks[name]
+
+
+def archive_folders() -> tuple[str, ...]:
+    """Folders that the archive of a submission may hold: one for each track."""
+    return tuple(load_track(name).folder for name in list_tracks())
+
+
+def _track_files() -> Mapping[str, Path]:
+    own, further = _files_in(Path(__file__).parent), os.environ.get(ENVIRONMENT_VARIABLE)
+    if not further:
+        return own
+    added = _files_in(Path(further))
+    if not added:
+        raise DocumentRejected(f"{ENVIRONMENT_VARIABLE} is {further}, expected a folder with track files (*.yaml).")
+    for name in added.keys() & own.keys():
+        raise DocumentRejected(f"{added[name]} has the name of a track that is there already; choose another name.")
+    return {**own, **added}
+
+
+def _files_in(folder: Path) -> dict[str, Path]:
+    return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
+
+
+@cache
+def _read(path: Path) -> Track:
+    track = parse_yaml(Track, path.read_text(encoding="utf-8"), path.name)
+    if track.name != path.stem:
+        raise DocumentRejected(f"{path.name} says name {track.name!r}; name and file name must agree.")
+    return track

@@ -10,17 +10,21 @@ from math import isclose
 import numpy as np
 from numpy.typing import NDArray
 
-from ...tracks import Episode, Task
+from ...tracks import Episode, Task, list_tracks, load_track
 from ..checks import out_of_bounds
 from ..findings import Impossibility, ImpossibleReason
-from ..recordings import TASKS_OF_2025, Recording
+from ..recordings import Recording
 from . import Script, TextEpisode, TextLog
 from .checks import PRINTED_MM
 
 
 def track_and_task_names(script: Script) -> tuple[str, str]:
     """Return our names of a script's track and task, whether or not we have them."""
-    return script.track.lower(), TASKS_OF_2025.get(script.task, script.task.replace("_", "-"))
+    for track in map(load_track, list_tracks()):
+        for task in track.tasks.values():
+            if (track.folder, task.name_2025) == (script.track, script.task):
+                return track.name, task.name
+    return script.track.lower(), script.task.replace("_", "-")
 
 
 def why_not_resimulated(log: TextLog, script: Script, task: Task) -> Impossibility | None:

@@ -1,6 +1,7 @@
 import shutil
 import subprocess
 import sys
+from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import pytest
@@ -73,3 +74,18 @@ def test_hash_changes_with_numpy_version(copied_sources: Path, monkeypatch: pyte
     before = fresh_hash()
     monkeypatch.setattr(version, "version", lambda name: "9.9.9" if name == "numpy" else "0")
     assert fresh_hash() != before
+
+
+def test_hash_covers_packages_that_add_tasks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def added(source: str) -> str:
+        package = tmp_path / "toys"
+        package.mkdir(exist_ok=True)
+        (package / "__init__.py").write_text(source)
+        return fresh_hash()
+
+    point = EntryPoint(name="lift", value="toys.lift:TASK", group="vitac.tasks")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setattr(version, "entry_points", lambda *, group: [point] if group == point.group else [])
+    hashes = [added(""), added("x = 1"), added("")]
+    assert hashes[0] == hashes[2]
+    assert len({*hashes, version.evaluator_hash()}) == 3

@@ -4,6 +4,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from submissions import MANIFEST
 from vitac.cli.client.packing import pack
 from vitac.evaluator.submission.manifest import NoSubmission, submission_digest
 from vitac.evaluator.submission.names import ArchiveRejected
@@ -13,7 +14,7 @@ from vitac.evaluator.submission.names import ArchiveRejected
 def folder(tmp_path: Path) -> Path:
     folder = tmp_path / "mine"
     (folder / "weights").mkdir(parents=True)
-    (folder / "submission.yaml").write_text("track: track_1\n")
+    (folder / "submission.yaml").write_text(MANIFEST)
     (folder / "policy.py").write_text("class Policy: ...\n")
     (folder / "weights" / "w.bin").write_bytes(b"\0" * 1000)
     return folder

@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 import yaml
 from vitac.evaluator.strict_model import DocumentRejected, parse_yaml
-from vitac.evaluator.tracks import Track, UnknownTask, UnknownTrack, find_task, list_tracks, load_track
+from vitac.evaluator.tracks import Track, UnknownTask, UnknownTrack, archive_folders, find_task, list_tracks, load_track
 
 TRACK_1 = Path(__file__).parents[4] / "evaluator" / "tracks" / "track_1.yaml"
 
@@ -117,7 +117,7 @@ def test_unknown_key_names_the_nearest(
 
 
 def test_unlike_key_lists_all_valid_ones(content: dict[str, object]) -> None:
-    with pytest.raises(DocumentRejected, match="valid keys are accepts, combination_rule, name, ranking_rule"):
+    with pytest.raises(DocumentRejected, match="valid keys are accepts, combination_rule, folder, name, ranking_rule"):
         parse(content | {"zzzz": 1})
 
 
@@ -172,3 +172,48 @@ def test_unknown_environment_names_those_that_there_are(content: dict[str, objec
     content["tasks"]["peg-insertion"]["env_id"] = "ViTac/Peg-v1"  # type: ignore[index]
     with pytest.raises(DocumentRejected, match=r"'ViTac/Peg-v1', expected one of ViTac/LockOpening-v1, ViTac/Peg"):
         parse(content)
+
+
+@pytest.fixture
+def further(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("VITAC_TRACKS_DIR", str(tmp_path))
+    return tmp_path
+
+
+def one_task(content: dict[str, object], *, task: str) -> str:
+    tasks = content["tasks"]
+    assert isinstance(tasks, dict)
+    del content["combination_rule"]
+    return yaml.safe_dump(
+        content | {"name": "mine", "folder": "Mine", "tasks": {task: tasks["peg-insertion"] | {"name": task}}}
+    )
+
+
+def test_tracks_of_a_folder_stand_beside_ours(further: Path, content: dict[str, object]) -> None:
+    (further / "mine.yaml").write_text(one_task(content, task="my-peg"))
+    assert list_tracks() == ("mine", "track_1")
+    assert find_task("my-peg")[0].name == "mine"
+    assert archive_folders() == ("Mine", "Track_1")
+
+
+def test_tracks_of_ours_are_not_replaced(further: Path) -> None:
+    (further / "track_1.yaml").write_text(TRACK_1.read_text())
+    with pytest.raises(DocumentRejected, match=r"track_1\.yaml has the name of a track that is there already"):
+        list_tracks()
+
+
+def test_a_task_of_two_tracks_is_refused(further: Path, content: dict[str, object]) -> None:
+    (further / "mine.yaml").write_text(one_task(content, task="peg-insertion"))
+    with pytest.raises(DocumentRejected, match="mine and track_1 both have a task 'peg-insertion'"):
+        find_task("lock-opening")
+
+
+def test_a_folder_without_tracks_is_refused(further: Path) -> None:
+    with pytest.raises(DocumentRejected, match=r"VITAC_TRACKS_DIR is .*, expected a folder with track files"):
+        load_track("track_1")
+
+
+def test_name_and_file_name_agree(further: Path, content: dict[str, object]) -> None:
+    (further / "other.yaml").write_text(one_task(content, task="my-peg"))
+    with pytest.raises(DocumentRejected, match=r"other\.yaml says name 'mine'"):
+        load_track("other")
