@@ -1,4 +1,4 @@
-"""`vitac check`: what would be refused of a submission, found before the upload, in the sandbox that evaluates it."""
+"""`vitac check`: finds what would be refused before an upload, in the same sandbox as the evaluation."""
 
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
@@ -15,21 +15,21 @@ if TYPE_CHECKING:
 
 @dataclass(kw_only=True)
 class Findings:
-    """What was found, in the order in which it was looked for."""
+    """Results of the checks, in the order in which they ran."""
 
     digest: str | None = None
     passed: list[str] = field(default_factory=list)
     refused: list[str] = field(default_factory=list)
-    """Each one sentence or more; a submission with any of them is refused or fails."""
+    """Each one or more sentences; a submission with any of them is refused or fails."""
     output_tail: str = ""
-    """The last lines that the policy printed, where it failed."""
+    """The last lines of the output of a policy that failed."""
 
 
 def command(
     submission: Annotated[Path, typer.Argument(help="Zip or folder with submission.yaml.")],
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
-    """Tell what would be refused: the rules of archives, submission.yaml, two episodes of each task in the sandbox."""
+    """Check a submission before its upload: archive rules, submission.yaml, two episodes of each task."""
     findings = check(submission)
     if as_json:
         from .terminal.output import print_json
@@ -43,21 +43,21 @@ def command(
 
 
 def check(submission: Path) -> Findings:
-    """Look at everything that an upload and an evaluation look at.
+    """Run the checks of an upload and of an evaluation.
 
     Raises:
-        VitacError: the path is no submission, or this machine cannot evaluate.
+        VitacError: the path is not a submission, or this machine cannot evaluate.
     """
     from vitac.evaluator.submission.archive import ArchiveRejected
     from vitac.evaluator.submission.manifest import ManifestRejected, load_manifest, stage, submission_digest
 
     findings = Findings()
     with TemporaryDirectory(prefix="vitac-check-") as folder:
-        Path(folder).chmod(0o755)  # Under root the sandbox has a user of its own, which must reach the submission.
+        Path(folder).chmod(0o755)  # Under root the sandbox has its own user, which must be able to read the submission.
         try:
             staged = stage(submission, Path(folder) / "submission")
             findings.digest = submission_digest(submission)
-            findings.passed.append("the files keep the rules of archives")
+            findings.passed.append("the files follow the archive rules")
             manifest = load_manifest(staged)
             findings.passed.append(f"submission.yaml is complete: {manifest.name}, {', '.join(manifest.tasks)}")
         except (ArchiveRejected, ManifestRejected) as error:
@@ -69,7 +69,7 @@ def check(submission: Path) -> Findings:
 
 
 def _check_task(staged: Path, manifest: "SubmissionManifest", task: str, findings: Findings) -> None:
-    """Play the first and the last episode of a task's list, which differ in shape and start."""
+    """Run the first and the last episode of a task's list, which differ in shape and start."""
     from vitac.evaluator.evaluation.local import evaluate
     from vitac.evaluator.tracks import load_track
 
@@ -78,14 +78,14 @@ def _check_task(staged: Path, manifest: "SubmissionManifest", task: str, finding
     numbers = sorted({definition.episodes[0].number, definition.episodes[-1].number})
     evaluation = evaluate(submission_dir=staged, track=track, task=definition, episodes=numbers)
     for record in evaluation.records:
-        _judge(record, findings)
+        _add_result(record, findings)
 
 
-def _judge(record: "EpisodeRecord", findings: Findings) -> None:
+def _add_result(record: "EpisodeRecord", findings: Findings) -> None:
     where = f"{record.task}, episode {record.episode}"
     failure = record.failure
     if failure is None:
-        findings.passed.append(f"{where}: played {record.env_steps} env steps, ended by {record.outcome}")
+        findings.passed.append(f"{where}: {record.env_steps} env steps, outcome {record.outcome}")
         return
     findings.refused.append(f"{where}: {failure.code}. {failure.message} {failure.code.sentence}")
     findings.output_tail = failure.output_tail or findings.output_tail
@@ -97,6 +97,6 @@ def _lines(findings: Findings) -> Iterator[str]:
     for text in findings.refused:
         yield f"refused  {text}"
     if findings.output_tail:
-        yield "The last lines of its output:"
+        yield "Last lines of the policy's output:"
         yield from (f"  | {line}" for line in findings.output_tail.splitlines()[-20:])
-    yield "Refused." if findings.refused else f"Nothing would be refused. Digest {findings.digest}"
+    yield "This submission would be refused." if findings.refused else f"All checks passed. Digest {findings.digest}"

@@ -1,4 +1,4 @@
-"""`vitac doctor`: really tries the isolation of submissions on this machine and says what to install."""
+"""`vitac doctor`: attacks the sandbox on this machine and says what to install."""
 
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated, Any
@@ -13,20 +13,20 @@ if TYPE_CHECKING:
 def command(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
 ) -> None:
-    """Try the isolation of submissions here: fork bombs, memory, network, files, and more; exit 1 where one escapes."""
+    """Attack the sandbox on this machine: fork bombs, memory, network, files and more; exit 1 if an attack succeeds."""
     from vitac.evaluator.agent.isolation.machine import requirements
     from vitac.evaluator.agent.self_test import is_safe, run
 
     found = requirements()
-    can_try = all(requirement.is_met for requirement in found if requirement.is_needed)
+    can_run = all(requirement.is_met for requirement in found if requirement.is_needed)
     if not as_json:
         _print_requirements(found)
-    outcomes = _try_all(run(), shown=not as_json) if can_try else []
-    safe = can_try and is_safe(outcomes)
+    outcomes = _run_attacks(run(), shown=not as_json) if can_run else []
+    safe = can_run and is_safe(outcomes)
     if as_json:
         _print_json(found, outcomes, safe=safe)
     else:
-        print(_conclusion(outcomes, can_try=can_try, safe=safe))
+        print(_conclusion(outcomes, can_run=can_run, safe=safe))
     if not safe:
         raise typer.Exit(1)
 
@@ -48,7 +48,7 @@ def _state(requirement: "Requirement") -> str:
     return "missing" if requirement.is_needed else "note"
 
 
-def _try_all(outcomes: Any, *, shown: bool) -> "list[Outcome]":
+def _run_attacks(outcomes: Any, *, shown: bool) -> "list[Outcome]":
     from vitac.evaluator.agent.self_test import PROBES
 
     width = max(len(probe.name) for probe in PROBES)
@@ -65,17 +65,17 @@ def _short(detail: str) -> str:
     return line if len(line) <= 100 else f"{line[:97]}..."
 
 
-def _conclusion(outcomes: "list[Outcome]", *, can_try: bool, safe: bool) -> str:
-    if not can_try:
-        return "\nThis machine cannot isolate submissions yet; install what is missing above. Nothing was run."
+def _conclusion(outcomes: "list[Outcome]", *, can_run: bool, safe: bool) -> str:
+    if not can_run:
+        return "\nThis machine cannot isolate policies yet; install what is missing above. No attack was run."
     if safe:
         level = next(outcome.isolation for outcome in outcomes if outcome.isolation)
         return (
-            f"\nAll {len(outcomes)} attempts were held (user: {level.user}, memory: {level.memory}, "
+            f"\nAll {len(outcomes)} attacks were blocked (user: {level.user}, memory: {level.memory}, "
             f"episodes: {level.episodes})."
         )
     names = ", ".join(outcome.name for outcome in outcomes if outcome.state != "held")
-    return f"\nNOT SAFE: {names}. Run no submissions of others on this machine."
+    return f"\nNOT SAFE: {names}. Do not run other people's submissions on this machine."
 
 
 def _print_json(found: "list[Requirement]", outcomes: "list[Outcome]", *, safe: bool) -> None:

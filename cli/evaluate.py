@@ -1,4 +1,4 @@
-"""`vitac evaluate`: a submission on this machine, in the same sandbox and with the same result hash as the service."""
+"""`vitac evaluate`: evaluates a submission on this machine, in the same sandbox and with the same result hash."""
 
 import os
 import sys
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def parse_episodes(text: str | None) -> tuple[int, ...] | None:
-    """Episode numbers of `1:12,20`; ranges include both ends."""
+    """Parse episode numbers such as `1:12,20`; ranges include both ends."""
     if text is None:
         return None
     try:
@@ -24,17 +24,15 @@ def parse_episodes(text: str | None) -> tuple[int, ...] | None:
     except ValueError:
         ranges = []
     if len(ranges) != text.count(",") + 1 or not all(ranges):
-        raise typer.BadParameter(f"{text!r} is not a list of numbers and ranges such as 1:12,20.")
+        raise typer.BadParameter(f"expected numbers and ranges such as 1:12,20, got {text!r}.")
     return tuple(sorted({number for numbers in ranges for number in numbers}))
 
 
 def command(
     submission: Annotated[Path, typer.Argument(help="Zip or folder with submission.yaml.")],
-    task: Annotated[
-        str | None, typer.Option(help="Task to evaluate; needed where the submission plays several.")
-    ] = None,
+    task: Annotated[str | None, typer.Option(help="Task to evaluate; needed if the submission has several.")] = None,
     episodes: Annotated[str | None, typer.Option(help="Numbers and ranges, such as 1:12,20; all by default.")] = None,
-    workers: Annotated[int | None, typer.Option(min=1, help="Processes at once; one for each core by default.")] = None,
+    workers: Annotated[int | None, typer.Option(min=1, help="Number of processes; one per core by default.")] = None,
     team: Annotated[str | None, typer.Option(help="Team named in the log.")] = None,
     assets: Annotated[
         Path | None, typer.Option(help="Folder with the challenge's own meshes [env: VITAC_ASSETS_DIR]; unranked.")
@@ -76,16 +74,14 @@ def command(
 
 
 def _check_outputs(json: Path | None, log: Path | None, team: str | None) -> None:
-    """Return what would only fail after minutes of evaluation is refused before them."""
+    """Refuse unusable outputs before the evaluation rather than after it."""
     from vitac.evaluator.logs.log import is_team_name
 
     for option, path in (("--json", json), ("--log", log)):
         if path is not None and (path.is_dir() or not path.absolute().parent.is_dir()):
-            raise typer.BadParameter(
-                f"{path} cannot be written: name a file in a folder that exists.", param_hint=option
-            )
+            raise typer.BadParameter(f"expected a file in an existing folder, got {path}.", param_hint=option)
     if team is not None and not is_team_name(team):
-        raise typer.BadParameter(f"{team!r:.80} is not one line of at most 200 characters.", param_hint="--team")
+        raise typer.BadParameter(f"expected one line of at most 200 characters, got {team!r:.80}.", param_hint="--team")
 
 
 def _chosen_task(manifest: "SubmissionManifest", task: str | None) -> str:
@@ -93,7 +89,7 @@ def _chosen_task(manifest: "SubmissionManifest", task: str | None) -> str:
         return manifest.tasks[0]
     if task not in manifest.tasks:
         raise typer.BadParameter(
-            f"The submission plays {', '.join(manifest.tasks)}; name one of them.", param_hint="--task"
+            f"expected one of the submission's tasks, {', '.join(manifest.tasks)}.", param_hint="--task"
         )
     return task
 
@@ -124,9 +120,9 @@ def _print_summary(evaluation: "Evaluation", manifest: "SubmissionManifest") -> 
         score = evaluation.score
         rates = {"all": score, **score.by_shape}
         rows = [(name, rate.episodes, rate.successes, *_percentages(rate)) for name, rate in rates.items()]
-        print_table(("shape", "episodes", "solved", "rate", "95 % interval"), rows, none="")
-        print(f"mean env steps of the solved: {'none' if score.mean_steps is None else f'{score.mean_steps:.2f}'}")
-        print("ended by: " + ", ".join(f"{outcome} {count}" for outcome, count in score.outcomes.items()))
+        print_table(("shape", "episodes", "successes", "rate", "95 % interval"), rows, none="")
+        print(f"mean env steps of the successes: {'none' if score.mean_steps is None else f'{score.mean_steps:.2f}'}")
+        print("outcomes: " + ", ".join(f"{outcome} {count}" for outcome, count in score.outcomes.items()))
         print("seconds: " + ", ".join(f"{name} {seconds:.1f}" for name, seconds in _seconds(evaluation).items()))
         print(f"result hash {evaluation.result_hash}")
 
@@ -136,7 +132,7 @@ def _percentages(rate: "Rate") -> tuple[str, str]:
 
 
 def _seconds(evaluation: "Evaluation") -> dict[str, float]:
-    """Where the time went, summed over all processes."""
+    """Return the time spent on each part [s], summed over all processes."""
     keys = ("physics", "markers", "policy", "channel")
     timings = [record.timings for record in evaluation.records]
     return {key: sum(getattr(timing, f"{key}_s") for timing in timings) for key in keys}
@@ -164,12 +160,12 @@ class _Progress:
             TimeRemainingColumn(),
             console=Console(file=sys.stderr),
         )
-        self._solved = 0
+        self._successes = 0
         self._task = self._bar.add_task("starting", total=total)
 
     def advance(self, record: "EpisodeRecord") -> None:
-        self._solved += record.success
-        self._bar.update(self._task, advance=1, description=f"{self._solved} solved")
+        self._successes += record.success
+        self._bar.update(self._task, advance=1, description=f"{self._successes} successes")
 
     def __enter__(self) -> "_Progress":
         self._bar.start()

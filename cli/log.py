@@ -1,4 +1,4 @@
-"""`vitac log`: evaluation logs for people and scripts."""
+"""`vitac log`: shows, verifies, compares and imports evaluation logs."""
 
 import json as json_module
 import sys
@@ -13,13 +13,13 @@ if TYPE_CHECKING:
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, pretty_exceptions_enable=False)
 
-LogFile = Annotated[Path, typer.Argument(exists=True, dir_okay=False, help="A log of `vitac evaluate --log`.")]
+LogFile = Annotated[Path, typer.Argument(exists=True, dir_okay=False, help="A log written by `vitac evaluate --log`.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
 
 @app.command()
 def show(log: LogFile, json: AsJson = False) -> None:
-    """Print the header, a table of the episodes and the score that the log claims."""
+    """Print the header, a table of the episodes and the claimed score."""
     from vitac.evaluator.scoring.score import score
 
     from .terminal.output import print_json, print_table
@@ -32,9 +32,7 @@ def show(log: LogFile, json: AsJson = False) -> None:
         print_json(content | {"claimed_score": claimed.model_dump(mode="json") if claimed else None})
         return
     manifest = header.manifest
-    print(
-        f"team {header.team or 'not named'}, {manifest.track}, {manifest.task}, evaluator {manifest.evaluator_version}"
-    )
+    print(f"team {header.team or '-'}, {manifest.track}, {manifest.task}, evaluator {manifest.evaluator_version}")
     print(f"solver {manifest.solver_version}, {manifest.platform_class}, submission {header.submission_digest or '-'}")
     rows = [
         (record.episode, record.shape, _offset(record), record.outcome.value, record.env_steps, record.total_reward)
@@ -42,16 +40,18 @@ def show(log: LogFile, json: AsJson = False) -> None:
     ]
     print_table(("episode", "shape", "offset", "outcome", "env steps", "reward"), rows, none="no episodes")
     if claimed:
-        print(f"claimed: {claimed.successes} of {claimed.episodes} solved, {claimed.success_rate:.1%}")
+        print(f"claimed: {claimed.successes} of {claimed.episodes} successes, {claimed.success_rate:.1%}")
 
 
 @app.command()
 def verify(
     log: LogFile,
-    episodes: Annotated[str | None, typer.Option(help="The log needs to hold only these, such as 1:12.")] = None,
+    episodes: Annotated[
+        str | None, typer.Option(help="Numbers of the required episodes, such as 1:12; all by default.")
+    ] = None,
     json: AsJson = False,
 ) -> None:
-    """Re-simulate a log from its actions; exit code 0 if it is verified, 1 if it diverges or is impossible."""
+    """Re-simulate a log's actions; exit code 0 if it is verified, 1 if it diverges or is impossible."""
     from vitac.evaluator.episodes.episode import make_environment
     from vitac.evaluator.logs.verification import verify as verify_log
     from vitac.evaluator.tracks import find_task
@@ -80,14 +80,14 @@ def verify(
         if verification.divergence:
             print(verification.divergence.model_dump_json(indent=1))
         if verification.score:
-            print(f"{verification.score.successes} of {verification.score.episodes} solved")
+            print(f"{verification.score.successes} of {verification.score.episodes} successes")
     if not verification.records:
         raise typer.Exit(1)
 
 
 @app.command()
 def diff(first: LogFile, second: LogFile, json: AsJson = False) -> None:
-    """Print the first difference of two logs; exit code 0 if they tell the same, 1 if not."""
+    """Print the first difference between two logs; exit code 0 if there is none, 1 otherwise."""
     from vitac.evaluator.logs.differences import first_difference
 
     from .terminal.output import print_json
@@ -96,22 +96,22 @@ def diff(first: LogFile, second: LogFile, json: AsJson = False) -> None:
     if json:
         print_json(difference.model_dump(mode="json") if difference else None)
     elif difference is None:
-        print("the logs tell the same")
+        print("no difference")
     else:
         places = (("episode", difference.episode), ("env step", difference.env_step))
         place = " ".join(f"{name} {number}" for name, number in places if number is not None) or "header"
-        print(f"{place}: {difference.key} is {difference.first} and {difference.second}")
+        print(f"{place}: {difference.key} is {difference.first} in the first log, {difference.second} in the second")
     if difference:
         raise typer.Exit(1)
 
 
 @app.command("import")
 def import_(
-    file: Annotated[Path, typer.Argument(exists=True, dir_okay=False, help="A text log of the 2025 challenge.")],
+    file: Annotated[Path, typer.Argument(exists=True, dir_okay=False, help="A 2025 text log.")],
     output: Annotated[Path | None, typer.Option(help="Write the episodes to this file as JSON lines.")] = None,
     json: AsJson = False,
 ) -> None:
-    """Read a text log of the 2025 challenge, check all that can be checked, and convert it."""
+    """Read a 2025 text log, check it against itself and the published rules, and convert it."""
     from vitac.evaluator.logs.packing import open_log
     from vitac.evaluator.logs.text_2025 import read_text_log, summarize, to_json_lines
 
@@ -126,9 +126,10 @@ def import_(
     if json:
         print_json(summary.model_dump())
         return
-    print(f"{kind.name}, team {summary.team}: {summary.successes} of {summary.episodes} solved")
+    print(f"{kind.name}, team {summary.team}: {summary.successes} of {summary.episodes} successes")
     claimed = "no totals" if summary.claimed_success_rate is None else f"{summary.claimed_success_rate:.2%}"
-    print(f"success rate {summary.success_rate:.2%}, claimed {claimed}; average steps {summary.claimed_average_steps}")
+    print(f"success rate {summary.success_rate:.2%}, claimed {claimed}")
+    print(f"claimed average of env steps {summary.claimed_average_steps or '-'}")
     for problem in summary.problems:
         print(f"problem: {problem}")
 
@@ -139,7 +140,7 @@ def match(
     submission: Annotated[Path, typer.Argument(help="Zip or folder of the model.")],
     json: AsJson = False,
 ) -> None:
-    """Tell how many of a log's actions a model gives; exit code 0 if all, 1 if not."""
+    """Count how many of a log's actions a model gives; exit code 0 if all, 1 otherwise."""
     from vitac.evaluator.agent.limits import Limits
     from vitac.evaluator.episodes.episode import make_environment
     from vitac.evaluator.logs.action_match import match_actions
@@ -188,6 +189,6 @@ def _offset(record: "EpisodeRecord") -> str:
 
 
 def _progress(text: str) -> None:
-    """One line on stderr that is written over; an empty text clears it."""
+    """Overwrite a progress line on stderr; an empty text clears it."""
     if sys.stderr.isatty():
         print(f"\r\x1b[K{text}", end="", file=sys.stderr, flush=True)

@@ -24,18 +24,18 @@ class Noun:
 
 
 NOUNS = (
-    Noun(name="demo", module="demo.command", summary="Evaluate the example on a service of its own."),
-    Noun(name="check", module="check", summary="Tell what would be refused in a submission."),
+    Noun(name="demo", module="demo.command", summary="Run a service and evaluate the example submission on it."),
+    Noun(name="check", module="check", summary="Check a submission before its upload."),
     Noun(name="evaluate", module="evaluate", summary="Evaluate a submission here, as the service does."),
-    Noun(name="resimulate", module="resimulate", summary="Play recorded actions through the physics."),
-    Noun(name="log", module="log", summary="Show, verify, compare and import evaluation logs."),
-    Noun(name="show", module="show", summary="Draw an episode: gels, peg and marker flow."),
+    Noun(name="resimulate", module="resimulate", summary="Run recorded actions through the physics."),
+    Noun(name="log", module="log", summary="Show, verify, compare, match and import evaluation logs."),
+    Noun(name="show", module="show", summary="Draw an episode: gels, parts and marker flow."),
     Noun(name="submit", module="client.submit", summary="Upload a submission to a service."),
     Noun(name="status", module="client.status", summary="Show your submissions on a service."),
     Noun(name="serve", module="service.serve", summary="Run the service: database, API and pages."),
     Noun(name="worker", module="service.worker", summary="Run a worker that evaluates submissions."),
-    Noun(name="admin", module="admin.app", summary="Organize: teams, submissions, evaluations, workers."),
-    Noun(name="doctor", module="doctor", summary="Try the isolation of submissions on this machine."),
+    Noun(name="admin", module="admin.app", summary="Manage teams, submissions, evaluations and workers."),
+    Noun(name="doctor", module="doctor", summary="Test the sandbox on this machine."),
 )
 
 
@@ -50,7 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def build_app(arguments: Sequence[str]) -> typer.Typer:
-    """Return the command line with every noun listed, but only the one that is asked for imported."""
+    """Return the command line with every noun listed; import only the requested one."""
     app = typer.Typer(
         callback=_options,
         no_args_is_help=True,
@@ -58,9 +58,9 @@ def build_app(arguments: Sequence[str]) -> typer.Typer:
         pretty_exceptions_enable=False,
         add_completion=False,
     )
-    asked_for = next((argument for argument in arguments if not argument.startswith("-")), None)
+    requested = next((argument for argument in arguments if not argument.startswith("-")), None)
     for noun in NOUNS:
-        if noun.name != asked_for:
+        if noun.name != requested:
             app.command(noun.name, help=noun.summary)(_listed_only)
             continue
         module = import_module(f"vitac.cli.{noun.module}")
@@ -71,8 +71,8 @@ def build_app(arguments: Sequence[str]) -> typer.Typer:
     return app
 
 
-def _show_version(asked: bool) -> None:
-    if asked:
+def _show_version(wanted: bool) -> None:
+    if wanted:
         from vitac.evaluator.version import evaluator_version
 
         print(f"vitac-arena {version('vitac-arena')}, evaluator {evaluator_version()}")
@@ -88,4 +88,4 @@ def _options(
 
 
 def _listed_only() -> None:
-    """Stands in the list of commands for a noun that was not asked for."""
+    """List a noun that was not requested."""

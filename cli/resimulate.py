@@ -1,4 +1,4 @@
-"""`vitac resimulate`: recorded actions through our physics, beside what was recorded."""
+"""`vitac resimulate`: runs recorded actions through our physics and compares with the recorded results."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,18 +15,18 @@ if TYPE_CHECKING:
 def command(
     file: Annotated[
         Path,
-        typer.Argument(exists=True, dir_okay=False, help="Our own log or records, or a 2025 log as JSON lines."),
+        typer.Argument(exists=True, dir_okay=False, help="Our own log or records, or a 2025 text log as JSON lines."),
     ],
-    task: Annotated[str, typer.Option(help="The task that was played.")],
+    task: Annotated[str, typer.Option(help="Task of the recording.")],
     assets: Annotated[
         Path | None, typer.Option(help="Folder with the challenge's own meshes [env: VITAC_ASSETS_DIR].")
     ] = None,
     json: Annotated[Path | None, typer.Option(help="Write the report to this file.")] = None,
 ) -> None:
-    """Play recorded actions through the physics, all of them, also those after the end of an episode.
+    """Run recorded actions through the physics, including those after the end of an episode.
 
-    For each env step it prints ours and, behind a stroke, what was recorded [mm]: movement of the gel surfaces (left,
-    right), and the heights that decide about success (the peg's bottom vertices, the key's teeth).
+    For each env step print our value | the recorded value [mm]: motion of the gel surfaces (left, right), and the
+    heights that decide success (the peg's bottom vertices, the key's teeth).
     """
     from vitac.envs.assets import assets_dir_from_environment
     from vitac.evaluator.episodes.episode import make_environment
@@ -65,7 +65,7 @@ def _lines(task: "Task", recording: "Recording", played: "ReportedEpisode") -> I
 
 
 def _step_line(task: "Task", ours: "ReportedStep", recorded: "ReportedStep") -> str:
-    line = f"  step {ours.n:2}"
+    line = f"  env step {ours.n:2}"
     for measure in task.definition.measures:
         played, before = ours.measures.get(measure.name), recorded.measures.get(measure.name)
         if played or before:

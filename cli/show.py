@@ -1,4 +1,4 @@
-"""`vitac show`: draws an episode, for documents and for people who want to see what their policy does."""
+"""`vitac show`: draws an episode."""
 
 import sys
 from collections.abc import Iterable, Iterator, Mapping
@@ -30,22 +30,22 @@ _BETWEEN_MS, _ENV_STEP_MS, _END_MS = 120, 700, 2500
 
 
 class ExtraMissing(VitacError):
-    """The packages that draw are not installed; the message is the command that installs them."""
+    """The drawing packages are not installed; the message is the command that installs them."""
 
 
 class NothingToShow(VitacError):
-    """The file of actions does not hold the episode, or the episode has no such env step."""
+    """The episode has no recorded actions, or no such env step."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Start:
-    """Where an episode starts.
+    """The start of an episode.
 
     Attributes:
-        env_id: environment that is played.
-        title: which episode this is.
-        options: of the reset.
-        listed: the task and its episode, or None for a random start of an environment.
+        env_id: id of the environment.
+        title: names the episode.
+        options: reset options.
+        listed: task and episode of the list; None for a random start of an environment.
     """
 
     env_id: str
@@ -56,7 +56,7 @@ class Start:
 
 @dataclass(frozen=True, kw_only=True)
 class Played:
-    """An episode about to be played: its start, its actions, and where they come from."""
+    """The start of an episode, its actions, and a description of where they come from."""
 
     start: Start
     next_action: "NextAction"
@@ -66,12 +66,12 @@ class Played:
 def command(
     task: Annotated[str, typer.Argument(help="Task, such as peg-insertion, or the id of an environment.")],
     episode: Annotated[
-        int, typer.Option(help="Number in the task's list; of an environment, the seed of a random start.")
+        int, typer.Option(help="Number in the task's list; for an environment, the seed of a random start.")
     ],
     policy: Annotated[Path | None, typer.Option(help="Submission whose policy acts, in its sandbox.")] = None,
     actions: Annotated[
         Path | None,
-        typer.Option(exists=True, dir_okay=False, help="Log with the actions: ours, or a 2025 log as JSON lines."),
+        typer.Option(exists=True, dir_okay=False, help="Log with the actions: ours, or a 2025 text log as JSON lines."),
     ] = None,
     out: Annotated[
         Path | None,
@@ -80,27 +80,27 @@ def command(
         ),
     ] = None,
     colour: Annotated[
-        Literal["stress", "displacement"], typer.Option(help="What the gels are coloured by.")
+        Literal["stress", "displacement"], typer.Option(help="Quantity that colours the gels.")
     ] = "stress",
     step: Annotated[
-        int | None, typer.Option(min=0, help="Env step that a PNG shows, 0 is after the grasp; the last by default.")
+        int | None, typer.Option(min=0, help="Env step that a PNG shows, 0 is the reset; the last by default.")
     ] = None,
     every: Annotated[
         Literal["env-step", "ipc-step"] | None,
-        typer.Option(help="How often a picture is made; ipc-step by default where it is animated."),
+        typer.Option(help="Interval of pictures; ipc-step by default for animations."),
     ] = None,
     width: Annotated[
-        int | None, typer.Option(min=600, max=4000, help="Pixels across; 1600, or 1000 where it is animated.")
+        int | None, typer.Option(min=600, max=4000, help="Width in pixels; 1600 by default, 1000 for animations.")
     ] = None,
     assets: Annotated[
         Path | None, typer.Option(help="Folder with the challenge's own meshes [env: VITAC_ASSETS_DIR].")
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
-    """Draw an episode: gels by stress or displacement, the part they hold, the hole cut open, and both marker flows.
+    """Draw an episode: gels by stress or displacement, the held part, the fixed part cut open, and both marker flows.
 
-    Without --policy and --actions the part goes straight to its target, which no policy could do: it is not told where
-    that is.
+    Without --policy and --actions the part moves straight to its target, which a policy cannot do because it does not
+    know where the target is.
     """
     require_extra()
     from vitac.envs.drawing.colouring import Quantity
@@ -109,11 +109,11 @@ def command(
     from vitac.envs.drawing.playback import Pace, record
 
     if policy and actions:
-        raise typer.BadParameter("give one of them.", param_hint="--policy and --actions")
+        raise typer.BadParameter("expected one of them, got both.", param_hint="--policy and --actions")
     start = find_start(task, episode)
     destination = Destination.at(out or Path(f"{task.rpartition('/')[2]}-{episode}.png"))
     if step is not None and destination.kind is not destination.kind.PNG:
-        raise typer.BadParameter("only a single PNG shows one env step.", param_hint="--step")
+        raise typer.BadParameter("expected a single PNG as output for one env step.", param_hint="--step")
     pace = Pace(every) if every else Pace.IPC_STEP if destination.kind.is_animated else Pace.ENV_STEP
     env = _environment(start.env_id, assets)
     with _player(start, policy, actions) as played:
@@ -136,7 +136,7 @@ def command(
 
 
 def require_extra() -> None:
-    """Make sure that the packages that draw are here.
+    """Check that the drawing packages are installed.
 
     Raises:
         ExtraMissing: one is not.
@@ -151,7 +151,7 @@ def require_extra() -> None:
 
 
 def find_start(task: str, number: int) -> Start:
-    """Return an episode of a task's list, or the random start of an environment that has the number as its seed.
+    """Return an episode of a task's list, or a random start of an environment with the number as its seed.
 
     Raises:
         UnknownTask: there is neither such a task nor such an environment.
@@ -190,9 +190,7 @@ def _player(start: Start, policy: Path | None, actions: Path | None) -> Iterator
         yield Played(start=start, next_action=straight_to_target(start.env_id), actions=DESCRIPTION)
         return
     if start.listed is None:
-        raise NothingToShow(
-            f"{start.env_id} is not a task; a policy and recorded actions need one, as peg-insertion is."
-        )
+        raise NothingToShow(f"Expected a task such as peg-insertion for --policy or --actions, got {start.env_id}.")
     task, episode = start.listed
     if policy:
         with _policy_player(task, start, policy) as played:
@@ -210,12 +208,12 @@ def _policy_player(task: "Task", start: Start, submission: Path) -> Iterator[Pla
     from vitac.evaluator.submission.manifest import load_manifest, stage
 
     with TemporaryDirectory(prefix="vitac-show-") as folder:
-        Path(folder).chmod(0o755)  # Under root the sandbox has a user of its own, which must reach the submission.
+        Path(folder).chmod(0o755)  # Under root the sandbox has its own user, which must be able to read the submission.
         staged = stage(submission, Path(folder) / "submission")
         manifest = load_manifest(staged)
         if task.name not in manifest.tasks:
             raise NothingToShow(
-                f"The submission plays {', '.join(manifest.tasks)}, not {task.name}; show one of these."
+                f"Expected one of the submission's tasks, {', '.join(manifest.tasks)}, got {task.name}."
             )
         with (
             PolicySession(staged, entry_point=manifest.entry_point) as session,
@@ -234,7 +232,9 @@ def _recording(task: "Task", number: int, path: Path) -> "Recording":
     for recording in read_recordings(path, task):
         if recording.episode.number == number:
             return recording
-    raise NothingToShow(f"{path} holds no actions for episode {number}; `vitac log show` lists the episodes of a log.")
+    raise NothingToShow(
+        f"{path} contains no actions for episode {number}; `vitac log show` lists the episodes of a log."
+    )
 
 
 def _one_by_one(actions: "NDArray[np.float32]") -> "NextAction":
@@ -247,20 +247,20 @@ def _one_by_one(actions: "NDArray[np.float32]") -> "NextAction":
 
 
 def _chosen(playback: "Playback", kind: "Kind", step: int | None) -> slice:
-    """Return the moments that are drawn."""
+    """Return the moments to draw."""
     if kind is not kind.PNG:
         return slice(None)
     ends = playback.last_moments
     if step is not None and step >= len(ends):
         raise NothingToShow(
-            f"The episode ended after env step {len(ends) - 1}; --step can be 0 to {len(ends) - 1}, came {step}."
+            f"The episode ended after env step {len(ends) - 1}: expected --step 0 to {len(ends) - 1}, got {step}."
         )
     index = ends[-1 if step is None else step]
     return slice(index, index + 1)
 
 
 def _names_and_durations(playback: "Playback") -> Iterator[tuple[str, int]]:
-    """File name and time on screen [ms] of every moment."""
+    """Yield file name and duration on screen [ms] of every moment."""
     first = 0
     for index, moment in enumerate(playback.moments):
         if index in playback.last_moments:

@@ -1,4 +1,4 @@
-"""Follows an evaluation over the REST interface until it ends, showing its progress.
+"""Follows an evaluation over HTTP until it ends and shows its progress.
 
 Called by `status`, `submit` and `demo`.
 """
@@ -17,11 +17,11 @@ POLL_S = 0.5
 _ENDED = frozenset({"completed", "failed", "cancelled"})
 
 Pause = Callable[[], object]
-"""What happens between two looks at an evaluation; may raise to stop following."""
+"""Called between two requests for the state of an evaluation; raises to stop following."""
 
 
 def has_ended(found: Json) -> bool:
-    """Tell whether the newest evaluation of a submission goes on no more."""
+    """Return whether the newest evaluation of a submission has ended."""
     return found["evaluation"]["state"] in _ENDED
 
 

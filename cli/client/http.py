@@ -1,4 +1,4 @@
-"""Talks to a service over its REST interface. Called by `submit`, `status` and `demo`."""
+"""The HTTP client of a service's API. Called by `submit`, `status` and `demo`."""
 
 from __future__ import annotations
 
@@ -20,26 +20,26 @@ TIMEOUT = httpx.Timeout(30.0, connect=10.0)
 HINTS = {
     "missing_credentials": "Set VITAC_TOKEN to your team's API token, or give --token-file.",
     "invalid_credentials": "Check VITAC_TOKEN; ask an organizer for a new token if it was revoked or has expired.",
-    "forbidden": "This token may not do that; use one of the right team, or an organizer's.",
-    "not_found": "Check the id (vitac status lists yours) and the token.",
+    "forbidden": "This token has no permission for that; use the right team's token, or an organizer's.",
+    "not_found": "Check the id (`vitac status` lists yours) and the token.",
     "unknown_track": "Check the track's name in submission.yaml and with --track.",
     "log_rejected": "Make the log again with `vitac evaluate --log`, and upload one log at a time, unaltered; "
-    "`vitac log import FILE` tells what is wrong with a 2025 text log.",
-    "log_impossible": "Check it at home: `vitac log verify FILE`, or `vitac log import FILE` for a 2025 text log.",
+    "`vitac log import FILE` lists the problems of a 2025 text log.",
+    "log_impossible": "Check it locally: `vitac log verify FILE`, or `vitac log import FILE` for a 2025 text log.",
     "log_team_mismatch": "Use the token of the team that the log names, or evaluate with --team.",
-    "archive_rejected": "Run `vitac check` on the submission; it tells everything that would be refused.",
-    "digest_mismatch": "The upload was damaged on its way; send it again.",
-    "upload_truncated": "The upload broke off; send it again.",
-    "upload_too_large": "Leave out what the policy does not need to run; a log holds one evaluation of one task.",
-    "too_many_requests": "Wait a little and repeat.",
-    "database_unavailable": "The service is starting or under repair; repeat in a minute.",
-    "storage_unavailable": "The service cannot store files now; repeat in a minute.",
+    "archive_rejected": "Run `vitac check` on the submission; it lists everything that would be refused.",
+    "digest_mismatch": "The upload was corrupted in transit; send it again.",
+    "upload_truncated": "The upload was cut off; send it again.",
+    "upload_too_large": "Remove files that the policy does not need; a log holds one evaluation of one task.",
+    "too_many_requests": "Wait a moment and retry.",
+    "database_unavailable": "The database is starting or down; retry in a minute.",
+    "storage_unavailable": "The service cannot store files now; retry in a minute.",
 }
 Json = dict[str, Any]
 
 
 class RequestRefused(VitacError):
-    """The service refused a request; the message has status, code, sentence, hint and request id."""
+    """The service refused a request; the message has status, code, detail, hint and request id."""
 
     def __init__(self, *, status: int, code: str, detail: str, request_id: str | None) -> None:
         self.status, self.code, self.detail, self.hint = status, code, detail, HINTS.get(code)
@@ -52,7 +52,7 @@ class RequestRefused(VitacError):
 
 
 class ServiceUnreachable(VitacError):
-    """Nobody answers at the address; the message says which and what to check."""
+    """No service answers at the address; the message names it and says what to check."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,8 +61,8 @@ class Client:
 
     Attributes:
         server: address, as `http://127.0.0.1:8000`.
-        token: API token; None for what everybody may read.
-        transport: how requests travel; None: over the network.
+        token: API token; None for public data only.
+        transport: HTTP transport; None: over the network.
     """
 
     server: str
@@ -70,11 +70,11 @@ class Client:
     transport: httpx.BaseTransport | None = None
 
     def register_team(self, name: str) -> Json:
-        """Register a team; the answer holds its token, shown only now."""
+        """Register a team; the answer contains its token, which is shown only once."""
         return self._json("POST", "/api/v1/teams", json={"name": name})
 
     def me(self) -> Json:
-        """Return whose token this is."""
+        """Return the owner of the token."""
         return self._json("GET", "/api/v1/me")
 
     def submission(self, submission_id: str) -> Json:
@@ -99,7 +99,7 @@ class Client:
         again: bool = False,
         on_bytes: Callable[[int], None],
     ) -> Json:
-        """Upload an archive or a log; the server compares its SHA-256 with what arrived.
+        """Upload an archive or a log with its SHA-256, which the server checks.
 
         Args:
             archive: the file.
@@ -122,7 +122,7 @@ class Client:
             | ({"again": "true"} if again else {})
         )
         return self._json(
-            "POST", "/api/v1/submissions", params=params, headers=headers, content=_pieces(archive, on_bytes)
+            "POST", "/api/v1/submissions", params=params, headers=headers, content=_chunks(archive, on_bytes)
         )
 
     def _json(self, method: str, path: str, **arguments: Any) -> Json:
@@ -142,11 +142,11 @@ class Client:
         raise _refusal(answer)
 
 
-def _pieces(archive: Path, on_bytes: Callable[[int], None]) -> Iterator[bytes]:
+def _chunks(archive: Path, on_bytes: Callable[[int], None]) -> Iterator[bytes]:
     with archive.open("rb") as file:
-        while piece := file.read(CHUNK_BYTES):
-            yield piece
-            on_bytes(len(piece))
+        while chunk := file.read(CHUNK_BYTES):
+            yield chunk
+            on_bytes(len(chunk))
 
 
 def _refusal(answer: httpx.Response) -> RequestRefused:
@@ -164,14 +164,14 @@ def _refusal(answer: httpx.Response) -> RequestRefused:
 
 
 def client_from(server: str | None, token_file: Path | None) -> Client:
-    """Return the client that options and environment (VITAC_SERVER, VITAC_TOKEN) ask for.
+    """Return a client configured by options and environment (VITAC_SERVER, VITAC_TOKEN).
 
     Raises:
-        VitacError: the address is none, or the token's file cannot be read.
+        VitacError: the address is invalid, or the token's file cannot be read.
     """
     address = server or os.environ.get("VITAC_SERVER") or DEFAULT_SERVER
     if not address.startswith(("http://", "https://")):
-        raise VitacError(f"The service's address is {address!r}; expected one like {DEFAULT_SERVER}.")
+        raise VitacError(f"Expected a service address like {DEFAULT_SERVER}, got {address!r}.")
     return Client(server=address.rstrip("/"), token=_token(token_file))
 
 

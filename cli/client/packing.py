@@ -1,6 +1,6 @@
-"""Makes the archive of a submission's folder: the same bytes for the same files on every machine.
+"""Packs a submission's folder into an archive: the same bytes for the same files on every machine.
 
-Called by `submit` and `demo`. What belongs to a submission is the evaluator's to say: names left out, top folder.
+Called by `submit` and `demo`. The evaluator decides which files are ignored.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ UNIX = 3
 
 
 def pack(folder: Path, archive: Path) -> int:
-    """Write the archive of a submission's folder; order, times and modes are fixed, caches are left out.
+    """Write the archive of a submission's folder, with fixed order, times and modes and without caches.
 
     Args:
-        folder: holds `submission.yaml`, itself or in its folder of a track, such as `Track_1`.
+        folder: contains `submission.yaml`, directly or in a folder of its track such as `Track_1`.
         archive: file to write.
 
     Returns:
         Number of files packed.
 
     Raises:
-        NoSubmission: the folder holds none.
+        NoSubmission: the folder contains no submission.
         ManifestRejected: its manifest cannot be read.
-        ArchiveRejected: a link or a device lies in the folder.
+        ArchiveRejected: the folder contains a link or a device.
     """
     from vitac.evaluator.submission.manifest import find_submission, top_folder
 

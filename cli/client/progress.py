@@ -1,4 +1,4 @@
-"""Shows a running evaluation: a bar for each task on a terminal, a line per tenth in a pipe.
+"""Shows a running evaluation: a progress bar for each task on a terminal, a line every 10 % in a pipe.
 
 Called by `status`, `submit` and `demo`.
 """
@@ -21,11 +21,11 @@ LINES_PER_EVALUATION = 10
 
 
 class EvaluationProgress:
-    """Told each new state of a submission; shows what changed.
+    """Progress of one evaluation; `update` is called with each new state of the submission.
 
     Args:
         quiet: show nothing.
-        console: where to show it; default: stderr, so that a pipe gets the result only.
+        console: where to show it; default: stderr, so that a pipe receives only the result.
         indent: spaces before each line.
     """
 
@@ -33,7 +33,7 @@ class EvaluationProgress:
         self._quiet = quiet
         self._console = console or Console(stderr=True)
         self._indent = " " * indent
-        self._lines_said = 0
+        self._tenths_printed = 0
         self._bar: Progress | None = None
         self._tasks: dict[str, TaskID] = {}
 
@@ -61,13 +61,13 @@ class EvaluationProgress:
             self._bar.stop()
 
     def update(self, found: Json) -> None:
-        """Show the present state of a submission."""
+        """Show the current state of a submission."""
         if self._quiet:
             return
         evaluation = found["evaluation"]
         progress = evaluation["progress"]
         if self._bar is None:
-            self._say_line(progress)
+            self._print_line(progress)
             return
         several = len(progress["tasks"]) > 1
         for task in progress["tasks"]:
@@ -80,26 +80,26 @@ class EvaluationProgress:
         shown = description if done < total else ""
         bar.update(self._tasks[task["task"]], completed=done, successes=task["successes"], description=shown)
 
-    def _say_line(self, progress: Json) -> None:
+    def _print_line(self, progress: Json) -> None:
         done, total = progress["episodes_done"], progress["episodes_total"]
         tenth = LINES_PER_EVALUATION * done // total
-        if tenth > self._lines_said:
-            self._lines_said = tenth
+        if tenth > self._tenths_printed:
+            self._tenths_printed = tenth
             line = f"{self._indent}{done}/{total} episodes, {progress['successes']} successes"
             self._console.print(line + _by_task(progress["tasks"]), highlight=False, soft_wrap=True)
 
 
 def _by_task(tasks: list[Json]) -> str:
-    """How far each task is, where there are several."""
+    """Return the progress of each task, where there are several."""
     parts = [f"{task['task']} {task['episodes_done']}/{task['episodes_total']}" for task in tasks]
     return f" ({', '.join(parts)})" if len(parts) > 1 else ""
 
 
 def situation(found: Json) -> str:
-    """Say in a few words what the evaluation waits for, or how long it still takes."""
+    """Return what the evaluation waits for, or the estimated time left, in a few words."""
     evaluation = found["evaluation"]
     if found["workers"]["alive"] == 0 and evaluation["state"] in {"queued", "running"}:
-        return "no worker is alive"
+        return "no worker is running"
     if evaluation["state"] == "queued":
         return f"number {evaluation['queue_position']} in the queue"
     eta = evaluation["eta_s"]

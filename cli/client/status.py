@@ -1,4 +1,4 @@
-"""`vitac status`: what became of submissions."""
+"""`vitac status`: the state and results of submissions."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ class EvaluationEndedWithoutScore(VitacError):
 
 def command(
     submission: Annotated[
-        str | None, typer.Argument(help="Id of a submission; without one, the newest are listed.")
+        str | None, typer.Argument(help="Id of a submission; the newest are listed if omitted.")
     ] = None,
-    watch: Annotated[bool, typer.Option("--watch", help="Stay until the evaluation ends.")] = False,
+    watch: Annotated[bool, typer.Option("--watch", help="Wait until the evaluation ends.")] = False,
     server: Annotated[str | None, typer.Option(help="Address of the service; default: VITAC_SERVER.")] = None,
     token_file: Annotated[Path | None, typer.Option(help="File with the API token; default: VITAC_TOKEN.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the service's answer as JSON.")] = False,
@@ -37,7 +37,7 @@ def command(
     client = client_from(server, token_file)
     if submission is None:
         if watch:
-            raise typer.BadParameter("--watch needs the id of a submission")
+            raise typer.BadParameter("--watch needs the id of a submission.")
         show_list(client.submissions(), as_json=as_json)
         return
     if watch:
@@ -49,7 +49,7 @@ def command(
 
 
 def show_when_ended(client: Client, submission_id: str, *, as_json: bool) -> None:
-    """Stay until an evaluation ends, then print it.
+    """Wait until an evaluation ends, then print it.
 
     Raises:
         EvaluationEndedWithoutScore: it failed or was cancelled.
@@ -63,7 +63,7 @@ def show_when_ended(client: Client, submission_id: str, *, as_json: bool) -> Non
 
 
 def require_score(found: Json) -> None:
-    """Refuse an evaluation that ended without a score.
+    """Raise an error if an evaluation ended without a score.
 
     Raises:
         EvaluationEndedWithoutScore: it failed or was cancelled.
@@ -77,12 +77,14 @@ def require_score(found: Json) -> None:
 
 
 def show_list(found: list[Json], *, as_json: bool) -> None:
-    """Print submissions below each other."""
+    """Print a table of submissions."""
     if as_json:
         print_json(found)
         return
     columns = ["submission", "name", "team", "state", "episodes", "success", "submitted"]
-    print_table(columns, [_row(item) for item in found], none="Nothing submitted yet; `vitac submit FOLDER` uploads.")
+    print_table(
+        columns, [_row(item) for item in found], none="Nothing submitted yet; upload with `vitac submit FOLDER`."
+    )
 
 
 def show(found: Json) -> None:
@@ -95,36 +97,36 @@ def show(found: Json) -> None:
         "team": found["team"]["name"],
         "state": evaluation["state"],
         "queue": evaluation["queue_position"],
-        "episodes": f"{done['episodes_done']} of {done['episodes_total']}, {done['episodes_reused']} from the store",
+        "episodes": f"{done['episodes_done']} of {done['episodes_total']}, {done['episodes_reused']} reused",
     }
     if found["log"]:
         pairs |= _log(found["log"])
     pairs |= _scores(found) if evaluation["scores"] else _progress_of_tasks(done)
     if found["missing_tasks"]:
-        pairs["not played"] = f"{', '.join(found['missing_tasks'])} (counts as 0 in the ranking of all tasks)"
+        pairs["not submitted"] = f"{', '.join(found['missing_tasks'])} (counts as 0 in the ranking of all tasks)"
     if evaluation["verdict"] is not None:
         pairs["verdict"] = _verdict(evaluation["verdict"])
     print_pairs(pairs)
     if evaluation["log_tail"]:
-        print(f"\noutput of the policy, its last lines:\n{evaluation['log_tail']}")
+        print(f"\nlast lines of the policy's output:\n{evaluation['log_tail']}")
 
 
 def _log(log: Json) -> dict[str, object]:
-    """Claims of a log and that it is verified; what was found against it is the evaluation's verdict."""
+    """Return a log's claims and its verification; why it failed is in the evaluation's verdict."""
     claimed = f"{percent(log['claimed_success_rate'])}, {log['claimed_successes']} of {log['claimed_episodes']}"
     lines: dict[str, object] = {"kind": log["label"], "claimed": claimed}
     if log["verdict"] is not None and log["verdict"].startswith("verified"):
         lines["log"] = f"{log['verdict']}: {log['reason']}"
     if log["divergence"] is not None:
         lines["state in the log"] = log["divergence"]["recorded_state"]
-        lines["re-simulated"] = log["divergence"]["resimulated_state"]
+        lines["re-simulated state"] = log["divergence"]["resimulated_state"]
     if log["problems"]:
         lines["problems"] = f"{len(log['problems'])}, the first: {log['problems'][0]}"
     return lines
 
 
 def _scores(found: Json) -> dict[str, object]:
-    """Score, rank and result hash of each task, and of all together where the track has several."""
+    """Return score, rank and result hash of each task, and of all together where the track has several."""
     evaluation, ranks = found["evaluation"], found["task_ranks"]
     lines: dict[str, object] = {
         score["task"]: _score(score, ranks.get(score["task"])) for score in evaluation["scores"]
@@ -139,13 +141,13 @@ def _scores(found: Json) -> dict[str, object]:
 
 def _score(score: Json, rank: Json | None) -> str:
     low, high = score["success_rate_interval"]
-    steps = "no mean of steps" if score["mean_steps"] is None else f"{score['mean_steps']:.2f} steps"
+    steps = "no success" if score["mean_steps"] is None else f"{score['mean_steps']:.2f} env steps"
     place = "" if rank is None else f", rank {rank['rank']} of {rank['of']}"
     return f"{percent(score['success_rate'])} ({percent(low)} to {percent(high)}), {steps}{place}"
 
 
 def _progress_of_tasks(progress: Json) -> dict[str, object]:
-    """How far each task is, where there are several."""
+    """Return the progress of each task, where there are several."""
     tasks = progress["tasks"]
     return {
         task["task"]: f"{task['episodes_done']} of {task['episodes_total']}, {task['successes']} successes"
@@ -159,8 +161,8 @@ def _verdict(verdict: Json) -> str:
     return f"{verdict['code']}: {verdict['message']}{where}"
 
 
-def to_the_second(time: str) -> str:
-    """Shorten a time as the service writes it: `2026-11-21T04:56:50.45Z` to `2026-11-21 04:56:50Z`."""
+def format_time(time: str) -> str:
+    """Format a time of the API to the second: `2026-11-21T04:56:50.45Z` as `2026-11-21 04:56:50Z`."""
     return f"{time[:19].replace('T', ' ')}Z"
 
 
@@ -176,5 +178,5 @@ def _row(item: Json) -> list[object]:
         evaluation["state"],
         done,
         ", ".join(rates),
-        to_the_second(item["submitted_at"]),
+        format_time(item["submitted_at"]),
     ]

@@ -30,17 +30,18 @@ def command(
     server: Annotated[str | None, typer.Option(help="Address of the service; default: VITAC_SERVER.")] = None,
     token_file: Annotated[Path | None, typer.Option(help="File with the API token; default: VITAC_TOKEN.")] = None,
     kind: Annotated[
-        UploadKind | None, typer.Option(help="What the file is; by its name if not given: .jsonl log, .log text log.")
+        UploadKind | None,
+        typer.Option(help="Kind of submission; by default from the name: .jsonl log, .log 2025 text log."),
     ] = None,
     team: Annotated[str | None, typer.Option(help="For organizers: the team that submits.")] = None,
-    again: Annotated[bool, typer.Option("--again", help="Run all episodes, also those evaluated before.")] = False,
-    watch: Annotated[bool, typer.Option("--watch", help="Stay and show the progress.")] = False,
+    again: Annotated[bool, typer.Option("--again", help="Run all episodes, including stored ones.")] = False,
+    watch: Annotated[bool, typer.Option("--watch", help="Wait for the evaluation and show its progress.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the service's answer as JSON.")] = False,
 ) -> None:
     """Upload a submission and print its id and page.
 
-    A folder is packed first, always into the same bytes. A log of `vitac evaluate --log` or of the 2025 challenge is
-    re-simulated from its actions and ranks apart from models.
+    A folder is packed first, the same files always into the same bytes. The actions of a log, from
+    `vitac evaluate --log` or the 2025 challenge, are re-simulated; logs are ranked separately from models.
 
     Exit code 0: accepted (with --watch: completed), 1: refused, 2: wrong usage.
     """
@@ -61,7 +62,7 @@ def command(
 
 @contextmanager
 def packed(submission: Path) -> Iterator[Path]:
-    """Give the file to upload: a file as it is, a folder packed into a temporary zip."""
+    """Yield the file to upload: a file unchanged, a folder as a temporary zip."""
     if submission.is_file():
         yield submission
         return
@@ -73,7 +74,7 @@ def packed(submission: Path) -> Iterator[Path]:
 
 @contextmanager
 def upload_bar(total_bytes: int, *, shown: bool) -> Iterator[Callable[[int], None]]:
-    """Show the upload's progress on a terminal's stderr, and nothing in a pipe."""
+    """Show the upload's progress on stderr if it is a terminal."""
     from rich.console import Console
     from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TransferSpeedColumn
 
@@ -88,7 +89,7 @@ def upload_bar(total_bytes: int, *, shown: bool) -> Iterator[Callable[[int], Non
 
 
 def describe(client: Client, answer: Json) -> None:
-    """Print id, state and page of a submission that the service took."""
+    """Print id, state and page of an accepted submission."""
     evaluation = answer["evaluation"]
     position = evaluation["queue_position"]
     print(f"submission  {answer['id']}")
@@ -97,7 +98,7 @@ def describe(client: Client, answer: Json) -> None:
     print(f"state       {evaluation['state']}" + (f", number {position} in the queue" if position else ""))
     print(f"tasks       {', '.join(answer['tasks'])}" + _missing(answer["missing_tasks"]))
     print(f"page        {client.server}/submissions/{answer['id']}")
-    print("\nThe page needs a sign-in with the same token. `vitac status ID --watch` follows it here.")
+    print("\nSign in with the same token to see the page. `vitac status ID --watch` shows the progress here.")
 
 
 def _missing(tasks: list[str]) -> str:

@@ -1,7 +1,4 @@
-"""What a file to submit is, by its name: a model's zip, our log, or a text log of 2025.
-
-Called by `submit`.
-"""
+"""The kind of a submission by its file name: a model's zip, our log, or a 2025 text log. Called by `submit`."""
 
 from __future__ import annotations
 
@@ -12,7 +9,7 @@ GZIP_MAGIC = b"\x1f\x8b"
 
 
 class UploadKind(StrEnum):
-    """What the service takes; the names are those of its API."""
+    """The kinds of submission, as named in the API."""
 
     MODEL = "model"
     LOG = "log"
@@ -28,7 +25,7 @@ KIND_OF_SUFFIX = {".jsonl": UploadKind.LOG, ".log": UploadKind.TEXT_LOG, ".txt":
 
 
 def kind_of(path: Path) -> UploadKind:
-    """Return what a file or folder is; the service checks it anyway."""
+    """Return the kind of a file or folder by its name; the service checks the content."""
     if path.is_dir():
         return UploadKind.MODEL
     named = path.with_suffix("") if path.suffix == ".gz" else path

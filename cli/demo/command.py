@@ -1,4 +1,4 @@
-"""`vitac demo`: the whole way of a submission on this machine, from an empty folder to a leaderboard."""
+"""`vitac demo`: a whole evaluation on this machine, from an empty state directory to a leaderboard."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 TRACK = "track_1"
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "peg_insertion_heuristic"
-SLOTS_AT_MOST = 4
+MAX_SLOTS = 4
 WORKER_START_LIMIT_S = 120.0
 POLL_S = 0.25
 WARM_UP = "from vitac.cli.demo.physics import warm_up; warm_up()"
@@ -51,22 +51,24 @@ class DemoRefused(VitacError):
 
 
 class Interrupted(Exception):
-    """Somebody asked to stop before the evaluation had ended."""
+    """A request to stop was received before the evaluation ended."""
 
 
 def command(
     exit_after: Annotated[bool, typer.Option("--exit", help="Stop the service after the leaderboard.")] = False,
-    again: Annotated[bool, typer.Option("--again", help="Run all episodes, also those in the store.")] = False,
-    port: Annotated[int | None, typer.Option(min=0, max=65535, help="Port; a free one where it is taken.")] = None,
+    again: Annotated[bool, typer.Option("--again", help="Run all episodes, including stored ones.")] = False,
+    port: Annotated[
+        int | None, typer.Option(min=0, max=65535, help="Port; another free one is used if it is taken.")
+    ] = None,
     submission: Annotated[Path, typer.Option(help="Submission to evaluate.")] = EXAMPLE,
 ) -> None:
     """Start the service, evaluate the example submission on it and show the leaderboard.
 
-    The service then runs on until Ctrl-C. What was evaluated is kept: the next run takes it from the store.
+    The service then keeps running until Ctrl-C. Evaluated episodes are stored, and the next run reuses them.
     """
     if not submission.exists():
-        raise DemoRefused(f"There is no submission at {submission}. Run the demo in a checkout, or give --submission.")
-    settings = load_settings(port=port, worker_slots=min(usable_cores(), SLOTS_AT_MOST))
+        raise DemoRefused(f"No submission found at {submission}. Run the demo in a checkout, or give --submission.")
+    settings = load_settings(port=port, worker_slots=min(usable_cores(), MAX_SLOTS))
     display = DemoDisplay()
     display.title(version("vitac-arena"))
     settings.state_dir.mkdir(parents=True, exist_ok=True)
@@ -86,11 +88,11 @@ class Demo:
 
     Attributes:
         settings: settings of the service.
-        display: what is printed.
-        stop: Ctrl-C.
+        display: prints progress and results.
+        stop: the request to stop.
         submission: folder or zip to evaluate.
-        again: run also what the store has.
-        log: descriptor of the log's file.
+        again: run all episodes, including stored ones.
+        log: file descriptor for service events.
     """
 
     settings: Settings
@@ -101,13 +103,13 @@ class Demo:
     log: int
 
     def run(self, *, stay: bool) -> None:
-        """Do it all; with `stay` return only when somebody asks to stop."""
+        """Run the demo; with `stay` return only on a request to stop."""
         with ExitStack() as stack:
             service = self._start(stack)
             client = Client(server=service.address, token=team_token(service.database, self.settings.state_dir))
             found = self._upload(client)
             if has_ended(found):
-                self._say_stored(found)
+                self._print_reused(found)
             else:
                 self._start_workers(service)
                 found = self._evaluate(service, client, found["id"])
@@ -119,38 +121,38 @@ class Demo:
 
     def _start(self, stack: ExitStack) -> RunningService:
         wanted = self.settings.port
-        with self.display.step("Service", "starting the database and the server") as step:
+        with self.display.stage("Service", "starting the database and the server") as stage:
             listener = bind_or_any(self.settings.host, wanted)
             service = stack.enter_context(
-                running_service(self.settings, listener, workers=1, log=self.log, notify=self.display.remark)
+                running_service(self.settings, listener, workers=1, log=self.log, notify=self.display.note)
             )
             taken = listener.getsockname()[1] != wanted and wanted != 0
-            step.done(service.address + (f" (port {wanted} is taken)" if taken else ""))
+            stage.done(service.address + (f" (port {wanted} is taken)" if taken else ""))
         return service
 
     def _upload(self, client: Client) -> Json:
-        with self.display.step("Submission", "packing and uploading") as step, packed(self.submission) as archive:
+        with self.display.stage("Submission", "packing and uploading") as stage, packed(self.submission) as archive:
             found = client.upload(archive, track=TRACK, again=self.again, on_bytes=lambda _: None)
-            step.done(f"{found['name']} ({archive.stat().st_size / 1024:.1f} KiB), team {TEAM}")
+            stage.done(f"{found['name']} ({archive.stat().st_size / 1024:.1f} KiB), team {TEAM}")
         return found
 
-    def _say_stored(self, found: Json) -> None:
+    def _print_reused(self, found: Json) -> None:
         progress = found["evaluation"]["progress"]
         self.display.line(
             "Evaluation",
-            f"all {progress['episodes_total']} episodes come from the store, nothing was run again "
+            f"all {progress['episodes_total']} episodes reused, nothing was run "
             f"({program_name()} demo --again runs them)",
         )
 
     def _start_workers(self, service: RunningService) -> None:
-        with self.display.step("Physics", "compiling, a minute or two on the first run") as step:
+        with self.display.stage("Physics", "compiling, a minute or two on the first run") as stage:
             self._warm_up()
-            step.done("compiled and kept for the next run")
-        with self.display.step("Worker", "starting and testing the sandbox") as step:
+            stage.done("compiled and cached")
+        with self.display.stage("Worker", "starting and testing the sandbox") as stage:
             service.workers.start()
             isolation = self._wait_for_worker(service)
             slots = self.settings.worker_slots
-            step.done(f"{slots} shard{'s' if slots > 1 else ''} at a time, {isolation}")
+            stage.done(f"{slots} shard{'s' if slots > 1 else ''} at a time, {isolation}")
 
     def _warm_up(self) -> None:
         process = subprocess.Popen(  # noqa: S603 - our own interpreter and code
@@ -163,15 +165,15 @@ class Demo:
                 raise Interrupted
         if process.returncode != 0:
             raise DemoRefused(
-                f"The physics could not be compiled (exit code {process.returncode}); the end of "
-                f"{self.settings.state_dir / LOG} says why. Memory and disk space are the usual reasons."
+                f"Compiling the physics failed (exit code {process.returncode}); see the end of "
+                f"{self.settings.state_dir / LOG}. The usual reasons are too little memory or disk space."
             )
 
     def _wait_for_worker(self, service: RunningService) -> str:
-        """Wait until the worker takes work, and return how it isolates policies.
+        """Wait until the worker is ready, and return how it isolates policies.
 
         Raises:
-            DemoRefused: it does not start, or its sandbox does not hold.
+            DemoRefused: it does not start, or its sandbox is not safe.
         """
         from vitac.server.db.states import WorkerState
 
@@ -181,29 +183,31 @@ class Demo:
                 if worker.state is WorkerState.READY:
                     return short_isolation(worker.isolation)
                 if worker.state is WorkerState.REFUSING:
-                    raise DemoRefused(f"The worker takes no policies on this machine. {worker.message}")
+                    raise DemoRefused(f"The worker runs no policies on this machine. {worker.message}")
             self._pause(service)
-        raise DemoRefused(f"No worker was ready in time; the end of {self.settings.state_dir / LOG} says why.")
+        raise DemoRefused(
+            f"No worker was ready within {WORKER_START_LIMIT_S:g} s; see the end of {self.settings.state_dir / LOG}."
+        )
 
     def _evaluate(self, service: RunningService, client: Client, submission_id: str) -> Json:
         began = time.monotonic()
         progress = EvaluationProgress(console=self.display.console, indent=INDENT)
         found = follow(client, submission_id, progress, partial(self._pause, service))
-        self.display.line("Evaluation", evaluated(found), time.monotonic() - began)
+        self.display.line("Evaluation", describe_evaluation(found), time.monotonic() - began)
         return found
 
     def _pause(self, service: RunningService) -> None:
-        """Wait a little; the workers are started again where they died meanwhile.
+        """Wait for one polling period and restart workers that have ended.
 
         Raises:
-            Interrupted: somebody asked to stop.
+            Interrupted: a request to stop was received.
         """
         if self.stop.wait(POLL_S):
             raise Interrupted
         service.workers.restart_ended()
 
     def _show(self, client: Client, found: Json) -> None:
-        # A submission of one task would stand on the board of all tasks with 0 in the others.
+        # On the leaderboard of all tasks a submission of one task counts 0 in the others.
         task = found["tasks"][0] if len(found["tasks"]) == 1 else None
         self.display.leaderboard(client.leaderboard(TRACK, task=task), TEAM)
         self.display.addresses(
@@ -222,21 +226,21 @@ class Demo:
         self.stop.supervise(service.workers)
 
 
-def evaluated(found: Json) -> str:
-    """Say how many episodes were run and how many were kept from before."""
+def describe_evaluation(found: Json) -> str:
+    """Return how many episodes are done and how many of them were reused."""
     progress = found["evaluation"]["progress"]
     total, reused = progress["episodes_total"], progress["episodes_reused"]
-    kept = f", {reused} of them from the store" if reused else ""
-    return f"{progress['episodes_done']} of {total} episodes{kept}, {progress['successes']} successes"
+    stored = f", {reused} of them reused" if reused else ""
+    return f"{progress['episodes_done']} of {total} episodes{stored}, {progress['successes']} successes"
 
 
 def short_isolation(level: str) -> str:
-    """Return who runs the policy and what holds its memory, the first two parts of what a worker says about itself."""
+    """Return the user and the memory limit from a worker's isolation, its first two parts."""
     return ", ".join(level.split(", ")[:2])
 
 
 def workers_of(service: RunningService) -> list[Worker]:
-    """Return those workers of the database that this demo started."""
+    """Return the workers that this demo started, as the database knows them."""
     from vitac.server.queue import workers
 
     with service.database.transaction() as session:

@@ -1,4 +1,4 @@
-"""What the demo prints: steps with marks and times, the leaderboard, where to go. Called by `demo`."""
+"""What the demo prints: stages with their times, the leaderboard, addresses. Called by `command`."""
 
 from __future__ import annotations
 
@@ -29,27 +29,27 @@ BAR_WIDTH = 26
 ACCENT = "cyan"
 
 
-class Step:
-    """One line of the demo: what was done, said when it is."""
+class Stage:
+    """One line of the demo: a stage and its result."""
 
     def __init__(self) -> None:
         self.result = ""
 
     def done(self, result: str) -> None:
-        """Say what came out."""
+        """Set the result to print."""
         self.result = result
 
 
 class DemoDisplay:
-    """Prints to a terminal in colour, with spinners; into a pipe the same lines without."""
+    """Prints with colours and spinners on a terminal, plain lines in a pipe."""
 
     def __init__(self, console: Console | None = None) -> None:
-        # A name in another alphabet or a sign that the terminal's encoding lacks shall not end the demo.
+        # A character that the terminal's encoding lacks must not end the demo.
         if console is None and hasattr(sys.stdout, "reconfigure"):
             sys.stdout.reconfigure(errors="replace")
         self.console = console or Console(highlight=False)
         unicode = self.console.encoding.lower().startswith("utf")
-        self._done, self._remark = ("✓", "·") if unicode else ("+", "-")
+        self._done, self._bullet = ("✓", "·") if unicode else ("+", "-")
 
     def title(self, version: str) -> None:
         """Print the first line."""
@@ -58,39 +58,39 @@ class DemoDisplay:
         self.console.print()
 
     @contextmanager
-    def step(self, label: str, waiting: str = "") -> Iterator[Step]:
-        """Show that something goes on; print its line with the time taken when the block ends without an error.
+    def stage(self, label: str, activity: str = "") -> Iterator[Stage]:
+        """Show a stage while the block runs; print its line with the time taken when the block succeeds.
 
         Args:
-            label: what the step is, one or two words.
-            waiting: what is said meanwhile where it takes long; in a pipe it gets a line of its own.
+            label: name of the stage, one or two words.
+            activity: shown while a long stage runs; in a pipe on a line of its own.
         """
-        step = Step()
+        stage = Stage()
         began = time.monotonic()
         if self.console.is_terminal:
-            spinner = Spinner("dots", Text(f"{label:<{LABEL_WIDTH}} {waiting}"), style=ACCENT)
+            spinner = Spinner("dots", Text(f"{label:<{LABEL_WIDTH}} {activity}"), style=ACCENT)
             with Live(Padding(spinner, (0, 0, 0, INDENT)), console=self.console, transient=True):
-                yield step
+                yield stage
         else:
-            if waiting:
-                self.remark(f"{label}: {waiting}")
-            yield step
-        self._line(label, step.result, time.monotonic() - began)
+            if activity:
+                self.note(f"{label}: {activity}")
+            yield stage
+        self._line(label, stage.result, time.monotonic() - began)
 
     def line(self, label: str, result: str, took_s: float = 0.0) -> None:
-        """Print the line of a step that showed itself while it went on, or took no time."""
+        """Print the line of a stage that showed its own progress or took no time."""
         self._line(label, result, took_s)
 
-    def remark(self, sentence: str) -> None:
-        """Print a sentence beside the steps."""
-        self.console.print(Text(f"{' ' * INDENT}{self._remark} {sentence}", style="dim"), soft_wrap=True)
+    def note(self, sentence: str) -> None:
+        """Print a sentence between the stages."""
+        self.console.print(Text(f"{' ' * INDENT}{self._bullet} {sentence}", style="dim"), soft_wrap=True)
 
     def interrupted(self) -> None:
-        """Say what Ctrl-C left behind."""
-        self.remark(f"Stopped. Finished episodes are kept; {program_name()} demo goes on with the rest.")
+        """Print what is kept after Ctrl-C."""
+        self.note(f"Stopped. Finished episodes are kept; {program_name()} demo runs the rest.")
 
     def leaderboard(self, board: Json, team: str) -> None:
-        """Print the standings, the demo team's line in bold, and its rate for each task or each shape."""
+        """Print the leaderboard, the demo team's line in bold, and its rate for each task or each shape."""
         self.console.print()
         of = ", all tasks" if board["task"] is None else f", {board['task']}"
         self.console.print(Text(f"{' ' * INDENT}{board['title']}{of}: leaderboard", style="bold"))
@@ -102,7 +102,7 @@ class DemoDisplay:
         table.add_column("Success", justify="right", no_wrap=True)
         table.add_column("0 %" + " " * (BAR_WIDTH - 8) + "100 %", width=BAR_WIDTH, no_wrap=True)
         table.add_column("95 % interval", no_wrap=True)
-        table.add_column("Steps", justify="right", no_wrap=True)
+        table.add_column("Env steps", justify="right", no_wrap=True)
         for entry in board["entries"]:
             table.add_row("", *self._entry(entry), style="bold" if entry["team"] == team else "")
         self.console.print(table)
@@ -111,7 +111,7 @@ class DemoDisplay:
             self._parts(own)
 
     def addresses(self, pairs: Mapping[str, str]) -> None:
-        """Print names and addresses below each other, never broken over two lines."""
+        """Print names and addresses, one pair a line without wrapping."""
         self.console.print()
         for name, value in pairs.items():
             self.console.print(
@@ -120,12 +120,12 @@ class DemoDisplay:
         self.console.print()
 
     def staying(self) -> None:
-        """Say that the service goes on."""
+        """Print that the service keeps running."""
         self.console.print(Text(f"{' ' * INDENT}The service keeps running. Ctrl-C stops it."))
 
     def stopped(self, state_dir: Path) -> None:
-        """Say that the service has ended."""
-        self.remark(f"The service has stopped. Everything is kept in {state_dir}.")
+        """Print that the service has stopped."""
+        self.note(f"The service has stopped. Everything is kept in {state_dir}.")
 
     def _entry(self, entry: Json) -> tuple[str | Text, ...]:
         rank = "-" if entry["rank"] is None else str(entry["rank"])

@@ -1,10 +1,10 @@
-"""Compiles the physics ahead of the first evaluation, so that its workers find it ready. Run by `demo` in a process."""
+"""Compiles the physics before the first evaluation, for all workers. Run by `demo` in a process of its own."""
 
 from __future__ import annotations
 
 
 def warm_up() -> None:
-    """Play one env step of each task: Numba compiles what it needs and keeps it on disk."""
+    """Run one env step of each task, so that Numba compiles and caches its kernels."""
     import gymnasium
     import vitac.envs  # noqa: F401 - registers the environments
     from vitac.evaluator.tracks import load_track

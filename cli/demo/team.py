@@ -19,7 +19,7 @@ TOKEN_LIFETIME = timedelta(days=365)
 
 
 def team_token(database: Database, state_dir: Path) -> str:
-    """Return a valid token of the team `demo`; team and token are made where they are missing or not valid any more."""
+    """Return a valid token of the team `demo`; create team and token if missing or no longer valid."""
     path = state_dir / TOKEN_FILE
     with database.transaction() as session:
         kept = path.read_text().strip() if path.exists() else ""

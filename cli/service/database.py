@@ -16,14 +16,14 @@ if TYPE_CHECKING:
 
 
 class DatabaseUnreachable(VitacError):
-    """Nobody answers at VITAC_DATABASE_URL, or the schema cannot be brought up to date."""
+    """No database answers at VITAC_DATABASE_URL, or its schema cannot be migrated."""
 
 
 def load_settings(**overrides: Any) -> Settings:
-    """Build the settings of this process from the environment; options given on the command line win.
+    """Build the settings of this process from the environment; command-line options take precedence.
 
     Raises:
-        SettingsError: a value cannot be used.
+        SettingsError: a value is invalid.
     """
     from vitac.server import settings
 
@@ -32,11 +32,11 @@ def load_settings(**overrides: Any) -> Settings:
 
 @contextmanager
 def open_service(settings: Settings) -> Iterator[Services]:
-    """Open database (the embedded one is started where none is configured) and files, with the schema of this version.
+    """Open storage and database (by default the embedded one) and migrate the schema to this version.
 
     Raises:
         DatabaseUnreachable: the configured server does not answer.
-        VitacError: the embedded one does not start.
+        VitacError: the embedded server does not start.
     """
     from sqlalchemy.exc import OperationalError
     from vitac.server.services import open_services

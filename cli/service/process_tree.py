@@ -1,4 +1,4 @@
-"""The whole service in one process tree: database, HTTP server, workers. Called by `serve` and `demo`."""
+"""Runs the whole service as one process tree: database, HTTP server, workers. Called by `serve` and `demo`."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class RunningService:
-    """A service that answers at `address`; its workers are started when `workers.start` is called."""
+    """A service that answers at `address`; `workers.start` starts its workers."""
 
     address: str
     database: Database

@@ -1,4 +1,4 @@
-"""`vitac serve`: the service on this machine."""
+"""`vitac serve`: runs the service on this machine."""
 
 import sys
 from functools import partial
@@ -16,9 +16,9 @@ from .web_server import bind
 def command(
     host: Annotated[str | None, typer.Option(help="Address to listen at; default: VITAC_HOST or 127.0.0.1.")] = None,
     port: Annotated[
-        int | None, typer.Option(min=0, max=65535, help="Port; 0 takes a free one; default: VITAC_PORT or 8000.")
+        int | None, typer.Option(min=0, max=65535, help="Port, 0 for any free one; default: VITAC_PORT or 8000.")
     ] = None,
-    workers: Annotated[int, typer.Option(min=0, help="Worker processes to run as well.")] = 0,
+    workers: Annotated[int, typer.Option(min=0, help="Number of worker processes to start as well.")] = 0,
 ) -> None:
     """Run the service until Ctrl-C: API, pages, and the embedded database unless VITAC_DATABASE_URL is set."""
     settings = load_settings(host=host, port=port)
@@ -31,8 +31,8 @@ def command(
         ) as service,
     ):
         service.workers.start()
-        print(f"ViTac Arena serves at {service.address}", flush=True)
-        print(f"workers: {workers}" if workers else "workers: none here; start some with `vitac worker`", flush=True)
-        print("Ctrl-C stops it.", flush=True)
+        print(f"ViTac Arena is running at {service.address}", flush=True)
+        print(f"workers: {workers}" if workers else "workers: none; start them with `vitac worker`", flush=True)
+        print("Press Ctrl-C to stop.", flush=True)
         stop.supervise(service.workers)
         print("stopping", flush=True)

@@ -25,11 +25,11 @@ class PortTaken(VitacError):
 
 
 class ServerDidNotStart(VitacError):
-    """The HTTP server ended before it was ready; its log says why."""
+    """The HTTP server ended before it was ready; its service events say why."""
 
 
 def bind(host: str, port: int) -> socket.socket:
-    """Return a socket bound to an address; port 0 takes a free one.
+    """Return a socket bound to an address; port 0 means any free port.
 
     Raises:
         PortTaken: the port is in use, or this user may not use it.
@@ -42,13 +42,13 @@ def bind(host: str, port: int) -> socket.socket:
     except OSError as error:
         listener.close()
         raise PortTaken(
-            f"Cannot listen at {host} port {port}: {error.strerror}. Choose another with --port (0 takes a free one)."
+            f"Cannot listen at {host} port {port}: {error.strerror}. Choose another with --port (0 for any free one)."
         ) from error
     return listener
 
 
 def bind_or_any(host: str, port: int) -> socket.socket:
-    """Return a socket bound to the port, or to a free one where that is taken."""
+    """Return a socket bound to the port, or to a free one if it is taken."""
     try:
         return bind(host, port)
     except PortTaken:
@@ -56,7 +56,7 @@ def bind_or_any(host: str, port: int) -> socket.socket:
 
 
 def address_of(listener: socket.socket) -> str:
-    """Return the address for people: `http://127.0.0.1:8000`."""
+    """Return the address to show: `http://127.0.0.1:8000`."""
     host, port = listener.getsockname()[:2]
     shown = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}.get(host, f"[{host}]" if ":" in host else host)  # noqa: S104
     return f"http://{shown}:{port}"
@@ -72,10 +72,10 @@ class WebServer:
     _thread: threading.Thread | None = field(default=None, init=False)
 
     def start(self) -> None:
-        """Serve; returns when requests are answered.
+        """Start serving; return when requests are answered.
 
         Raises:
-            ServerDidNotStart: it ended instead.
+            ServerDidNotStart: the server ended or was not ready in time.
         """
         import uvicorn
 
@@ -93,7 +93,7 @@ class WebServer:
         deadline = time.monotonic() + START_LIMIT_S
         while not self._server.started:
             if not self._thread.is_alive() or time.monotonic() > deadline:
-                raise ServerDidNotStart("The HTTP server did not start. Its log says why; `vitac serve` prints it.")
+                raise ServerDidNotStart("The HTTP server did not start; `vitac serve` prints why.")
             time.sleep(0.01)
 
     def stop(self) -> None:
@@ -104,5 +104,5 @@ class WebServer:
         self.listener.close()
 
     def _run(self, server: uvicorn.Server) -> None:
-        with suppress(SystemExit):  # how uvicorn tells that the application did not start
+        with suppress(SystemExit):  # how uvicorn reports that the application did not start
             server.run(sockets=[self.listener])

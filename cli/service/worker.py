@@ -1,4 +1,4 @@
-"""`vitac worker`: evaluates what is in the queue."""
+"""`vitac worker`: evaluates queued submissions."""
 
 import sys
 from typing import Annotated
@@ -10,11 +10,13 @@ from .database import load_settings
 
 def command(
     slots: Annotated[
-        int | None, typer.Option(min=1, help="Shards at the same time; default: VITAC_WORKER_SLOTS.")
+        int | None, typer.Option(min=1, help="Number of shards to run at once; default: VITAC_WORKER_SLOTS.")
     ] = None,
-    parent: Annotated[int | None, typer.Option("--end-with", hidden=True, help="Process id of the starter.")] = None,
+    parent: Annotated[
+        int | None, typer.Option("--end-with", hidden=True, help="Process id of the parent to end with.")
+    ] = None,
 ) -> None:
-    """Run a worker until Ctrl-C. Any number may run, on any machine that reaches the database and the storage."""
+    """Run a worker until Ctrl-C. Run any number, on any machine that reaches database and storage."""
     from vitac.worker.main import run
 
     from .events import write_events_to
@@ -26,7 +28,7 @@ def command(
 
 
 def end_with(parent: int) -> None:
-    """Ask the kernel for a SIGTERM when the starter dies, however it dies; end now if it is gone already."""
+    """Have the kernel send SIGTERM when the parent ends for any reason; exit if it has ended already."""
     import ctypes
     import os
     import signal
@@ -35,4 +37,4 @@ def end_with(parent: int) -> None:
     if ctypes.CDLL(None, use_errno=True).prctl(set_parent_death_signal, signal.SIGTERM, 0, 0, 0) != 0:
         raise OSError(ctypes.get_errno(), "prctl(PR_SET_PDEATHSIG) failed")
     if os.getppid() != parent:
-        sys.exit("the process that started this worker is gone")
+        sys.exit("the process that started this worker has ended")

@@ -1,1 +1,1 @@
-"""Output in a terminal: tables, JSON, the program's own name."""
+"""Terminal output: tables, JSON, and the name of the program."""

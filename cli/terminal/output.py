@@ -1,4 +1,4 @@
-"""Prints what commands found: aligned columns for people, JSON for programs. Called by the commands."""
+"""Prints the results of commands: aligned columns for people, JSON for programs. Called by the commands."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ if TYPE_CHECKING:
 
 GAP = "  "
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
-"""The option of a command that reads."""
+"""The option of every read command."""
 
 
 def print_json(content: object) -> None:
-    """Print JSON; times and ids as text."""
+    """Print JSON, with times and ids as text."""
     print(json.dumps(content, indent=2, ensure_ascii=False, default=_as_text))
 
 
 def print_table(columns: Sequence[str], rows: Sequence[Sequence[object]], *, none: str) -> None:
-    """Print rows under their headings, each column as wide as its widest cell; numbers to the right.
+    """Print rows under their headings, each column as wide as its widest cell, numbers right-aligned.
 
     Args:
         columns: headings.
         rows: cells; None is shown as a dash.
-        none: sentence where there are no rows.
+        none: printed if there are no rows.
     """
     if not rows:
         print(none)
@@ -41,14 +41,14 @@ def print_table(columns: Sequence[str], rows: Sequence[Sequence[object]], *, non
 
 
 def print_pairs(pairs: Mapping[str, object]) -> None:
-    """Print names and values below each other."""
+    """Print one name and value a line."""
     width = max(len(name) for name in pairs)
     for name, value in pairs.items():
         print(f"{name:<{width}}{GAP}{_cell(value)}")
 
 
 def print_record(record: Mapping[str, object], *, as_json: bool) -> None:
-    """Print what was found: as JSON, or its fields below each other."""
+    """Print one record: as JSON, or one field a line."""
     if as_json:
         print_json(record)
     else:
@@ -56,13 +56,13 @@ def print_record(record: Mapping[str, object], *, as_json: bool) -> None:
 
 
 def print_records(records: Sequence[Mapping[str, object]], columns: Sequence[str], *, none: str, as_json: bool) -> None:
-    """Print what was found: as JSON, or some of the fields in a table.
+    """Print records: as JSON, or some of their fields in a table.
 
     Args:
-        records: what was found.
+        records: the records.
         columns: fields of the table.
-        none: sentence where nothing was found.
-        as_json: all fields as JSON.
+        none: printed if there are no records.
+        as_json: print all fields as JSON.
     """
     if as_json:
         print_json(records)
@@ -71,14 +71,14 @@ def print_records(records: Sequence[Mapping[str, object]], columns: Sequence[str
 
 
 def moment(when: datetime | None) -> str | None:
-    """Write a time in UTC to the second."""
+    """Format a time in UTC to the second."""
     from datetime import UTC
 
     return None if when is None else when.astimezone(UTC).strftime("%Y-%m-%d %H:%M:%SZ")
 
 
 def percent(fraction: float | None) -> str | None:
-    """Write a fraction as a percentage with one decimal."""
+    """Format a fraction as a percentage with one decimal."""
     return None if fraction is None else f"{100 * fraction:.1f} %"
 
 
@@ -88,9 +88,9 @@ def _cell(value: object) -> str:
     return "-" if value is None or value == "" else str(value)
 
 
-def _align(text: str, width: int, to_the_right: bool) -> str:
+def _align(text: str, width: int, right_aligned: bool) -> str:
     space = " " * (width - cell_len(text))
-    return space + text if to_the_right else text + space
+    return space + text if right_aligned else text + space
 
 
 def _as_text(value: Any) -> str:

@@ -1,4 +1,4 @@
-"""The command by which this program was started, for hints that can be typed. Called wherever a hint names it."""
+"""The command that starts this program, for hints that can be copied. Called wherever a hint names it."""
 
 from __future__ import annotations
 

@@ -42,5 +42,5 @@ def test_the_example_reaches_the_leaderboard_and_stays_in_the_store(example: Pat
     assert "●" in row
     second = vitac("demo", "--exit", "--submission", str(example), state=state)
     assert second.returncode == 0, second.stdout + second.stderr
-    assert "all 270 episodes come from the store" in second.stdout
+    assert "all 270 episodes reused" in second.stdout
     assert result_hash(second.stdout) == result_hash(first.stdout)

@@ -1,4 +1,4 @@
-"""`vitac check` tells everything that would be refused."""
+"""`vitac check` lists everything that would be refused."""
 
 import json
 from pathlib import Path
@@ -21,7 +21,7 @@ def with_files(folder: Path, **files: str) -> Path:
 def test_a_good_submission_passes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     code, text = check(submission_folder(tmp_path), capsys)
     assert code == 0
-    assert "Nothing would be refused. Digest" in text
+    assert "All checks passed. Digest" in text
     assert text.count("played") == 2
 
 
@@ -61,7 +61,7 @@ def test_what_would_be_refused_is_told(
 ) -> None:
     code, output = check(with_files(tmp_path, **{name: text}), capsys)
     assert code == (1 if told else 0)
-    assert (told or "Nothing would be refused") in output
+    assert (told or "All checks passed") in output
 
 
 def test_output_of_the_policy_is_shown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -39,7 +39,7 @@ def doctor(monkeypatch: pytest.MonkeyPatch, found: Requirement, states: list[Pro
 def test_says_that_all_was_held(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     assert doctor(monkeypatch, requirement(is_met=True), [ProbeState.HELD] * 2) == 0
     out = capsys.readouterr().out
-    assert "All 2 attempts were held (user: root, memory: cgroup-v2, episodes: frozen-copy)." in out
+    assert "All 2 attacks were blocked (user: root, memory: cgroup-v2, episodes: frozen-copy)." in out
 
 
 def test_an_escape_is_exit_code_1(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
@@ -53,7 +53,7 @@ def test_nothing_is_tried_where_something_is_missing(
     assert doctor(monkeypatch, requirement(is_met=False), [ProbeState.HELD]) == 1
     out = capsys.readouterr().out
     assert "bubblewrap: install it." in out
-    assert "Nothing was run" in out
+    assert "No attack was run" in out
     assert "probe 0" not in out
 
 

@@ -76,7 +76,7 @@ def test_show_prints_a_table_of_episodes(log: Path, capsys: pytest.CaptureFixtur
     assert code == 0
     assert out.startswith("team Touch, track_1, peg-insertion, evaluator 1+")
     assert "      2  trapezoid  -4 -4 -8  success          3    2.00" in out.splitlines()
-    assert out.endswith("claimed: 3 of 3 solved, 100.0%\n")
+    assert out.endswith("claimed: 3 of 3 successes, 100.0%\n")
 
 
 def test_show_as_json(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -88,7 +88,7 @@ def test_show_as_json(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_verify_true_log(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
     code, out, _ = run(capsys, "verify", log, "--episodes", "1:3")
-    assert (code, out.splitlines()) == (0, ["verified: all states are equal", "3 of 3 solved"])
+    assert (code, out.splitlines()) == (0, ["verified: all states are equal", "3 of 3 successes"])
 
 
 def test_verify_false_log_shows_both_states(false_log: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -126,7 +126,7 @@ def test_damaged_log_is_refused_by_line(log: Path, verb: str, capsys: pytest.Cap
 
 
 def test_diff_of_equal_logs(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(capsys, "diff", log, log) == (0, "the logs tell the same\n", "")
+    assert run(capsys, "diff", log, log) == (0, "no difference\n", "")
     assert run(capsys, "diff", log, log, "--json") == (0, "null\n", "")
 
 
@@ -150,8 +150,9 @@ def test_import_tells_and_converts_the_organizers_log(
     code, out, _ = run(capsys, "import", file, "--output", output)
     assert code == 0
     assert out.splitlines() == [
-        "track 1 peg insertion, team deg: 13 of 90 solved",
-        "success rate 14.44%, claimed no totals; average steps None",
+        "track 1 peg insertion, team deg: 13 of 90 successes",
+        "success rate 14.44%, claimed no totals",
+        "claimed average of env steps -",
         "problem: expected the 270 tests of the list, got 90",
         "problem: the log has no totals at its end",
     ]

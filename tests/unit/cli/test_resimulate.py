@@ -57,8 +57,8 @@ def test_prints_ours_beside_the_record(
     assert code == 0
     assert out.splitlines() == [
         "Episode 1: cuboid at -4 -4 -8",
-        "  step  1  surface  1.000  2.000 |  0.600  0.900  peg - |  0.500  0.250",
-        "  step  2  surface  1.000  2.000 |  0.700  0.800  peg - |  0.500  0.250",
+        "  env step  1  surface  1.000  2.000 |  0.600  0.900  peg - |  0.500  0.250",
+        "  env step  2  surface  1.000  2.000 |  0.700  0.800  peg - |  0.500  0.250",
         "  success at env step 2 | recorded no success after 2 env steps",
         "1 episodes, 1 successes; 10 IPC steps, 125.0 ms of CPU each; solver fake",
     ]

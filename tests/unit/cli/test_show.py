@@ -139,11 +139,20 @@ def test_real_physics_is_drawn(run: Run, tmp_path: Path, monkeypatch: pytest.Mon
         (("peg-insertion", "--episode", 271), "Episodes of peg-insertion must be among 1 to 270; came 271."),
         (("peg-insertion", "--episode", 5, "--out", "a.jpg"), "expected .png, .gif, .webp, or no suffix for a folder"),
         (("peg-insertion", "--episode", 5, "--out", "no/a.png"), "Cannot write pictures to no/a.png: No such file"),
-        (("peg-insertion", "--episode", 5, "--step", 7), "The episode ended after env step 3; --step can be 0 to 3"),
-        (("peg-insertion", "--episode", 5, "--actions", "empty.jsonl"), "empty.jsonl holds no actions for episode 5"),
+        (
+            ("peg-insertion", "--episode", 5, "--step", 7),
+            "The episode ended after env step 3: expected --step 0 to 3, got 7",
+        ),
+        (
+            ("peg-insertion", "--episode", 5, "--actions", "empty.jsonl"),
+            "empty.jsonl contains no actions for episode 5",
+        ),
         (("peg-insertion", "--episode", 5, "--policy", "missing"), "missing"),
         (("ViTac/LockOpening-v1", "--episode", -1), "expected non-negative integers"),
-        (("ViTac/LockOpening-v1", "--episode", 1, "--policy", "."), "ViTac/LockOpening-v1 is not a task; a policy and"),
+        (
+            ("ViTac/LockOpening-v1", "--episode", 1, "--policy", "."),
+            "Expected a task such as peg-insertion for --policy or --actions, got ViTac/LockOpening-v1",
+        ),
         (("peg-insertion", "--episode", 5, "--assets", "missing"), "Expected the challenge's meshes in missing"),
     ],
 )
@@ -161,8 +170,11 @@ def test_refuses_in_one_sentence(run: Run, tmp_path: Path, arguments: tuple[obje
     ("arguments", "message"),
     [
         (("peg-insertion",), "--episode"),
-        (("peg-insertion", "--episode", 5, "--out", "a.gif", "--step", 1), "only a single PNG shows one env step"),
-        (("peg-insertion", "--episode", 5, "--actions", "a.jsonl", "--policy", "."), "give one of them"),
+        (
+            ("peg-insertion", "--episode", 5, "--out", "a.gif", "--step", 1),
+            "expected a single PNG as output for one env step",
+        ),
+        (("peg-insertion", "--episode", 5, "--actions", "a.jsonl", "--policy", "."), "expected one of them, got both"),
         (("peg-insertion", "--episode", 5, "--actions", "missing.jsonl"), "does not exist"),
         (("peg-insertion", "--episode", 5, "--colour", "temperature"), "temperature"),
         (("peg-insertion", "--episode", 5, "--width", 20), "greater than or equal to 600"),

@@ -115,7 +115,7 @@ def test_without_options_and_environment_it_is_this_machine(monkeypatch: pytest.
 
 
 def test_an_address_without_scheme_or_a_missing_token_file_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(VitacError, match=r"expected one like http://"):
+    with pytest.raises(VitacError, match=r"Expected a service address like http://"):
         client_from("arena.test", None)
     with pytest.raises(VitacError, match=r"cannot be read.*--token-file"):
         client_from("http://arena.test", tmp_path / "none")

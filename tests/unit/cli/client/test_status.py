@@ -42,9 +42,9 @@ def test_shows_a_score_with_its_interval_and_hash(service: CliService, tmp_path:
     submission_id = submitted(service, tmp_path)
     play(service, submission_id)
     shown = service.run("status", submission_id).stdout
-    for part in ("completed", "66.7 % (60.8 % to 72.0 %), 3.00 steps, rank 1 of 1", "270 of 270"):
+    for part in ("completed", "66.7 % (60.8 % to 72.0 %), 3.00 env steps, rank 1 of 1", "270 of 270"):
         assert part in shown
-    assert "33.3 % (30.4 % to 36.0 %), no mean of steps, rank 1 of 1" in shown
+    assert "33.3 % (30.4 % to 36.0 %), no success, rank 1 of 1" in shown
     assert "lock-opening (counts as 0" in shown
     as_json = json.loads(service.run("status", submission_id, "--json").stdout)
     assert as_json["evaluation"]["result_hash"] in shown
@@ -82,7 +82,7 @@ def test_watching_one_that_fails_is_refused_with_its_verdict(service: CliService
     watched = service.run("status", submission_id, "--watch")
     assert isinstance(watched.exception, EvaluationEndedWithoutScore)
     assert "crashed" in str(watched.exception)
-    assert "output of the policy" in watched.stdout
+    assert "last lines of the policy's output" in watched.stdout
     assert "(peg-insertion, episode 1)" in watched.stdout
 
 

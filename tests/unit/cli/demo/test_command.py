@@ -92,7 +92,7 @@ def test_evaluates_the_example_and_prints_leaderboard_and_addresses(demo: DemoRu
     assert max(len(line) for line in done.stdout.splitlines() if "http" not in line and "/" not in line) <= 80
 
 
-def test_a_second_run_takes_everything_from_the_store_and_keeps_its_token(demo: DemoRun, tmp_path: Path) -> None:
+def test_a_second_run_reuses_all_episodes_and_keeps_its_token(demo: DemoRun, tmp_path: Path) -> None:
     first = demo.run("--exit")
     token = tmp_path / "state" / "demo-token"
     secret = token.read_text()
@@ -101,7 +101,7 @@ def test_a_second_run_takes_everything_from_the_store_and_keeps_its_token(demo: 
     assert second.returncode == 0, second.stderr
     assert token.read_text() == secret
     assert token.stat().st_mode & 0o777 == 0o600
-    assert "all 270 episodes come from the store" in second.stdout
+    assert "all 270 episodes reused" in second.stdout
     assert "Physics" not in second.stdout
     assert result_hash(first) == result_hash(second)
 
@@ -149,24 +149,24 @@ def test_takes_another_port_where_its_own_is_taken(demo: DemoRun) -> None:
 def test_a_sandbox_that_does_not_hold_ends_the_demo(demo: DemoRun) -> None:
     done = demo.run("--exit", VITAC_TEST_WORKER="refuses")
     assert done.returncode == 1
-    assert "The worker takes no policies on this machine. The sandbox is not sound." in done.stderr
+    assert "The worker runs no policies on this machine. The sandbox is not sound." in done.stderr
 
 
 def test_physics_that_do_not_compile_end_the_demo_and_name_the_log(demo: DemoRun) -> None:
     demo.warm_up = "raise SystemExit(3)"
     done = demo.run("--exit")
     assert done.returncode == 1
-    assert "could not be compiled (exit code 3)" in done.stderr
+    assert "Compiling the physics failed (exit code 3)" in done.stderr
     assert "demo.log" in done.stderr
 
 
-def test_a_token_that_is_not_valid_any_more_is_replaced(demo: DemoRun, tmp_path: Path) -> None:
+def test_a_token_that_is_no_longer_valid_is_replaced(demo: DemoRun, tmp_path: Path) -> None:
     demo.run("--exit")
     token = tmp_path / "state" / "demo-token"
     token.write_text("vitac_" + "x" * 43)
     done = demo.run("--exit")
     assert done.returncode == 0, done.stderr
-    assert "come from the store" in done.stdout
+    assert "270 episodes reused" in done.stdout
 
 
 def test_a_missing_submission_says_what_to_do(demo: DemoRun, tmp_path: Path) -> None:

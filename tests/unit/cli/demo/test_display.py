@@ -44,30 +44,30 @@ def found(state: str = "running", done: int = 0, alive: int = 1, eta: float | No
 
 def test_a_step_is_one_line_with_its_result() -> None:
     display, raw = shown(terminal=False)
-    with display.step("Service") as step:
-        step.done("http://127.0.0.1:8000")
+    with display.stage("Service") as stage:
+        stage.done("http://127.0.0.1:8000")
     assert plain(raw).startswith("  ✓ Service      http://127.0.0.1:8000")
     assert plain(raw).count("\n") == 1
 
 
 def test_a_long_step_says_in_a_pipe_what_it_waits_for() -> None:
     display, raw = shown(terminal=False)
-    with display.step("Physics", "compiling") as step:
-        step.done("compiled")
+    with display.stage("Physics", "compiling") as stage:
+        stage.done("compiled")
     assert plain(raw).splitlines()[0] == "  · Physics: compiling"
 
 
 def test_a_step_that_fails_is_not_marked_as_done() -> None:
     display, raw = shown(terminal=True)
-    with pytest.raises(ValueError, match="no"), display.step("Service", "starting"):
+    with pytest.raises(ValueError, match="no"), display.stage("Service", "starting"):
         raise ValueError("no")
     assert "✓" not in plain(raw)
 
 
 def test_marks_are_plain_where_the_encoding_has_no_others() -> None:
     display, raw = shown(terminal=False, encoding="ascii")
-    with display.step("Service") as step:
-        step.done("here")
+    with display.stage("Service") as stage:
+        stage.done("here")
     display.leaderboard(board(entry(1, "demo", 0.5)), "demo")
     assert plain(raw, "ascii").startswith("  + Service      here")
 
@@ -136,7 +136,7 @@ def test_quiet_is_quiet() -> None:
 
 
 def test_says_what_an_evaluation_waits_for() -> None:
-    assert situation(found(alive=0)) == "no worker is alive"
+    assert situation(found(alive=0)) == "no worker is running"
     assert situation(found(state="queued")) == "number 3 in the queue"
     assert situation(found(eta=12.4)) == "about 12 s left"
     assert situation(found(state="completed", alive=0)) == ""

@@ -50,7 +50,7 @@ def test_serves_pages_and_api_until_it_is_asked_to_stop(environment: dict[str, s
         process.send_signal(ending)
         _, complaints = process.communicate(timeout=60)
     assert process.returncode == 0, complaints
-    assert "none here; start some with `vitac worker`" in said[1]
+    assert "none; start them with `vitac worker`" in said[1]
     assert "Traceback" not in complaints
 
 
