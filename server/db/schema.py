@@ -9,6 +9,7 @@ from alembic import command
 from alembic.config import Config
 from alembic.runtime.migration import MigrationContext
 from alembic.script import ScriptDirectory
+from alembic.util import CommandError
 from sqlalchemy import Connection, NullPool, create_engine
 
 from .advisory_locks import AdvisoryLock, wait_for_lock
@@ -64,6 +65,14 @@ def installed_revision(connection: Connection) -> str | None:
 def newest_revision() -> str | None:
     """Revision of this version."""
     return ScriptDirectory.from_config(_configuration()).get_current_head()
+
+
+def knows_revision(revision: str) -> bool:
+    """Whether a revision is one of this version's migrations, so that `upgrade` can start from it."""
+    try:
+        return ScriptDirectory.from_config(_configuration()).get_revision(revision) is not None
+    except CommandError:
+        return False
 
 
 def _configuration() -> Config:

@@ -1,0 +1,68 @@
+"""`vitac admin backup` and `vitac admin restore`: the whole service in one file."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ..service.database import load_settings, open_service
+from ..terminal.output import AsJson, print_record
+from .consent import Yes, require_consent
+
+if TYPE_CHECKING:
+    from vitac.server.backup.archive import BackupDescription
+
+
+def back_up(
+    file: Annotated[Path, typer.Argument(help="File to write; must not exist.")],
+    as_json: AsJson = False,
+) -> None:
+    """Write database and uploads to one file, while the service runs."""
+    from vitac.server.backup import backup
+
+    with open_service(load_settings()) as services, _progress() as on_file:
+        description = backup.back_up(services, file, on_file=on_file)
+    _print(file, description, as_json=as_json)
+
+
+def restore(
+    file: Annotated[Path, typer.Argument(help="A file of `vitac admin backup`.", exists=True, dir_okay=False)],
+    yes: Yes = False,
+    as_json: AsJson = False,
+) -> None:
+    """Bring a backup into a service without data; stop its workers first."""
+    from vitac.server.backup import restore
+
+    require_consent(f"Replace the empty database by the one in {file}?", yes=yes)
+    with open_service(load_settings()) as services, _progress() as on_file:
+        description = restore.restore(services, file, on_file=on_file)
+    _print(file, description, as_json=as_json)
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[int, int], None]]:
+    """Show a bar over the uploaded files on a terminal."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("uploads", total=None)
+
+        def on_file(done: int, total: int) -> None:
+            bar.update(task, completed=done, total=total)
+
+        yield on_file
+
+
+def _print(file: Path, description: "BackupDescription", *, as_json: bool) -> None:
+    shown = {
+        "file": str(file),
+        "made_at": description.made_at.isoformat(timespec="seconds"),
+        "release": description.release,
+        "schema_revision": description.schema_revision,
+        "uploads": len(description.blobs),
+        "bytes": file.stat().st_size,
+    }
+    print_record(shown, as_json=as_json)

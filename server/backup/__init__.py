@@ -1,0 +1,1 @@
+"""Backups: the whole database and every uploaded file in one archive, and the way back."""

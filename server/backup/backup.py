@@ -1,0 +1,99 @@
+"""Makes a backup of a service while it serves; called by `vitac admin backup`."""
+
+import hashlib
+import tarfile
+import tempfile
+from collections.abc import Callable
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+
+from sqlalchemy import Connection, select, text
+from vitac.envs.errors import VitacError
+from vitac.server.db.models import Submission
+from vitac.server.db.schema import installed_revision
+from vitac.server.postgres import tools
+from vitac.server.services import Services
+
+from .archive import BLOB_FOLDER, DUMP_NAME, BackupDescription, BackupWriter
+
+
+class BackupNotMade(VitacError):
+    """A backup cannot be written where it was asked for; nothing was left behind."""
+
+
+def back_up(
+    services: Services, destination: Path, *, on_file: Callable[[int, int], None] = lambda *_: None
+) -> BackupDescription:
+    """Write the database and all uploaded files, as they are at one moment, to a new file that only its owner may read.
+
+    Submissions and results that arrive meanwhile are not in it.
+
+    Args:
+        services: the open service.
+        destination: file to write; must not exist.
+        on_file: told after each uploaded file how many are written, and of how many.
+
+    Raises:
+        BackupNotMade: the file exists or cannot be written.
+        DatabaseToolFailed: the database could not be dumped.
+        ServiceError: an uploaded file cannot be read.
+    """
+    if destination.exists():
+        raise BackupNotMade(f"{destination} exists; name a file that does not.")
+    try:
+        with tempfile.TemporaryDirectory(prefix=f"{destination.name}.", dir=destination.absolute().parent) as folder:
+            unfinished = Path(folder) / "unfinished"
+            description = _write(services, unfinished, Path(folder), on_file)
+            unfinished.rename(destination)
+    except OSError as error:
+        raise BackupNotMade(f"{destination} cannot be written: {error.strerror}.") from error
+    return description
+
+
+def _write(
+    services: Services, unfinished: Path, folder: Path, on_file: Callable[[int, int], None]
+) -> BackupDescription:
+    dump = folder / DUMP_NAME
+    description = _dump(services, dump)
+    with tarfile.open(unfinished, "x:") as tar:
+        unfinished.chmod(0o600)
+        writer = BackupWriter(tar)
+        writer.describe(description)
+        writer.add(DUMP_NAME, dump)
+        dump.unlink()
+        for count, sha256 in enumerate(description.blobs, start=1):
+            blob = folder / "blob"
+            services.blobs.fetch(sha256, blob)
+            writer.add(f"{BLOB_FOLDER}/{sha256}", blob)
+            blob.unlink()
+            on_file(count, len(description.blobs))
+    return description
+
+
+def _dump(services: Services, dump: Path) -> BackupDescription:
+    """Dump the database and list the uploaded files that the same snapshot of it refers to."""
+    with services.database.engine.connect().execution_options(isolation_level="REPEATABLE READ") as connection:
+        snapshot = connection.scalar(text("SELECT pg_export_snapshot()"))
+        blobs = connection.scalars(
+            select(Submission.archive_sha256).distinct().order_by(Submission.archive_sha256)
+        ).all()
+        tools.dump(services.database.address, dump, snapshot=snapshot, bin_dir=services.settings.postgres_bin_dir)
+        return BackupDescription(
+            made_at=datetime.now(UTC),
+            release=version("vitac-arena"),
+            schema_revision=_revision(connection),
+            dump_sha256=_sha256(dump),
+            blobs=tuple(blobs),
+        )
+
+
+def _revision(connection: Connection) -> str:
+    revision = installed_revision(connection)
+    assert revision is not None  # noqa: S101 - the service was opened, so its schema is there
+    return revision
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,0 +1,87 @@
+"""Brings a backup into an empty service; called by `vitac admin restore`."""
+
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+from sqlalchemy import func, select, text
+from vitac.envs.errors import VitacError
+from vitac.server.db.models import ApiToken, Submission, Team
+from vitac.server.db.schema import knows_revision, upgrade
+from vitac.server.postgres import tools
+from vitac.server.queue.workers import workers_alive
+from vitac.server.services import Services
+
+from .archive import BackupDescription, BackupReader, BackupRejected
+
+
+class ServiceNotEmpty(VitacError):
+    """A backup is restored only into a service without data and without running workers; nothing was changed."""
+
+
+def restore(
+    services: Services, source: Path, *, on_file: Callable[[int, int], None] = lambda *_: None
+) -> BackupDescription:
+    """Check a backup whole, then write its uploaded files and its database, and bring the schema up to date.
+
+    Cut off in the middle it leaves a service without data, into which it can be restored again.
+
+    Args:
+        services: the open, empty service.
+        source: the backup.
+        on_file: told after each uploaded file how many are written, and of how many.
+
+    Raises:
+        BackupRejected: the file is not a whole backup, or of a newer version.
+        ServiceNotEmpty: the service has data, or workers that use its database.
+        DatabaseToolFailed: the database could not be written.
+        ServiceError: the file store cannot be written.
+    """
+    with BackupReader.opened(source) as reader:
+        _check(services, reader)
+        blobs = reader.description.blobs
+        with tempfile.TemporaryDirectory(dir=services.settings.scratch_dir) as folder:
+            for count, sha256 in enumerate(blobs, start=1):
+                blob = Path(folder) / sha256
+                reader.extract_blob(sha256, blob)
+                services.blobs.put(blob, sha256)
+                blob.unlink()
+                on_file(count, len(blobs))
+            dump = Path(folder) / "database.dump"
+            reader.extract_dump(dump)
+            _restore_database(services, dump)
+        return reader.description
+
+
+def _check(services: Services, reader: BackupReader) -> None:
+    revision = reader.description.schema_revision
+    if not knows_revision(revision):
+        raise BackupRejected(
+            f"The backup is of schema {revision!r}, written by release {reader.description.release}, "
+            "which this version does not know; restore it with that release or a newer one."
+        )
+    _require_empty(services)
+    reader.check()
+
+
+def _require_empty(services: Services) -> None:
+    with services.database.transaction() as session:
+        counts = {
+            model.__tablename__: session.scalar(select(func.count()).select_from(model)) or 0
+            for model in (Team, ApiToken, Submission)
+        }
+        workers = workers_alive(session, services.settings).alive
+    found = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
+    if found:
+        raise ServiceNotEmpty(f"Expected a service without data, got {found}; restore into a new one.")
+    if workers:
+        raise ServiceNotEmpty(f"Expected no running workers, got {workers}; stop them and try again.")
+
+
+def _restore_database(services: Services, dump: Path) -> None:
+    with services.database.engine.begin() as connection:
+        connection.execute(text("DROP SCHEMA public CASCADE"))
+        connection.execute(text("CREATE SCHEMA public"))
+    services.database.dispose()
+    tools.restore(services.database.address, dump, bin_dir=services.settings.postgres_bin_dir)
+    upgrade(services.database)

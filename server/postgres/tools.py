@@ -1,0 +1,64 @@
+"""Runs PostgreSQL's own client programs, `pg_dump` and `pg_restore`, on a database of ours; called by `backup`."""
+
+import os
+import subprocess
+from collections.abc import Mapping
+from pathlib import Path
+
+from psycopg.conninfo import conninfo_to_dict
+from vitac.envs.errors import VitacError
+
+from .binaries import find_binaries
+
+_VARIABLES: Mapping[str, str] = {
+    "host": "PGHOST",
+    "port": "PGPORT",
+    "user": "PGUSER",
+    "password": "PGPASSWORD",
+    "dbname": "PGDATABASE",
+    "sslmode": "PGSSLMODE",
+}
+
+
+class DatabaseToolFailed(VitacError):
+    """`pg_dump` or `pg_restore` is missing, older than the server, or could not do its work; it says why."""
+
+
+def dump(address: str, destination: Path, *, snapshot: str, bin_dir: Path | None = None) -> None:
+    """Write a database's content, as an exported snapshot shows it, to a file in PostgreSQL's custom format.
+
+    Args:
+        address: of the database.
+        destination: file to write.
+        snapshot: name that `pg_export_snapshot()` gave in a transaction that is still open.
+        bin_dir: folder with PostgreSQL's programs; found by itself if None.
+
+    Raises:
+        DatabaseToolFailed: it did not work.
+    """
+    arguments = ["--format=custom", "--no-owner", "--no-privileges", f"--snapshot={snapshot}", f"--file={destination}"]
+    _run("pg_dump", arguments, address, bin_dir)
+
+
+def restore(address: str, dump_file: Path, *, bin_dir: Path | None = None) -> None:
+    """Write a dump into a database without tables, in one transaction.
+
+    Raises:
+        DatabaseToolFailed: it did not work; the database has no tables then.
+    """
+    database = conninfo_to_dict(address)["dbname"]
+    arguments = ["--no-owner", "--no-privileges", "--exit-on-error", "--single-transaction", f"--dbname={database}"]
+    _run("pg_restore", [*arguments, str(dump_file)], address, bin_dir)
+
+
+def _run(program: str, arguments: list[str], address: str, bin_dir: Path | None) -> None:
+    path = find_binaries(configured=bin_dir).bin_dir / program
+    if not path.is_file():
+        raise DatabaseToolFailed(f"{path} is missing; install PostgreSQL's client programs beside its server.")
+    # The password stays out of the arguments, which everybody on the machine can list.
+    given = {_VARIABLES[key]: str(value) for key, value in conninfo_to_dict(address).items() if key in _VARIABLES}
+    done = subprocess.run(  # noqa: S603 - our own choice of program
+        [path, *arguments], env=os.environ | given, capture_output=True, text=True, check=False
+    )
+    if done.returncode != 0:
+        raise DatabaseToolFailed(f"{program} failed with exit code {done.returncode}: {done.stderr.strip()[-1000:]}")

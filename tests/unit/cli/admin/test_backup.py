@@ -1,0 +1,33 @@
+import json
+from pathlib import Path
+
+from cli_service import CliService, submission_folder
+from databases import fresh_database
+from vitac.server.backup.restore import ServiceNotEmpty
+
+
+def test_backup_is_restored_into_an_empty_service(service: CliService, tmp_path: Path) -> None:
+    service.run("submit", str(submission_folder(tmp_path / "mine")), "--json")
+    done = service.run("admin", "backup", str(tmp_path / "backup.tar"), "--json")
+    assert (done.exit_code, json.loads(done.stdout)["uploads"]) == (0, 1)
+    with fresh_database() as address:
+        service.environment.update(VITAC_DATABASE_URL=address, VITAC_STATE_DIR=str(tmp_path / "new"))
+        (tmp_path / "new").mkdir()
+        restored = service.run("admin", "restore", str(tmp_path / "backup.tar"), "--yes")
+        assert restored.exit_code == 0, restored.output
+        assert "Team A" in service.run("admin", "team", "list").stdout
+
+
+def test_restore_asks_first(service: CliService, tmp_path: Path) -> None:
+    file = tmp_path / "backup.tar"
+    file.touch()
+    done = service.run("admin", "restore", str(file))
+    assert "repeat with --yes" in str(done.exception)
+
+
+def test_restore_over_data_is_refused(service: CliService, tmp_path: Path) -> None:
+    file = tmp_path / "backup.tar"
+    service.run("admin", "backup", str(file))
+    done = service.run("admin", "restore", str(file), "--yes")
+    assert isinstance(done.exception, ServiceNotEmpty)
+    assert "restore into a new one" in str(done.exception)

@@ -1,0 +1,229 @@
+import io
+import re
+import stat
+import tarfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from uuid import UUID
+
+import pytest
+from databases import fresh_database
+from httpx import Client
+from service_client import API, Service, bearer, make_archive, running_service, serving
+from service_factories import make_settings, play_all
+from sqlalchemy import func, select
+from vitac.server.api.app import create_app
+from vitac.server.backup.archive import BackupRejected
+from vitac.server.backup.backup import BackupNotMade, back_up
+from vitac.server.backup.restore import ServiceNotEmpty, restore
+from vitac.server.db.engine import Database
+from vitac.server.db.models import Submission, Team, Worker
+from vitac.server.db.schema import downgrade, is_current
+from vitac.server.db.states import WorkerState
+from vitac.server.services import Services
+from vitac.server.storage.blobs import BlobStore
+
+Members = dict[str, bytes]
+
+
+@pytest.fixture
+def service(database: Database, tmp_path: Path) -> Iterator[Service]:
+    with running_service(database, tmp_path / "state") as service:
+        yield service
+
+
+@pytest.fixture
+def empty(tmp_path: Path) -> Iterator[Services]:
+    """Open services without any data."""
+    with fresh_database() as address:
+        settings = make_settings(state_dir=tmp_path / "new")
+        settings.scratch_dir.mkdir(parents=True)
+        database = Database(address)
+        yield Services(settings=settings, database=database, blobs=BlobStore.from_settings(settings), postgres=None)
+        database.dispose()
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    return tmp_path / "backup.tar"
+
+
+def upload_and_play(service: Service, name: str = "zero") -> str:
+    answer = service.upload(make_archive(manifest=f"track: track_1\ntasks: [peg-insertion]\nname: {name}\n"))
+    assert answer.status_code == 202, answer.text
+    with service.database.transaction() as session:
+        submission = session.get_one(Submission, UUID(answer.json()["id"]))
+        digest = submission.archive_sha256
+    play_all(service.database, submission)
+    return digest
+
+
+@contextmanager
+def rewritten(file: Path, change: Callable[[Members], None]) -> Iterator[Path]:
+    """Return a copy of a backup whose members were changed."""
+    with tarfile.open(file) as tar:
+        members = {member.name: tar.extractfile(member).read() for member in tar}  # type: ignore[union-attr]
+    change(members)
+    copy = file.with_name("changed.tar")
+    with tarfile.open(copy, "w") as tar:
+        for name, content in members.items():
+            member = tarfile.TarInfo(name)
+            member.size = len(content)
+            tar.addfile(member, io.BytesIO(content))
+    yield copy
+
+
+def undated(answer: bytes) -> bytes:
+    """Return an answer without the moment at which it was made."""
+    return re.sub(rb'"generated_at":"[^"]+"', b"", answer)
+
+
+def count(services: Services, model: type) -> int:
+    with services.database.transaction() as session:
+        return session.scalar(select(func.count()).select_from(model)) or 0
+
+
+def test_restored_service_shows_the_same_boards_byte_for_byte(
+    service: Service, empty: Services, file: Path, tmp_path: Path
+) -> None:
+    digest = upload_and_play(service)
+    pages = ("/leaderboards/track_1", "/leaderboards/track_1?task=peg-insertion", "/submissions", "/tracks")
+    before = {page: undated(service.get(page).content) for page in pages}
+    description = back_up(service.services, file)
+    assert description.blobs == (digest,)
+    restore(empty, file)
+    assert is_current(empty.database)
+    with serving(create_app(empty.settings, services=empty)) as (host, port):
+        restored = f"http://{host}:{port}{API}"
+        with Client(base_url=restored, headers=bearer(service.token)) as client:
+            after = {page: undated(client.get(page).content) for page in pages}
+    assert after == before
+    empty.blobs.fetch(digest, tmp_path / "blob")
+    assert (tmp_path / "blob").read_bytes() == make_archive()
+
+
+def test_backup_leaves_out_what_arrives_while_it_is_written(service: Service, empty: Services, file: Path) -> None:
+    digest = upload_and_play(service)
+
+    def upload_another(done: int, total: int) -> None:
+        upload_and_play(service, "second")
+
+    description = back_up(service.services, file, on_file=upload_another)
+    restore(empty, file)
+    assert description.blobs == (digest,)
+    assert count(empty, Submission) == 1
+
+
+def test_backup_is_for_its_owner_alone(service: Service, file: Path) -> None:
+    back_up(service.services, file)
+    assert stat.S_IMODE(file.stat().st_mode) == 0o600
+
+
+def test_existing_file_is_kept(service: Service, file: Path) -> None:
+    file.write_text("precious")
+    with pytest.raises(BackupNotMade, match="exists"):
+        back_up(service.services, file)
+    assert file.read_text() == "precious"
+
+
+def test_folder_that_is_missing_is_named(service: Service, tmp_path: Path) -> None:
+    with pytest.raises(BackupNotMade, match="No such file"):
+        back_up(service.services, tmp_path / "none" / "backup.tar")
+
+
+def test_nothing_is_left_where_an_upload_cannot_be_read(service: Service, file: Path) -> None:
+    digest = upload_and_play(service)
+    service.services.blobs.delete(digest)
+    with pytest.raises(Exception, match="is gone"):
+        back_up(service.services, file)
+    assert list(file.parent.glob("backup*")) == []
+
+
+def test_service_with_data_is_left_as_it_is(service: Service, file: Path) -> None:
+    upload_and_play(service)
+    back_up(service.services, file)
+    with pytest.raises(ServiceNotEmpty, match="got 2 teams, 3 api_tokens, 1 submissions"):
+        restore(service.services, file)
+    assert count(service.services, Team) == 2
+
+
+def test_service_with_running_workers_is_left_as_it_is(service: Service, empty: Services, file: Path) -> None:
+    back_up(service.services, file)
+    with empty.database.transaction() as session:
+        session.add(
+            Worker(
+                host="test",
+                pid=1,
+                slots=1,
+                state=WorkerState.READY,
+                evaluator_version="1",
+                platform_class="x",
+                isolation="",
+                message="",
+            )
+        )
+    with pytest.raises(ServiceNotEmpty, match="got 1; stop them"):
+        restore(empty, file)
+
+
+def test_backup_of_an_older_schema_is_brought_up_to_date(service: Service, empty: Services, file: Path) -> None:
+    upload_and_play(service)
+    downgrade(service.database, "-1")
+    back_up(service.services, file)
+    restore(empty, file)
+    assert is_current(empty.database)
+    assert count(empty, Submission) == 1
+
+
+def drop_dump(members: Members) -> None:
+    del members["database.dump"]
+
+
+def alter_blob(members: Members) -> None:
+    name = next(name for name in members if name.startswith("blobs/"))
+    members[name] += b"x"
+
+
+def make_newer(members: Members) -> None:
+    text = members["backup.json"].decode()
+    revision = text.split('"schema_revision": "')[1].split('"')[0]
+    members["backup.json"] = text.replace(f'"schema_revision": "{revision}"', '"schema_revision": "9999"').encode()
+
+
+def add_unknown_key(members: Members) -> None:
+    members["backup.json"] = b'{"surprise": 1}'
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (drop_dump, "no file database.dump"),
+        (alter_blob, "was altered"),
+        (make_newer, "does not know"),
+        (add_unknown_key, "backup.json"),
+    ],
+)
+def test_backup_that_is_not_whole_is_refused_before_anything_changes(
+    service: Service, empty: Services, file: Path, change: Callable[[Members], None], reason: str
+) -> None:
+    upload_and_play(service)
+    back_up(service.services, file)
+    with rewritten(file, change) as changed, pytest.raises(BackupRejected, match=reason):
+        restore(empty, changed)
+    assert is_current(empty.database)
+    assert list(empty.settings.state_dir.rglob("sha256/*/*")) == []
+
+
+def test_truncated_backup_is_refused(service: Service, empty: Services, file: Path) -> None:
+    upload_and_play(service)
+    back_up(service.services, file)
+    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+    with pytest.raises(BackupRejected):
+        restore(empty, file)
+
+
+def test_file_that_is_no_backup_is_refused(empty: Services, file: Path) -> None:
+    file.write_text("hello")
+    with pytest.raises(BackupRejected, match=r"not a complete backup.*vitac admin backup"):
+        restore(empty, file)
