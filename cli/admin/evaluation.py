@@ -1,22 +1,22 @@
 """`vitac admin evaluation`: single runs of the evaluator."""
 
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 from uuid import UUID
 
 import typer
 
-from ..service.database import transaction
+from ..service.database import load_settings, open_service, transaction
 from ..terminal.output import AsJson, moment, percent, print_json, print_pairs, print_table
 from .consent import Yes, consented_transaction
-from .submission import known_state
+from .state import known_state
 
 if TYPE_CHECKING:
-    from sqlalchemy.orm import Session
-    from vitac.server.db.models import Evaluation
+    from vitac.server.views.evaluations import DifferingEpisodeView, EvaluationDetailView, EvaluationRowView, ShardView
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
 EvaluationId = Annotated[UUID, typer.Argument(help="Id of the evaluation.")]
+COLUMNS = ("id", "team", "submission", "run", "state", "success", "steps", "verdict", "alarms", "created")
 
 
 @app.command("list")
@@ -25,21 +25,16 @@ def list_evaluations(
     limit: Annotated[int, typer.Option(min=1, max=1000, help="At most so many.")] = 50,
     as_json: AsJson = False,
 ) -> None:
-    """List evaluations, newest first."""
-    from sqlalchemy import select
-    from vitac.server.db.models import Evaluation
+    """List evaluations, newest first. Alarms: episodes that were played again with another result."""
+    from vitac.server.evaluations import listing
 
-    query = select(Evaluation).order_by(Evaluation.created_at.desc()).limit(limit)
-    if state is not None:
-        query = query.where(Evaluation.state == known_state(state))
+    wanted = None if state is None else known_state(state)
     with transaction() as session:
-        found = [to_json(evaluation) for evaluation in session.scalars(query)]
+        found = listing.list_evaluations(session, state=wanted, limit=limit)
     if as_json:
-        print_json(found)
-        return
-    columns = ["id", "team", "submission", "run", "state", "success_rate", "mean_steps", "verdict", "created_at"]
-    rows = [[percent(row[key]) if key == "success_rate" else row[key] for key in columns] for row in found]
-    print_table(columns, rows, none="No such evaluation.")
+        print_json([row.model_dump(mode="json") for row in found])
+    else:
+        print_table(COLUMNS, [_row(row) for row in found], none="No such evaluation.")
 
 
 @app.command()
@@ -47,17 +42,21 @@ def show(
     evaluation: EvaluationId,
     as_json: AsJson = False,
 ) -> None:
-    """Show an evaluation with its shards."""
-    with transaction() as session:
-        found = _find(session, evaluation)
-        shown, shards = to_json(found), [_shard_json(shard) for shard in found.shards]
+    """Show an evaluation with its shards, and with the episodes that were played again with another result."""
+    from vitac.server.evaluations import listing
+
+    settings = load_settings()
+    with open_service(settings) as services, services.database.transaction() as session:
+        found = listing.show_evaluation(session, settings, evaluation)
     if as_json:
-        print_json(shown | {"shards": shards})
+        print_json(found.model_dump(mode="json"))
         return
-    print_pairs(shown)
+    print_pairs(_pairs(found))
     print()
-    columns = ["shard", "task", "episodes", "state", "attempts", "worker"]
-    print_table(columns, [[shard[key] for key in columns] for shard in shards], none="It has no shards.")
+    columns = ("shard", "task", "episodes", "state", "attempts", "worker")
+    print_table(columns, [_shard(shard) for shard in found.shards], none="It has no shards.")
+    if found.differing_episodes:
+        _print_alarms(found.differing_episodes)
 
 
 @app.command()
@@ -67,10 +66,11 @@ def requeue(
 ) -> None:
     """Start a new run of the same submission, all episodes anew; this evaluation stays as it is."""
     from vitac.server.accounts.principals import CONSOLE
+    from vitac.server.evaluations import listing
     from vitac.server.submissions import runs
 
     with consented_transaction(f"Run the submission of evaluation {evaluation} once more?", yes=yes) as session:
-        submission_id = runs.run_again(session, CONSOLE, _find(session, evaluation).submission_id).id
+        submission_id = runs.run_again(session, CONSOLE, listing.find(session, evaluation).submission_id).id
     print(f"queued submission {submission_id} again")
 
 
@@ -81,62 +81,70 @@ def cancel(
 ) -> None:
     """Cancel an evaluation that waits or runs."""
     from vitac.server.accounts.principals import CONSOLE
-    from vitac.server.errors import ProblemCode, ServiceError
-    from vitac.server.evaluations.history import newest_evaluation
+    from vitac.server.evaluations import listing
     from vitac.server.submissions import runs
 
     with consented_transaction(f"Cancel evaluation {evaluation}?", yes=yes) as session:
-        found = _find(session, evaluation)
-        if newest_evaluation(session, found.submission).id != evaluation:
-            raise ServiceError(
-                ProblemCode.NOT_CANCELLABLE, f"Evaluation {evaluation} has ended; a newer run of its submission exists."
-            )
-        runs.cancel(session, CONSOLE, found.submission_id)
+        runs.cancel_evaluation(session, CONSOLE, listing.find(session, evaluation))
     print(f"cancelled {evaluation}")
 
 
-def to_json(evaluation: "Evaluation") -> dict[str, Any]:
-    """Return what is shown of an evaluation; over several tasks the score is their combination."""
-    from vitac.server.evaluations.scores import combined_score
+def _row(row: "EvaluationRowView") -> list[object]:
+    return [
+        row.id,
+        row.team,
+        row.submission_id,
+        row.run,
+        row.state.value,
+        percent(row.success_rate),
+        row.mean_steps,
+        row.verdict.code if row.verdict else None,
+        row.differing_episodes or None,
+        moment(row.created_at),
+    ]
 
-    combined = combined_score(evaluation)
+
+def _pairs(found: "EvaluationDetailView") -> dict[str, object]:
+    progress, verdict = found.progress, found.verdict
     return {
-        "id": str(evaluation.id),
-        "submission": str(evaluation.submission_id),
-        "team": evaluation.submission.team.name,
-        "track": evaluation.submission.track,
-        "run": evaluation.run,
-        "state": evaluation.state.value,
-        "success_rate": combined.success_rate if combined else None,
-        "mean_steps": combined.mean_steps if combined else None,
-        "verdict": evaluation.verdict_code,
-        "message": evaluation.verdict_message,
-        "result_hash": evaluation.result_hash,
-        "evaluator_version": evaluation.evaluator_version,
-        "platform_class": evaluation.platform_class,
-        "created_at": moment(evaluation.created_at),
-        "started_at": moment(evaluation.started_at),
-        "finished_at": moment(evaluation.finished_at),
+        "evaluation": found.id,
+        "submission": found.submission_id,
+        "team": found.team,
+        "track": found.track,
+        "run": found.run,
+        "state": found.state.value,
+        "episodes": f"{progress.episodes_done} of {progress.episodes_total}, {progress.successes} successes",
+        "success": percent(found.success_rate),
+        "steps": found.mean_steps,
+        "verdict": f"{verdict.code}: {verdict.message}" if verdict else None,
+        "result hash": found.result_hash,
+        "evaluator": found.evaluator_version,
+        "platform class": found.platform_class,
+        "isolation": "; ".join(found.isolation),
+        "created": moment(found.created_at),
+        "started": moment(found.started_at),
+        "finished": moment(found.finished_at),
     }
 
 
-def _find(session: "Session", evaluation_id: UUID) -> "Evaluation":
-    from vitac.server.db.models import Evaluation
-    from vitac.server.errors import not_found
-
-    found = session.get(Evaluation, evaluation_id)
-    if found is None:
-        raise not_found("evaluation", evaluation_id)
-    return found
+def _shard(shard: "ShardView") -> list[object]:
+    episodes = f"{shard.episodes[0]}..{shard.episodes[-1]}"
+    return [shard.number, shard.task, episodes, shard.state.value, shard.attempts, shard.worker_id]
 
 
-def _shard_json(shard: Any) -> dict[str, Any]:
-    episodes = shard.episodes
-    return {
-        "shard": shard.number,
-        "task": shard.task,
-        "episodes": f"{episodes[0]}..{episodes[-1]}",
-        "state": shard.state.value,
-        "attempts": shard.attempts,
-        "worker": str(shard.worker_id) if shard.worker_id is not None else None,
-    }
+def _print_alarms(alarms: "list[DifferingEpisodeView]") -> None:
+    print("\nALARM: episodes were played again with another result than the stored one, which counts.")
+    print("The policy or a machine does not repeat itself.\n")
+    columns = ("task", "episode", "stored record", "other record", "worker", "seen")
+    rows = [
+        [
+            alarm.task,
+            alarm.episode,
+            alarm.stored_digest[:8],
+            alarm.differing_digest[:8],
+            alarm.worker_id,
+            moment(alarm.seen_at),
+        ]
+        for alarm in alarms
+    ]
+    print_table(columns, rows, none="")

@@ -8,9 +8,9 @@ import typer
 from ..service.database import load_settings, open_service
 from ..terminal.output import AsJson, moment, percent, print_json, print_table
 from .consent import Yes, consented_transaction
+from .state import known_state
 
 if TYPE_CHECKING:
-    from vitac.server.db.states import EvaluationState
     from vitac.server.views.submissions import SubmissionView
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
@@ -92,20 +92,6 @@ def cancel(
     with consented_transaction(f"Cancel the evaluation of submission {submission}?", yes=yes) as session:
         runs.cancel(session, CONSOLE, submission)
     print(f"cancelled {submission}")
-
-
-def known_state(name: str) -> "EvaluationState":
-    """Return the state of that name.
-
-    Raises:
-        typer.BadParameter: there is none.
-    """
-    from vitac.server.db.states import EvaluationState
-
-    try:
-        return EvaluationState(name)
-    except ValueError:
-        raise typer.BadParameter(f"{name!r} is no state; they are {', '.join(EvaluationState)}") from None
 
 
 def _row(item: "SubmissionView") -> list[object]:

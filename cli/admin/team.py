@@ -1,15 +1,12 @@
 """`vitac admin team`: teams of the competition."""
 
 from datetime import timedelta
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from ..service.database import load_settings, open_service, transaction
-from ..terminal.output import AsJson, moment, print_json, print_pairs, print_record, print_records
-
-if TYPE_CHECKING:
-    from vitac.server.db.models import Team
+from ..terminal.output import AsJson, print_json, print_pairs, print_record, print_records
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
@@ -36,9 +33,9 @@ def add(
             team=team,
             lifetime=timedelta(days=settings.token_lifetime_days),
         )
-        team_json = to_json(team)
+        shown = teams.organizer_team_view(team).model_dump()
     if as_json:
-        print_json({"team": team_json, "secret": issued.secret})
+        print_json({"team": shown, "secret": issued.secret})
         return
     print_pairs({"team": team.name, "id": team.id, "token": issued.secret})
     print("\nThe token is not shown again. Hand it to the team; it is used as VITAC_TOKEN.")
@@ -50,7 +47,7 @@ def list_teams(as_json: AsJson = False) -> None:
     from vitac.server.accounts import teams
 
     with transaction() as session:
-        found = [to_json(team) for team in teams.list_teams(session)]
+        found = [teams.organizer_team_view(team).model_dump() for team in teams.list_teams(session)]
     none = "No team yet; `vitac admin team add NAME` makes one."
     print_records(found, ("name", "contact", "created_at", "id"), none=none, as_json=as_json)
 
@@ -64,10 +61,5 @@ def show(
     from vitac.server.accounts import teams
 
     with transaction() as session:
-        found = to_json(teams.find(session, team))
+        found = teams.organizer_team_view(teams.find(session, team)).model_dump()
     print_record(found, as_json=as_json)
-
-
-def to_json(team: "Team") -> dict[str, str | None]:
-    """Return what is shown of a team."""
-    return {"id": str(team.id), "name": team.name, "contact": team.contact, "created_at": moment(team.created_at)}

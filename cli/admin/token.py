@@ -1,17 +1,14 @@
 """`vitac admin token`: API tokens of teams and organizers."""
 
 from datetime import timedelta
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 from uuid import UUID
 
 import typer
 
 from ..service.database import load_settings, open_service, transaction
-from ..terminal.output import AsJson, moment, print_json, print_pairs, print_records
+from ..terminal.output import AsJson, print_json, print_pairs, print_records
 from .consent import Yes, consented_transaction
-
-if TYPE_CHECKING:
-    from vitac.server.db.models import ApiToken
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
@@ -43,7 +40,7 @@ def add(
             team=None if team is None else teams.find(session, team),
             lifetime=timedelta(days=days or settings.token_lifetime_days),
         )
-        shown = to_json(issued.token) | {"secret": issued.secret}
+        shown = tokens.new_token_view(issued).model_dump()
     if as_json:
         print_json(shown)
         return
@@ -58,7 +55,7 @@ def list_tokens(as_json: AsJson = False) -> None:
     from vitac.server.accounts.principals import CONSOLE
 
     with transaction() as session:
-        found = [to_json(token) for token in tokens.list_tokens(session, CONSOLE)]
+        found = [tokens.token_view(token).model_dump() for token in tokens.list_tokens(session, CONSOLE)]
     columns = ("id", "role", "team", "label", "expires_at", "revoked_at", "last_used_at")
     print_records(found, columns, none="No token yet.", as_json=as_json)
 
@@ -75,17 +72,3 @@ def revoke(
     with consented_transaction(f"Revoke token {token} for good?", yes=yes) as session:
         tokens.revoke(session, CONSOLE, token)
     print(f"revoked {token}")
-
-
-def to_json(token: "ApiToken") -> dict[str, str | None]:
-    """Return what is shown of a token; its secret is not stored."""
-    return {
-        "id": str(token.id),
-        "role": token.role.value,
-        "team": token.team.name if token.team is not None else None,
-        "label": token.label,
-        "created_at": moment(token.created_at),
-        "expires_at": moment(token.expires_at),
-        "revoked_at": moment(token.revoked_at),
-        "last_used_at": moment(token.last_used_at),
-    }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 from rich.cells import cell_len
@@ -85,6 +85,8 @@ def percent(fraction: float | None) -> str | None:
 def _cell(value: object) -> str:
     if isinstance(value, float):
         return f"{value:.2f}"
+    if hasattr(value, "astimezone"):
+        return str(moment(cast("datetime", value)))
     return "-" if value is None or value == "" else str(value)
 
 
@@ -94,4 +96,5 @@ def _align(text: str, width: int, right_aligned: bool) -> str:
 
 
 def _as_text(value: Any) -> str:
-    return value.isoformat() if hasattr(value, "isoformat") else str(value)
+    """Write times as the REST API does."""
+    return value.isoformat().replace("+00:00", "Z") if hasattr(value, "isoformat") else str(value)

@@ -12,6 +12,7 @@ from vitac.server.db.models import Team
 from vitac.server.db.states import Role
 from vitac.server.errors import ProblemCode, ServiceError, not_found
 
+from ..views.accounts import OrganizerTeamView, TeamView
 from .principals import Principal
 
 NAME_LENGTH = 64
@@ -69,6 +70,16 @@ def own(session: Session, by: Principal) -> Team:
 def list_teams(session: Session) -> list[Team]:
     """All teams by name."""
     return list(session.scalars(select(Team).order_by(Team.name_key)))
+
+
+def team_view(team: Team) -> TeamView:
+    """Return a team as everybody sees it."""
+    return TeamView(id=team.id, name=team.name, created_at=team.created_at)
+
+
+def organizer_team_view(team: Team) -> OrganizerTeamView:
+    """Return a team as organizers see it."""
+    return OrganizerTeamView(**dict(team_view(team)), contact=team.contact)
 
 
 def clean_name(name: str) -> str:

@@ -14,6 +14,7 @@ from vitac.server.db.models import ApiToken, Team
 from vitac.server.db.states import Role
 from vitac.server.errors import ProblemCode, ServiceError, not_found
 
+from ..views.accounts import NewTokenView, TokenView
 from .principals import Principal
 
 PREFIX = "vitac_"
@@ -104,6 +105,25 @@ def revoke(session: Session, by: Principal, token_id: UUID) -> None:
     if token.revoked_at is None:
         token.revoked_at = datetime.now(UTC)
         record(session, by, "token.revoke", f"token:{token.id}", {"label": token.label})
+
+
+def token_view(token: ApiToken) -> TokenView:
+    """Return a token as it is shown, without its secret."""
+    return TokenView(
+        id=token.id,
+        label=token.label,
+        role=token.role,
+        team=token.team.name if token.team is not None else None,
+        created_at=token.created_at,
+        expires_at=token.expires_at,
+        revoked_at=token.revoked_at,
+        last_used_at=token.last_used_at,
+    )
+
+
+def new_token_view(issued: IssuedToken) -> NewTokenView:
+    """Return a new token with its secret."""
+    return NewTokenView(**token_view(issued.token).model_dump(), secret=issued.secret)
 
 
 def hash_secret(secret: str) -> str:

@@ -15,8 +15,7 @@ from vitac.server.db.states import Role
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.services import Services
 from vitac.server.settings import Registration
-from vitac.server.submissions.view import team_view
-from vitac.server.views.accounts import MeView, NewTokenView, RegisteredTeamView, TokenListView, TokenView
+from vitac.server.views.accounts import MeView, NewTokenView, RegisteredTeamView, TokenListView
 
 from .access import OptionalPrincipalOf, PrincipalOf, ServicesOf
 from .problems import RESPONSES
@@ -61,7 +60,7 @@ def post_team(
         issued = tokens.issue(
             session, CONSOLE, role=Role.TEAM, label="first", team=team, lifetime=_lifetime(services, None)
         )
-        return RegisteredTeamView(team=team_view(team), token=new_token_view(issued))
+        return RegisteredTeamView(team=teams.team_view(team), token=tokens.new_token_view(issued))
 
 
 @router.post("/tokens", status_code=HTTPStatus.CREATED)
@@ -77,14 +76,14 @@ def post_token(services: ServicesOf, principal: PrincipalOf, new: NewToken) -> N
             team=owner,
             lifetime=_lifetime(services, new.expires_in_days),
         )
-        return new_token_view(issued)
+        return tokens.new_token_view(issued)
 
 
 @router.get("/tokens")
 def list_tokens(services: ServicesOf, principal: PrincipalOf) -> TokenListView:
     """Return the team's tokens, without secrets; all for an organizer."""
     with services.database.transaction() as session:
-        return TokenListView(items=[token_view(token) for token in tokens.list_tokens(session, principal)])
+        return TokenListView(items=[tokens.token_view(token) for token in tokens.list_tokens(session, principal)])
 
 
 @router.delete("/tokens/{token_id}", status_code=HTTPStatus.NO_CONTENT, response_class=Response)
@@ -101,28 +100,9 @@ def get_me(services: ServicesOf, principal: PrincipalOf) -> MeView:
         token = session.get(ApiToken, principal.token_id)
         return MeView(
             role=principal.role,
-            team=team_view(teams.own(session, principal)) if principal.team_id is not None else None,
-            token=token_view(token) if token is not None else None,
+            team=teams.team_view(teams.own(session, principal)) if principal.team_id is not None else None,
+            token=tokens.token_view(token) if token is not None else None,
         )
-
-
-def token_view(token: ApiToken) -> TokenView:
-    """Return a token as it is shown, without its secret."""
-    return TokenView(
-        id=token.id,
-        label=token.label,
-        role=token.role,
-        team=token.team.name if token.team is not None else None,
-        created_at=token.created_at,
-        expires_at=token.expires_at,
-        revoked_at=token.revoked_at,
-        last_used_at=token.last_used_at,
-    )
-
-
-def new_token_view(issued: tokens.IssuedToken) -> NewTokenView:
-    """Return a new token with its secret."""
-    return NewTokenView(**token_view(issued.token).model_dump(), secret=issued.secret)
 
 
 def _owner_of_new_token(session: Session, principal: Principal, new: NewToken) -> Team | None:

@@ -250,6 +250,26 @@ class EpisodeResult(Base):
     created_at: Mapped[datetime] = mapped_column(server_default=func.now())
 
 
+class EpisodeDifference(Base):
+    """An alarm: an episode was played again under this evaluation with another record than the stored one."""
+
+    __tablename__ = "episode_differences"
+    __table_args__ = (
+        UniqueConstraint("evaluation_id", "task", "episode", "differing_digest", name="uq_episode_differences_key"),
+        CheckConstraint("stored_digest <> differing_digest", name="records_differ"),
+        _sha256_check("stored_digest"),
+        _sha256_check("differing_digest"),
+    )
+    id: Mapped[int] = mapped_column(BigInteger, Identity(always=True), primary_key=True)
+    evaluation_id: Mapped[UUID] = mapped_column(ForeignKey("evaluations.id", ondelete="CASCADE"))
+    task: Mapped[str]
+    episode: Mapped[int]
+    stored_digest: Mapped[str] = mapped_column(String(64))
+    differing_digest: Mapped[str] = mapped_column(String(64))
+    worker_id: Mapped[UUID | None]
+    seen_at: Mapped[datetime] = mapped_column(server_default=func.now())
+
+
 class Worker(Base):
     """A worker process and when it last spoke."""
 

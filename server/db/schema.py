@@ -19,13 +19,21 @@ LOCK_TIMEOUT_S = 5.0
 """A migration that cannot get its table lock fails instead of stopping all other work behind it."""
 
 
-def upgrade(database: Database, *, lock_timeout_s: float = LOCK_TIMEOUT_S) -> None:
+STATEMENT_TIMEOUT_S = 300.0
+"""A statement of a migration that runs longer is ended and rolled back: whoever migrates holds the upgrade lock, and
+every process that starts waits for it. Rewrite more rows than that in batches, outside a migration."""
+
+
+def upgrade(
+    database: Database, *, lock_timeout_s: float = LOCK_TIMEOUT_S, statement_timeout_s: float = STATEMENT_TIMEOUT_S
+) -> None:
     """Run all migrations that are missing, each in a transaction of its own; do nothing on a current database.
 
     Raises:
-        sqlalchemy.exc.OperationalError: another transaction held a table for longer than `lock_timeout_s`.
+        sqlalchemy.exc.OperationalError: another transaction held a table for longer than `lock_timeout_s`, or a
+            statement took longer than `statement_timeout_s`.
     """
-    with _migrating(database, lock_timeout_s) as (connection, configuration):
+    with _migrating(database, lock_timeout_s, statement_timeout_s) as (connection, configuration):
         if installed_revision(connection) != newest_revision():
             connection.rollback()
             command.upgrade(configuration, "head")
@@ -33,18 +41,22 @@ def upgrade(database: Database, *, lock_timeout_s: float = LOCK_TIMEOUT_S) -> No
 
 def downgrade(database: Database, revision: str) -> None:
     """Take back all migrations after a revision (`base`: all of them), with the rows they hold."""
-    with _migrating(database, LOCK_TIMEOUT_S) as (_, configuration):
+    with _migrating(database, LOCK_TIMEOUT_S, STATEMENT_TIMEOUT_S) as (_, configuration):
         command.downgrade(configuration, revision)
 
 
 @contextmanager
-def _migrating(database: Database, lock_timeout_s: float) -> Iterator[tuple[Connection, Config]]:
+def _migrating(
+    database: Database, lock_timeout_s: float, statement_timeout_s: float
+) -> Iterator[tuple[Connection, Config]]:
     """Return a connection of its own, closed afterwards, that alone may change the schema."""
     engine = create_engine(sqlalchemy_url(database.address), poolclass=NullPool)
     with engine.connect() as connection:
-        # For the session, not for a transaction: the migrations have one each.
+        # For the session, not for a transaction: the migrations have one each. The limits hold from here on only, for
+        # waiting for another process that migrates is no fault.
         wait_for_lock(connection, AdvisoryLock.SCHEMA_UPGRADE)
         connection.exec_driver_sql(f"SET lock_timeout = {round(1000 * lock_timeout_s)}")
+        connection.exec_driver_sql(f"SET statement_timeout = {round(1000 * statement_timeout_s)}")
         connection.commit()
         configuration = _configuration()
         configuration.attributes["connection"] = connection

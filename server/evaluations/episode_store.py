@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 from typing import Any, Self
 
-import structlog
 from sqlalchemy import func, select
 from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
@@ -11,8 +10,7 @@ from vitac.evaluator.episodes.records import EpisodeRecord, PolicyFailure
 
 from ..db.models import EpisodeResult, Evaluation, Submission
 from ..queue.leases import Lease, lock_held
-
-logger = structlog.get_logger(__name__)
+from .differences import report_difference
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,7 +91,7 @@ def store_episode(session: Session, lease: Lease, record: EpisodeRecord) -> None
         .returning(EpisodeResult.id)
     )
     if added is None:
-        _report_difference(session, lease, record, digest)
+        _compare_with_stored(session, lease, record, digest)
 
 
 def storable(record: EpisodeRecord) -> EpisodeRecord:
@@ -139,7 +137,7 @@ def _without_nul(text: str) -> str:
     return text.replace("\0", "\N{REPLACEMENT CHARACTER}").encode("utf-8", "replace").decode("utf-8")
 
 
-def _report_difference(session: Session, lease: Lease, record: EpisodeRecord, digest: str) -> None:
+def _compare_with_stored(session: Session, lease: Lease, record: EpisodeRecord, digest: str) -> None:
     stored = session.scalar(
         select(EpisodeResult.record_digest).where(
             *EpisodeKey.of_lease(lease).conditions(),
@@ -147,6 +145,5 @@ def _report_difference(session: Session, lease: Lease, record: EpisodeRecord, di
             EpisodeResult.episode == record.episode,
         )
     )
-    if stored != digest:
-        # The first one counts. Different records under one key: a policy or a machine that does not repeat itself.
-        logger.warning("episode_differs_from_stored", shard=lease.shard_id, episode=record.episode, kept=stored)
+    if stored is not None and stored != digest:
+        report_difference(session, lease, episode=record.episode, stored=stored, differing=digest)

@@ -9,7 +9,9 @@ from sqlalchemy import delete, func, select, update
 from sqlalchemy.orm import Session
 from vitac.server.db.models import Worker
 from vitac.server.db.states import WorkerState
+from vitac.server.errors import not_found
 from vitac.server.settings import Settings
+from vitac.server.views.workers import WorkerView
 
 FORGOTTEN_AFTER = timedelta(days=7)
 
@@ -24,7 +26,7 @@ class WorkersAlive:
 
 
 def register(session: Session, worker: Worker) -> None:
-    """Add a worker process and forgets those that were silent for a week."""
+    """Add a worker process and forget those that were silent for a week."""
     session.execute(delete(Worker).where(Worker.heartbeat_at < datetime.now(UTC) - FORGOTTEN_AFTER))
     session.add(worker)
 
@@ -57,3 +59,20 @@ def workers_alive(session: Session, settings: Settings, evaluator_version: str |
 def list_workers(session: Session) -> Sequence[Worker]:
     """All known workers, the one heard last first."""
     return session.scalars(select(Worker).order_by(Worker.heartbeat_at.desc())).all()
+
+
+def find(session: Session, worker_id: UUID) -> Worker:
+    """Return the worker of that id.
+
+    Raises:
+        ServiceError: there is none.
+    """
+    worker = session.get(Worker, worker_id)
+    if worker is None:
+        raise not_found("worker", worker_id)
+    return worker
+
+
+def worker_view(worker: Worker) -> WorkerView:
+    """Return a worker as organizers see it."""
+    return WorkerView.model_validate(worker, from_attributes=True)

@@ -25,7 +25,7 @@ def get(session: Session, settings: Settings, by: Principal, submission_id: UUID
     Raises:
         ServiceError: there is none that the principal may see.
     """
-    return submission_view(session, settings, visible(session, by, submission_id))
+    return submission_view(session, settings, visible(session, by, submission_id), for_organizer=by.is_organizer)
 
 
 def list_submissions(
@@ -59,7 +59,10 @@ def list_submissions(
     found = session.scalars(query.order_by(Submission.submitted_at.desc(), Submission.id.desc()).limit(limit + 1)).all()
     places_of = cache(partial(places, session))
     return SubmissionListView(
-        items=[submission_view(session, settings, submission, places_of) for submission in found[:limit]],
+        items=[
+            submission_view(session, settings, submission, places_of, for_organizer=by.is_organizer)
+            for submission in found[:limit]
+        ],
         next_before=found[limit - 1].id if len(found) > limit else None,
     )
 

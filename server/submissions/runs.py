@@ -36,6 +36,19 @@ def cancel(session: Session, by: Principal, submission_id: UUID) -> None:
     record(session, by, "submission.cancel", f"submission:{submission.id}", {"evaluation": str(evaluation.id)})
 
 
+def cancel_evaluation(session: Session, by: Principal, evaluation: Evaluation) -> None:
+    """End an evaluation, which must be the one that its submission shows.
+
+    Raises:
+        ServiceError: it has ended.
+    """
+    if newest_evaluation(session, evaluation.submission).id != evaluation.id:
+        raise ServiceError(
+            ProblemCode.NOT_CANCELLABLE, f"Evaluation {evaluation.id} has ended; a newer run of its submission exists."
+        )
+    cancel(session, by, evaluation.submission_id)
+
+
 def run_again(session: Session, by: Principal, submission_id: UUID) -> Submission:
     """Start a new run that plays all episodes anew; the earlier results stay.
 

@@ -3,6 +3,8 @@
 from datetime import datetime
 from uuid import UUID
 
+from pydantic import Field
+
 from ..db.states import Role
 from .base import View
 
@@ -13,6 +15,12 @@ class TeamView(View):
     id: UUID
     name: str
     created_at: datetime
+
+
+class OrganizerTeamView(TeamView):
+    """A team with what only organizers may know."""
+
+    contact: str | None = Field(description="Where organizers reach the team.")
 
 
 class TokenView(View):

@@ -5,7 +5,7 @@ from uuid import UUID
 
 from pydantic import Field
 
-from ..db.states import EvaluationState
+from ..db.states import EvaluationState, ShardState
 from .base import View
 from .scores import TaskScoreView
 
@@ -53,6 +53,20 @@ class EvaluationSummaryView(View):
     result_hash: str | None
 
 
+class DifferingEpisodeView(View):
+    """An episode that was played again with another record than the stored one, which counts.
+
+    The policy or a machine does not repeat itself.
+    """
+
+    task: str
+    episode: int
+    stored_digest: str = Field(description="SHA-256 of the record that counts.")
+    differing_digest: str = Field(description="SHA-256 of the record that was refused.")
+    worker_id: UUID | None = Field(description="Whose record was refused.")
+    seen_at: datetime
+
+
 class EvaluationView(EvaluationSummaryView):
     """One run of the evaluator over a submission."""
 
@@ -69,3 +83,40 @@ class EvaluationView(EvaluationSummaryView):
     evaluator_hash: str
     platform_class: str | None
     isolation: list[str] = Field(description="How the policy was isolated, on each kind of worker machine.")
+    differing_episodes: list[DifferingEpisodeView] | None = Field(
+        description="For organizers: episodes that were played again with another record; null for a team."
+    )
+
+
+class EvaluationRowView(EvaluationSummaryView):
+    """A line of the organizers' list of evaluations."""
+
+    submission_id: UUID
+    team: str
+    track: str
+    success_rate: float | None
+    mean_steps: float | None
+    verdict: VerdictView | None
+    platform_class: str | None
+    started_at: datetime | None
+    differing_episodes: int = Field(description="How many episodes were played again with another record.")
+
+
+class ShardView(View):
+    """A fixed part of an evaluation's episode list, and who works on it."""
+
+    number: int
+    task: str
+    episodes: list[int]
+    state: ShardState
+    attempts: int
+    worker_id: UUID | None
+
+
+class EvaluationDetailView(EvaluationView):
+    """One run of the evaluator as organizers see it."""
+
+    submission_id: UUID
+    team: str
+    track: str
+    shards: list[ShardView]

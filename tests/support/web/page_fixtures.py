@@ -185,6 +185,7 @@ def a_submission(
         evaluator_hash="01234567" * 8,
         platform_class="x86_64-linux",
         isolation=[] if state is EvaluationState.QUEUED else ["user-namespace, memory by cgroup-v2"],
+        differing_episodes=None,
     )
     return SubmissionView(
         id=an_id(f"{team}/{name}"),

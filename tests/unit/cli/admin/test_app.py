@@ -5,9 +5,10 @@ from pathlib import Path
 import pytest
 import structlog
 from cli_service import CliService, submission_folder
-from service_factories import play_all
+from service_factories import claim, make_record, play_all, shard_ids, store
 from typer.testing import Result
 from vitac.cli.admin.consent import ConsentMissing
+from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.evaluator.scoring.ranking import combine
 from vitac.server.accounts.audit import newest_entries
 from vitac.server.db.models import Submission, Worker
@@ -156,9 +157,26 @@ def test_the_combination_is_that_of_todays_rule_in_every_list(
 def test_shows_an_evaluation_with_its_shards(service: CliService, submission_id: str) -> None:
     shown = read(service, "evaluation", "show", evaluation_of(service))
     assert isinstance(shown, dict)
-    assert shown["submission"] == submission_id
+    assert shown["submission_id"] == submission_id
     assert len(shown["shards"]) == 9
     assert "1..30" in admin(service, "evaluation", "show", evaluation_of(service)).stdout
+
+
+def test_episodes_that_differ_from_the_stored_ones_are_shown_as_an_alarm(
+    service: CliService, submission_id: str
+) -> None:
+    assert "ALARM" not in admin(service, "evaluation", "show", evaluation_of(service)).stdout
+    with service.database.transaction() as session:
+        first = shard_ids(session, session.get_one(Submission, submission_id))[0]
+    store(service.database, claim(service.database, first), [make_record(1), make_record(1, EpisodeOutcome.STEPS)])
+    shown = admin(service, "evaluation", "show", evaluation_of(service)).stdout
+    assert "ALARM" in shown
+    assert make_record(1).record_digest()[:8] in shown
+    listed = read(service, "evaluation", "list")
+    assert isinstance(listed, list)
+    assert [row["differing_episodes"] for row in listed] == [1]
+    headings, row = admin(service, "evaluation", "list").stdout.splitlines()
+    assert row[headings.index("alarms") :].split()[0] == "1"
 
 
 def test_requeues_and_cancels_by_evaluation(service: CliService, submission_id: str) -> None:

@@ -20,7 +20,7 @@ def test_json_writes_times_and_ids_as_text(capsys: pytest.CaptureFixture[str]) -
     made = datetime(2026, 11, 21, tzinfo=UTC)
     output.print_json({"at": made, "id": UUID(int=1), "name": "日本"})
     printed = capsys.readouterr().out
-    assert json.loads(printed) == {"at": made.isoformat(), "id": str(UUID(int=1)), "name": "日本"}
+    assert json.loads(printed) == {"at": "2026-11-21T00:00:00Z", "id": str(UUID(int=1)), "name": "日本"}
     assert "日本" in printed
 
 

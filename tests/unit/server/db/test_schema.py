@@ -114,6 +114,19 @@ def test_migration_gives_up_on_a_locked_table_instead_of_queueing_behind_it(empt
     assert is_current(empty)
 
 
+def test_migration_with_a_statement_that_takes_too_long_is_rolled_back(empty: Database) -> None:
+    upgrade(empty)
+    downgrade(empty, "0001")
+    with psycopg.connect(empty.address) as blocker:
+        blocker.execute("LOCK TABLE shards IN ROW EXCLUSIVE MODE")
+        with pytest.raises(OperationalError, match="statement timeout"):
+            upgrade(empty, lock_timeout_s=60.0, statement_timeout_s=0.2)
+    with empty.engine.connect() as connection:
+        assert installed_revision(connection) == "0001"
+    upgrade(empty)
+    assert is_current(empty)
+
+
 def test_queue_schema_is_the_one_of_the_installed_procrastinate(migrated: Database, empty: Database) -> None:
     newest = max(path.name for path in _queue_migrations())
     assert newest == queue_migration.LAST_QUEUE_MIGRATION, (

@@ -24,7 +24,7 @@ from page_fixtures import (
 from sqlalchemy.exc import OperationalError
 from vitac.evaluator.logs.findings import VerificationResult
 from vitac.server.db.states import EvaluationState, Role, SubmissionKind
-from vitac.server.views.evaluations import VerdictView
+from vitac.server.views.evaluations import DifferingEpisodeView, VerdictView
 from vitac.server.views.leaderboards import LeaderboardView
 from vitac.server.views.submissions import SubmissionView
 from vitac.web.headers import HEADERS
@@ -361,6 +361,25 @@ def test_failed_submission_shows_verdict_and_escaped_output(browser: AsgiBrowser
     for shown in ("The policy crashed.", "crashed", "lock opening, episode 4", "&lt;script&gt;alert(1)&lt;/script&gt;"):
         assert shown in html
     assert "<script>alert" not in html
+
+
+def test_organizers_page_says_that_an_episode_was_played_again_with_another_result(
+    data: FixedData, browser: AsgiBrowser
+) -> None:
+    alarm = DifferingEpisodeView(
+        task="peg-insertion",
+        episode=7,
+        stored_digest="01" * 32,
+        differing_digest="02" * 32,
+        worker_id=None,
+        seen_at=RUNNING.submitted_at,
+    )
+    evaluation = RUNNING.evaluation.model_copy(update={"differing_episodes": [alarm]})
+    data.found = [RUNNING.model_copy(update={"evaluation": evaluation})]
+    sign_in(browser, "organizers")
+    html = browser.get(f"/submissions/{RUNNING.id}").text
+    assert "1 episode was played again with another result." in html
+    assert f"vitac admin evaluation show {evaluation.id}" in html
 
 
 def test_queued_submission_shows_its_place_and_that_no_worker_is_alive(browser: AsgiBrowser) -> None:

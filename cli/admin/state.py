@@ -1,0 +1,22 @@
+"""States of evaluations as options name them; called by the nouns that list by state."""
+
+from typing import TYPE_CHECKING
+
+import typer
+
+if TYPE_CHECKING:
+    from vitac.server.db.states import EvaluationState
+
+
+def known_state(name: str) -> "EvaluationState":
+    """Return the state of that name.
+
+    Raises:
+        typer.BadParameter: there is none.
+    """
+    from vitac.server.db.states import EvaluationState
+
+    try:
+        return EvaluationState(name)
+    except ValueError:
+        raise typer.BadParameter(f"{name!r} is no state; they are {', '.join(EvaluationState)}") from None

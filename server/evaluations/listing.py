@@ -1,0 +1,78 @@
+"""Evaluations as organizers read them: a list of them, one with its shards."""
+
+from uuid import UUID
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session, joinedload
+
+from ..db.models import Evaluation, Shard, Submission
+from ..db.states import EvaluationState
+from ..errors import not_found
+from ..queue.workers import workers_alive
+from ..settings import Settings
+from ..views.evaluations import EvaluationDetailView, EvaluationRowView, ShardView
+from .differences import count_differing_episodes
+from .scores import combined_score
+from .view import evaluation_view, summary_view, verdict_view
+
+
+def find(session: Session, evaluation_id: UUID) -> Evaluation:
+    """Return the evaluation of that id.
+
+    Raises:
+        ServiceError: there is none.
+    """
+    found = session.get(Evaluation, evaluation_id)
+    if found is None:
+        raise not_found("evaluation", evaluation_id)
+    return found
+
+
+def list_evaluations(session: Session, *, state: EvaluationState | None = None, limit: int) -> list[EvaluationRowView]:
+    """Return the newest evaluations (in a state), newest first."""
+    query = (
+        select(Evaluation, count_differing_episodes())
+        .options(joinedload(Evaluation.submission).joinedload(Submission.team))
+        .order_by(Evaluation.created_at.desc(), Evaluation.id)
+        .limit(limit)
+    )
+    if state is not None:
+        query = query.where(Evaluation.state == state)
+    return [_row(evaluation, differing) for evaluation, differing in session.execute(query)]
+
+
+def show_evaluation(session: Session, settings: Settings, evaluation_id: UUID) -> EvaluationDetailView:
+    """Return an evaluation with its shards.
+
+    Raises:
+        ServiceError: there is none.
+    """
+    evaluation = find(session, evaluation_id)
+    workers = workers_alive(session, settings, evaluation.evaluator_version)
+    return EvaluationDetailView(
+        **dict(evaluation_view(session, evaluation, workers, for_organizer=True)),
+        submission_id=evaluation.submission_id,
+        team=evaluation.submission.team.name,
+        track=evaluation.submission.track,
+        shards=[_shard(shard) for shard in evaluation.shards],
+    )
+
+
+def _row(evaluation: Evaluation, differing: int) -> EvaluationRowView:
+    combined = combined_score(evaluation)
+    return EvaluationRowView(
+        **dict(summary_view(evaluation)),
+        submission_id=evaluation.submission_id,
+        team=evaluation.submission.team.name,
+        track=evaluation.submission.track,
+        success_rate=combined.success_rate if combined else None,
+        mean_steps=combined.mean_steps if combined else None,
+        verdict=verdict_view(evaluation),
+        platform_class=evaluation.platform_class,
+        started_at=evaluation.started_at,
+        differing_episodes=differing,
+    )
+
+
+def _shard(shard: Shard) -> ShardView:
+    return ShardView.model_validate(shard, from_attributes=True)

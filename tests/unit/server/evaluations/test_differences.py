@@ -1,0 +1,83 @@
+from uuid import uuid4
+
+import pytest
+from service_factories import (
+    TASK,
+    claim,
+    make_principal,
+    make_record,
+    make_settings,
+    shard_ids,
+    store,
+    submit,
+    take_away,
+)
+from vitac.evaluator.episodes.records import EpisodeOutcome
+from vitac.server.accounts.principals import CONSOLE, Principal
+from vitac.server.db.engine import Database
+from vitac.server.db.models import Submission
+from vitac.server.evaluations.listing import list_evaluations
+from vitac.server.submissions.listing import get, list_submissions
+from vitac.server.views.evaluations import DifferingEpisodeView
+
+SETTINGS = make_settings()
+FIRST, OTHER = make_record(3), make_record(3, EpisodeOutcome.STEPS)
+
+
+@pytest.fixture
+def principal(database: Database) -> Principal:
+    with database.transaction() as session:
+        return make_principal(session)
+
+
+@pytest.fixture
+def submission(database: Database, principal: Principal) -> Submission:
+    with database.transaction() as session:
+        return submit(session, principal)
+
+
+def first_shard(database: Database, submission: Submission) -> int:
+    with database.transaction() as session:
+        return shard_ids(session, submission)[0]
+
+
+def alarms(database: Database, submission: Submission, by: Principal = CONSOLE) -> list[DifferingEpisodeView] | None:
+    with database.transaction() as session:
+        return get(session, SETTINGS, by, submission.id).evaluation.differing_episodes
+
+
+def test_episode_that_differs_from_the_stored_one_alarms_the_organizers(
+    database: Database, submission: Submission
+) -> None:
+    shard_id, second_worker = first_shard(database, submission), uuid4()
+    store(database, claim(database, shard_id), [FIRST])
+    take_away(database, shard_id)
+    store(database, claim(database, shard_id, second_worker), [OTHER])
+    (alarm,) = alarms(database, submission) or []
+    assert (alarm.task, alarm.episode, alarm.worker_id) == (TASK, 3, second_worker)
+    assert (alarm.stored_digest, alarm.differing_digest) == (FIRST.record_digest(), OTHER.record_digest())
+    with database.transaction() as session:
+        assert [row.differing_episodes for row in list_evaluations(session, limit=10)] == [1]
+        (listed,) = list_submissions(session, SETTINGS, CONSOLE).items
+        assert listed.evaluation.differing_episodes == [alarm]
+
+
+def test_episode_that_repeats_itself_alarms_nobody(database: Database, submission: Submission) -> None:
+    store(database, claim(database, first_shard(database, submission)), [FIRST, FIRST])
+    assert alarms(database, submission) == []
+    with database.transaction() as session:
+        assert [row.differing_episodes for row in list_evaluations(session, limit=10)] == [0]
+
+
+def test_same_difference_is_told_once_and_another_one_beside_it(database: Database, submission: Submission) -> None:
+    third = make_record(3, EpisodeOutcome.STEPS, total_reward=2.0)
+    store(database, claim(database, first_shard(database, submission)), [FIRST, OTHER, OTHER, third])
+    found = alarms(database, submission) or []
+    assert [alarm.differing_digest for alarm in found] == [OTHER.record_digest(), third.record_digest()]
+    with database.transaction() as session:
+        assert [row.differing_episodes for row in list_evaluations(session, limit=10)] == [1]
+
+
+def test_team_is_not_told(database: Database, submission: Submission, principal: Principal) -> None:
+    store(database, claim(database, first_shard(database, submission)), [FIRST, OTHER])
+    assert alarms(database, submission, by=principal) is None
