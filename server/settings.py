@@ -2,10 +2,11 @@
 
 from enum import StrEnum
 from functools import cached_property
+from ipaddress import ip_network
 from pathlib import Path
 from typing import Any, Self
 
-from pydantic import Field, PositiveFloat, PositiveInt, SecretStr, ValidationError, model_validator
+from pydantic import Field, PositiveFloat, PositiveInt, SecretStr, ValidationError, field_validator, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 from vitac.evaluator.agent.limits import Limits
 
@@ -51,6 +52,12 @@ class Settings(BaseSettings):
     host: str = "127.0.0.1"
     port: int = Field(default=8000, ge=0, le=65535)
     public_url: str | None = Field(default=None, description="Address that people use, when a proxy stands in front.")
+
+    trusted_proxies: str = Field(
+        default="",
+        description="Addresses or networks (10.0.0.0/8), with commas, of the reverse proxies in front. The client's "
+        "address is taken from their X-Forwarded-For, which counts from nobody else.",
+    )
 
     registration: Registration = Registration.OPEN
     registrations_per_hour: PositiveInt = Field(
@@ -99,10 +106,26 @@ class Settings(BaseSettings):
             )
         return self
 
+    @field_validator("trusted_proxies")
+    @classmethod
+    def _are_networks(cls, text: str) -> str:
+        for part in _parts(text):
+            ip_network(part)
+        return text
+
+    @property
+    def trusted_proxy_networks(self) -> tuple[str, ...]:
+        """The trusted proxies, one by one."""
+        return _parts(self.trusted_proxies)
+
     @cached_property
     def scratch_dir(self) -> Path:
         """Folder for files that live only while something runs."""
         return self.state_dir / "scratch"
+
+
+def _parts(text: str) -> tuple[str, ...]:
+    return tuple(part.strip() for part in text.split(",") if part.strip())
 
 
 def load_settings(**overrides: Any) -> Settings:

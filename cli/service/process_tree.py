@@ -51,7 +51,7 @@ def running_service(
     with ExitStack() as stack:
         stack.callback(listener.close)
         services = stack.enter_context(open_service(settings))
-        server = WebServer(app=create(services), listener=listener)
+        server = WebServer(app=create(services), listener=listener, trusted_proxies=settings.trusted_proxy_networks)
         stack.callback(server.stop)
         server.start()
         pool = ProcessPool(

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING
 from vitac.envs.errors import VitacError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     import uvicorn
     from fastapi import FastAPI
 
@@ -37,6 +39,9 @@ def bind(host: str, port: int) -> socket.socket:
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     listener = socket.socket(family, socket.SOCK_STREAM)
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    # Accepted connections inherit it. Head and body of an answer are two packets, and with Nagle's algorithm the second
+    # waits 40 ms for the client's delayed acknowledgement.
+    listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     try:
         listener.bind((host, port))
     except OSError as error:
@@ -68,6 +73,8 @@ class WebServer:
 
     app: FastAPI
     listener: socket.socket
+    trusted_proxies: Sequence[str] = ()
+    """Addresses or networks whose X-Forwarded-For and X-Forwarded-Proto are believed."""
     _server: uvicorn.Server | None = field(default=None, init=False)
     _thread: threading.Thread | None = field(default=None, init=False)
 
@@ -79,8 +86,13 @@ class WebServer:
         """
         import uvicorn
 
+        from .http_protocol import BoundedHeadProtocol
+
         configuration = uvicorn.Config(
             self.app,
+            http=BoundedHeadProtocol,
+            proxy_headers=bool(self.trusted_proxies),
+            forwarded_allow_ips=list(self.trusted_proxies),
             log_config=None,
             access_log=False,
             backlog=BACKLOG,

@@ -26,6 +26,7 @@ def test_values_come_from_the_environment_and_arguments_win(monkeypatch: pytest.
         ("VITAC_PORT", "many", "VITAC_PORT is 'many'"),
         ("VITAC_REGISTRATION", "maybe", "'open' or 'closed'"),
         ("VITAC_LEASE_S", "2", "at least three renewals"),
+        ("VITAC_TRUSTED_PROXIES", "10.0.0.1, proxy", "VITAC_TRUSTED_PROXIES is '10.0.0.1, proxy'"),
     ],
 )
 def test_wrong_value_names_the_variable(monkeypatch: pytest.MonkeyPatch, name: str, value: str, says: str) -> None:

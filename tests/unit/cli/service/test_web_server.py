@@ -1,10 +1,13 @@
 import socket
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+import time
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager, contextmanager, suppress
+from typing import Any
 
 import httpx
 import pytest
-from fastapi import FastAPI
+from fastapi import FastAPI, Request
+from vitac.cli.service import http_protocol
 from vitac.cli.service.web_server import PortTaken, ServerDidNotStart, WebServer, address_of, bind, bind_or_any
 
 
@@ -39,6 +42,89 @@ def test_serves_from_start_to_stop() -> None:
     server.stop()
     with socket.socket() as probe:
         assert probe.connect_ex(("127.0.0.1", int(address.rpartition(":")[2]))) != 0
+
+
+@contextmanager
+def serving(app: FastAPI, **options: Any) -> Iterator[tuple[str, int]]:
+    listener = bind("127.0.0.1", 0)
+    address = listener.getsockname()
+    server = WebServer(app=app, listener=listener, **options)
+    server.start()
+    try:
+        yield address
+    finally:
+        server.stop()
+
+
+def test_answers_do_not_wait_for_acknowledgements() -> None:
+    """With Nagle's algorithm every small answer took 44 ms."""
+    with bind("127.0.0.1", 0) as listener:
+        listener.listen()
+        with socket.create_connection(listener.getsockname()), listener.accept()[0] as accepted:
+            assert accepted.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+
+
+@pytest.mark.parametrize(
+    ("trusted", "seen"), [((), "127.0.0.1"), (("10.0.0.0/8",), "127.0.0.1"), (("127.0.0.0/8",), "192.0.2.7")]
+)
+def test_a_forwarded_address_counts_from_trusted_proxies_only(trusted: tuple[str, ...], seen: str) -> None:
+    app = FastAPI()
+
+    @app.get("/")
+    def address(request: Request) -> str:
+        return request.client.host if request.client is not None else "none"
+
+    with serving(app, trusted_proxies=trusted) as (host, port):
+        answer = httpx.get(f"http://{host}:{port}/", headers={"X-Forwarded-For": "198.51.100.1, 192.0.2.7"})
+    assert answer.json() == seen
+
+
+def echo() -> FastAPI:
+    app = FastAPI()
+
+    @app.post("/")
+    async def size(request: Request) -> int:
+        return len(await request.body())
+
+    return app
+
+
+def test_a_client_that_does_not_finish_its_headers_is_disconnected(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(http_protocol, "HEAD_TIMEOUT_S", 0.3)
+    with serving(echo()) as address:
+        for first in (b"", b"POST / HTTP/1.1\r\nHost: a\r\n", FULL_REQUEST + b"POST / HTTP/1.1\r\n"):
+            with socket.create_connection(address, timeout=20) as connection:
+                connection.sendall(first)
+                assert trickle_until_closed(connection)
+
+
+FULL_REQUEST = b"POST / HTTP/1.1\r\nHost: a\r\nContent-Length: 2\r\n\r\nab"
+
+
+def trickle_until_closed(connection: socket.socket) -> bool:
+    """Send a byte of a header now and then; return whether the server has closed the connection meanwhile."""
+    connection.settimeout(0.05)
+    for _ in range(400):
+        try:
+            if not connection.recv(4096):
+                return True
+            continue
+        except TimeoutError:
+            pass
+        except ConnectionError:
+            return True
+        with suppress(ConnectionError):
+            connection.sendall(b"a")
+    return False
+
+
+def test_a_slow_body_is_not_taken_for_a_slow_head(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(http_protocol, "HEAD_TIMEOUT_S", 0.2)
+    with serving(echo()) as address, socket.create_connection(address, timeout=20) as connection:
+        connection.sendall(FULL_REQUEST[:-1])
+        time.sleep(0.6)
+        connection.sendall(FULL_REQUEST[-1:])
+        assert connection.recv(4096).startswith(b"HTTP/1.1 200 OK")
 
 
 def test_an_application_that_fails_at_its_start_is_told() -> None:

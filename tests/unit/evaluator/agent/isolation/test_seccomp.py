@@ -49,7 +49,7 @@ def test_no_call_is_listed_twice() -> None:
 
 def test_every_allowed_call_is_known_to_the_library() -> None:
     """A misspelt name would be left out of the filter in silence."""
-    import pyseccomp
+    import pyseccomp  # type: ignore[import-untyped]
 
     newer_than_some_libraries = {"fchmodat2", "epoll_pwait2", "faccessat2", "close_range"}
     unknown = {name for name in seccomp.ALLOWED if pyseccomp.resolve_syscall(pyseccomp.Arch.X86_64, name) == -1}
