@@ -13,7 +13,7 @@ from vitac.server.settings import Settings
 from . import health, problems, submissions, teams, tracks
 from .body_limit import BodyLimit
 from .limiter import ConcurrencyLimiter, WindowLimiter
-from .nul_characters import NulCharacters
+from .request_head import RequestHead
 
 API_PREFIX = "/api/v1"
 DESCRIPTION = """Evaluation of policies for manipulation with vision and touch.
@@ -60,6 +60,6 @@ def create_app(settings: Settings, routers: Sequence[APIRouter] = (), services: 
     for router in (health.router, *routers):
         app.include_router(router)
     app.add_middleware(BodyLimit, unlimited=("POST", f"{API_PREFIX}{submissions.router.prefix}"))
-    app.add_middleware(NulCharacters)
+    app.add_middleware(RequestHead)
     problems.install(app)
     return app

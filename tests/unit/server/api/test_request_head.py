@@ -1,4 +1,5 @@
 import json
+import socket
 from typing import Any
 
 import pytest
@@ -50,3 +51,20 @@ def test_what_is_no_text_in_a_team_name_is_refused(service: Service, name: str) 
     for body in ({"name": name}, {"name": "fine", "contact": name}):
         answer = service.client.post("/api/v1/teams", content=json.dumps(body), headers=JSON)
         problem_of(answer, 422, "invalid_request")
+
+
+def test_two_lengths_of_one_body_are_refused_and_the_connection_is_closed(service: Service) -> None:
+    """What a proxy took for the body must not be read as the next request."""
+    head = b"POST /api/v1/teams HTTP/1.1\r\nHost: a\r\nContent-Type: application/json\r\n"
+    smuggled = b"GET /health HTTP/1.1\r\nHost: a\r\n\r\n"
+    body = b"0\r\n\r\n" + smuggled
+    for lengths in (
+        b"Content-Length: %d\r\nTransfer-Encoding: chunked\r\n",
+        b"Transfer-Encoding: chunked\r\nContent-Length: %d\r\n",
+    ):
+        with socket.create_connection(service.address, timeout=20) as connection:
+            connection.sendall(head + lengths % len(body) + b"\r\n" + body)
+            answer = b"".join(iter(lambda: connection.recv(4096), b""))
+        assert answer.startswith(b"HTTP/1.1 400")
+        assert b'"length_invalid"' in answer
+        assert answer.count(b"HTTP/1.1") == 1
