@@ -1,4 +1,4 @@
-"""The whole HTTP application: the server's API with the pages on it. Called by `vitac serve` and `vitac demo`."""
+"""The HTTP application: the server's API and the pages. Called by `vitac serve` and `vitac demo`."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ KEY_FILE = "session.key"
 
 
 def create(services: Services) -> FastAPI:
-    """Return the application over open services; they are left open at its end."""
+    """Return the application on open services; the caller closes them."""
     settings = services.settings
     app = create_app(settings, services=services)
     site = Site(

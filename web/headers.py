@@ -1,7 +1,7 @@
-"""Security headers on every page. Called by `pages.install`.
+"""Security headers on every page. Called by `routes.install`.
 
-Pages load nothing but our own two small files, so the policy forbids everything else: no inline script or style, no
-frames, no other origin. The interactive API description (`/docs`) keeps its own needs and is not a page.
+Pages load only our own static files, so the policy forbids everything else: no inline script or style, no frames, no
+other origin. The interactive API description (`/docs`) sets its own policy.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class SecurityHeaders:
         self.app = app
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass the request on; add the headers where the answer starts."""
+        """Pass the request on, and add the headers to the start of the answer."""
 
         async def send_with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":

@@ -1,4 +1,4 @@
-"""The Jinja environment of the pages: escaping on, undefined names refused, filters for rates and times.
+"""The Jinja environment of the pages: escapes, refuses undefined names, formats rates and times.
 
 Called by `site`.
 """
@@ -22,7 +22,7 @@ STATIC = Path(__file__).parent / "static"
 
 @cache
 def environment() -> Environment:
-    """Return the one environment of this process; an undefined name in a template is an error."""
+    """Return the environment of this process; an undefined name in a template is an error."""
     jinja = Environment(
         loader=PackageLoader("vitac.web", "templates"),
         autoescape=select_autoescape(default=True, default_for_string=True),
@@ -45,12 +45,12 @@ def environment() -> Environment:
 
 
 def render(template: str, request: Request, **values: object) -> str:
-    """Render a template; `static_url` and `path` are available in every one.
+    """Render a template; `static_url` and `path` are available in all.
 
     Args:
         template: file name inside `templates/`.
         request: the request being answered.
-        values: what the template shows.
+        values: variables of the template.
     """
     return (
         environment()
@@ -61,23 +61,23 @@ def render(template: str, request: Request, **values: object) -> str:
 
 @cache
 def static_url(name: str) -> str:
-    """Return the address of a static file, with its digest, so that browsers may keep it for ever."""
+    """Return the address of a static file, with its digest, so that browsers may cache it for ever."""
     digest = sha256((STATIC / name).read_bytes()).hexdigest()[:12]
     return f"/static/{name}?v={digest}"
 
 
 def percent(fraction: float | None) -> str:
-    """Write a fraction in [0, 1] as a percentage with one decimal; a missing one as a dash."""
+    """Format a fraction in [0, 1] as a percentage with one decimal; None as a dash."""
     return "–" if fraction is None else f"{100 * fraction:.1f} %".replace(" ", "\N{NO-BREAK SPACE}")
 
 
 def steps(mean: float | None) -> str:
-    """Write a mean number of env steps with two decimals; a missing one (no success) as a dash."""
+    """Format a mean number of env steps with two decimals; None (no success) as a dash."""
     return "–" if mean is None else f"{mean:.2f}"
 
 
 def timestamp(moment: datetime | None) -> Markup:
-    """Write an aware time as a `<time>` element in UTC, to the minute."""
+    """Format an aware time as a `<time>` element in UTC, to the minute."""
     if moment is None:
         return Markup("–")
     utc = moment.astimezone(UTC)
@@ -87,7 +87,7 @@ def timestamp(moment: datetime | None) -> Markup:
 
 
 def duration(seconds: float | None) -> str:
-    """Write a length of time as people say it: `42 s`, `3 min 05 s`, `2 h 10 min`."""
+    """Format a duration: `42 s`, `3 min 05 s`, `2 h 10 min`."""
     if seconds is None:
         return "–"
     whole = max(0, round(seconds))
@@ -99,12 +99,12 @@ def duration(seconds: float | None) -> str:
 
 
 def words(name: str) -> str:
-    """Write an identifier as words: `peg-insertion` and `not_converged` become `peg insertion` and `not converged`."""
+    """Format an identifier as words: `peg-insertion` and `not_converged` as `peg insertion` and `not converged`."""
     return name.replace("_", " ").replace("-", " ")
 
 
 def quantity(value: object) -> str:
-    """Write a value of an env step's info: numbers with four figures, lists with commas, a missing one as a dash."""
+    """Format a value of an env step's info: numbers with four digits, lists with commas, None as a dash."""
     if value is None:
         return "–"
     if isinstance(value, bool):
@@ -115,12 +115,12 @@ def quantity(value: object) -> str:
 
 
 def short(digest: str | None) -> str:
-    """Write the first twelve characters of a digest; the full one stands on the submission's page."""
+    """Shorten a digest to twelve characters; the submission's page shows it in full."""
     return "–" if digest is None else digest[:12]
 
 
 def prose(text: str) -> Markup:
-    """Write a sentence of a track file: what stands between backticks becomes code."""
+    """Format a sentence of a track file: text between backticks becomes code."""
     parts = text.split("`")
     return Markup("").join(
         Markup("<code>{}</code>").format(part) if odd % 2 else part for odd, part in enumerate(parts)
@@ -128,5 +128,5 @@ def prose(text: str) -> Markup:
 
 
 def across(fraction: float | None) -> str:
-    """Write a fraction in [0, 1] as a horizontal position inside an SVG: `41.48%`."""
+    """Format a fraction in [0, 1] as a horizontal position in an SVG: `41.48%`."""
     return f"{100 * min(1.0, max(0.0, fraction or 0.0)):.2f}%"

@@ -1,4 +1,4 @@
-"""What every page shares: data, signer, the visitor of a request, and the answer made from a template."""
+"""What all pages share: data, signer, the visitor of a request, and answers made from templates."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ class Site:
     """The pages of one server.
 
     Attributes:
-        data: what the pages show.
+        data: data of the pages.
         signer: signs the sessions.
-        version: the distribution's version, shown in the foot.
+        version: the distribution's version, shown in the footer.
         tracks: names of the tracks, the first one is the home page.
-        public_url: address that people use; None: the one the browser asked for.
+        public_url: address that people use; None: that of the request.
     """
 
     data: PageData
@@ -42,7 +42,7 @@ class Site:
     public_url: str | None = None
 
     def address(self, request: Request) -> str:
-        """Return the address to give to the command line."""
+        """Return the address to use on the command line."""
         return (self.public_url or str(request.base_url)).rstrip("/")
 
 
@@ -60,21 +60,21 @@ class Viewer:
 
     @property
     def is_organizer(self) -> bool:
-        """Whether every team's submissions are shown."""
+        """Whether all teams' submissions are shown."""
         return self.visitor.is_organizer
 
     def may_see(self, team: str) -> bool:
-        """Tell whether the submissions of a team are shown."""
+        """Return whether the submissions of a team are shown."""
         return self.visitor.may_see(team)
 
 
 def site_of(request: Request) -> Site:
-    """Return the site that `pages.install` put on the application."""
+    """Return the site that `routes.install` stored in the application."""
     return cast("Site", request.app.state.site)
 
 
 async def viewer_of(request: Request) -> Viewer | None:
-    """Return who is signed in, or None; a session ends with its token."""
+    """Return the signed-in visitor, or None; a session ends with its token."""
     site = site_of(request)
     cookie = request.cookies.get(COOKIE)
     found = site.signer.read(cookie, now=datetime.now(UTC))
@@ -85,7 +85,7 @@ async def viewer_of(request: Request) -> Viewer | None:
 
 
 async def require_viewer(request: Request) -> Viewer | RedirectResponse:
-    """Return who is signed in, or the way to the sign-in page."""
+    """Return the signed-in visitor, or a redirect to the sign-in page."""
     viewer = await viewer_of(request)
     return viewer or RedirectResponse(f"/sign-in?next={quote(request.url.path)}", status_code=303)
 
@@ -98,13 +98,13 @@ def require_form_token(request: Request, fields: Mapping[str, str], viewer: View
     """
     token = fields.get("form_token", "")
     if not site_of(request).signer.accepts_form_token(request.cookies.get(COOKIE), token):
-        raise HTTPException(403, f"This form was not made for {viewer.name}'s session. Load the page again and repeat.")
+        raise HTTPException(403, f"This form is not of {viewer.name}'s current session. Reload the page and try again.")
 
 
 def page(
     request: Request, template: str, *, viewer: Viewer | None, section: str = "", status: int = 200, **values: Any
 ) -> Response:
-    """Answer with a page; browsers may keep none that shows who is signed in."""
+    """Answer with a page; pages of a signed-in visitor are not cached."""
     site = site_of(request)
     html = render(
         template,

@@ -1,4 +1,4 @@
-"""The limits in force as rows for the rules page. Called by `service_data`."""
+"""The limits in force as rows for the rules page. Called by `service`."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ UNITS = (("GiB", 1 << 30), ("MiB", 1 << 20), ("KiB", 1 << 10))
 
 
 def limit_rows(limits: Limits) -> tuple[LimitRow, ...]:
-    """Return the limits on a submission, in the order in which a team meets them."""
+    """Return the limits on a submission, from upload to evaluation."""
     rows = {
         "Archive, packed": size(limits.archive_packed_bytes),
         "Archive, unpacked": size(limits.archive_unpacked_bytes),
         "Files and folders in the archive": f"{limits.archive_files:,}".replace(",", "\N{NARROW NO-BREAK SPACE}"),
         "Folder depth in the archive": str(limits.archive_depth),
-        "Unpacked over packed size": f"{limits.archive_ratio:g}",
+        "Ratio of unpacked to packed size": f"{limits.archive_ratio:g}",
         "Start (import and load)": time_limits(limits.start_cpu_s, limits.start_wall_s),
         "One action": time_limits(limits.action_cpu_s, limits.action_wall_s),
         "One episode": time_limits(limits.episode_cpu_s, None),
@@ -39,7 +39,7 @@ def limit_rows(limits: Limits) -> tuple[LimitRow, ...]:
 
 
 def size(count: int) -> str:
-    """Write a number of bytes in the largest unit that it fills: `512 MiB`."""
+    """Format a number of bytes in its largest unit: `512 MiB`."""
     for unit, unit_bytes in UNITS:
         if count >= unit_bytes:
             return f"{count / unit_bytes:.4g} {unit}"
@@ -47,6 +47,6 @@ def size(count: int) -> str:
 
 
 def time_limits(cpu_s: float, wall_s: float | None) -> str:
-    """Write a limit on processor time and, where there is one, on the clock [s]."""
-    processor = f"{cpu_s:g} s of CPU time"
-    return processor if wall_s is None else f"{processor}, {wall_s:g} s by the clock"
+    """Format a limit on CPU time and, if there is one, on wall time [s]."""
+    cpu = f"{cpu_s:g} s of CPU time"
+    return cpu if wall_s is None else f"{cpu}, {wall_s:g} s of wall time"

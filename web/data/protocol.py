@@ -1,4 +1,4 @@
-"""What the pages need to know, as one protocol: `service_data` answers it, tests answer it with fixed values."""
+"""The data that the pages need, as one protocol: implemented by `service`, and by tests with fixed values."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Visitor:
-    """Who holds a valid API token.
+    """The holder of a valid API token.
 
     Attributes:
-        principal: who asks, for the service.
+        principal: the token's team or organizer, for the service.
         token_id: row id of the token.
     """
 
@@ -29,16 +29,16 @@ class Visitor:
 
     @property
     def name(self) -> str:
-        """The team's name, or what stands for an organizer."""
+        """The team's name, or "organizers"."""
         return self.principal.team_name or "organizers"
 
     @property
     def is_organizer(self) -> bool:
-        """Whether every team's submissions are shown."""
+        """Whether all teams' submissions are shown."""
         return self.principal.is_organizer
 
     def may_see(self, team: str) -> bool:
-        """Tell whether the submissions of a team are shown."""
+        """Return whether the submissions of a team are shown."""
         return self.is_organizer or self.name == team
 
 
@@ -51,37 +51,37 @@ class LimitRow:
 
 
 class PageData(Protocol):
-    """Reads and the one write of the pages. What a visitor may not see raises the service's "not found"."""
+    """The pages' reads and their only write. What a visitor may not see raises the service's "not found"."""
 
     async def visitor_with_token(self, token: str) -> Visitor | None:
-        """Return whose API token this is, or None where it is unknown, revoked or expired."""
+        """Return the holder of an API token, or None if it is unknown, revoked or expired."""
 
     async def visitor_with_token_id(self, token_id: UUID) -> Visitor | None:
-        """Return the holder of a token that signed in before, or None where it is no longer valid."""
+        """Return the holder of a token that signed in before, or None if it is no longer valid."""
 
     async def leaderboard(self, track: str, task: str | None) -> LeaderboardView:
         """Return the leaderboard of a track, or of one of its tasks."""
 
     async def log_boards(self, track: str) -> LogBoardsView:
-        """Return the logs of a track, verified ones and those of 2025."""
+        """Return the verified logs and the 2025 text logs of a track."""
 
     async def submission(self, visitor: Visitor, submission_id: UUID) -> SubmissionView:
         """Return one submission."""
 
     async def submissions(self, visitor: Visitor, before: UUID | None) -> SubmissionListView:
-        """Return the visitor's submissions (all teams' for an organizer), those older than a cursor."""
+        """Return the visitor's submissions (all teams' for an organizer) that are older than a cursor."""
 
     async def episodes(self, visitor: Visitor, submission_id: UUID) -> Sequence[EpisodeView]:
-        """Return how the finished episodes of a submission's newest evaluation ended."""
+        """Return the outcomes of the finished episodes of a submission's newest evaluation."""
 
     async def action_matches(self, visitor: Visitor, submission_id: UUID) -> Sequence[ActionMatchView]:
         """Return how far the team's models go along with a log; nothing for other submissions."""
 
     async def cancel(self, visitor: Visitor, submission_id: UUID) -> None:
-        """Cancel the running or waiting evaluation of a submission."""
+        """Cancel the queued or running evaluation of a submission."""
 
     def log_size(self) -> str:
-        """Return how large a log may be, in words."""
+        """Return the largest size of a log, as text."""
 
     def limits(self) -> Sequence[LimitRow]:
         """Return the limits in force on this server."""

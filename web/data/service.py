@@ -1,4 +1,4 @@
-"""Answers the pages' questions from the service layer; its calls block, so each runs in a thread.
+"""Reads the pages' data from the service layer; its calls block, so each runs in a thread.
 
 Made by `application`.
 """
@@ -43,7 +43,7 @@ class ServiceData:
     settings: Settings
 
     async def visitor_with_token(self, token: str) -> Visitor | None:
-        """Return whose API token this is."""
+        """Return the holder of an API token."""
         return await self._visitor(lambda session: tokens.authenticate(session, token))
 
     async def visitor_with_token_id(self, token_id: UUID) -> Visitor | None:
@@ -52,36 +52,36 @@ class ServiceData:
 
     async def leaderboard(self, track: str, task: str | None) -> LeaderboardView:
         """Return the leaderboard of a track, or of one of its tasks."""
-        return await self._ask(lambda session: standings.leaderboard(session, track, task=task))
+        return await self._run(lambda session: standings.leaderboard(session, track, task=task))
 
     async def log_boards(self, track: str) -> LogBoardsView:
         """Return the logs of a track."""
-        return await self._ask(lambda session: log_boards.log_boards(session, track))
+        return await self._run(lambda session: log_boards.log_boards(session, track))
 
     async def submission(self, visitor: Visitor, submission_id: UUID) -> SubmissionView:
         """Return one submission."""
-        return await self._ask(lambda session: listing.get(session, self.settings, visitor.principal, submission_id))
+        return await self._run(lambda session: listing.get(session, self.settings, visitor.principal, submission_id))
 
     async def submissions(self, visitor: Visitor, before: UUID | None) -> SubmissionListView:
         """Return a page of submissions."""
-        return await self._ask(
+        return await self._run(
             lambda session: listing.list_submissions(session, self.settings, visitor.principal, before=before)
         )
 
     async def episodes(self, visitor: Visitor, submission_id: UUID) -> Sequence[EpisodeView]:
-        """Return how the finished episodes ended."""
-        return await self._ask(lambda session: listing.episodes(session, visitor.principal, submission_id))
+        """Return the outcomes of the finished episodes."""
+        return await self._run(lambda session: listing.episodes(session, visitor.principal, submission_id))
 
     async def action_matches(self, visitor: Visitor, submission_id: UUID) -> Sequence[ActionMatchView]:
         """Return how far the team's models go along with a log."""
-        return await self._ask(lambda session: action_matches.action_matches(session, visitor.principal, submission_id))
+        return await self._run(lambda session: action_matches.action_matches(session, visitor.principal, submission_id))
 
     async def cancel(self, visitor: Visitor, submission_id: UUID) -> None:
         """Cancel an evaluation."""
-        await self._ask(lambda session: runs.cancel(session, visitor.principal, submission_id))
+        await self._run(lambda session: runs.cancel(session, visitor.principal, submission_id))
 
     def log_size(self) -> str:
-        """Return how large a log may be."""
+        """Return the largest size of a log."""
         return size(self.settings.log_bytes)
 
     def limits(self) -> Sequence[LimitRow]:
@@ -90,16 +90,16 @@ class ServiceData:
 
     async def _visitor(self, authenticate: Callable[[Session], Principal]) -> Visitor | None:
         try:
-            principal = await self._ask(authenticate)
+            principal = await self._run(authenticate)
         except ServiceError as error:
             if error.code is ProblemCode.INVALID_CREDENTIALS:
                 return None
             raise
         return None if principal.token_id is None else Visitor(principal=principal, token_id=principal.token_id)
 
-    async def _ask(self, question: Callable[[Session], ResultT]) -> ResultT:
-        return await asyncio.to_thread(self._answer, question)
+    async def _run(self, query: Callable[[Session], ResultT]) -> ResultT:
+        return await asyncio.to_thread(self._run_in_transaction, query)
 
-    def _answer(self, question: Callable[[Session], ResultT]) -> ResultT:
+    def _run_in_transaction(self, query: Callable[[Session], ResultT]) -> ResultT:
         with self.database.transaction() as session:
-            return question(session)
+            return query(session)

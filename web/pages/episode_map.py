@@ -1,6 +1,6 @@
-"""Lays the episodes of a task out for its page: one map per shape, a column per start, a row per repeat.
+"""Arranges the episodes of a task for its page: one map per shape, a column per start, a row per repeat.
 
-Called by `submission_pages`.
+Called by `submissions`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from vitac.evaluator.tracks import Episode, Task
     from vitac.server.views.submissions import EpisodeView
 
-Kind = Literal["success", "other", "waiting"]
+CellState = Literal["success", "other", "waiting"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,7 +24,7 @@ class Cell:
 
     column: int
     row: int
-    kind: Kind
+    state: CellState
     label: str
 
 
@@ -53,17 +53,17 @@ class ShapeMap:
     @property
     def done(self) -> int:
         """Number of finished episodes."""
-        return sum(cell.kind != "waiting" for cell in self.cells)
+        return sum(cell.state != "waiting" for cell in self.cells)
 
     @property
     def successes(self) -> int:
         """Number of successful episodes."""
-        return sum(cell.kind == "success" for cell in self.cells)
+        return sum(cell.state == "success" for cell in self.cells)
 
 
 @dataclass(frozen=True, kw_only=True)
 class EpisodeMap:
-    """The episodes of one task, and how many ended in which way (empty before the first)."""
+    """The episodes of one task, and the number of each outcome (empty before the first)."""
 
     task: str
     title: str
@@ -72,12 +72,12 @@ class EpisodeMap:
 
 
 def episode_map(name: str, task: Task, ends: Mapping[int, EpisodeView]) -> EpisodeMap:
-    """Lay out the episodes of a task.
+    """Arrange the episodes of a task.
 
     Args:
         name: the task's name.
         task: its definition with the fixed list of starts.
-        ends: finished episodes by number; the others wait.
+        ends: finished episodes by number; the others are waiting.
     """
     return EpisodeMap(
         task=name,
@@ -103,7 +103,7 @@ def _cell(episode: Episode, column: int, row: int, end: EpisodeView | None) -> C
     start = ", ".join(f"{value:g}" for value in episode.offset)
     label = f"Episode {episode.number}, start ({start}): "
     if end is None:
-        return Cell(column=column, row=row, kind="waiting", label=f"{label}not run yet")
-    kind: Kind = "success" if end.success else "other"
+        return Cell(column=column, row=row, state="waiting", label=f"{label}not run yet")
+    state: CellState = "success" if end.success else "other"
     how = end.outcome.replace("_", " ")
-    return Cell(column=column, row=row, kind=kind, label=f"{label}{how} at env step {end.env_steps}")
+    return Cell(column=column, row=row, state=state, label=f"{label}{how} at env step {end.env_steps}")

@@ -1,4 +1,4 @@
-"""Turns refusals and crashes into pages for browsers; programs keep getting the service's problem JSON."""
+"""Shows errors as pages to browsers; programs still get the API's problem JSON."""
 
 from __future__ import annotations
 
@@ -24,40 +24,40 @@ if TYPE_CHECKING:
     Handler = Callable[[Request, Exception], Response | Awaitable[Response]]
 
 TITLES = {
-    400: "That request cannot be read",
+    400: "Invalid request",
     403: "Not allowed",
-    404: "Nothing is here",
-    405: "Not possible this way",
-    409: "Not possible any more",
+    404: "Page not found",
+    405: "Method not allowed",
+    409: "No longer possible",
     413: "Too large",
-    415: "Not a form of this site",
+    415: "Unsupported form",
     429: "Too many requests",
-    500: "Something broke here",
-    503: "Not ready",
+    500: "Internal error",
+    503: "Service not ready",
 }
 CRASHED = (
-    "The error is on our side and is in the server's log. Try again; if it stays, tell the organizers when it happened."
+    "The error is on our side and has been recorded. Try again; if it persists, tell the organizers when it happened."
 )
-DATABASE_AWAY = "The database is starting again. Nothing is lost; load this page again in a few seconds."
-MISSING = "There is no such page, or it belongs to another team. Check the address, or sign in with the right token."
+DATABASE_DOWN = "The database is restarting. Nothing is lost; reload this page in a few seconds."
+MISSING = "This page does not exist or belongs to another team. Check the address, or sign in with the right token."
 
 
 def install(app: FastAPI) -> None:
-    """Put an HTML answer in front of the handlers that the application has already."""
+    """Add HTML answers to the error handlers that the application already has."""
     for kind in (ServiceError, HTTPException, DBAPIError, Exception):
-        app.add_exception_handler(kind, _for_browsers(app.exception_handlers.get(kind)))
+        app.add_exception_handler(kind, _handler_with_page(app.exception_handlers.get(kind)))
 
 
 def wants_page(request: Request) -> bool:
-    """Tell whether a browser asks for a page (and not a program for the API)."""
+    """Return whether a browser requests a page, rather than a program the API."""
     return not request.url.path.startswith("/api/") and "text/html" in request.headers.get("accept", "")
 
 
-def _for_browsers(otherwise: object) -> Handler:
+def _handler_with_page(api_handler: object) -> Handler:
     async def handler(request: Request, error: Exception) -> Response:
-        if wants_page(request) or otherwise is None:
+        if wants_page(request) or api_handler is None:
             return _page(request, error)
-        answer = cast("Handler", otherwise)(request, error)
+        answer = cast("Handler", api_handler)(request, error)
         return await answer if inspect.isawaitable(answer) else answer
 
     return handler
@@ -79,5 +79,5 @@ def _explain(error: Exception) -> tuple[int, str, dict[str, str]]:
         ours = error.detail != HTTPStatus(error.status_code).phrase
         return error.status_code, error.detail if ours else MISSING, dict(error.headers or {})
     if isinstance(error, DBAPIError) and is_connection_loss(error):
-        return 503, DATABASE_AWAY, {"Retry-After": "2"}
+        return 503, DATABASE_DOWN, {"Retry-After": "2"}
     return 500, CRASHED, {}

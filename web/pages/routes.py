@@ -22,10 +22,10 @@ ONE_YEAR_S = 365 * 24 * 3600
 
 
 class VersionedStaticFiles(StaticFiles):
-    """Static files that browsers keep for ever when asked for with their digest (`?v=`)."""
+    """Static files that browsers may cache for ever when requested with their digest (`?v=`)."""
 
     async def get_response(self, path: str, scope: Scope) -> Response:
-        """Answer with the file and how long it may be kept."""
+        """Answer with the file and its cache headers."""
         answer = await super().get_response(path, scope)
         versioned = scope["query_string"].startswith(b"v=") and answer.status_code == 200
         answer.headers["Cache-Control"] = f"public, max-age={ONE_YEAR_S}, immutable" if versioned else "no-cache"

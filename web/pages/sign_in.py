@@ -1,4 +1,4 @@
-"""Signing in with an API token, and out again."""
+"""Sign in with an API token, and sign out."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from starlette.requests import Request
     from starlette.responses import Response
 
-WRONG_TOKEN = "This token is unknown, revoked or expired. Check that all of it was pasted."  # noqa: S105 - a sentence
+WRONG_TOKEN = "This token is unknown, revoked or expired. Check that you pasted it completely."  # noqa: S105 - a sentence
 
 
 async def sign_in_form(request: Request) -> Response:

@@ -1,4 +1,4 @@
-"""Pages of a team's submissions: the list, one submission, its running changes, and the cancel button."""
+"""Pages of a team's submissions: the list, one submission, its live updates, and cancelling."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ if TYPE_CHECKING:
     from ..site import Viewer
     from .episode_map import EpisodeMap
 
-POLL_S = 1.0  # between two looks at a running evaluation; a page changes at most that often
+POLL_S = 1.0  # period at which a running evaluation is read and its page updated
 
 
 @dataclass(frozen=True, kw_only=True)
 class TaskPart:
-    """What the page shows of one task: its progress, its episodes, and when all are there its score and place."""
+    """What the page shows of one task: progress, episodes, and once complete, score and rank."""
 
     map: EpisodeMap
     progress: TaskProgressView
@@ -61,7 +61,7 @@ async def submissions(request: Request) -> Response:
 
 
 async def submission(request: Request) -> Response:
-    """Show one submission; while its evaluation runs, the page keeps itself current."""
+    """Show one submission; the page updates itself while the evaluation runs."""
     viewer = await require_viewer(request)
     if isinstance(viewer, Response):
         return viewer
@@ -71,11 +71,11 @@ async def submission(request: Request) -> Response:
 
 
 async def events(request: Request) -> Response:
-    """Send the changing part of a submission's page whenever it changed, and `end` after its last change."""
+    """Send the live part of a submission's page whenever it changes, and `end` after the last change."""
     viewer = await viewer_of(request)
     if viewer is None:
-        return Response(status_code=204)  # tells EventSource not to come back
-    await _values(request, viewer)  # a submission that may not be seen is an answer, not a stream
+        return Response(status_code=204)  # stops EventSource from reconnecting
+    await _values(request, viewer)  # refuses a submission of another team before the stream starts
     return EventSourceResponse(_changes(request), headers={"Cache-Control": "no-store", "X-Accel-Buffering": "no"})
 
 
@@ -123,7 +123,7 @@ async def _values(request: Request, viewer: Viewer) -> dict[str, Any]:
 
 
 def task_part(found: SubmissionView, track: Track, task: str, ends: Sequence[EpisodeView]) -> TaskPart:
-    """Return what is shown of one task of a submission."""
+    """Return the part of the page for one task of a submission."""
     evaluation = found.evaluation
     return TaskPart(
         map=episode_map(task, track.tasks[task], {end.episode: end for end in ends if end.task == task}),
@@ -137,7 +137,7 @@ def as_id(text: str) -> UUID:
     """Return the id in an address.
 
     Raises:
-        ServiceError: it is none, so there is no such submission.
+        ServiceError: it is not an id, so there is no such submission.
     """
     try:
         return UUID(text)
@@ -146,7 +146,7 @@ def as_id(text: str) -> UUID:
 
 
 def seconds_taken(found: SubmissionView) -> float | None:
-    """Return how long the evaluation ran [s], or None before its end."""
+    """Return the duration of the evaluation [s], or None before its end."""
     evaluation = found.evaluation
     if evaluation.started_at is None or evaluation.finished_at is None:
         return None

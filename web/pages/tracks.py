@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Tab:
-    """A link to one of the boards of a track."""
+    """A link to one of the leaderboards of a track."""
 
     title: str
     target: str
@@ -38,7 +38,7 @@ class Column:
 
 @dataclass(frozen=True, kw_only=True)
 class Cell:
-    """What an entry has in a column; no rate where it does not play the task."""
+    """An entry's cell in a column; no rate if it lacks the task."""
 
     rate: float | None = None
     notes: tuple[str, ...] = ()
@@ -55,7 +55,7 @@ async def leaderboard(request: Request) -> Response:
 
 
 async def logs(request: Request) -> Response:
-    """Show the logs of a track: verified ones by task, and those of 2025 beside what they claim."""
+    """Show the logs of a track: verified logs by task, and 2025 text logs with their claims."""
     track = _track(request.path_params["track"])
     site = site_of(request)
     return page(
@@ -70,7 +70,7 @@ async def logs(request: Request) -> Response:
 
 
 async def rules(request: Request) -> Response:
-    """Show the rules of a track, all read from its file and from the limits in force."""
+    """Show the rules of a track, from its file and the limits in force."""
     track = _track(request.path_params["track"])
     return page(
         request,
@@ -79,13 +79,13 @@ async def rules(request: Request) -> Response:
         section=f"/tracks/{track.name}/rules",
         track=track,
         limits=site_of(request).data.limits(),
-        takes_logs=takes_logs(track),
+        accepts_logs=accepts_logs(track),
         log_size=site_of(request).data.log_size(),
     )
 
 
 def tabs(track: Track, task: str | None, *, logs: bool = False) -> tuple[Tab, ...]:
-    """Return the boards of a track: all tasks together, each task, and the logs; none where there is but one board."""
+    """Return the leaderboards of a track: all tasks, each task, and the logs; empty if there is only one."""
     address = f"/tracks/{track.name}"
     whole = Tab(title="All tasks", target=address, current=task is None and not logs)
     by_task = (
@@ -93,18 +93,18 @@ def tabs(track: Track, task: str | None, *, logs: bool = False) -> tuple[Tab, ..
         for name, definition in track.tasks.items()
     )
     shown = [whole] if len(track.tasks) == 1 else [whole, *by_task]
-    if takes_logs(track):
+    if accepts_logs(track):
         shown.append(Tab(title="Logs", target=f"{address}/logs", current=logs))
     return tuple(shown) if len(shown) > 1 else ()
 
 
-def takes_logs(track: Track) -> bool:
-    """Tell whether a track takes logs of any kind."""
+def accepts_logs(track: Track) -> bool:
+    """Return whether a track accepts logs of any kind."""
     return any(kind is not Accepted.MODEL for kind in track.accepts)
 
 
 def columns(track: Track, task: str | None) -> tuple[Column, ...]:
-    """Return what a board shows beside the rate that it ranks by: the tasks, or the shapes of the only one."""
+    """Return the columns beside the ranking's rate: the tasks, or the shapes of the only one."""
     if _is_combined(track, task):
         return tuple(Column(title=definition.title, task=name) for name, definition in track.tasks.items())
     only = track.tasks[task or next(iter(track.tasks))]
@@ -114,19 +114,19 @@ def columns(track: Track, task: str | None) -> tuple[Column, ...]:
 
 
 def cells(shown: tuple[Column, ...], entry: LeaderboardEntryView) -> list[Cell]:
-    """Return what an entry has in the columns."""
+    """Return an entry's cells in the columns."""
     return [_cell(column, entry) for column in shown]
 
 
 def _cell(column: Column, entry: LeaderboardEntryView) -> Cell:
     score = next((score for score in entry.scores if score.task == column.task), None)
     if score is None:
-        return Cell(notes=("not played",))
+        return Cell(notes=("not submitted",))
     if column.shape is None:
         notes = (f"{score.successes} of {score.episodes}",)
         return Cell(
             rate=score.success_rate,
-            notes=notes if score.mean_steps is None else (*notes, f"{steps(score.mean_steps)} steps"),
+            notes=notes if score.mean_steps is None else (*notes, f"{steps(score.mean_steps)} env steps"),
         )
     return Cell(rate=next((part.success_rate for part in score.shapes if part.shape == column.shape), None))
 

@@ -1,4 +1,4 @@
-"""Reads the small forms of the pages and refuses those that another site sent. Called by the pages that take a POST."""
+"""Reads the forms of the pages and refuses those sent by another site. Called by the pages that accept a POST."""
 
 from __future__ import annotations
 
@@ -17,25 +17,27 @@ MEDIA_TYPE = "application/x-www-form-urlencoded"
 
 
 async def read_form(request: Request) -> Mapping[str, str]:
-    """Return the fields of a form that one of our own pages sent; the last of equal names counts.
+    """Return the fields of a form sent by one of our own pages; of equal names the last one counts.
 
     Raises:
-        HTTPException: 403 where another site sent it, 413 where it is too large, 415 where it is no form.
+        HTTPException: 403 if another site sent it, 413 if it is too large, 415 if it is not a form.
     """
     require_same_site(request)
     media_type = request.headers.get("content-type", "").partition(";")[0].strip().lower()
     if media_type != MEDIA_TYPE:
-        raise HTTPException(415, f"This form is sent as {MEDIA_TYPE}; it came as {media_type or 'nothing'}.")
+        raise HTTPException(415, f"Expected a form as {MEDIA_TYPE}, got {media_type or 'no content type'}.")
     body = bytearray()
     async for chunk in request.stream():
         body += chunk
         if len(body) > FORM_LIMIT_BYTES:
-            raise HTTPException(413, f"This form is at most {FORM_LIMIT_BYTES} bytes long. Send only its own fields.")
+            raise HTTPException(
+                413, f"Expected a form of at most {FORM_LIMIT_BYTES} bytes, got more. Send only its own fields."
+            )
     return dict(parse_qsl(body.decode("utf-8", errors="replace"), keep_blank_values=True))
 
 
 def require_same_site(request: Request) -> None:
-    """Refuse a POST that the browser says comes from another site (Fetch metadata, else the Origin header).
+    """Refuse a POST from another site, by Fetch metadata or else the Origin header.
 
     Raises:
         HTTPException: 403.
@@ -45,11 +47,11 @@ def require_same_site(request: Request) -> None:
     foreign_site = site is not None and site not in {"same-origin", "none"}
     foreign_origin = site is None and origin is not None and urlsplit(origin).netloc != request.headers.get("host")
     if foreign_site or foreign_origin:
-        raise HTTPException(403, "This form came from another site. Open the page here and send it again.")
+        raise HTTPException(403, "This form was sent from another site. Open the page here and send it again.")
 
 
 def local_target(target: str) -> str:
-    """Return where to go after signing in: the path if it lies on this site, else the submissions."""
+    """Return the path to go to after signing in: `target` if it is on this site, else the submissions."""
     parts = urlsplit(target)
     is_local = target.startswith("/") and not target.startswith("//") and not parts.netloc and "\\" not in target
     return target if is_local and target.isprintable() else "/submissions"

@@ -1,4 +1,4 @@
-"""The browser's signed session: which API token signed in, until when. Called by `pages`.
+"""The browser's signed session: which API token signed in, and until when. Called by the pages.
 
 The cookie holds the token's row id and an expiry, signed; never the token. The row is looked up at each request, so a
 revoked or expired token ends its sessions at once.
@@ -48,7 +48,7 @@ class SessionSigner:
         return f"{payload}.{self._mac('session', payload)}"
 
     def read(self, cookie: str | None, *, now: datetime) -> BrowserSession | None:
-        """Return the session of a cookie, or None where it is missing, altered or over."""
+        """Return the session of a cookie, or None if it is missing, altered or expired."""
         if cookie is None:
             return None
         payload, _, mac = cookie.rpartition(".")
@@ -63,7 +63,7 @@ class SessionSigner:
         return self._mac("form", cookie)
 
     def accepts_form_token(self, cookie: str | None, token: str) -> bool:
-        """Tell whether `token` was made for this session."""
+        """Return whether `token` was made for this session."""
         return cookie is not None and hmac.compare_digest(token.encode(), self.form_token(cookie).encode())
 
     def _mac(self, purpose: str, text: str) -> str:
@@ -76,7 +76,7 @@ def begin(token_id: UUID, *, now: datetime) -> BrowserSession:
 
 
 def load_key(path: Path) -> bytes:
-    """Return the signing key kept in `path`, made (mode 0600) on first use; servers started at once agree on one."""
+    """Return the signing key stored in `path`, created (mode 0600) on first use; servers started at once share one."""
     path.parent.mkdir(parents=True, exist_ok=True)
     draft = path.with_name(f"{path.name}.{secrets.token_hex(8)}")
     if not path.exists():

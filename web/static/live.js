@@ -1,4 +1,4 @@
-// Keeps a running submission's page current. Without this file the page reloads itself (see the noscript refresh).
+// Updates the page of a running submission. Without JavaScript the page reloads itself (see the noscript refresh).
 "use strict";
 
 (() => {
@@ -21,7 +21,7 @@
   };
 
   source.addEventListener("view", show);
-  // The last view of a finished evaluation: the rest of the page (title, buttons) is stale too, so load it afresh once.
+  // The evaluation has ended: title and buttons are outdated too, so reload the page once.
   source.addEventListener("end", () => {
     source.close();
     window.location.reload();

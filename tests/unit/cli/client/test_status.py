@@ -56,7 +56,7 @@ def test_two_tasks_are_shown_each_and_together(service: CliService, tmp_path: Pa
     assert queued.index("0 of 430") < queued.index("0 of 270, 0 successes") < queued.index("0 of 160, 0 successes")
     play(service, submission_id)
     shown = service.run("status", submission_id).stdout
-    assert "not played" not in shown
+    assert "not submitted" not in shown
     evaluation = json.loads(service.run("status", submission_id, "--json").stdout)["evaluation"]
     hashes = [evaluation["result_hash"], *(score["result_hash"] for score in evaluation["scores"])]
     rates = [f"{task:<19}  {rate}" for task, rate in RATES.items()]

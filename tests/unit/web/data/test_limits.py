@@ -10,8 +10,8 @@ NOT_FOR_TEAMS = {"message_bytes"}  # of the channel, which only the evaluator's 
 def test_shows_what_a_limit_is() -> None:
     rows = {row.title: row.value for row in limit_rows(Limits())}
     assert rows["Memory of the policy and its children"] == "3 GiB"
-    assert rows["One action"] == "2 s of CPU time, 10 s by the clock"
-    assert rows["All episodes of a shard, with loading"] == "300 s of CPU time, 900 s by the clock"
+    assert rows["One action"] == "2 s of CPU time, 10 s of wall time"
+    assert rows["All episodes of a shard, with loading"] == "300 s of CPU time, 900 s of wall time"
     assert rows["Archive, packed"] == "512 MiB"
 
 

@@ -30,7 +30,7 @@ def test_every_episode_has_one_cell() -> None:
 
 def test_an_episode_that_has_not_run_waits() -> None:
     shape = episode_map("peg-insertion", TASK, {}).shapes[0]
-    assert {cell.kind for cell in shape.cells} == {"waiting"}
+    assert {cell.state for cell in shape.cells} == {"waiting"}
     assert (shape.done, shape.successes) == (0, 0)
     assert shape.cells[0].label.endswith("not run yet")
 
@@ -38,7 +38,7 @@ def test_an_episode_that_has_not_run_waits() -> None:
 def test_shows_how_an_episode_ended() -> None:
     ends = {1: an_end(1, EpisodeOutcome.SUCCESS, 4), 2: an_end(2, EpisodeOutcome.TACTILE, 2)}
     laid_out = episode_map("peg-insertion", TASK, ends)
-    cells = {cell.label: cell.kind for shape in laid_out.shapes for cell in shape.cells if cell.kind != "waiting"}
+    cells = {cell.label: cell.state for shape in laid_out.shapes for cell in shape.cells if cell.state != "waiting"}
     assert cells == {
         "Episode 1, start (-4, -4, -8): success at env step 4": "success",
         "Episode 2, start (-4, -4, -8): tactile at env step 2": "other",

@@ -94,12 +94,12 @@ def test_home_ranks_all_tasks_together_and_shows_each(data: FixedData, browser: 
         "7.90",
         "89.3 %",
         "241 of 270",
-        "4.31 steps",
+        "4.31 env steps",
         "80 of 160",
-        "11.50 steps",
+        "11.50 env steps",
     ):
         assert shown in html
-    assert html.index("Bears") < html.index("7.4 %") < html.index("not played")
+    assert html.index("Bears") < html.index("7.4 %") < html.index("not submitted")
     assert "mean of the success rates of all tasks" in html
 
 
@@ -297,7 +297,7 @@ def test_foreign_and_missing_submissions_look_alike(browser: AsgiBrowser) -> Non
     for path in paths + [f"{path}/events" for path in paths]:
         answer = browser.get(path)
         assert answer.status_code == 404
-        assert "Nothing is here" in answer.text
+        assert "Page not found" in answer.text
     for path in paths:
         assert browser.post(f"{path}/cancel", data={"form_token": form_token(browser)}).status_code == 404
 
@@ -324,8 +324,8 @@ def test_completed_submission_shows_its_score_and_stands_still(browser: AsgiBrow
 def test_a_submission_of_one_task_says_which_it_lacks(browser: AsgiBrowser) -> None:
     sign_in(browser, "Gelbots")
     html = browser.get(f"/submissions/{COMPLETED.id}").text
-    assert "Lock opening: not played by this submission" in html
-    assert "not played" not in browser.get(f"/submissions/{BOTH.id}").text
+    assert "Lock opening: not part of this submission" in html
+    assert "not part of this submission" not in browser.get(f"/submissions/{BOTH.id}").text
 
 
 def test_a_submission_of_two_tasks_shows_each_with_rank_and_hash(browser: AsgiBrowser) -> None:
@@ -382,18 +382,18 @@ def test_organizers_page_says_that_an_episode_was_played_again_with_another_resu
     assert f"vitac admin evaluation show {evaluation.id}" in html
 
 
-def test_queued_submission_shows_its_place_and_that_no_worker_is_alive(browser: AsgiBrowser) -> None:
+def test_queued_submission_shows_its_position_and_that_no_worker_runs(browser: AsgiBrowser) -> None:
     sign_in(browser, "Bears")
     html = browser.get(f"/submissions/{QUEUED.id}").text
     assert "Number 2 in the queue" in html
-    assert "No worker is alive since" in html
+    assert "No worker is running since" in html
 
 
-def test_episodes_from_the_store_are_said_to_be(data: FixedData, browser: AsgiBrowser) -> None:
+def test_reused_episodes_are_counted(data: FixedData, browser: AsgiBrowser) -> None:
     stored = a_submission("Gelbots", EvaluationState.RUNNING, name="stored", done=137, reused=120)
     data.found.append(stored)
     sign_in(browser, "Gelbots")
-    assert "120 episodes come from the store" in browser.get(f"/submissions/{stored.id}").text
+    assert "120 episodes are reused" in browser.get(f"/submissions/{stored.id}").text
 
 
 def test_cancel_needs_the_sessions_form_token(data: FixedData, browser: AsgiBrowser) -> None:
@@ -491,7 +491,7 @@ def test_head_requests_are_answered(browser: AsgiBrowser) -> None:
 def test_browsers_get_a_page_and_programs_their_json(browser: AsgiBrowser) -> None:
     page = browser.get("/nothing-here")
     assert page.status_code == 404
-    assert "<h1>Nothing is here</h1>" in page.text
+    assert "<h1>Page not found</h1>" in page.text
     assert browser.get("/nothing-here", headers={"accept": "application/json"}).json() == {"detail": "Not Found"}
     assert browser.get("/api/v1/nothing-here").headers["content-type"] == "application/json"
 
@@ -500,7 +500,7 @@ def test_a_crash_is_a_page_that_tells_nothing_of_the_inside(data: FixedData, bro
     data.board = None  # type: ignore[assignment]
     answer = browser.get("/")
     assert answer.status_code == 500
-    assert "Something broke here" in answer.text
+    assert "Internal error" in answer.text
     assert "Traceback" not in answer.text
     assert answer.headers["content-security-policy"] == HEADERS["Content-Security-Policy"]
 
@@ -562,7 +562,7 @@ def test_rules_say_what_a_log_is_worth(browser: AsgiBrowser) -> None:
 
 def test_verified_log_says_what_that_proves(data: FixedData, browser: AsgiBrowser) -> None:
     html = page_of(data, browser, VERIFIED)
-    for shown in ("Verified:", "all states are equal", "not that a policy chose them", "Nobody knows yet"):
+    for shown in ("Verified:", "all states are equal", "not that a policy chose them", "has no evaluated model yet"):
         assert shown in html
     assert "Isolation" not in html
 
