@@ -1,10 +1,8 @@
 """Teams: registration, look-up and listing."""
 
-import re
-import unicodedata
 from uuid import UUID
 
-from sqlalchemy import select
+from sqlalchemy import select, text
 from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
 from vitac.server.accounts.audit import record
@@ -13,19 +11,23 @@ from vitac.server.db.states import Role
 from vitac.server.errors import ProblemCode, ServiceError, not_found
 
 from ..views.accounts import OrganizerTeamView, TeamView
+from . import names
 from .principals import Principal
 
 NAME_LENGTH = 64
 CONTACT_LENGTH = 254
+_REGISTRATION_LOCK = 0x7E414D5
+"""Of two registrations at once the second sees the name of the first."""
 
 
 def register(session: Session, by: Principal | None, *, name: str, contact: str | None = None) -> Team:
     """Make a team; `by` is None for somebody who registers their own.
 
     Raises:
-        ServiceError: the name is taken (case, spaces and compatibility forms do not count) or cannot be shown.
+        ServiceError: the name is taken (or looks like one that is) or cannot be shown.
     """
-    shown = clean_name(name)
+    shown = names.clean(name, what="A team's name", min_length=2, max_length=NAME_LENGTH)
+    _refuse_look_alike(session, shown)
     added: Team | None = session.scalar(
         insert(Team)
         .values(name=shown, name_key=name_key(shown), contact=contact)
@@ -82,25 +84,20 @@ def organizer_team_view(team: Team) -> OrganizerTeamView:
     return OrganizerTeamView(**dict(team_view(team)), contact=team.contact)
 
 
-def clean_name(name: str) -> str:
-    """Return the name as it is shown: composed characters, single spaces.
-
-    Raises:
-        ServiceError: empty, too long, or with characters that do not print.
-    """
-    shown = " ".join(unicodedata.normalize("NFC", name).split())
-    if not 2 <= len(shown) <= NAME_LENGTH or not shown.isprintable():
-        raise ServiceError(
-            ProblemCode.INVALID_REQUEST,
-            f"A team's name has 2 to {NAME_LENGTH} printable characters; came {name[:80]!r}.",
-        )
-    return shown
-
-
 def name_key(name: str) -> str:
     """Return the name by which teams are told apart."""
-    folded = unicodedata.normalize("NFKC", name).casefold()
-    return re.sub(r"\s+", " ", folded).strip()[:NAME_LENGTH]
+    return names.key(name, max_length=NAME_LENGTH)
+
+
+def _refuse_look_alike(session: Session, shown: str) -> None:
+    """Refuse a name that readers would take for another team's."""
+    session.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": _REGISTRATION_LOCK})
+    others = session.scalars(select(Team.name).where(Team.name_key != name_key(shown)))
+    taken = next((name for name in others if names.look_alike(shown, name)), None)
+    if taken is not None:
+        raise ServiceError(
+            ProblemCode.TEAM_EXISTS, f"The name {shown!r} looks like that of team {taken!r}; choose another name."
+        )
 
 
 def _as_uuid(text: str) -> UUID | None:

@@ -15,11 +15,13 @@ from vitac.server.db.states import Role
 from vitac.server.errors import ProblemCode, ServiceError, not_found
 
 from ..views.accounts import NewTokenView, TokenView
+from . import names
 from .principals import Principal
 
 PREFIX = "vitac_"
 SECRET_BYTES = 32
 SECRET_PATTERN = re.compile(r"vitac_[A-Za-z0-9_-]{43}")
+LABEL_LENGTH = 64
 USE_NOTED_EVERY = timedelta(minutes=1)
 
 
@@ -43,8 +45,9 @@ def issue(
     """Make a token for a team, or for an organizer (no team).
 
     Raises:
-        ServiceError: the principal may not give such a token.
+        ServiceError: the principal may not give such a token, or the label cannot be shown.
     """
+    label = names.clean(label, what="A token's label", min_length=1, max_length=LABEL_LENGTH)
     if not by.is_organizer and (role is Role.ORGANIZER or team is None or by.team_id != team.id):
         raise ServiceError(ProblemCode.FORBIDDEN, "A team may make tokens for itself only; ask an organizer.")
     secret = PREFIX + secrets.token_urlsafe(SECRET_BYTES)

@@ -26,7 +26,40 @@ def test_names_that_look_alike_are_one_name(database: Database, same: str) -> No
         assert teams.find(session, same).name == "Team A"
 
 
-@pytest.mark.parametrize("name", ["", " ", "x", "a" * 65, "two\x00parts", "turned \u202e around"])
+BLANKS = ["\u3164\u3164", "\u2800\u2800", "a\u200bb", "a\ufe0fb", "a\u034fb", "\u115f\u1160", "\xad\xad"]
+
+
+@pytest.mark.parametrize(
+    ("taken", "name"),
+    [
+        ("Robot Lab", "R\u043eb\u043et Lab"),  # Cyrillic o
+        ("Pilot", "\u03a1ilot"),  # Greek Rho
+        ("Robot Lab", "RobotLab"),
+        ("Team 1", "Team I"),
+        ("Team O", "Team 0"),
+        ("Team l", "Team |"),
+        ("modern", "rnodern"),
+    ],
+)
+def test_names_that_readers_would_confuse_are_refused_as_taken(database: Database, taken: str, name: str) -> None:
+    register(database, taken)
+    with pytest.raises(ServiceError, match=r"looks like that of team") as refused:
+        register(database, name)
+    assert refused.value.code is ProblemCode.TEAM_EXISTS
+
+
+@pytest.mark.parametrize("name", ["Robot Lab 2", "Роботы", "ρομπότ", "ロボット", "Team \N{ROBOT FACE}", "Kim"])
+def test_names_in_other_scripts_are_not_refused(database: Database, name: str) -> None:
+    register(database, "Robot Lab")
+    register(database, "Klm")
+    assert register(database, name) == name
+
+
+def test_compatibility_forms_are_shown_as_what_they_stand_for(database: Database) -> None:
+    assert register(database, "Ｔｅａｍ\u2460 ﬁn") == "Team1 fin"
+
+
+@pytest.mark.parametrize("name", ["", " ", "x", "a" * 65, "two\x00parts", "turned \u202e around", *BLANKS])
 def test_names_that_cannot_be_shown_are_refused(database: Database, name: str) -> None:
     with pytest.raises(ServiceError) as refused:
         register(database, name)

@@ -19,10 +19,19 @@ def principal(database: Database) -> Principal:
         return make_principal(session)
 
 
-def issue(database: Database, principal: Principal, lifetime: timedelta | None = None) -> tokens.IssuedToken:
+def issue(
+    database: Database, principal: Principal, lifetime: timedelta | None = None, label: str = "laptop"
+) -> tokens.IssuedToken:
     with database.transaction() as session:
         team = teams.own(session, principal)
-        return tokens.issue(session, principal, role=Role.TEAM, label="laptop", team=team, lifetime=lifetime)
+        return tokens.issue(session, principal, role=Role.TEAM, label=label, team=team, lifetime=lifetime)
+
+
+@pytest.mark.parametrize("label", ["", " ", "\u3164", "a\u202eb", "a\nb\x00", "a" * 65])
+def test_a_label_that_cannot_be_shown_is_refused(database: Database, principal: Principal, label: str) -> None:
+    with pytest.raises(ServiceError) as refused:
+        issue(database, principal, label=label)
+    assert refused.value.code is ProblemCode.INVALID_REQUEST
 
 
 def refusal(database: Database, secret: str) -> ServiceError:
