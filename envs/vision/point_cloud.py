@@ -99,6 +99,6 @@ def _rays(
     columns: NDArray[np.int64], rows: NDArray[np.int64], intrinsics: Intrinsics
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """x/z of columns and y/z of rows."""
-    x = (columns + 0.5 - intrinsics.centre_u_px) / intrinsics.focal_u_px
-    y = (rows + 0.5 - intrinsics.centre_v_px) / intrinsics.focal_v_px
+    x = (columns.astype(np.float64) + 0.5 - intrinsics.centre_u_px) / intrinsics.focal_u_px
+    y = (rows.astype(np.float64) + 0.5 - intrinsics.centre_v_px) / intrinsics.focal_v_px
     return x, y

@@ -39,20 +39,20 @@ class RigShift:
 NOMINAL = RigShift()
 
 
-def colour_camera_pose(peg_y_m: float, peg_z_m: float, shift: RigShift = NOMINAL) -> CameraPose:
-    """Pose of the colour camera, which follows the commanded height and y of the peg, but not its x.
+def colour_camera_pose(y_m: float, z_m: float, shift: RigShift = NOMINAL) -> CameraPose:
+    """Pose of the colour camera, which follows the gripper in y and z, but not in x.
 
     It looks along (-0.806, 0, -0.591), 36.25 degrees below the horizontal, with its up side pointing downwards.
 
     Args:
-        peg_y_m: commanded y of the peg [m].
-        peg_z_m: commanded height of the peg's lower end [m].
+        y_m: commanded y of the peg [m].
+        z_m: 1 mm below the commanded height of the peg's lower end [m] (challenge-facts 4.5: offset z + 6.9 mm).
         shift: departure from the nominal pose.
     """
     sine, cosine = sine_cosine(_TURN_RAD + shift.turn_rad)
     # The picture's right is -y of the mount, its down is -z, the optical axis is x; the mount is turned about y.
     right, down, forward = (0.0, -1.0, 0.0), (-sine, 0.0, -cosine), (cosine, 0.0, -sine)
-    nominal_m = np.array([_POSITION_X_M, peg_y_m + _BESIDE_PEG_M, peg_z_m + _ABOVE_PEG_M])
+    nominal_m = np.array([_POSITION_X_M, y_m + _BESIDE_PEG_M, z_m + _ABOVE_PEG_M])
     return CameraPose(
         world_from_camera=np.ascontiguousarray(np.array([right, down, forward]).T),
         position_m=nominal_m + np.array(shift.offset_m),

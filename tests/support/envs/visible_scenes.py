@@ -147,5 +147,5 @@ def fusion_scene(start: tuple[float, float, float, float, int]) -> SeenScene:
     return SeenScene(
         surfaces=surfaces,
         vertices_m=surfaces.vertices_m([base.vertices_m, *moving_m]),
-        pose=colour_camera_pose(float(origin_m[1]), float(origin_m[2])),
+        pose=colour_camera_pose(float(origin_m[1]), float(origin_m[2]) - 1e-3),
     )
