@@ -305,7 +305,7 @@ class EpisodePolicy:
             raise self._exchange.failure(failure.verdict, failure.message) from None
 
     def _count_cpu(self) -> None:
-        """Take the time used so far; without a control group, that of processes which have ended is not in it."""
+        """Take the time used so far; without a control group, that of processes nobody waited for is not in it."""
         now_s = max(self.cpu_s, self._sandbox.cpu_s() - self._cpu_start_s)
         self._shard_time.cpu_s += now_s - self.cpu_s
         self.cpu_s = now_s

@@ -9,6 +9,9 @@ from pathlib import Path
 from typing import Final
 
 _PAGE_BYTES: Final = os.sysconf("SC_PAGE_SIZE")
+_TICKS_PER_S: Final = os.sysconf("SC_CLK_TCK")
+_CHILDREN_TIMES: Final = slice(13, 15)
+"""cutime and cstime of /proc/PID/stat, counted from the field after the name."""
 _GONE: Final = (FileNotFoundError, ProcessLookupError)
 """What reading /proc raises for a process that has ended."""
 
@@ -40,6 +43,17 @@ def cpu_s(pid: int) -> float:
         return time.clock_gettime((~pid << 3) | 2)
     except OSError:
         return 0.0
+
+
+def reaped_cpu_s(pid: int) -> float:
+    """Return the CPU time of the children that a process has waited for, and of theirs [s]; 0 where it has ended.
+
+    Children that end while their parent ignores SIGCHLD are in nobody's count.
+    """
+    with contextlib.suppress(*_GONE):
+        fields = Path(f"/proc/{pid}/stat").read_text(errors="replace").rpartition(")")[2].split()
+        return sum(map(int, fields[_CHILDREN_TIMES])) / _TICKS_PER_S
+    return 0.0
 
 
 def resident_bytes(pid: int) -> int:

@@ -88,10 +88,11 @@ class Sandbox:
         )
 
     def cpu_s(self) -> float:
-        """Return the CPU time of all its processes [s]; without a control group only of those still alive."""
+        """Return the CPU time of all its processes [s]; without a control group of those alive or waited for."""
         if self._group is not None:
             return self._group.cpu_s()
-        return sum(process_tree.cpu_s(pid) for pid in process_tree.descendants(self.first_pid))
+        pids = (self.first_pid, *process_tree.descendants(self.first_pid))
+        return sum(process_tree.cpu_s(pid) + process_tree.reaped_cpu_s(pid) for pid in pids)
 
     def spare(self, pid: int) -> None:
         """Do not count the loaded copy's memory, which every copy of it counts again."""

@@ -303,6 +303,26 @@ def test_memory_of_many_processes_is_capped_without_control_groups(make: Make, m
     assert caught.value.verdict is VerdictCode.OUT_OF_MEMORY
 
 
+def test_time_of_children_that_have_ended_counts_without_control_groups(
+    make: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cgroup, "create", lambda limits: None)
+    act = """
+    while True:
+        child = os.fork()
+        if child == 0:
+            start = time.process_time()
+            while time.process_time() - start < 0.05: pass
+            os._exit(0)
+        os.waitpid(child, 0)
+    """
+    limits = Limits(action_cpu_s=1.0, action_wall_s=60.0)
+    with PolicySession(make(act, "import os, time"), limits=limits) as session:
+        with pytest.raises(PolicyFailed) as caught:
+            act_once(session)
+        assert caught.value.verdict is VerdictCode.CPU_TIME
+
+
 def test_too_many_processes_are_named_without_control_groups(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cgroup, "create", lambda limits: None)
     folder = make("while True:\n    if os.fork() == 0: time.sleep(60)", "import os, time")

@@ -363,6 +363,17 @@ def test_failed_submission_shows_verdict_and_escaped_output(browser: AsgiBrowser
     assert "<script>alert" not in html
 
 
+@pytest.mark.parametrize(("memory", "is_told"), [("watchdog", True), ("cgroup-v2", False)])
+def test_a_result_without_a_control_group_is_shown_as_isolated_more_weakly(
+    browser: AsgiBrowser, data: FixedData, memory: str, is_told: bool
+) -> None:
+    levels = [f"user: root, memory: {memory}, episodes: frozen-copy, process ids repeat: True"]
+    evaluation = COMPLETED.evaluation.model_copy(update={"isolation": levels})
+    data.found = [COMPLETED.model_copy(update={"evaluation": evaluation})]
+    sign_in(browser, "Gelbots")
+    assert ("Weaker than usual" in browser.get(f"/submissions/{COMPLETED.id}").text) is is_told
+
+
 def test_organizers_page_says_that_an_episode_was_played_again_with_another_result(
     data: FixedData, browser: AsgiBrowser
 ) -> None:

@@ -1,5 +1,6 @@
 import os
 import subprocess
+import sys
 from collections.abc import Iterator
 
 import pytest
@@ -10,8 +11,6 @@ SPINS_WITH_A_CHILD = "import os, time\nif os.fork() == 0:\n    time.sleep(60)\np
 
 @pytest.fixture
 def parent() -> Iterator[int]:
-    import sys
-
     with subprocess.Popen([sys.executable, "-c", SPINS_WITH_A_CHILD], stdout=subprocess.PIPE) as process:
         assert process.stdout is not None
         process.stdout.readline()
@@ -31,6 +30,26 @@ def test_reads_time_and_memory(parent: int) -> None:
         pass
     assert process_tree.cpu_s(parent) > first > 0
     assert process_tree.resident_bytes(parent) > 1_000_000
+
+
+BURNS_IN_A_CHILD = """
+import os, time
+if os.fork() == 0:
+    while time.process_time() < 0.3: pass
+    os._exit(0)
+os.wait()
+print(flush=True)
+time.sleep(60)
+"""
+
+
+def test_time_of_children_that_were_waited_for_is_their_parents() -> None:
+    with subprocess.Popen([sys.executable, "-c", BURNS_IN_A_CHILD], stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        assert process_tree.reaped_cpu_s(process.pid) >= 0.28
+        process.kill()
+    assert process_tree.reaped_cpu_s(process.pid) == 0
 
 
 def test_pid_outside_any_namespace_is_the_same(parent: int) -> None:
