@@ -41,6 +41,12 @@ NAMING = {
 
 SHA256_PATTERN = "^[0-9a-f]{64}$"
 
+ALL_TASKS = "*"
+"""Name of the board that ranks all tasks of a track together; those of single tasks have the tasks' names."""
+
+_RANKING = (text("success_rate DESC"), text("mean_steps"), text("submitted_at"), text("evaluation_id"))
+"""The order of `evaluator.scoring.ranking`; a missing mean comes last, as NULL does."""
+
 
 class Base(DeclarativeBase):
     """Root of the tables; maps Python types to columns."""
@@ -181,6 +187,33 @@ class Evaluation(Base):
     result_hash: Mapped[str | None] = mapped_column(String(64))
     submission: Mapped[Submission] = relationship()
     shards: Mapped[list["Shard"]] = relationship(back_populates="evaluation", order_by="Shard.id")
+    board_results: Mapped[list["BoardResult"]] = relationship(back_populates="evaluation")
+
+
+class BoardResult(Base):
+    """What a completed evaluation is ranked by on one board: that of a task, or under `ALL_TASKS` that of the track.
+
+    Repeats what the rows of its evaluation, submission and team say, so that one index finds the best of each team.
+    """
+
+    __tablename__ = "board_results"
+    __table_args__ = (
+        CheckConstraint("success_rate >= 0 AND success_rate <= 1", name="success_rate_is_a_fraction"),
+        CheckConstraint("mean_steps < 'Infinity'", name="mean_steps_is_finite"),
+        Index("ix_board_results_of_version", "track", "kind", "board", "evaluator_version", "team_id", *_RANKING),
+        Index("ix_board_results_of_team", "track", "kind", "board", "team_id", *_RANKING),
+    )
+    evaluation_id: Mapped[UUID] = mapped_column(ForeignKey("evaluations.id", ondelete="CASCADE"), primary_key=True)
+    board: Mapped[str] = mapped_column(primary_key=True)
+    track: Mapped[str]
+    kind: Mapped[SubmissionKind] = mapped_column(_closed_set(SubmissionKind, "kind"))
+    team_id: Mapped[UUID] = mapped_column(ForeignKey("teams.id", ondelete="RESTRICT"))
+    submission_id: Mapped[UUID] = mapped_column(ForeignKey("submissions.id", ondelete="RESTRICT"))
+    evaluator_version: Mapped[str]
+    success_rate: Mapped[float] = mapped_column(Float)
+    mean_steps: Mapped[float | None] = mapped_column(Float)
+    submitted_at: Mapped[datetime]
+    evaluation: Mapped[Evaluation] = relationship(back_populates="board_results")
 
 
 class Shard(Base):

@@ -5,16 +5,24 @@ from collections.abc import Collection, Mapping
 from vitac.evaluator.scoring.ranking import CombinedScore, combine
 from vitac.evaluator.scoring.score import Interval, Rate, Score
 from vitac.evaluator.tracks import load_track
-from vitac.server.db.models import Evaluation
+from vitac.server.db.models import ALL_TASKS, BoardResult, Evaluation
 from vitac.server.db.states import SubmissionKind
 from vitac.server.views.scores import ShapeScoreView, TaskScoreView
 
 
 def store_scores(evaluation: Evaluation, scores: Mapping[str, Score], hashes: Mapping[str, str]) -> None:
-    """Write the score of each task into the row of an evaluation; their combination is derived where it is shown."""
+    """Write the score of each task into the row of an evaluation, and what it is ranked by on each board.
+
+    A combination is stored by the rule of the evaluation's version only, as it ranks among results of this one only.
+    Where it is shown, it is derived from the scores by today's rule.
+    """
     evaluation.scores = [
         {"task": task, "result_hash": hashes[task], **score.model_dump(mode="json")} for task, score in scores.items()
     ]
+    evaluation.board_results = [_board_result(evaluation, task, score) for task, score in scores.items()]
+    combined = combined_score(evaluation)
+    if combined is not None and evaluation.submission.kind is SubmissionKind.MODEL:
+        evaluation.board_results.append(_board_result(evaluation, ALL_TASKS, combined))
 
 
 def scores_of(evaluation: Evaluation) -> dict[str, Score]:
@@ -40,6 +48,21 @@ def score_views(evaluation: Evaluation) -> list[TaskScoreView]:
 def bounds(interval: Interval) -> tuple[float, float]:
     """Both ends of an interval, as views hold them."""
     return interval.low, interval.high
+
+
+def _board_result(evaluation: Evaluation, board: str, score: Score | CombinedScore) -> BoardResult:
+    submission = evaluation.submission
+    return BoardResult(
+        board=board,
+        track=submission.track,
+        kind=submission.kind,
+        team_id=submission.team_id,
+        submission_id=submission.id,
+        evaluator_version=evaluation.evaluator_version,
+        success_rate=score.success_rate,
+        mean_steps=score.mean_steps,
+        submitted_at=evaluation.created_at,
+    )
 
 
 def _tasks_that_count(evaluation: Evaluation) -> Collection[str]:

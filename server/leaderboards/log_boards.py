@@ -6,14 +6,15 @@ A log proves its actions, not that a policy chose them, so it never ranks togeth
 from collections.abc import Sequence
 from datetime import UTC, datetime
 
-from sqlalchemy import Select, select
+from sqlalchemy import select
 from sqlalchemy.dialects.postgresql import distinct_on
 from sqlalchemy.orm import Session, joinedload
 from vitac.evaluator.version import evaluator_version
-from vitac.server.db.models import Evaluation, Submission
-from vitac.server.db.states import EvaluationState, SubmissionKind
+from vitac.server.db.models import BoardResult, Evaluation, Submission
+from vitac.server.db.states import SubmissionKind
 from vitac.server.evaluations.scores import score_views
-from vitac.server.leaderboards.standings import Result, best_of_teams, results_on
+from vitac.server.leaderboards.best_entries import BestEntry, Board, best_entries
+from vitac.server.leaderboards.standings import completed_evaluations
 from vitac.server.logs.claims import LogClaim
 from vitac.server.logs.view import LABELS, verdict_of
 from vitac.server.tracks import load_known_track
@@ -33,7 +34,6 @@ def log_boards(session: Session, track_name: str) -> LogBoardsView:
         ServiceError: there is no such track.
     """
     track = load_known_track(track_name)
-    verified = session.scalars(_with_teams(_completed(track_name, SubmissionKind.LOG))).all()
     return LogBoardsView(
         track=track.name,
         title=track.title,
@@ -42,57 +42,44 @@ def log_boards(session: Session, track_name: str) -> LogBoardsView:
         evaluator_version=evaluator_version(),
         generated_at=datetime.now(UTC),
         boards=[
-            LogBoardView(task=name, title=task.title, entries=_entries(verified, name))
+            LogBoardView(task=name, title=task.title, entries=_entries(session, track_name, name))
             for name, task in track.tasks.items()
         ],
         text_logs=[_text_log(e) for e in _newest_text_logs(session, track_name)],
     )
 
 
-def _completed(track: str, kind: SubmissionKind) -> Select[Evaluation]:
-    return (
-        select(Evaluation)
-        .join(Submission)
-        .where(Evaluation.state == EvaluationState.COMPLETED, Submission.track == track, Submission.kind == kind)
-    )
-
-
-def _with_teams(evaluations: Select[Evaluation]) -> Select[Evaluation]:
-    """With their submissions and teams, newest first."""
-    return evaluations.options(joinedload(Evaluation.submission).joinedload(Submission.team)).order_by(
-        Evaluation.created_at.desc(), Evaluation.id
-    )
-
-
 def _newest_text_logs(session: Session, track: str) -> Sequence[Evaluation]:
     """Return the newest completed evaluation of each text log, cut before anything is loaded."""
     newest_of_each = (
-        _completed(track, SubmissionKind.TEXT_LOG)
-        .with_only_columns(Evaluation.id)
-        .ext(distinct_on(Evaluation.submission_id))
-        .order_by(Evaluation.submission_id, Evaluation.created_at.desc(), Evaluation.id)
+        select(BoardResult.evaluation_id)
+        .where(BoardResult.track == track, BoardResult.kind == SubmissionKind.TEXT_LOG)
+        .ext(distinct_on(BoardResult.submission_id))
+        .order_by(BoardResult.submission_id, BoardResult.submitted_at.desc(), BoardResult.evaluation_id)
     )
-    chosen = select(Evaluation).where(Evaluation.id.in_(newest_of_each))
-    return session.scalars(_with_teams(chosen).limit(MOST_TEXT_LOGS)).all()
+    return session.scalars(
+        select(Evaluation)
+        .where(Evaluation.id.in_(newest_of_each))
+        .options(joinedload(Evaluation.submission).joinedload(Submission.team))
+        .order_by(Evaluation.created_at.desc(), Evaluation.id)
+        .limit(MOST_TEXT_LOGS)
+    ).all()
 
 
-def _entries(evaluations: Sequence[Evaluation], task: str) -> list[LogEntryView]:
+def _entries(session: Session, track: str, task: str) -> list[LogEntryView]:
     """Return the best log of each team that this evaluator verified; then those of teams that only have older ones."""
-    results, current = results_on(evaluations, task), evaluator_version()
-    ranked = best_of_teams(result for result in results if result.evaluation.evaluator_version == current)
-    teams = {result.team_id for result in ranked}
-    stale = best_of_teams(result for result in results if result.team_id not in teams)
-    entries = [_entry(result, place) for place, result in enumerate(ranked, start=1)]
-    return entries + [_entry(result, None) for result in stale]
+    best = best_entries(session, Board(track=track, kind=SubmissionKind.LOG, task=task))
+    evaluations = completed_evaluations(session, best)
+    return [_entry(entry, evaluations[entry.evaluation_id]) for entry in best]
 
 
-def _entry(result: Result, place: int | None) -> LogEntryView:
-    evaluation, submission = result.evaluation, result.evaluation.submission
+def _entry(entry: BestEntry, evaluation: Evaluation) -> LogEntryView:
+    submission = evaluation.submission
     score = score_views(evaluation)[0]
     claim = LogClaim.model_validate(submission.manifest)
     return LogEntryView(
-        rank=place,
-        stale=place is None,
+        rank=entry.rank,
+        stale=entry.rank is None,
         team=submission.team.name,
         submission_id=submission.id,
         submission_name=submission.name,

@@ -13,7 +13,7 @@ from ..db.models import EpisodeResult, Submission
 from ..db.states import EvaluationState
 from ..evaluations.episode_store import EpisodeKey
 from ..evaluations.history import newest_evaluation, newest_state
-from ..leaderboards.standings import places
+from ..leaderboards.best_entries import places
 from ..settings import Settings
 from ..views.submissions import EpisodeView, SubmissionListView, SubmissionView
 from .view import submission_view

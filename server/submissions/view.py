@@ -11,7 +11,7 @@ from ..db.models import Evaluation, Submission
 from ..db.states import EvaluationState, SubmissionKind
 from ..evaluations.history import history
 from ..evaluations.view import evaluation_view, summary_view
-from ..leaderboards.standings import PlacesOfBoards, places
+from ..leaderboards.best_entries import PlacesOfBoards, places
 from ..logs.view import log_view
 from ..queue.workers import workers_alive
 from ..settings import Settings

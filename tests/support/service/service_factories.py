@@ -7,6 +7,7 @@ from typing import Any, Protocol
 from uuid import UUID, uuid4
 
 import numpy as np
+from sqlalchemy import update
 from sqlalchemy.orm import Session
 from vitac.evaluator.agent.isolation.bubblewrap import UserIsolation
 from vitac.evaluator.agent.isolation.cgroup import MemoryIsolation
@@ -28,7 +29,7 @@ from vitac.evaluator.version import evaluator_hash, evaluator_version, platform_
 from vitac.server.accounts import teams, tokens
 from vitac.server.accounts.principals import CONSOLE, Principal
 from vitac.server.db.engine import Database
-from vitac.server.db.models import Shard, Submission
+from vitac.server.db.models import BoardResult, Evaluation, Shard, Submission
 from vitac.server.db.states import EvaluationState, Role, ShardState, SubmissionKind
 from vitac.server.evaluations import lifecycle
 from vitac.server.evaluations.episode_store import store_episode
@@ -93,9 +94,11 @@ def make_score(successes: int, episodes: int = 100, mean_steps: float | None = 4
     return Score(**dict(rate(successes, episodes)), mean_steps=mean_steps, by_shape={}, outcomes={})
 
 
-def submit_scored(session: Session, principal: Principal, name: str, scores: Mapping[str, Score]) -> Submission:
+def submit_scored(
+    session: Session, principal: Principal, name: str, scores: Mapping[str, Score], **changes: Any
+) -> Submission:
     """A submission whose evaluation is complete with these scores, without the episodes behind them."""
-    upload = make_upload(name, name=name, tasks=tuple(scores))
+    upload = make_upload(name, name=name, tasks=tuple(scores), **changes)
     submission = creation.create(session, principal, upload)[0]
     evaluation = newest_evaluation(session, submission)
     evaluation.state = EvaluationState.RUNNING
@@ -105,6 +108,12 @@ def submit_scored(session: Session, principal: Principal, name: str, scores: Map
     evaluation.finished_at = datetime.now(UTC)
     evaluation.state = EvaluationState.COMPLETED
     return submission
+
+
+def outdate(session: Session, version: str = "0+old") -> None:
+    """Makes all evaluations those of another evaluator version."""
+    for table in (Evaluation, BoardResult):
+        session.execute(update(table).values(evaluator_version=version))
 
 
 def make_record(

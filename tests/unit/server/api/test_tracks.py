@@ -1,6 +1,5 @@
 from service_client import Service, make_archive, problem_of
-from service_factories import LOCK, TASK, TRACK, RecordOf, make_record, play_all
-from sqlalchemy import text
+from service_factories import LOCK, TASK, TRACK, RecordOf, make_record, outdate, play_all
 from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.server.db.models import Submission
 
@@ -59,7 +58,7 @@ def test_of_equal_scores_the_earlier_submission_ranks_first(service: Service) ->
 def test_entry_of_another_evaluator_version_is_shown_but_not_ranked(service: Service) -> None:
     old = evaluated(service, service.token, "x = 1", successes_below(270))
     with service.database.transaction() as session:
-        session.execute(text("UPDATE evaluations SET evaluator_version = 'old'"))
+        outdate(session)
     new = evaluated(service, service.other_token, "x = 2", successes_below(10))
     board = service.client.get(f"/api/v1/leaderboards/{TRACK}").json()
     assert [(entry["rank"], entry["stale"], entry["submission_id"]) for entry in board["entries"]] == [

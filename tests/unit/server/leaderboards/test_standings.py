@@ -1,10 +1,8 @@
 import pytest
 from service_factories import LOCK, TASK, TRACK, make_principal, make_score, make_settings, submit_scored
-from sqlalchemy import update
 from vitac.evaluator.scoring.score import interval_of_mean
 from vitac.server.accounts.principals import CONSOLE
 from vitac.server.db.engine import Database
-from vitac.server.db.models import Submission
 from vitac.server.db.states import SubmissionKind
 from vitac.server.leaderboards.standings import leaderboard
 from vitac.server.submissions import listing
@@ -63,8 +61,8 @@ def test_missing_steps_come_after_all_others_of_the_same_rate(database: Database
 
 def test_logs_are_not_ranked_with_models(two_teams: Database) -> None:
     with two_teams.transaction() as session:
-        session.execute(update(Submission).where(Submission.name == "lock").values(kind=SubmissionKind.LOG))
-    assert standings(board_of(two_teams, LOCK)) == [(1, "Team A", "both")]
+        submit_scored(session, make_principal(session, "Team C"), "log", {LOCK: make_score(9)}, kind=SubmissionKind.LOG)
+    assert standings(board_of(two_teams, LOCK)) == [(1, "Team A", "lock")]
 
 
 def test_a_submission_knows_its_places_and_what_it_lacks(two_teams: Database) -> None:

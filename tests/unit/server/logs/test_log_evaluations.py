@@ -16,6 +16,7 @@ from service_factories import (
     make_record,
     make_settings,
     make_upload,
+    outdate,
     play,
     play_all,
     sha256,
@@ -247,7 +248,7 @@ def test_verified_logs_rank_apart_from_models_and_the_best_of_each_team_counts(s
 def test_log_of_an_older_evaluator_stays_visible_without_a_rank(service: Service) -> None:
     log = resimulated(service, a_log())
     with service.database.transaction() as session:
-        session.execute(text("UPDATE evaluations SET evaluator_version = '0+old'"))
+        outdate(session)
     entries = service.client.get("/api/v1/leaderboards/track_1/logs").json()["boards"][0]["entries"]
     assert [(e["rank"], e["stale"], e["submission_id"]) for e in entries] == [(None, True, str(log.id))]
 
@@ -281,7 +282,7 @@ def test_text_log_that_was_evaluated_again_is_listed_once(service: Service) -> N
     log = uploaded(service, a_text_log(), "text_log")
     play_all(service.database, log)
     with service.database.transaction() as session:
-        session.execute(text("UPDATE evaluations SET evaluator_version = '0+old'"))
+        outdate(session)
     assert upload_log(service, a_text_log(), "text_log", query="&again=true").status_code == 202
     play_all(service.database, log)
     (entry,) = service.client.get("/api/v1/leaderboards/track_1/logs").json()["text_logs"]

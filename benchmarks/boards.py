@@ -1,0 +1,224 @@
+"""How long do boards, the list of submissions and one submission take, as pages and from the API?
+
+Run it as `python benchmarks/boards.py [--submissions 10000] [--teams 200] [--requests 200] [--json [FILE]]`. It starts
+a database of its own with completed evaluations of random scores and asks the application in this process, one request
+after the other. Times are wall times; `cpu_` is the time of this process without the database.
+"""
+
+import argparse
+import asyncio
+import gc
+import json
+import shutil
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from datetime import UTC, datetime, timedelta
+from hashlib import sha256
+from pathlib import Path
+from statistics import quantiles
+from time import perf_counter, process_time
+from uuid import UUID, uuid4
+
+import httpx
+import numpy as np
+from sqlalchemy import select, text
+from sqlalchemy.orm import Session
+from vitac.evaluator.episodes.records import EpisodeOutcome
+from vitac.evaluator.scoring.score import Rate, Score, rate
+from vitac.evaluator.tracks import Task, load_track
+from vitac.evaluator.version import evaluator_hash, evaluator_version
+from vitac.server.accounts import teams, tokens
+from vitac.server.accounts.principals import CONSOLE
+from vitac.server.db.models import EpisodeResult, Evaluation, Submission
+from vitac.server.db.states import EvaluationState, Role, SubmissionKind
+from vitac.server.evaluations.episode_store import EpisodeKey
+from vitac.server.evaluations.scores import store_scores
+from vitac.server.services import Services, open_services
+from vitac.server.settings import load_settings
+from vitac.web import application
+from vitac.web.session.signer import COOKIE, SessionSigner, begin
+
+TRACK = "track_1"
+TARGET_P99_MS = 20.0
+WARM_UP = 5
+RECORD_BYTES = 8000
+ROWS_AT_ONCE = 500
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--submissions", type=int, default=10_000)
+    parser.add_argument("--teams", type=int, default=200)
+    parser.add_argument("--requests", type=int, default=200, help="how many of each page")
+    parser.add_argument(
+        "--json", type=Path, nargs="?", const=Path("-"), help="print the figures as JSON, or write them to this file"
+    )
+    arguments = parser.parse_args()
+    with service(arguments.submissions, arguments.teams) as services:
+        pages = asyncio.run(measure(services, arguments.requests))
+    figures = {"submissions": arguments.submissions, "teams": arguments.teams, "target_p99_ms": TARGET_P99_MS}
+    report(json.dumps(figures | {"pages": pages}, indent=1), pages, arguments.json)
+
+
+def report(content: str, pages: Mapping[str, Mapping[str, float]], target: Path | None) -> None:
+    """Print a table, or JSON where it is asked for; write the JSON to a file where one is named."""
+    if target == Path("-"):
+        print(content)
+        return
+    for name, times in pages.items():
+        print(f"{name:24}" + "".join(f"  {key} {value:7.2f}" for key, value in times.items()))
+    if target is not None:
+        target.write_text(content + "\n")
+
+
+@contextmanager
+def service(n_submissions: int, n_teams: int) -> Iterator[Services]:
+    """Open services whose database holds that many completed evaluations."""
+    folder = Path(tempfile.mkdtemp(prefix="vitac-benchmark-"))
+    folder.chmod(0o711)
+    rng = np.random.default_rng(1)
+    try:
+        with open_services(load_settings(state_dir=folder / "state", database_url=None)) as services:
+            with services.database.transaction() as session:
+                team_ids = [teams.register(session, CONSOLE, name=f"Team {n}").id for n in range(n_teams)]
+            for begun in range(0, n_submissions, ROWS_AT_ONCE):
+                with services.database.transaction() as session:
+                    for number in range(begun, min(begun + ROWS_AT_ONCE, n_submissions)):
+                        add_submission(session, number, team_ids[number % n_teams], rng)
+            with services.database.transaction() as session:
+                add_episodes(session, newest(session, team_ids[0]), rng)
+                session.execute(text("ANALYZE"))
+            yield services
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def add_submission(session: Session, number: int, team_id: UUID, rng: np.random.Generator) -> None:
+    """Add a model with a completed evaluation of one task or of all."""
+    digest = sha256(str(number).encode()).hexdigest()
+    tasks = load_track(TRACK).tasks
+    chosen = list(tasks) if number % 3 else [list(tasks)[number % len(tasks)]]
+    moment = datetime.now(UTC) - timedelta(days=30) + timedelta(seconds=number)
+    submission = Submission(
+        id=uuid4(), team_id=team_id, kind=SubmissionKind.MODEL, track=TRACK, tasks=chosen, name=f"model {number}",
+        digest=digest, archive_sha256=digest, archive_bytes=1000, manifest={"track": TRACK},
+        submitted_at=moment,
+    )  # fmt: skip
+    evaluation = Evaluation(
+        submission=submission, run=1, evaluator_version=evaluator_version(), evaluator_hash=evaluator_hash(),
+        platform_class="benchmark", state=EvaluationState.COMPLETED, episodes_reused=0, log_tail="",
+        created_at=moment, started_at=moment, finished_at=moment + timedelta(seconds=15), result_hash=digest,
+    )  # fmt: skip
+    store_scores(evaluation, {name: random_score(tasks[name], rng) for name in chosen}, dict.fromkeys(chosen, digest))
+    session.add(evaluation)
+
+
+def random_score(task: Task, rng: np.random.Generator) -> Score:
+    """Return a score of all episodes of a task."""
+    shapes = task.episode_list.shapes
+    by_shape: dict[str, Rate] = {}
+    for shape in shapes:
+        episodes = len(task.episodes) // len(shapes)
+        by_shape[shape] = rate(int(rng.integers(episodes + 1)), episodes)
+    episodes = sum(part.episodes for part in by_shape.values())
+    successes = sum(part.successes for part in by_shape.values())
+    return Score(
+        **dict(rate(successes, episodes)),
+        mean_steps=float(rng.uniform(3, 15)) if successes else None,
+        by_shape=by_shape,
+        outcomes={EpisodeOutcome.SUCCESS: successes, EpisodeOutcome.STEPS: episodes - successes},
+    )
+
+
+def newest(session: Session, team_id: UUID) -> Submission:
+    """Return the last submission of a team that plays all tasks."""
+    query = select(Submission).where(Submission.team_id == team_id).order_by(Submission.submitted_at.desc())
+    return next(submission for submission in session.scalars(query) if len(submission.tasks) > 1)
+
+
+def add_episodes(session: Session, submission: Submission, rng: np.random.Generator) -> None:
+    """Store episodes for a submission, with records as large as real ones."""
+    evaluation = session.scalars(select(Evaluation).where(Evaluation.submission_id == submission.id)).one()
+    key = EpisodeKey.of(evaluation, submission)
+    for name in submission.tasks:
+        for number, episode in enumerate(load_track(TRACK).tasks[name].episodes, start=1):
+            record = {"shape": episode.shape, "filling": rng.bytes(RECORD_BYTES // 2).hex()}
+            session.add(
+                EpisodeResult(
+                    submission_digest=key.submission_digest,
+                    evaluator_version=key.evaluator_version,
+                    track=key.track,
+                    task=name,
+                    episode=number,
+                    run=key.run,
+                    outcome="success",
+                    success=True,
+                    env_steps=5,
+                    record=record,
+                    record_digest="0" * 64,
+                    wall_s=0.1,
+                    evaluation_id=evaluation.id,
+                )
+            )
+
+
+async def measure(services: Services, n_requests: int) -> dict[str, dict[str, float]]:
+    """Time each page [ms]."""
+    addresses, headers, cookies = addresses_of(services)
+    app = application.create(services)
+    app.state.services = services
+    transport = httpx.ASGITransport(app)
+    async with httpx.AsyncClient(transport=transport, base_url="http://benchmark", headers=headers) as client:
+        client.cookies.update(cookies)
+        return {name: await times_of(client, address, n_requests) for name, address in addresses.items()}
+
+
+def addresses_of(services: Services) -> tuple[dict[str, str], dict[str, str], dict[str, str]]:
+    """Return the pages by name, and what proves that a team asks for them."""
+    with services.database.transaction() as session:
+        team = teams.find(session, "Team 0")
+        issued = tokens.issue(session, CONSOLE, role=Role.TEAM, label="benchmark", team=team, lifetime=None)
+        submission = newest(session, team.id).id
+    key = application.signing_key(services.settings)
+    cookie = SessionSigner(key=key).sign(begin(issued.token.id, now=datetime.now(UTC)))
+    task = next(iter(load_track(TRACK).tasks))
+    addresses = {
+        "board": f"/tracks/{TRACK}",
+        "board of a task": f"/tracks/{TRACK}?task={task}",
+        "logs": f"/tracks/{TRACK}/logs",
+        "home": "/",
+        "submissions": "/submissions",
+        "submission": f"/submissions/{submission}",
+        "api board": f"/api/v1/leaderboards/{TRACK}",
+        "api board of a task": f"/api/v1/leaderboards/{TRACK}?task={task}",
+        "api logs": f"/api/v1/leaderboards/{TRACK}/logs",
+        "api submissions": "/api/v1/submissions?limit=50",
+        "api submission": f"/api/v1/submissions/{submission}",
+        "api episodes": f"/api/v1/submissions/{submission}/episodes",
+    }
+    return addresses, {"Authorization": f"Bearer {issued.secret}"}, {COOKIE: cookie}
+
+
+async def times_of(client: httpx.AsyncClient, address: str, n_requests: int) -> dict[str, float]:
+    """Ask for one page again and again."""
+    wall_ms, cpu_ms = [], []
+    for _ in range(WARM_UP + n_requests):
+        gc.collect()
+        began, began_cpu = perf_counter(), process_time()
+        response = await client.get(address)
+        wall_ms.append(1000 * (perf_counter() - began))
+        cpu_ms.append(1000 * (process_time() - began_cpu))
+        response.raise_for_status()
+    return percentiles(wall_ms[WARM_UP:]) | {f"cpu_{name}": ms for name, ms in percentiles(cpu_ms[WARM_UP:]).items()}
+
+
+def percentiles(times_ms: list[float]) -> dict[str, float]:
+    """Return the median and the time that one in a hundred takes longer than."""
+    cuts = quantiles(times_ms, n=100, method="inclusive")
+    return {"p50_ms": round(cuts[49], 2), "p99_ms": round(cuts[98], 2)}
+
+
+if __name__ == "__main__":
+    main()

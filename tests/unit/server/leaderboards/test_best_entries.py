@@ -1,0 +1,169 @@
+from collections.abc import Sequence
+from datetime import UTC, datetime, timedelta
+from uuid import UUID
+
+import pytest
+from database_work import database_work
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from service_factories import LOCK, TASK, TRACK, make_principal, make_score, make_settings, sha256, submit_scored
+from sqlalchemy import select, text
+from sqlalchemy.orm import Session
+from vitac.evaluator.scoring.ranking import Standing, rank
+from vitac.evaluator.scoring.score import Score
+from vitac.evaluator.version import evaluator_hash, evaluator_version
+from vitac.server.accounts.principals import CONSOLE
+from vitac.server.db.engine import Database
+from vitac.server.db.models import Evaluation, Submission, Team
+from vitac.server.db.schema import downgrade, upgrade
+from vitac.server.db.states import EvaluationState, SubmissionKind
+from vitac.server.evaluations.scores import combined_score, scores_of, store_scores
+from vitac.server.leaderboards.best_entries import Board, best_entries, places
+from vitac.server.leaderboards.log_boards import log_boards
+from vitac.server.leaderboards.standings import leaderboard
+from vitac.server.submissions import listing
+
+TEAMS = 4
+BEGIN = datetime(2026, 1, 1, tzinfo=UTC)
+
+scores = st.builds(
+    # Few values, so that rates, steps and times are often equal.
+    lambda successes, steps: make_score(successes, 4, steps if successes else None),
+    st.integers(0, 4),
+    st.sampled_from((3.0, 3.5, 1e-9)),
+)
+results = st.tuples(
+    st.integers(0, TEAMS - 1),
+    st.dictionaries(st.sampled_from((TASK, LOCK)), scores, min_size=1),
+    st.integers(0, 2).map(lambda minute: BEGIN + timedelta(minutes=minute)),
+    st.sampled_from((evaluator_version(), evaluator_version(), "0+old", "0+older")),
+    st.sampled_from((SubmissionKind.MODEL, SubmissionKind.MODEL, SubmissionKind.LOG)),
+    st.uuids(),
+)
+
+
+def add_result(
+    session: Session,
+    number: int,
+    team: Team,
+    played: dict[str, Score],
+    moment: datetime,
+    version: str = evaluator_version(),
+    kind: SubmissionKind = SubmissionKind.MODEL,
+    evaluation_id: UUID | None = None,
+) -> None:
+    """A completed evaluation without shards, jobs and episodes."""
+    digest = sha256(f"{team.id} {number}")
+    submission = Submission(
+        team=team, kind=kind, track=TRACK, tasks=list(played), name=str(number), digest=digest,
+        archive_sha256=digest, archive_bytes=1, manifest={}, submitted_at=moment,
+    )  # fmt: skip
+    session.add(submission)
+    session.flush()
+    evaluation = Evaluation(
+        id=evaluation_id, submission=submission, run=1, evaluator_version=version, evaluator_hash=evaluator_hash(),
+        state=EvaluationState.COMPLETED, episodes_reused=0, log_tail="", created_at=moment, finished_at=moment,
+        result_hash=digest,
+    )  # fmt: skip
+    store_scores(evaluation, played, dict.fromkeys(played, digest))
+    session.add(evaluation)
+    session.flush()
+
+
+def best_by_the_rule(evaluations: Sequence[Evaluation], task: str | None) -> list[UUID]:
+    """Ids of each team's best evaluation on a board, by the evaluator's own function."""
+    standings, team_of = [], {}
+    for evaluation in evaluations:
+        score = combined_score(evaluation) if task is None else scores_of(evaluation).get(task)
+        if score is not None:
+            team_of[str(evaluation.id)] = evaluation.submission.team_id
+            standings.append(
+                Standing(
+                    id=str(evaluation.id),
+                    success_rate=score.success_rate,
+                    mean_steps=score.mean_steps,
+                    submitted_at=evaluation.created_at,
+                )
+            )
+    best: dict[UUID, str] = {}
+    for ranked in rank(standings):
+        best.setdefault(team_of[ranked.standing.id], ranked.standing.id)
+    return [UUID(found) for found in best.values()]
+
+
+@given(st.lists(results, max_size=14, unique_by=lambda result: result[-1]))
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_the_database_ranks_as_the_evaluator_does(database: Database, drawn: list[tuple[object, ...]]) -> None:
+    with database.transaction() as session:
+        teams = [Team(name=f"Team {number}", name_key=f"team {number}") for number in range(TEAMS)]
+        session.add_all(teams)
+        for number, (team, *rest) in enumerate(drawn):
+            add_result(session, number, teams[team], *rest)  # type: ignore[call-overload, arg-type]
+        models = [
+            evaluation
+            for evaluation in session.scalars(select(Evaluation))
+            if evaluation.submission.kind is SubmissionKind.MODEL
+        ]
+        current = [evaluation for evaluation in models if evaluation.evaluator_version == evaluator_version()]
+        for task in (None, TASK, LOCK):
+            entries = best_entries(session, Board(track=TRACK, task=task))
+            ranked = best_by_the_rule(current, task)
+            teams_of_ranked = {session.get_one(Evaluation, found).submission.team_id for found in ranked}
+            others = [model for model in models if model.submission.team_id not in teams_of_ranked]
+            assert [entry.evaluation_id for entry in entries if entry.rank] == ranked
+            assert [entry.rank for entry in entries[: len(ranked)]] == list(range(1, len(ranked) + 1))
+            assert [entry.evaluation_id for entry in entries if not entry.rank] == best_by_the_rule(others, task)
+            assert [place.rank for place in places(session, TRACK)[task].values()] == list(range(1, len(ranked) + 1))
+        session.rollback()
+
+
+@pytest.fixture
+def many_results(database: Database) -> Database:
+    """Ten teams with a hundred results each."""
+    with database.transaction() as session:
+        teams = [Team(name=f"Team {number}", name_key=f"team {number}") for number in range(10)]
+        session.add_all(teams)
+        for number in range(1000):
+            played = {TASK: make_score(number % 97), LOCK: make_score(number % 89)}
+            add_result(session, number, teams[number % 10], played, BEGIN + timedelta(seconds=number))
+    with database.transaction() as session:
+        session.execute(text("ANALYZE"))
+    return database
+
+
+def test_boards_read_the_best_of_each_team_and_not_all_results(many_results: Database) -> None:
+    for read in (
+        lambda session: leaderboard(session, TRACK),
+        lambda session: leaderboard(session, TRACK, task=TASK),
+        lambda session: log_boards(session, TRACK),
+        lambda session: places(session, TRACK),
+    ):
+        with many_results.transaction() as session, database_work(session) as work:
+            read(session)
+        assert work.rows_read["evaluations"] < 50
+        assert work.rows_read["submissions"] < 50
+        assert work.rows_read["board_results"] < 100
+        assert work.statements <= 9
+
+
+def test_migration_fills_the_results_of_completed_evaluations(database: Database) -> None:
+    with database.transaction() as session:
+        principal = make_principal(session)
+        submit_scored(session, principal, "both", {TASK: make_score(50, 270), LOCK: make_score(7, 160, 3.3)})
+        submit_scored(session, principal, "one", {LOCK: make_score(0, 160, None)})
+        submit_scored(session, principal, "log", {TASK: make_score(9, 270)}, kind=SubmissionKind.LOG)
+    query = text("SELECT * FROM board_results ORDER BY evaluation_id, board")
+    with database.transaction() as session:
+        stored = session.execute(query).all()
+    downgrade(database, "0007")
+    upgrade(database)
+    with database.transaction() as session:
+        assert session.execute(query).all() == stored
+    assert len(stored) == 3 + 2 + 1
+
+
+def test_list_asks_for_places_once(many_results: Database) -> None:
+    with many_results.transaction() as session, database_work(session) as work:
+        shown = listing.list_submissions(session, make_settings(), CONSOLE, limit=20)
+    assert len(shown.items) == 20
+    assert work.rows_read["board_results"] < 100
