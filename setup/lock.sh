@@ -1,6 +1,6 @@
 #!/bin/sh
 # Rewrites requirements/*.lock from pyproject.toml. Needs uv on the PATH (or its path in UV).
-# Without arguments locked versions stay where they still fit; `setup/lock.sh --upgrade` takes the newest.
+# Without arguments locked versions are kept if they still fit; `setup/lock.sh --upgrade` selects the newest.
 set -eu
 
 cd "$(dirname "$0")/.."

@@ -1,9 +1,9 @@
 # shellcheck shell=sh
-# Keeps .venv as requirements/*.lock and pyproject.toml say. Read by ../vitac, which sets `root`.
+# Keeps .venv in line with requirements/*.lock and pyproject.toml. Read by ../vitac, which sets `root`.
 #
-# .venv/vitac-stamp is written last and holds what was installed: `<profile> <fingerprint> <place> <interpreter>`. No
-# stamp means a set-up that was cut off, and .venv is made anew, as after a move of the folder or of the interpreter; an
-# outdated fingerprint means an update in place.
+# .venv/vitac-stamp is written last and says what is installed: `<profile> <fingerprint> <place> <interpreter>`. If it is
+# missing, the set-up was interrupted and .venv is rebuilt, as after a move of the folder or of the interpreter; with an
+# outdated fingerprint it is updated in place.
 
 : "${root:?set by ../vitac}"
 venv=$root/.venv
@@ -26,12 +26,12 @@ read_stamp() {
   fi
 }
 
-# True where .venv was completed here and still points to the interpreter that it was made with.
-venv_stands() {
+# True if .venv was completed in this folder and still points to the interpreter that made it.
+venv_is_valid() {
   [ "$has_place" = "$(place)" ] && [ -x "$venv/bin/python" ] && [ "$(readlink -f "$venv/bin/python")" = "$has_interpreter" ]
 }
 
-# Each profile holds all packages of the ones before it.
+# Each profile includes all packages of the ones before it.
 profile_rank() { # profile
   case $1 in
     base) echo 1 ;;
@@ -47,10 +47,10 @@ installed_profile_covers() { # profile
 
 python_is_ready() { # profile
   read_stamp
-  venv_stands && [ "$has_fingerprint" = "$(fingerprint)" ] && [ -x "$venv/bin/vitac" ] && installed_profile_covers "$1"
+  venv_is_valid && [ "$has_fingerprint" = "$(fingerprint)" ] && [ -x "$venv/bin/vitac" ] && installed_profile_covers "$1"
 }
 
-# Sets `python` to an interpreter that can make a virtual environment, newest first, or ends with what is missing.
+# Sets `python` to the newest interpreter that can create a virtual environment, or exits with what is missing.
 find_python() {
   without_venv='' other=''
   probe='
@@ -80,16 +80,16 @@ else:
     esac
   done
   if [ -n "$without_venv" ]; then
-    die "Python $without_venv is here without its venv module. Install it (Debian and Ubuntu: apt-get install python3-venv) and run the command again."
+    die "Python $without_venv has no venv module. Install it (Debian and Ubuntu: apt-get install python3-venv) and run the command again."
   fi
-  die "needs Python 3.$oldest_python to 3.$newest_python and found none among $*.${other} Install one (Debian and Ubuntu: apt-get install python3 python3-venv) or name it in VITAC_PYTHON."
+  die "expected Python 3.$oldest_python to 3.$newest_python, found none among $*.${other} Install one (Debian and Ubuntu: apt-get install python3 python3-venv) or name it in VITAC_PYTHON."
 }
 
 pip() {
   "$venv/bin/python" -I -m pip --disable-pip-version-check --no-input "$@"
 }
 
-# Symlinks `.dev/vitac/<folder>`, so that type checkers find `vitac.<folder>` where it is.
+# Symlinks `.dev/vitac/<folder>`, so that type checkers find `vitac.<folder>`.
 link_packages() {
   mkdir -p "$root/.dev/vitac"
   sed -n 's/^"vitac\.[a-z_]*" = "\([a-z_]*\)"$/\1/p' "$root/pyproject.toml" | while read -r folder; do
@@ -101,11 +101,11 @@ install_python() { # profile
   started=$(date +%s)
   lock=$root/requirements/$1.lock
   : >"$log"
-  if venv_stands; then
+  if venv_is_valid; then
     rm -f "$stamp"
   else
     rm -rf "$venv"
-    logged "making .venv with $python" '' '' "$python" -I -m venv "$venv" || fail_setup "making .venv" 1000
+    logged "creating .venv with $python" '' '' "$python" -I -m venv "$venv" || fail_setup "creating .venv" 1000
   fi
   heading="installing Python packages"
   logged "$heading" "$(grep -c '==' "$lock")" 'Collecting ' \
@@ -118,9 +118,9 @@ install_python() { # profile
   end_steps "Python packages are ready ($(($(date +%s) - started)) s)"
 }
 
-# Makes .venv hold the packages of a profile: `base` to evaluate and serve, `show` to draw, `dev` to test as well.
+# Installs the packages of a profile into .venv: `base` to evaluate and serve, `show` to draw as well, `dev` to test.
 ensure_python() { # profile
-  # Settings meant for other installations would send packages past .venv.
+  # These settings are for other installations and would install packages outside .venv.
   unset PIP_TARGET PIP_PREFIX PIP_ROOT PYTHONHOME
   export PIP_USER=0
   if python_is_ready "$1"; then return; fi
@@ -128,7 +128,7 @@ ensure_python() { # profile
   lock_setup "$python"
   if ! python_is_ready "$1"; then
     profile=$1
-    if venv_stands && installed_profile_covers "$1"; then profile=$has_profile; fi
+    if venv_is_valid && installed_profile_covers "$1"; then profile=$has_profile; fi
     install_python "$profile"
   fi
   unlock_setup

@@ -1,5 +1,5 @@
 # shellcheck shell=sh
-# Messages, the progress line, the log and the lock of a set-up. Read by ../vitac, which sets `root`.
+# Messages, progress line, output file and lock of a set-up. Read by ../vitac, which sets `root`.
 
 : "${root:?set by ../vitac}"
 log=$root/.system/setup.log
@@ -13,7 +13,7 @@ die() {
   exit 1
 }
 
-# Shows a step of the set-up: one line that changes on a terminal, one line per step elsewhere.
+# Shows a step of the set-up: a line that is overwritten on a terminal, a line per step elsewhere.
 step() { # text
   if [ -t 2 ]; then
     printf '\r\033[Kvitac: %s' "$*" >&2
@@ -29,14 +29,14 @@ end_steps() { # text
   say "$*"
 }
 
-# Runs a command with its output in the log; true where the command succeeded. Where the third argument is not
-# empty, the lines that begin with it are counted on the terminal.
+# Runs a command with its output appended to $log; true if it succeeded. If the third argument is not empty, the
+# terminal shows the number of lines that begin with it.
 logged() { # heading, expected count or '', prefix of counted lines or '', command...
   heading=$1 expected=$2 prefix=$3
   shift 3
   step "$heading"
   {
-    # A lock held by a killed set-up's children lasts until they end, so that nobody writes beside them.
+    # The children of a killed set-up hold the lock until they end, so that no other set-up writes at the same time.
     if "$@" 2>&1 </dev/null; then echo "vitac-exit 0"; else echo "vitac-exit 1"; fi
   } | {
     count=0
@@ -69,27 +69,27 @@ free_mib() {
   df -Pk "$root" | awk 'NR == 2 { print int($4 / 1024) }'
 }
 
-# Ends the set-up with the cause that the log shows and the remedy for it.
-fail_setup() { # what failed, MiB that it needs on the disk
+# Exits with the cause found in $log and its remedy.
+fail_setup() { # what failed, disk space that it needs [MiB]
   end_steps "$1 failed"
   if in_log 'No space left on device|Disk quota exceeded' || [ "$(free_mib)" -lt 20 ]; then
-    die "the disk is full: $(free_mib) MiB are free in $root, about $2 MiB are needed. Make room and run the command again."
+    die "the disk is full: $(free_mib) MiB are free in $root, about $2 MiB are needed. Free some space and run the command again."
   elif in_log 'do not match the hashes|HASH'; then
     tail -n 15 "$log" >&2
-    die "a download differs from what requirements/*.lock promises; nothing of it was installed. Run the command again, and if it stays so, look at the package index that pip is configured for."
+    die "a download does not match its hash in requirements/*.lock and was not installed. Run the command again; if it fails again, check the package index that pip is configured for."
   elif in_log 'name resolution|failed to resolve|could not resolve|new connection|max retries|connection (refused|reset|timed out|failed)|cannot connect|unreachable|timed out'; then
     die "the package index cannot be reached. Connect to the network (or set HTTPS_PROXY, or PIP_INDEX_URL for a mirror) and run the command again. Log: $log"
   elif in_log 'permission denied'; then
     die "no permission to write in $root. Log: $log"
   fi
   tail -n 10 "$log" >&2
-  die "the cause was not recognised; the last lines are above, the whole log is in $log"
+  die "unknown cause; the last lines of output are above, all of it is in $log"
 }
 
 # Takes the set-up's lock on descriptor 9: two set-ups at once wait for each other.
 lock_setup() { # python
   if ! mkdir -p "$root/.system" 2>/dev/null || [ ! -w "$root" ] || ! : 2>/dev/null >>"$root/.system/setup.lock"; then
-    die "no permission to write in $root, where the set-up keeps .venv and .system. Clone the repository into a folder that is yours."
+    die "no permission to write in $root, where the set-up keeps .venv and .system. Clone the repository into a folder that you can write to."
   fi
   exec 9>>"$root/.system/setup.lock"
   if "$1" -I -c 'import fcntl; fcntl.flock(9, fcntl.LOCK_EX | fcntl.LOCK_NB)' 2>/dev/null; then return; fi

@@ -1,9 +1,9 @@
 # shellcheck shell=sh
-# Finds the programs that Python packages cannot bring (bubblewrap, chromium), and installs or downloads them where
-# they are missing. Read by ../vitac, which sets `root`; exports VITAC_BWRAP and VITAC_CHROMIUM for what it starts.
+# Finds the programs that are not Python packages (bubblewrap, chromium), and installs or downloads missing ones.
+# Read by ../vitac, which sets `root`; exports VITAC_BWRAP and VITAC_CHROMIUM.
 #
-# As root they are installed as Debian packages. A normal user gets them unpacked in .system/, without the package
-# manager's help after the download, so only programs that run from any folder can come this way.
+# As root they are installed as Debian packages. For a normal user the packages are unpacked in .system/, which works
+# only for programs that run from any folder.
 
 : "${root:?set by ../vitac}"
 system=$root/.system
@@ -17,7 +17,7 @@ program_of() { # package
   esac
 }
 
-# Prints the program's path: the one that the user exported, the system's, or the one in .system.
+# Prints the program's path: the exported one, the system's, or the one in .system.
 find_tool() { # package
   case $1:${VITAC_BWRAP:+bubblewrap}:${VITAC_CHROMIUM:+chromium} in
     bubblewrap:bubblewrap:*) echo "$VITAC_BWRAP" && return ;;
@@ -50,11 +50,11 @@ unpack_privately() { # package
 }
 
 private_xargs() { # apt-get command; package names on standard input
-  # shellcheck disable=SC2046  # package names hold no spaces
+  # shellcheck disable=SC2046  # package names contain no spaces
   private_apt "$@" $(cat)
 }
 
-# Makes .system/bin/<program>, which runs an unpacked program with the libraries unpacked beside it.
+# Writes .system/bin/<program>, which runs an unpacked program with its unpacked libraries.
 wrap_privately() { # package
   program=$(program_of "$1")
   case $1 in
@@ -76,7 +76,7 @@ EOF
   chmod +x "$system/bin/$program.new" && mv "$system/bin/$program.new" "$system/bin/$program"
 }
 
-# The unpacked fonts' own configuration names folders below /, so chromium gets one that names ours.
+# The unpacked fonts' configuration names folders below /, so chromium gets one that names ours.
 write_font_configuration() {
   cat >"$system/fonts.conf" <<EOF
 <?xml version="1.0"?>
@@ -97,7 +97,7 @@ install_tool() { # package
   fi
 }
 
-# Says what to install by hand where the set-up cannot.
+# Prints what to install by hand if the set-up cannot.
 advise_tool() { # package, reason
   say "$1 is missing and cannot be installed here: $2."
   if command -v dnf >/dev/null; then
@@ -118,7 +118,7 @@ export_tool() { # package, path
   esac
 }
 
-# Exports the program's path; installs it first where it is missing. False where that is not possible.
+# Exports the program's path, installing the program first if it is missing. False if that is not possible.
 ensure_tool() { # package
   if ! find_tool "$1" >/dev/null; then
     if ! command -v apt-get >/dev/null; then
@@ -134,7 +134,7 @@ ensure_tool() { # package
         unlock_setup
         end_steps "installing $1 failed"
         tail -n 5 "$log" >&2
-        advise_tool "$1" "apt-get failed; the last lines are above, the whole log is in $log"
+        advise_tool "$1" "apt-get failed; the last lines of output are above, all of it is in $log"
         return 1
       fi
     fi

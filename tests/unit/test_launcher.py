@@ -215,7 +215,7 @@ def test_second_set_up_waits_for_the_first(checkout: Checkout, tmp_path: Path) -
         ("WARNING: Retrying: Temporary failure in name resolution", "cannot be reached"),
         ("NewConnectionError: Failed to establish a new connection: [Errno 101]", "cannot be reached"),
         ("ERROR: [Errno 28] No space left on device", "disk is full"),
-        ("ERROR: THESE PACKAGES DO NOT MATCH THE HASHES FROM THE REQUIREMENTS FILE.", "differs from"),
+        ("ERROR: THESE PACKAGES DO NOT MATCH THE HASHES FROM THE REQUIREMENTS FILE.", "does not match its hash"),
         ("something never seen before", "something never seen before"),
     ],
 )
@@ -229,7 +229,7 @@ def test_a_failed_installation_names_cause_and_remedy(checkout: Checkout, pip_sa
 @pytest.mark.parametrize(
     ("answer", "told"),
     [
-        ("venv 3.11", "without its venv module"),
+        ("venv 3.11", "has no venv module"),
         ("version 3.9", "python3.11 is 3.9."),
         ("version 3.19", "python3.11 is 3.19."),
     ],

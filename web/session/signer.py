@@ -59,7 +59,7 @@ class SessionSigner:
         return BrowserSession(token_id=UUID(token_id), expires_at=expires_at) if now < expires_at else None
 
     def form_token(self, cookie: str) -> str:
-        """Return the value that a form must send back: it proves that the form came from a page of this session."""
+        """Return the value that a form must send back: it proves that a page of this session sent the form."""
         return self._mac("form", cookie)
 
     def accepts_form_token(self, cookie: str | None, token: str) -> bool:
