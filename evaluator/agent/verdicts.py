@@ -51,7 +51,9 @@ _SENTENCES = {
     VerdictCode.CRASHED: "The policy raised or its process ended; the last lines of its output say where.",
     VerdictCode.OUT_OF_MEMORY: "The policy and its children used too much memory; use smaller models or batches.",
     VerdictCode.CPU_TIME: "The policy used more CPU time than allowed; make reset() and act() cheaper.",
-    VerdictCode.WALL_TIME: "No answer came within the wall time allowed; look for a wait, a sleep or a deadlock.",
+    VerdictCode.WALL_TIME: (
+        "The policy did not answer within the wall time allowed; look for a wait, a sleep or a deadlock."
+    ),
     VerdictCode.SHARD_TIME: (
         "All episodes of a shard together took more time than allowed, with loading; make the policy cheaper."
     ),
@@ -61,7 +63,7 @@ _SENTENCES = {
     VerdictCode.BAD_ACTION_SHAPE: "The action has the wrong shape; return the shape in the task's action table.",
     VerdictCode.NON_FINITE_ACTION: "The action holds NaN or infinity, or overflows float32; return finite numbers.",
     VerdictCode.PROTOCOL_VIOLATION: (
-        "Something other than one answer per question came over the channel; leave it to the evaluator's runtime."
+        "The policy sent something other than one answer per question; leave the channel to the evaluator's runtime."
     ),
     VerdictCode.SANDBOX_FAILED: "The evaluation machine failed, not the policy; the work is tried again by itself.",
 }
