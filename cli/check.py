@@ -15,14 +15,19 @@ if TYPE_CHECKING:
 
 @dataclass(kw_only=True)
 class Findings:
-    """Results of the checks, in the order in which they ran."""
+    """Results of the checks, in the order in which they ran.
+
+    Attributes:
+        digest: digest of the submission; None until its files are accepted.
+        passed: what was checked successfully.
+        refused: one or more sentences for each reason to refuse the submission, or for which it would fail.
+        output_tail: the last lines of the output of a policy that failed.
+    """
 
     digest: str | None = None
     passed: list[str] = field(default_factory=list)
     refused: list[str] = field(default_factory=list)
-    """Each one or more sentences; a submission with any of them is refused or fails."""
     output_tail: str = ""
-    """The last lines of the output of a policy that failed."""
 
 
 def command(

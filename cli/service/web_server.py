@@ -69,12 +69,17 @@ def address_of(listener: socket.socket) -> str:
 
 @dataclass(kw_only=True)
 class WebServer:
-    """An application served at a bound socket from `start` to `stop`."""
+    """An application served at a bound socket from `start` to `stop`.
+
+    Attributes:
+        app: the application.
+        listener: bound socket; closed by `stop`.
+        trusted_proxies: addresses or networks whose X-Forwarded-For and X-Forwarded-Proto are accepted.
+    """
 
     app: FastAPI
     listener: socket.socket
     trusted_proxies: Sequence[str] = ()
-    """Addresses or networks whose X-Forwarded-For and X-Forwarded-Proto are believed."""
     _server: uvicorn.Server | None = field(default=None, init=False)
     _thread: threading.Thread | None = field(default=None, init=False)
 
