@@ -39,17 +39,16 @@ def test_fields_are_not_described_below_themselves(repository: Path, folder: str
     assert below == []
 
 
+def members(node: ast.ClassDef) -> set[str]:
+    fields = {ast.unparse(item.target) for item in node.body if isinstance(item, ast.AnnAssign)}
+    return fields | {item.name for item in node.body if isinstance(item, ast.FunctionDef)}
+
+
 @pytest.mark.parametrize("folder", FOLDERS)
 def test_every_described_attribute_exists(repository: Path, folder: str) -> None:
-    unknown = []
-    for file, node in dataclasses_in(repository / folder):
-        members = {
-            item.target.id if isinstance(item, ast.AnnAssign) and isinstance(item.target, ast.Name) else item.name
-            for item in node.body
-            if isinstance(item, ast.FunctionDef)
-            or (isinstance(item, ast.AnnAssign) and isinstance(item.target, ast.Name))
-        }
-        unknown += [
-            f"{file.relative_to(repository)}: {node.name}.{name}" for name in described_attributes(node) - members
-        ]
+    unknown = [
+        f"{file.relative_to(repository)}: {node.name}.{name}"
+        for file, node in dataclasses_in(repository / folder)
+        for name in described_attributes(node) - members(node)
+    ]
     assert unknown == []
