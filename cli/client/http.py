@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import os
+import ssl
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -125,12 +127,17 @@ class Client:
             "POST", "/api/v1/submissions", params=params, headers=headers, content=_chunks(archive, on_bytes)
         )
 
+    def _http(self) -> httpx.Client:
+        return httpx.Client(
+            base_url=self.server, timeout=TIMEOUT, transport=self.transport, trust_env=False, verify=_tls()
+        )
+
     def _json(self, method: str, path: str, **arguments: Any) -> Json:
         headers = {"Accept": "application/json"} | arguments.pop("headers", {})
         if self.token is not None:
             headers["Authorization"] = f"Bearer {self.token}"
         try:
-            with httpx.Client(base_url=self.server, timeout=TIMEOUT, transport=self.transport, trust_env=False) as http:
+            with self._http() as http:
                 answer = http.request(method, path, headers=headers, **arguments)
         except httpx.HTTPError as error:
             raise ServiceUnreachable(
@@ -140,6 +147,12 @@ class Client:
         if answer.is_success:
             return dict(answer.json())
         raise _refusal(answer)
+
+
+@cache
+def _tls() -> ssl.SSLContext:
+    """Read the certificates once; that takes longer than a request."""
+    return httpx.create_ssl_context(trust_env=False)
 
 
 def _chunks(archive: Path, on_bytes: Callable[[int], None]) -> Iterator[bytes]:

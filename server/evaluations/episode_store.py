@@ -67,31 +67,36 @@ def store_episode(session: Session, lease: Lease, record: EpisodeRecord) -> None
         LeaseLost: the shard is not ours any more.
     """
     lock_held(session, lease)
-    record = storable(record)
-    key = EpisodeKey.of_lease(lease)
-    digest = record.record_digest()
+    values = row_values(lease, record)
     added = session.scalar(
         insert(EpisodeResult)
-        .values(
-            submission_digest=key.submission_digest,
-            evaluator_version=key.evaluator_version,
-            track=key.track,
-            task=record.task,
-            episode=record.episode,
-            run=key.run,
-            outcome=record.outcome.value,
-            success=record.success,
-            env_steps=record.env_steps,
-            record=record.model_dump(mode="json"),
-            record_digest=digest,
-            wall_s=record.timings.wall_s,
-            evaluation_id=lease.evaluation_id,
-        )
+        .values(values)
         .on_conflict_do_nothing(constraint="uq_episode_results_key")
         .returning(EpisodeResult.id)
     )
     if added is None:
-        _compare_with_stored(session, lease, record, digest)
+        _compare_with_stored(session, lease, record, values["record_digest"])
+
+
+def row_values(lease: Lease, record: EpisodeRecord) -> dict[str, Any]:
+    """Return the columns of the row of an episode that was played under a lease."""
+    record = storable(record)
+    key = EpisodeKey.of_lease(lease)
+    return {
+        "submission_digest": key.submission_digest,
+        "evaluator_version": key.evaluator_version,
+        "track": key.track,
+        "task": record.task,
+        "episode": record.episode,
+        "run": key.run,
+        "outcome": record.outcome.value,
+        "success": record.success,
+        "env_steps": record.env_steps,
+        "record": record.model_dump(mode="json"),
+        "record_digest": record.record_digest(),
+        "wall_s": record.timings.wall_s,
+        "evaluation_id": lease.evaluation_id,
+    }
 
 
 def storable(record: EpisodeRecord) -> EpisodeRecord:

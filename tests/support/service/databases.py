@@ -52,7 +52,7 @@ def fresh_database(template: str = TEMPLATE) -> Iterator[str]:
     postgres = shared_cluster()
     name = f"t_{secrets.token_hex(6)}"
     with psycopg.connect(postgres.cluster.dsn("postgres"), autocommit=True) as connection:
-        connection.execute(f"CREATE DATABASE {name} TEMPLATE {template}")
+        connection.execute(f"CREATE DATABASE {name} TEMPLATE {template} STRATEGY file_copy")
         try:
             yield postgres.cluster.dsn(name)
         finally:

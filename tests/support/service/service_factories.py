@@ -8,6 +8,7 @@ from uuid import UUID, uuid4
 
 import numpy as np
 from sqlalchemy import update
+from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
 from vitac.evaluator.agent.isolation.bubblewrap import UserIsolation
 from vitac.evaluator.agent.isolation.cgroup import MemoryIsolation
@@ -29,10 +30,10 @@ from vitac.evaluator.version import evaluator_hash, evaluator_version, platform_
 from vitac.server.accounts import teams, tokens
 from vitac.server.accounts.principals import CONSOLE, Principal
 from vitac.server.db.engine import Database
-from vitac.server.db.models import BoardResult, Evaluation, Shard, Submission
+from vitac.server.db.models import BoardResult, EpisodeResult, Evaluation, Shard, Submission
 from vitac.server.db.states import EvaluationState, Role, ShardState, SubmissionKind
 from vitac.server.evaluations import lifecycle
-from vitac.server.evaluations.episode_store import store_episode
+from vitac.server.evaluations.episode_store import row_values, store_episode
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.evaluations.scores import store_scores
 from vitac.server.queue import leases
@@ -201,9 +202,11 @@ class RecordOf(Protocol):
 
 
 def play(database: Database, shard_id: int, record_of: RecordOf = make_record) -> None:
-    """Runs a shard from claim to end, as a worker does."""
+    """Runs a shard from claim to end; all its episodes are stored at once, which is quicker than a worker."""
     lease = claim(database, shard_id)
-    store(database, lease, (record_of(episode, task=lease.task) for episode in lease.episodes))
+    rows = [row_values(lease, record_of(episode, task=lease.task)) for episode in lease.episodes]
+    with database.transaction() as session:
+        session.execute(insert(EpisodeResult).on_conflict_do_nothing(), rows)
     finish(database, lease)
 
 

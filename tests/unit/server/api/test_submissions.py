@@ -12,6 +12,7 @@ import pytest
 from service_client import MANIFEST, POLICY, Service, bearer, make_archive, problem_of, running_service
 from service_factories import TASK, TRACK, play_all
 from sqlalchemy import text
+from structlog.testing import capture_logs
 from vitac.evaluator.agent.limits import Limits
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Submission
@@ -371,4 +372,9 @@ def _lose_connection(service: Service) -> None:
 
 def test_bug_is_a_problem_without_details(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(listing, "list_submissions", lambda *_, **__: 1 / 0)
-    assert "zero" not in problem_of(service.get("/submissions"), 500, "internal_error")["detail"]
+    with capture_logs() as events:
+        problem = problem_of(service.get("/submissions"), 500, "internal_error")
+    assert "zero" not in problem["detail"]
+    assert [event["event"] for event in events if isinstance(event.get("exc_info"), ZeroDivisionError)] == [
+        "request_failed"
+    ]
