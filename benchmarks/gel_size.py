@@ -106,7 +106,7 @@ def factorisation_s(scene: PegScene) -> float:
     times_s = []
     for _ in range(5):
         begun_s = process_time()
-        factorise(system, workspace.entries, workspace.factor, False)
+        factorise(system, workspace.system.entries, workspace.factor, False)
         times_s.append(process_time() - begun_s)
     return min(times_s)
 
@@ -115,7 +115,7 @@ def solver_bytes(scene: PegScene) -> int:
     """Size of the matrix, its factors and what makes them."""
     workspace = scene.grasped._scene._workspace
     factor = workspace.factor
-    return sum(part.nbytes for part in (workspace.entries, factor.entries, factor.front, factor.stack))
+    return sum(part.nbytes for part in (workspace.system.entries, factor.entries, factor.front, factor.stack))
 
 
 def exponent(rows: list[Figures], key: str) -> float:

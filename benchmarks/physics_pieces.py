@@ -12,15 +12,16 @@ from typing import Any
 
 import numpy as np
 from physics_replay import Reference, Replay
-from vitac.envs.fem.contact.assembly import add_contacts
+from vitac.envs.fem.contact.assembly import PointState, add_contacts
 from vitac.envs.fem.contact.broad_phase import find_candidates, relative_motion
-from vitac.envs.fem.contact.ccd import contact_free_fraction, inversion_free_fraction
+from vitac.envs.fem.contact.ccd import PointMove, contact_free_fraction, inversion_free_fraction
 from vitac.envs.fem.elastic.elasticity import add_elasticity
 from vitac.envs.fem.linear.elimination import factorise, substitute
+from vitac.envs.fem.model.newton_system import EXACT_MATRIX, NO_MATRIX
 from vitac.envs.fem.model.points import point_positions
 from vitac.envs.fem.scene.scene import Scene
-from vitac.envs.fem.solver.assembly import assemble
-from vitac.envs.fem.solver.workspace import EXACT_MATRIX, NO_MATRIX, new_workspace
+from vitac.envs.fem.solver.assembly import State, StepStart, assemble
+from vitac.envs.fem.solver.workspace import new_workspace
 
 Figures = dict[str, Any]
 FloatArray = np.ndarray[Any, np.dtype[np.float64]]
@@ -74,21 +75,21 @@ def call_times_ms(scene: Scene, x: FloatArray, x_end: FloatArray) -> dict[str, f
     y, y_move = np.empty((2, len(model.points.node_count), 3))
     point_positions(model.points, x, y)
     point_positions(model.points, x_end - x, y_move)
-    move = np.zeros_like(x)
     reach_m = np.full(len(model.surfaces.pairs), model.parameters.d_hat_m + model.parameters.candidate_margin_m)
     near = find_candidates(model.surfaces, y, reach_m)
     still, motion = np.zeros_like(reach_m), np.empty_like(reach_m)
     relative_motion(model.surfaces, y_move, motion)
-    assemble(model, near, still, x, x, y, y, move, w, EXACT_MATRIX)
+    points, move = PointState(y, y, still), PointMove(y, y_move, still, motion)
+    assemble(model, near, State(x, y, still), StepStart(x, y), w, EXACT_MATRIX)
     calls: dict[str, Callable[[], object]] = {
-        "factorise": lambda: factorise(model.system, w.entries, w.factor, False),
-        "substitute": lambda: substitute(model.system, w.factor, w.right_hand_side.copy()),
-        "elastic forces": lambda: add_elasticity(model.elastic, x, move, w, NO_MATRIX),
-        "elastic matrix": lambda: add_elasticity(model.elastic, x, move, w, EXACT_MATRIX),
-        "contact forces": lambda: add_contacts(model, near, still, y, y, move, w, NO_MATRIX),
-        "contact matrix": lambda: add_contacts(model, near, still, y, y, move, w, EXACT_MATRIX),
+        "factorise": lambda: factorise(model.system, w.system.entries, w.factor, False),
+        "substitute": lambda: substitute(model.system, w.factor, w.system.right_hand_side.copy()),
+        "elastic forces": lambda: add_elasticity(model.elastic, x, w.batch, w.system, NO_MATRIX),
+        "elastic matrix": lambda: add_elasticity(model.elastic, x, w.batch, w.system, EXACT_MATRIX),
+        "contact forces": lambda: add_contacts(model, near, points, w.stencil, w.system, NO_MATRIX),
+        "contact matrix": lambda: add_contacts(model, near, points, w.stencil, w.system, EXACT_MATRIX),
         "inversion": lambda: inversion_free_fraction(model.elastic, x, x_end - x, 1.0),
-        "impact": lambda: contact_free_fraction(near, still, motion, y, y_move, model.parameters.ccd_gap_fraction, 1.0),
+        "impact": lambda: contact_free_fraction(near, move, model.parameters.ccd_gap_fraction, 1.0),
         "candidates": lambda: find_candidates(model.surfaces, y, reach_m),
     }
     return {name: _time_ms(call) for name, call in calls.items()}

@@ -97,9 +97,9 @@ def test_projected_matrix_is_positive_definite_far_from_equilibrium(probe: Probe
 def test_newton_direction_solves_the_assembled_system(probe: Probe) -> None:
     here = probe.at(probe.x_m)
     workspace, system = probe._workspace, probe.model.system
-    rhs = workspace.right_hand_side.copy()
+    rhs = workspace.system.right_hand_side.copy()
     np.testing.assert_array_equal(rhs, -here.forces_n)
-    assert factorise(system, workspace.entries, workspace.factor, False)
+    assert factorise(system, workspace.system.entries, workspace.factor, False)
     assert has_negative_determinant(workspace.factor) is bool(np.linalg.slogdet(here.matrix_n_m)[0] < 0)
     solution = rhs.copy()
     substitute(system, workspace.factor, solution)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from small_scenes import IDENTITY
 from vitac.envs.fem.algebra.vec3 import load
 from vitac.envs.fem.contact.broad_phase import Candidates
-from vitac.envs.fem.contact.ccd import contact_free_fraction, inversion_free_fraction
+from vitac.envs.fem.contact.ccd import PointMove, contact_free_fraction, inversion_free_fraction
 from vitac.envs.fem.contact.distance import EDGE_EDGE, POINT_TRIANGLE, closest_points
 from vitac.envs.fem.model.bodies import GelBody
 from vitac.envs.fem.model.model import Elastic
@@ -35,7 +35,7 @@ def listed(kinds: list[int], points: list[list[int]], x: FloatArray) -> Candidat
 def fraction(kind: int, x: FloatArray, move: FloatArray, gap_fraction: float = GAP_FRACTION) -> float:
     candidates = listed([kind], [[0, 1, 2, 3]], x)
     far = np.full(1, np.inf)
-    return contact_free_fraction(candidates, far, far, x, move, gap_fraction, 1.0)
+    return contact_free_fraction(candidates, PointMove(x, move, far, far), gap_fraction, 1.0)
 
 
 def distance(kind: int, x: FloatArray) -> float:
@@ -113,7 +113,9 @@ def test_the_most_restrictive_pair_decides() -> None:
     move[[0, 4], 2] = -0.2
     both = listed([POINT_TRIANGLE, POINT_TRIANGLE], [[0, 1, 2, 3], [4, 1, 2, 3]], x)
     far = np.full(1, np.inf)
-    assert contact_free_fraction(both, far, far, x, move, GAP_FRACTION, 1.0) == pytest.approx(0.175, rel=1e-3)
+    assert contact_free_fraction(both, PointMove(x, move, far, far), GAP_FRACTION, 1.0) == pytest.approx(
+        0.175, rel=1e-3
+    )
 
 
 def test_a_pair_is_passed_over_only_when_its_bodies_cannot_have_closed_that_part_of_its_gap() -> None:
@@ -123,7 +125,8 @@ def test_a_pair_is_passed_over_only_when_its_bodies_cannot_have_closed_that_part
     closing = np.zeros((4, 3))
     closing[0, 2] = -0.2
     now = np.array([0.02])
-    allowed = [contact_free_fraction(candidates, now, np.array([m]), x, closing, 0.7, 1.0) for m in (0.063, 0.065)]
+    moves = [PointMove(x, closing, now, np.array([ahead])) for ahead in (0.063, 0.065)]
+    allowed = [contact_free_fraction(candidates, move, 0.7, 1.0) for move in moves]
     assert allowed == [1.0, pytest.approx(0.35, rel=1e-3)]
 
 

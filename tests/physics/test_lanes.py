@@ -13,10 +13,8 @@ Three = tuple[float, float, float]
 
 
 @kernel
-def subtract(
-    front: FloatArray, row: int, pivot: int, stride: int, skipped: int, f0: Three, f1: Three, f2: Three
-) -> None:
-    subtract_products(front, row, pivot, stride, skipped, f0, f1, f2)  # type: ignore[call-arg]
+def subtract(front: FloatArray, places: tuple[int, int, int, int], factors: tuple[Three, Three, Three]) -> None:
+    subtract_products(front, places, factors)  # type: ignore[call-arg]
 
 
 @pytest.mark.parametrize("skipped", range(LANES))
@@ -30,6 +28,6 @@ def test_products_are_subtracted_from_three_rows(skipped: int) -> None:
     u = rows[0:3, columns].copy()
     for i in range(3):
         rows[3 + i, columns] -= f[i, 0] * u[0] + f[i, 1] * u[1] + f[i, 2] * u[2]
-    factors = [(float(a), float(b), float(c)) for a, b, c in f]
-    subtract(front, 3 * stride + 5, 5, stride, skipped, *factors)
+    f0, f1, f2 = ((float(a), float(b), float(c)) for a, b, c in f)
+    subtract(front, (3 * stride + 5, 5, stride, skipped), (f0, f1, f2))
     np.testing.assert_array_equal(front, expected)

@@ -11,8 +11,8 @@ from vectors import vec3
 from vitac.envs.fem.linear.elimination import (
     Factor,
     factorise,
-    falling_direction,
     has_negative_determinant,
+    negative_curvature_direction,
     new_factor,
     substitute,
 )
@@ -223,13 +223,13 @@ def test_a_plan_covers_the_free_nodes_of_its_mesh() -> None:
     border=st.integers(0, 4),
     symmetric=st.booleans(),
 )
-def test_falling_direction_leaves_only_the_last_negative_pivots_force(
+def test_negative_curvature_direction_leaves_only_the_last_negative_pivots_force(
     seed: int, sizes: list[int], border: int, symmetric: bool
 ) -> None:
     layout, entries = random_system(seed, tuple(sizes), border, symmetric=symmetric, shift=3.0)
     matrix = dense_matrix(layout, entries)
     factor, x = factors(layout, entries), np.ones(len(matrix))
-    falling_direction(layout, factor, x)
+    negative_curvature_direction(layout, factor, x)
     if factor.negative_pivots[0] == 0:
         np.testing.assert_array_equal(x, 0.0)
         return

@@ -5,9 +5,9 @@ import pytest
 from numpy.typing import NDArray
 from vectors import columns3, differences, random_rotation, vec3
 from vitac.envs.fem.algebra.mat3 import apply_columns
+from vitac.envs.fem.elastic.deformation import Corners, cofactors, deformation_gradient
 from vitac.envs.fem.elastic.neo_hookean import (
-    cofactors,
-    deformation_gradient,
+    Strained,
     lame_parameters_pa,
     nodal_gradient,
     projected_stiffness_block,
@@ -35,8 +35,12 @@ def deformed(seed: int, amount: float = 0.3) -> tuple[FloatArray, FloatArray, fl
     return rest @ strain.T @ random_rotation(random).T, g, volume
 
 
+def corners(rows: FloatArray) -> Corners:
+    return vec3(rows[0]), vec3(rows[1]), vec3(rows[2]), vec3(rows[3])
+
+
 def energy(x: FloatArray, g: FloatArray, volume: float) -> float:
-    F = deformation_gradient(*(vec3(row) for row in x), *(vec3(row) for row in g[1:]))
+    F = deformation_gradient(corners(x), corners(g))
     _, J = cofactors(F)
     return volume * strain_energy_density(F, J, MU, LAMBDA)
 
@@ -55,13 +59,11 @@ def gradient(x: FloatArray, g: FloatArray, volume: float) -> FloatArray:
 def hessian(x: FloatArray, g: FloatArray, volume: float, *, projected: bool = False) -> FloatArray:
     _, h, pressure = state(x, g)
     inverse = np.linalg.inv(x.T @ g)
-    inverse_b = columns3(inverse.T @ inverse)
+    s = Strained(volume, MU, LAMBDA, float(pressure), corners(g), corners(h), columns3(inverse.T @ inverse))
     blocks = np.empty((4, 3, 4, 3))
     for a in range(4):
         for b in range(4):
-            arguments = (volume, MU, LAMBDA, pressure, float(g[a] @ g[b]), vec3(h[a]), vec3(h[b]))
-            block = projected_stiffness_block(*arguments, inverse_b) if projected else stiffness_block(*arguments)
-            blocks[a, :, b] = block
+            blocks[a, :, b] = projected_stiffness_block(s, a, b) if projected else stiffness_block(s, a, b)
     return blocks.reshape(12, 12)
 
 
@@ -75,7 +77,7 @@ def test_deformation_gradient_is_that_of_the_affine_map() -> None:
     rest = random.normal(size=(4, 3))
     g, _ = rest_gradients(rest)
     map_ = random.normal(size=(3, 3))
-    F = deformation_gradient(*(vec3(row) for row in rest @ map_.T + 5.0), *(vec3(row) for row in g[1:]))
+    F = deformation_gradient(corners(rest @ map_.T + 5.0), corners(g))
     np.testing.assert_allclose(np.array(F).T, map_, rtol=1e-9, atol=1e-9)
 
 

@@ -144,10 +144,10 @@ def compressed_column(solver: SolverSettings, *, size: float = 1.0, across: int 
 # With turns of one iteration the last one is cautious and uses the projected matrix, which looks stable always.
 @pytest.mark.parametrize("phase_iterations", [STANDARD.phase_iterations, 1])
 def test_a_compressed_column_that_stays_straight_is_refused_as_unstable(phase_iterations: int) -> None:
-    report, _ = compressed_column(replace(STANDARD, phase_iterations=phase_iterations, push_offs=0))
+    report, _ = compressed_column(replace(STANDARD, phase_iterations=phase_iterations, saddle_escapes=0))
     assert report.status is StepStatus.NOT_CONVERGED
     assert report.unstable_solutions > 0
-    assert report.push_offs == 0
+    assert report.saddle_escapes == 0
 
 
 @pytest.mark.parametrize(
@@ -160,17 +160,17 @@ def test_a_compressed_column_that_stays_straight_is_refused_as_unstable(phase_it
         ({"phase_iterations": 1, "step_tolerance_m": 1e-5}, 1.0, 1),
     ],
 )
-def test_a_compressed_column_is_pushed_off_and_bows_out(changes: dict[str, Any], size: float, across: int) -> None:
+def test_a_compressed_column_escapes_its_saddle_and_bows_out(changes: dict[str, Any], size: float, across: int) -> None:
     report, bow = compressed_column(replace(STANDARD, **changes), size=size, across=across)
-    assert report.status is StepStatus.PUSHED_OFF
-    assert report.push_offs == 1
+    assert report.status is StepStatus.ESCAPED_SADDLE
+    assert report.saddle_escapes == 1
     assert report.substeps == 1
     assert bow > 0.1
 
 
-def test_a_push_that_leads_to_no_solution_is_called_so() -> None:
-    """With too few iterations for what comes after the push."""
-    plain, _ = compressed_column(replace(STANDARD, push_offs=0, substep_levels=0))
+def test_an_escape_that_leads_to_no_solution_is_called_so() -> None:
+    """With too few iterations for what comes after the escape."""
+    plain, _ = compressed_column(replace(STANDARD, saddle_escapes=0, substep_levels=0))
     few = replace(STANDARD, substep_levels=0, newton_iterations=plain.newton_iterations)
     report, _ = compressed_column(few)
-    assert (report.status, report.push_offs) == (StepStatus.NOT_CONVERGED, 1)
+    assert (report.status, report.saddle_escapes) == (StepStatus.NOT_CONVERGED, 1)

@@ -14,14 +14,14 @@ from ..algebra.mat3 import Mat3, add_matrices, apply_columns, identity_and_outer
 from ..algebra.vec3 import Vec3, add_to_row, dot, scale
 from ..linear.system import BlockLayout, add_block, block_place
 from ..model.model import Affine
-from ..solver.workspace import NO_MATRIX, PROJECTED_MATRIX, Workspace
+from ..model.newton_system import NO_MATRIX, PROJECTED_MATRIX, NewtonSystem
 from .affine_body import affine_columns
 
 FloatArray = NDArray[np.float64]
 
 
 @kernel
-def add_orthogonality(affine: Affine, system: BlockLayout, x: FloatArray, workspace: Workspace, matrix: int) -> None:
+def add_orthogonality(affine: Affine, layout: BlockLayout, x: FloatArray, system: NewtonSystem, matrix: int) -> None:
     """Add the forces [N] and blocks [N/m] of all movable bodies at nodes x [m]."""
     for i in range(len(affine.first_node)):
         node, unknown = affine.first_node[i], affine.first_unknown[i]
@@ -30,8 +30,8 @@ def add_orthogonality(affine: Affine, system: BlockLayout, x: FloatArray, worksp
         E = orthogonality_error(A)
         for k in range(3):
             force = scale(stiffness / length, orthogonality_gradient(E, A[k]))
-            add_to_row(workspace.gradient, node + 1 + k, force)
-            add_to_row(workspace.gradient, node, scale(-1.0, force))
+            add_to_row(system.gradient, node + 1 + k, force)
+            add_to_row(system.gradient, node, scale(-1.0, force))
             if matrix == NO_MATRIX:
                 continue
             for j in range(3):
@@ -39,15 +39,15 @@ def add_orthogonality(affine: Affine, system: BlockLayout, x: FloatArray, worksp
                 block = scale_matrix(stiffness / (length * length), block)
                 opposite = scale_matrix(-1.0, block)
                 # The block acts between the differences y_k - y_0 and y_l - y_0.
-                _add_unknown_block(system, workspace.entries, unknown + 1 + k, unknown + 1 + j, block)
-                _add_unknown_block(system, workspace.entries, unknown, unknown, block)
-                _add_unknown_block(system, workspace.entries, unknown + 1 + k, unknown, opposite)
-                _add_unknown_block(system, workspace.entries, unknown, unknown + 1 + j, opposite)
+                _add_unknown_block(layout, system.entries, unknown + 1 + k, unknown + 1 + j, block)
+                _add_unknown_block(layout, system.entries, unknown, unknown, block)
+                _add_unknown_block(layout, system.entries, unknown + 1 + k, unknown, opposite)
+                _add_unknown_block(layout, system.entries, unknown, unknown + 1 + j, opposite)
 
 
 @kernel
-def _add_unknown_block(system: BlockLayout, entries: FloatArray, a: int, b: int, block: Mat3) -> None:
-    place, stride = block_place(system, a, b)
+def _add_unknown_block(layout: BlockLayout, entries: FloatArray, a: int, b: int, block: Mat3) -> None:
+    place, stride = block_place(layout, a, b)
     add_block(entries, place, stride, block)
 
 

@@ -17,8 +17,10 @@ _ROWS = 3
 
 
 @numba.extending.intrinsic
-def subtract_products(typing_context, front, row, pivot, stride, skipped, f0, f1, f2):  # type: ignore[no-untyped-def]  # noqa: ARG001 - numba's intrinsic protocol
+def subtract_products(typing_context, front, places, factors):  # type: ignore[no-untyped-def]  # noqa: ARG001 - numba's intrinsic protocol
     """Three rows less their multiples of three pivot rows, in eight columns but the first few; rows are `stride` apart.
+
+    `places` are (row, pivot, stride, skipped), `factors` (f_0, f_1, f_2):
 
     front[row + i stride + j] -= f_i[0] front[pivot + j] + f_i[1] front[pivot + stride + j]
                                  + f_i[2] front[pivot + 2 stride + j]    for skipped <= j < 8
@@ -30,7 +32,7 @@ def subtract_products(typing_context, front, row, pivot, stride, skipped, f0, f1
 
     def codegen(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
         data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
-        row, pivot, stride, skipped = arguments[1:5]
+        row, pivot, stride, skipped = (builder.extract_value(arguments[1], k) for k in range(4))
 
         def lanes(first: Any, i: int) -> Any:
             place = builder.add(first, builder.mul(stride, stride.type(i)))
@@ -38,18 +40,20 @@ def subtract_products(typing_context, front, row, pivot, stride, skipped, f0, f1
 
         here = builder.icmp_signed(">=", _EIGHT_COUNTS(list(range(LANES))), _in_all_lanes(builder, skipped))
         pivots = [builder.load(lanes(pivot, i), align=8) for i in range(_ROWS)]
-        for i, multipliers in enumerate(arguments[5:]):
-            factors = [_in_all_lanes(builder, builder.extract_value(multipliers, k)) for k in range(_ROWS)]
-            products = [builder.fmul(factor, numbers) for factor, numbers in zip(factors, pivots, strict=True)]
+        for i in range(_ROWS):
+            multipliers = [builder.extract_value(arguments[2], (i, k)) for k in range(_ROWS)]
+            lanes_of = [_in_all_lanes(builder, multiplier) for multiplier in multipliers]
+            products = [builder.fmul(factor, numbers) for factor, numbers in zip(lanes_of, pivots, strict=True)]
             total = builder.fadd(builder.fadd(products[0], products[1]), products[2])
             before = builder.load(lanes(row, i), align=8)
             after = builder.select(here, builder.fsub(before, total), before)
             builder.store(after, lanes(row, i), align=8)
         return context.get_dummy_value()
 
-    whole = numba.types.int64
+    four_places = numba.types.UniTuple(numba.types.int64, 4)  # type: ignore[no-untyped-call]
     three = numba.types.UniTuple(numba.types.float64, _ROWS)  # type: ignore[no-untyped-call]
-    return numba.types.void(front, whole, whole, whole, whole, three, three, three), codegen
+    three_rows = numba.types.UniTuple(three, _ROWS)  # type: ignore[no-untyped-call]
+    return numba.types.void(front, four_places, three_rows), codegen
 
 
 def _in_all_lanes(builder: Any, value: Any) -> Any:

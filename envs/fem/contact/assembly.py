@@ -5,18 +5,20 @@
 Another contact term adds to the forces and blocks of the modes in `_write_modes` (see `stencil` for what modes are).
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from ...compilation import kernel, large_kernel
 from ..algebra.mat3 import add_matrices, outer, scale_matrix, transpose
-from ..algebra.vec3 import Vec3, dot, load, scale, subtract
+from ..algebra.vec3 import dot, load, scale, subtract
 from ..model.model import Model, Parameters
-from ..solver.workspace import NO_MATRIX, PROJECTED_MATRIX, Workspace
+from ..model.newton_system import NO_MATRIX, PROJECTED_MATRIX, NewtonSystem
 from .barrier import barrier
 from .broad_phase import Candidates
-from .contact import Contact, Quad, contact_terms, sliding_directions, weighted_sum
-from .distance import EDGE_EDGE, Coefficients, Sliding, closest_points
+from .contact import Contact, ContactGeometry, Friction, NormalForce, contact_geometry, contact_terms
+from .distance import EDGE_EDGE, closest_points
 from .mollifier import mollifier, squared_cross_norm, squared_cross_norm_blocks, squared_cross_norm_gradient
 from .stencil import (
     ALL_MODES,
@@ -24,7 +26,7 @@ from .stencil import (
     PLAIN_MODES,
     SECOND,
     C,
-    Target,
+    Stencil,
     U,
     V,
     add_blocks,
@@ -38,208 +40,136 @@ from .stencil import (
 FloatArray = NDArray[np.float64]
 
 
+class PointState(NamedTuple):
+    """Surface points at a state."""
+
+    y: FloatArray  # [p, 3] [m]
+    y_start: FloatArray  # [p, 3] at the start of the step, from where friction is measured [m]
+    motion: FloatArray  # [k] largest motion of each pair of bodies since the candidates were listed [m]
+
+
+class PairProperties(NamedTuple):
+    """What a candidate carries beside its points."""
+
+    friction: float  # friction coefficient
+    mollifier_eps_m4: float  # threshold of the mollifier; 0 for pairs without
+
+
+class MollifierRates(NamedTuple):
+    """Derivatives of B e(c), B = (kappa / h^2) b(d), c the squared cross norm of the edges, by c and d."""
+
+    dE_dc: float
+    d2E_dc_dd: float
+    d2E_dc2: float
+
+
 @large_kernel
 def add_contacts(
-    model: Model,
-    candidates: Candidates,
-    motion: FloatArray,
-    y: FloatArray,
-    y_start: FloatArray,
-    prescribed_move: FloatArray,
-    workspace: Workspace,
-    matrix: int,
-) -> None:
-    """Add all pairs closer than d_hat at points y [m], with friction measured from points y_start [m].
-
-    `motion` [k] bounds how far each pair of bodies has moved since the candidates were listed [m].
-    """
-    kinds, points, distances, bodies = candidates.kind, candidates.points, candidates.distance_m, candidates.bodies
-    frictions, thresholds = candidates.friction, candidates.mollifier_eps_m4
-    stencil, gradient = workspace.stencil, workspace.gradient
-    weights, forces, jacobian = stencil.point_weights, stencil.force, stencil.jacobian
-    d_hat = model.parameters.d_hat_m
-    target = Target(
-        model.system.block,
-        model.system.neighbours,
-        model.unknowns.slot,
-        workspace.entries,
-        workspace.gradient,
-        workspace.coupling,
-        prescribed_move,
-    )
-    smallest = np.inf
-    active = 0
-    for k in range(len(kinds)):
-        if distances[k] - motion[bodies[k]] >= d_hat:
+    model: Model, candidates: Candidates, points: PointState, stencil: Stencil, system: NewtonSystem, matrix: int
+) -> tuple[float, int]:
+    """Add all pairs closer than d_hat; returns the smallest distance [m] and their number."""
+    y, y_start, d_hat = points.y, points.y_start, model.parameters.d_hat_m
+    smallest, active = np.inf, 0
+    for k in range(len(candidates.kind)):
+        if candidates.distance_m[k] - points.motion[candidates.bodies[k]] >= d_hat:
             continue
-        p0, p1, p2, p3 = points[k, 0], points[k, 1], points[k, 2], points[k, 3]
+        corners, kind = candidates.points, candidates.kind[k]
+        p0, p1, p2, p3 = corners[k, 0], corners[k, 1], corners[k, 2], corners[k, 3]
         x = (load(y, p0), load(y, p1), load(y, p2), load(y, p3))
-        c, sliding, r = closest_points(kinds[k], x[0], x[1], x[2], x[3])
-        squared = dot(r, r)
-        if squared >= d_hat * d_hat:
+        c, sliding, r = closest_points(kind, x[0], x[1], x[2], x[3])
+        if dot(r, r) >= d_hat * d_hat:
             continue
-        d = np.sqrt(squared)
-        smallest = min(smallest, d)
-        active += 1
         moves = (
             subtract(x[0], load(y_start, p0)),
             subtract(x[1], load(y_start, p1)),
             subtract(x[2], load(y_start, p2)),
             subtract(x[3], load(y_start, p3)),
         )
-        modes = _write_modes(
-            model.parameters,
-            frictions[k],
-            thresholds[k],
-            x,
-            moves,
-            c,
-            sliding,
-            d,
-            r,
-            weights,
-            forces,
-            jacobian,
-            matrix,
-        )
-        split = 2 if kinds[k] == EDGE_EDGE else 1
-        count = collect_nodes(model.points, points, k, split, modes, stencil)
-        add_forces(stencil, count, modes, gradient)
+        geometry = contact_geometry(x, moves, c, sliding, r)
+        smallest = min(smallest, geometry.d)
+        active += 1
+        pair = PairProperties(candidates.friction[k], candidates.mollifier_eps_m4[k])
+        modes = _write_modes(model.parameters, pair, geometry, stencil, matrix)
+        split = 2 if kind == EDGE_EDGE else 1
+        count = collect_nodes(model.points, corners, k, split, modes, stencil)
+        add_forces(stencil, count, modes, system.gradient)
         if matrix != NO_MATRIX:
-            add_blocks(stencil, count, PLAIN_MODES if matrix == PROJECTED_MATRIX else modes, target)
-    workspace.smallest[0] = smallest
-    workspace.active[0] = active
+            add_blocks(stencil, count, PLAIN_MODES if matrix == PROJECTED_MATRIX else modes, model, system)
+    return smallest, active
 
 
 @kernel
 def _write_modes(
-    parameters: Parameters,
-    friction: float,
-    mollifier_eps: float,
-    x: Quad,
-    moves: Quad,
-    c: Coefficients,
-    sliding: Sliding,
-    d: float,
-    r: Vec3,
-    weights: FloatArray,
-    forces: FloatArray,
-    jacobian: FloatArray,
-    matrix: int,
+    parameters: Parameters, pair: PairProperties, geometry: ContactGeometry, stencil: Stencil, matrix: int
 ) -> int:
-    """Write weights, forces and blocks of a contact's modes; returns their number.
-
-    Args:
-        parameters: of contact.
-        friction: friction coefficient.
-        mollifier_eps: threshold of the mollifier [m^4]; 0 for pairs without.
-        x: points [m].
-        moves: their displacements in the step [m].
-        c: coefficients of the closest points.
-        sliding: which coefficients can move.
-        d: distance [m].
-        r: separation [m].
-        weights: of the points in the modes; written, like the next two.
-        forces: on the modes [N].
-        jacobian: of the modes [N/m].
-        matrix: which one is asked for.
-    """
-    kappa = parameters.barrier_stiffness_n_m
-    n = scale(1.0 / d, r)
-    b, b_first, b_second = barrier(d, parameters.d_hat_m)
-    e, e_first, e_second = 1.0, 0.0, 0.0
-    u, v = subtract(x[1], x[0]), subtract(x[3], x[2])
-    if mollifier_eps > 0.0:
-        e, e_first, e_second = mollifier(squared_cross_norm(u, v), mollifier_eps)
-    first, second = sliding_directions(sliding, x, moves)
-    contact = contact_terms(
-        d,
-        n,
-        weighted_sum(c, moves),
-        -kappa * e * b_first,
-        kappa * e * b_second,
-        friction,
-        parameters.slip_scale_m,
-        first,
-        second,
-        matrix == PROJECTED_MATRIX,
-    )
-    set_point_weights(weights, C, c)
-    set_point_weights(weights, FIRST, first.dc)
-    set_point_weights(weights, SECOND, second.dc)
-    set_mode_force(forces, C, contact.force)
+    """Write weights, forces and, where a matrix is asked for, blocks of a contact's modes; returns their number."""
+    kappa, x, weights = parameters.barrier_stiffness_n_m, geometry.x, stencil.point_weights
+    b, db_dd, d2b_dd2 = barrier(geometry.d, parameters.d_hat_m)
+    e, de_dc, d2e_dc2 = 1.0, 0.0, 0.0
+    if pair.mollifier_eps_m4 > 0.0:
+        c = squared_cross_norm(subtract(x[1], x[0]), subtract(x[3], x[2]))
+        e, de_dc, d2e_dc2 = mollifier(c, pair.mollifier_eps_m4)
+    normal = NormalForce(-kappa * e * db_dd, kappa * e * d2b_dd2)
+    friction = Friction(pair.friction, parameters.slip_scale_m)
+    contact = contact_terms(geometry, normal, friction, matrix == PROJECTED_MATRIX)
+    set_point_weights(weights, C, geometry.c)
+    set_point_weights(weights, FIRST, geometry.first.dc)
+    set_point_weights(weights, SECOND, geometry.second.dc)
+    set_mode_force(stencil.force, C, contact.f)
     if matrix != NO_MATRIX:
-        _write_plain_blocks(contact, first.tangent, second.tangent, n, d, jacobian)
+        _write_plain_blocks(contact, geometry, stencil.jacobian)
     if e == 1.0:
         return PLAIN_MODES
-    _write_mollifier(
-        contact,
-        u,
-        v,
-        n,
-        kappa * b * e_first,
-        kappa * b_first * e_first,
-        kappa * b * e_second,
-        weights,
-        forces,
-        jacobian,
-    )
+    rates = MollifierRates(kappa * b * de_dc, kappa * db_dd * de_dc, kappa * b * d2e_dc2)
+    _write_mollifier(contact, geometry, rates, stencil)
     return ALL_MODES
 
 
 @kernel
-def _write_plain_blocks(
-    contact: Contact, tangent0: Vec3, tangent1: Vec3, n: Vec3, d: float, jacobian: FloatArray
-) -> None:
-    """Write base and left_k v_k^T of `contact`, sorted by the modes they act between."""
-    lean0, lean1 = scale(1.0 / d, tangent0), scale(1.0 / d, tangent1)
-    left0, left1, left_dc = contact.left_c[0], contact.left_c[1], contact.left_dc
-    bent = add_matrices(outer(left0, lean0), outer(left1, lean1))
-    zero = scale_matrix(0.0, bent)
-    set_mode_block(jacobian, C, C, add_matrices(contact.base, bent))
-    set_mode_block(jacobian, C, FIRST, outer(left0, n))
-    set_mode_block(jacobian, C, SECOND, outer(left1, n))
-    set_mode_block(jacobian, FIRST, C, outer(left_dc, lean0))
-    set_mode_block(jacobian, FIRST, FIRST, outer(left_dc, n))
+def _write_plain_blocks(contact: Contact, geometry: ContactGeometry, jacobian: FloatArray) -> None:
+    """Write df_dr and (c df_ds_k + dc_k df_dc) v_k^T of `contact`, sorted by the modes they act between.
+
+    v_k acts on the mode C as T_k / d and on the k-th sliding direction as n.
+    """
+    n, df_ds0, df_ds1, df_dc = geometry.n, contact.df_ds[0], contact.df_ds[1], contact.df_dc
+    ds0_dr, ds1_dr = scale(1.0 / geometry.d, geometry.first.tangent), scale(1.0 / geometry.d, geometry.second.tangent)
+    sliding = add_matrices(outer(df_ds0, ds0_dr), outer(df_ds1, ds1_dr))
+    zero = scale_matrix(0.0, sliding)
+    set_mode_block(jacobian, C, C, add_matrices(contact.df_dr, sliding))
+    set_mode_block(jacobian, C, FIRST, outer(df_ds0, n))
+    set_mode_block(jacobian, C, SECOND, outer(df_ds1, n))
+    set_mode_block(jacobian, FIRST, C, outer(df_dc, ds0_dr))
+    set_mode_block(jacobian, FIRST, FIRST, outer(df_dc, n))
     set_mode_block(jacobian, FIRST, SECOND, zero)
-    set_mode_block(jacobian, SECOND, C, outer(left_dc, lean1))
+    set_mode_block(jacobian, SECOND, C, outer(df_dc, ds1_dr))
     set_mode_block(jacobian, SECOND, FIRST, zero)
-    set_mode_block(jacobian, SECOND, SECOND, outer(left_dc, n))
+    set_mode_block(jacobian, SECOND, SECOND, outer(df_dc, n))
 
 
 @kernel
-def _write_mollifier(
-    contact: Contact,
-    u: Vec3,
-    v: Vec3,
-    n: Vec3,
-    slope: float,
-    force_rate: float,
-    curvature: float,
-    weights: FloatArray,
-    forces: FloatArray,
-    jacobian: FloatArray,
-) -> None:
-    """Write the derivatives of the mollifier e(c) in the energy B e(c), B = (kappa / h^2) b.
+def _write_mollifier(contact: Contact, geometry: ContactGeometry, rates: MollifierRates, stencil: Stencil) -> None:
+    """Write the derivatives of the mollifier e(c) in the energy B e(c), on the edge vectors u and v.
 
-    Force on the edge vectors: slope grad c, slope = B e'. Blocks: the barrier's and friction's change with c, rate
-    (grad c)^T; force_rate grad c n^T with force_rate = dB/dd e'; and curvature grad c grad c^T + slope hessian c with
-    curvature = B e''. The blocks between them and sliding directions are never written and stay zero.
+    Forces: dE/dc grad c. Blocks: the barrier's and friction's change with c, df/dc (grad c)^T; d2E/dc dd grad c n^T;
+    and d2E/dc2 grad c grad c^T + dE/dc hessian c. The blocks between them and sliding directions are never written and
+    stay zero.
     """
-    gu, gv = squared_cross_norm_gradient(u, v)
+    n, x, dE_dc, d2E_dc2 = geometry.n, geometry.x, rates.dE_dc, rates.d2E_dc2
+    u, v = subtract(x[1], x[0]), subtract(x[3], x[2])
+    dc_du, dc_dv = squared_cross_norm_gradient(u, v)
     uu, uv, vv = squared_cross_norm_blocks(u, v)
-    rate = scale(force_rate, subtract(n, contact.phi_per_newton))
-    set_point_weights(weights, U, (-1.0, 1.0, 0.0, 0.0))
-    set_point_weights(weights, V, (0.0, 0.0, -1.0, 1.0))
-    set_mode_force(forces, U, scale(slope, gu))
-    set_mode_force(forces, V, scale(slope, gv))
-    set_mode_block(jacobian, C, U, outer(rate, gu))
-    set_mode_block(jacobian, C, V, outer(rate, gv))
-    set_mode_block(jacobian, U, C, scale_matrix(force_rate, outer(gu, n)))
-    set_mode_block(jacobian, V, C, scale_matrix(force_rate, outer(gv, n)))
-    set_mode_block(jacobian, U, U, add_matrices(scale_matrix(curvature, outer(gu, gu)), scale_matrix(slope, uu)))
-    set_mode_block(jacobian, U, V, add_matrices(scale_matrix(curvature, outer(gu, gv)), scale_matrix(slope, uv)))
+    set_point_weights(stencil.point_weights, U, (-1.0, 1.0, 0.0, 0.0))
+    set_point_weights(stencil.point_weights, V, (0.0, 0.0, -1.0, 1.0))
+    set_mode_force(stencil.force, U, scale(dE_dc, dc_du))
+    set_mode_force(stencil.force, V, scale(dE_dc, dc_dv))
+    df_dc, jacobian = scale(rates.d2E_dc_dd, subtract(n, contact.dphi_dN)), stencil.jacobian
+    set_mode_block(jacobian, C, U, outer(df_dc, dc_du))
+    set_mode_block(jacobian, C, V, outer(df_dc, dc_dv))
+    set_mode_block(jacobian, U, C, scale_matrix(rates.d2E_dc_dd, outer(dc_du, n)))
+    set_mode_block(jacobian, V, C, scale_matrix(rates.d2E_dc_dd, outer(dc_dv, n)))
+    set_mode_block(jacobian, U, U, add_matrices(scale_matrix(d2E_dc2, outer(dc_du, dc_du)), scale_matrix(dE_dc, uu)))
+    set_mode_block(jacobian, U, V, add_matrices(scale_matrix(d2E_dc2, outer(dc_du, dc_dv)), scale_matrix(dE_dc, uv)))
     set_mode_block(
-        jacobian, V, U, add_matrices(scale_matrix(curvature, outer(gv, gu)), scale_matrix(slope, transpose(uv)))
+        jacobian, V, U, add_matrices(scale_matrix(d2E_dc2, outer(dc_dv, dc_du)), scale_matrix(dE_dc, transpose(uv)))
     )
-    set_mode_block(jacobian, V, V, add_matrices(scale_matrix(curvature, outer(gv, gv)), scale_matrix(slope, vv)))
+    set_mode_block(jacobian, V, V, add_matrices(scale_matrix(d2E_dc2, outer(dc_dv, dc_dv)), scale_matrix(dE_dc, vv)))

@@ -33,6 +33,14 @@ class Candidates(NamedTuple):
     bodies: IndexArray  # [k] row of `Surfaces.pairs`
 
 
+class Search(NamedTuple):
+    """What is searched for pairs."""
+
+    surfaces: Surfaces
+    y: FloatArray  # [p, 3] points [m]
+    reach_m: float  # of the pair of bodies looked at
+
+
 @allocating_kernel
 def find_candidates(surfaces: Surfaces, y: FloatArray, reach_m: FloatArray) -> Candidates:
     """All pairs within the reach [m], shape [k], of their pair of bodies, at points y [m] of shape [p, 3]."""
@@ -50,9 +58,10 @@ def find_candidates(surfaces: Surfaces, y: FloatArray, reach_m: FloatArray) -> C
         for k in range(len(surfaces.pairs)):
             a, b = surfaces.pairs[k, 0], surfaces.pairs[k, 1]
             first = count
-            count = _point_triangle_pairs(surfaces, y, reach_m[k], a, b, found, count)
-            count = _point_triangle_pairs(surfaces, y, reach_m[k], b, a, found, count)
-            count = _edge_edge_pairs(surfaces, y, reach_m[k], a, b, found, count)
+            search = Search(surfaces, y, reach_m[k])
+            count = _point_triangle_pairs(search, a, b, found, count)
+            count = _point_triangle_pairs(search, b, a, found, count)
+            count = _edge_edge_pairs(search, a, b, found, count)
             found.friction[first : min(count, capacity)] = surfaces.pair_friction[k]
             found.bodies[first : min(count, capacity)] = k
         if count <= capacity:
@@ -68,33 +77,30 @@ def find_candidates(surfaces: Surfaces, y: FloatArray, reach_m: FloatArray) -> C
 
 
 @allocating_kernel
-def _point_triangle_pairs(
-    surfaces: Surfaces, y: FloatArray, reach: float, a: int, b: int, found: Candidates, count: int
-) -> int:
+def _point_triangle_pairs(search: Search, a: int, b: int, found: Candidates, count: int) -> int:
     """Append the pairs of points of body a and triangles of body b."""
-    triangles, starts = surfaces.triangles, surfaces.triangle_start
-    near_points = _near_points(surfaces, y, reach, a, b)
-    near_triangles = near_rows(triangles, starts[b], starts[b + 1], y, reach, surfaces, a)
-    boxes = _boxes(triangles, near_triangles, y, reach)
+    triangles, starts, y = search.surfaces.triangles, search.surfaces.triangle_start, search.y
+    near_points = _near_points(search, a, b)
+    near_triangles = near_rows(search, triangles, starts[b], starts[b + 1], a)
+    boxes = _boxes(triangles, near_triangles, y, search.reach_m)
     for p in near_points:
         x = load(y, p)
         for i in range(len(near_triangles)):
             if _boxes_meet(x, x, _low(boxes, i), _high(boxes, i)):
                 t = near_triangles[i]
                 corners = (p, triangles[t, 0], triangles[t, 1], triangles[t, 2])
-                count = _append(found, count, POINT_TRIANGLE, corners, 0.0, y, reach)
+                count = _append(search, found, count, POINT_TRIANGLE, corners, 0.0)
     return count
 
 
 @allocating_kernel
-def _edge_edge_pairs(
-    surfaces: Surfaces, y: FloatArray, reach: float, a: int, b: int, found: Candidates, count: int
-) -> int:
+def _edge_edge_pairs(search: Search, a: int, b: int, found: Candidates, count: int) -> int:
     """Append the pairs of edges of body a and of body b."""
-    edges, starts, lengths = surfaces.edges, surfaces.edge_start, surfaces.edge_squared_length_m2
-    of_a = near_rows(edges, starts[a], starts[a + 1], y, reach, surfaces, b)
-    of_b = near_rows(edges, starts[b], starts[b + 1], y, reach, surfaces, a)
-    box_a = _boxes(edges, of_a, y, reach)
+    edges, starts = search.surfaces.edges, search.surfaces.edge_start
+    lengths, y = search.surfaces.edge_squared_length_m2, search.y
+    of_a = near_rows(search, edges, starts[a], starts[a + 1], b)
+    of_b = near_rows(search, edges, starts[b], starts[b + 1], a)
+    box_a = _boxes(edges, of_a, y, search.reach_m)
     box_b = _boxes(edges, of_b, y, 0.0)
     for i in range(len(of_a)):
         for j in range(len(of_b)):
@@ -102,16 +108,17 @@ def _edge_edge_pairs(
                 e, f = of_a[i], of_b[j]
                 corners = (edges[e, 0], edges[e, 1], edges[f, 0], edges[f, 1])
                 eps = _MOLLIFIER_THRESHOLD * lengths[e] * lengths[f]
-                count = _append(found, count, EDGE_EDGE, corners, eps, y, reach)
+                count = _append(search, found, count, EDGE_EDGE, corners, eps)
     return count
 
 
 @kernel
-def _append(found: Candidates, count: int, kind: int, corners: Corners, eps: float, y: FloatArray, reach: float) -> int:
+def _append(search: Search, found: Candidates, count: int, kind: int, corners: Corners, eps: float) -> int:
     """Append a pair if it is within reach; beyond the capacity pairs are only counted."""
+    y = search.y
     _, _, r = closest_points(kind, load(y, corners[0]), load(y, corners[1]), load(y, corners[2]), load(y, corners[3]))
     distance = _length(r)
-    if distance > reach:
+    if distance > search.reach_m:
         return count
     if count < len(found.kind):
         points = found.points
@@ -145,11 +152,12 @@ def _high(boxes: FloatArray, i: int) -> Vec3:
 
 
 @kernel
-def _body_box(surfaces: Surfaces, y: FloatArray, reach: float, body: int) -> tuple[Vec3, Vec3]:
-    """Corners of a body's bounding box, grown by reach."""
-    low = load(y, surfaces.point_start[body])
+def _body_box(search: Search, body: int) -> tuple[Vec3, Vec3]:
+    """Corners of a body's bounding box, grown by the reach."""
+    start, y, reach = search.surfaces.point_start, search.y, search.reach_m
+    low = load(y, start[body])
     high = low
-    for p in range(surfaces.point_start[body] + 1, surfaces.point_start[body + 1]):
+    for p in range(start[body] + 1, start[body + 1]):
         x = load(y, p)
         low = (min(low[0], x[0]), min(low[1], x[1]), min(low[2], x[2]))
         high = (max(high[0], x[0]), max(high[1], x[1]), max(high[2], x[2]))
@@ -161,13 +169,14 @@ def _body_box(surfaces: Surfaces, y: FloatArray, reach: float, body: int) -> tup
 
 
 @allocating_kernel
-def _near_points(surfaces: Surfaces, y: FloatArray, reach: float, a: int, b: int) -> IndexArray:
+def _near_points(search: Search, a: int, b: int) -> IndexArray:
     """Points of body a within reach of the box of body b."""
-    low, high = _body_box(surfaces, y, reach, b)
-    found = np.empty(surfaces.point_start[a + 1] - surfaces.point_start[a], np.int64)
+    low, high = _body_box(search, b)
+    first, last = search.surfaces.point_start[a], search.surfaces.point_start[a + 1]
+    found = np.empty(last - first, np.int64)
     count = 0
-    for p in range(surfaces.point_start[a], surfaces.point_start[a + 1]):
-        x = load(y, p)
+    for p in range(first, last):
+        x = load(search.y, p)
         if _boxes_meet(x, x, low, high):
             found[count] = p
             count += 1
@@ -175,21 +184,13 @@ def _near_points(surfaces: Surfaces, y: FloatArray, reach: float, a: int, b: int
 
 
 @allocating_kernel
-def near_rows(
-    rows: IndexArray,
-    start: int,
-    stop: int,
-    y: FloatArray,
-    reach: float,
-    surfaces: Surfaces,
-    other: int,
-) -> IndexArray:
+def near_rows(search: Search, rows: IndexArray, start: int, stop: int, other: int) -> IndexArray:
     """Rows (edges or triangles) start..stop whose box is within reach of the box of body `other`."""
-    low, high = _body_box(surfaces, y, reach, other)
+    low, high = _body_box(search, other)
     found = np.empty(stop - start, np.int64)
     count = 0
     for row in range(start, stop):
-        box_low, box_high = _row_box(rows, row, y)
+        box_low, box_high = _row_box(rows, row, search.y)
         if _boxes_meet(box_low, box_high, low, high):
             found[count] = row
             count += 1

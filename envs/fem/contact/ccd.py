@@ -8,17 +8,19 @@ IPC, ACM TOG 2021, algorithm 1, with a tighter bound on the approach speed). The
 which the gap would be (1 - fraction) d.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from ...compilation import kernel
 from ..algebra.vec3 import Vec3, add, cross, dot, load, scale, subtract
 from ..model.model import Elastic
-from .broad_phase import Candidates
+from .broad_phase import Candidates, Corners
+from .contact import Quad
 from .distance import POINT_TRIANGLE, closest_points
 
 FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
 
 _ADVANCES = 100
 # Stop advancing once a further advance would add less than this part of the move.
@@ -27,60 +29,43 @@ _SMALLEST_ADVANCE = 1e-4
 _REMAINING_VOLUME = 0.1
 
 
-@kernel
-def contact_free_fraction(
-    candidates: Candidates,
-    motion: FloatArray,
-    motion_ahead: FloatArray,
-    y: FloatArray,
-    move: FloatArray,
-    gap_fraction: float,
-    allowed: float,
-) -> float:
-    """Largest part, at most `allowed`, of a point move [m], shape [p, 3]; it leaves 1 - gap_fraction of each gap.
+class PointMove(NamedTuple):
+    """Surface points, a move of them, and how far pairs of bodies have moved since the candidates were listed."""
 
-    Bodies have moved against each other by `motion` [m], shape [k], since the candidates were listed, and by
-    `motion_ahead` at the end of the move; a pair that cannot have closed that part of its gap is passed over.
+    y: FloatArray  # [p, 3] [m]
+    move: FloatArray  # [p, 3] [m]
+    motion: FloatArray  # [k] at y [m]
+    motion_ahead: FloatArray  # [k] at the end of the move [m]
+
+
+@kernel
+def contact_free_fraction(candidates: Candidates, points: PointMove, gap_fraction: float, allowed: float) -> float:
+    """Largest part, at most `allowed`, of a move of points; it leaves 1 - gap_fraction of each gap.
+
+    A pair that cannot have closed that part of its gap, by how far its bodies have moved, is passed over.
     """
-    kinds, points, distances, bodies = candidates.kind, candidates.points, candidates.distance_m, candidates.bodies
-    for k in range(len(kinds)):
-        now, ahead, listed = motion[bodies[k]], motion_ahead[bodies[k]], distances[k]
+    for k in range(len(candidates.kind)):
+        body = candidates.bodies[k]
+        now, ahead, listed = points.motion[body], points.motion_ahead[body], candidates.distance_m[k]
         if listed - max(now, ahead) >= (1.0 - gap_fraction) * (listed + now):
             continue
-        allowed = _pair_fraction(kinds[k], points, k, y, move, gap_fraction, allowed)
+        corners = candidates.points
+        pair = (corners[k, 0], corners[k, 1], corners[k, 2], corners[k, 3])
+        allowed = _pair_fraction(candidates.kind[k], pair, points, gap_fraction, allowed)
     return allowed
 
 
 @kernel
-def _pair_fraction(
-    kind: int,
-    points: IndexArray,
-    k: int,
-    y: FloatArray,
-    move: FloatArray,
-    gap_fraction: float,
-    allowed: float,
-) -> float:
-    p0, p1, p2, p3 = points[k, 0], points[k, 1], points[k, 2], points[k, 3]
+def _pair_fraction(kind: int, pair: Corners, points: PointMove, gap_fraction: float, allowed: float) -> float:
+    y, move = points.y, points.move
+    p0, p1, p2, p3 = pair
     v0, v1, v2, v3 = load(move, p0), load(move, p1), load(move, p2), load(move, p3)
     x0, x1, x2, x3 = load(y, p0), load(y, p1), load(y, p2), load(y, p3)
     _, _, r = closest_points(kind, x0, x1, x2, x3)
     floor = (1.0 - gap_fraction) * np.sqrt(dot(r, r))
     time = 0.0
     for _ in range(_ADVANCES):
-        if kind == POINT_TRIANGLE:
-            advance = min(
-                _vertex_pair_time(x0, x1, v0, v1, r, floor),
-                _vertex_pair_time(x0, x2, v0, v2, r, floor),
-                _vertex_pair_time(x0, x3, v0, v3, r, floor),
-            )
-        else:
-            advance = min(
-                _vertex_pair_time(x0, x2, v0, v2, r, floor),
-                _vertex_pair_time(x0, x3, v0, v3, r, floor),
-                _vertex_pair_time(x1, x2, v1, v2, r, floor),
-                _vertex_pair_time(x1, x3, v1, v3, r, floor),
-            )
+        advance = _advance((x0, x1, x2, x3), (v0, v1, v2, v3), r, floor, kind)
         time += advance
         if time >= allowed:
             return allowed
@@ -90,6 +75,23 @@ def _pair_fraction(
         x2, x3 = add(load(y, p2), scale(time, v2)), add(load(y, p3), scale(time, v3))
         _, _, r = closest_points(kind, x0, x1, x2, x3)
     return time
+
+
+@kernel
+def _advance(x: Quad, v: Quad, r: Vec3, floor: float, kind: int) -> float:
+    """Time until the first two vertices of the two primitives have come as near as floor along r."""
+    if kind == POINT_TRIANGLE:
+        return min(
+            _vertex_pair_time(x[0], x[1], v[0], v[1], r, floor),
+            _vertex_pair_time(x[0], x[2], v[0], v[2], r, floor),
+            _vertex_pair_time(x[0], x[3], v[0], v[3], r, floor),
+        )
+    return min(
+        _vertex_pair_time(x[0], x[2], v[0], v[2], r, floor),
+        _vertex_pair_time(x[0], x[3], v[0], v[3], r, floor),
+        _vertex_pair_time(x[1], x[2], v[1], v[2], r, floor),
+        _vertex_pair_time(x[1], x[3], v[1], v[3], r, floor),
+    )
 
 
 @kernel

@@ -4,19 +4,22 @@ With separation r = sum_i c_i x_i, distance d, direction n and slip w = sum_i c_
 
     normal force         N = -(kappa / h^2) e(c) b'(d)
     tangential slip      u = w - (w . n) n
-    force on point i     c_i (phi - N n),   phi = mu N a u,   a = f1(|u|) / |u|
+    friction             phi = mu N a u,   a = f1(|u|) / |u|
+    force on point i     c_i f,   f = phi - N n
 
 Friction is taken at the current state, not lagged, so the solution of the step carries a self-consistent friction force
 and Newton's method converges quadratically. The Jacobian needs how c, n, N and u change. With the sliding directions
-made orthonormal in G (see `distance`), T_k the tangents, s_k = v_k . dx with v_k = dc_k (x) n + c (x) T_k / d, and
-C dx = sum_i c_i dx_i:
+made orthonormal in G (see `distance`), T_k the tangents, dr = sum_i c_i dx_i the change of r at held coefficients, and
+ds_k = v_k . dx with v_k = dc_k (x) n + c (x) T_k / d the slide along the k-th direction:
 
-    dc_i = -d sum_k dc_ki s_k                     dn = (I - n n^T) C dx / d - sum_k T_k s_k
-    dN   = -(kappa / h^2) e b'' n . C dx          dw = C dx - d sum_k s_k w_k,   w_k = sum_i dc_ki (x_i - x_i at start)
+    dc_i = -d sum_k dc_ki ds_k                    dn = (I - n n^T) dr / d - sum_k T_k ds_k
+    dN   = -(kappa / h^2) e b'' n . dr            dw = dr - d sum_k w_k ds_k,   w_k = sum_i dc_ki (x_i - x_i at start)
 
-so every term is C dx or s_k times something, and the block of points i and j is
+so every term is dr or ds_k times something, and the block of points i and j is
 
-    c_i c_j base + sum_k left_ki v_kj^T.
+    c_i c_j df_dr + sum_k (c_i df_ds_k + dc_ki df_dc) v_kj^T,    df_dc = -d f,
+
+where df_ds_k holds how f itself changes with a slide.
 """
 
 from typing import NamedTuple
@@ -43,14 +46,48 @@ class SlidingDirection(NamedTuple):
     slip: Vec3  # w_k = sum_i dc_i (x_i - x_i at start)
 
 
+class ContactGeometry(NamedTuple):
+    """Where the closest points of a pair are, and how they can move."""
+
+    x: Quad  # [m]
+    moves: Quad  # displacements of the points in the step [m]
+    c: Coefficients
+    d: float  # distance [m]
+    n: Vec3  # unit vector of the separation
+    first: SlidingDirection
+    second: SlidingDirection
+
+
+class NormalForce(NamedTuple):
+    """The barrier's force and its change with the distance, mollifier included."""
+
+    force_n: float  # N
+    stiffness_n_m: float  # -dN/dd
+
+
+class Friction(NamedTuple):
+    """Coulomb's law, smoothed."""
+
+    coefficient: float  # mu
+    slip_scale_m: float  # slip at which friction is fully developed
+
+
 class Contact(NamedTuple):
     """What the forces and Jacobian blocks of a contact are made of."""
 
-    force: Vec3  # phi - N n
-    base: Mat3  # rows
-    left_c: tuple[Vec3, Vec3]  # left_ki = c_i left_c[k] + dc_ki left_dc
-    left_dc: Vec3
-    phi_per_newton: Vec3  # phi / N
+    f: Vec3  # phi - N n [N]
+    df_dr: Mat3  # rows
+    df_ds: tuple[Vec3, Vec3]  # of the two sliding directions
+    df_dc: Vec3  # -d f
+    dphi_dN: Vec3
+
+
+@kernel
+def contact_geometry(x: Quad, moves: Quad, c: Coefficients, sliding: Sliding, r: Vec3) -> ContactGeometry:
+    """Geometry of a pair from its closest points: coefficients, sliding directions and separation r [m]."""
+    d = np.sqrt(dot(r, r))
+    first, second = sliding_directions(sliding, x, moves)
+    return ContactGeometry(x, moves, c, d, scale(1.0 / d, r), first, second)
 
 
 @kernel
@@ -106,71 +143,58 @@ def weighted_sum(c: Vec4, x: Quad) -> Vec3:
 
 
 @kernel
-def contact_terms(
-    d: float,
-    n: Vec3,
-    w: Vec3,
-    force_n: float,
-    stiffness_n_m: float,
-    friction: float,
-    slip_scale_m: float,
-    first: SlidingDirection,
-    second: SlidingDirection,
-    projected: bool,
-) -> Contact:
+def contact_terms(geometry: ContactGeometry, normal: NormalForce, friction: Friction, projected: bool) -> Contact:
     """Force and Jacobian factors of a contact.
 
-    Args:
-        d: distance [m].
-        n: unit direction.
-        w: slip including its normal part [m].
-        force_n: normal force without the mollifier's e, -(kappa / h^2) b' [N]; the caller passes it times e.
-        stiffness_n_m: (kappa / h^2) e b'' [N/m].
-        friction: friction coefficient mu.
-        slip_scale_m: slip at which friction is fully developed [m].
-        first: sliding direction.
-        second: sliding direction.
-        projected: give the positive semi-definite replacement: no tangential barrier term, friction held.
+    With `projected` the factors of the positive semi-definite replacement: no tangential barrier term, friction held.
     """
+    d, n, force_n = geometry.d, geometry.n, normal.force_n
+    w = weighted_sum(geometry.c, geometry.moves)
     w_n = dot(w, n)
     u = subtract(w, scale(w_n, n))
-    a, slope = slip_factor(np.sqrt(dot(u, u)), slip_scale_m)
-    coulomb = friction * force_n
+    a, slope = slip_factor(np.sqrt(dot(u, u)), friction.slip_scale_m)
+    coulomb = friction.coefficient * force_n
     phi = scale(coulomb * a, u)
-    force = subtract(phi, scale(force_n, n))
-    Q = identity_and_outer(coulomb * a, coulomb * slope, u)
-    slide = scale(force_n * d, n)
-    zero = (0.0, 0.0, 0.0)
+    f = subtract(phi, scale(force_n, n))
+    dphi_du = identity_and_outer(coulomb * a, coulomb * slope, u)
+    T0, T1 = geometry.first.tangent, geometry.second.tangent
     if projected:
         P = identity_and_outer(1.0, -1.0, n)
-        base = add_matrices(identity_and_outer(0.0, stiffness_n_m, n), multiply_rows(P, multiply_rows(Q, P)))
-        left_c = (scale(force_n, first.tangent), scale(force_n, second.tangent))
-        return Contact(force, base, left_c, slide, zero)
-    barrier = identity_and_outer(-force_n / d, stiffness_n_m + force_n / d, n)
-    du = identity_and_outer(1.0 - w_n / d, w_n / d - 1.0, n)
-    lean = scale(1.0 / d, u)
-    du = (
-        subtract(du[0], scale(n[0], lean)),
-        subtract(du[1], scale(n[1], lean)),
-        subtract(du[2], scale(n[2], lean)),
+        barrier = identity_and_outer(0.0, normal.stiffness_n_m, n)
+        df_dr = add_matrices(barrier, multiply_rows(P, multiply_rows(dphi_du, P)))
+        df_ds = (scale(force_n, T0), scale(force_n, T1))
+        return Contact(f, df_dr, df_ds, scale(force_n * d, n), (0.0, 0.0, 0.0))
+    dphi_dN = scale(friction.coefficient * a, u)
+    dphi_dd = scale(-friction.coefficient * a * normal.stiffness_n_m, u)
+    du_dr = _slip_by_separation(u, n, w_n, d)
+    # -d(N n)/dr
+    barrier = identity_and_outer(-force_n / d, normal.stiffness_n_m + force_n / d, n)
+    df_dr = add_matrices(
+        add_matrices(barrier, multiply_rows(dphi_du, du_dr)),
+        (scale(dphi_dd[0], n), scale(dphi_dd[1], n), scale(dphi_dd[2], n)),
     )
-    grip = scale(-friction * a * stiffness_n_m, u)
-    base = add_matrices(
-        add_matrices(barrier, multiply_rows(Q, du)),
-        (scale(grip[0], n), scale(grip[1], n), scale(grip[2], n)),
+    df_ds = (
+        add(scale(force_n, T0), apply_rows(dphi_du, _slip_by_slide(geometry.first, geometry, w, w_n))),
+        add(scale(force_n, T1), apply_rows(dphi_du, _slip_by_slide(geometry.second, geometry, w, w_n))),
     )
-    left_c = (
-        add(scale(force_n, first.tangent), _friction_by_sliding(Q, first, n, w, w_n, d)),
-        add(
-            scale(force_n, second.tangent),
-            _friction_by_sliding(Q, second, n, w, w_n, d),
-        ),
-    )
-    return Contact(force, base, left_c, subtract(slide, scale(d, phi)), scale(friction * a, u))
+    return Contact(f, df_dr, df_ds, subtract(scale(force_n * d, n), scale(d, phi)), dphi_dN)
 
 
 @kernel
-def _friction_by_sliding(Q: Mat3, k: SlidingDirection, n: Vec3, w: Vec3, w_n: float, d: float) -> Vec3:
-    """D phi / d s_k at held C dx: Q (-d P w_k + (w . n) T_k + (w . T_k) n)."""
+def _slip_by_separation(u: Vec3, n: Vec3, w_n: float, d: float) -> Mat3:
+    """Rows of du/dr = (1 - (w . n) / d) (I - n n^T) - n u^T / d."""
+    du_dr = identity_and_outer(1.0 - w_n / d, w_n / d - 1.0, n)
+    u_d = scale(1.0 / d, u)
+    return (
+        subtract(du_dr[0], scale(n[0], u_d)),
+        subtract(du_dr[1], scale(n[1], u_d)),
+        subtract(du_dr[2], scale(n[2], u_d)),
+    )
+
+
+@kernel
+def _slip_by_slide(k: SlidingDirection, geometry: ContactGeometry, w: Vec3, w_n: float) -> Vec3:
+    """du/ds_k = -d (I - n n^T) w_k + (w . n) T_k + (w . T_k) n, at held r."""
+    n = geometry.n
     across = subtract(k.slip, scale(dot(k.slip, n), n))
-    return apply_rows(Q, combine(-d, across, w_n, k.tangent, dot(k.tangent, w), n))
+    return combine(-geometry.d, across, w_n, k.tangent, dot(k.tangent, w), n)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from ...compilation import allocating_kernel, kernel
 from ..algebra.vec3 import Vec3, cross, dot, load, subtract
 from ..model.model import Surfaces
-from .broad_phase import near_rows
+from .broad_phase import Search, near_rows
 
 FloatArray = NDArray[np.float64]
 
@@ -43,24 +43,10 @@ def find_overlap(surfaces: Surfaces, y: FloatArray) -> Overlap:
 @allocating_kernel
 def _crossing(surfaces: Surfaces, y: FloatArray, a: int, b: int) -> tuple[int, int]:
     """Return an edge of body a and a triangle of body b that cross."""
-    edges = near_rows(
-        surfaces.edges,
-        surfaces.edge_start[a],
-        surfaces.edge_start[a + 1],
-        y,
-        0.0,
-        surfaces,
-        b,
-    )
-    triangles = near_rows(
-        surfaces.triangles,
-        surfaces.triangle_start[b],
-        surfaces.triangle_start[b + 1],
-        y,
-        0.0,
-        surfaces,
-        a,
-    )
+    search = Search(surfaces, y, 0.0)
+    edges = near_rows(search, surfaces.edges, surfaces.edge_start[a], surfaces.edge_start[a + 1], b)
+    starts = surfaces.triangle_start
+    triangles = near_rows(search, surfaces.triangles, starts[b], starts[b + 1], a)
     for e in edges:
         p, q = load(y, surfaces.edges[e, 0]), load(y, surfaces.edges[e, 1])
         for t in triangles:

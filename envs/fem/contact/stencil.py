@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from ...compilation import kernel
 from ..algebra.mat3 import Mat3
 from ..algebra.vec3 import Vec3
-from ..linear.system import GEL_STRIDE, NO_PLACE, BlockLayout, Neighbours, block_place, gel_block_place
-from ..model.model import PRESCRIBED, Points
+from ..linear.system import GEL_STRIDE, NO_PLACE, block_place, gel_block_place
+from ..model.model import PRESCRIBED, Model, Points
+from ..model.newton_system import NewtonSystem
 from .distance import Coefficients
 
 FloatArray = NDArray[np.float64]
@@ -41,18 +42,6 @@ class Stencil(NamedTuple):
     jacobian: FloatArray  # [15, 15] of the modes [N/m]
     rows: FloatArray  # [15, 24] of the modes by the nodes [N/m]
     block: FloatArray  # [24, 24] of the nodes [N/m]
-
-
-class Target(NamedTuple):
-    """Where a contact's forces and blocks go."""
-
-    system: BlockLayout
-    neighbours: Neighbours
-    slot: IndexArray  # [n] unknown of a node, or PRESCRIBED
-    entries: FloatArray
-    gradient: FloatArray  # [n, 3]
-    coupling: FloatArray  # [n, 3]
-    prescribed_move: FloatArray  # [n, 3]
 
 
 def new_stencil() -> Stencil:
@@ -134,12 +123,17 @@ def add_forces(stencil: Stencil, count: int, modes: int, gradient: FloatArray) -
 
 
 @kernel
-def add_blocks(stencil: Stencil, count: int, modes: int, target: Target) -> None:
-    """Add the blocks of all pairs of a contact's nodes to the system, and those of prescribed ones to the coupling."""
+def add_blocks(stencil: Stencil, count: int, modes: int, model: Model, system: NewtonSystem) -> None:
+    """Add the blocks of all pairs of a contact's nodes to the matrix, and those of prescribed ones to the coupling."""
     _expand(stencil.weights, stencil.jacobian, count, modes, stencil.rows, stencil.block)
-    nodes, block, entries, slot, system = stencil.nodes, stencil.block, target.entries, target.slot, target.system
-    coupling, prescribed_move = target.coupling, target.prescribed_move
-    start, neighbour = target.neighbours
+    nodes, block, entries, slot, layout = (
+        stencil.nodes,
+        stencil.block,
+        system.entries,
+        model.unknowns.slot,
+        model.system,
+    )
+    start, neighbour = layout.neighbours
     for i in range(count):
         a = slot[nodes[i]]
         if a == PRESCRIBED:
@@ -148,17 +142,19 @@ def add_blocks(stencil: Stencil, count: int, modes: int, target: Target) -> None
         while j < count:
             b = slot[nodes[j]]
             if b == PRESCRIBED:
-                _add_coupling(block, i, j, coupling, nodes[i], prescribed_move, nodes[j])
+                _add_coupling(stencil, i, j, system)
                 j += 1
-            elif b >= system.nodes:
-                place, stride = block_place(system, a, b)
+            elif b >= layout.block.nodes:
+                place, stride = block_place(layout.block, a, b)
                 _add_frame_run(block, 3 * i, 3 * j, entries, place, stride)
                 j += _FRAME_POINTS
             else:
-                within = a < system.nodes
-                place = gel_block_place(start, neighbour, a, b) if within else block_place(system, a, b)[0]
+                within = a < layout.block.nodes
+                place = gel_block_place(start, neighbour, a, b) if within else block_place(layout.block, a, b)[0]
                 if place == NO_PLACE:
-                    _add_bound(block, i, j, entries, block_place(system, a, a)[0], block_place(system, b, b)[0])
+                    _add_bound(
+                        block, i, j, entries, block_place(layout.block, a, a)[0], block_place(layout.block, b, b)[0]
+                    )
                 else:
                     _add_gel_block(block, 3 * i, 3 * j, entries, place)
                 j += 1
@@ -205,13 +201,13 @@ def _add_frame_run(block: FloatArray, row: int, column: int, entries: FloatArray
 
 
 @kernel
-def _add_coupling(
-    block: FloatArray, i: int, j: int, coupling: FloatArray, node: int, prescribed_move: FloatArray, other: int
-) -> None:
-    """Add what the prescribed motion of another node does to a node."""
+def _add_coupling(stencil: Stencil, i: int, j: int, system: NewtonSystem) -> None:
+    """Add what the prescribed motion of node j does to node i."""
+    block, coupling, node = stencil.block, system.coupling, stencil.nodes[i]
+    move, other = system.prescribed_move, stencil.nodes[j]
     for k in range(3):
         for m in range(3):
-            coupling[node, k] += block[3 * i + k, 3 * j + m] * prescribed_move[other, m]
+            coupling[node, k] += block[3 * i + k, 3 * j + m] * move[other, m]
 
 
 @kernel

@@ -108,7 +108,7 @@ def substitute(system: SystemLayout, factor: Factor, x: FloatArray) -> None:
 
 
 @large_kernel
-def falling_direction(system: SystemLayout, factor: Factor, x: FloatArray) -> None:
+def negative_curvature_direction(system: SystemLayout, factor: Factor, x: FloatArray) -> None:
     """Write an x [n + m] with x A x < 0 for a factorised matrix A with a negative pivot; zeros if it has none.
 
     The unknown of the last such pivot is 1, those eliminated later are 0 and those before it free of forces, so that
@@ -224,9 +224,10 @@ def _eliminate_node(front: Front, i: int, k: int, inverse_pivots: FloatArray) ->
     f1 = _multipliers(rows, r + stride + k, u + k, stride, inverse_pivots, k)
     f2 = _multipliers(rows, r + 2 * stride + k, u + k, stride, inverse_pivots, k)
     first = (k + 3) // LANES * LANES
-    subtract_products(rows, r + first, u + first, stride, k + 3 - first, f0, f1, f2)  # type: ignore[call-arg]
+    factors = (f0, f1, f2)
+    subtract_products(rows, (r + first, u + first, stride, k + 3 - first), factors)  # type: ignore[call-arg]
     for j in range(first + LANES, front.size, LANES):
-        subtract_products(rows, r + j, u + j, stride, 0, f0, f1, f2)
+        subtract_products(rows, (r + j, u + j, stride, 0), factors)
 
 
 @kernel

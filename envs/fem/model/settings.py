@@ -29,11 +29,11 @@ class SolverSettings:
     Attributes:
         step_tolerance_m: largest move of the last Newton iteration [m].
         residual_tolerance_n: largest force left on a node, friction taken at the solution [N].
-        newton_iterations: most Newton iterations of one solve, or after a push, not counting those that reuse factors.
+        newton_iterations: largest number of Newton iterations of one solve, not counting those that reuse factors.
         phase_iterations: length of a turn of free Newton iterations, and of the first cautious one.
         first_substep_level: how often the driven motion is halved from the start.
         substep_levels: how often the driven motion may be halved when a step does not converge.
-        push_offs: how many unstable equilibria may be left at the end of a motion, where dividing finds no stable one.
+        saddle_escapes: how many saddles may be left at the end of a motion, where dividing finds no stable equilibrium.
         candidate_margin_m: relative motion that a list of candidate pairs stays good for [m].
     """
 
@@ -43,5 +43,5 @@ class SolverSettings:
     phase_iterations: int = 12
     first_substep_level: int = 0
     substep_levels: int = 4
-    push_offs: int = 3
+    saddle_escapes: int = 3
     candidate_margin_m: float = 2e-4

@@ -60,10 +60,10 @@ def check_settings(time_step_s: float, contact: ContactSettings, solver: SolverS
         candidate_margin_m=solver.candidate_margin_m,
     )
     if not 0 <= solver.first_substep_level <= solver.substep_levels:
-        came, most = solver.first_substep_level, solver.substep_levels
-        raise SceneError(f"first_substep_level is {came}, expected 0 to substep_levels = {most}.")
-    if solver.push_offs < 0:
-        raise SceneError(f"push_offs is {solver.push_offs}, expected 0 or more.")
+        level, levels = solver.first_substep_level, solver.substep_levels
+        raise SceneError(f"first_substep_level is {level}, expected 0 to substep_levels = {levels}.")
+    if solver.saddle_escapes < 0:
+        raise SceneError(f"saddle_escapes is {solver.saddle_escapes}, expected 0 or more.")
 
 
 def _check_place(name: str, body: GelBody | RigidBody) -> None:

@@ -11,7 +11,8 @@ from ..contact.overlap import find_overlap
 from ..model.bodies import GelBody, RigidBody
 from ..model.points import point_positions
 from ..model.settings import ContactSettings, SolverSettings
-from ..solver.newton import SOLVED, UNSOLVED, UNSTABLE, Counter, Measure, Tolerances, solve_step
+from ..solver.iterate import IpcStep
+from ..solver.newton import SOLVED, UNSOLVED, UNSTABLE, Counter, Measure, Record, Tolerances, solve_step
 from ..solver.workspace import new_workspace
 from .builder import build_model
 from .checks import SceneError, check_bodies, check_settings
@@ -29,7 +30,7 @@ class StepStatus(StrEnum):
 
     CONVERGED = "converged"  # solved in one go
     SUBSTEPPED = "substepped"  # solved after the driven motion was divided
-    PUSHED_OFF = "pushed_off"  # solved after an unstable equilibrium was left
+    ESCAPED_SADDLE = "escaped_saddle"  # solved after an unstable equilibrium was left along negative curvature
     NOT_CONVERGED = "not_converged"  # not solved; the state is free of intersections but is not a minimum
 
 
@@ -44,7 +45,7 @@ class StepReport:
         reusing_iterations: iterations that solved with the factors of an earlier one, among the Newton iterations.
         projected_iterations: iterations whose Hessian had to be projected to be positive definite.
         unstable_solutions: how often an equilibrium was reached whose Jacobian has a negative determinant.
-        push_offs: how often one was left in the end, as dividing led to no stable one.
+        saddle_escapes: how often one was left in the end, as dividing led to no stable one.
         residual_n: largest force left on a node [N].
         net_force_n: largest net force left on a movable body [N].
         net_torque_n_m: largest net torque left on a movable body, about its centroid [N m].
@@ -59,7 +60,7 @@ class StepReport:
     reusing_iterations: int
     projected_iterations: int
     unstable_solutions: int
-    push_offs: int
+    saddle_escapes: int
     residual_n: float
     net_force_n: float
     net_torque_n_m: float
@@ -69,15 +70,16 @@ class StepReport:
 
 
 @dataclass(kw_only=True, eq=False)
-class _IpcStep:
+class _Attempt:
     """What an IPC step starts from and goes to, node positions [m] of shape [n, 3], and what was counted so far."""
 
     start: FloatArray
     x_hat: FloatArray
     target: FloatArray
-    push_offs: int = 0
-    counts: IndexArray = field(default_factory=lambda: np.zeros(len(Counter), dtype=np.int64))
-    measures: FloatArray = field(default_factory=lambda: np.zeros(len(Measure)))
+    saddle_escapes: int = 0
+    record: Record = field(
+        default_factory=lambda: Record(np.zeros(len(Counter), dtype=np.int64), np.zeros(len(Measure)))
+    )
 
 
 class Scene:
@@ -122,11 +124,12 @@ class Scene:
         The state after NOT_CONVERGED is free of intersections and inversions but is no minimum.
         """
         start, time_step_s = self._x.copy(), self._model.parameters.time_step_s
-        step = _IpcStep(start=start, x_hat=start + time_step_s * self._velocity, target=self._target(driven_targets_m))
-        status, substeps = self._solve(step)
+        x_hat, target = start + time_step_s * self._velocity, self._target(driven_targets_m)
+        attempt = _Attempt(start=start, x_hat=x_hat, target=target)
+        status, substeps = self._solve(attempt)
         self._velocity = (self._x - start) / time_step_s
-        force, torque = self._net_load(self._workspace.gradient)
-        counts, measures = step.counts, step.measures
+        force, torque = self._net_load(self._workspace.system.gradient)
+        counts, measures = attempt.record
         return StepReport(
             status=status,
             newton_iterations=int(counts[Counter.ITERATIONS]),
@@ -134,7 +137,7 @@ class Scene:
             reusing_iterations=int(counts[Counter.REUSING_ITERATIONS]),
             projected_iterations=int(counts[Counter.PROJECTED_ITERATIONS]),
             unstable_solutions=int(counts[Counter.UNSTABLE]),
-            push_offs=step.push_offs,
+            saddle_escapes=attempt.saddle_escapes,
             residual_n=float(measures[Measure.RESIDUAL_N]),
             net_force_n=force,
             net_torque_n_m=torque,
@@ -185,67 +188,52 @@ class Scene:
                 raise SceneError(f"Driven targets of gel {index} have shape {wanted.shape}, expected {expected} [m].")
             wrong = np.flatnonzero(~np.isfinite(wanted).all(axis=1))
             if len(wrong):
-                node, came = gel.mesh.driven_nodes[wrong[0]], wanted[wrong[0]]
-                raise SceneError(f"The target of node {node} of gel {index} is {came}, expected finite numbers [m].")
+                node, given = gel.mesh.driven_nodes[wrong[0]], wanted[wrong[0]]
+                raise SceneError(f"The target of node {node} of gel {index} is {given}, expected finite numbers [m].")
             target[self._layout.gel_slices[index]][gel.mesh.driven_nodes] = wanted
         return target
 
-    def _solve(self, step: _IpcStep) -> tuple[StepStatus, int]:
-        """Solve at once, in more and more parts, or by leaving an unstable equilibrium; how, and in how many parts."""
+    def _solve(self, attempt: _Attempt) -> tuple[StepStatus, int]:
+        """Solve at once, in more and more parts, or by escaping a saddle; how, and in how many parts."""
         s = self._solver
         unstable: tuple[FloatArray, int] | None = None
         for parts in (2**level for level in range(s.first_substep_level, s.substep_levels + 1)):
-            outcome = self._solve_in_parts(step, parts)
+            outcome = self._solve_in_parts(attempt, parts)
             if outcome == SOLVED:
                 return StepStatus.SUBSTEPPED if parts > 1 else StepStatus.CONVERGED, parts
             if outcome == UNSTABLE and unstable is None:
                 unstable = self._x.copy(), parts
-        if unstable is None or s.push_offs == 0:
+        if unstable is None or s.saddle_escapes == 0:
             return StepStatus.NOT_CONVERGED, parts
         self._x[:], parts = unstable
-        return (StepStatus.PUSHED_OFF if self._push_off(step) else StepStatus.NOT_CONVERGED), parts
+        return (StepStatus.ESCAPED_SADDLE if self._escape_saddles(attempt) else StepStatus.NOT_CONVERGED), parts
 
-    def _solve_in_parts(self, step: _IpcStep, parts: int) -> int:
+    def _solve_in_parts(self, attempt: _Attempt, parts: int) -> int:
         """Solve along intermediate driven positions, each from the solution of the one before; how the last one ended.
 
         An intermediate one that ends without a stable solution is the last one, and counts as not solved.
         """
-        self._x[:] = step.start
+        self._x[:] = attempt.start
         for part in range(1, parts):
-            waypoint = step.start + (part / parts) * (step.target - step.start)
-            if self._solve_to(step, waypoint) != SOLVED:
+            waypoint = attempt.start + (part / parts) * (attempt.target - attempt.start)
+            if self._solve_to(attempt, waypoint) != SOLVED:
                 return UNSOLVED
-        return self._solve_to(step, step.target)
+        return self._solve_to(attempt, attempt.target)
 
-    def _push_off(self, step: _IpcStep) -> bool:
+    def _escape_saddles(self, attempt: _Attempt) -> bool:
         """Leave the unstable equilibrium that the scene is in, and any that this leads to."""
-        for _ in range(self._solver.push_offs):
-            step.push_offs += 1
-            outcome = self._solve_to(step, step.target, pushing=True)
+        for _ in range(self._solver.saddle_escapes):
+            attempt.saddle_escapes += 1
+            outcome = self._solve_to(attempt, attempt.target, escapes_saddle=True)
             if outcome != UNSTABLE:
                 return outcome == SOLVED
         return False
 
-    def _solve_to(self, step: _IpcStep, waypoint: FloatArray, *, pushing: bool = False) -> int:
+    def _solve_to(self, attempt: _Attempt, waypoint: FloatArray, *, escapes_saddle: bool = False) -> int:
         s = self._solver
-        tolerances = Tolerances(
-            s.step_tolerance_m,
-            s.residual_tolerance_n,
-            s.newton_iterations,
-            s.phase_iterations,
-        )
-        return solve_step(
-            self._model,
-            self._x,
-            step.start,
-            step.x_hat,
-            waypoint,
-            tolerances,
-            step.counts,
-            step.measures,
-            self._workspace,
-            pushing,
-        )
+        step = IpcStep(attempt.start, attempt.x_hat, waypoint, escapes_saddle)
+        tolerances = Tolerances(s.step_tolerance_m, s.residual_tolerance_n, s.newton_iterations, s.phase_iterations)
+        return solve_step(self._model, self._x, step, tolerances, self._workspace, attempt.record)
 
     def _net_load(self, gradient: FloatArray) -> tuple[float, float]:
         """Largest net force [N] and torque [N m] left on a movable body; frame point forces act at the frame points."""

@@ -9,57 +9,68 @@ which is the incremental potential of Li et al., Incremental Potential Contact (
 Each term adds itself; this module calls them in a fixed order.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from ...compilation import kernel, large_kernel
 from ..affine.orthogonality import add_orthogonality
 from ..algebra.rows import any_nonzero
-from ..contact.assembly import add_contacts
+from ..contact.assembly import PointState, add_contacts
 from ..contact.broad_phase import Candidates
 from ..elastic.elasticity import add_elasticity
 from ..model.model import Model
+from ..model.newton_system import NO_MATRIX, NewtonSystem
 from .inertia import add_inertia
-from .workspace import NO_MATRIX, Workspace
+from .workspace import Workspace
 
 FloatArray = NDArray[np.float64]
 
 
+class State(NamedTuple):
+    """Where the scene is."""
+
+    x: FloatArray  # [n, 3] nodes [m]
+    y: FloatArray  # [p, 3] their surface points [m]
+    motion: FloatArray  # [k] largest motion of each pair of bodies since the candidates were listed [m]
+
+
+class StepStart(NamedTuple):
+    """From where inertia and friction of an IPC step are measured."""
+
+    x_hat: FloatArray  # [n, 3] nodes at the end of the step without forces [m]
+    y_start: FloatArray  # [p, 3] points at its start [m]
+
+
 @large_kernel
 def assemble(
-    model: Model,
-    candidates: Candidates,
-    motion: FloatArray,
-    x: FloatArray,
-    x_hat: FloatArray,
-    y: FloatArray,
-    y_start: FloatArray,
-    prescribed_move: FloatArray,
-    workspace: Workspace,
-    matrix: int,
+    model: Model, candidates: Candidates, state: State, start: StepStart, workspace: Workspace, matrix: int
 ) -> None:
-    """Write the forces, and the system with the matrix asked for, at nodes x [m] with points y.
+    """Write the forces, and the system with the matrix asked for, at a state.
 
-    Bodies may have moved against each other by `motion` [m] since the candidates were listed, see `broad_phase`. The
-    right-hand side also carries the prescribed nodes' motion [m], of shape [n, 3], moved to the known side.
+    The right-hand side also carries the system's prescribed motion, moved to the known side.
     """
-    workspace.gradient[:] = 0.0
+    system = workspace.system
+    system.gradient[:] = 0.0
     if matrix != NO_MATRIX:
-        workspace.entries[:] = 0.0
-        workspace.coupling[:] = 0.0
-        workspace.moves[0] = any_nonzero(prescribed_move)
-    workspace.smallest[1] = add_elasticity(model.elastic, x, prescribed_move, workspace, matrix)
-    add_inertia(model, x, x_hat, workspace, matrix)
-    add_orthogonality(model.affine, model.system.block, x, workspace, matrix)
-    add_contacts(model, candidates, motion, y, y_start, prescribed_move, workspace, matrix)
+        system.entries[:] = 0.0
+        system.coupling[:] = 0.0
+        system.moves[0] = any_nonzero(system.prescribed_move)
+    workspace.smallest[1] = add_elasticity(model.elastic, state.x, workspace.batch, system, matrix)
+    add_inertia(model, state.x, start.x_hat, system, matrix)
+    add_orthogonality(model.affine, model.system.block, state.x, system, matrix)
+    points = PointState(state.y, start.y_start, state.motion)
+    gap, active = add_contacts(model, candidates, points, workspace.stencil, system, matrix)
+    workspace.smallest[0], workspace.active[0] = gap, active
     if matrix != NO_MATRIX:
-        _write_right_hand_side(model, workspace)
+        _write_right_hand_side(model, system)
 
 
 @kernel
-def _write_right_hand_side(model: Model, workspace: Workspace) -> None:
-    gradient, coupling = workspace.gradient, workspace.coupling
+def _write_right_hand_side(model: Model, system: NewtonSystem) -> None:
+    gradient, coupling = system.gradient, system.coupling
     for u in range(len(model.unknowns.node)):
         node = model.unknowns.node[u]
         for k in range(3):
-            workspace.right_hand_side[3 * u + k] = -gradient[node, k] - coupling[node, k]
+            system.right_hand_side[3 * u + k] = -gradient[node, k] - coupling[node, k]

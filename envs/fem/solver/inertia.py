@@ -13,23 +13,23 @@ from ...compilation import kernel
 from ..algebra.vec3 import add_to_row, load, scale, subtract
 from ..linear.system import block_place
 from ..model.model import Model
-from .workspace import NO_MATRIX, Workspace
+from ..model.newton_system import NO_MATRIX, NewtonSystem
 
 FloatArray = NDArray[np.float64]
 
 
 @kernel
-def add_inertia(model: Model, x: FloatArray, x_hat: FloatArray, workspace: Workspace, matrix: int) -> None:
+def add_inertia(model: Model, x: FloatArray, x_hat: FloatArray, system: NewtonSystem, matrix: int) -> None:
     """Add the force m (x - x_hat) / h^2 [N] and the matrix m / h^2 [N/m] of free nodes and movable bodies."""
     inverse_h2 = 1.0 / (model.parameters.time_step_s * model.parameters.time_step_s)
-    gradient, entries, system = workspace.gradient, workspace.entries, model.system.block
+    gradient, entries, layout = system.gradient, system.entries, model.system.block
     unknown_nodes, masses = model.unknowns.node, model.unknowns.node_mass_kg
-    for u in range(system.nodes):
+    for u in range(layout.nodes):
         node = unknown_nodes[u]
         m = masses[node] * inverse_h2
         add_to_row(gradient, node, scale(m, subtract(load(x, node), load(x_hat, node))))
         if matrix != NO_MATRIX:
-            place, stride = block_place(system, u, u)
+            place, stride = block_place(layout, u, u)
             _add_multiple_of_identity(entries, place, stride, m)
     affine = model.affine
     for i in range(len(affine.first_node)):
@@ -40,7 +40,7 @@ def add_inertia(model: Model, x: FloatArray, x_hat: FloatArray, workspace: Works
                 offset = subtract(load(x, node + j), load(x_hat, node + j))
                 add_to_row(gradient, node + k, scale(m, offset))
                 if matrix != NO_MATRIX:
-                    place, stride = block_place(system, unknown + k, unknown + j)
+                    place, stride = block_place(layout, unknown + k, unknown + j)
                     _add_multiple_of_identity(entries, place, stride, m)
 
 

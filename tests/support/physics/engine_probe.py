@@ -7,10 +7,11 @@ from numpy.typing import NDArray
 from vitac.envs.fem.contact.broad_phase import Candidates, find_candidates, relative_motion
 from vitac.envs.fem.linear.system import GEL_STRIDE, NO_PLACE, SystemLayout, block_place, gel_block_place
 from vitac.envs.fem.model.model import PRESCRIBED, Model
+from vitac.envs.fem.model.newton_system import EXACT_MATRIX, PROJECTED_MATRIX
 from vitac.envs.fem.model.points import point_positions
 from vitac.envs.fem.scene.scene import Scene
-from vitac.envs.fem.solver.assembly import assemble
-from vitac.envs.fem.solver.workspace import EXACT_MATRIX, PROJECTED_MATRIX, Workspace, new_workspace
+from vitac.envs.fem.solver.assembly import State, StepStart, assemble
+from vitac.envs.fem.solver.workspace import Workspace, new_workspace
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
@@ -76,12 +77,13 @@ class Probe:
         relative_motion(self.model.surfaces, y - self.points_m(listed_m), motion)
         matrix = PROJECTED_MATRIX if projected else EXACT_MATRIX
         w = self._workspace
-        assemble(self.model, near, motion, x_m, self.x_hat_m, y, y_start, move, w, matrix)
+        w.system.prescribed_move[:] = move
+        assemble(self.model, near, State(x_m, y, motion), StepStart(self.x_hat_m, y_start), w, matrix)
         return Assembled(
-            forces_n=w.gradient[self.unknown_nodes].ravel().copy(),
-            all_forces_n=w.gradient.copy(),
-            matrix_n_m=np.where(self._places == NO_PLACE, 0.0, w.entries[self._places]),
-            coupling_n=w.coupling[self.unknown_nodes].ravel().copy(),
+            forces_n=w.system.gradient[self.unknown_nodes].ravel().copy(),
+            all_forces_n=w.system.gradient.copy(),
+            matrix_n_m=np.where(self._places == NO_PLACE, 0.0, w.system.entries[self._places]),
+            coupling_n=w.system.coupling[self.unknown_nodes].ravel().copy(),
             active_contacts=int(w.active[0]),
         )
 

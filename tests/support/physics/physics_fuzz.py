@@ -197,7 +197,7 @@ def summary(steps: list[FuzzedStep]) -> dict[str, float]:
         "episodes": len({(step.task, step.seed) for step in steps}),
         "ipc_steps": len(steps),
         "substepped": status.count(StepStatus.SUBSTEPPED),
-        "pushed_off": status.count(StepStatus.PUSHED_OFF),
+        "escaped_saddle": status.count(StepStatus.ESCAPED_SADDLE),
         "not_converged": status.count(StepStatus.NOT_CONVERGED),
         "intersections": sum(step.intersects for step in steps),
         "overlooked": sum(step.overlooked for step in steps),
