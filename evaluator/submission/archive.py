@@ -141,9 +141,9 @@ class _Opened:
         for info in infos:
             _check_kind(info)
         kept = [info for info in infos if not is_left_out(info.orig_filename.removesuffix("/"))]
-        names = (NamedEntry(path=info.orig_filename.removesuffix("/"), is_folder=info.is_dir()) for info in kept)
+        names = (NamedEntry(path=info.orig_filename.removesuffix("/"), is_folder=_is_folder(info)) for info in kept)
         check_names(names, self._limits)
-        files = [info for info in kept if not info.is_dir()]
+        files = [info for info in kept if not _is_folder(info)]
         top = _top_folder({info.orig_filename.partition("/")[0] for info in kept})
         self._check_sizes(files)
         return top, [self._entry(info, top) for info in files]
@@ -192,6 +192,11 @@ def _check_ends(stream: BinaryIO, limits: Limits) -> int:
     if locator.startswith(_ZIP64_LOCATOR) or too_large_directory or entries > limits.archive_files:
         raise too_many_files(limits)
     return packed_bytes
+
+
+def _is_folder(info: zipfile.ZipInfo) -> bool:
+    # `is_dir` looks at the name up to its first NUL and crashes where that leaves nothing.
+    return info.orig_filename.endswith("/")
 
 
 def _check_kind(info: zipfile.ZipInfo) -> None:

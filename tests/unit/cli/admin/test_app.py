@@ -158,8 +158,8 @@ def test_shows_an_evaluation_with_its_shards(service: CliService, submission_id:
     shown = read(service, "evaluation", "show", evaluation_of(service))
     assert isinstance(shown, dict)
     assert shown["submission_id"] == submission_id
-    assert len(shown["shards"]) == 9
-    assert "1..30" in admin(service, "evaluation", "show", evaluation_of(service)).stdout
+    assert len(shown["shards"]) == 10
+    assert "1..27" in admin(service, "evaluation", "show", evaluation_of(service)).stdout
 
 
 def test_episodes_that_differ_from_the_stored_ones_are_shown_as_an_alarm(

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from submissions import FILES, entry, submission_zip, zip_bytes
 from vitac.evaluator.agent.limits import Limits
@@ -278,6 +278,7 @@ def test_names_that_pass_stay_below_their_folder(names: list[str]) -> None:
 
 
 @given(st.binary(max_size=400), st.integers(0, 400))
+@example(b"\0\0", 369)  # a name that begins with NUL
 def test_damaged_archives_never_raise_anything_else(noise: bytes, position: int) -> None:
     data = submission_zip()
     position = min(position, len(data))

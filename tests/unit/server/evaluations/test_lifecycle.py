@@ -46,7 +46,7 @@ def test_a_new_evaluation_has_the_fixed_shards_and_a_job_for_each(database: Data
         submission = submit(session, make_principal(session))
     with database.transaction() as session:
         shards = newest_evaluation(session, submission).shards
-        assert [len(shard.episodes) for shard in shards] == [30] * 9
+        assert [len(shard.episodes) for shard in shards] == [27] * 10
         assert sorted(episode for shard in shards for episode in shard.episodes) == list(range(1, 271))
         jobs = session.execute(
             text("SELECT (args ->> 'shard_id')::bigint FROM procrastinate_jobs ORDER BY 1")
@@ -92,7 +92,7 @@ def test_shard_that_lacks_an_episode_cannot_be_reported_as_complete(database: Da
         first = shard_ids(session, submission)[0]
     lease = claim(database, first)
     store(database, lease, [make_record(episode) for episode in lease.episodes[:-1]])
-    with pytest.raises(EpisodesMissing, match=r"\[30\]"):
+    with pytest.raises(EpisodesMissing, match=r"\[27\]"):
         finish(database, lease)
     with database.transaction() as session:
         assert state_of(session, first) is ShardState.RUNNING
@@ -103,11 +103,11 @@ def test_broken_policy_fails_the_evaluation_with_the_first_failure_whatever_the_
         submission = submit(session, make_principal(session))
         ids = shard_ids(session, submission)
     early, late = claim(database, ids[0]), claim(database, ids[4])
-    store(database, late, [make_failed_record(121, stage=FailureStage.LOAD, code=VerdictCode.IMPORT_ERROR)])
+    store(database, late, [make_failed_record(109, stage=FailureStage.LOAD, code=VerdictCode.IMPORT_ERROR)])
     finish(database, late, ShardEnd.BROKEN)
     with database.transaction() as session:
         # Later shards end, earlier ones may still change the verdict.
-        assert [state_of(session, shard_id) for shard_id in ids[5:]] == [ShardState.CANCELLED] * 4
+        assert [state_of(session, shard_id) for shard_id in ids[5:]] == [ShardState.CANCELLED] * 5
         assert newest_evaluation(session, submission).state is EvaluationState.RUNNING
         assert session.scalar(text("SELECT count(*) FROM procrastinate_jobs WHERE status = 'todo'")) == 5
     store(database, early, [make_failed_record(episode, output=f"out {episode}") for episode in (7, 3, 9)])
@@ -124,7 +124,7 @@ def test_two_tasks_are_scored_each_and_together(database: Database) -> None:
     with database.transaction() as session:
         submission = submit(session, make_principal(session), tasks=(TASK, LOCK))
         shards = newest_evaluation(session, submission).shards
-        assert [len(shard.episodes) for shard in shards] == [30] * 9 + [20] * 8
+        assert [len(shard.episodes) for shard in shards] == [27] * 10 + [20] * 8
     play_all(database, submission, lambda n, task: make_record(n, task=task) if task == LOCK else some_record(n))
     with database.transaction() as session:
         evaluation = newest_evaluation(session, submission)
@@ -147,10 +147,10 @@ def test_a_policy_that_is_broken_in_one_task_fails_with_that_task_named(database
     with database.transaction() as session:
         submission = submit(session, make_principal(session), tasks=(TASK, LOCK))
         ids = shard_ids(session, submission)
-    lease = claim(database, ids[9])
+    lease = claim(database, ids[10])
     store(database, lease, [make_failed_record(episode, task=LOCK) for episode in (1, 2, 3)])
     finish(database, lease, ShardEnd.BROKEN)
-    for shard_id in ids[:9]:
+    for shard_id in ids[:10]:
         play(database, shard_id)
     with database.transaction() as session:
         evaluation = newest_evaluation(session, submission)
@@ -196,9 +196,9 @@ def test_cancel_ends_the_evaluation_and_fences_off_its_workers(database: Databas
         finish(database, lease)
     with database.transaction() as session:
         assert newest_evaluation(session, submission).state is EvaluationState.CANCELLED
-        assert [state_of(session, shard_id) for shard_id in ids] == [ShardState.DONE] + [ShardState.CANCELLED] * 8
+        assert [state_of(session, shard_id) for shard_id in ids] == [ShardState.DONE] + [ShardState.CANCELLED] * 9
         assert session.scalar(text("SELECT count(*) FROM procrastinate_jobs WHERE status = 'todo'")) == 1
-        assert len(session.scalars(select(EpisodeResult)).all()) == 30
+        assert len(session.scalars(select(EpisodeResult)).all()) == 27
 
 
 def test_evaluation_of_a_second_run_has_records_of_its_own(database: Database) -> None:

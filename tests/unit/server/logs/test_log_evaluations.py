@@ -145,7 +145,7 @@ def test_verdict_is_the_first_divergence_in_whatever_order_the_shards_end(
     leases = leases_of(service, log)
     for number in order:
         if shown(service, log)["evaluation"]["state"] == "running":
-            refute(service, leases[number], diverged_at(30 * number + 7))
+            refute(service, leases[number], diverged_at(27 * number + 7))
     assert shown(service, log)["evaluation"]["verdict"]["episode"] == 7
 
 

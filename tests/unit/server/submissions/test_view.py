@@ -44,8 +44,8 @@ def test_eta_counts_own_and_earlier_episodes_over_the_slots_of_living_workers(
     play(database, ids_of(database, first)[0])
     assert view_of(database, principal, first).evaluation.eta_s is None
     make_worker(database, slots=2)
-    assert view_of(database, principal, first).evaluation.eta_s == pytest.approx(240 * 0.5 / 2)
-    assert view_of(database, principal, second).evaluation.eta_s == pytest.approx((240 + 270) * 0.5 / 2)
+    assert view_of(database, principal, first).evaluation.eta_s == pytest.approx(243 * 0.5 / 2)
+    assert view_of(database, principal, second).evaluation.eta_s == pytest.approx((243 + 270) * 0.5 / 2)
 
 
 def test_workers_that_are_silent_refusing_or_of_another_version_do_not_count_as_alive(
