@@ -1,5 +1,6 @@
-"""For every test: a clean environment, and where the challenge's own files are."""
+"""For every test: a clean environment, where the challenge's own files are, and how long it took."""
 
+import csv
 import os
 from pathlib import Path
 
@@ -19,6 +20,28 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
     """Two processes for the whole suite, which was written for two cores; none for tests that were named or chosen."""
     chosen = config.option.file_or_dir or config.option.keyword
     return 0 if chosen else min(2, os.cpu_count() or 1)
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Adds the option that keeps durations."""
+    help_text = "write how long set-up, call and tear-down of each test took, the longest first"
+    parser.addoption("--durations-csv", type=Path, metavar="FILE", help=help_text)
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
+    """Keeps and sums up the durations where they were asked for."""
+    if (path := config.getoption("--durations-csv")) is None:
+        return
+    found = [report for some in terminalreporter.stats.values() for report in some]
+    reports = [report for report in found if isinstance(report, pytest.TestReport)]
+    reports.sort(key=lambda report: -report.duration)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("w", newline="") as file:
+        rows = csv.writer(file)
+        rows.writerow(["seconds", "phase", "test"])
+        rows.writerows((f"{report.duration:.3f}", report.when, report.nodeid) for report in reports)
+    sums = {when: sum(r.duration for r in reports if r.when == when) for when in ("setup", "call", "teardown")}
+    terminalreporter.write_line(", ".join(f"{when} {seconds:.0f} s" for when, seconds in sums.items()) + f": {path}")
 
 
 @pytest.fixture(scope="session")
