@@ -80,7 +80,8 @@ def fill(session: Session, n_shards: int) -> None:
     numbers = {"submissions": -(-n_shards // SHARDS_OF_ONE), "shards": SHARDS_OF_ONE, "version": evaluator_version()}
     for statement in (TEAMS, SUBMISSIONS, EVALUATIONS, SHARDS):
         session.execute(text(statement), {name: value for name, value in numbers.items() if f":{name}" in statement})
-    enqueue_shards(session, session.scalars(select(Shard.id).order_by(Shard.id)).all(), evaluator_version())
+    ids = session.scalars(select(Shard.id).order_by(Shard.id)).all()
+    enqueue_shards(session, ids, evaluator_version(), priority=0)
 
 
 def measure(database: Database, settings: Settings, repeats: int) -> dict[str, float]:

@@ -136,7 +136,10 @@ class Submission(Base):
 
 
 class Evaluation(Base):
-    """One run of the evaluator over a submission. Run 1 uses stored episodes; a higher run has records of its own."""
+    """One run of the evaluator over a submission. Run 1 uses stored episodes; a higher run has records of its own.
+
+    `turn` orders those that wait, see `server.queue.turns`.
+    """
 
     __tablename__ = "evaluations"
     __table_args__ = (
@@ -175,6 +178,7 @@ class Evaluation(Base):
     platform_class: Mapped[str | None]
     state: Mapped[EvaluationState] = mapped_column(_closed_set(EvaluationState, "state"))
     episodes_reused: Mapped[int] = mapped_column(default=0)
+    turn: Mapped[int] = mapped_column(default=0, server_default=text("0"))
     created_at: Mapped[datetime] = mapped_column(server_default=func.now())
     started_at: Mapped[datetime | None]
     finished_at: Mapped[datetime | None]

@@ -24,6 +24,7 @@ from vitac.server.evaluations.scores import store_scores
 from vitac.server.evaluations.verdicts import ServiceVerdict
 from vitac.server.queue.jobs import enqueue_shards, withdraw_jobs
 from vitac.server.queue.leases import Lease, end_shard, hand_back, renew
+from vitac.server.queue.turns import next_turn
 from vitac.server.settings import Settings
 
 LOG_TAIL_CHARACTERS = 64 * 1024
@@ -48,6 +49,7 @@ def start(session: Session, submission: Submission, run: int) -> Evaluation:
         evaluator_hash=evaluator_hash(),
         state=EvaluationState.QUEUED,
         episodes_reused=0,
+        turn=next_turn(session, submission.team_id),
         log_tail="",
         created_at=datetime.now(UTC),
     )
@@ -67,7 +69,8 @@ def start(session: Session, submission: Submission, run: int) -> Evaluation:
     session.add(evaluation)
     session.flush()
     evaluation.episodes_reused = count_stored(session, EpisodeKey.of(evaluation, submission))
-    enqueue_shards(session, [shard.id for shard in evaluation.shards], evaluation.evaluator_version)
+    ids = [shard.id for shard in evaluation.shards]
+    enqueue_shards(session, ids, evaluation.evaluator_version, priority=-evaluation.turn)
     return evaluation
 
 

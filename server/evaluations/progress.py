@@ -47,7 +47,7 @@ def queue_position(session: Session, evaluation: Evaluation) -> int | None:
     ahead = session.scalar(
         select(func.count())
         .select_from(Evaluation)
-        .where(Evaluation.state == EvaluationState.QUEUED, _is_older_than(evaluation))
+        .where(Evaluation.state == EvaluationState.QUEUED, _goes_before(evaluation))
     )
     return 1 + (ahead or 0)
 
@@ -78,7 +78,7 @@ def _mean_episode_s(session: Session, tasks: list[str]) -> float | None:
 
 
 def _episodes_ahead(session: Session, evaluation: Evaluation) -> int:
-    """Episodes in unfinished shards of evaluations that were asked for earlier."""
+    """Episodes in unfinished shards of evaluations whose turn comes earlier."""
     return (
         session.scalar(
             select(func.sum(func.cardinality(Shard.episodes)))
@@ -86,12 +86,13 @@ def _episodes_ahead(session: Session, evaluation: Evaluation) -> int:
             .where(
                 Shard.state.in_(OPEN_SHARD_STATES),
                 Evaluation.state.in_(ACTIVE_EVALUATION_STATES),
-                _is_older_than(evaluation),
+                _goes_before(evaluation),
             )
         )
         or 0
     )
 
 
-def _is_older_than(evaluation: Evaluation) -> ColumnElement[bool]:
-    return tuple_(Evaluation.created_at, Evaluation.id) < tuple_(evaluation.created_at, evaluation.id)
+def _goes_before(evaluation: Evaluation) -> ColumnElement[bool]:
+    mine = (evaluation.turn, evaluation.created_at, evaluation.id)
+    return tuple_(Evaluation.turn, Evaluation.created_at, Evaluation.id) < tuple_(*mine)

@@ -16,9 +16,8 @@ from sqlalchemy.orm import Session
 
 RUN_SHARD = "run_shard"
 
-FIRST_TIME = 0
 ONCE_MORE = 1
-"""Priorities: a shard that comes back goes before later submissions, which it would otherwise have to wait for."""
+"""Priority of a shard that comes back: before all that wait for the first time, whose priority is minus their turn."""
 
 _enqueuer = procrastinate.App(connector=SyncPsycopgConnector())
 """Never opened: each call brings the connection of the caller's transaction."""
@@ -68,9 +67,17 @@ def enqueue_shards(
     evaluator_version: str,
     *,
     delay_s: float = 0.0,
-    priority: int = FIRST_TIME,
+    priority: int,
 ) -> None:
-    """Add one job per shard; they become visible when the session commits, and never if it rolls back."""
+    """Add one job per shard; they become visible when the session commits, and never if it rolls back.
+
+    Args:
+        session: of the transaction.
+        shard_ids: what to run, in this order.
+        evaluator_version: of their evaluations.
+        delay_s: how long they wait at least [s].
+        priority: high ones first; minus the turn of their evaluation, or `ONCE_MORE`.
+    """
     arguments: list[Any] = [{"shard_id": shard_id} for shard_id in shard_ids]
     if arguments:
         deferrer = _enqueuer.configure_task(

@@ -93,18 +93,18 @@ def _explain(shard: Shard) -> str:
 def _enqueue_missing_jobs(session: Session, settings: Settings) -> int:
     """Wake queued shards that nothing else will: their job was taken by a worker that never claimed the shard."""
     rows = session.execute(shards_without_job(settings)).all()
-    by_version: dict[str, list[int]] = {}
-    for shard_id, version in rows:
-        by_version.setdefault(version, []).append(shard_id)
-    for version, shard_ids in by_version.items():
-        enqueue_shards(session, shard_ids, version, priority=ONCE_MORE)
+    by_turn: dict[tuple[str, int], list[int]] = {}
+    for shard_id, version, turn in rows:
+        by_turn.setdefault((version, turn), []).append(shard_id)
+    for (version, turn), shard_ids in by_turn.items():
+        enqueue_shards(session, shard_ids, version, priority=-turn)
     return len(rows)
 
 
-def shards_without_job(settings: Settings) -> Select[int, str]:
-    """Queued shards that no job wakes any more, with the versions of their evaluations."""
+def shards_without_job(settings: Settings) -> Select[int, str, int]:
+    """Queued shards that no job wakes any more, with the versions and turns of their evaluations."""
     return (
-        select(Shard.id, Evaluation.evaluator_version)
+        select(Shard.id, Evaluation.evaluator_version, Evaluation.turn)
         .join(Evaluation)
         .where(
             Shard.state == ShardState.QUEUED,

@@ -165,7 +165,7 @@ def long_queue(database: Database, submission: Submission) -> Database:
     with database.transaction() as session:
         session.execute(text(more), {"many": MANY})
         added = session.scalars(select(Shard.id).where(Shard.task == "more")).all()
-        enqueue_shards(session, added, newest_evaluation(session, submission).evaluator_version)
+        enqueue_shards(session, added, newest_evaluation(session, submission).evaluator_version, priority=0)
     with database.transaction() as session:
         session.execute(text("ANALYZE"))
     return database
