@@ -1,4 +1,4 @@
-"""What does the isolation of a policy cost? Start of a session, one action, one episode, without any simulation.
+"""Measures the cost of isolating a policy: session start, one action, one episode, without simulation.
 
 Run it as `python benchmarks/agent.py [--episodes 270] [--actions 8] [--json FILE]`.
 """
@@ -33,7 +33,7 @@ class Policy:
 
 
 def main() -> None:
-    """Measures and prints."""
+    """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--episodes", type=int, default=270)
     parser.add_argument("--actions", type=int, default=8)
@@ -49,7 +49,7 @@ def main() -> None:
 
 @contextmanager
 def submission() -> Iterator[Path]:
-    """Return a policy that does nothing, where the sandbox's user can read it."""
+    """Return the folder of a policy without motion, readable by the sandbox's user."""
     with tempfile.TemporaryDirectory(prefix="vitac-benchmark-") as name:
         folder = Path(name)
         folder.chmod(0o755)
@@ -58,7 +58,7 @@ def submission() -> Iterator[Path]:
 
 
 def measure(folder: Path, *, episodes: int, actions: int) -> dict[str, float]:
-    """Milliseconds of starts, actions and episodes (medians), and seconds of everything together."""
+    """Return median times of starts, actions and episodes [ms] and the total time [s]."""
     starts_s = [start(folder) for _ in range(5)]
     action_s: list[float] = []
     episode_s: list[float] = []
@@ -77,14 +77,14 @@ def measure(folder: Path, *, episodes: int, actions: int) -> dict[str, float]:
 
 
 def start(folder: Path) -> float:
-    """Seconds until a policy is loaded."""
+    """Return the time until a policy is loaded [s]."""
     before = perf_counter()
     with PolicySession(folder):
         return perf_counter() - before
 
 
 def play(session: PolicySession, actions: int, action_s: list[float]) -> None:
-    """Play one episode, and add the seconds of each action."""
+    """Run one episode and append the time of each action [s]."""
     with session.episode(task="peg-insertion", action_shape=(3,)) as policy:
         for _ in range(actions):
             before = perf_counter()

@@ -1,4 +1,4 @@
-"""How long does evaluating the example policy on the whole list take, and what uses the time?
+"""Measures the evaluation of the example policy on the whole list, by parts.
 
 Run it as `python benchmarks/evaluation.py [--workers 2] [--json FILE]`. What the service adds is not in it.
 """
@@ -18,7 +18,7 @@ PARTS = ("physics", "markers", "policy", "channel")
 
 
 def main() -> None:
-    """Evaluate once to warm the compiled kernels and once for the clock."""
+    """Evaluate once to compile the kernels and once to measure."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--json", type=Path, help="write the numbers to this file")
@@ -42,7 +42,7 @@ def play(submission: Path, workers: int, episodes: tuple[int, ...] | None = None
 
 
 def split(evaluation: Evaluation, wall_s: float) -> dict[str, Any]:
-    """Seconds by what used them, summed over the processes; `other` is loading, waiting and the rest of Python."""
+    """Return the time of each part [s], summed over the processes; `other` is loading, waiting and other Python."""
     timings = [record.timings for record in evaluation.records]
     parts = {f"{part}_s": sum(float(getattr(timing, f"{part}_s")) for timing in timings) for part in PARTS}
     episodes_s = sum(timing.wall_s for timing in timings)

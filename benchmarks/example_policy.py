@@ -1,4 +1,4 @@
-"""Do the example policies beat doing nothing and doing anything? On random starts and on the public list of their task.
+"""Compares the example policies with no motion and random actions, on random starts and on the public list.
 
 Usage: python benchmarks/example_policy.py [--task TASK] [--starts N] [--json FILE]
 
@@ -27,7 +27,7 @@ MakeAct = Callable[[int], Act]
 
 
 def main() -> None:
-    """Plays the three policies of each task from the same starts and prints their rates."""
+    """Run the three policies of each task from the same starts and print their success rates."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--task", choices=FOLDERS, action="append", help="all by default")
     parser.add_argument("--starts", type=int, default=STARTS, help="random starts")
@@ -40,7 +40,7 @@ def main() -> None:
 
 
 def compared(task: Task, starts: int) -> dict[str, Any]:
-    """Rates of all policies on both sets of starts, printed as they come."""
+    """Return the rates of all policies on both sets of starts, printing each as soon as it is known."""
     sets: dict[str, list[Mapping[str, object]]] = {
         "random starts": [{"rng_seed": (SEED, number)} for number in range(starts)],
         "public list": [episode.options for episode in task.episodes],
@@ -56,7 +56,7 @@ def compared(task: Task, starts: int) -> dict[str, Any]:
 
 
 def actors(task: Task) -> dict[str, MakeAct]:
-    """Return what acts in an episode, by name."""
+    """Return the policies by name."""
     size = len(task.actions)
 
     def anything(number: int) -> Act:
@@ -83,7 +83,7 @@ def example(task: str) -> MakeAct:
 
 
 def play(task: Task, name: str, starts: Iterable[Mapping[str, object]], make: MakeAct) -> Rate:
-    """Success rate of one policy, printed with the mean env steps of its successes."""
+    """Return the success rate of one policy; print it with the mean env steps of its successes."""
     env = make_environment(task)
     lengths = [episode(env, options, make(number)) for number, options in enumerate(starts)]
     solved = [length for length in lengths if length]
@@ -95,7 +95,7 @@ def play(task: Task, name: str, starts: Iterable[Mapping[str, object]], make: Ma
 
 
 def episode(env: Any, options: Mapping[str, object], act: Act) -> int:
-    """Plays to the end; the env steps of a success, 0 for any other end."""
+    """Run an episode; return the env steps of a success, 0 for any other outcome."""
     observation, _ = env.reset(options=options)
     length = 0
     while True:

@@ -1,4 +1,4 @@
-"""How long the service takes: a whole evaluation with the example policy by parts, and the wait in the queue.
+"""Measures the service: a whole evaluation of the example policy by parts, and the wait in the queue.
 
 Run it as `python benchmarks/service.py [--workers 2] [--waits 20] [--json FILE]` on an otherwise idle machine. It
 starts a database and workers of its own in a temporary folder, as `vitac serve` does.
@@ -45,7 +45,7 @@ LIMIT_S = 3600.0
 
 
 def main() -> None:
-    """Measures and prints."""
+    """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--waits", type=int, default=20, help="how many waits in the queue are measured")
@@ -63,7 +63,7 @@ def main() -> None:
 
 @contextmanager
 def service(n_workers: int) -> Iterator[tuple[Services, Principal]]:
-    """Open services with a team, and workers that are ready."""
+    """Open services with a team and ready workers."""
     folder = Path(tempfile.mkdtemp(prefix="vitac-benchmark-"))
     folder.chmod(0o711)
     with ExitStack() as stack:
@@ -85,7 +85,7 @@ def service(n_workers: int) -> Iterator[tuple[Services, Principal]]:
 
 
 def evaluation_figures(services: Services, principal: Principal, n_workers: int) -> dict[str, Any]:
-    """Wall time of all episodes of the example policy, and where it went."""
+    """Return the wall time of all episodes of the example policy, and its parts [s]."""
     submission_id = upload(services, principal)
     wait_until(lambda: newest(services, submission_id).state in TERMINAL_EVALUATION_STATES)
     done = newest(services, submission_id)
@@ -108,7 +108,7 @@ def evaluation_figures(services: Services, principal: Principal, n_workers: int)
 
 
 def parts(services: Services, records: Sequence[EpisodeRecord]) -> dict[str, float]:
-    """Sum over the episodes [s]; `database_s` is what storing exactly these records takes, measured once more."""
+    """Return sums over the episodes [s]; `database_s` is measured by storing the same records again."""
     names = ("physics_s", "markers_s", "policy_s", "channel_s", "wall_s")
     sums = {name: sum(getattr(record.timings, name) for record in records) for name in names}
     sums["database_s"] = storing_s(services, records)
@@ -116,7 +116,7 @@ def parts(services: Services, records: Sequence[EpisodeRecord]) -> dict[str, flo
 
 
 def storing_s(services: Services, records: Sequence[EpisodeRecord]) -> float:
-    """Time to store the records of a further run, one transaction each as a worker does it [s]."""
+    """Return the time to store the records of a further run, one transaction each, as workers do [s]."""
     with services.database.transaction() as session:
         submission = listing.list_submissions(session, services.settings, CONSOLE).items[0]
         again = runs.run_again(session, CONSOLE, submission.id)
@@ -145,7 +145,7 @@ def claim(services: Services, shard_id: int) -> leases.Lease:
 
 
 def wait_figures(services: Services, principal: Principal, n: int) -> dict[str, float]:
-    """From the commit of a submission to the claim of its first shard by an idle worker [ms]."""
+    """Return the times from a submission's commit to the claim of its first shard by an idle worker [ms]."""
     waits_ms = []
     for number in range(n):
         submission_id = upload(services, principal, note=f"# {number}\n")
@@ -171,7 +171,7 @@ def started_after_s(services: Services, submission_id: UUID) -> float:
 
 
 def upload(services: Services, principal: Principal, note: str = "") -> UUID:
-    """Submit the example policy (with a note, so that it is another content) and return its id."""
+    """Submit the example policy, with a note that changes its digest, and return its id."""
     with tempfile.TemporaryDirectory(dir=services.settings.scratch_dir) as name:
         folder = Path(name) / "packed" / "Track_1"
         shutil.copytree(EXAMPLE, folder)
@@ -197,20 +197,20 @@ def newest(services: Services, submission_id: UUID) -> Evaluation:
 
 
 def running_shards(services: Services) -> int:
-    """Shards that a worker holds."""
+    """Return the number of shards that workers hold."""
     with services.database.transaction() as session:
         query = select(func.count()).select_from(Shard).where(Shard.lease_expires_at.is_not(None))
         return session.scalar(query) or 0
 
 
 def count_workers(services: Services) -> int:
-    """Workers that take shards."""
+    """Return the number of ready workers."""
     with services.database.transaction() as session:
         return workers.workers_alive(session, services.settings).alive
 
 
 def wait_until(holds: Callable[[], bool]) -> None:
-    """Wait for something to become true."""
+    """Wait until a condition is true."""
     deadline = time.monotonic() + LIMIT_S
     while not holds():
         if time.monotonic() > deadline:

@@ -1,7 +1,7 @@
-"""Fits `Track_1/weights.json`: two ridge regressions of the true offset on what is felt.
+"""Fits `Track_1/weights.json`: two ridge regressions of the true offset on the marker flow.
 
-The first reads the first touch. The second corrects it by how the gels answer to the first motion, in episodes that are
-played with the first. Run it as `python examples/peg_insertion_heuristic/train.py`; it takes some minutes on one core.
+The first uses the first contact. The second corrects it by the marker flow after the first motion, in episodes that use
+the first. Run it as `python examples/peg_insertion_heuristic/train.py`; it takes a few minutes on one core.
 Its starts are random and blocked: none is in the public list, and benchmarks/example_policy.py uses others.
 """
 
@@ -19,28 +19,28 @@ from policy import Policy
 WEIGHTS = Path(__file__).parent / "Track_1" / "weights.json"
 TRAINING_SEEDS = (1, 6)
 STARTS = (2500, 580)
-BOLDNESS = (1.5, 1.0)  # A fit takes what it cannot tell for zero; but a peg that is moved too little stays blocked.
+GAINS = (1.5, 1.0)  # A fit shrinks uncertain offsets to zero, but a peg that moves too little stays blocked.
 RIDGE = 40.0
-TELLING = 0.1  # of the variance
+MIN_EXPLAINED = 0.1  # of the variance; below that a component is not predicted
 
 
 def main() -> None:
-    """Plays and fits, one reading after the other."""
-    readings: list[dict[str, list]] = []
+    """Collect data for and fit one regression after the other."""
+    regressions: list[dict[str, list]] = []
     for step in (0, 1):
-        WEIGHTS.write_text(json.dumps(readings) + "\n")
-        weights, explained = fit(*play(step), BOLDNESS[step])
-        print(f"reading {step} explains of x, y, theta in held-out starts:", np.round(explained, 2))
-        readings.append(weights)
-    WEIGHTS.write_text(json.dumps(readings) + "\n")
+        WEIGHTS.write_text(json.dumps(regressions) + "\n")
+        weights, explained = fit(*play(step), GAINS[step])
+        print(f"variance of x, y, theta that regression {step} explains in held-out starts:", np.round(explained, 2))
+        regressions.append(weights)
+    WEIGHTS.write_text(json.dumps(regressions) + "\n")
 
 
 def play(step: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return what is felt at an env step and by how much the offset is then misjudged [mm, mm, degrees]."""
+    """Return inputs and residual offsets [mm, mm, degrees] at an env step of random episodes."""
     env = gymnasium.make("ViTac/PegInsertion-v1", privileged=True, disable_env_checker=True).unwrapped
     policy = Policy()
-    policy.readings.append(BLANK)
-    felt, misjudged = [], []
+    policy.regressions.append(ZERO_REGRESSION)
+    inputs, residuals = [], []
     for number in range(STARTS[step]):
         observation, _ = env.reset(options={"rng_seed": (TRAINING_SEEDS[step], number)})
         policy.reset("peg-insertion")
@@ -50,29 +50,29 @@ def play(step: int) -> tuple[np.ndarray, np.ndarray]:
             ended = terminated or truncated
         if not ended:
             policy.act(observation)
-            felt.append(policy.felt)
-            misjudged.append(observation["gt_offset"] - policy.start - observation["relative_motion"][:3])
-        print(f"\rplayed {number + 1} of {STARTS[step]}", end="", file=sys.stderr)
+            inputs.append(policy.inputs)
+            residuals.append(observation["gt_offset"] - policy.start - observation["relative_motion"][:3])
+        print(f"\repisode {number + 1} of {STARTS[step]}", end="", file=sys.stderr)
     print(file=sys.stderr)
-    return np.array(felt), np.array(misjudged)
+    return np.array(inputs), np.array(residuals)
 
 
-def fit(felt: np.ndarray, misjudged: np.ndarray, boldness: float) -> tuple[dict[str, list], np.ndarray]:
+def fit(inputs: np.ndarray, residuals: np.ndarray, gain: float) -> tuple[dict[str, list], np.ndarray]:
     """Return the weights, and how much of the variance of x, y and theta they explain in the first, held-out fifth."""
-    held_out = len(felt) // 5
-    mean, scale = felt.mean(axis=0), felt.std(axis=0) + 1e-3  # What always saturates has no spread.
-    normal = (felt - mean) / scale
+    held_out = len(inputs) // 5
+    mean, scale = inputs.mean(axis=0), inputs.std(axis=0) + 1e-3  # Features that always saturate have no spread.
+    normal = (inputs - mean) / scale
     gram = normal[held_out:].T @ normal[held_out:] + RIDGE * np.eye(normal.shape[1])
-    weights = np.linalg.solve(gram, normal[held_out:].T @ misjudged[held_out:])
-    errors = normal[:held_out] @ weights - misjudged[:held_out]
-    explained = 1 - (errors**2).mean(axis=0) / (misjudged[:held_out] ** 2).mean(axis=0)
-    weights[:, explained < TELLING] = 0  # What cannot be told is left alone.
-    names = {"mean": mean, "scale": scale, "weights": boldness * weights}
+    weights = np.linalg.solve(gram, normal[held_out:].T @ residuals[held_out:])
+    errors = normal[:held_out] @ weights - residuals[:held_out]
+    explained = 1 - (errors**2).mean(axis=0) / (residuals[:held_out] ** 2).mean(axis=0)
+    weights[:, explained < MIN_EXPLAINED] = 0  # Not predicted.
+    names = {"mean": mean, "scale": scale, "weights": gain * weights}
     return {name: np.round(value, 4).tolist() for name, value in names.items()}, explained
 
 
-BLANK = {"mean": np.zeros(1), "scale": np.ones(1), "weights": np.zeros((1, 3))}
-"""A reading that tells nothing, so that the policy feels at the env step whose reading is fitted."""
+ZERO_REGRESSION = {"mean": np.zeros(1), "scale": np.ones(1), "weights": np.zeros((1, 3))}
+"""Predicts zero, so that the policy collects inputs at the env step whose regression is fitted."""
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Puts the two single-task examples into one submission: `python examples/track_1_heuristic/compose.py NEW_FOLDER`."""
+"""Combines the two single-task examples: `python examples/track_1_heuristic/compose.py NEW_FOLDER`."""
 
 import sys
 from pathlib import Path

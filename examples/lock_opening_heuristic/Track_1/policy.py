@@ -1,47 +1,47 @@
 """Presses the key's teeth against the ceiling of the lock, pulls until they slip into their slots, and lifts.
 
-While the teeth are held down, the handle turns between the gels, and the markers turn with it. Nothing was learnt; the
+While the teeth are held down, the handle rotates between the gels, and the markers with it. Nothing is learned; the
 three numbers below were chosen by hand. Needs only NumPy.
 """
 
 import numpy as np
 
-MAX_MOTION = np.array([2.0, 1.0])  # mm inwards and down: what an action of 1 commands
+MAX_MOTION = np.array([2.0, 1.0])  # mm inwards and down: motion of an action of 1
 PULL = 1.5  # mm outwards in one env step; the narrowest lock holds its key only along 2 mm
 PRESS = 1.6  # mm upwards in the first two env steps: the ceiling is 1 mm above the teeth
-PRESSED = 0.006  # rad that the markers turn by; 0.010 to 0.016 under the ceiling, noise of 0.001 in a slot
+PRESSED = 0.006  # rotation of the markers [rad]; 0.010 to 0.016 under the ceiling, noise of 0.001 in a slot
 
 
 class Policy:
-    """Remembers nothing but the number of the env step."""
+    """Counts env steps; nothing else is stored."""
 
     def reset(self, task):
-        """Begins an episode."""
+        """Begin an episode."""
         self.env_step = 0
 
     def act(self, observation):
-        """Feels whether the teeth are held down; pulls if they are, lifts if not."""
+        """Pull while the teeth are held down, else lift."""
         self.env_step += 1
         if self.env_step == 1:
             return action(pull=PULL, lift=1.0)
         if self.env_step == 2:
             return action(lift=PRESS - 1.0)
-        if turn(observation["marker_flow"]) > PRESSED:
+        if handle_rotation(observation["marker_flow"]) > PRESSED:
             return action(pull=PULL)
         return action(lift=1.0)
 
 
-def turn(marker_flow):
-    """By how much the handle has turned between the gels, its tip downwards [rad].
+def handle_rotation(marker_flow):
+    """Return the rotation of the handle between the gels, its tip downwards [rad].
 
-    The right sensor looks from the other side, so it sees the turn the other way round.
+    The right sensor looks from the other side and sees the opposite rotation.
     """
     left, right = (rotation(reference, current) for reference, current in marker_flow)
     return (right - left) / 2
 
 
 def rotation(reference, current):
-    """Angle that fits the markers' motion best, from u to v [rad].
+    """Return the rotation that fits the markers' motion best, from u to v [rad].
 
     The last marker is repeated to fill the array; only its first copy counts.
     """
@@ -52,5 +52,5 @@ def rotation(reference, current):
 
 
 def action(pull=0.0, lift=0.0):
-    """Return the action for a motion outwards and upwards [mm]; float32, each within -1 to 1."""
+    """Return the action for a motion outwards and upwards [mm]; float32, each in [-1, 1]."""
     return np.array([-pull, -lift] / MAX_MOTION, dtype=np.float32)

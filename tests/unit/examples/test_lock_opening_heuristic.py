@@ -45,7 +45,7 @@ def test_is_a_valid_submission(example: Path) -> None:
 
 @pytest.mark.parametrize("turn_rad", [-0.01, 0.0, 0.004, 0.012])
 def test_turn_is_measured_whatever_else_moves_the_markers(policy: ModuleType, turn_rad: float) -> None:
-    assert policy.turn(observation(turn_rad)["marker_flow"]) == pytest.approx(turn_rad, abs=1e-4)
+    assert policy.handle_rotation(observation(turn_rad)["marker_flow"]) == pytest.approx(turn_rad, abs=1e-4)
 
 
 @pytest.mark.parametrize("seed", range(2, 22, 2))
