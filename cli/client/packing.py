@@ -55,11 +55,11 @@ def _add(writer: zipfile.ZipFile, file: Path, path: str) -> None:
 
 
 def _files(folder: Path, prefix: str) -> Iterator[str]:
-    from vitac.evaluator.submission.names import is_left_out, link, special_file
+    from vitac.evaluator.submission.names import is_ignored, link, special_file
 
     for item in folder.iterdir():
         path = f"{prefix}{item.name}"
-        if is_left_out(path):
+        if is_ignored(path):
             continue
         if item.is_symlink():
             raise link(path)

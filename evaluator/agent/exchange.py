@@ -1,4 +1,4 @@
-"""One question and its one answer under deadlines, and the verdict where none comes."""
+"""One question and its one answer under deadlines, and the verdict where there is no answer."""
 
 import os
 import select
@@ -96,7 +96,7 @@ class Exchange:
             raise self.failure(failure.verdict, failure.message) from None
         if self._process is not None and answer.sender_pid != self._process.outside_pid:
             raise self.failure(
-                VerdictCode.PROTOCOL_VIOLATION, "The answer came from another process than the policy's."
+                VerdictCode.PROTOCOL_VIOLATION, "Received the answer from another process than the policy's."
             )
         if answer.header.kind is AnswerKind.FAILED:
             raise self._reported_failure(answer)

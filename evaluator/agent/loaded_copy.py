@@ -2,7 +2,7 @@
 
 The frozen process never runs again, so nothing in its memory can count episodes: no module variable, no hook on fork,
 no thread. What processes share otherwise (open files, shared memory, temporary files, pids) is refused once after
-loading, put back before each copy, or found to have changed, and then the sandbox is started anew.
+loading, put back before each copy, or found to have changed, and then the sandbox is restarted.
 """
 
 import math
@@ -52,10 +52,10 @@ class OpenFile:
 
 
 class LoadedCopy:
-    """Holds the loaded policy still and makes copies of it.
+    """Keeps the loaded policy stopped and makes copies of it.
 
     Args:
-        pid: process that has announced to be loaded, outside.
+        pid: process that reported to be loaded, as seen from outside.
         process_ids: the sandbox's counter.
         own_files: pipe and socket that we gave it, as /proc names them.
         episode_cpu_s: CPU time at which the kernel stops a copy [s].
@@ -70,7 +70,7 @@ class LoadedCopy:
         self._own_files = own_files.union(DEVICES)
         self._process_ids = process_ids
         self.process_ids_repeat = False
-        """True where every copy gets the same process id, so that it does not tell how many came before."""
+        """True where every copy gets the same process id, so that it does not tell how many there were before."""
         try:
             self._process = TracedProcess(pid)
         except NotWaiting as error:
@@ -223,7 +223,7 @@ class LoadedCopy:
             )
 
     def _pending_signals(self) -> list[str]:
-        """Return what /proc tells of signals that wait for the frozen process; they count against its user's limit."""
+        """Return the pending signals of the frozen process as /proc shows them; they count against its user's limit."""
         try:
             lines = Path(f"/proc/{self.pid}/status").read_text(errors="replace").splitlines()
         except FileNotFoundError as error:

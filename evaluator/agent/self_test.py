@@ -1,4 +1,4 @@
-"""Tries to break out of this machine's own sandbox; `vitac doctor` prints what came of it, a worker refuses to start.
+"""Tries to break out of this machine's own sandbox. Called by `vitac doctor` and by workers, before they start.
 
 Each probe is a small hostile policy. It answers with the number of things it reached, or meets a verdict.
 """
@@ -48,7 +48,7 @@ class Probe:
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """What came of one probe."""
+    """Check result of one probe."""
 
     name: str
     state: ProbeState
@@ -200,7 +200,7 @@ return seen""",
 
 
 def run(probes: tuple[Probe, ...] = PROBES) -> Iterator[Outcome]:
-    """Try each probe and tell what came of it."""
+    """Run each probe and yield its check result."""
     with tempfile.TemporaryDirectory(prefix="vitac-doctor-") as name:
         folder = Path(name)
         folder.chmod(0o755)

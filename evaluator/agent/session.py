@@ -1,4 +1,4 @@
-"""A policy at work: loads it in a sandbox and gives each episode a copy of it; `shards.policy` plays with it."""
+"""Loads a policy in a sandbox and gives each episode a copy of it. Called by `shards.policy`."""
 
 import contextlib
 import os
@@ -38,7 +38,7 @@ class EpisodeIsolation(StrEnum):
     FROZEN_COPY = "frozen-copy"
     """Loaded once and frozen; each episode runs in a copy."""
     FRESH_PROCESS = "fresh-process"
-    """Loaded anew, in a new sandbox, for each episode."""
+    """Loaded again, in a new sandbox, for each episode."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,7 +119,7 @@ class PolicySession:
         """Give a fresh copy of the loaded policy for one episode, after its `reset(task)`.
 
         Raises:
-            PolicyFailed: reset failed, or the policy had to be loaded anew and that failed.
+            PolicyFailed: reset failed, or the policy had to be loaded again and that failed.
             SandboxFailed: this machine failed.
         """
         sandbox, process = self._start_episode()
@@ -154,13 +154,13 @@ class PolicySession:
         return EpisodeProcess(outside_pid=self._loaded_pid, inside_pid=process_tree.inside_pid(self._loaded_pid))
 
     def _end_episode(self, sandbox: Sandbox, process: EpisodeProcess) -> None:
-        """Leave nothing of the episode: clear the sandbox, or end it where that is not possible."""
+        """Remove everything that the episode left: clear the sandbox, or end it where that fails."""
         cleared = self._loaded is not None and self._loaded.clear()
-        if not cleared or not _report_came(sandbox, process) or sandbox.channel.has_unread_question():
+        if not cleared or not _end_was_reported(sandbox, process) or sandbox.channel.has_unread_question():
             self._stop()
             return
         sandbox.forget_statuses()
-        sandbox.channel.start_afresh()
+        sandbox.channel.reset()
 
     def _start(self) -> Sandbox:
         self._shard_time.check()
@@ -219,7 +219,7 @@ class PolicySession:
         except PolicyFailed as failure:
             raise exchange.failure(failure.verdict, failure.message) from None
         self._exits.callback(self._loaded.end)
-        sandbox.channel.start_afresh()
+        sandbox.channel.reset()
         sandbox.forget_statuses()
 
 
@@ -311,7 +311,7 @@ class EpisodePolicy:
         self.cpu_s = now_s
 
 
-def _report_came(sandbox: Sandbox, process: EpisodeProcess) -> bool:
+def _end_was_reported(sandbox: Sandbox, process: EpisodeProcess) -> bool:
     """Wait until the first process has reported the end of the episode's process, so that its pid may be used again."""
     deadline = time.monotonic() + _REPORT_DEADLINE_S
     while sandbox.exit_status(process.inside_pid) is None:

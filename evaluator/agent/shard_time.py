@@ -8,7 +8,7 @@ from .verdicts import PolicyFailed, VerdictCode
 
 
 class ShardTime:
-    """What the policy of a session has used so far [s]; counted anew when a shard is taken up again."""
+    """What the policy of a session has used so far [s]; counted from zero when a shard is resumed."""
 
     def __init__(self, limits: Limits) -> None:
         self._limits = limits

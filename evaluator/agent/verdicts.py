@@ -6,7 +6,7 @@ from vitac.envs.errors import VitacError
 
 
 class VerdictCode(StrEnum):
-    """Why no score came out. The value is stable: it is stored, sent over HTTP and shown."""
+    """Why there is no score. The value is stable: it is stored, sent over HTTP and shown."""
 
     ARCHIVE_REJECTED = "archive_rejected"
     MANIFEST_REJECTED = "manifest_rejected"
@@ -74,7 +74,7 @@ class PolicyFailed(VitacError):
 
     Attributes:
         verdict: which of the closed list of ways.
-        message: what was expected and what came, one or a few sentences.
+        message: what was expected and what was received, one or a few sentences.
         output_tail: the last part of what the policy printed, at most `Limits.output_kept_bytes`.
     """
 
@@ -86,6 +86,6 @@ class PolicyFailed(VitacError):
 
 
 class SandboxFailed(VitacError):
-    """The isolation could not be set up or broke: mend the machine (`vitac doctor` tells how), then retry the work."""
+    """The isolation could not be set up or broke: repair the machine (`vitac doctor` says how), then retry the work."""
 
     verdict = VerdictCode.SANDBOX_FAILED

@@ -1,1 +1,1 @@
-"""What a team hands in: archive, manifest and digest."""
+"""What a team uploads: archive, submission manifest and digest."""

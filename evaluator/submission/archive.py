@@ -1,4 +1,4 @@
-"""Unpacks an uploaded zip, trusting nothing in it; every rule has a name and a sentence.
+"""Unpacks an uploaded zip without trusting anything in it; each broken rule has a code and a message.
 
 Called by the upload (to refuse early), by workers and by `vitac check`. A folder goes through the same rules.
 """
@@ -23,7 +23,7 @@ from .names import (
     ArchiveRejected,
     NamedEntry,
     check_names,
-    is_left_out,
+    is_ignored,
     link,
     special_file,
     too_many_files,
@@ -89,7 +89,7 @@ def unpack(source: Path | BinaryIO, destination: Path, limits: Limits | None = N
 
 
 def packed_entries(stream: BinaryIO, limits: Limits, exits: ExitStack) -> tuple[str, list[Entry]]:
-    """Return top folder and files of an open archive after checking everything that its directory tells."""
+    """Return top folder and files of an open archive after checking its directory."""
     return exits.enter_context(_Opened(stream, limits)).entries()
 
 
@@ -140,7 +140,7 @@ class _Opened:
             raise too_many_files(self._limits)
         for info in infos:
             _check_kind(info)
-        kept = [info for info in infos if not is_left_out(info.orig_filename.removesuffix("/"))]
+        kept = [info for info in infos if not is_ignored(info.orig_filename.removesuffix("/"))]
         names = (NamedEntry(path=info.orig_filename.removesuffix("/"), is_folder=_is_folder(info)) for info in kept)
         check_names(names, self._limits)
         files = [info for info in kept if not _is_folder(info)]
@@ -175,7 +175,7 @@ def _check_ends(stream: BinaryIO, limits: Limits) -> int:
     if packed_bytes > limits.archive_packed_bytes:
         raise ArchiveRejected(
             ArchiveFault.TOO_LARGE,
-            f"The archive has {packed_bytes} bytes, at most {limits.archive_packed_bytes} are allowed.",
+            f"The archive has {packed_bytes} bytes, expected at most {limits.archive_packed_bytes}.",
         )
     stream.seek(0)
     if stream.read(4) not in _START_SIGNATURES:
@@ -185,7 +185,7 @@ def _check_ends(stream: BinaryIO, limits: Limits) -> int:
     tail = stream.read()
     position = tail.rfind(_END_SIGNATURE)
     if position < 0 or len(tail) - position < _END_RECORD.size:
-        raise _damaged("its end is missing; the upload may have been cut off")
+        raise _damaged("its end record is missing; the upload may be truncated")
     *_, entries, directory_bytes, _, _ = _END_RECORD.unpack_from(tail, position)
     locator = tail[max(0, position - _ZIP64_LOCATOR_BYTES) : position]
     too_large_directory = directory_bytes > limits.archive_files * _DIRECTORY_BYTES_PER_FILE
@@ -219,9 +219,9 @@ def _top_folder(names: set[str]) -> str:
     allowed = archive_folders()
     if len(names) == 1 and (name := names.copy().pop()) in allowed:
         return name
-    came = ", ".join(sorted(names)[:5]) or "nothing"
+    found = ", ".join(sorted(names)[:5]) or "nothing"
     raise ArchiveRejected(
-        ArchiveFault.WRONG_TOP_FOLDER, f"The archive holds {came}, expected one folder {' or '.join(allowed)}."
+        ArchiveFault.WRONG_TOP_FOLDER, f"The archive holds {found}, expected one folder {' or '.join(allowed)}."
     )
 
 
@@ -239,7 +239,7 @@ def _write_entry(entry: Entry, folder: Path, left: int, limits: Limits) -> int:
             file.write(chunk)
     target.chmod(0o644)
     if written != entry.n_bytes:
-        raise _damaged(f"{entry.path!r} has {written} bytes, {entry.n_bytes} were announced")
+        raise _damaged(f"{entry.path!r} has {written} bytes, expected {entry.n_bytes}")
     return written
 
 

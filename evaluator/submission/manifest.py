@@ -1,4 +1,4 @@
-"""What a team hands in: a zip or a folder with submission.yaml, its manifest and its digest."""
+"""A submission as a zip or folder: its submission manifest (submission.yaml) and its digest."""
 
 import hashlib
 import os
@@ -16,7 +16,7 @@ from ..agent.verdicts import VerdictCode
 from ..strict_model import DocumentRejected, StrictModel, parse_untrusted_yaml
 from ..tracks import UnknownTrack, archive_folders, load_track
 from .archive import Entry, packed_entries, unpack, write
-from .names import NamedEntry, check_names, is_left_out, link, special_file
+from .names import NamedEntry, check_names, is_ignored, link, special_file
 
 MANIFEST_NAME: Final = "submission.yaml"
 _MANIFEST_MAX_BYTES: Final = 16 * 1024
@@ -59,7 +59,7 @@ def load_manifest(submission_dir: Path) -> SubmissionManifest:
     """Return the manifest of an unpacked submission, checked against the tracks there are.
 
     Raises:
-        ManifestRejected: it is missing, too large, no YAML, or a key or value is wrong.
+        ManifestRejected: it is missing, too large, not YAML, or a key or value is wrong.
     """
     path = submission_dir / MANIFEST_NAME
     try:
@@ -74,7 +74,7 @@ def parse_manifest(data: bytes) -> SubmissionManifest:
     """Return the manifest that the bytes of submission.yaml hold.
 
     Raises:
-        ManifestRejected: too large, no YAML, or a key or value is wrong.
+        ManifestRejected: too large, not YAML, or a key or value is wrong.
     """
     if len(data) > _MANIFEST_MAX_BYTES:
         raise ManifestRejected(f"{MANIFEST_NAME} is larger than {_MANIFEST_MAX_BYTES} bytes; make it smaller.")
@@ -122,7 +122,7 @@ def stage(source: Path, destination: Path, limits: Limits | None = None) -> Path
 
     Raises:
         ArchiveRejected: a rule of archives is broken.
-        NoSubmission: the path is no submission.
+        NoSubmission: the path is not a submission.
     """
     limits = limits or Limits()
     if source.is_file():
@@ -135,7 +135,7 @@ def submission_digest(source: Path, limits: Limits | None = None) -> str:
 
     Raises:
         ArchiveRejected: a rule of archives is broken.
-        NoSubmission: the path is no submission.
+        NoSubmission: the path is not a submission.
     """
     limits = limits or Limits()
     with ExitStack() as exits:
@@ -165,7 +165,7 @@ def _folder_entries(folder: Path, limits: Limits) -> list[Entry]:
 def _walk(folder: Path, prefix: str) -> Iterator[Entry]:
     for item in sorted(os.scandir(folder), key=lambda item: item.name):
         path = f"{prefix}{item.name}"
-        if is_left_out(path):
+        if is_ignored(path):
             continue
         if item.is_symlink():
             raise link(path)

@@ -10,16 +10,16 @@ from vitac.envs.errors import VitacError
 
 from ..agent.limits import Limits
 
-LEFT_OUT_FOLDERS: Final = frozenset(
+IGNORED_FOLDERS: Final = frozenset(
     {"__MACOSX", "__pycache__", ".git", ".mypy_cache", ".pytest_cache", ".ruff_cache", ".venv"}
 )
-LEFT_OUT_FILES: Final = frozenset({".DS_Store", "Thumbs.db"})
-LEFT_OUT_SUFFIXES: Final = (".pyc",)
-"""Caches and traces of desktops; never unpacked, never part of a digest."""
+IGNORED_FILES: Final = frozenset({".DS_Store", "Thumbs.db"})
+IGNORED_SUFFIXES: Final = (".pyc",)
+"""Caches and desktop files; never unpacked, never part of a digest."""
 _NAME_MAX_BYTES: Final = 255
 _PATH_MAX_BYTES: Final = 1024
 _BAD_CATEGORIES: Final = frozenset({"Cc", "Cf", "Cs", "Zl", "Zp"})
-"""Controls, direction marks, halves of pairs, line and paragraph separators."""
+"""Controls, format characters, surrogates, line and paragraph separators."""
 
 
 class ArchiveFault(StrEnum):
@@ -51,7 +51,7 @@ class ArchiveRejected(VitacError):
 
     Attributes:
         code: the rule.
-        message: what was expected, what came, what to do.
+        message: what was expected, what was found, what to do.
     """
 
     def __init__(self, code: ArchiveFault, message: str) -> None:
@@ -68,24 +68,24 @@ class NamedEntry:
     is_folder: bool
 
 
-def is_left_out(path: str) -> bool:
-    """Return whether a file is a cache or a desktop's trace, which is no part of a submission."""
+def is_ignored(path: str) -> bool:
+    """Return whether a file is a cache or desktop file, which is not part of a submission."""
     parts = path.split("/")
     name = parts[-1]
-    return bool(LEFT_OUT_FOLDERS.intersection(parts)) or name in LEFT_OUT_FILES or name.endswith(LEFT_OUT_SUFFIXES)
+    return bool(IGNORED_FOLDERS.intersection(parts)) or name in IGNORED_FILES or name.endswith(IGNORED_SUFFIXES)
 
 
 def check_names(entries: Iterable[NamedEntry], limits: Limits) -> None:
     """Check names alone and against one another.
 
     Raises:
-        ArchiveRejected: a rule about names, depth, number or likeness is broken.
+        ArchiveRejected: a rule about names, depth, number or duplicates is broken.
     """
-    likeness = _Likeness()
+    taken = _TakenPaths()
     for entry in entries:
         _check_path(entry.path, limits)
-        likeness.check(entry)
-        if likeness.n_paths > limits.archive_files:
+        taken.add(entry)
+        if taken.n_paths > limits.archive_files:
             raise too_many_files(limits)
 
 
@@ -123,7 +123,7 @@ def _check_path(path: str, limits: Limits) -> None:
 
 
 @dataclass(kw_only=True)
-class _Likeness:
+class _TakenPaths:
     """Compares every path, and every folder above it, with the earlier ones."""
 
     _spellings: dict[str, str] = field(default_factory=dict)
@@ -135,8 +135,8 @@ class _Likeness:
         """Files and folders so far, with the folders that paths imply."""
         return len(self._files) + len(self._folders)
 
-    def check(self, entry: NamedEntry) -> None:
-        """Take one path, as a file system that ignores case and accents' encoding would.
+    def add(self, entry: NamedEntry) -> None:
+        """Add one path, as a file system would that ignores case and the encoding of accents.
 
         Raises:
             ArchiveRejected: duplicate, case_duplicate.
@@ -147,7 +147,7 @@ class _Likeness:
             self._check_spelling(path)
         is_taken = entry.path in self._files or (not entry.is_folder and entry.path in self._folders)
         if is_taken or not self._files.isdisjoint(above):
-            raise ArchiveRejected(ArchiveFault.DUPLICATE, f"{entry.path!r:.200} is there twice; pack each file once.")
+            raise ArchiveRejected(ArchiveFault.DUPLICATE, f"{entry.path!r:.200} appears twice; pack each file once.")
         self._folders.update(above)
         (self._folders if entry.is_folder else self._files).add(entry.path)
 

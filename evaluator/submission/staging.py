@@ -1,4 +1,4 @@
-"""A submission laid out for the sandbox while a block runs; used by the commands that play submissions here."""
+"""An unpacked copy of a submission that exists while a block runs. Called by the commands that run a policy here."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -134,6 +134,6 @@ def _frozen_copies() -> Requirement:
         name="frozen copies for episodes",
         is_met=is_met,
         is_needed=False,
-        found="Linux on x86-64" if is_met else "this platform loads the policy anew for every episode",
+        found="Linux on x86-64" if is_met else "this platform loads the policy again for every episode",
         remedy="" if is_met else "evaluate on Linux on x86-64, which is faster",
     )

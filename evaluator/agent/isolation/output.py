@@ -38,16 +38,16 @@ class OutputTail:
         self._counted = 0
         self._kept.clear()
 
-    def read_available(self, *, at_most: int = 8 * 1024 * 1024) -> None:
-        """Take what waits in the pipe, but no more than `at_most` bytes, so that a flood cannot hold the reader."""
-        while at_most > 0 and not self.is_closed:
+    def read_available(self, *, max_bytes: int = 8 * 1024 * 1024) -> None:
+        """Read what is in the pipe, but no more than `max_bytes`, so that a flood cannot block the reader."""
+        while max_bytes > 0 and not self.is_closed:
             try:
                 piece = os.read(self._descriptor, CHUNK_BYTES)
             except BlockingIOError:
                 return
             self.is_closed = not piece
             self._counted += len(piece)
-            at_most -= len(piece)
+            max_bytes -= len(piece)
             self._kept += piece
             del self._kept[: -self._kept_bytes]
 

@@ -75,7 +75,7 @@ _SIGNAL_CALLS: Final = {
 """Which argument of a call is the signal."""
 _SIGNAL_BITS: Final = 7
 _NEGATIVE: Final = 0x80000000
-"""Clocks of other processes have negative numbers; that of the first process runs with every process it buries."""
+"""Clocks of other processes have negative numbers; that of the first process advances with every process it reaps."""
 _O_TMPFILE: Final = 0x00400000
 """Nameless files leave no trace in a folder's times, but advance its inode numbers."""
 _LOW_WORD: Final = 0xFFFFFFFF

@@ -207,7 +207,7 @@ class TracedProcess:
     def _block_signals(self) -> ctypes.c_uint64:
         """Block all signals of the stopped process; return those that were blocked before.
 
-        A flood of them would stop it each time before it has run one instruction, so it would never come to its read.
+        A flood of them would stop it each time before it has run one instruction, so it would never reach its read.
         """
         before, every = ctypes.c_uint64(), ctypes.c_uint64(_ALL_SIGNALS)
         self._request(_GETSIGMASK, _SIGNAL_SET_BYTES, ctypes.addressof(before))

@@ -1,4 +1,4 @@
-"""What counts as an action; judged outside the sandbox, on whatever arrays came out of it."""
+"""What counts as an action: checked outside the sandbox, on the arrays of an answer."""
 
 from collections.abc import Mapping
 

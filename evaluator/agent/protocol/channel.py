@@ -38,7 +38,7 @@ class Channel:
         """Start sending the next question.
 
         Raises:
-            PolicyFailed: protocol_violation, because the policy has already sent something that nobody asked for.
+            PolicyFailed: protocol_violation, the policy has already sent unrequested data.
         """
         self.check_silent()
         self._seq += 1
@@ -69,7 +69,7 @@ class Channel:
         return None
 
     def check_silent(self) -> None:
-        """Make sure that nothing unasked waits in the socket.
+        """Check that the socket holds no unrequested data.
 
         Raises:
             PolicyFailed: protocol_violation.
@@ -79,7 +79,7 @@ class Channel:
         except (BlockingIOError, ConnectionResetError):
             waiting = b""
         if waiting or not self._reader.is_empty:
-            raise violation("A second answer came to one question; each question gets exactly one.")
+            raise violation("Received a second answer to one question, expected exactly one.")
 
     def has_unread_question(self) -> bool:
         """Return whether a part of a question was never read; the next reader would get it."""
@@ -87,8 +87,8 @@ class Channel:
         fcntl.ioctl(self._sock, termios.TIOCOUTQ, unread)
         return bool(self._unsent) or any(unread)
 
-    def start_afresh(self) -> None:
-        """Forget a half-done exchange and count questions from one, after every process that could send has ended."""
+    def reset(self) -> None:
+        """Drop an unfinished exchange and count questions from one; every process that could send has ended."""
         self._unsent = []
         self._seq = 0
         self._reader = FrameReader(message_bytes=self._reader.message_bytes)
@@ -100,11 +100,11 @@ class Channel:
 
     def _check(self, answer: Answer, expected: Sequence[AnswerKind]) -> Answer:
         if self._unsent:
-            raise violation("An answer came before its question was read to the end.")
+            raise violation("Received an answer before the policy had read the whole question.")
         if answer.header.seq != self._seq:
-            raise violation(f"Answer to question {answer.header.seq} came, expected {self._seq}.")
+            raise violation(f"Expected the answer to question {self._seq}, got that to question {answer.header.seq}.")
         if answer.header.kind not in expected:
-            raise violation(f"Answer of kind {answer.header.kind!s} came, expected {' or '.join(expected)}.")
+            raise violation(f"Expected an answer {' or '.join(expected)}, got {answer.header.kind!s}.")
         self.check_silent()
         return answer
 
@@ -128,7 +128,7 @@ class ChannelClosed(Exception):
 
 
 def drain(sock: socket.socket) -> None:
-    """Throw away everything that waits to be read from a socket."""
+    """Discard all unread data of a socket."""
     try:
         while sock.recv(_CHUNK_BYTES, socket.MSG_DONTWAIT):
             pass

@@ -1,6 +1,6 @@
-"""The messages between the evaluator and a policy, as bytes; used by the trusted end, `channel`.
+"""The messages between the evaluator and a policy, as bytes; `runtime/agent.py` has the other end.
 
-A frame is a fixed prefix, a small JSON header and raw little-endian buffers; `runtime/agent.py` speaks the other end.
+A frame is a fixed prefix, a small JSON header and raw little-endian buffers. Called by `channel`, the trusted end.
 Nothing that arrives is ever unpickled or evaluated, and whatever is not the one expected answer raises `PolicyFailed`.
 """
 
@@ -154,7 +154,9 @@ class FrameReader:
             PolicyFailed: protocol_violation.
         """
         if self._sender_pid not in {None, sender_pid}:
-            raise violation("One message came from two processes; only the process that runs the policy may answer.")
+            raise violation(
+                "Received one message from two processes; only the process that runs the policy may answer."
+            )
         self._sender_pid = sender_pid
         self._buffer += data
         if len(self._buffer) < PREFIX.size:
@@ -165,7 +167,7 @@ class FrameReader:
         if self._header is None and len(self._buffer) >= body_start:
             self._header = self._parse_header(bytes(self._buffer[PREFIX.size : body_start]), payload_bytes)
         if len(self._buffer) > body_start + payload_bytes:
-            raise violation("More bytes came than the one answer that was asked for.")
+            raise violation("Received more bytes than the one requested answer.")
         if self._header is None or len(self._buffer) < body_start + payload_bytes:
             return None
         return self._finish(self._header, body_start)
@@ -183,15 +185,15 @@ class FrameReader:
     @staticmethod
     def _check_magic(start: bytes) -> None:
         if not MAGIC.startswith(start):
-            raise violation(f"A message must start with {MAGIC!r}, came {start!r}.")
+            raise violation(f"Expected a message that starts with {MAGIC!r}, got {start!r}.")
 
     def _check_prefix(self) -> tuple[int, int]:
         magic, header_bytes, payload_bytes = PREFIX.unpack_from(self._buffer)
         self._check_magic(magic)
         if header_bytes > HEADER_MAX_BYTES:
-            raise violation(f"Message header of {header_bytes} bytes, at most {HEADER_MAX_BYTES} are allowed.")
+            raise violation(f"Expected a message header of at most {HEADER_MAX_BYTES} bytes, got {header_bytes}.")
         if payload_bytes > self.message_bytes:
-            raise violation(f"Message of {payload_bytes} bytes, at most {self.message_bytes} are allowed.")
+            raise violation(f"Expected a message of at most {self.message_bytes} bytes, got {payload_bytes}.")
         return header_bytes, payload_bytes
 
     @staticmethod
@@ -202,7 +204,7 @@ class FrameReader:
             raise violation(f"The message header is not a valid answer header: {error}.") from error
         if len({spec.name for spec in header.arrays}) != len(header.arrays):
             raise violation("Two arrays of one message have the same name.")
-        announced = sum(spec.n_bytes for spec in header.arrays)
-        if announced != payload_bytes:
-            raise violation(f"The arrays of the message need {announced} bytes, but it announces {payload_bytes}.")
+        declared = sum(spec.n_bytes for spec in header.arrays)
+        if declared != payload_bytes:
+            raise violation(f"The arrays of the message have {declared} bytes, but its prefix says {payload_bytes}.")
         return header

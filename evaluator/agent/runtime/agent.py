@@ -8,7 +8,7 @@ every byte that it sends. Three processes take part:
 - *first*: process 1 of the sandbox; never runs a line of the policy, reports how its children end;
 - *loader*: imports the policy and calls its constructor;
 - *loaded copy*: forked from the loader so that it has one thread only; it waits for the first question of an episode.
-  The evaluator copies it for every episode, or lets it go on itself where copying is not possible.
+  The evaluator copies it for every episode, or lets it continue itself where copying is not possible.
 """
 
 import contextlib
@@ -218,7 +218,7 @@ def gaps_between(kept: list[int]) -> list[tuple[int, int]]:
 
 
 def main(arguments: list[str]) -> None:
-    """Fork the loader and look after the sandbox's processes."""
+    """Fork the loader and report how the sandbox's processes end."""
     channel, status = int(arguments[0]), int(arguments[1])
     cpu_limits, submission, packages = (int(arguments[2]), int(arguments[3])), arguments[4], arguments[5:]
     sys.path[:0] = packages

@@ -33,7 +33,7 @@ def test_reading_nothing_does_not_wait(pipe: tuple[OutputTail, int]) -> None:
 def test_a_flood_does_not_hold_the_reader(pipe: tuple[OutputTail, int]) -> None:
     tail, write = pipe
     os.write(write, b"x" * 60_000)
-    tail.read_available(at_most=1)
+    tail.read_available(max_bytes=1)
     assert tail.counted_bytes > 0
 
 

@@ -133,9 +133,9 @@ def test_answer_may_come_in_any_pieces() -> None:
 @pytest.mark.parametrize(
     ("data", "told"),
     [
-        (b"HTTP/1.1 200 OK", "must start with"),
-        (b"\x80\x04\x95", "must start with"),
-        (frame(magic=b"VTC2"), "must start with"),
+        (b"HTTP/1.1 200 OK", "message that starts with"),
+        (b"\x80\x04\x95", "message that starts with"),
+        (frame(magic=b"VTC2"), "message that starts with"),
         (struct.pack("<4sIQ", b"VTC1", HEADER_MAX_BYTES + 1, 0), "header of"),
         (struct.pack("<4sIQ", b"VTC1", 10, 1 << 63), "at most"),
         (frame(b"{"), "not a valid answer header"),
@@ -148,15 +148,15 @@ def test_answer_may_come_in_any_pieces() -> None:
         (frame({"seq": 1, "kind": "observe"}), "not a valid answer header"),
         (frame({"seq": 1, "kind": "action", "success": True}), "not a valid answer header"),
         (frame({"seq": 1, "kind": "failed", "message": "x" * 5000}), "not a valid answer header"),
-        (answer_with([3], b"\0" * 8), "need 12 bytes"),
-        (answer_with([2], b"\0" * 12), "need 8 bytes"),
+        (answer_with([3], b"\0" * 8), "have 12 bytes"),
+        (answer_with([2], b"\0" * 12), "have 8 bytes"),
         (answer_with([-1], b""), "not a valid answer header"),
         (answer_with([1 << 40], b""), "not a valid answer header"),
-        (answer_with([1 << 31] * 8, b""), "need"),
+        (answer_with([1 << 31] * 8, b""), "The arrays of the message have"),
         (answer_with([1] * 9, b"\0" * 4), "not a valid answer header"),
         (answer_with([1], b"\0" * 8, dtype="O"), "not a valid answer header"),
-        (answer_with([1], b"\0" * 8) + b"more", "need 4 bytes"),
-        (frame() + b"more", "More bytes"),
+        (answer_with([1], b"\0" * 8) + b"more", "have 4 bytes"),
+        (frame() + b"more", "more bytes"),
     ],
 )
 def test_refuses_everything_that_is_no_answer(data: bytes, told: str) -> None:
