@@ -85,7 +85,7 @@ class Settings(BaseSettings):
     )
     sweep_interval_s: PositiveFloat = 2.0
     shard_attempts: PositiveInt = Field(
-        default=3, description="How often a shard is started before the evaluation fails by name."
+        default=3, description="How often a shard is started without any progress before the evaluation fails by name."
     )
     shard_silence_s: PositiveFloat = Field(
         default=1800.0, description="A shard's process that finishes no episode for so long is ended and tried again."

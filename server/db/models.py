@@ -223,6 +223,7 @@ class BoardResult(Base):
 class Shard(Base):
     """A fixed piece of an evaluation, the unit of queue work. `token` rises with each claim: it fences off others.
 
+    `attempts` counts the claims since an episode was last stored.
     `finding` says why an uploaded log is not true (`evaluator.logs.findings.LogFinding`).
     """
 

@@ -9,7 +9,7 @@ from sqlalchemy.orm import Session
 from vitac.evaluator.episodes.records import EpisodeRecord, PolicyFailure
 
 from ..db.models import EpisodeResult, Evaluation, Submission
-from ..queue.leases import Lease, lock_held
+from ..queue.leases import Lease, lock_held, reset_attempts
 from .differences import report_difference
 
 
@@ -66,7 +66,7 @@ def store_episode(session: Session, lease: Lease, record: EpisodeRecord) -> None
     Raises:
         LeaseLost: the shard is not ours any more.
     """
-    lock_held(session, lease)
+    attempts = lock_held(session, lease)
     values = row_values(lease, record)
     added = session.scalar(
         insert(EpisodeResult)
@@ -76,6 +76,8 @@ def store_episode(session: Session, lease: Lease, record: EpisodeRecord) -> None
     )
     if added is None:
         _compare_with_stored(session, lease, record, values["record_digest"])
+    elif attempts:
+        reset_attempts(session, lease)
 
 
 def row_values(lease: Lease, record: EpisodeRecord) -> dict[str, Any]:

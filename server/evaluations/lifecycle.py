@@ -23,7 +23,7 @@ from vitac.server.evaluations.result_hashes import combine_hashes
 from vitac.server.evaluations.scores import store_scores
 from vitac.server.evaluations.verdicts import ServiceVerdict
 from vitac.server.queue.jobs import enqueue_shards, withdraw_jobs
-from vitac.server.queue.leases import Lease, end_shard, hand_back, renew
+from vitac.server.queue.leases import Lease, end_shard, hand_back, lock_held
 from vitac.server.queue.turns import next_turn
 from vitac.server.settings import Settings
 
@@ -111,19 +111,22 @@ def _require_all_stored(session: Session, lease: Lease) -> None:
 def report_broken_machine(session: Session, settings: Settings, lease: Lease, message: str) -> None:
     """Queue a shard again that a machine, not the policy, has failed; after the last attempt, end its evaluation.
 
+    Attempts in which an episode was stored do not count: infrastructure ends no evaluation as long as it moves.
+
     Raises:
         LeaseLost: the shard is not ours any more.
     """
     evaluation = lock_evaluation(session, lease.evaluation_id)
-    if lease.attempt < settings.shard_attempts:
-        hand_back(session, lease, counts_as_attempt=True, delay_s=lease.attempt * RETRY_DELAY_S)
+    attempts = lock_held(session, lease)  # Only whoever holds the shard may end the evaluation.
+    if attempts < settings.shard_attempts:
+        hand_back(session, lease, counts_as_attempt=True, delay_s=max(1, attempts) * RETRY_DELAY_S)
         return
-    renew(session, lease, settings.lease_s)  # Only whoever holds the shard may end the evaluation.
     first, last = lease.episodes[0], lease.episodes[-1]
     fail_by_machines(
         session,
         evaluation,
-        f"Episodes {first} to {last} of {lease.task} were tried {lease.attempt} times. The last time: {message}",
+        f"Episodes {first} to {last} of {lease.task} were tried {attempts} times without any progress. "
+        f"The last time: {message}",
     )
 
 

@@ -92,14 +92,25 @@ def renew(session: Session, lease: Lease, lease_s: float) -> None:
     _change_held(session, lease, lease_expires_at=_lease_end(lease_s))
 
 
-def lock_held(session: Session, lease: Lease) -> None:
-    """Keep others from ending the lease until the end of the transaction.
+def lock_held(session: Session, lease: Lease) -> int:
+    """Keep others from ending the lease until the end of the transaction; return the attempts without progress.
 
     Raises:
         LeaseLost: the shard is not ours any more.
     """
-    if session.scalar(select(Shard.id).where(*_held(lease)).with_for_update()) is None:
+    attempts = session.scalar(select(Shard.attempts).where(*_held(lease)).with_for_update())
+    if attempts is None:
         raise _lost(lease)
+    return attempts
+
+
+def reset_attempts(session: Session, lease: Lease) -> None:
+    """Count attempts anew, this one included: the shard has got further.
+
+    Raises:
+        LeaseLost: the shard is not ours any more.
+    """
+    _change_held(session, lease, attempts=0)
 
 
 def end_shard(session: Session, lease: Lease, state: ShardState, result: ShardResult) -> None:
@@ -130,7 +141,7 @@ def hand_back(session: Session, lease: Lease, *, counts_as_attempt: bool, delay_
         session,
         lease,
         state=ShardState.QUEUED,
-        attempts=Shard.attempts if counts_as_attempt else Shard.attempts - 1,
+        attempts=Shard.attempts if counts_as_attempt else func.greatest(Shard.attempts - 1, 0),
         lease_expires_at=None,
         worker_id=None,
         queued_at=func.clock_timestamp(),

@@ -86,7 +86,7 @@ def _explain(shard: Shard) -> str:
     first, last = shard.episodes[0], shard.episodes[-1]
     return (
         f"Episodes {first} to {last} of {shard.task} were started {shard.attempts} times, "
-        "and each time the worker fell silent before their end."
+        "and each time the worker fell silent before it had stored one more."
     )
 
 

@@ -242,7 +242,30 @@ def test_machine_that_cannot_run_a_shard_costs_an_attempt_and_the_third_ends_by_
 def test_process_that_hangs_is_ended_and_reported(
     services: Services, stage: SubmissionStage, lease: Lease, submission: Submission
 ) -> None:
-    impatient = replace(services, settings=services.settings.model_copy(update={"shard_silence_s": 0.3}))
+    impatient = replace(
+        services, settings=services.settings.model_copy(update={"shard_silence_s": 0.3, "shard_attempts": 1})
+    )
+    shards = FakeShards()
+
+    def gate(number: int) -> None:
+        if number == 1:
+            assert shards.started[-1].killed.wait(20.0)
+
+    shards.gate = gate
+    assert ShardRun(impatient, stage, lease, shards).run() is RunEnd.BROKE
+    assert stored_numbers(services) == []
+    with services.database.transaction() as session:
+        message = newest_evaluation(session, submission).verdict_message
+    assert message is not None
+    assert message.endswith("No episode ended within 0.3 s.")
+
+
+def test_process_that_stored_episodes_before_it_hung_costs_no_attempt(
+    services: Services, stage: SubmissionStage, lease: Lease
+) -> None:
+    impatient = replace(
+        services, settings=services.settings.model_copy(update={"shard_silence_s": 0.3, "shard_attempts": 1})
+    )
     shards = FakeShards()
 
     def gate(number: int) -> None:
@@ -250,13 +273,11 @@ def test_process_that_hangs_is_ended_and_reported(
             assert shards.started[-1].killed.wait(20.0)
 
     shards.gate = gate
-    last = replace(lease, attempt=services.settings.shard_attempts)
-    assert ShardRun(impatient, stage, last, shards).run() is RunEnd.BROKE
+    assert ShardRun(impatient, stage, lease, shards).run() is RunEnd.BROKE
     assert stored_numbers(services) == [1, 2, 3]
     with services.database.transaction() as session:
-        message = newest_evaluation(session, submission).verdict_message
-    assert message is not None
-    assert message.endswith("No episode ended within 0.3 s.")
+        shard = session.get_one(Shard, lease.shard_id)
+        assert (shard.state, shard.attempts) == (ShardState.QUEUED, 0)
 
 
 def test_database_that_drops_all_connections_in_the_middle_changes_nothing(

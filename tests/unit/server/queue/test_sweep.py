@@ -1,4 +1,4 @@
-from datetime import timedelta
+from datetime import UTC, datetime, timedelta
 
 import pytest
 from database_work import database_work
@@ -108,6 +108,28 @@ def test_evaluation_fails_by_name_when_a_shard_was_lost_in_all_its_attempts(
         assert "Episodes 1 to 27 of peg-insertion were started 3 times" in (evaluation.verdict_message or "")
         assert {shard.state for shard in evaluation.shards} == {ShardState.CANCELLED}
     assert jobs(database) == []
+
+
+def test_shard_is_never_given_up_as_long_as_each_attempt_stores_an_episode(
+    database: Database, submission: Submission
+) -> None:
+    first = ids_of(database, submission)[0]
+    for episode in range(1, 7):
+        lease = claim(database, first, lease_s=60.0)
+        store(database, lease, [make_record(episode)])
+        assert lose(database, first) == Sweep(queued_again=1)
+    for _ in range(2):
+        store(database, claim(database, first), [make_record(1)])  # stored before: no progress
+        assert lose(database, first) == Sweep(queued_again=1)
+    claim(database, first)
+    assert lose(database, first) == Sweep(given_up=1)
+
+
+def lose(database: Database, shard_id: int) -> Sweep:
+    """Lets the lease of a shard run out, and sweeps."""
+    with database.transaction() as session:
+        session.get_one(Shard, shard_id).lease_expires_at = datetime.now(UTC) - timedelta(hours=1)
+    return run_sweep(database)
 
 
 def test_queued_shard_whose_job_was_lost_gets_a_new_one_once(database: Database, submission: Submission) -> None:

@@ -90,10 +90,10 @@ def test_woken_shards_keep_their_turn(database: Database, busy: Principal) -> No
     small = submit_small(database, 2)
     settings = make_settings(lease_s=0.003, lease_renewal_s=0.001)
     with database.transaction() as session:
-        session.execute(text("DELETE FROM procrastinate_jobs"))
+        lost = session.execute(text("DELETE FROM procrastinate_jobs RETURNING id")).all()
     with database.transaction() as session:
         session.execute(text("SELECT pg_sleep(0.01)"))
-        assert sweep(session, settings, give_up=fail_by_machines).woken == 9 * (MANY + 2)
+        assert sweep(session, settings, give_up=fail_by_machines).woken == len(lost)
     assert take(database, 3)[1:] == ids(small)
 
 
