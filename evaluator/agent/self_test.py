@@ -184,7 +184,9 @@ return reached(fill)""",
     Probe(
         name="kernel interfaces denied",
         code="""
-return allowed((321, 5, 0, 0), (425, 8, 0), (298, 0, 0, -1, -1, 0), (250, 0, 0, 0), (319, 0, 0), (323, 1))""",
+return allowed(
+    (321, 5, 0, 0), (425, 8, 0), (298, 0, 0, -1, -1, 0), (250, 0, 0, 0), (319, 0, 0), (323, 1), (162,), (444, 0, 0, 1)
+)""",
     ),
     Probe(name="no rights of root", code="return (os.getuid() == 0) + allowed((105, 0), (106, 0), (169, 0, 0, 0))"),
     Probe(

@@ -158,6 +158,7 @@ class _QuickServer(uvicorn.Server):
 def serving(app: FastAPI) -> Iterator[tuple[str, int]]:
     """Host and port of a real HTTP server in a thread of this process."""
     listener = socket.create_server(("127.0.0.1", 0))
+    listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # as `vitac serve` does; else 40 ms a request
     server = _QuickServer(app)
     thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
     thread.start()
