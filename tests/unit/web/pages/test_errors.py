@@ -1,0 +1,40 @@
+import psycopg
+from asgi_browser import AsgiBrowser
+from page_fixtures import FixedData
+from sqlalchemy.exc import OperationalError
+from vitac.server.views.leaderboards import LeaderboardView
+from vitac.web.headers import HEADERS
+
+
+def test_browsers_get_a_page_and_programs_their_json(browser: AsgiBrowser) -> None:
+    page = browser.get("/nothing-here")
+    assert page.status_code == 404
+    assert "<h1>Page not found</h1>" in page.text
+    assert browser.get("/nothing-here", headers={"accept": "application/json"}).json() == {"detail": "Not Found"}
+    assert browser.get("/api/v1/nothing-here").headers["content-type"] == "application/json"
+
+
+def test_a_crash_is_a_page_that_tells_nothing_of_the_inside(data: FixedData, browser: AsgiBrowser) -> None:
+    data.board = None  # type: ignore[assignment]
+    answer = browser.get("/")
+    assert answer.status_code == 500
+    assert "Internal error" in answer.text
+    assert "Traceback" not in answer.text
+    assert answer.headers["content-security-policy"] == HEADERS["Content-Security-Policy"]
+
+
+def test_database_that_is_away_is_a_page_that_says_when_to_come_back(data: FixedData, browser: AsgiBrowser) -> None:
+    async def away(track: str, task: str | None) -> LeaderboardView:
+        raise OperationalError("SELECT 1", {}, psycopg.OperationalError("connection refused"))
+
+    data.leaderboard = away  # type: ignore[method-assign]
+    answer = browser.get("/")
+    assert answer.status_code == 503
+    assert answer.headers["retry-after"] == "2"
+    assert "Nothing is lost" in answer.text
+
+
+def test_wrong_method_is_a_page(browser: AsgiBrowser) -> None:
+    answer = browser.post("/tracks/track_1")
+    assert answer.status_code == 405
+    assert "GET" in answer.headers["allow"]

@@ -1,0 +1,111 @@
+from asgi_browser import AsgiBrowser
+from page_fixtures import LOCK, TASK, FixedData, a_leaderboard, a_score, an_entry, an_id
+from visits import sign_in
+
+BEARS_PEG, BEARS_LOCK = a_score((84, 80, 77), 4.31), a_score((40, 38, 2, 0), 11.5, LOCK)
+GELBOTS_PEG = a_score((20, 11, 9), 6.02)
+
+
+def test_home_ranks_all_tasks_together_and_shows_each(data: FixedData, browser: AsgiBrowser) -> None:
+    data.board = a_leaderboard(an_entry(1, "Bears", BEARS_PEG, BEARS_LOCK), an_entry(2, "Gelbots", GELBOTS_PEG))
+    html = browser.get("/").text.replace("\N{NO-BREAK SPACE}", " ")
+    for shown in (
+        "69.6 %",
+        "65.2 % to 73.8 %",
+        "7.90",
+        "89.3 %",
+        "241 of 270",
+        "4.31 env steps",
+        "80 of 160",
+        "11.50 env steps",
+    ):
+        assert shown in html
+    assert html.index("Bears") < html.index("7.4 %") < html.index("not submitted")
+    assert "mean of the success rates of all tasks" in html
+
+
+def test_a_task_has_a_leaderboard_of_its_own_with_rates_by_shape(data: FixedData, browser: AsgiBrowser) -> None:
+    data.task_boards[TASK] = a_leaderboard(an_entry(1, "Bears", BEARS_PEG, BEARS_LOCK, task=TASK), task=TASK)
+    assert f'href="/tracks/track_1?task={TASK}"' in browser.get("/").text
+    html = browser.get(f"/tracks/track_1?task={TASK}").text.replace("\N{NO-BREAK SPACE}", " ")
+    for shown in ("Trapezoid", "85.0 % to 92.4 %, 241 of 270", "4.31", "93.3 %", "<dd>270</dd>"):
+        assert shown in html
+    assert "Key1" not in html
+    assert f'href="/tracks/track_1?task={TASK}" aria-current="page"' in html
+    assert browser.get("/tracks/track_1?task=nothing").status_code == 404
+
+
+def test_home_says_so_while_nothing_is_evaluated(browser: AsgiBrowser) -> None:
+    assert "No complete evaluation yet" in browser.get("/").text
+
+
+def test_entry_of_another_evaluator_version_has_no_rank(data: FixedData, browser: AsgiBrowser) -> None:
+    data.board = a_leaderboard(an_entry(None, "Old Team", a_score((84, 80, 77), 4.31)))
+    html = browser.get("/").text
+    assert "evaluator 1+ba9876543210, not ranked" in html
+    assert "<dt>Teams ranked</dt><dd>0</dd>" in html
+
+
+def test_an_entry_without_success_has_no_mean_steps(data: FixedData, browser: AsgiBrowser) -> None:
+    data.board = a_leaderboard(an_entry(1, "Bears", a_score((0, 0, 0), None)))
+    assert "–" in browser.get("/").text
+
+
+def test_team_names_are_escaped(data: FixedData, browser: AsgiBrowser) -> None:
+    data.board = a_leaderboard(an_entry(1, "<b>Bears</b>", a_score((1, 0, 0), 4.0)))
+    html = browser.get("/").text
+    assert "&lt;b&gt;Bears" in html
+    assert "<b>Bears" not in html
+
+
+def test_submission_is_linked_for_its_own_team_only(data: FixedData, browser: AsgiBrowser) -> None:
+    data.board = a_leaderboard(an_entry(1, "Bears", a_score((84, 80, 77), 4.31)))
+    link = f'href="/submissions/{an_id("Bears/policy")}"'
+    assert link not in browser.get("/").text
+    sign_in(browser, "Gelbots")
+    assert link not in browser.get("/").text
+    sign_in(browser, "Bears")
+    assert link in browser.get("/").text
+    sign_in(browser, "organizers")
+    assert link in browser.get("/").text
+
+
+def test_rules_show_the_track_file_and_the_limits(browser: AsgiBrowser) -> None:
+    html = browser.get("/tracks/track_1/rules").text
+    for shown in (
+        "marker_flow",
+        "(2, 2, 128, 2) float32",
+        "relative_motion",
+        "theta",
+        "4 degree",
+        "1.5 mm",
+        "Processes",
+    ):
+        assert shown in html
+
+
+def test_unknown_track_is_a_page_that_names_the_known_ones(browser: AsgiBrowser) -> None:
+    answer = browser.get("/tracks/track_9")
+    assert answer.status_code == 404
+    assert "track_1" in answer.text
+    assert browser.get("/tracks/track_9/rules").status_code == 404
+
+
+def test_logs_of_a_track_rank_apart_and_text_logs_stand_beside_their_claims(browser: AsgiBrowser) -> None:
+    html = browser.get("/tracks/track_1/logs").text.replace("\N{NO-BREAK SPACE}", " ")
+    for shown in ("actions verified, policy not seen", "90.0 %", "verified within tolerance", "243 of 270"):
+        assert shown in html
+    assert "No verified log of this task yet" in html
+    for shown in ("does not reproduce itself", "90.6 %", "85.0 %", "lock opening", "not ranked"):
+        assert shown in html
+    assert 'href="/tracks/track_1/logs" aria-current="page"' in html
+
+
+def test_leaderboard_leads_to_the_logs(browser: AsgiBrowser) -> None:
+    assert '<a href="/tracks/track_1/logs">Logs</a>' in browser.get("/").text
+
+
+def test_rules_say_what_a_log_is_worth(browser: AsgiBrowser) -> None:
+    html = browser.get("/tracks/track_1/rules").text
+    assert "not that a policy chose them" in html
+    assert "at most 32 MiB" in html
