@@ -17,6 +17,7 @@ from vitac.evaluator.episodes.records import (
     EpisodeRecord,
     RecordsDisagree,
     Timings,
+    canonical_json,
     result_hash,
 )
 
@@ -51,8 +52,13 @@ def test_actions_must_be_finite(value: float) -> None:
     ("shape", "data", "message"),
     [
         ((2, 3), "AAAA", "expected 4 x 2 x 3"),
+        ((1, 3), "A" * 22 + "==", "expected 4 x 1 x 3"),
         ((0, 3), "!!", "not base64"),
         ((0, 2**62), "", "less than or equal to 64"),
+        ((0, 65), "", "less than or equal to 64"),
+        ((0, 0), "", "greater than or equal to 1"),
+        ((-1, 3), "", "greater than or equal to 0"),
+        ((1_000_001, 1), "", "less than or equal to 1000000"),
     ],
 )
 def test_actions_must_fit_their_shape(shape: tuple[int, int], data: str, message: str) -> None:
@@ -60,10 +66,18 @@ def test_actions_must_fit_their_shape(shape: tuple[int, int], data: str, message
         ActionSequence(shape=shape, float32_base64=data)
 
 
+@pytest.mark.parametrize("shape", [(0, 1), (1, 1), (2, 64), (1_000_000, 1)])
+def test_actions_may_have_any_size_up_to_the_limits(shape: tuple[int, int]) -> None:
+    assert ActionSequence.from_array(np.zeros(shape, np.float32)).to_array().shape == shape
+
+
 @pytest.mark.parametrize(
     "changes",
     [
         {"env_steps": 4, "actions": RECORDS[0].actions},
+        {"actions": ActionSequence.from_array(np.zeros((4, 3), np.float32))},
+        {"state_hashes": (*RECORDS[0].state_hashes, "0" * 64)},
+        {"infos": (*RECORDS[0].infos, {})},
         {"state_hashes": RECORDS[0].state_hashes[:-1]},
         {"infos": ()},
     ],
@@ -71,6 +85,37 @@ def test_actions_must_fit_their_shape(shape: tuple[int, int], data: str, message
 def test_steps_actions_hashes_and_infos_must_agree(changes: dict[str, Any]) -> None:
     with pytest.raises(ValidationError, match="all four must agree"):
         make_record(**{"infos": RECORDS[0].infos, "state_hashes": RECORDS[0].state_hashes, **changes})
+
+
+def test_all_lengths_that_disagree_are_told() -> None:
+    told = "env_steps is 3, but there are 1 actions, 2 state hashes after the reset's and 4 infos"
+    with pytest.raises(ValidationError, match=told):
+        make_record(
+            actions=ActionSequence.from_array(np.zeros((1, 3), np.float32)),
+            state_hashes=RECORDS[0].state_hashes[:3],
+            infos=({},) * 4,
+        )
+
+
+def test_an_episode_may_end_before_its_first_env_step_but_not_before_its_reset() -> None:
+    assert make_record(1, EpisodeOutcome.POLICY_FAILED, 0).env_steps == 0
+    with pytest.raises(ValidationError, match="state_hashes"):
+        make_record(1, EpisodeOutcome.POLICY_FAILED, 0, state_hashes=())
+
+
+@pytest.mark.parametrize("outcome", EpisodeOutcome)
+def test_every_outcome_can_be_recorded_and_one_is_a_success(outcome: EpisodeOutcome) -> None:
+    assert make_record(1, outcome).success == (outcome.value == "success")
+
+
+def test_times_that_were_not_taken_are_zero() -> None:
+    assert set(Timings().model_dump().values()) == {0.0}
+
+
+@pytest.mark.parametrize("number", [float("nan"), float("inf")])
+def test_what_is_no_number_has_no_json(number: float) -> None:
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        canonical_json({"value": number})
 
 
 @pytest.mark.parametrize(
@@ -146,6 +191,8 @@ def test_episode_twice_is_refused() -> None:
 def test_record_of_another_task_is_refused() -> None:
     with pytest.raises(RecordsDisagree, match="'lock-opening', expected 'peg-insertion'"):
         result_hash(make_manifest(), [make_record(task="lock-opening")])
+    with pytest.raises(RecordsDisagree, match="'peg-insertion', expected 'lock-opening'"):
+        result_hash(make_manifest(task="lock-opening"), RECORDS)
 
 
 def test_result_hash_follows_the_documented_recipe() -> None:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from vitac.evaluator.agent.verdicts import PolicyFailed, VerdictCode
 from vitac.evaluator.episodes.episode import run_episode
 from vitac.evaluator.episodes.records import ActionSequence, EpisodeRecord
-from vitac.evaluator.logs.action_match import ActionMatch, compare_actions, match_actions
+from vitac.evaluator.logs.action_match import ActionMatch, EpisodeMatch, compare_actions, match_actions
 
 TASK = small_track().tasks["peg-insertion"]
 
@@ -101,3 +101,27 @@ def test_longer_or_missing_episode_is_a_mismatch() -> None:
     longer = ActionSequence.from_array(np.vstack([log[1].to_array(), action(0.5)]))
     compared = compare_actions(log, {1: longer})
     assert [(episode.reproduced, episode.first_mismatch) for episode in compared.episodes] == [(3, 4), (0, 1)]
+    shorter = compare_actions(log, {1: ActionSequence.from_array(log[1].to_array()[:2])})
+    assert [(episode.reproduced, episode.first_mismatch) for episode in shorter.episodes] == [(2, 3), (0, 1)]
+
+
+@pytest.mark.parametrize("value", [0.25, 0.75])
+def test_other_actions_do_not_count_whether_larger_or_smaller(value: float) -> None:
+    log = log_of(lambda *_: action(0.5))
+    assert check(lambda *_: action(value), log).reproduced == 0
+    stored = {record.episode: record.actions for record in log}
+    others = {n: ActionSequence.from_array(np.full_like(a.to_array(), value)) for n, a in stored.items()}
+    assert compare_actions(stored, others).reproduced == 0
+
+
+def test_each_episode_is_told_as_it_is_compared() -> None:
+    told: list[EpisodeMatch] = []
+    result = match_actions(
+        env=FakeEnvironment(),
+        task=TASK,
+        records=log_of(succeed),
+        open_session=partial(opened, succeed),
+        on_episode=told.append,
+    )
+    assert tuple(told) == result.episodes
+    assert len({episode.episode for episode in told}) == 2

@@ -35,6 +35,19 @@ def test_the_last_episode_of_the_list_is_possible_and_the_one_after_it_is_not() 
     assert problem.reason is ImpossibleReason.NOT_IN_LIST
 
 
+@pytest.mark.parametrize("task", ["a-task-before-ours", "zz-task-after-ours"])
+def test_a_record_of_another_task_is_impossible(task: str) -> None:
+    problem = why_record_impossible(TASK, record_of(2).model_copy(update={"task": task}))
+    assert problem is not None
+    assert problem.reason is ImpossibleReason.OTHER_TASK
+
+
+def test_the_first_action_outside_is_named() -> None:
+    actions = np.zeros((4, 3), np.float32)
+    actions[1, 0], actions[2, 1] = 2, -2
+    assert f"{TASK.actions[0].name} = 2 at env step 2" in (out_of_bounds(TASK, actions) or "")
+
+
 @pytest.mark.parametrize("value", [-1.0, 1.0])
 def test_actions_may_reach_their_bounds(value: float) -> None:
     actions = ActionSequence.from_array(np.full((2, 3), value, np.float32))

@@ -48,7 +48,10 @@ def test_header_is_compared_first() -> None:
 )
 def test_first_difference_is_named(records: list[EpisodeRecord], expected: tuple[int | None, int | None, str]) -> None:
     found = difference(records)
+    other_way = first_difference((HEADER, records), (HEADER, RECORDS))
     assert found is not None
+    assert other_way is not None
+    assert (other_way.episode, other_way.env_step, other_way.key) == found
     assert (found[0], found[2]) == (expected[0], expected[2])
     if expected[2] != "env_steps":
         assert found[1] == expected[1]
@@ -57,6 +60,20 @@ def test_first_difference_is_named(records: list[EpisodeRecord], expected: tuple
 def test_both_values_are_shown() -> None:
     found = first_difference((HEADER, RECORDS), (HEADER, with_second(outcome=EpisodeOutcome.STEPS)))
     assert found == LogDifference(episode=2, key="outcome", first=EpisodeOutcome.SUCCESS, second=EpisodeOutcome.STEPS)
+    assert first_difference((HEADER, RECORDS), (HEADER, RECORDS[1:])) == LogDifference(
+        episode=1, key="episode", first=1, second=2
+    )
+
+
+@pytest.mark.parametrize("version", ["0", "2"])
+def test_both_values_of_a_header_are_shown(version: str) -> None:
+    other = LogHeader(manifest=make_manifest(solver_version=version))
+    assert first_difference((HEADER, []), (other, [])) == LogDifference(key="solver_version", first="1", second=version)
+
+
+def test_the_last_state_is_compared() -> None:
+    last = RECORDS[1].env_steps
+    assert difference(with_second(state_hashes=(*RECORDS[1].state_hashes[:-1], "f" * 64))) == (2, last, "state_hash")
 
 
 def test_earlier_episode_wins_over_later() -> None:

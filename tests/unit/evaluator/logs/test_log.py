@@ -297,6 +297,10 @@ def test_team_that_could_steer_a_terminal_is_refused(team: object) -> None:
     assert (rejection.problem, rejection.line) == (LogProblem.INVALID, 1)
 
 
+def test_team_of_two_hundred_characters_can_be_named() -> None:
+    assert LogReader(io.BytesIO(written(team="x" * 200))).header.team == "x" * 200
+
+
 @pytest.mark.parametrize("key", ["shape", "task"])
 def test_name_that_could_steer_a_terminal_is_refused(key: str) -> None:
     rejection = refused(changed(2, lambda content: content["record"].update({key: "\x1b[2J"})))
@@ -313,6 +317,24 @@ def test_wrong_count_at_the_end_is_refused() -> None:
     short = written(RECORDS[:2]).splitlines(keepends=True)
     rejection = refused(b"".join([*LINES[:4], short[-1]]))
     assert (rejection.problem, rejection.line) == (LogProblem.ALTERED, 5)
+
+
+@pytest.mark.parametrize("counted", [2, 4])
+def test_wrong_count_is_refused_even_with_a_right_digest(counted: int) -> None:
+    before, end = json.loads(LINES[3])["digest"], {"episodes": counted}
+    digest = hashlib.sha256(before.encode() + json.dumps(end, separators=(",", ":")).encode()).hexdigest()
+    rejection = refused(b"".join([*LINES[:4], json.dumps({**end, "digest": digest}).encode() + b"\n"]))
+    assert (rejection.problem, rejection.line) == (LogProblem.ALTERED, 5)
+    assert f"expected {counted} episodes" in str(rejection)
+
+
+def test_reader_tells_how_far_it_is_and_the_digest_up_to_there() -> None:
+    reader = LogReader(io.BytesIO(LOG))
+    digests = [json.loads(line)["digest"] for line in LINES]
+    assert (reader.line, reader.digest) == (1, digests[0])
+    for number, _ in enumerate(reader.records(), start=2):
+        assert (reader.line, reader.digest) == (number, digests[number - 1])
+    assert (reader.line, reader.digest) == (5, digests[4])
 
 
 def test_message_about_many_problems_stays_short() -> None:

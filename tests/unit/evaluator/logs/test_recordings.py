@@ -45,6 +45,11 @@ def test_reads_a_2025_line(tmp_path: Path) -> None:
     assert recording.success
 
 
+@pytest.mark.parametrize("result", ["FAIL", "TIME_OUT"])
+def test_other_results_of_2025_are_no_success(tmp_path: Path, result: str) -> None:
+    assert not read(tmp_path / "log.jsonl", {**LINE, "result": result})[0].success
+
+
 def test_reads_the_organizers_log(reference_dir: Path) -> None:
     recordings = list(read_recordings(reference_dir / "logs" / "track1_peg_insertion.repeat0.jsonl", TASK))
     assert [recording.episode.number for recording in recordings] == list(range(1, 91))
@@ -91,6 +96,8 @@ def test_damaged_log_of_ours_is_refused(tmp_path: Path) -> None:
         ({"state_hashes": []}, "Line 2: Missing key 'episode'"),
         ({**LINE, "shape": "key1"}, "got 'key1' at"),
         ({**LINE, "initial_offset": [1, 2]}, "expected a start with one of cuboid, trapezoid, concave1 and 3 numbers"),
+        ({**LINE, "initial_offset": [1, 2, 3, 4]}, "expected a start with one of"),
+        ({**LINE, "steps": [{"action": [1, 2, 3, 4]}]}, "Line 2: expected actions"),
         ({**LINE, "initial_offset": [1, 2, float("nan")]}, r"Line 2: initial_offset\.2"),
         ({**LINE, "steps": [{"action": [1, 2]}]}, r"Line 2: expected actions \[x, y, theta\] in the range of float32"),
         ({**LINE, "steps": [{"action": [1, 2, 1e40]}]}, "Line 2: expected actions"),
@@ -107,3 +114,5 @@ def test_unusable_line_is_named(tmp_path: Path, line: object, message: str) -> N
 def test_record_of_another_task_is_refused() -> None:
     with pytest.raises(RecordingRejected, match="Episode 1 is of task 'lock-opening'"):
         recording_of(make_record(task="lock-opening"), TASK)
+    with pytest.raises(RecordingRejected, match="Episode 1 is of task 'peg-insertion', expected 'lock-opening'"):
+        recording_of(make_record(), find_task("lock-opening")[1])

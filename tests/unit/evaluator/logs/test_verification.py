@@ -50,6 +50,7 @@ def test_true_log_is_verified_with_the_score_and_hash_of_its_evaluation() -> Non
     assert [record.outcome for record in RECORDS] == ["success", "steps", "policy_failed"]
     verification = check()
     assert (verification.verdict, verification.divergence) == (VerificationResult.VERIFIED, None)
+    assert verification.reason == "all states are equal"
     assert verification.score == score(RECORDS)
     assert result_hash(verification.manifest, verification.records) == result_hash(HEADER.manifest, RECORDS)
 
@@ -86,6 +87,7 @@ def test_other_state_is_named_by_episode_and_env_step_with_both_states(step: int
     assert verification.divergence.recorded_state == "f" * 64
     assert verification.divergence.resimulated_state == RECORDS[1].state_hashes[step]
     assert verification.divergence.resimulated_info == (RECORDS[1].infos[step - 1] if step else None)
+    assert verification.divergence.recorded_info == verification.divergence.resimulated_info
     assert (verification.score, verification.records) == (None, ())
 
 
@@ -116,13 +118,18 @@ def test_actions_after_the_end_diverge() -> None:
         state_hashes=(*solved.state_hashes, "0" * 64),
         infos=(*solved.infos, {}),
     )
-    assert check(longer).verdict is VerificationResult.DIVERGED
+    verification = check(longer)
+    assert (verification.verdict, verification.divergence is None) == (VerificationResult.DIVERGED, False)
+    elsewhere = check(longer, made_elsewhere(platform_class="aarch64-linux"))
+    assert elsewhere.reason == f"diverged at episode 1, env step {solved.env_steps}"
 
 
-def test_other_bits_of_other_machines_are_tolerated_while_outcomes_agree() -> None:
+@pytest.mark.parametrize("platform", ["aarch64-linux", "zz-other"])
+def test_other_bits_of_other_machines_are_tolerated_while_outcomes_agree(platform: str) -> None:
     hashes = ("f" * 64, *RECORDS[1].state_hashes[1:])
-    verification = check(with_record(2, state_hashes=hashes), made_elsewhere(platform_class="aarch64-linux"))
+    verification = check(with_record(2, state_hashes=hashes), made_elsewhere(platform_class=platform))
     assert verification.verdict is VerificationResult.WITHIN_TOLERANCE
+    assert verification.reason == f"made on {platform}; all outcomes are equal"
     assert verification.score == score(RECORDS)
     assert verification.records[1].state_hashes == RECORDS[1].state_hashes
     assert verification.divergence is not None
@@ -132,8 +139,9 @@ def test_equal_states_of_other_machines_are_verified() -> None:
     assert check(header=made_elsewhere(platform_class="aarch64-linux")).verdict is VerificationResult.VERIFIED
 
 
-def test_other_outcome_of_other_machines_diverges() -> None:
-    lie = with_record(2, outcome=EpisodeOutcome.SUCCESS)
+@pytest.mark.parametrize("outcome", [EpisodeOutcome.SUCCESS, EpisodeOutcome.TACTILE, EpisodeOutcome.ERROR])
+def test_other_outcome_of_other_machines_diverges(outcome: EpisodeOutcome) -> None:
+    lie = with_record(2, outcome=outcome)
     assert check(lie, made_elsewhere(platform_class="aarch64-linux")).verdict is VerificationResult.DIVERGED
 
 
@@ -224,6 +232,13 @@ def test_three_failures_of_the_policy_in_one_shard_are_impossible() -> None:
         ({"is_success": 1}, {"is_success": False}, {"is_success": None}),
         ({"offset": [1.0, 2]}, {"offset": [0.5, 0.25]}, {"offset": [1.0, 2]}),
         ({"offset": [1.0] * 1000}, {"offset": [0.5, 0.25]}, {"offset": None}),
+        ({"offset": [1.0]}, {"offset": [0.5, 0.25]}, {"offset": None}),
+        ({"offset": [1.0, 2.0, 3.0]}, {"offset": [0.5, 0.25]}, {"offset": None}),
+        ({"offset": 1.0}, {"offset": {"x": 0.5}}, {"offset": None}),
+        ({"offset": {"x": 1.0}}, {"offset": 0.5}, {"offset": None}),
+        ({"end_reason": 1.0}, {"end_reason": None}, {"end_reason": None}),
+        ({"end_reason": "x" * 100}, {"end_reason": None}, {"end_reason": "x" * 100}),
+        ({"end_reason": "x" * 101}, {"end_reason": None}, {"end_reason": None}),
         ({"end_reason": "x" * 1000}, {"end_reason": None}, {"end_reason": None}),
         ({"end_reason": "a\x00b"}, {"end_reason": "steps"}, {"end_reason": None}),
         ({"end_reason": "success"}, {"end_reason": None}, {"end_reason": "success"}),

@@ -5,9 +5,10 @@ import pytest
 from evaluation_records import make_record
 from hypothesis import given
 from hypothesis import strategies as st
+from pydantic import ValidationError
 from scipy.stats import binom, binomtest
 from vitac.evaluator.episodes.records import EpisodeOutcome
-from vitac.evaluator.scoring.score import interval_of_mean, rate, score, wilson_interval
+from vitac.evaluator.scoring.score import Interval, interval_of_mean, rate, score, wilson_interval
 
 
 @given(st.integers(1, 1000).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n))))
@@ -46,6 +47,12 @@ def test_interval_of_a_mean_covers_it_as_often_as_it_says(first: float, second: 
             interval = interval_of_mean([one, other], of=2)
             covered += chance * chance_of_other * (interval.low <= (first + second) / 2 <= interval.high)
     assert 0.93 < covered < 0.97  # as Wilson's own: counts are whole, so it cannot be met everywhere
+
+
+@pytest.mark.parametrize(("low", "high"), [(-0.1, 0.5), (0.5, 1.1), (1.1, 0.5), (0.5, -0.1)])
+def test_bounds_outside_0_and_1_are_refused(low: float, high: float) -> None:
+    with pytest.raises(ValidationError):
+        Interval(low=low, high=high)
 
 
 def test_interval_of_a_mean_of_one_is_its_own() -> None:

@@ -44,6 +44,16 @@ def test_official_list_is_cut_into_nine_shards_of_thirty() -> None:
     assert [number for shard in shards for number in sorted(shard.numbers)] == list(range(1, 271))
 
 
+@pytest.mark.parametrize(("failures", "broken"), [(0, False), (1, False), (2, False), (3, True), (4, True)])
+def test_three_failures_in_a_shard_break_a_policy_and_so_do_more(failures: int, broken: bool) -> None:
+    assert is_broken([make_failure()] * failures) is broken
+
+
+@pytest.mark.parametrize("code", VerdictCode)
+def test_one_failure_breaks_a_policy_only_where_the_shard_has_no_time_left(code: VerdictCode) -> None:
+    assert is_broken([make_failure(code=code)]) is (code.value == "shard_time")
+
+
 @given(st.sets(st.integers(1, 12), min_size=1))
 def test_part_of_a_list_is_cut_at_the_same_places(numbers: set[int]) -> None:
     shards = cut(TASK, numbers)
