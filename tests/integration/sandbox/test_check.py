@@ -22,7 +22,7 @@ def test_a_good_submission_passes(tmp_path: Path, capsys: pytest.CaptureFixture[
     code, text = check(submission_folder(tmp_path), capsys)
     assert code == 0
     assert "All checks passed. Digest" in text
-    assert text.count("played") == 2
+    assert text.count(", outcome ") == 2
 
 
 def test_a_submission_of_two_tasks_is_tried_in_both(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
