@@ -19,14 +19,17 @@ if TYPE_CHECKING:
 
     from .http import Client, Json
 
-DEFAULT_TRACK = "track_1"
+TRACK_OF_TEXT_LOGS = "track_1"
+"""Text logs of 2025 do not name our tracks; one of another track is submitted with `--track`."""
 
 
 def command(
     submission: Annotated[
         Path, typer.Argument(exists=True, help="Folder or zip of a model, FILE.jsonl or FILE.log (.gz).")
     ],
-    track: Annotated[str, typer.Option(help="Track to submit to.")] = DEFAULT_TRACK,
+    track: Annotated[
+        str | None, typer.Option(help="Track to submit to; the one that the submission names by default.")
+    ] = None,
     server: Annotated[str | None, typer.Option(help="Address of the service; default: VITAC_SERVER.")] = None,
     token_file: Annotated[Path | None, typer.Option(help="File with the API token; default: VITAC_TOKEN.")] = None,
     kind: Annotated[
@@ -46,10 +49,10 @@ def command(
     Exit code 0: accepted (with --watch: completed), 1: refused, 2: wrong usage.
     """
     client = client_from(server, token_file)
+    kind = kind or kind_of(submission)
+    track = track or _track_of(submission, kind)
     with packed(submission) as archive, upload_bar(archive.stat().st_size, shown=not as_json) as on_bytes:
-        answer = client.upload(
-            archive, track=track, kind=kind or kind_of(submission), team=team, again=again, on_bytes=on_bytes
-        )
+        answer = client.upload(archive, track=track, kind=kind, team=team, again=again, on_bytes=on_bytes)
     if as_json and not watch:
         print_json(answer)
     if not as_json:
@@ -58,6 +61,20 @@ def command(
         from .status import show_when_ended
 
         show_when_ended(client, answer["id"], as_json=as_json)
+
+
+def _track_of(submission: Path, kind: UploadKind) -> str:
+    """Return the track that a submission names: a model in its manifest, a log of ours in its header."""
+    from vitac.evaluator.logs.log import LogReader
+    from vitac.evaluator.logs.packing import open_log
+    from vitac.evaluator.submission.manifest import manifest_of
+
+    if kind is UploadKind.MODEL:
+        return manifest_of(submission).track
+    if kind is UploadKind.TEXT_LOG:
+        return TRACK_OF_TEXT_LOGS
+    with open_log(submission) as stream:
+        return LogReader(stream).header.manifest.track
 
 
 @contextmanager

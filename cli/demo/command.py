@@ -37,12 +37,11 @@ if TYPE_CHECKING:
     from ..client.http import Json
     from ..service.process_tree import RunningService
 
-TRACK = "track_1"
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "peg_insertion_heuristic"
 MAX_SLOTS = 4
 WORKER_START_LIMIT_S = 120.0
 POLL_S = 0.25
-WARM_UP = "from vitac.cli.demo.physics import warm_up; warm_up()"
+WARM_UP = "import sys; from vitac.cli.demo.physics import warm_up; warm_up(sys.argv[1])"
 LOG = "demo.log"
 
 
@@ -68,13 +67,23 @@ def command(
     """
     if not submission.exists():
         raise DemoRefused(f"No submission found at {submission}. Run the demo in a checkout, or give --submission.")
+    from vitac.evaluator.submission.manifest import manifest_of
+
     settings = load_settings(port=port, worker_slots=min(usable_cores(), MAX_SLOTS))
     display = DemoDisplay()
     display.title(version("vitac-arena"))
     settings.state_dir.mkdir(parents=True, exist_ok=True)
     with (settings.state_dir / LOG).open("a") as log, StopRequest().listening() as stop:
         write_events_to(log)
-        demo = Demo(settings=settings, display=display, stop=stop, submission=submission, again=again, log=log.fileno())
+        demo = Demo(
+            settings=settings,
+            display=display,
+            stop=stop,
+            submission=submission,
+            track=manifest_of(submission).track,
+            again=again,
+            log=log.fileno(),
+        )
         try:
             demo.run(stay=not exit_after)
         except Interrupted:
@@ -91,6 +100,7 @@ class Demo:
         display: prints progress and results.
         stop: the request to stop.
         submission: folder or zip to evaluate.
+        track: the track that it names.
         again: run all episodes, including stored ones.
         log: file descriptor for service events.
     """
@@ -99,6 +109,7 @@ class Demo:
     display: DemoDisplay
     stop: StopRequest
     submission: Path
+    track: str
     again: bool
     log: int
 
@@ -132,7 +143,7 @@ class Demo:
 
     def _upload(self, client: Client) -> Json:
         with self.display.stage("Submission", "packing and uploading") as stage, packed(self.submission) as archive:
-            found = client.upload(archive, track=TRACK, again=self.again, on_bytes=lambda _: None)
+            found = client.upload(archive, track=self.track, again=self.again, on_bytes=lambda _: None)
             stage.done(f"{found['name']} ({archive.stat().st_size / 1024:.1f} KiB), team {TEAM}")
         return found
 
@@ -156,7 +167,7 @@ class Demo:
 
     def _warm_up(self) -> None:
         process = subprocess.Popen(  # noqa: S603 - our own interpreter and code
-            [sys.executable, "-c", WARM_UP], stdin=subprocess.DEVNULL, stdout=self.log, stderr=self.log
+            [sys.executable, "-c", WARM_UP, self.track], stdin=subprocess.DEVNULL, stdout=self.log, stderr=self.log
         )
         while process.poll() is None:
             if self.stop.wait(POLL_S):
@@ -209,11 +220,11 @@ class Demo:
     def _show(self, client: Client, found: Json) -> None:
         # On the leaderboard of all tasks a submission of one task counts 0 in the others.
         task = found["tasks"][0] if len(found["tasks"]) == 1 else None
-        self.display.leaderboard(client.leaderboard(TRACK, task=task), TEAM)
+        self.display.leaderboard(client.leaderboard(self.track, task=task), TEAM)
         self.display.addresses(
             {
                 "Result hash": found["evaluation"]["result_hash"],
-                "Leaderboard": f"{client.server}/" + (f"tracks/{TRACK}?task={task}" if task else ""),
+                "Leaderboard": f"{client.server}/" + (f"tracks/{self.track}?task={task}" if task else ""),
                 "Submission": f"{client.server}/submissions/{found['id']}",
                 "Sign in": f"{client.server}/sign-in with the token in {self.settings.state_dir / TOKEN_FILE}",
             }

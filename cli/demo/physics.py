@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 
-def warm_up() -> None:
+def warm_up(track: str) -> None:
     """Run one env step of each task, so that Numba compiles and caches its kernels."""
     import gymnasium
     import vitac.envs  # noqa: F401 - registers the environments
     from vitac.evaluator.tracks import load_track
 
-    for task in load_track("track_1").tasks.values():
+    for task in load_track(track).tasks.values():
         env = gymnasium.make(task.env_id)
         env.reset(seed=1, options=dict(task.episodes[0].options))
         env.step(env.action_space.sample() * 0)

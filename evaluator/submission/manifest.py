@@ -100,6 +100,27 @@ def find_submission(path: Path) -> Path:
     raise NoSubmission(f"{path} holds no {MANIFEST_NAME}; name the submission's folder or its zip.")
 
 
+def manifest_of(source: Path, limits: Limits | None = None) -> SubmissionManifest:
+    """Read the manifest of a zip or a folder; nothing is unpacked.
+
+    Raises:
+        ManifestRejected: it is missing or cannot be read.
+        ArchiveRejected: a rule of archives is broken.
+        NoSubmission: the path is no submission.
+    """
+    if not source.is_file():
+        return load_manifest(find_submission(source))
+    with ExitStack() as exits:
+        _, entries = packed_entries(exits.enter_context(source.open("rb")), limits or Limits(), exits)
+        for entry in entries:
+            if entry.path == MANIFEST_NAME and entry.n_bytes <= _MANIFEST_MAX_BYTES:
+                return parse_manifest(b"".join(entry.chunks()))
+    raise ManifestRejected(
+        f"{MANIFEST_NAME} is missing or larger than {_MANIFEST_MAX_BYTES} bytes; put it directly into the "
+        "submission's folder."
+    )
+
+
 def top_folder(submission_dir: Path) -> str:
     """Return the one folder that an archive of a submission holds: its track's.
 

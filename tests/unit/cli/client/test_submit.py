@@ -58,7 +58,7 @@ def test_an_organizer_submits_for_a_team(service: CliService, tmp_path: Path) ->
 def test_a_refusal_tells_status_code_and_hint(service: CliService, tmp_path: Path) -> None:
     archive = tmp_path / "bad.zip"
     archive.write_bytes(zip_of(**{"other/policy.py": ""}))
-    refused = service.run("submit", str(archive))
+    refused = service.run("submit", str(archive), "--track", "track_1")
     assert isinstance(refused.exception, RequestRefused)
     for shown in ("422", "archive_rejected", "vitac check"):
         assert shown in str(refused.exception)

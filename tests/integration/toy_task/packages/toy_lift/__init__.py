@@ -1,0 +1,1 @@
+"""A task of somebody else's: lift a block off a table."""
