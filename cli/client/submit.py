@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from .http import Client, Json
 
 TRACK_OF_TEXT_LOGS = "track_1"
-"""Text logs of 2025 do not name our tracks; one of another track is submitted with `--track`."""
+"""2025 text logs do not name our tracks; for another track use `--track`."""
 
 
 def command(
@@ -28,7 +28,7 @@ def command(
         Path, typer.Argument(exists=True, help="Folder or zip of a model, FILE.jsonl or FILE.log (.gz).")
     ],
     track: Annotated[
-        str | None, typer.Option(help="Track to submit to; the one that the submission names by default.")
+        str | None, typer.Option(help="Track to submit to; by default the one named in the submission.")
     ] = None,
     server: Annotated[str | None, typer.Option(help="Address of the service; default: VITAC_SERVER.")] = None,
     token_file: Annotated[Path | None, typer.Option(help="File with the API token; default: VITAC_TOKEN.")] = None,

@@ -100,7 +100,7 @@ class Demo:
         display: prints progress and results.
         stop: the request to stop.
         submission: folder or zip to evaluate.
-        track: the track that it names.
+        track: track that the submission names.
         again: run all episodes, including stored ones.
         log: file descriptor for service events.
     """
