@@ -2,4 +2,4 @@
 
 
 class VitacError(Exception):
-    """Something was asked that cannot be done; the message says what was expected, what came and what to do."""
+    """Something was asked that cannot be done; the message says what was expected, what was given and what to do."""

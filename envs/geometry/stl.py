@@ -14,7 +14,7 @@ _LARGEST_FILE_BYTES = 64 * 2**20
 
 
 class StlError(VitacError):
-    """An STL file cannot be read; the message names the file, what was expected and what came."""
+    """An STL file cannot be read; the message names the file, what was expected and what it is."""
 
 
 def read_stl(path: Path, *, scale: float = 1e-3) -> SurfaceMesh:
@@ -68,7 +68,7 @@ def _ascii_corners(content: bytes, path: Path) -> NDArray[np.float64]:
     if not content.lstrip().startswith(b"solid"):
         raise StlError(
             f"{path} is not an STL file: it neither starts with 'solid' (ASCII) nor has the length that the triangle "
-            f"count in a binary header demands ({len(content)} bytes came); is it truncated?"
+            f"count in a binary header demands (got {len(content)} bytes); is it truncated?"
         )
     words = content.split()
     starts = [i for i, word in enumerate(words) if word == b"vertex"]

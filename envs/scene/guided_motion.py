@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 ActionArray = NDArray[np.float32]
 NextAction = Callable[[dict[str, NDArray[Any]], dict[str, Any]], ActionArray]
-"""Chooses an action from an observation and the info that came with it."""
+"""Chooses an action from an observation and the info given with it."""
 
 DESCRIPTION = "straight to the target, which no policy sees"
 

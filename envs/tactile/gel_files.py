@@ -15,7 +15,7 @@ _LARGEST_FILE_BYTES = 64 * 2**20
 
 
 class GelFilesError(VitacError):
-    """A gel folder cannot be used; the message names the file, what was expected and what came."""
+    """A gel folder cannot be used; the message names the file, what was expected and what it is."""
 
 
 def read_gel(directory: Path) -> GelMesh:

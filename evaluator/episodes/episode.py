@@ -41,7 +41,7 @@ class Environment(Protocol):
         """Start an episode."""
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Plays one env step; goes on after an end, so that recorded actions can all be played."""
+        """Play one env step; continue after an end, so that recorded actions can all be played."""
 
     def state_hash(self) -> str:
         """SHA-256 [hex] of the physical state."""
@@ -143,7 +143,7 @@ def run_episode(*, env: Environment, task: Task, episode: Episode, open_session:
 
 
 def json_info(info: Mapping[str, Any]) -> dict[str, JsonValue]:
-    """Return an env step's info as JSON values; arrays become lists. Solver reports are left out."""
+    """Return an env step's info as JSON values; arrays become lists. Solver reports are omitted."""
     return {key: _json_value(key, value) for key, value in info.items() if key not in _INFO_KEYS_NOT_RECORDED}
 
 

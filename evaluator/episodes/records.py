@@ -23,7 +23,7 @@ StateHash = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 
 
 class RecordsDisagree(VitacError):
-    """The records given are not those of one evaluation: an episode came twice, or of another task."""
+    """The records given are not those of one evaluation: an episode occurs twice, or is of another task."""
 
 
 class EpisodeOutcome(StrEnum):
@@ -42,7 +42,7 @@ class EpisodeOutcome(StrEnum):
     POLICY_FAILED = "policy_failed"
     """The policy crashed, broke a limit or answered wrongly."""
     ACTIONS_ENDED = "actions_ended"
-    """The recorded actions of a 2025 text log came to their end before the episode did."""
+    """The recorded actions of a 2025 text log ended before the episode did."""
 
 
 class ActionSequence(StrictModel):
@@ -169,7 +169,7 @@ def result_hash(manifest: Manifest, records: Iterable[EpisodeRecord]) -> str:
     then each record.
 
     Raises:
-        RecordsDisagree: an episode came twice, or a record is of another task.
+        RecordsDisagree: an episode occurs twice, or a record is of another task.
     """
     digest = hashlib.sha256()
     digest.update(canonical_json(manifest.model_dump(mode="json", include=_HASHED_MANIFEST_KEYS)) + b"\n")
@@ -182,14 +182,14 @@ def in_order(task: str, records: Iterable[EpisodeRecord]) -> list[EpisodeRecord]
     """Return the records sorted by episode number.
 
     Raises:
-        RecordsDisagree: an episode came twice, or a record is of another task.
+        RecordsDisagree: an episode occurs twice, or a record is of another task.
     """
     by_number: dict[int, EpisodeRecord] = {}
     for record in records:
         if record.task != task:
             raise RecordsDisagree(f"Episode {record.episode} is of task {record.task!r}, expected {task!r}.")
         if record.episode in by_number:
-            raise RecordsDisagree(f"Episode {record.episode} came twice; give each episode once.")
+            raise RecordsDisagree(f"Expected each episode once, got episode {record.episode} twice.")
         by_number[record.episode] = record
     return [by_number[number] for number in sorted(by_number)]
 

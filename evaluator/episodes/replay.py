@@ -28,7 +28,7 @@ class Resimulated:
 
 
 def resimulate(env: Environment, episode: Episode, actions: NDArray[np.float32]) -> Resimulated:
-    """Plays all recorded actions, also those after the env step that ends the episode.
+    """Play all recorded actions, also those after the env step that ends the episode.
 
     Args:
         env: environment of the task.

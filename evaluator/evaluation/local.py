@@ -154,7 +154,7 @@ class _ShardPool:
             for record in process.records():
                 self._queue.put(record)
         if process.result.end is ShardEnd.BROKEN:
-            # Shards before this one run on, later ones cannot change the verdict.
+            # Shards before this one go on; later ones cannot change how the evaluation ends.
             with self._lock:
                 self._orders.clear()
         self._queue.put(process.result)

@@ -52,11 +52,11 @@ class LogShard:
 
 
 def resimulate_log(part: LogShard, on_episode: Callable[[EpisodeRecord], None]) -> ShardResult:
-    """Re-simulates a shard of one of our logs, in the order of its episodes and until one diverges.
+    """Re-simulate a shard of one of our logs, in the order of its episodes and until one diverges.
 
     Args:
         part: what is re-simulated.
-        on_episode: gets each record that holds, as it came here.
+        on_episode: gets each record of the re-simulation that holds.
 
     Raises:
         LogRejected: the log cannot be read.

@@ -46,7 +46,7 @@ def run_shard(
     load_policy: LoadPolicy = load_in_sandbox,
     make_env: Callable[[Task, Path | None], Environment] = make_environment,
 ) -> ShardResult:
-    """Plays the episodes of a shard, each in a fresh process of the policy.
+    """Play the episodes of a shard, each in a fresh process of the policy.
 
     The order is secret: a policy cannot be kept from the clock, and in a known order the time would tell it which
     episode it plays.

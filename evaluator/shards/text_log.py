@@ -1,7 +1,7 @@
 """Re-simulates the episodes of a shard from a 2025 text log; called by `shard_process`.
 
-Nothing of it can be verified: the 2025 simulator does not reproduce itself. What comes out is what our physics makes of
-the same actions.
+Nothing of it can be verified: the 2025 simulator does not reproduce itself. The result shows how our physics
+plays the same actions.
 """
 
 from collections.abc import Callable
@@ -20,11 +20,11 @@ from .result import ShardResult
 
 
 def resimulate_text_log(part: LogShard, on_episode: Callable[[EpisodeRecord], None]) -> ShardResult:
-    """Re-simulates a shard of a text log.
+    """Re-simulate a shard of a text log.
 
     Args:
         part: what is re-simulated.
-        on_episode: gets each record as it came here.
+        on_episode: gets each record of the re-simulation.
 
     Raises:
         TextLogRejected: the log cannot be read.

@@ -26,11 +26,11 @@ class Shard:
 
 
 def cut(task: Task, episodes: Iterable[int] | None = None) -> tuple[Shard, ...]:
-    """Cuts the task's list into shards of `task.shard_size`, always at the same places.
+    """Cut the task's list into shards of `task.shard_size`, always at the same places.
 
     Args:
         task: whose list.
-        episodes: numbers to keep; all by default. Shards that lose all their episodes are left out.
+        episodes: numbers to keep; all by default. A shard without any of them is omitted.
 
     Raises:
         UnknownEpisodes: a number is not in the list, or none is asked for.
@@ -38,8 +38,8 @@ def cut(task: Task, episodes: Iterable[int] | None = None) -> tuple[Shard, ...]:
     listed = frozenset(episode.number for episode in task.episodes)
     wanted = listed if episodes is None else frozenset(episodes)
     if not wanted or not wanted <= listed:
-        came = ", ".join(map(str, sorted(wanted - listed)[:5])) or "none"
-        raise UnknownEpisodes(f"Episodes of {task.name} must be among 1 to {len(listed)}; came {came}.")
+        got = ", ".join(map(str, sorted(wanted - listed)[:5])) or "none"
+        raise UnknownEpisodes(f"Expected episodes of {task.name} from 1 to {len(listed)}, got {got}.")
     starts = range(0, len(task.episodes), task.shard_size)
     pieces = (task.episodes[start : start + task.shard_size] for start in starts)
     kept = (tuple(episode for episode in piece if episode.number in wanted) for piece in pieces)

@@ -137,7 +137,7 @@ def test_fault_of_the_machine_is_one_line(submission: Path, capsys: pytest.Captu
     ("arguments", "code", "message"),
     [
         (["--task", "lock-opening"], 2, "expected one of the submission's tasks, peg-insertion"),
-        (["--episodes", "1:271"], 1, "must be among 1 to 270; came 271"),
+        (["--episodes", "1:271"], 1, "from 1 to 270, got 271"),
         (["--workers", "0"], 2, "greater than or equal to 1"),
     ],
 )

@@ -135,8 +135,8 @@ def test_real_physics_is_drawn(run: Run, tmp_path: Path, monkeypatch: pytest.Mon
     ("arguments", "message"),
     [
         (("peg-insertoin", "--episode", 1), "There is no task 'peg-insertoin'; the tasks are"),
-        (("peg-insertion", "--episode", 0), "Episodes of peg-insertion must be among 1 to 270; came 0."),
-        (("peg-insertion", "--episode", 271), "Episodes of peg-insertion must be among 1 to 270; came 271."),
+        (("peg-insertion", "--episode", 0), "Expected episodes of peg-insertion from 1 to 270, got 0."),
+        (("peg-insertion", "--episode", 271), "Expected episodes of peg-insertion from 1 to 270, got 271."),
         (("peg-insertion", "--episode", 5, "--out", "a.jpg"), "expected .png, .gif, .webp, or no suffix for a folder"),
         (("peg-insertion", "--episode", 5, "--out", "no/a.png"), "Cannot write pictures to no/a.png: No such file"),
         (

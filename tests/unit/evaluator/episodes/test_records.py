@@ -184,7 +184,7 @@ def test_result_hash_changes_when_an_episode_is_missing() -> None:
 
 
 def test_episode_twice_is_refused() -> None:
-    with pytest.raises(RecordsDisagree, match="Episode 2 came twice"):
+    with pytest.raises(RecordsDisagree, match="got episode 2 twice"):
         result_hash(make_manifest(), [*RECORDS, make_record(2, env_steps=4)])
 
 

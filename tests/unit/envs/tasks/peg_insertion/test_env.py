@@ -1,4 +1,4 @@
-"""The peg environment on a stand-in for the physics: books, observations, info, ends and refusals."""
+"""The peg environment on a stand-in for the physics: commanded offset, observations, info, ends and refusals."""
 
 from typing import Any
 
@@ -83,7 +83,7 @@ def test_env_step_takes_the_stated_number_of_ipc_steps(action: list[float], step
     assert len(info["step_reports"]) == steps
 
 
-def test_gripper_ends_where_the_books_say(physics: list[FakeScene]) -> None:
+def test_gripper_ends_at_the_commanded_offset(physics: list[FakeScene]) -> None:
     _, _, _, _, _, info = played([1.0, -1.0, 0.5], [0.25, 0.5, 1.0])
     x_mm, y_mm, theta_deg = info["gt_offset_mm_deg"]
     centres = [centre for _, centre in physics[0].placed]
