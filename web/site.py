@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from hashlib import sha256
+from http import HTTPStatus
 from typing import TYPE_CHECKING, Any, cast
 from urllib.parse import quote
 
 from starlette.exceptions import HTTPException
 from starlette.responses import HTMLResponse, RedirectResponse
+from vitac.server.api.conditional import answer
 
+from .fragments import Fragments
 from .rendering import render
 from .session.signer import COOKIE
 
@@ -21,6 +25,8 @@ if TYPE_CHECKING:
 
     from .data.protocol import PageData, Visitor
     from .session.signer import SessionSigner
+
+HTML = "text/html"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,6 +46,7 @@ class Site:
     version: str
     tracks: tuple[str, ...]
     public_url: str | None = None
+    fragments: Fragments = field(default_factory=Fragments)
 
     def address(self, request: Request) -> str:
         """Return the address to use on the command line."""
@@ -116,8 +123,13 @@ def page(
         address=site.address(request),
         **values,
     )
-    caching = "no-cache" if viewer is None else "no-store"
-    return HTMLResponse(html, status_code=status, headers={"Cache-Control": caching, "Vary": "Cookie"})
+    if viewer is not None:
+        return HTMLResponse(html, status_code=status, headers={"Cache-Control": "no-store", "Vary": "Cookie"})
+    headers = {"Cache-Control": "no-cache", "Vary": "Cookie"}
+    if status != HTTPStatus.OK:
+        return HTMLResponse(html, status_code=status, headers=headers)
+    body = html.encode()
+    return answer(request, body, revision=sha256(body).hexdigest()[:32], media_type=HTML, headers=headers)
 
 
 def navigation(site: Site, viewer: Viewer | None) -> tuple[tuple[str, str], ...]:

@@ -2,7 +2,7 @@
 
 from typing import Annotated
 
-from fastapi import APIRouter, Query
+from fastapi import APIRouter, Query, Request, Response
 from vitac.server.leaderboards.log_boards import log_boards
 from vitac.server.leaderboards.standings import leaderboard
 from vitac.server.tracks import load_known_track, track_view, track_views
@@ -10,6 +10,7 @@ from vitac.server.views.leaderboards import LeaderboardView, LogBoardsView
 from vitac.server.views.tracks import TrackListView, TrackView
 
 from .access import ServicesOf
+from .conditional import answer
 from .problems import RESPONSES
 
 router = APIRouter(tags=["tracks"], responses=RESPONSES)
@@ -27,16 +28,28 @@ def get_track(services: ServicesOf, track: str) -> TrackView:
     return track_view(load_known_track(track), services.settings)
 
 
-@router.get("/leaderboards/{track}")
+@router.get(
+    "/leaderboards/{track}",
+    response_model=LeaderboardView,
+    responses={304: {"description": "As the `If-None-Match` of the request says, the client has this revision."}},
+)
 def get_leaderboard(
+    request: Request,
     services: ServicesOf,
     track: str,
     *,
     task: Annotated[str | None, Query(description="Rank by this task alone; all tasks together without it.")] = None,
-) -> LeaderboardView:
+) -> Response:
     """Standings of a track or of one of its tasks: the best completed evaluation of each team."""
     with services.database.transaction() as session:
-        return leaderboard(session, track, task=task)
+        board = leaderboard(session, track, task=task)
+    return answer(
+        request,
+        board.body,
+        revision=board.view.revision,
+        media_type="application/json",
+        headers={"Cache-Control": "no-cache"},
+    )
 
 
 @router.get("/leaderboards/{track}/logs")

@@ -6,15 +6,19 @@ from uuid import UUID
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session, defer, selectinload
+from vitac.evaluator.tracks import Track
 from vitac.evaluator.version import evaluator_version
 from vitac.server.db.models import Evaluation, Submission
 from vitac.server.evaluations.scores import bounds, combined_score, score_views, scores_of
 from vitac.server.leaderboards.best_entries import BestEntry, Board, best_entries
+from vitac.server.leaderboards.made_boards import MadeBoard, MadeBoards, revision_of
 from vitac.server.tracks import load_known_track, require_task
 from vitac.server.views.leaderboards import LeaderboardEntryView, LeaderboardView
 
+_made_boards = MadeBoards()
 
-def leaderboard(session: Session, track_name: str, *, task: str | None = None) -> LeaderboardView:
+
+def leaderboard(session: Session, track_name: str, *, task: str | None = None) -> MadeBoard:
     """Return the best entry of each team, ranked; then teams with results of another evaluator version only.
 
     Args:
@@ -28,7 +32,15 @@ def leaderboard(session: Session, track_name: str, *, task: str | None = None) -
     track = load_known_track(track_name)
     if task is not None:
         require_task(track, task)
-    best = best_entries(session, Board(track=track_name, task=task))
+    board = Board(track=track_name, task=task)
+    best = best_entries(session, board)
+    revision = revision_of(board, best)
+    return _made_boards.get(board, revision, lambda: _view(session, track, task, best, revision))
+
+
+def _view(
+    session: Session, track: Track, task: str | None, best: Collection[BestEntry], revision: str
+) -> LeaderboardView:
     evaluations = completed_evaluations(session, best)
     entries = [_entry(entry, evaluations[entry.evaluation_id], task) for entry in best]
     return LeaderboardView(
@@ -38,6 +50,7 @@ def leaderboard(session: Session, track_name: str, *, task: str | None = None) -
         task=task,
         ranking_rule=track.ranking_rule if task or not track.combination_rule else track.combination_rule,
         evaluator_version=evaluator_version(),
+        revision=revision,
         generated_at=datetime.now(UTC),
         teams=len(entries),
         entries=entries,

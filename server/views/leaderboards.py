@@ -43,7 +43,8 @@ class LeaderboardView(View):
     task: str | None = Field(description="The task that is ranked; null: all together.")
     ranking_rule: str
     evaluator_version: str
-    generated_at: datetime
+    revision: str = Field(description="Changes with the entries; the ETag of the answer.")
+    generated_at: datetime = Field(description="When this revision was put together.")
     teams: int
     entries: list[LeaderboardEntryView]
 

@@ -52,7 +52,7 @@ class ServiceData:
 
     async def leaderboard(self, track: str, task: str | None) -> LeaderboardView:
         """Return the leaderboard of a track, or of one of its tasks."""
-        return await self._run(lambda session: standings.leaderboard(session, track, task=task))
+        return await self._run(lambda session: standings.leaderboard(session, track, task=task).view)
 
     async def log_boards(self, track: str) -> LogBoardsView:
         """Return the logs of a track."""

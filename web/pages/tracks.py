@@ -8,14 +8,17 @@ from typing import TYPE_CHECKING
 from starlette.exceptions import HTTPException
 from vitac.evaluator.tracks import Accepted, UnknownTrack, load_track
 
-from ..rendering import steps, words
+from ..rendering import render, steps, words
 from ..site import page, site_of, viewer_of
 
 if TYPE_CHECKING:
+    from markupsafe import Markup
     from starlette.requests import Request
     from starlette.responses import Response
     from vitac.evaluator.tracks import Track
-    from vitac.server.views.leaderboards import LeaderboardEntryView
+    from vitac.server.views.leaderboards import LeaderboardEntryView, LeaderboardView
+
+    from ..site import Viewer
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,21 +142,37 @@ async def _leaderboard(request: Request, name: str) -> Response:
     track = _track(name)
     site, task = site_of(request), request.query_params.get("task")
     board = await site.data.leaderboard(name, task)
-    shown = columns(track, task)
+    viewer = await viewer_of(request)
     counted = track.tasks.values() if task is None else [track.tasks[task]]
     return page(
         request,
         "leaderboard.html",
-        viewer=await viewer_of(request),
+        viewer=viewer,
         section="/" if name == site.tracks[0] else "",
         board=board,
+        table=_table(request, board, track, viewer),
         track=track,
         tabs=tabs(track, task),
-        combined=_is_combined(track, task),
-        ranked=[entry for entry in board.entries if entry.rank is not None],
+        ranked=sum(entry.rank is not None for entry in board.entries),
         episodes=sum(len(definition.episodes) for definition in counted),
-        columns=shown,
-        cells=lambda entry: cells(shown, entry),
+    )
+
+
+def _table(request: Request, board: LeaderboardView, track: Track, viewer: Viewer | None) -> Markup:
+    """Return the entries as a table; the same for all who see the same of this revision."""
+    shown = columns(track, board.task)
+    seen_by = None if viewer is None else (viewer.name, viewer.is_organizer)
+    return site_of(request).fragments.get(
+        (board.track, board.task, board.revision, seen_by),
+        lambda: render(
+            "leaderboard_table.html",
+            request,
+            viewer=viewer,
+            board=board,
+            combined=_is_combined(track, board.task),
+            columns=shown,
+            cells=lambda entry: cells(shown, entry),
+        ),
     )
 
 

@@ -4,6 +4,7 @@ import random
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
+from hashlib import sha256
 from typing import Any
 from uuid import UUID, uuid5
 
@@ -138,6 +139,7 @@ def a_leaderboard(*entries: LeaderboardEntryView, task: str | None = None) -> Le
         task=task,
         ranking_rule=track.ranking_rule if task else track.combination_rule or "",
         evaluator_version="1+0123456789ab",
+        revision=sha256("".join(entry.model_dump_json() for entry in entries).encode()).hexdigest(),
         generated_at=NOW,
         teams=len(entries),
         entries=list(entries),

@@ -150,7 +150,7 @@ def test_the_combination_is_that_of_todays_rule_in_every_list(
     assert "12.5 %" in admin(service, "evaluation", "list").stdout
     assert "12.5 %" in admin(service, "submission", "list").stdout
     with service.database.transaction() as session:
-        (entry,) = leaderboard(session, "track_1").entries
+        (entry,) = leaderboard(session, "track_1").view.entries
     assert entry.success_rate == 0.125
 
 

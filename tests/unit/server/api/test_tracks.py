@@ -48,6 +48,21 @@ def test_leaderboard_shows_the_best_completed_entry_of_each_team(service: Servic
     assert [shape["episodes"] for shape in first["scores"][0]["shapes"]] == [90, 90, 90]
 
 
+def test_leaderboard_that_a_client_has_is_not_sent_again_until_it_changes(service: Service) -> None:
+    address = f"/api/v1/leaderboards/{TRACK}"
+    evaluated(service, service.token, "x = 1", successes_below(100))
+    first = service.client.get(address)
+    assert first.headers["etag"] == f'W/"{first.json()["revision"]}"'
+    again = service.client.get(address, headers={"If-None-Match": f'"other", {first.headers["etag"]}'})
+    assert (again.status_code, again.content, again.headers["etag"]) == (304, b"", first.headers["etag"])
+    assert service.client.get(f"{address}?task={TASK}").headers["etag"] != first.headers["etag"]
+    evaluated(service, service.token, "x = 2", successes_below(50))  # worse: changes nothing
+    assert service.client.get(address).content == first.content
+    evaluated(service, service.token, "x = 3", successes_below(101))
+    changed = service.client.get(address, headers={"If-None-Match": first.headers["etag"]})
+    assert (changed.status_code, changed.json()["entries"][0]["successes"]) == (200, 100)
+
+
 def test_of_equal_scores_the_earlier_submission_ranks_first(service: Service) -> None:
     first = evaluated(service, service.other_token, "x = 1", successes_below(100))
     second = evaluated(service, service.token, "x = 2", successes_below(100))

@@ -12,7 +12,7 @@ from vitac.server.views.submissions import RankView
 
 def board_of(database: Database, task: str | None = None) -> LeaderboardView:
     with database.transaction() as session:
-        return leaderboard(session, TRACK, task=task)
+        return leaderboard(session, TRACK, task=task).view
 
 
 def standings(board: LeaderboardView) -> list[tuple[int | None, str, str]]:

@@ -46,6 +46,17 @@ def test_entry_of_another_evaluator_version_has_no_rank(data: FixedData, browser
     assert "<dt>Teams ranked</dt><dd>0</dd>" in html
 
 
+def test_a_public_page_that_a_browser_has_is_not_sent_again_until_it_changes(
+    data: FixedData, browser: AsgiBrowser
+) -> None:
+    data.board = a_leaderboard(an_entry(1, "Bears", a_score((84, 80, 77), 4.31)))
+    tag = browser.get("/").headers["etag"]
+    assert browser.get("/", headers={"If-None-Match": tag}).status_code == 304
+    data.board = a_leaderboard(an_entry(1, "Wolves", a_score((84, 80, 77), 4.31)))
+    changed = browser.get("/", headers={"If-None-Match": tag})
+    assert (changed.status_code, "Wolves" in changed.text, "Bears" in changed.text) == (200, True, False)
+
+
 def test_an_entry_without_success_has_no_mean_steps(data: FixedData, browser: AsgiBrowser) -> None:
     data.board = a_leaderboard(an_entry(1, "Bears", a_score((0, 0, 0), None)))
     assert "–" in browser.get("/").text
