@@ -26,12 +26,13 @@ from sqlalchemy import select, text
 from sqlalchemy.orm import Session
 from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.evaluator.scoring.score import Rate, Score, rate
+from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import Task, load_track
 from vitac.evaluator.version import evaluator_hash, evaluator_version
 from vitac.server.accounts import teams, tokens
 from vitac.server.accounts.principals import CONSOLE
 from vitac.server.db.models import EpisodeResult, Evaluation, Submission
-from vitac.server.db.states import EvaluationState, Role, SubmissionKind
+from vitac.server.db.states import EvaluationState, Role
 from vitac.server.evaluations.episode_store import EpisodeKey
 from vitac.server.evaluations.scores import store_scores
 from vitac.server.services import Services, open_services

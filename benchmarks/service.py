@@ -23,10 +23,11 @@ from uuid import UUID, uuid4
 from sqlalchemy import func, select
 from vitac.evaluator.episodes.records import EpisodeRecord
 from vitac.evaluator.scoring.score import score
+from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.accounts import teams
 from vitac.server.accounts.principals import CONSOLE, Principal
 from vitac.server.db.models import Evaluation, Shard, Worker
-from vitac.server.db.states import TERMINAL_EVALUATION_STATES, EvaluationState, Role, SubmissionKind
+from vitac.server.db.states import TERMINAL_EVALUATION_STATES, EvaluationState, Role
 from vitac.server.evaluations.episode_store import EpisodeKey, records_of, store_episode
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.housekeeping import Housekeeping

@@ -3,7 +3,6 @@
 from dataclasses import asdict
 
 from vitac.evaluator.tracks import Track, UnknownTrack, list_tracks, load_track
-from vitac.server.db.states import SubmissionKind
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.settings import Settings
 from vitac.server.views.tracks import TrackListView, TrackTaskView, TrackView
@@ -48,7 +47,7 @@ def track_view(track: Track, settings: Settings) -> TrackView:
         summary=track.summary,
         ranking_rule=track.ranking_rule,
         combination_rule=track.combination_rule,
-        accepts=[SubmissionKind(kind.value) for kind in track.accepts],
+        accepts=list(track.accepts),
         tasks=[
             TrackTaskView(
                 name=name, title=task.title, env_id=task.env_id, episodes=len(task.episodes), max_steps=task.max_steps

@@ -15,7 +15,6 @@ from vitac.evaluator.episodes.records import EpisodeRecord, Manifest
 from vitac.evaluator.scoring.failures import is_broken
 from vitac.evaluator.shards.order import ShardOrder
 from vitac.evaluator.shards.result import ShardEnd, ShardResult
-from vitac.server.db.states import SubmissionKind
 from vitac.server.evaluations.episode_store import StoredEpisodes, store_episode, stored_episodes
 from vitac.server.evaluations.lifecycle import finish_shard, report_broken_machine
 from vitac.server.evaluations.provenance import known_manifest
@@ -124,11 +123,9 @@ class ShardRun:
             return process.result
 
     def _order(self, path: Path, stored: StoredEpisodes) -> ShardOrder:
-        kind = self._lease.kind
         return ShardOrder(
-            submission_dir=path if kind is SubmissionKind.MODEL else None,
-            log=path if kind is SubmissionKind.LOG else None,
-            text_log=path if kind is SubmissionKind.TEXT_LOG else None,
+            kind=self._lease.kind,
+            submission=path,
             track=self._lease.track,
             task=self._lease.task,
             shard=self._lease.number,

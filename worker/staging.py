@@ -12,7 +12,7 @@ from pathlib import Path
 
 from vitac.evaluator.agent.limits import Limits
 from vitac.evaluator.submission.archive import unpack
-from vitac.server.db.states import SubmissionKind
+from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.storage.blobs import BlobStore
 
 KEPT_IDLE = 2
@@ -73,7 +73,7 @@ class SubmissionStage:
         folder.mkdir()
         upload = folder / "upload"
         self._blobs.fetch(archive_sha256, upload)
-        if kind is not SubmissionKind.MODEL:
+        if not kind.form.is_archive:
             return upload
         submission_dir = unpack(upload, folder / "unpacked", self._limits)
         upload.unlink()

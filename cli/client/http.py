@@ -13,8 +13,9 @@ from typing import Any
 
 import httpx
 from vitac.envs.errors import VitacError
+from vitac.evaluator.submission_kinds import SubmissionKind
 
-from .upload_kind import UploadKind, content_type
+from .upload_kind import content_type
 
 DEFAULT_SERVER = "http://127.0.0.1:8000"
 CHUNK_BYTES = 1 << 18
@@ -96,7 +97,7 @@ class Client:
         archive: Path,
         *,
         track: str,
-        kind: UploadKind = UploadKind.MODEL,
+        kind: SubmissionKind = SubmissionKind.MODEL,
         team: str | None = None,
         again: bool = False,
         on_bytes: Callable[[int], None],

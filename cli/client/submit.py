@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from vitac.evaluator.submission_kinds import SubmissionKind
 
 from ..terminal.output import print_json
 from .http import client_from
 from .packing import pack
-from .upload_kind import UploadKind, kind_of
+from .upload_kind import kind_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -33,7 +34,7 @@ def command(
     server: Annotated[str | None, typer.Option(help="Address of the service; default: VITAC_SERVER.")] = None,
     token_file: Annotated[Path | None, typer.Option(help="File with the API token; default: VITAC_TOKEN.")] = None,
     kind: Annotated[
-        UploadKind | None,
+        SubmissionKind | None,
         typer.Option(help="Kind of submission; by default from the name: .jsonl log, .log 2025 text log."),
     ] = None,
     team: Annotated[str | None, typer.Option(help="For organizers: the team that submits.")] = None,

@@ -1,39 +1,29 @@
-"""The kind of a submission by its file name: a model's zip, our log, or a 2025 text log. Called by `submit`."""
+"""What a file to submit is, by its name, and how its upload is announced.
+
+Called by `submit`.
+"""
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
+
+from vitac.evaluator.submission_kinds import GZIP_TYPE, SubmissionKind
 
 GZIP_MAGIC = b"\x1f\x8b"
 
 
-class UploadKind(StrEnum):
-    """The kinds of submission, as named in the API."""
-
-    MODEL = "model"
-    LOG = "log"
-    TEXT_LOG = "text_log"
-
-
-CONTENT_TYPES = {
-    UploadKind.MODEL: "application/zip",
-    UploadKind.LOG: "application/x-ndjson",
-    UploadKind.TEXT_LOG: "text/plain",
-}
-KIND_OF_SUFFIX = {".jsonl": UploadKind.LOG, ".log": UploadKind.TEXT_LOG, ".txt": UploadKind.TEXT_LOG}
-
-
-def kind_of(path: Path) -> UploadKind:
-    """Return the kind of a file or folder by its name; the service checks the content."""
+def kind_of(path: Path) -> SubmissionKind:
+    """Return what a file or folder is; the service checks it anyway."""
     if path.is_dir():
-        return UploadKind.MODEL
+        return SubmissionKind.MODEL
     named = path.with_suffix("") if path.suffix == ".gz" else path
-    return KIND_OF_SUFFIX.get(named.suffix.lower(), UploadKind.MODEL)
+    suffix = named.suffix.lower()
+    return next((kind for kind in SubmissionKind if suffix in kind.form.suffixes), SubmissionKind.MODEL)
 
 
-def content_type(path: Path, kind: UploadKind) -> str:
+def content_type(path: Path, kind: SubmissionKind) -> str:
     """Return how the body of an upload is announced."""
+    types = kind.form.content_types
     with path.open("rb") as file:
         packed = file.read(len(GZIP_MAGIC)) == GZIP_MAGIC
-    return "application/gzip" if packed and kind is not UploadKind.MODEL else CONTENT_TYPES[kind]
+    return GZIP_TYPE if packed and GZIP_TYPE in types else types[0]

@@ -17,6 +17,7 @@ from ..scoring.score import Score, score
 from ..shards.order import ShardOrder
 from ..shards.process import ShardProcess, ShardProcesses
 from ..shards.result import ShardEnd, ShardResult
+from ..submission_kinds import SubmissionKind
 from ..tracks import Task, Track
 from ..tracks.cut import Shard, cut
 
@@ -77,7 +78,8 @@ def evaluate(
     shards = cut(task, episodes)
     orders = [
         ShardOrder(
-            submission_dir=submission_dir.resolve(),
+            kind=SubmissionKind.MODEL,
+            submission=submission_dir.resolve(),
             track=track.name,
             task=task.name,
             shard=shard.index,

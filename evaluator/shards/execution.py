@@ -1,11 +1,13 @@
 """Carries out the order for one shard, in the shard's own process; called by `host`."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import IO
 
 from vitac.envs.errors import VitacError
 
 from ..episodes.records import EpisodeRecord
+from ..submission_kinds import SubmissionKind
 from ..tracks import Task, Track, load_track
 from ..tracks.cut import Shard, cut
 from .log import LogShard, resimulate_log
@@ -13,6 +15,10 @@ from .order import ShardMessage, ShardOrder
 from .policy import run_shard
 from .result import ShardResult
 from .text_log import resimulate_text_log
+
+OnEpisode = Callable[[EpisodeRecord], None]
+Runner = Callable[[ShardOrder, Track, Task, Shard, OnEpisode], ShardResult]
+"""Plays a shard of one kind of submission."""
 
 
 def execute(order: ShardOrder, answer: IO[str]) -> None:
@@ -30,14 +36,16 @@ def execute(order: ShardOrder, answer: IO[str]) -> None:
         send(ShardMessage(result=result))
 
 
-def _result_of(order: ShardOrder, on_episode: Callable[[EpisodeRecord], None]) -> ShardResult:
+def _result_of(order: ShardOrder, on_episode: OnEpisode) -> ShardResult:
     track = load_track(order.track)
     task = track.tasks[order.task]
     shard = next(shard for shard in cut(task, order.episodes) if shard.index == order.shard)
-    if order.submission_dir is None:
-        return _resimulate(order, track, task, shard, on_episode)
+    return RUNNERS[order.kind](order, track, task, shard, on_episode)
+
+
+def _run_policy(order: ShardOrder, track: Track, task: Task, shard: Shard, on_episode: OnEpisode) -> ShardResult:
     return run_shard(
-        submission_dir=order.submission_dir,
+        submission_dir=order.submission,
         track=track,
         task=task,
         shard=shard,
@@ -50,9 +58,22 @@ def _result_of(order: ShardOrder, on_episode: Callable[[EpisodeRecord], None]) -
     )
 
 
-def _resimulate(
-    order: ShardOrder, track: Track, task: Task, shard: Shard, on_episode: Callable[[EpisodeRecord], None]
-) -> ShardResult:
-    log, resimulate = (order.log, resimulate_log) if order.log else (order.text_log, resimulate_text_log)
-    assert log is not None  # noqa: S101 - the order names one source
-    return resimulate(LogShard(log=log, track=track, task=task, shard=shard, skip=order.skip), on_episode)
+def _run_log(order: ShardOrder, track: Track, task: Task, shard: Shard, on_episode: OnEpisode) -> ShardResult:
+    return resimulate_log(_part(order, track, task, shard), on_episode)
+
+
+def _run_text_log(order: ShardOrder, track: Track, task: Task, shard: Shard, on_episode: OnEpisode) -> ShardResult:
+    return resimulate_text_log(_part(order, track, task, shard), on_episode)
+
+
+def _part(order: ShardOrder, track: Track, task: Task, shard: Shard) -> LogShard:
+    return LogShard(log=order.submission, track=track, task=task, shard=shard, skip=order.skip)
+
+
+RUNNERS: Mapping[SubmissionKind, Runner] = MappingProxyType(
+    {
+        SubmissionKind.MODEL: _run_policy,
+        SubmissionKind.LOG: _run_log,
+        SubmissionKind.TEXT_LOG: _run_text_log,
+    }
+)

@@ -2,13 +2,14 @@
 
 import struct
 from pathlib import Path
-from typing import Final, Self
+from typing import Final
 
-from pydantic import NonNegativeInt, model_validator
+from pydantic import NonNegativeInt
 
 from ..agent.limits import Limits
 from ..episodes.records import EpisodeRecord, PolicyFailure
 from ..strict_model import StrictModel
+from ..submission_kinds import SubmissionKind
 from .result import ShardResult
 
 PROCESS_ID: Final = struct.Struct("<q")
@@ -16,11 +17,10 @@ PROCESS_ID: Final = struct.Struct("<q")
 
 
 class ShardOrder(StrictModel):
-    """What a shard's process has to do: play a submission, or re-simulate an uploaded log."""
+    """What a shard's process has to do. `submission` is the folder of an unpacked archive, or the file of a log."""
 
-    submission_dir: Path | None = None
-    log: Path | None = None
-    text_log: Path | None = None
+    kind: SubmissionKind
+    submission: Path
     track: str
     task: str
     shard: NonNegativeInt
@@ -30,12 +30,6 @@ class ShardOrder(StrictModel):
     assets_dir: Path | None = None
     skip: tuple[int, ...] = ()
     earlier_failures: tuple[PolicyFailure, ...] = ()
-
-    @model_validator(mode="after")
-    def _names_one_source(self) -> Self:
-        if sum(source is not None for source in (self.submission_dir, self.log, self.text_log)) != 1:
-            raise ValueError("exactly one of submission_dir, log and text_log must be given")
-        return self
 
 
 class ShardMessage(StrictModel):

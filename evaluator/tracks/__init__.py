@@ -1,10 +1,9 @@
 """Tracks, their tasks and fixed episode lists, read from YAML files."""
 
-from .definition import Accepted, Episode, Task, Track
+from .definition import Episode, Task, Track
 from .registry import UnknownTask, UnknownTrack, archive_folders, find_task, list_tracks, load_track
 
 __all__ = [
-    "Accepted",
     "Episode",
     "Task",
     "Track",

@@ -4,7 +4,6 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
-from enum import StrEnum
 from functools import cached_property
 from typing import Any, Self
 
@@ -14,6 +13,7 @@ from vitac.envs.tasks.definition import ActionComponent, TaskDefinition
 from vitac.envs.tasks.registry import task_definitions
 
 from ..strict_model import StrictModel, Word
+from ..submission_kinds import SubmissionKind
 
 
 class Start(StrictModel):
@@ -133,17 +133,6 @@ class Task(StrictModel):
         return hashlib.sha256((self.model_dump_json() + json.dumps([observed, done])).encode()).hexdigest()
 
 
-class Accepted(StrEnum):
-    """What a track takes. Logs only make sense where the episode list is public: their makers must know the starts."""
-
-    MODEL = "model"
-    """A policy, which the service runs."""
-    LOG = "log"
-    """An evaluation log of ours, which is verified by re-simulation."""
-    TEXT_LOG = "text_log"
-    """A text log of the 2025 challenge, which is shown outside the ranking."""
-
-
 class Track(StrictModel):
     """One track: what is scored, how it is ranked, what may be submitted, and its tasks by name.
 
@@ -157,7 +146,7 @@ class Track(StrictModel):
     summary: str
     ranking_rule: str
     combination_rule: str | None = None
-    accepts: tuple[Accepted, ...] = Field(min_length=1)
+    accepts: tuple[SubmissionKind, ...] = Field(min_length=1)
     scoring_notes: tuple[str, ...] = ()
     tasks: dict[str, Task] = Field(min_length=1)
 

@@ -3,10 +3,9 @@
 import base64
 import binascii
 import json
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator
 from contextlib import aclosing
 from http import HTTPStatus
-from types import MappingProxyType
 from typing import Annotated
 from uuid import UUID
 
@@ -14,8 +13,9 @@ from fastapi import APIRouter, Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
 from sse_starlette import EventSourceResponse, ServerSentEvent
 from starlette.requests import ClientDisconnect
+from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.accounts.principals import Principal
-from vitac.server.db.states import EvaluationState, SubmissionKind
+from vitac.server.db.states import EvaluationState
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.logs import action_matches
 from vitac.server.logs.export import export_log
@@ -26,6 +26,7 @@ from vitac.server.tracks import load_known_track
 from vitac.server.uploads import intake
 from vitac.server.uploads.acceptance import accept, check_kind
 from vitac.server.uploads.checked_upload import CheckedUpload
+from vitac.server.uploads.kinds import SERVED_KINDS
 from vitac.server.views.logs import ActionMatchView
 from vitac.server.views.submissions import EpisodeView, SubmissionListView, SubmissionView
 
@@ -34,19 +35,10 @@ from .problems import RESPONSES
 
 router = APIRouter(prefix="/submissions", tags=["submissions"], responses=RESPONSES)
 
-LOG_TYPE = "application/x-ndjson"
-GZIP_TYPE = "application/gzip"
-TYPES_OF_KIND: Mapping[SubmissionKind, tuple[str, ...]] = MappingProxyType(
-    {
-        SubmissionKind.MODEL: ("application/zip",),
-        SubmissionKind.LOG: (LOG_TYPE, "application/jsonl", GZIP_TYPE),
-        SubmissionKind.TEXT_LOG: ("text/plain", GZIP_TYPE),
-    }
-)
-"""How the body of each kind is announced; the first is the usual one."""
+LOG_TYPE = SubmissionKind.LOG.form.content_types[0]
 PING_S = 15
 _BINARY = {"schema": {"type": "string", "format": "binary"}}
-_BODY = {"required": True, "content": {name: _BINARY for names in TYPES_OF_KIND.values() for name in names}}
+_BODY = {"required": True, "content": {name: _BINARY for kind in SubmissionKind for name in kind.form.content_types}}
 
 
 @router.post(
@@ -191,14 +183,14 @@ async def _events(
 def _check_head(request: Request, services: Services, track: str | None, kind: SubmissionKind) -> None:
     """Refuses by headers and query alone, before any of the body is read."""
     came = request.headers.get("content-type", "").partition(";")[0].strip().lower()
-    types = TYPES_OF_KIND[kind]
+    types = kind.form.content_types
     if came not in types:
         raise ServiceError(
             ProblemCode.UNSUPPORTED_CONTENT_TYPE,
             f"The body of a {kind} must have `Content-Type: {'` or `'.join(types)}`; came {came or 'none'!r}.",
             supported=list(types),
         )
-    intake.check_announced_size(_announced_bytes(request), intake.most_bytes(kind, services.settings))
+    intake.check_announced_size(_announced_bytes(request), SERVED_KINDS[kind].max_bytes(services.settings))
     if track is not None:
         check_kind(kind, load_known_track(track))
 
@@ -217,7 +209,7 @@ async def _take_in(
             received = await intake.receive(
                 request.stream(),
                 folder,
-                limit_bytes=intake.most_bytes(kind, settings),
+                limit_bytes=SERVED_KINDS[kind].max_bytes(settings),
                 silence_s=settings.upload_silence_s,
                 announced_bytes=_announced_bytes(request),
             )

@@ -28,8 +28,8 @@ from sqlalchemy import (
 )
 from sqlalchemy.dialects.postgresql import ARRAY, JSONB
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column, relationship
-
-from .states import EvaluationState, Role, ShardState, SubmissionKind, WorkerState
+from vitac.evaluator.submission_kinds import SubmissionKind
+from vitac.server.db.states import EvaluationState, Role, ShardState, WorkerState
 
 NAMING = {
     "ix": "ix_%(table_name)s_%(column_0_N_name)s",

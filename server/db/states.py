@@ -5,14 +5,6 @@ from enum import StrEnum
 from types import MappingProxyType
 
 
-class SubmissionKind(StrEnum):
-    """What a team uploaded."""
-
-    MODEL = "model"  # a policy that is run
-    LOG = "log"  # our own evaluation log, re-simulated
-    TEXT_LOG = "text_log"  # a log of the 2025 challenge's script
-
-
 class Role(StrEnum):
     """What a token may do."""
 

@@ -6,7 +6,6 @@ from vitac.evaluator.scoring.ranking import CombinedScore, combine
 from vitac.evaluator.scoring.score import Interval, Rate, Score
 from vitac.evaluator.tracks import load_track
 from vitac.server.db.models import ALL_TASKS, BoardResult, Evaluation
-from vitac.server.db.states import SubmissionKind
 from vitac.server.views.scores import ShapeScoreView, TaskScoreView
 
 
@@ -21,7 +20,7 @@ def store_scores(evaluation: Evaluation, scores: Mapping[str, Score], hashes: Ma
     ]
     evaluation.board_results = [_board_result(evaluation, task, score) for task, score in scores.items()]
     combined = combined_score(evaluation)
-    if combined is not None and evaluation.submission.kind is SubmissionKind.MODEL:
+    if combined is not None and evaluation.submission.kind.form.runs_policy:
         evaluation.board_results.append(_board_result(evaluation, ALL_TASKS, combined))
 
 
@@ -68,7 +67,7 @@ def _board_result(evaluation: Evaluation, board: str, score: Score | CombinedSco
 def _tasks_that_count(evaluation: Evaluation) -> Collection[str]:
     """All tasks of the track for a model; a log is of one task, and ranks on that one's board only."""
     submission = evaluation.submission
-    return load_track(submission.track).tasks if submission.kind is SubmissionKind.MODEL else submission.tasks
+    return load_track(submission.track).tasks if submission.kind.form.runs_policy else submission.tasks
 
 
 def _score_view(task: str, score: Score, result_hash: str) -> TaskScoreView:

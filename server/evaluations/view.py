@@ -2,9 +2,9 @@
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session
+from vitac.server.db.states import TERMINAL_EVALUATION_STATES
 
 from ..db.models import EpisodeResult, Evaluation, Submission
-from ..db.states import TERMINAL_EVALUATION_STATES, SubmissionKind
 from ..queue.workers import WorkersAlive
 from ..views.evaluations import EvaluationSummaryView, EvaluationView, VerdictView
 from .differences import differing_episodes
@@ -72,7 +72,7 @@ def _log_tail(session: Session, evaluation: Evaluation, submission: Submission) 
 
     Nothing for a log: no policy ran here, and the output that a log names could be anything.
     """
-    if submission.kind is not SubmissionKind.MODEL:
+    if not submission.kind.form.runs_policy:
         return ""
     if evaluation.state in TERMINAL_EVALUATION_STATES:
         return evaluation.log_tail

@@ -10,11 +10,11 @@ from uuid import UUID
 
 from sqlalchemy import ColumnElement, Select, lateral, select, true
 from sqlalchemy.orm import Session, aliased
+from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import load_track
 from vitac.evaluator.version import evaluator_version
 
 from ..db.models import ALL_TASKS, BoardResult, Team
-from ..db.states import SubmissionKind
 from ..views.submissions import RankView
 
 PlacesOfBoards = Mapping[str | None, Mapping[UUID, RankView]]

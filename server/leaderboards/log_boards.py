@@ -9,14 +9,14 @@ from datetime import UTC, datetime
 from sqlalchemy import select
 from sqlalchemy.dialects.postgresql import distinct_on
 from sqlalchemy.orm import Session, joinedload
+from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.version import evaluator_version
 from vitac.server.db.models import BoardResult, Evaluation, Submission
-from vitac.server.db.states import SubmissionKind
 from vitac.server.evaluations.scores import score_views
 from vitac.server.leaderboards.best_entries import BestEntry, Board, best_entries
 from vitac.server.leaderboards.standings import completed_evaluations
 from vitac.server.logs.claims import LogClaim
-from vitac.server.logs.view import LABELS, verdict_of
+from vitac.server.logs.view import verdict_of
 from vitac.server.tracks import load_known_track
 from vitac.server.views.leaderboards import LogBoardsView, LogBoardView, LogEntryView, TextLogEntryView
 
@@ -37,7 +37,7 @@ def log_boards(session: Session, track_name: str) -> LogBoardsView:
     return LogBoardsView(
         track=track.name,
         title=track.title,
-        label=LABELS[SubmissionKind.LOG],
+        label=SubmissionKind.LOG.form.worth,
         ranking_rule=RANKING_RULE,
         evaluator_version=evaluator_version(),
         generated_at=datetime.now(UTC),

@@ -12,10 +12,11 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 from vitac.evaluator.episodes.records import ActionSequence
 from vitac.evaluator.logs.action_match import EpisodeMatch, compare_actions
+from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.accounts.principals import Principal
 from vitac.server.accounts.visibility import visible
 from vitac.server.db.models import EpisodeResult, Evaluation, Submission
-from vitac.server.db.states import EvaluationState, SubmissionKind
+from vitac.server.db.states import EvaluationState
 from vitac.server.evaluations.episode_store import EpisodeKey
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.views.logs import ActionMatchView, MatchedEpisodeView
@@ -35,7 +36,7 @@ def action_matches(session: Session, by: Principal, submission_id: UUID) -> list
     """
     log = visible(session, by, submission_id)
     evaluation = newest_evaluation(session, log)
-    if log.kind is not SubmissionKind.LOG or evaluation.state is not EvaluationState.COMPLETED:
+    if not log.kind.form.is_verified or evaluation.state is not EvaluationState.COMPLETED:
         return []
     task = log.tasks[0]
     of_log = _actions(session, EpisodeKey.of(evaluation, log), task)

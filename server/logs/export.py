@@ -7,7 +7,7 @@ from sqlalchemy.orm import Session
 from vitac.evaluator.logs.log import LogHeader, write_log
 from vitac.server.accounts.principals import Principal
 from vitac.server.accounts.visibility import visible
-from vitac.server.db.states import EvaluationState, SubmissionKind
+from vitac.server.db.states import EvaluationState
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.evaluations.episode_store import EpisodeKey, records_of
 from vitac.server.evaluations.history import newest_evaluation
@@ -28,7 +28,7 @@ def export_log(session: Session, by: Principal, submission_id: UUID, task: str |
     """
     submission = visible(session, by, submission_id)
     evaluation = newest_evaluation(session, submission)
-    if submission.kind is SubmissionKind.TEXT_LOG:
+    if not submission.kind.form.has_own_log:
         raise ServiceError(
             ProblemCode.NO_LOG, "What our physics makes of a 2025 text log is no evaluation; there is no log of it."
         )
@@ -47,7 +47,7 @@ def export_log(session: Session, by: Principal, submission_id: UUID, task: str |
         )
     header = LogHeader(
         team=submission.team.name,
-        submission_digest=submission.digest if submission.kind is SubmissionKind.MODEL else None,
+        submission_digest=submission.digest if submission.kind.form.runs_policy else None,
         manifest=manifest_of(session, evaluation, chosen),
     )
     stream = BytesIO()

@@ -3,29 +3,23 @@
 from sqlalchemy.orm import Session
 from vitac.evaluator.logs.findings import LogFinding, VerificationResult
 from vitac.server.db.models import Evaluation, Submission
-from vitac.server.db.states import EvaluationState, SubmissionKind
+from vitac.server.db.states import EvaluationState
 from vitac.server.evaluations.lifecycle import first_refuted_shard
 from vitac.server.evaluations.verdicts import VERDICTS_ON_LOGS
 from vitac.server.logs.claims import LogClaim
 from vitac.server.views.logs import DivergenceView, LogView
-
-LABELS = {
-    SubmissionKind.LOG: "actions verified, policy not seen",
-    SubmissionKind.TEXT_LOG: "2025 text log",
-}
-"""What a score of a log is worth: re-simulation proves the actions, not that a policy chose them."""
 
 
 def log_view(session: Session, submission: Submission, evaluation: Evaluation) -> LogView:
     """Claims and verdict of a log, by its newest evaluation."""
     claim = LogClaim.model_validate(submission.manifest)
     finding = _finding(session, evaluation)
-    holds = submission.kind is SubmissionKind.LOG and evaluation.state is EvaluationState.COMPLETED
+    holds = submission.kind.form.is_verified and evaluation.state is EvaluationState.COMPLETED
     held = verdict_of(claim, evaluation) if holds else None
     verdict = finding.verdict if finding else held
     divergence = finding.divergence if finding else None
     return LogView(
-        label=LABELS[submission.kind],
+        label=submission.kind.form.worth,
         verdict=verdict,
         reason=finding.reason if finding else _reason(verdict, claim),
         divergence=DivergenceView(**divergence.model_dump()) if divergence else None,

@@ -14,9 +14,10 @@ from sqlalchemy import Interval, cast, func, select, update
 from sqlalchemy.orm import Session
 from vitac.envs.errors import VitacError
 from vitac.evaluator.shards.result import ShardResult
+from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.db.models import Evaluation, Shard
 from vitac.server.db.row_locks import lock_evaluation
-from vitac.server.db.states import EvaluationState, ShardState, SubmissionKind
+from vitac.server.db.states import EvaluationState, ShardState
 
 from .jobs import ONCE_MORE, enqueue_shards
 

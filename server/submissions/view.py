@@ -5,16 +5,16 @@ from functools import partial
 
 from sqlalchemy.orm import Session
 from vitac.evaluator.tracks import load_track
+from vitac.server.db.states import EvaluationState
 
 from ..accounts.teams import team_view
 from ..db.models import Evaluation, Submission
-from ..db.states import EvaluationState, SubmissionKind
 from ..evaluations.history import history
 from ..evaluations.view import evaluation_view, summary_view
 from ..leaderboards.best_entries import PlacesOfBoards, places
-from ..logs.view import log_view
 from ..queue.workers import workers_alive
 from ..settings import Settings
+from ..uploads.kinds import SERVED_KINDS
 from ..views.submissions import RankView, SubmissionView
 from ..views.workers import WorkersView
 
@@ -42,6 +42,7 @@ def submission_view(
     runs = session.scalars(history(submission)).all()
     newest = runs[0]
     workers = workers_alive(session, settings, newest.evaluator_version)
+    log_view = SERVED_KINDS[submission.kind].log_view
     ranks = _ranks(submission, newest, places_of)
     return SubmissionView(
         id=submission.id,
@@ -60,13 +61,13 @@ def submission_view(
         workers=WorkersView(alive=workers.alive, last_heartbeat_at=workers.last_heartbeat_at),
         rank=ranks.get(None),
         task_ranks={task: place for task, place in ranks.items() if task is not None},
-        log=log_view(session, submission, newest) if submission.kind is not SubmissionKind.MODEL else None,
+        log=log_view(session, submission, newest) if log_view else None,
     )
 
 
 def _missing_tasks(submission: Submission) -> list[str]:
     """Return what a model does not play; a log is of one task and no other is missed."""
-    if submission.kind is not SubmissionKind.MODEL:
+    if not submission.kind.form.runs_policy:
         return []
     return [task for task in load_track(submission.track).tasks if task not in submission.tasks]
 

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-from ..db.states import SubmissionKind
+from vitac.evaluator.submission_kinds import SubmissionKind
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,7 +12,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from vitac.server.db.states import SubmissionKind
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.settings import Settings
 
@@ -37,11 +36,6 @@ def upload_folder(settings: Settings) -> Iterator[Path]:
         yield folder
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-
-
-def most_bytes(kind: SubmissionKind, settings: Settings) -> int:
-    """How large a body of this kind may be."""
-    return settings.limits.archive_packed_bytes if kind is SubmissionKind.MODEL else settings.log_bytes
 
 
 def check_announced_size(n_bytes: int | None, limit_bytes: int) -> None:

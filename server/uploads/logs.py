@@ -7,11 +7,12 @@ from vitac.evaluator.logs.checks import known_without_running, why_impossible
 from vitac.evaluator.logs.findings import Impossibility, ImpossibleReason
 from vitac.evaluator.logs.log import LogReader, LogRejected
 from vitac.evaluator.logs.packing import UnpackFailed, open_log
+from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import Task, Track, list_tracks, load_track
 from vitac.server.accounts.teams import name_key
-from vitac.server.db.states import SubmissionKind
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.logs.claims import LogClaim
+from vitac.server.settings import Settings
 from vitac.server.uploads.checked_upload import CheckedUpload
 from vitac.server.uploads.intake import ReceivedFile
 
@@ -19,19 +20,19 @@ DIGITS_IN_NAME = 8
 """A log has no name of its own: it is called after the start of its digest."""
 
 
-def check_log(received: ReceivedFile, owner: str, limit_bytes: int) -> CheckedUpload:
-    """Read a log once, line by line, and keeps its claims.
+def check_log(received: ReceivedFile, owner: str, settings: Settings) -> CheckedUpload:
+    """Read a log once, line by line, and keep its claims.
 
     Args:
         received: the body, packed or not.
         owner: the team whose submission it becomes.
-        limit_bytes: most that it may have unpacked.
+        settings: how large it may be unpacked.
 
     Raises:
         ServiceError: it is damaged, of another team, or no evaluation by this evaluator can have made it.
     """
     try:
-        with open_log(received.path, limit_bytes) as stream:
+        with open_log(received.path, settings.log_bytes) as stream:
             reader = LogReader(stream)
             require_own_team(reader.header.team, owner)
             claim = _claim_of(reader)
@@ -54,7 +55,7 @@ def check_log(received: ReceivedFile, owner: str, limit_bytes: int) -> CheckedUp
 
 
 def require_own_team(named: str | None, owner: str) -> None:
-    """Refuses a log that names another team.
+    """Refuse a log that names another team.
 
     Raises:
         ServiceError: it does.
@@ -105,7 +106,7 @@ def _track_and_task(manifest: Manifest) -> tuple[Track, Task]:
 
 
 def _keeping(kept: list[EpisodeRecord], records: Iterable[EpisodeRecord]) -> Iterator[EpisodeRecord]:
-    """Return the records as they come; keeps them without infos and messages, which alone can be large."""
+    """Return the records as they come; keep them without infos and messages, which alone can be large."""
     for record in records:
         failure = record.failure and record.failure.model_copy(update={"message": "", "output_tail": ""})
         kept.append(record.model_copy(update={"infos": (), "failure": failure}))

@@ -10,9 +10,10 @@ from vitac.evaluator.logs.findings import Impossibility, ImpossibleReason
 from vitac.evaluator.logs.packing import UnpackFailed, open_log
 from vitac.evaluator.logs.text_2025 import Script, TextLog, TextLogRejected, read_text_log, summarize
 from vitac.evaluator.logs.text_2025.recordings import track_and_task_names, why_not_resimulated
+from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import Task
-from vitac.server.db.states import SubmissionKind
 from vitac.server.logs.claims import LogClaim
+from vitac.server.settings import Settings
 from vitac.server.tracks import load_known_track
 from vitac.server.uploads.checked_upload import CheckedUpload
 from vitac.server.uploads.intake import ReceivedFile
@@ -29,19 +30,19 @@ MOST_CHARACTERS = 200
 """So much of one problem is kept."""
 
 
-def check_text_log(received: ReceivedFile, owner: str, limit_bytes: int) -> CheckedUpload:
-    """Read a text log and keeps its claims.
+def check_text_log(received: ReceivedFile, owner: str, settings: Settings) -> CheckedUpload:
+    """Read a text log and keep its claims.
 
     Args:
         received: the body, packed or not.
         owner: the team whose submission it becomes.
-        limit_bytes: most that it may have unpacked.
+        settings: how large it may be unpacked.
 
     Raises:
         ServiceError: it is damaged, of another team, or not a whole evaluation of a task that we have.
     """
     try:
-        with open_log(received.path, limit_bytes) as stream:
+        with open_log(received.path, settings.log_bytes) as stream:
             log = read_text_log(stream)
         script, summary = summarize(log)
     except TextLogRejected as error:
@@ -51,7 +52,7 @@ def check_text_log(received: ReceivedFile, owner: str, limit_bytes: int) -> Chec
     require_own_team(log.team, owner)
     track, task = _task_of(script)
     _require_whole(log, script, task)
-    digest = _digest_of(received, limit_bytes)
+    digest = _digest_of(received, settings.log_bytes)
     return CheckedUpload(
         kind=SubmissionKind.TEXT_LOG,
         track=track,

@@ -5,8 +5,8 @@ from uuid import UUID
 
 from pydantic import Field
 from vitac.evaluator.logs.findings import VerificationResult
+from vitac.evaluator.submission_kinds import SubmissionKind
 
-from ..db.states import SubmissionKind
 from .base import View
 from .scores import TaskScoreView
 

@@ -4,8 +4,8 @@ from datetime import datetime
 from uuid import UUID
 
 from pydantic import Field
+from vitac.evaluator.submission_kinds import SubmissionKind
 
-from ..db.states import SubmissionKind
 from .accounts import TeamView
 from .base import View
 from .evaluations import EvaluationSummaryView, EvaluationView

@@ -1,8 +1,8 @@
 """Tracks as they are shown."""
 
 from pydantic import Field
+from vitac.evaluator.submission_kinds import SubmissionKind
 
-from ..db.states import SubmissionKind
 from .base import View
 
 

@@ -23,7 +23,8 @@ from playwright.sync_api import Browser, Page, sync_playwright
 from site_under_test import SiteUnderTest
 from vitac.cli.service.web_server import WebServer, address_of, bind
 from vitac.evaluator.logs.findings import VerificationResult
-from vitac.server.db.states import EvaluationState, Role, SubmissionKind
+from vitac.evaluator.submission_kinds import SubmissionKind
+from vitac.server.db.states import EvaluationState, Role
 from vitac.server.views.evaluations import VerdictView
 from vitac.server.views.leaderboards import LeaderboardView
 

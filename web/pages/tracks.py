@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from starlette.exceptions import HTTPException
-from vitac.evaluator.tracks import Accepted, UnknownTrack, load_track
+from vitac.evaluator.tracks import UnknownTrack, load_track
 
 from ..rendering import render, steps, words
 from ..site import page, site_of, viewer_of
@@ -103,7 +103,7 @@ def tabs(track: Track, task: str | None, *, logs: bool = False) -> tuple[Tab, ..
 
 def accepts_logs(track: Track) -> bool:
     """Return whether a track accepts logs of any kind."""
-    return any(kind is not Accepted.MODEL for kind in track.accepts)
+    return any(not kind.form.runs_policy for kind in track.accepts)
 
 
 def columns(track: Track, task: str | None) -> tuple[Column, ...]:

@@ -14,6 +14,7 @@ from vitac.evaluator.logs.log import LogHeader
 from vitac.evaluator.logs.verification import verify
 from vitac.evaluator.shards.order import ShardOrder
 from vitac.evaluator.shards.process import ShardProcesses
+from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import find_task
 
 TRACK, TASK = find_task("peg-insertion")
@@ -65,7 +66,13 @@ def test_hash_is_the_same_for_workers_order_and_resume(submission: Path) -> None
     one, two = run(submission), run(submission, workers=2)
     assert one.result_hash == two.result_hash
     order = ShardOrder(
-        submission_dir=submission, track="track_1", task="peg-insertion", shard=0, episodes=(1, 2), skip=(1,)
+        kind=SubmissionKind.MODEL,
+        submission=submission,
+        track="track_1",
+        task="peg-insertion",
+        shard=0,
+        episodes=(1, 2),
+        skip=(1,),
     )
     with ShardProcesses() as processes, processes.running_shard(order) as process:
         resumed = [one.records[0], *process.records(), one.records[2]]

@@ -25,13 +25,14 @@ from vitac.evaluator.episodes.records import (
 )
 from vitac.evaluator.scoring.score import Score, rate
 from vitac.evaluator.shards.result import ShardEnd, ShardResult
+from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import load_track
 from vitac.evaluator.version import evaluator_hash, evaluator_version, platform_class
 from vitac.server.accounts import teams, tokens
 from vitac.server.accounts.principals import CONSOLE, Principal
 from vitac.server.db.engine import Database
 from vitac.server.db.models import BoardResult, EpisodeResult, Evaluation, Shard, Submission
-from vitac.server.db.states import EvaluationState, Role, ShardState, SubmissionKind
+from vitac.server.db.states import EvaluationState, Role, ShardState
 from vitac.server.evaluations import lifecycle
 from vitac.server.evaluations.episode_store import row_values, store_episode
 from vitac.server.evaluations.history import newest_evaluation

@@ -12,9 +12,10 @@ from fastapi import FastAPI
 from vitac.evaluator.logs.findings import VerificationResult
 from vitac.evaluator.scoring.ranking import CombinedScore, combine
 from vitac.evaluator.scoring.score import Score, rate
+from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import load_track
 from vitac.server.accounts.principals import Principal
-from vitac.server.db.states import EvaluationState, Role, SubmissionKind
+from vitac.server.db.states import EvaluationState, Role
 from vitac.server.errors import ProblemCode, ServiceError, not_found
 from vitac.server.views.accounts import TeamView
 from vitac.server.views.evaluations import (

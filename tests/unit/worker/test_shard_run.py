@@ -19,9 +19,10 @@ from service_factories import (
 )
 from sqlalchemy import select, text
 from vitac.evaluator.shards.process import ShardProcessFailed
+from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.accounts.principals import Principal
 from vitac.server.db.models import EpisodeResult, Shard, Submission
-from vitac.server.db.states import EvaluationState, Role, ShardState, SubmissionKind
+from vitac.server.db.states import EvaluationState, Role, ShardState
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.queue.leases import Lease
 from vitac.server.services import Services
@@ -81,8 +82,8 @@ def test_shard_is_run_from_the_unpacked_submission_and_ended(
     seen = []
 
     def gate(number: int) -> None:
-        folder = shards.started[0].order.submission_dir
-        seen.append(folder is not None and (folder / "policy.py").is_file())
+        order = shards.started[0].order
+        seen.append(order.kind is SubmissionKind.MODEL and (order.submission / "policy.py").is_file())
 
     shards.gate = gate
     assert ShardRun(services, stage, lease, shards).run() is RunEnd.FINISHED
@@ -133,18 +134,16 @@ def test_shard_of_a_log_gets_its_file_and_the_episodes_that_are_stored(
 ) -> None:
     store(services.database, lease, [make_record(3)])
     shards = FakeShards()
-    seen: list[bytes | None] = []
+    seen: list[bytes] = []
 
     def gate(number: int) -> None:
-        order = shards.started[0].order
-        file = order.log if kind is SubmissionKind.LOG else order.text_log
-        seen.append(file.read_bytes() if file else None)
+        seen.append(shards.started[0].order.submission.read_bytes())
 
     shards.gate = gate
     assert ShardRun(services, stage, replace(lease, kind=kind), shards).run() is RunEnd.FINISHED
     order = shards.started[0].order
-    assert (order.submission_dir, order.skip) == (None, (3,))
-    assert {hashlib.sha256(content or b"").hexdigest() for content in seen} == {archive_sha256}
+    assert (order.kind, order.skip) == (kind, (3,))
+    assert {hashlib.sha256(content).hexdigest() for content in seen} == {archive_sha256}
     assert stored_numbers(services) == list(range(1, 28))
 
 

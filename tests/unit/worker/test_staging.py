@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from service_client import make_archive
 from service_factories import sha256
-from vitac.server.db.states import SubmissionKind
+from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.errors import ServiceError
 from vitac.server.services import Services
 from vitac.worker.staging import KEPT_IDLE, SubmissionStage

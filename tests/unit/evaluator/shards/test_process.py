@@ -23,7 +23,7 @@ def fake_command(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def order(behaviour: str, **changes: object) -> ShardOrder:
-    fields = {"submission_dir": Path(behaviour), "track": "track_1", "task": "peg-insertion", "shard": 0}
+    fields = {"kind": "model", "submission": Path(behaviour), "track": "track_1", "task": "peg-insertion", "shard": 0}
     return ShardOrder.model_validate(fields | {"episodes": (1, 2, 3)} | changes)
 
 

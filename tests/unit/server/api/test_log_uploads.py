@@ -16,7 +16,8 @@ from service_factories import TRACK, make_failed_record, make_record
 from sqlalchemy import text
 from uploaded_logs import a_log, a_text_log, packed, some_records, upload_log
 from vitac.evaluator.episodes.records import ActionSequence, EpisodeRecord
-from vitac.evaluator.tracks import Accepted, load_track
+from vitac.evaluator.submission_kinds import SubmissionKind
+from vitac.evaluator.tracks import load_track
 from vitac.server import tracks
 from vitac.server.db.engine import Database
 
@@ -232,7 +233,7 @@ def test_request_and_log_must_agree_on_the_track(service: Service) -> None:
 def test_kinds_that_a_track_does_not_take_are_refused_by_name(
     service: Service, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    only_models = load_track(TRACK).model_copy(update={"accepts": (Accepted.MODEL,)})
+    only_models = load_track(TRACK).model_copy(update={"accepts": (SubmissionKind.MODEL,)})
     monkeypatch.setattr(tracks, "load_track", lambda _: only_models)
     for query in ("&track=track_1", ""):
         problem = problem_of(upload_log(service, LOG, query=query), 422, "unsupported_submission_kind")

@@ -11,12 +11,13 @@ from sqlalchemy import select, text
 from sqlalchemy.orm import Session
 from vitac.evaluator.scoring.ranking import Standing, rank
 from vitac.evaluator.scoring.score import Score
+from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.version import evaluator_hash, evaluator_version
 from vitac.server.accounts.principals import CONSOLE
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Evaluation, Submission, Team
 from vitac.server.db.schema import downgrade, upgrade
-from vitac.server.db.states import EvaluationState, SubmissionKind
+from vitac.server.db.states import EvaluationState
 from vitac.server.evaluations.scores import combined_score, scores_of, store_scores
 from vitac.server.leaderboards.best_entries import Board, best_entries, places
 from vitac.server.leaderboards.log_boards import log_boards

@@ -1,9 +1,9 @@
 import pytest
 from service_factories import LOCK, TASK, TRACK, make_principal, make_score, make_settings, submit_scored
 from vitac.evaluator.scoring.score import interval_of_mean
+from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.accounts.principals import CONSOLE
 from vitac.server.db.engine import Database
-from vitac.server.db.states import SubmissionKind
 from vitac.server.leaderboards.standings import leaderboard
 from vitac.server.submissions import listing
 from vitac.server.views.leaderboards import LeaderboardView

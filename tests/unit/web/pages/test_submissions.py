@@ -3,7 +3,8 @@ from asgi_browser import AsgiBrowser
 from page_fixtures import DIVERGENCE, LOCK, TASK, FixedData, a_log, a_submission, an_action_match, an_id
 from visits import BOTH, COMPLETED, FAILED, QUEUED, RUNNING, form_token, page_of, sign_in
 from vitac.evaluator.logs.findings import VerificationResult
-from vitac.server.db.states import EvaluationState, SubmissionKind
+from vitac.evaluator.submission_kinds import SubmissionKind
+from vitac.server.db.states import EvaluationState
 from vitac.server.views.evaluations import DifferingEpisodeView
 
 VERIFIED = a_log(EvaluationState.COMPLETED, VerificationResult.VERIFIED, reason="all states are equal")

@@ -1,0 +1,59 @@
+"""The kinds of submission: what a track may take, how a file of each is told, and what is done with it.
+
+A new kind is a member here, a runner in `shards.execution` and an entry in `server.uploads.kinds`.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from types import MappingProxyType
+
+GZIP_TYPE = "application/gzip"
+
+
+@dataclass(frozen=True, kw_only=True)
+class KindForm:
+    """What holds for every submission of a kind."""
+
+    content_types: tuple[str, ...]  #: how the body of an upload is announced; the first is the usual one
+    suffixes: tuple[str, ...] = ()  #: how the names of its files end, without `.gz`
+    is_archive: bool = False  #: a zip of a folder, which is unpacked before anything is done with it
+    runs_policy: bool = False  #: a policy of the team chooses the actions; otherwise recorded ones are re-simulated
+    is_verified: bool = False  #: it claims what an evaluation of ours found, which re-simulation confirms or refutes
+    has_own_log: bool = False  #: its evaluation can be written as a log of ours, and verified again
+    worth: str = ""  #: what its score is worth, in a few words; empty where it ranks as a model
+
+
+class SubmissionKind(StrEnum):
+    """What a team submits. Logs only make sense where the episode list is public: their makers must know the starts."""
+
+    MODEL = "model"
+    """A policy, which the service runs."""
+    LOG = "log"
+    """An evaluation log of ours, which is verified by re-simulation."""
+    TEXT_LOG = "text_log"
+    """A text log of the 2025 challenge, which is shown outside the ranking."""
+
+    @property
+    def form(self) -> KindForm:
+        """What holds for all submissions of the kind."""
+        return _FORMS[self]
+
+
+_FORMS: Mapping[SubmissionKind, KindForm] = MappingProxyType(
+    {
+        SubmissionKind.MODEL: KindForm(
+            content_types=("application/zip",), suffixes=(".zip",), is_archive=True, runs_policy=True, has_own_log=True
+        ),
+        SubmissionKind.LOG: KindForm(
+            content_types=("application/x-ndjson", "application/jsonl", GZIP_TYPE),
+            suffixes=(".jsonl",),
+            is_verified=True,
+            has_own_log=True,
+            worth="actions verified, policy not seen",
+        ),
+        SubmissionKind.TEXT_LOG: KindForm(
+            content_types=("text/plain", GZIP_TYPE), suffixes=(".log", ".txt"), worth="2025 text log"
+        ),
+    }
+)

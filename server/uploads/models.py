@@ -1,0 +1,44 @@
+"""Checks an uploaded model: the archive's rules and the submission manifest; called by `acceptance`."""
+
+from vitac.evaluator.submission.archive import unpack
+from vitac.evaluator.submission.manifest import ManifestRejected, load_manifest, submission_digest
+from vitac.evaluator.submission.names import ArchiveRejected
+from vitac.evaluator.submission_kinds import SubmissionKind
+
+from ..errors import ProblemCode, ServiceError
+from ..settings import Settings
+from ..tracks import load_known_track
+from .checked_upload import CheckedUpload
+from .intake import ReceivedFile
+
+_UNPACKED_NAME = "unpacked"
+
+
+def check_model(received: ReceivedFile, owner: str, settings: Settings) -> CheckedUpload:  # noqa: ARG001 - as all checks
+    """Unpack an archive beside itself and read its manifest; nothing of it is imported.
+
+    Args:
+        received: the body.
+        owner: the team whose submission it becomes, which a model does not name.
+        settings: limits on archives.
+
+    Raises:
+        ServiceError: the archive or its manifest breaks a rule.
+    """
+    try:
+        folder = unpack(received.path, received.path.with_name(_UNPACKED_NAME), settings.limits)
+        manifest, digest = load_manifest(folder), submission_digest(folder, settings.limits)
+    except ArchiveRejected as error:
+        raise ServiceError(ProblemCode.ARCHIVE_REJECTED, error.message, reason=error.code.value) from error
+    except ManifestRejected as error:
+        raise ServiceError(ProblemCode.MANIFEST_REJECTED, str(error)) from error
+    return CheckedUpload(
+        kind=SubmissionKind.MODEL,
+        track=manifest.track,
+        tasks=tuple(task for task in load_known_track(manifest.track).tasks if task in manifest.tasks),
+        name=manifest.name,
+        digest=digest,
+        archive_sha256=received.sha256,
+        archive_bytes=received.n_bytes,
+        manifest=manifest.model_dump(mode="json"),
+    )

@@ -1,0 +1,18 @@
+import pytest
+from vitac.evaluator.shards.execution import RUNNERS
+from vitac.evaluator.submission_kinds import SubmissionKind
+from vitac.server.uploads.kinds import SERVED_KINDS
+
+
+@pytest.mark.parametrize("kind", SubmissionKind)
+def test_every_kind_is_announced_run_checked_and_shown_in_one_way(kind: SubmissionKind) -> None:
+    assert kind.form.content_types
+    assert kind in RUNNERS
+    assert kind in SERVED_KINDS
+    # What runs no policy is a log: it says what its score is worth, and the service shows what it claims.
+    assert (SERVED_KINDS[kind].log_view is None) == kind.form.runs_policy == (kind.form.worth == "")
+
+
+def test_no_name_of_a_file_is_of_two_kinds() -> None:
+    suffixes = [suffix for kind in SubmissionKind for suffix in kind.form.suffixes]
+    assert len(set(suffixes)) == len(suffixes)
