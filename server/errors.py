@@ -85,7 +85,7 @@ STATUS_OF_CODE: Mapping[ProblemCode, HTTPStatus] = MappingProxyType(
 
 
 class ServiceError(VitacError):
-    """A request that the service refuses; `detail` says what was expected, what came and what to do."""
+    """A request that the service refuses; `detail` says what was expected, what was given and what to do."""
 
     def __init__(self, code: ProblemCode, detail: str, **extras: object) -> None:
         super().__init__(detail)

@@ -74,11 +74,13 @@ class Settings(BaseSettings):
         "2025 text logs have 8 MiB at most.",
     )
     uploads_at_once: PositiveInt = Field(default=2, description="Uploads that one team may send at the same time.")
-    upload_silence_s: PositiveFloat = Field(default=30.0, description="An upload that stops for so long is given up.")
+    upload_idle_timeout_s: PositiveFloat = Field(
+        default=30.0, description="An upload that sends nothing for so long is given up."
+    )
     event_streams: PositiveInt = Field(default=200, description="Event streams that one server process keeps open.")
 
     lease_s: PositiveFloat = Field(
-        default=10.0, description="A shard whose worker is silent for so long is given to another one."
+        default=10.0, description="A shard whose worker does not renew its lease for so long is given to another one."
     )
     lease_renewal_s: PositiveFloat = Field(
         default=1.0, description="How often a worker renews its shard; bounds the time a cancel takes."
@@ -87,12 +89,12 @@ class Settings(BaseSettings):
     shard_attempts: PositiveInt = Field(
         default=3, description="How often a shard is started without any progress before the evaluation fails by name."
     )
-    shard_silence_s: PositiveFloat = Field(
+    shard_idle_timeout_s: PositiveFloat = Field(
         default=1800.0, description="A shard's process that finishes no episode for so long is ended and tried again."
     )
     worker_heartbeat_s: PositiveFloat = 2.0
-    worker_silent_s: PositiveFloat = Field(
-        default=15.0, description="A worker that was silent for so long counts as gone."
+    worker_lost_after_s: PositiveFloat = Field(
+        default=15.0, description="A worker without a heartbeat for so long is lost."
     )
     worker_slots: PositiveInt = Field(default=1, description="Shards that one worker process runs at the same time.")
     finished_jobs_kept_h: PositiveInt = 24

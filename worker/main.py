@@ -13,8 +13,8 @@ from vitac.server.housekeeping import Housekeeping
 from vitac.server.services import Services, open_services
 from vitac.server.settings import Settings
 
+from .heartbeat import Heartbeat
 from .isolation import IsolationReport, probe_isolation
-from .presence import Presence
 from .shard_run import StartShard
 from .staging import SubmissionStage
 from .worker import QueueWorker
@@ -24,7 +24,7 @@ logger = structlog.get_logger(__name__)
 ProbeIsolation = Callable[[], IsolationReport]
 
 PROBE_AGAIN_S = 60.0
-"""Pause of a worker that refuses: what kept it from isolating policies may have been mended."""
+"""Pause of a worker that refuses: what kept it from isolating policies may have been repaired."""
 
 
 def run(settings: Settings) -> None:
@@ -50,32 +50,32 @@ def work(services: Services, start: StartShard, *, probe: ProbeIsolation = probe
 
 
 def _take_shards(services: Services, report: IsolationReport, start: StartShard, stopping: threading.Event) -> None:
-    """Works until it is told to stop."""
+    """Work until it is told to stop."""
     with ExitStack() as stack:
-        presence = Presence(services, state=WorkerState.READY, isolation=report.level)
-        presence.start()
-        stack.callback(presence.stop)
+        heartbeat = Heartbeat(services, state=WorkerState.READY, isolation=report.level)
+        heartbeat.start()
+        stack.callback(heartbeat.stop)
         stage = SubmissionStage(services.blobs, services.settings.scratch_dir, services.settings.limits)
         stack.callback(stage.close)
         housekeeping = Housekeeping(services)
         housekeeping.start()
         stack.callback(housekeeping.stop)
-        worker = QueueWorker(services, stage, presence.worker_id, start)
+        worker = QueueWorker(services, stage, heartbeat.worker_id, start)
         # A thread, not the signal's handler: that may interrupt whoever holds the locks which `stop` needs.
         threading.Thread(target=_stop_when, args=(stopping, worker), name="stop", daemon=True).start()
-        logger.info("worker_started", worker=str(presence.worker_id), slots=services.settings.worker_slots)
+        logger.info("worker_started", worker=str(heartbeat.worker_id), slots=services.settings.worker_slots)
         asyncio.run(worker.run())
-        logger.info("worker_stopped", worker=str(presence.worker_id))
+        logger.info("worker_stopped", worker=str(heartbeat.worker_id))
 
 
 def _refuse(services: Services, report: IsolationReport, stopping: threading.Event) -> None:
-    """Says on the organizers' pages why nothing is taken here, until it is time to probe again."""
+    """Say on the organizers' pages why nothing is taken here, until it is time to probe again."""
     message = f"The sandbox of this machine is not sound: {' '.join(report.problems)} Run `vitac doctor`."
     logger.error("worker_refuses", message=message)
-    presence = Presence(services, state=WorkerState.REFUSING, isolation=report.level, message=message)
-    presence.start()
+    heartbeat = Heartbeat(services, state=WorkerState.REFUSING, isolation=report.level, message=message)
+    heartbeat.start()
     stopping.wait(PROBE_AGAIN_S)
-    presence.stop()
+    heartbeat.stop()
 
 
 def _stop_when(stopping: threading.Event, worker: QueueWorker) -> None:

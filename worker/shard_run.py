@@ -70,11 +70,11 @@ class ShardRun:
         self._stopping = threading.Event()
         self._lost = threading.Event()
         self._over = threading.Event()
-        self._silent = threading.Event()
-        self._heard_at = time.monotonic()
+        self._is_idle = threading.Event()
+        self._last_record_at = time.monotonic()
 
     def run(self) -> RunEnd:
-        """Works until the shard is finished, lost, handed back or reported as broken."""
+        """Work until the shard is finished, lost, handed back or reported as broken."""
         renewing = threading.Thread(target=self._keep_lease, name=f"lease-{self._lease.shard_id}", daemon=True)
         renewing.start()
         try:
@@ -136,7 +136,7 @@ class ShardRun:
         )
 
     def _store(self, record: EpisodeRecord) -> None:
-        self._heard_at = time.monotonic()
+        self._last_record_at = time.monotonic()
         self._database(lambda session: store_episode(session, self._lease, record))
 
     def _keep_lease(self) -> None:
@@ -144,7 +144,7 @@ class ShardRun:
         while not self._over.wait(settings.lease_renewal_s):
             try:
                 self._database(lambda session: leases.renew(session, self._lease, settings.lease_s))
-                self._end_silence()
+                self._end_if_idle()
             except LeaseLost:
                 self._lost.set()
                 self._kill()
@@ -152,14 +152,14 @@ class ShardRun:
             except Exception as error:  # noqa: BLE001 - whatever it is, the work itself goes on and will tell
                 logger.warning("lease_not_renewed", shard=self._lease.shard_id, error=str(error))
 
-    def _end_silence(self) -> None:
+    def _end_if_idle(self) -> None:
         """End a process that hangs: its limits bound the policy, but nothing else bounds the simulation."""
-        if time.monotonic() - self._heard_at > self._services.settings.shard_silence_s:
-            self._silent.set()
+        if time.monotonic() - self._last_record_at > self._services.settings.shard_idle_timeout_s:
+            self._is_idle.set()
             self._kill()
 
     def _end_early(self, error: Exception) -> RunEnd:
-        """Says what became of a shard whose process ended before its time."""
+        """Say what became of a shard whose process ended before its time."""
         if self._lost.is_set():
             return RunEnd.LOST
         try:
@@ -167,8 +167,8 @@ class ShardRun:
                 self._database(lambda session: leases.hand_back(session, self._lease, counts_as_attempt=False))
                 return RunEnd.HANDED_BACK
             message = " ".join(str(error).split())[:1000]
-            if self._silent.is_set():
-                message = f"No episode ended within {self._services.settings.shard_silence_s:g} s."
+            if self._is_idle.is_set():
+                message = f"No episode ended within {self._services.settings.shard_idle_timeout_s:g} s."
             logger.error("shard_broke", shard=self._lease.shard_id, attempt=self._lease.attempt, error=message)
             settings = self._services.settings
             self._database(lambda session: report_broken_machine(session, settings, self._lease, message))

@@ -42,7 +42,7 @@ class QueueWorker:
         self._stopped: asyncio.Event | None = None
 
     async def run(self) -> None:
-        """Works until `stop`; connects again whenever the database went away."""
+        """Work until `stop`; connects again whenever the database went away."""
         self._loop, self._stopped = asyncio.get_running_loop(), asyncio.Event()
         if self._stopping:
             return
@@ -56,7 +56,7 @@ class QueueWorker:
                     await asyncio.wait_for(self._stopped.wait(), RECONNECT_PAUSE_S)
 
     def stop(self) -> None:
-        """Give all shards back and ends."""
+        """Give all shards back and end."""
         with self._lock:
             self._stopping = True
             running = list(self._runs)

@@ -13,13 +13,13 @@ app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
 @app.command("list")
 def list_workers(as_json: AsJson = False) -> None:
-    """List the workers of the last week, the one heard last first."""
+    """List the workers of the last week, the one with the newest heartbeat first."""
     from vitac.server.queue import workers
 
     with transaction() as session:
         found = [workers.worker_view(worker).model_dump() for worker in workers.list_workers(session)]
     columns = ("id", "host", "pid", "slots", "state", "isolation", "heartbeat_at", "message")
-    none = "No worker was heard in the last week; `vitac worker` starts one."
+    none = "No worker has run in the last week; `vitac worker` starts one."
     print_records(found, columns, none=none, as_json=as_json)
 
 

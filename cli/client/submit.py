@@ -64,15 +64,15 @@ def command(
         show_when_ended(client, answer["id"], as_json=as_json)
 
 
-def _track_of(submission: Path, kind: UploadKind) -> str:
+def _track_of(submission: Path, kind: SubmissionKind) -> str:
     """Return the track that a submission names: a model in its manifest, a log of ours in its header."""
     from vitac.evaluator.logs.log import LogReader
     from vitac.evaluator.logs.packing import open_log
     from vitac.evaluator.submission.manifest import manifest_of
 
-    if kind is UploadKind.MODEL:
+    if kind is SubmissionKind.MODEL:
         return manifest_of(submission).track
-    if kind is UploadKind.TEXT_LOG:
+    if kind is SubmissionKind.TEXT_LOG:
         return TRACK_OF_TEXT_LOGS
     with open_log(submission) as stream:
         return LogReader(stream).header.manifest.track

@@ -31,7 +31,7 @@ class Principal:
         return self.is_organizer or self.team_id == team_id
 
     def require_organizer(self) -> None:
-        """Refuses everybody else.
+        """Refuse everybody else.
 
         Raises:
             ServiceError: forbidden.

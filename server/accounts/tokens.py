@@ -74,7 +74,7 @@ def authenticate(session: Session, secret: str) -> Principal:
     if not SECRET_PATTERN.fullmatch(secret):
         raise ServiceError(
             ProblemCode.INVALID_CREDENTIALS,
-            f"A token is {PREFIX} and 43 letters, digits, - or _; what came has another form. Copy it again.",
+            f"Expected a token of {PREFIX} and 43 letters, digits, - or _, got another form. Copy it again.",
         )
     return _principal(_find(session, ApiToken.secret_sha256 == hash_secret(secret)))
 

@@ -37,7 +37,7 @@ def principal_of(
 def optional_principal_of(
     request: Request, credentials: Annotated[HTTPAuthorizationCredentials | None, Depends(_bearer)]
 ) -> Principal | None:
-    """Who asks, or None without a token. A token that came must be good, though.
+    """Who asks, or None without a token. A token that is given must be good, though.
 
     Raises:
         ServiceError: unknown, expired or revoked token.

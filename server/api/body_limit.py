@@ -20,14 +20,14 @@ class BodyLimit:
         if scope["type"] != "http" or (scope["method"], scope["path"]) == self._unlimited:
             await self._app(scope, receive, send)
             return
-        came = 0
+        received = 0
 
         async def counted() -> Message:
-            nonlocal came
+            nonlocal received
             message = await receive()
-            came += len(message.get("body", b""))
-            if came > self._limit_bytes:
-                raise HTTPException(TOO_LARGE, f"A body may have at most {self._limit_bytes} bytes here; more came.")
+            received += len(message.get("body", b""))
+            if received > self._limit_bytes:
+                raise HTTPException(TOO_LARGE, f"A body may have at most {self._limit_bytes} bytes here; it has more.")
             return message
 
         await self._app(scope, counted, send)

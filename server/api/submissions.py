@@ -73,7 +73,7 @@ async def post_submission(
     _check_head(request, services, track, kind)
     owner = await run_in_threadpool(_owner_name, services, principal, team)
     with request.app.state.upload_limiter.one(principal.actor, "uploads at the same time"):
-        upload = await _take_in(request, services, kind, track, owner)
+        upload = await _receive(request, services, kind, track, owner)
     view, is_new = await run_in_threadpool(_create, services, principal, upload, team, again)
     response.status_code = HTTPStatus.ACCEPTED if is_new else HTTPStatus.OK
     response.headers["Location"] = f"{request.url.path}/{view.id}"
@@ -181,13 +181,13 @@ async def _events(
 
 
 def _check_head(request: Request, services: Services, track: str | None, kind: SubmissionKind) -> None:
-    """Refuses by headers and query alone, before any of the body is read."""
-    came = request.headers.get("content-type", "").partition(";")[0].strip().lower()
+    """Refuse by headers and query alone, before any of the body is read."""
+    announced = request.headers.get("content-type", "").partition(";")[0].strip().lower()
     types = kind.form.content_types
-    if came not in types:
+    if announced not in types:
         raise ServiceError(
             ProblemCode.UNSUPPORTED_CONTENT_TYPE,
-            f"The body of a {kind} must have `Content-Type: {'` or `'.join(types)}`; came {came or 'none'!r}.",
+            f"Expected `Content-Type: {'` or `'.join(types)}` for a {kind}, got {announced or 'none'!r}.",
             supported=list(types),
         )
     intake.check_announced_size(_announced_bytes(request), SERVED_KINDS[kind].max_bytes(services.settings))
@@ -200,7 +200,7 @@ def _owner_name(services: Services, principal: Principal, team: str | None) -> s
         return creation.owner_name(session, principal, team)
 
 
-async def _take_in(
+async def _receive(
     request: Request, services: Services, kind: SubmissionKind, track: str | None, owner: str
 ) -> CheckedUpload:
     settings = services.settings
@@ -210,7 +210,7 @@ async def _take_in(
                 request.stream(),
                 folder,
                 limit_bytes=SERVED_KINDS[kind].max_bytes(settings),
-                silence_s=settings.upload_silence_s,
+                idle_timeout_s=settings.upload_idle_timeout_s,
                 announced_bytes=_announced_bytes(request),
             )
         except ClientDisconnect as error:
@@ -233,7 +233,7 @@ def _announced_bytes(request: Request) -> int | None:
     if text is None:
         return None
     if not (text.isascii() and text.isdigit()):
-        raise ServiceError(ProblemCode.LENGTH_INVALID, f"Content-Length must be a number of bytes; came {text[:40]!r}.")
+        raise ServiceError(ProblemCode.LENGTH_INVALID, f"Expected a Content-Length in bytes, got {text[:40]!r}.")
     return int(text)
 
 
@@ -254,5 +254,5 @@ def _hex_of(value: str) -> str:
         return base64.b64decode(value.strip(":"), validate=True).hex()
     except binascii.Error as error:
         raise ServiceError(
-            ProblemCode.DIGEST_MISMATCH, f"Content-Digest must be sha-256=:<base64>:; came {value[:80]!r}."
+            ProblemCode.DIGEST_MISMATCH, f"Expected Content-Digest sha-256=:<base64>:, got {value[:80]!r}."
         ) from error

@@ -41,7 +41,7 @@ class Database:
         """Run a transaction again while the database is away (restart, kill); for work that may be repeated.
 
         Raises:
-            DBAPIError: the database stayed away for longer than `give_up_after_s`, or another error came.
+            DBAPIError: the database stayed away for longer than `give_up_after_s`, or another error occurred.
         """
         deadline = time.monotonic() + give_up_after_s
         failures = 0

@@ -309,7 +309,7 @@ class EpisodeDifference(Base):
 
 
 class Worker(Base):
-    """A worker process and when it last spoke."""
+    """A worker process and its last heartbeat."""
 
     __tablename__ = "workers"
     id: Mapped[UUID] = mapped_column(primary_key=True, default=uuid4)

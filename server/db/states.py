@@ -55,7 +55,7 @@ EVALUATION_TRANSITIONS: Mapping[EvaluationState, frozenset[EvaluationState]] = M
 SHARD_TRANSITIONS: Mapping[ShardState, frozenset[ShardState]] = MappingProxyType(
     {
         ShardState.QUEUED: frozenset({ShardState.RUNNING, ShardState.FAILED, ShardState.CANCELLED}),
-        # Back to queued: the worker gave it back or was silent for longer than its lease.
+        # Back to queued: the worker gave it back or did not renew its lease in time.
         ShardState.RUNNING: frozenset({ShardState.QUEUED, ShardState.DONE, ShardState.FAILED, ShardState.CANCELLED}),
         ShardState.DONE: frozenset(),
         ShardState.FAILED: frozenset(),

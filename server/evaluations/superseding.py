@@ -21,7 +21,7 @@ logger = structlog.get_logger(__name__)
 
 
 def supersede_outdated(session: Session, settings: Settings) -> int:
-    """Begins evaluations of versions without a worker again with this process's version; how many.
+    """Begin evaluations of versions without a worker again with this process's version; how many.
 
     Only while a worker of this version lives: otherwise nothing would be gained, and two versions of the service side
     by side would take each other's work away.
@@ -36,8 +36,8 @@ def supersede_outdated(session: Session, settings: Settings) -> int:
 
 
 def _outdated(session: Session, settings: Settings, current: str) -> Sequence[UUID]:
-    lately = func.clock_timestamp() - timedelta(seconds=settings.worker_silent_s)
-    served = select(Worker.evaluator_version).where(Worker.state == WorkerState.READY, Worker.heartbeat_at > lately)
+    lost = func.clock_timestamp() - timedelta(seconds=settings.worker_lost_after_s)
+    served = select(Worker.evaluator_version).where(Worker.state == WorkerState.READY, Worker.heartbeat_at > lost)
     return session.scalars(
         select(Evaluation.id)
         .where(

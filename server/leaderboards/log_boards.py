@@ -24,7 +24,7 @@ RANKING_RULE = (
     "Higher success rate first; then fewer mean env steps of the successful episodes; then the earlier submission. "
     "Only verified logs are ranked, the best of each team, task by task, and never together with models."
 )
-MOST_TEXT_LOGS = 200
+MAX_TEXT_LOGS = 200
 
 
 def log_boards(session: Session, track_name: str) -> LogBoardsView:
@@ -62,7 +62,7 @@ def _newest_text_logs(session: Session, track: str) -> Sequence[Evaluation]:
         .where(Evaluation.id.in_(newest_of_each))
         .options(joinedload(Evaluation.submission).joinedload(Submission.team))
         .order_by(Evaluation.created_at.desc(), Evaluation.id)
-        .limit(MOST_TEXT_LOGS)
+        .limit(MAX_TEXT_LOGS)
     ).all()
 
 

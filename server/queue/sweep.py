@@ -46,7 +46,7 @@ def sweep(session: Session, settings: Settings, *, give_up: GiveUp) -> Sweep:
 
 
 def _shards_with_expired_lease(session: Session, settings: Settings) -> Sequence[int]:
-    # After a restart of the database every worker gets a full lease to speak again: it could not renew meanwhile.
+    # After a restart of the database every worker gets a full lease of time to renew again: it could not meanwhile.
     server_is_up = func.pg_postmaster_start_time() < _ago(settings.lease_s)
     return session.scalars(
         select(Shard.id)
@@ -86,7 +86,7 @@ def _explain(shard: Shard) -> str:
     first, last = shard.episodes[0], shard.episodes[-1]
     return (
         f"Episodes {first} to {last} of {shard.task} were started {shard.attempts} times, "
-        "and each time the worker fell silent before it had stored one more."
+        "and each time the worker was lost before it had stored one more."
     )
 
 

@@ -18,7 +18,7 @@ FORGOTTEN_AFTER = timedelta(days=7)
 
 @dataclass(frozen=True, kw_only=True)
 class WorkersAlive:
-    """How many workers take shards now, how many shards they run at once, and when any was last heard."""
+    """How many workers take shards now, how many shards they run at once, and the last heartbeat of any."""
 
     alive: int
     slots: int
@@ -26,7 +26,7 @@ class WorkersAlive:
 
 
 def register(session: Session, worker: Worker) -> None:
-    """Add a worker process and forget those that were silent for a week."""
+    """Add a worker process and forget those without a heartbeat for a week."""
     session.execute(delete(Worker).where(Worker.heartbeat_at < datetime.now(UTC) - FORGOTTEN_AFTER))
     session.add(worker)
 
@@ -41,14 +41,14 @@ def heartbeat(session: Session, worker_id: UUID, state: WorkerState, message: st
 
 
 def workers_alive(session: Session, settings: Settings, evaluator_version: str | None = None) -> WorkersAlive:
-    """Workers that take shards (of one evaluator version) and were heard lately."""
+    """Workers that take shards (of one evaluator version) and are not lost."""
     of_version = (
         Worker.evaluator_version == evaluator_version if evaluator_version is not None else Worker.id == Worker.id
     )
-    lately = func.clock_timestamp() - timedelta(seconds=settings.worker_silent_s)
+    lost_before = func.clock_timestamp() - timedelta(seconds=settings.worker_lost_after_s)
     alive, slots = session.execute(
         select(func.count(), func.coalesce(func.sum(Worker.slots), 0)).where(
-            Worker.state == WorkerState.READY, Worker.heartbeat_at > lately, of_version
+            Worker.state == WorkerState.READY, Worker.heartbeat_at > lost_before, of_version
         )
     ).one()
     return WorkersAlive(
@@ -57,7 +57,7 @@ def workers_alive(session: Session, settings: Settings, evaluator_version: str |
 
 
 def list_workers(session: Session) -> Sequence[Worker]:
-    """All known workers, the one heard last first."""
+    """All known workers, the one with the newest heartbeat first."""
     return session.scalars(select(Worker).order_by(Worker.heartbeat_at.desc())).all()
 
 

@@ -23,7 +23,7 @@ def check_kind(kind: SubmissionKind, track: Track) -> None:
     if kind not in track.accepts:
         raise ServiceError(
             ProblemCode.UNSUPPORTED_SUBMISSION_KIND,
-            f"{track.name} takes {', '.join(track.accepts)}; got {kind}.",
+            f"{track.name} takes {', '.join(track.accepts)}, got {kind}.",
             supported=list(track.accepts),
         )
 

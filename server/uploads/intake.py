@@ -1,6 +1,6 @@
 """Receives an uploaded body into a folder of its own; nothing is left behind when anything refuses it.
 
-Called by the API's upload route, in the event loop. `acceptance` checks what came.
+Called by the API's upload route, in the event loop. `acceptance` checks what was received.
 """
 
 import asyncio
@@ -39,7 +39,7 @@ def upload_folder(settings: Settings) -> Iterator[Path]:
 
 
 def check_announced_size(n_bytes: int | None, limit_bytes: int) -> None:
-    """Refuses a body that is too large before the first byte is read.
+    """Refuse a body that is too large before the first byte is read.
 
     Raises:
         ServiceError: larger than the limit, which the problem names.
@@ -49,30 +49,30 @@ def check_announced_size(n_bytes: int | None, limit_bytes: int) -> None:
 
 
 async def receive(
-    body: AsyncIterator[bytes], folder: Path, *, limit_bytes: int, silence_s: float, announced_bytes: int | None
+    body: AsyncIterator[bytes], folder: Path, *, limit_bytes: int, idle_timeout_s: float, announced_bytes: int | None
 ) -> ReceivedFile:
     """Write a body to disk while counting and hashing it.
 
     Raises:
-        ServiceError: larger than the limit, shorter than announced, silent for too long, or empty.
+        ServiceError: larger than the limit, shorter than announced, idle for too long, or empty.
     """
     path = folder / _FILE_NAME
     digest, n_bytes = hashlib.sha256(), 0
     with path.open("xb") as file:
-        async for chunk in _without_silence(body, silence_s):
+        async for chunk in _until_idle(body, idle_timeout_s):
             n_bytes += len(chunk)
             if n_bytes > limit_bytes:
-                raise _too_large(limit_bytes, "more came")
+                raise _too_large(limit_bytes, "more were sent")
             digest.update(chunk)
             file.write(chunk)
     if n_bytes == 0 or (announced_bytes is not None and n_bytes != announced_bytes):
         expected = "at least one" if announced_bytes is None else str(announced_bytes)
-        raise truncated(f"{n_bytes} bytes came, expected {expected}")
+        raise truncated(f"expected {expected}, got {n_bytes} bytes")
     return ReceivedFile(path=path, sha256=digest.hexdigest(), n_bytes=n_bytes)
 
 
 def check_digest(received: ReceivedFile, claimed: str | None) -> None:
-    """Compare the digest that the client gave with what came.
+    """Compare the digest that the client gave with what was received.
 
     Raises:
         ServiceError: they differ, so the body was damaged on its way.
@@ -80,7 +80,7 @@ def check_digest(received: ReceivedFile, claimed: str | None) -> None:
     if claimed is not None and claimed.lower() != received.sha256:
         raise ServiceError(
             ProblemCode.DIGEST_MISMATCH,
-            f"SHA-256 {claimed[:80]} was announced, {received.n_bytes} bytes with {received.sha256} came. Send again.",
+            f"Expected SHA-256 {claimed[:80]}, got {received.n_bytes} bytes with {received.sha256}. Send again.",
             received_sha256=received.sha256,
         )
 
@@ -100,7 +100,7 @@ def _too_large(limit_bytes: int, what: str) -> ServiceError:
     )
 
 
-async def _without_silence(body: AsyncIterator[bytes], limit_s: float) -> AsyncIterator[bytes]:
+async def _until_idle(body: AsyncIterator[bytes], limit_s: float) -> AsyncIterator[bytes]:
     """Return the chunks of a body as long as they keep coming."""
     while True:
         try:
@@ -108,6 +108,6 @@ async def _without_silence(body: AsyncIterator[bytes], limit_s: float) -> AsyncI
         except StopAsyncIteration:
             return
         except TimeoutError:
-            raise truncated(f"nothing came for {limit_s:g} s") from None
+            raise truncated(f"nothing was sent for {limit_s:g} s") from None
         if chunk:
             yield chunk

@@ -24,9 +24,9 @@ OUT_OF_PLACE = "out_of_place"
 TRUNCATED = "truncated"
 """Reasons beside those of `evaluator.logs.packing`."""
 
-MOST_PROBLEMS = 100
+MAX_PROBLEMS = 100
 """So many are kept; the last one says how many more there are."""
-MOST_CHARACTERS = 200
+MAX_CHARACTERS = 200
 """So much of one problem is kept."""
 
 
@@ -92,6 +92,6 @@ def _digest_of(received: ReceivedFile, limit_bytes: int) -> str:
 
 
 def _first_of(problems: tuple[str, ...]) -> tuple[str, ...]:
-    more = len(problems) - MOST_PROBLEMS
-    first = tuple(problem[:MOST_CHARACTERS] for problem in problems[:MOST_PROBLEMS])
+    more = len(problems) - MAX_PROBLEMS
+    first = tuple(problem[:MAX_CHARACTERS] for problem in problems[:MAX_PROBLEMS])
     return first if more <= 0 else (*first, f"and {more} more")

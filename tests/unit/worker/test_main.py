@@ -44,7 +44,7 @@ def rows(services: Services) -> list[Worker]:
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_worker_registers_evaluates_and_says_goodbye_on_a_signal(
+def test_worker_registers_evaluates_and_reports_its_end_on_a_signal(
     services: Services, archive_sha256: str, number: int
 ) -> None:
     with services.database.transaction() as session:

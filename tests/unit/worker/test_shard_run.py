@@ -242,7 +242,7 @@ def test_process_that_hangs_is_ended_and_reported(
     services: Services, stage: SubmissionStage, lease: Lease, submission: Submission
 ) -> None:
     impatient = replace(
-        services, settings=services.settings.model_copy(update={"shard_silence_s": 0.3, "shard_attempts": 1})
+        services, settings=services.settings.model_copy(update={"shard_idle_timeout_s": 0.3, "shard_attempts": 1})
     )
     shards = FakeShards()
 
@@ -263,7 +263,7 @@ def test_process_that_stored_episodes_before_it_hung_costs_no_attempt(
     services: Services, stage: SubmissionStage, lease: Lease
 ) -> None:
     impatient = replace(
-        services, settings=services.settings.model_copy(update={"shard_silence_s": 0.3, "shard_attempts": 1})
+        services, settings=services.settings.model_copy(update={"shard_idle_timeout_s": 0.3, "shard_attempts": 1})
     )
     shards = FakeShards()
 

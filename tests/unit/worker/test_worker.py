@@ -138,7 +138,7 @@ def test_stopped_worker_gives_its_shard_back_and_another_one_goes_on(services: S
     assert again.started[0].order.skip == (1, 2, 3, 4)
 
 
-def test_shard_of_a_silent_worker_goes_to_another_one_which_resumes_it(services: Services, archive_sha256: str) -> None:
+def test_shard_of_a_lost_worker_goes_to_another_one_which_resumes_it(services: Services, archive_sha256: str) -> None:
     submission = submit(services, archive_sha256)
     with services.database.transaction() as session:
         lost = leases.claim(session, shard_ids(session, submission)[0], uuid4(), 0.2)

@@ -279,8 +279,8 @@ def test_connection_that_breaks_in_the_middle_leaves_nothing(service: Service) -
     assert_nothing_left(service)
 
 
-def test_upload_that_falls_silent_is_given_up(database: Database, tmp_path: Path) -> None:
-    with running_service(database, tmp_path, upload_silence_s=0.1) as service:
+def test_upload_that_sends_nothing_is_given_up(database: Database, tmp_path: Path) -> None:
+    with running_service(database, tmp_path, upload_idle_timeout_s=0.1) as service:
         answer = talk(service, head(service, f"Content-Length: {len(ARCHIVE)}") + ARCHIVE[:100])
         assert answer.startswith("HTTP/1.1 400 ")
         assert "upload_truncated" in answer

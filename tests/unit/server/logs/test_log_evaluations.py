@@ -269,7 +269,7 @@ def test_only_the_newest_text_logs_are_loaded(service: Service, monkeypatch: pyt
     for totals in ("4.81", "4.80", "4.79"):
         log = uploaded(service, a_text_log(totals=(f"#SUCCESS_RATE: {totals}%", "#AVG_STEP: 2.00")), "text_log")
         play_all(service.database, log)
-    monkeypatch.setattr(log_boards, "MOST_TEXT_LOGS", 2)
+    monkeypatch.setattr(log_boards, "MAX_TEXT_LOGS", 2)
     loaded: list[Evaluation] = []
     with service.database.transaction() as session:
         event.listen(session, "loaded_as_persistent", lambda _, found: loaded.append(found))

@@ -48,7 +48,7 @@ def test_eta_counts_own_and_earlier_episodes_over_the_slots_of_living_workers(
     assert view_of(database, principal, second).evaluation.eta_s == pytest.approx((243 + 270) * 0.5 / 2)
 
 
-def test_workers_that_are_silent_refusing_or_of_another_version_do_not_count_as_alive(
+def test_workers_that_are_lost_refusing_or_of_another_version_do_not_count_as_alive(
     database: Database, principal: Principal
 ) -> None:
     make_worker(database, state=WorkerState.REFUSING)

@@ -1,4 +1,4 @@
-"""The worker's row: registered at its start, a heartbeat from a thread of its own, its last word at the end."""
+"""The worker's row: registered at its start, a heartbeat from a thread of its own, its end."""
 
 import os
 import platform
@@ -16,8 +16,8 @@ from vitac.server.services import Services
 logger = structlog.get_logger(__name__)
 
 
-class Presence:
-    """Tells the service that this worker is there, from `start` to `stop`."""
+class Heartbeat:
+    """The regular sign that this worker runs, from `start` to `stop`."""
 
     def __init__(self, services: Services, *, state: WorkerState, isolation: str, message: str = "") -> None:
         self.worker_id: UUID = uuid4()
@@ -26,16 +26,16 @@ class Presence:
         self._isolation = isolation
         self._message = message
         self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="presence", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="heartbeat", daemon=True)
 
     def start(self) -> None:
-        """Register the worker and begins."""
+        """Register the worker and begin."""
         with self._services.database.transaction() as session:
             workers.register(session, self._row())
         self._thread.start()
 
     def stop(self) -> None:
-        """Says goodbye."""
+        """Report that the worker stops, and end."""
         self._stopping.set()
         self._thread.join()
         self._beat(WorkerState.STOPPED)
