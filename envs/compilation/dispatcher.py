@@ -1,6 +1,7 @@
 """A kernel's machine code: looked for in our cache, and compiled in turn with other processes."""
 
 import logging
+from pathlib import Path
 from typing import Any
 
 from numba.core import compiler, event, sigutils, types
@@ -12,6 +13,7 @@ from numba.core.typing.templates import make_concrete_template
 from .cache import KernelCache
 from .folders import cache_directory
 from .libraries import EntryLibrary, PartLibrary
+from .sources import read_source
 from .turns import CompilingTurn
 
 _LOG = logging.getLogger("vitac.envs.compilation")
@@ -30,15 +32,19 @@ class KernelDispatcher(CPUDispatcher):
     compilation is logged at the level INFO, so that a program which warms up can show how far it is.
     """
 
+    _cache: Any
+
     def __init__(self, function: Any, **options: Any) -> None:
         super().__init__(function, **options)
+        read_source(Path(function.__code__.co_filename))
         self._compiler = _EntryCompiler(function, self.targetdescr, self.targetoptions, {}, compiler.Compiler)
-        self._cache = KernelCache(function)
         self.parts: dict[tuple[Any, ...], Any] = {}
 
     def compile(self, sig: Any) -> Any:
         """Return the entry point for argument types; compiled, loaded, or already there."""
         with global_compiler_lock:
+            if not isinstance(self._cache, KernelCache):  # late, for finding the imports of a module takes time
+                self._cache = KernelCache(self.py_func)
             args, _ = sigutils.normalize_signature(sig)
             if tuple(args) in self.overloads or self._cache.holds(sig, self.targetctx):
                 return super().compile(sig)

@@ -49,15 +49,21 @@ def _compiler() -> str:
 
 
 @cache
+def read_source(path: Path) -> bytes:
+    """Contents of a file as first read: a kernel is compiled later, and the file may have changed by then."""
+    return path.read_bytes()
+
+
+@cache
 def _file_digest(path: Path) -> bytes:
-    return hashlib.sha256(path.read_bytes()).digest()
+    return hashlib.sha256(read_source(path)).digest()
 
 
 @cache
 def _imports(module: Path, envs: Path) -> frozenset[Path]:
     """Files of `vitac.envs` that a module names in its imports."""
     paths: set[Path] = set()
-    for node in ast.walk(ast.parse(module.read_bytes())):
+    for node in ast.walk(ast.parse(read_source(module))):
         if isinstance(node, ast.ImportFrom):
             paths.update(_files_of(node, module, envs))
         elif isinstance(node, ast.Import):
@@ -85,3 +91,8 @@ def _file_of(base: Path) -> Iterator[Path]:
     for path in (base.with_name(f"{base.name}.py"), base / "__init__.py"):
         if path.is_file():
             yield path
+
+
+# All are read now, as modules with kernels are about to be imported.
+for _path in _ENVS.rglob("*.py"):
+    read_source(_path)

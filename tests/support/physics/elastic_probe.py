@@ -40,7 +40,9 @@ def main(states: str, results: str) -> None:
             add_elasticity(model.elastic, x, batch, system, matrix)
             matrices.setdefault(name, dense_matrix(model.system, system.entries))
             forces.append(system.gradient.copy())
-    np.savez(results, forces=np.array(forces[1:]), unknowns=model.unknowns.node, **matrices)
+    exact, projected = matrices["exact"], matrices["projected"]
+    unknowns = model.unknowns.node
+    np.savez(results, forces=np.array(forces[1:]), unknowns=unknowns, exact=exact, projected=projected)
 
 
 if __name__ == "__main__":

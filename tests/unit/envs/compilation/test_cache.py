@@ -104,6 +104,19 @@ def test_a_changed_module_is_compiled_with_what_depends_on_it(
     assert small_compiled_by(sources, cache) == expected
 
 
+def test_sources_that_change_while_a_process_runs_do_not_name_what_it_compiles(tmp_path: Path) -> None:
+    cache = str(tmp_path / "cache")
+    sources = clone(tmp_path / "clone")
+    imports, calls = SMALL_KERNELS.split("v =")
+    change = f"""
+from pathlib import Path
+path = Path({str(sources)!r}) / "vitac/envs/fem/algebra/mat3.py"
+path.write_text(path.read_text() + "# changed")
+v ="""
+    compiled_by(sources, imports + change + calls, VITAC_CACHE_DIR=cache)
+    assert small_compiled_by(sources, cache) == ["part vec3.scale", "entry mat3.scale_matrix"]
+
+
 def test_files_that_were_cut_off_are_compiled_anew(tmp_path: Path) -> None:
     cache = str(tmp_path / "cache")
     sources = clone(tmp_path / "clone")
