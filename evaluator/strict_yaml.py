@@ -13,7 +13,7 @@ _KEY_SHOWN_CHARS: Final = 80
 
 
 class UniqueKeyLoader(yaml.SafeLoader):
-    """Safe YAML loader that refuses a key given twice, where PyYAML would keep the last one in silence."""
+    """Safe YAML loader that refuses a key given twice, where PyYAML would silently keep the last one."""
 
     def construct_mapping(self, node: MappingNode, deep: bool = False) -> dict[Any, Any]:
         """Build one mapping after looking for repeated keys."""

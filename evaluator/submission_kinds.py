@@ -1,4 +1,4 @@
-"""The kinds of submission: what a track may take, how a file of each is told, and what is done with it.
+"""The kinds of submission: what a track may accept, how a file of each is recognised, and how it is processed.
 
 A new kind is a member here, a runner in `shards.execution` and an entry in `server.uploads.kinds`.
 """

@@ -50,7 +50,7 @@ def work(services: Services, start: StartShard, *, probe: ProbeIsolation = probe
 
 
 def _take_shards(services: Services, report: IsolationReport, start: StartShard, stopping: threading.Event) -> None:
-    """Work until it is told to stop."""
+    """Take and run shards until a request to stop."""
     with ExitStack() as stack:
         heartbeat = Heartbeat(services, state=WorkerState.READY, isolation=report.level)
         heartbeat.start()

@@ -1,4 +1,4 @@
-"""Takes shards from the queue and runs them, some at a time, until it is told to stop."""
+"""Takes shards from the queue and runs several at a time until a request to stop."""
 
 import asyncio
 import contextlib

@@ -20,5 +20,5 @@ What joins them:
 In order: make control groups, spawn, wait for info and status 0, ask 2 to load, freeze 3, end all others, empty `/tmp`
 and `/dev/shm`, check what 3 holds. For each episode: zero the times of the output, clone 4, ask, kill all but 1 and 3,
 put back or compare what they share; on a difference start the whole sandbox again. At last kill 1, which takes
-everything with it, wait until nobody holds the output any more, remove the control groups.
+everything with it, wait until no process holds the output, remove the control groups.
 """

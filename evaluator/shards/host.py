@@ -75,7 +75,7 @@ class SimulationHost:
         if what in self._loaded:
             return
         self._loaded.add(what)
-        # The shard meets the same error and reports it, so that it is told where it belongs.
+        # The shard meets the same error and reports it with its result.
         with suppress(Exception):
             task = load_track(order.track).tasks[order.task]
             env = make_environment(task, order.assets_dir)

@@ -1,4 +1,4 @@
-"""What a shard's process is told and what it tells: one order to it, one message for each line from it."""
+"""The protocol with a shard's process: one order to it, one message for each line from it."""
 
 import struct
 from pathlib import Path

@@ -112,7 +112,7 @@ class ShardProcess:
         self._fork: _Fork | None = None
         self._is_killed = False
         self._result: ShardResult | None = None
-        with suppress(BrokenPipeError):  # The host has ended; whoever reads the records is told.
+        with suppress(BrokenPipeError):  # The host has ended; reading the records raises an error.
             connection.sendall(order.model_dump_json().encode())
             connection.shutdown(socket.SHUT_WR)
 

@@ -64,7 +64,7 @@ def store_episode(session: Session, lease: Lease, record: EpisodeRecord) -> None
     """Store a finished episode; storing it again writes nothing.
 
     Raises:
-        LeaseLost: the shard is not ours any more.
+        LeaseLost: the shard is no longer ours.
     """
     attempts = lock_held(session, lease)
     values = row_values(lease, record)

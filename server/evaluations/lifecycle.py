@@ -78,7 +78,7 @@ def finish_shard(session: Session, lease: Lease, result: ShardResult) -> None:
     """End a shard, and with the last one the evaluation: scores and state change in this one transaction.
 
     Raises:
-        LeaseLost: the shard is not ours any more.
+        LeaseLost: the shard is no longer ours.
         EpisodesMissing: it is not complete.
         WrongEvaluator: it was run by another evaluator version.
     """
@@ -114,7 +114,7 @@ def report_broken_machine(session: Session, settings: Settings, lease: Lease, me
     Attempts in which an episode was stored do not count: infrastructure ends no evaluation as long as it moves.
 
     Raises:
-        LeaseLost: the shard is not ours any more.
+        LeaseLost: the shard is no longer ours.
     """
     evaluation = lock_evaluation(session, lease.evaluation_id)
     attempts = lock_held(session, lease)  # Only whoever holds the shard may end the evaluation.

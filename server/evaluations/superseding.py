@@ -1,4 +1,4 @@
-"""Evaluations that wait for an evaluator which nobody runs any more, as after an upgrade: begun again with today's."""
+"""Evaluations that wait for an evaluator that no worker runs, as after an upgrade: started again with today's."""
 
 from collections.abc import Sequence
 from datetime import timedelta

@@ -39,7 +39,7 @@ def verdict_of(claim: LogClaim, evaluation: Evaluation) -> VerificationResult:
     """Return the verdict on one of our logs whose evaluation is completed, so that nothing was found against it.
 
     The result hash covers every state: where it is the log's own, no state differs. An evaluation with another one is
-    only completed where the log was made on another class of machines and all its episodes end as it says.
+    only completed where the log was made on another platform class and all its episodes end as it says.
     """
     return (
         VerificationResult.VERIFIED

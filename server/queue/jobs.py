@@ -96,7 +96,7 @@ def raw_connection(session: Session) -> "psycopg.Connection[Any]":
 
 
 def withdraw_jobs(session: Session, shard_ids: Iterable[int]) -> None:
-    """Remove waiting jobs of shards that need no worker any more."""
+    """Remove waiting jobs of shards that no longer need a worker."""
     session.execute(_WITHDRAW, {"task": RUN_SHARD, "shards": list(shard_ids)})
 
 

@@ -1,7 +1,7 @@
 """Leases on shards: claim, renewal, and the ways in which a lease ends.
 
 Each claim raises the shard's token. Every later statement names the token, so a worker that was paused, and whose shard
-went to another one, changes nothing any more: its next statement raises `LeaseLost`.
+went to another one, no longer changes anything: its next statement raises `LeaseLost`.
 """
 
 from collections.abc import Sequence
@@ -88,7 +88,7 @@ def renew(session: Session, lease: Lease, lease_s: float) -> None:
     """Keep the shard for another while.
 
     Raises:
-        LeaseLost: it is not ours any more, for example because the evaluation was cancelled.
+        LeaseLost: it is no longer ours, for example because the evaluation was cancelled.
     """
     _change_held(session, lease, lease_expires_at=_lease_end(lease_s))
 
@@ -97,7 +97,7 @@ def lock_held(session: Session, lease: Lease) -> int:
     """Keep others from ending the lease until the end of the transaction; return the attempts without progress.
 
     Raises:
-        LeaseLost: the shard is not ours any more.
+        LeaseLost: the shard is no longer ours.
     """
     attempts = session.scalar(select(Shard.attempts).where(*_held(lease)).with_for_update())
     if attempts is None:
@@ -109,7 +109,7 @@ def reset_attempts(session: Session, lease: Lease) -> None:
     """Count attempts anew, this one included: the shard has got further.
 
     Raises:
-        LeaseLost: the shard is not ours any more.
+        LeaseLost: the shard is no longer ours.
     """
     _change_held(session, lease, attempts=0)
 
@@ -118,7 +118,7 @@ def end_shard(session: Session, lease: Lease, state: ShardState, result: ShardRe
     """Mark the shard as done or failed.
 
     Raises:
-        LeaseLost: the shard is not ours any more.
+        LeaseLost: the shard is no longer ours.
     """
     _change_held(
         session,
@@ -133,10 +133,10 @@ def end_shard(session: Session, lease: Lease, state: ShardState, result: ShardRe
 
 
 def hand_back(session: Session, lease: Lease, *, counts_as_attempt: bool, delay_s: float = 0.0) -> None:
-    """Queue the shard again for the next free worker (after a while), for example when the worker is told to stop.
+    """Queue the shard again for the next free worker (after a while), for example when the worker stops.
 
     Raises:
-        LeaseLost: the shard is not ours any more.
+        LeaseLost: the shard is no longer ours.
     """
     _change_held(
         session,
@@ -183,4 +183,4 @@ def _lease_end(lease_s: float) -> Any:
 
 
 def _lost(lease: Lease) -> LeaseLost:
-    return LeaseLost(f"Shard {lease.shard_id} is not held under token {lease.token} any more.")
+    return LeaseLost(f"Shard {lease.shard_id} is no longer held under token {lease.token}.")

@@ -228,7 +228,7 @@ class Sandbox:
         return self._exits.enter_context(watchdog)
 
     def _stop(self) -> None:
-        """Kill everything and wait until nothing is left: then nobody holds the output's other end any more.
+        """Kill all processes and wait for their end; then no process holds the output's other end.
 
         Raises:
             SandboxFailed: something survived.
