@@ -3,6 +3,9 @@
 The first record counts. Another one under the same key means that the policy or a machine does not repeat itself.
 """
 
+from collections.abc import Collection
+from uuid import UUID
+
 import structlog
 from sqlalchemy import ScalarSelect, func, select
 from sqlalchemy.dialects.postgresql import insert
@@ -41,14 +44,17 @@ def report_difference(session: Session, lease: Lease, *, episode: int, stored: s
     logger.error("episode_differs_from_stored", shard=lease.shard_id, episode=episode, stored=stored, new=differing)
 
 
-def differing_episodes(session: Session, evaluation: Evaluation) -> list[DifferingEpisodeView]:
-    """Return the alarms of an evaluation, in the order of the episodes."""
+def differing_episodes(session: Session, evaluations: Collection[Evaluation]) -> dict[UUID, list[DifferingEpisodeView]]:
+    """Return the alarms of each evaluation, in the order of the episodes."""
+    found: dict[UUID, list[DifferingEpisodeView]] = {evaluation.id: [] for evaluation in evaluations}
     rows = session.scalars(
         select(EpisodeDifference)
-        .where(EpisodeDifference.evaluation_id == evaluation.id)
+        .where(EpisodeDifference.evaluation_id.in_(found))
         .order_by(EpisodeDifference.task, EpisodeDifference.episode, EpisodeDifference.id)
     )
-    return [DifferingEpisodeView.model_validate(row, from_attributes=True) for row in rows]
+    for row in rows:
+        found[row.evaluation_id].append(DifferingEpisodeView.model_validate(row, from_attributes=True))
+    return found
 
 
 def count_differing_episodes() -> ScalarSelect[int]:

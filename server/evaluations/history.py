@@ -1,10 +1,15 @@
 """The evaluations of a submission, newest first; the newest is the one that it shows."""
 
+from collections.abc import Collection
+from uuid import UUID
+
 from sqlalchemy import ScalarSelect, Select, select
 from sqlalchemy.orm import Session
 
 from ..db.models import Evaluation, Submission
 from ..db.states import EvaluationState
+
+_NEWEST_FIRST = (Evaluation.created_at.desc(), Evaluation.run.desc(), Evaluation.id)
 
 
 def newest_evaluation(session: Session, submission: Submission) -> Evaluation:
@@ -17,9 +22,23 @@ def history(submission: Submission) -> Select[Evaluation]:
     return (
         select(Evaluation)
         .where(Evaluation.submission_id == submission.id)
-        .order_by(Evaluation.created_at.desc(), Evaluation.run.desc(), Evaluation.id)
+        .order_by(*_NEWEST_FIRST)
         .execution_options(populate_existing=True)
     )
+
+
+def histories(session: Session, submissions: Collection[Submission]) -> dict[UUID, list[Evaluation]]:
+    """Return all evaluations of each submission, newest first."""
+    found: dict[UUID, list[Evaluation]] = {submission.id: [] for submission in submissions}
+    rows = session.scalars(
+        select(Evaluation)
+        .where(Evaluation.submission_id.in_(found))
+        .order_by(*_NEWEST_FIRST)
+        .execution_options(populate_existing=True)
+    )
+    for evaluation in rows:
+        found[evaluation.submission_id].append(evaluation)
+    return found
 
 
 def newest_state() -> ScalarSelect[EvaluationState]:

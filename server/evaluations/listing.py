@@ -13,7 +13,7 @@ from ..settings import Settings
 from ..views.evaluations import EvaluationDetailView, EvaluationRowView, ShardView
 from .differences import count_differing_episodes
 from .scores import combined_score
-from .view import evaluation_view, summary_view, verdict_view
+from .view import EvaluationRows, evaluation_view, summary_view, verdict_view
 
 
 def find(session: Session, evaluation_id: UUID) -> Evaluation:
@@ -49,8 +49,9 @@ def show_evaluation(session: Session, settings: Settings, evaluation_id: UUID) -
     """
     evaluation = find(session, evaluation_id)
     workers = workers_alive(session, settings, evaluation.evaluator_version)
+    rows = EvaluationRows.read(session, [evaluation], for_organizer=True)
     return EvaluationDetailView(
-        **dict(evaluation_view(session, evaluation, workers, for_organizer=True)),
+        **dict(evaluation_view(session, evaluation, workers, rows)),
         submission_id=evaluation.submission_id,
         team=evaluation.submission.team.name,
         track=evaluation.submission.track,

@@ -15,12 +15,7 @@ EPISODES_FOR_TIMING = 300
 
 def progress_of(session: Session, evaluation: Evaluation, submission: Submission) -> ProgressView:
     """Finished episodes, by task."""
-    rows = session.execute(
-        select(EpisodeResult.task, func.count(), func.count().filter(EpisodeResult.success))
-        .where(*EpisodeKey.of(evaluation, submission).conditions())
-        .group_by(EpisodeResult.task)
-    ).all()
-    done = {task: (episodes, successes) for task, episodes, successes in rows}
+    done = _counts_of_scores(evaluation) or _counts_of_episodes(session, EpisodeKey.of(evaluation, submission))
     track = load_track(submission.track)
     tasks = [
         TaskProgressView(
@@ -38,6 +33,20 @@ def progress_of(session: Session, evaluation: Evaluation, submission: Submission
         successes=sum(task.successes for task in tasks),
         tasks=tasks,
     )
+
+
+def _counts_of_scores(evaluation: Evaluation) -> dict[str, tuple[int, int]]:
+    """Return finished and successful episodes by task once all are scored, which spares counting them."""
+    return {row["task"]: (row["episodes"], row["successes"]) for row in evaluation.scores or []}
+
+
+def _counts_of_episodes(session: Session, key: EpisodeKey) -> dict[str, tuple[int, int]]:
+    rows = session.execute(
+        select(EpisodeResult.task, func.count(), func.count().filter(EpisodeResult.success))
+        .where(*key.conditions())
+        .group_by(EpisodeResult.task)
+    )
+    return {task: (episodes, successes) for task, episodes, successes in rows}
 
 
 def queue_position(session: Session, evaluation: Evaluation) -> int | None:

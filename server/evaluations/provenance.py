@@ -1,5 +1,8 @@
 """What an evaluation was made with: the manifests that its shards have reported, and how they isolated the policy."""
 
+from collections.abc import Collection
+from uuid import UUID
+
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 from vitac.evaluator.episodes.records import Manifest
@@ -36,7 +39,16 @@ def manifest_of(session: Session, evaluation: Evaluation, task: str) -> Manifest
     return Manifest.model_validate(found)
 
 
-def isolation_levels(session: Session, evaluation: Evaluation) -> list[str]:
-    """Return how the policy was isolated, once for each kind of machine that ran a shard."""
-    query = select(Shard.isolation).where(Shard.evaluation_id == evaluation.id, Shard.isolation.is_not(None))
-    return sorted({isolation for isolation in session.scalars(query) if isolation is not None})
+def isolation_levels(session: Session, evaluations: Collection[Evaluation]) -> dict[UUID, list[str]]:
+    """Return by evaluation how the policy was isolated, once for each kind of machine that ran a shard."""
+    ids = [evaluation.id for evaluation in evaluations]
+    levels: dict[UUID, list[str]] = {evaluation_id: [] for evaluation_id in ids}
+    rows = session.execute(
+        select(Shard.evaluation_id, Shard.isolation)
+        .where(Shard.evaluation_id.in_(ids), Shard.isolation.is_not(None))
+        .distinct()
+        .order_by(Shard.evaluation_id, Shard.isolation)
+    )
+    for evaluation_id, level in rows:
+        levels[evaluation_id].append(level or "")
+    return levels

@@ -1,12 +1,17 @@
 """Makes the view of an evaluation out of its rows; called where submissions and evaluations are shown."""
 
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from typing import Self
+from uuid import UUID
+
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 from vitac.server.db.states import TERMINAL_EVALUATION_STATES
 
 from ..db.models import EpisodeResult, Evaluation, Submission
 from ..queue.workers import WorkersAlive
-from ..views.evaluations import EvaluationSummaryView, EvaluationView, VerdictView
+from ..views.evaluations import DifferingEpisodeView, EvaluationSummaryView, EvaluationView, VerdictView
 from .differences import differing_episodes
 from .episode_store import EpisodeKey
 from .lifecycle import LOG_TAIL_CHARACTERS
@@ -16,8 +21,29 @@ from .scores import bounds, combined_score, score_views
 from .verdicts import sentence_of
 
 
+@dataclass(frozen=True, kw_only=True)
+class EvaluationRows:
+    """What the views of evaluations show out of other tables, by evaluation, read once for all of them.
+
+    Attributes:
+        isolation: how policies were isolated.
+        differing: episodes that were run again with another record; None where only organizers may see them.
+    """
+
+    isolation: Mapping[UUID, list[str]]
+    differing: Mapping[UUID, list[DifferingEpisodeView]] | None
+
+    @classmethod
+    def read(cls, session: Session, evaluations: Collection[Evaluation], *, for_organizer: bool) -> Self:
+        """Return what is shown of these evaluations."""
+        return cls(
+            isolation=isolation_levels(session, evaluations),
+            differing=differing_episodes(session, evaluations) if for_organizer else None,
+        )
+
+
 def evaluation_view(
-    session: Session, evaluation: Evaluation, workers: WorkersAlive, *, for_organizer: bool
+    session: Session, evaluation: Evaluation, workers: WorkersAlive, rows: EvaluationRows
 ) -> EvaluationView:
     """Return an evaluation as it is shown.
 
@@ -25,7 +51,7 @@ def evaluation_view(
         session: of the transaction.
         evaluation: whose view.
         workers: those alive of its evaluator version.
-        for_organizer: show also what only organizers may see.
+        rows: of this evaluation among others.
     """
     submission = evaluation.submission
     progress = progress_of(session, evaluation, submission)
@@ -44,8 +70,8 @@ def evaluation_view(
         scores=score_views(evaluation),
         evaluator_hash=evaluation.evaluator_hash,
         platform_class=evaluation.platform_class,
-        isolation=isolation_levels(session, evaluation),
-        differing_episodes=differing_episodes(session, evaluation) if for_organizer else None,
+        isolation=rows.isolation[evaluation.id],
+        differing_episodes=None if rows.differing is None else rows.differing[evaluation.id],
     )
 
 

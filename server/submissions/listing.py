@@ -1,6 +1,5 @@
 """Submissions as their team and the organizers read them: one, a page of them, the episodes of one."""
 
-from functools import cache, partial
 from uuid import UUID
 
 from sqlalchemy import select, tuple_
@@ -13,10 +12,9 @@ from ..db.models import EpisodeResult, Submission
 from ..db.states import EvaluationState
 from ..evaluations.episode_store import EpisodeKey
 from ..evaluations.history import newest_evaluation, newest_state
-from ..leaderboards.best_entries import places
 from ..settings import Settings
 from ..views.submissions import EpisodeView, SubmissionListView, SubmissionView
-from .view import submission_view
+from .view import submission_views
 
 
 def get(session: Session, settings: Settings, by: Principal, submission_id: UUID) -> SubmissionView:
@@ -25,7 +23,8 @@ def get(session: Session, settings: Settings, by: Principal, submission_id: UUID
     Raises:
         ServiceError: there is none that the principal may see.
     """
-    return submission_view(session, settings, visible(session, by, submission_id), for_organizer=by.is_organizer)
+    found = visible(session, by, submission_id)
+    return submission_views(session, settings, [found], for_organizer=by.is_organizer)[0]
 
 
 def list_submissions(
@@ -57,12 +56,8 @@ def list_submissions(
         last = visible(session, by, before)
         query = query.where(tuple_(Submission.submitted_at, Submission.id) < tuple_(last.submitted_at, last.id))
     found = session.scalars(query.order_by(Submission.submitted_at.desc(), Submission.id.desc()).limit(limit + 1)).all()
-    places_of = cache(partial(places, session))
     return SubmissionListView(
-        items=[
-            submission_view(session, settings, submission, places_of, for_organizer=by.is_organizer)
-            for submission in found[:limit]
-        ],
+        items=submission_views(session, settings, found[:limit], for_organizer=by.is_organizer),
         next_before=found[limit - 1].id if len(found) > limit else None,
     )
 

@@ -1,7 +1,7 @@
 """Makes the view of a submission out of its rows; called by `listing` for the API and the pages."""
 
-from collections.abc import Callable
-from functools import partial
+from collections.abc import Callable, Sequence
+from functools import cache, partial
 
 from sqlalchemy.orm import Session
 from vitac.evaluator.tracks import load_track
@@ -9,10 +9,10 @@ from vitac.server.db.states import EvaluationState
 
 from ..accounts.teams import team_view
 from ..db.models import Evaluation, Submission
-from ..evaluations.history import history
-from ..evaluations.view import evaluation_view, summary_view
+from ..evaluations.history import histories
+from ..evaluations.view import EvaluationRows, evaluation_view, summary_view
 from ..leaderboards.best_entries import PlacesOfBoards, places
-from ..queue.workers import workers_alive
+from ..queue.workers import WorkersAlive, workers_alive
 from ..settings import Settings
 from ..uploads.kinds import SERVED_KINDS
 from ..views.submissions import RankView, SubmissionView
@@ -21,27 +21,34 @@ from ..views.workers import WorkersView
 PlacesOf = Callable[[str], PlacesOfBoards]
 
 
-def submission_view(
-    session: Session,
-    settings: Settings,
-    submission: Submission,
-    places_of: PlacesOf | None = None,
-    *,
-    for_organizer: bool = False,
-) -> SubmissionView:
-    """Return the submission with its newest evaluation.
+def submission_views(
+    session: Session, settings: Settings, submissions: Sequence[Submission], *, for_organizer: bool = False
+) -> list[SubmissionView]:
+    """Return submissions with their newest evaluations; what they share is read once for all.
 
     Args:
         session: of the transaction.
         settings: of this process.
-        submission: whose view.
-        places_of: gives the places on a track's boards, for those who show many submissions and read them once.
+        submissions: whose views.
         for_organizer: show also what only organizers may see.
     """
-    places_of = places_of or partial(places, session)
-    runs = session.scalars(history(submission)).all()
+    runs = histories(session, submissions)
+    rows = EvaluationRows.read(session, [found[0] for found in runs.values()], for_organizer=for_organizer)
+    workers_of = cache(partial(workers_alive, session, settings))
+    places_of = cache(partial(places, session))
+    return [_view(session, submission, runs[submission.id], rows, workers_of, places_of) for submission in submissions]
+
+
+def _view(
+    session: Session,
+    submission: Submission,
+    runs: Sequence[Evaluation],
+    rows: EvaluationRows,
+    workers_of: Callable[[str], WorkersAlive],
+    places_of: PlacesOf,
+) -> SubmissionView:
     newest = runs[0]
-    workers = workers_alive(session, settings, newest.evaluator_version)
+    workers = workers_of(newest.evaluator_version)
     log_view = SERVED_KINDS[submission.kind].log_view
     ranks = _ranks(submission, newest, places_of)
     return SubmissionView(
@@ -56,7 +63,7 @@ def submission_view(
         archive_sha256=submission.archive_sha256,
         archive_bytes=submission.archive_bytes,
         submitted_at=submission.submitted_at,
-        evaluation=evaluation_view(session, newest, workers, for_organizer=for_organizer),
+        evaluation=evaluation_view(session, newest, workers, rows),
         evaluations=[summary_view(evaluation) for evaluation in runs],
         workers=WorkersView(alive=workers.alive, last_heartbeat_at=workers.last_heartbeat_at),
         rank=ranks.get(None),

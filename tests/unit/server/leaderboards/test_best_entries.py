@@ -6,14 +6,13 @@ import pytest
 from database_work import database_work
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from service_factories import LOCK, TASK, TRACK, make_principal, make_score, make_settings, sha256, submit_scored
+from service_factories import LOCK, TASK, TRACK, make_principal, make_score, sha256, submit_scored
 from sqlalchemy import select, text
 from sqlalchemy.orm import Session
 from vitac.evaluator.scoring.ranking import Standing, rank
 from vitac.evaluator.scoring.score import Score
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.version import evaluator_hash, evaluator_version
-from vitac.server.accounts.principals import CONSOLE
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Evaluation, Submission, Team
 from vitac.server.db.schema import downgrade, upgrade
@@ -22,7 +21,6 @@ from vitac.server.evaluations.scores import combined_score, scores_of, store_sco
 from vitac.server.leaderboards.best_entries import Board, best_entries, places
 from vitac.server.leaderboards.log_boards import log_boards
 from vitac.server.leaderboards.standings import leaderboard
-from vitac.server.submissions import listing
 
 TEAMS = 4
 BEGIN = datetime(2026, 1, 1, tzinfo=UTC)
@@ -161,10 +159,3 @@ def test_migration_fills_the_results_of_completed_evaluations(database: Database
     with database.transaction() as session:
         assert session.execute(query).all() == stored
     assert len(stored) == 3 + 2 + 1
-
-
-def test_list_asks_for_places_once(many_results: Database) -> None:
-    with many_results.transaction() as session, database_work(session) as work:
-        shown = listing.list_submissions(session, make_settings(), CONSOLE, limit=20)
-    assert len(shown.items) == 20
-    assert work.rows_read["board_results"] < 100

@@ -1,11 +1,15 @@
 from uuid import uuid4
 
+from database_work import database_work
 from service_factories import (
+    TASK,
     TRACK,
     claim,
     make_principal,
     make_record,
+    make_score,
     store,
+    submit_scored,
 )
 from submission_steps import SETTINGS, create, ids_of, refused, view_of
 from vitac.evaluator.episodes.records import EpisodeOutcome
@@ -63,3 +67,15 @@ def test_episodes_are_listed_in_order(database: Database, principal: Principal) 
         (2, "success", True),
         (4, "tactile", False),
     ]
+
+
+def test_a_long_list_takes_no_more_statements_than_a_short_one(database: Database, principal: Principal) -> None:
+    with database.transaction() as session:
+        for number in range(12):
+            submit_scored(session, principal, f"model {number}", {TASK: make_score(number)})
+    statements = []
+    for limit in (2, 12):
+        with database.transaction() as session, database_work(session) as work:
+            assert len(listing.list_submissions(session, SETTINGS, CONSOLE, limit=limit).items) == limit
+        statements.append(work.statements)
+    assert statements[0] == statements[1] < 20
