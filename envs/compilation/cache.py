@@ -68,7 +68,7 @@ class KernelCache(FunctionCache):
         return found
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep machine code, and remove what nobody uses any more."""
+        """Keep machine code, and remove what is no longer used."""
         super().save_overload(sig, data)
         remove_unused(Path(self.cache_path).parent)
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import vitac.envs.fem
 
 FOLDER = Path(vitac.envs.fem.__file__).parent
-MOST_PARAMETERS = 6
+MAX_PARAMETERS = 6
 
 
 def functions() -> Iterator[tuple[str, int]]:
@@ -24,4 +24,4 @@ def functions() -> Iterator[tuple[str, int]]:
 def test_no_function_has_more_than_six_parameters() -> None:
     found = dict(functions())
     assert len(found) > 200
-    assert {name: count for name, count in found.items() if count > MOST_PARAMETERS} == {}
+    assert {name: count for name, count in found.items() if count > MAX_PARAMETERS} == {}

@@ -9,6 +9,7 @@ import pytest
 SUFFIXES = {".py", ".html", ".js", ".sh", ".md", ".yaml", ".yml"}
 PLACES = (
     *("cli", "web", "worker", "server", "evaluator", "examples"),
+    *("envs/compilation", "envs/fem", "tests/physics"),
     *("docs", "README.md", "CONTRIBUTING.md", "CHANGELOG.md"),
     *("vitac", "setup", "docker", "docker-compose.yml"),
 )

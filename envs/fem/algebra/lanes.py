@@ -57,6 +57,6 @@ def subtract_products(typing_context, front, places, factors):  # type: ignore[n
 
 
 def _in_all_lanes(builder: Any, value: Any) -> Any:
-    kind = ir.VectorType(value.type, LANES)
-    nothing, first = ir.Constant(kind, ir.Undefined), ir.VectorType(ir.IntType(32), LANES)([0] * LANES)
+    vector = ir.VectorType(value.type, LANES)
+    nothing, first = ir.Constant(vector, ir.Undefined), ir.VectorType(ir.IntType(32), LANES)([0] * LANES)
     return builder.shuffle_vector(builder.insert_element(nothing, value, ir.IntType(32)(0)), nothing, first)

@@ -70,13 +70,13 @@ def add_contacts(
     """Add all pairs closer than d_hat; returns the smallest distance [m] and their number."""
     y, y_start, d_hat = points.y, points.y_start, model.parameters.d_hat_m
     smallest, active = np.inf, 0
-    for k in range(len(candidates.kind)):
+    for k in range(len(candidates.pair_type)):
         if candidates.distance_m[k] - points.motion[candidates.bodies[k]] >= d_hat:
             continue
-        corners, kind = candidates.points, candidates.kind[k]
+        corners, pair_type = candidates.points, candidates.pair_type[k]
         p0, p1, p2, p3 = corners[k, 0], corners[k, 1], corners[k, 2], corners[k, 3]
         x = (load(y, p0), load(y, p1), load(y, p2), load(y, p3))
-        c, sliding, r = closest_points(kind, x[0], x[1], x[2], x[3])
+        c, sliding, r = closest_points(pair_type, x[0], x[1], x[2], x[3])
         if dot(r, r) >= d_hat * d_hat:
             continue
         moves = (
@@ -90,7 +90,7 @@ def add_contacts(
         active += 1
         pair = PairProperties(candidates.friction[k], candidates.mollifier_eps_m4[k])
         modes = _write_modes(model.parameters, pair, geometry, stencil, matrix)
-        split = 2 if kind == EDGE_EDGE else 1
+        split = 2 if pair_type == EDGE_EDGE else 1
         count = collect_nodes(model.points, corners, k, split, modes, stencil)
         add_forces(stencil, count, modes, system.gradient)
         if matrix != NO_MATRIX:

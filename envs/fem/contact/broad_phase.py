@@ -25,7 +25,7 @@ _MOLLIFIER_THRESHOLD = 1e-3
 class Candidates(NamedTuple):
     """Pairs that may be in contact; a list, not a set of contacts."""
 
-    kind: IndexArray  # [k] POINT_TRIANGLE or EDGE_EDGE
+    pair_type: IndexArray  # [k] POINT_TRIANGLE or EDGE_EDGE
     points: IndexArray  # [k, 4]
     friction: FloatArray  # [k]
     mollifier_eps_m4: FloatArray  # [k] 0 for point-triangle pairs
@@ -66,7 +66,7 @@ def find_candidates(surfaces: Surfaces, y: FloatArray, reach_m: FloatArray) -> C
             found.bodies[first : min(count, capacity)] = k
         if count <= capacity:
             return Candidates(
-                found.kind[:count],
+                found.pair_type[:count],
                 found.points[:count],
                 found.friction[:count],
                 found.mollifier_eps_m4[:count],
@@ -113,16 +113,18 @@ def _edge_edge_pairs(search: Search, a: int, b: int, found: Candidates, count: i
 
 
 @kernel
-def _append(search: Search, found: Candidates, count: int, kind: int, corners: Corners, eps: float) -> int:
+def _append(search: Search, found: Candidates, count: int, pair_type: int, corners: Corners, eps: float) -> int:
     """Append a pair if it is within reach; beyond the capacity pairs are only counted."""
     y = search.y
-    _, _, r = closest_points(kind, load(y, corners[0]), load(y, corners[1]), load(y, corners[2]), load(y, corners[3]))
+    _, _, r = closest_points(
+        pair_type, load(y, corners[0]), load(y, corners[1]), load(y, corners[2]), load(y, corners[3])
+    )
     distance = _length(r)
     if distance > search.reach_m:
         return count
-    if count < len(found.kind):
+    if count < len(found.pair_type):
         points = found.points
-        found.kind[count] = kind
+        found.pair_type[count] = pair_type
         points[count, 0], points[count, 1], points[count, 2], points[count, 3] = corners
         found.mollifier_eps_m4[count] = eps
         found.distance_m[count] = distance

@@ -44,28 +44,28 @@ def contact_free_fraction(candidates: Candidates, points: PointMove, gap_fractio
 
     A pair that cannot have closed that part of its gap, by how far its bodies have moved, is passed over.
     """
-    for k in range(len(candidates.kind)):
+    for k in range(len(candidates.pair_type)):
         body = candidates.bodies[k]
         now, ahead, listed = points.motion[body], points.motion_ahead[body], candidates.distance_m[k]
         if listed - max(now, ahead) >= (1.0 - gap_fraction) * (listed + now):
             continue
         corners = candidates.points
         pair = (corners[k, 0], corners[k, 1], corners[k, 2], corners[k, 3])
-        allowed = _pair_fraction(candidates.kind[k], pair, points, gap_fraction, allowed)
+        allowed = _pair_fraction(candidates.pair_type[k], pair, points, gap_fraction, allowed)
     return allowed
 
 
 @kernel
-def _pair_fraction(kind: int, pair: Corners, points: PointMove, gap_fraction: float, allowed: float) -> float:
+def _pair_fraction(pair_type: int, pair: Corners, points: PointMove, gap_fraction: float, allowed: float) -> float:
     y, move = points.y, points.move
     p0, p1, p2, p3 = pair
     v0, v1, v2, v3 = load(move, p0), load(move, p1), load(move, p2), load(move, p3)
     x0, x1, x2, x3 = load(y, p0), load(y, p1), load(y, p2), load(y, p3)
-    _, _, r = closest_points(kind, x0, x1, x2, x3)
+    _, _, r = closest_points(pair_type, x0, x1, x2, x3)
     floor = (1.0 - gap_fraction) * np.sqrt(dot(r, r))
     time = 0.0
     for _ in range(_ADVANCES):
-        advance = _advance((x0, x1, x2, x3), (v0, v1, v2, v3), r, floor, kind)
+        advance = _advance((x0, x1, x2, x3), (v0, v1, v2, v3), r, floor, pair_type)
         time += advance
         if time >= allowed:
             return allowed
@@ -73,14 +73,14 @@ def _pair_fraction(kind: int, pair: Corners, points: PointMove, gap_fraction: fl
             return time
         x0, x1 = add(load(y, p0), scale(time, v0)), add(load(y, p1), scale(time, v1))
         x2, x3 = add(load(y, p2), scale(time, v2)), add(load(y, p3), scale(time, v3))
-        _, _, r = closest_points(kind, x0, x1, x2, x3)
+        _, _, r = closest_points(pair_type, x0, x1, x2, x3)
     return time
 
 
 @kernel
-def _advance(x: Quad, v: Quad, r: Vec3, floor: float, kind: int) -> float:
+def _advance(x: Quad, v: Quad, r: Vec3, floor: float, pair_type: int) -> float:
     """Time until the first two vertices of the two primitives have come as near as floor along r."""
-    if kind == POINT_TRIANGLE:
+    if pair_type == POINT_TRIANGLE:
         return min(
             _vertex_pair_time(x[0], x[1], v[0], v[1], r, floor),
             _vertex_pair_time(x[0], x[2], v[0], v[2], r, floor),

@@ -1,4 +1,4 @@
-"""Closest points of the two kinds of primitive pairs, and what the distance's derivatives need.
+"""Closest points of the two types of primitive pairs, and what the distance's derivatives need.
 
 The closest points of a pair are r = sum_i c_i x_i apart, where x_0..x_3 are the pair's points and the coefficients c
 sum to zero: point-triangle (p, t0, t1, t2) has c = (1, -b0, -b1, -b2); edge-edge (a0, a1, b0, b1) has
@@ -27,9 +27,9 @@ Sliding = tuple[int, int, int, int]
 
 
 @kernel
-def closest_points(kind: int, x0: Vec3, x1: Vec3, x2: Vec3, x3: Vec3) -> tuple[Coefficients, Sliding, Vec3]:
-    """Coefficients, sliding directions and separation r [m] of a pair of the given kind."""
-    c, sliding = point_triangle(x0, x1, x2, x3) if kind == POINT_TRIANGLE else edge_edge(x0, x1, x2, x3)
+def closest_points(pair_type: int, x0: Vec3, x1: Vec3, x2: Vec3, x3: Vec3) -> tuple[Coefficients, Sliding, Vec3]:
+    """Coefficients, sliding directions and separation r [m] of a pair of the given type."""
+    c, sliding = point_triangle(x0, x1, x2, x3) if pair_type == POINT_TRIANGLE else edge_edge(x0, x1, x2, x3)
     r = add(add(scale(c[0], x0), scale(c[1], x1)), add(scale(c[2], x2), scale(c[3], x3)))
     return c, sliding, r
 

@@ -75,9 +75,9 @@ class GelMesh:
         quality = 6.0 * np.sqrt(2.0) * volumes / lengths.max(axis=1) ** 3
         worst = int(quality.argmin())
         if quality[worst] < SMALLEST_TETRAHEDRON_QUALITY:
-            kind = "inverted" if volumes[worst] < 0 else "degenerate"
+            fault = "inverted" if volumes[worst] < 0 else "degenerate"
             raise MeshError(
-                f"{self.name}: tetrahedron {worst} (nodes {self.tetrahedra[worst].tolist()}) is {kind}: volume "
+                f"{self.name}: tetrahedron {worst} (nodes {self.tetrahedra[worst].tolist()}) is {fault}: volume "
                 f"{volumes[worst]:.3e} m^3, quality {quality[worst]:.3e}, expected at least "
                 f"{SMALLEST_TETRAHEDRON_QUALITY:g}; reorder its nodes or remesh."
             )

@@ -1,7 +1,7 @@
 """Solves one IPC step by Newton's method on the forces, with the exact Jacobian of friction.
 
 The step's forces are not the gradient of an energy once friction is taken at the solution, so the matrix is unsymmetric
-and there is no energy to descend. Newton's iterations come in turns of two kinds:
+and there is no energy to descend. Newton's iterations come in turns of two sorts:
 
 - *free* ones take the whole Newton step, as far as contact and inversion allow. Nearly every IPC step is solved within
   the first turn, converging quadratically.

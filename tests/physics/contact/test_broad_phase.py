@@ -36,14 +36,14 @@ def all_pairs(probe: Probe) -> Iterator[Pair]:
 
 
 def distance(y: FloatArray, pair: Pair) -> float:
-    kind, p = pair
-    _, _, r = closest_points(kind, load(y, p[0]), load(y, p[1]), load(y, p[2]), load(y, p[3]))
+    pair_type, p = pair
+    _, _, r = closest_points(pair_type, load(y, p[0]), load(y, p[1]), load(y, p[2]), load(y, p[3]))
     return float(np.linalg.norm(r))
 
 
 def listed(candidates: Candidates) -> set[Pair]:
-    rows = zip(candidates.kind.tolist(), candidates.points.tolist(), strict=True)
-    return {(kind, tuple(points)) for kind, points in rows}
+    rows = zip(candidates.pair_type.tolist(), candidates.points.tolist(), strict=True)
+    return {(pair_type, tuple(points)) for pair_type, points in rows}
 
 
 @pytest.mark.parametrize("reach", [1e-4, 5e-4])
@@ -52,7 +52,7 @@ def test_every_pair_within_reach_is_listed_once(probe: Probe, reach: float) -> N
     y = probe.points_m(probe.x_m)
     near = {pair for pair in all_pairs(probe) if distance(y, pair) <= reach}
     found = listed(candidates)
-    assert len(found) == len(candidates.kind)
+    assert len(found) == len(candidates.pair_type)
     assert len(near) > 40
     assert near <= found
 
@@ -63,18 +63,18 @@ def test_listed_pairs_carry_their_friction_and_mollifier_threshold(probe: Probe)
     body_of = np.searchsorted(s.point_start, np.arange(s.point_start[-1]), side="right") - 1
     friction = {tuple(pair): value for pair, value in zip(s.pairs.tolist(), s.pair_friction, strict=True)}
     rest = {tuple(edge): length for edge, length in zip(s.edges.tolist(), s.edge_squared_length_m2, strict=True)}
-    for k in range(len(candidates.kind)):
+    for k in range(len(candidates.pair_type)):
         p = candidates.points[k]
         bodies = tuple(sorted((int(body_of[p[0]]), int(body_of[p[3]]))))
         assert candidates.friction[k] == friction[bodies]
-        if candidates.kind[k] == EDGE_EDGE:
+        if candidates.pair_type[k] == EDGE_EDGE:
             expected = 1e-3 * rest[(int(p[0]), int(p[1]))] * rest[(int(p[2]), int(p[3]))]
             assert candidates.mollifier_eps_m4[k] == pytest.approx(expected)
 
 
 def test_the_list_grows_past_its_first_capacity(probe: Probe) -> None:
     everything = probe.candidates(probe.x_m, 1.0)
-    assert len(everything.kind) == sum(1 for _ in all_pairs(probe)) > 4096
+    assert len(everything.pair_type) == sum(1 for _ in all_pairs(probe)) > 4096
 
 
 @pytest.mark.parametrize("seed", range(4))

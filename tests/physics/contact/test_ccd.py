@@ -15,15 +15,15 @@ from vitac.envs.fem.scene.scene import Scene
 
 FloatArray = NDArray[np.float64]
 GAP_FRACTION = 0.7
-kinds = pytest.mark.parametrize("kind", [POINT_TRIANGLE, EDGE_EDGE])
+pair_types = pytest.mark.parametrize("pair_type", [POINT_TRIANGLE, EDGE_EDGE])
 
 
-def listed(kinds: list[int], points: list[list[int]], x: FloatArray) -> Candidates:
+def listed(pair_types: list[int], points: list[list[int]], x: FloatArray) -> Candidates:
     """Candidates of one pair of bodies, listed at points x [m]."""
-    distances = [distance(kind, x[corners]) for kind, corners in zip(kinds, points, strict=True)]
-    pairs = len(kinds)
+    distances = [distance(pair_type, x[corners]) for pair_type, corners in zip(pair_types, points, strict=True)]
+    pairs = len(pair_types)
     return Candidates(
-        np.array(kinds),
+        np.array(pair_types),
         np.array(points),
         np.ones(pairs),
         np.zeros(pairs),
@@ -32,14 +32,14 @@ def listed(kinds: list[int], points: list[list[int]], x: FloatArray) -> Candidat
     )
 
 
-def fraction(kind: int, x: FloatArray, move: FloatArray, gap_fraction: float = GAP_FRACTION) -> float:
-    candidates = listed([kind], [[0, 1, 2, 3]], x)
+def fraction(pair_type: int, x: FloatArray, move: FloatArray, gap_fraction: float = GAP_FRACTION) -> float:
+    candidates = listed([pair_type], [[0, 1, 2, 3]], x)
     far = np.full(1, np.inf)
     return contact_free_fraction(candidates, PointMove(x, move, far, far), gap_fraction, 1.0)
 
 
-def distance(kind: int, x: FloatArray) -> float:
-    _, _, r = closest_points(kind, load(x, 0), load(x, 1), load(x, 2), load(x, 3))
+def distance(pair_type: int, x: FloatArray) -> float:
+    _, _, r = closest_points(pair_type, load(x, 0), load(x, 1), load(x, 2), load(x, 3))
     return float(np.linalg.norm(r))
 
 
@@ -47,51 +47,51 @@ def random_pair(random: np.random.Generator) -> tuple[FloatArray, FloatArray]:
     return random.normal(size=(4, 3)), random.normal(size=(4, 3)) * random.choice([0.3, 1.0, 3.0])
 
 
-@kinds
-def test_a_move_leaves_its_part_of_the_gap_all_along(kind: int) -> None:
-    random = np.random.default_rng(kind)
+@pair_types
+def test_a_move_leaves_its_part_of_the_gap_all_along(pair_type: int) -> None:
+    random = np.random.default_rng(pair_type)
     limited = 0
     for _ in range(300):
         x, move = random_pair(random)
-        part = fraction(kind, x, move)
-        floor = (1 - GAP_FRACTION) * distance(kind, x)
-        gaps = [distance(kind, x + t * part * move) for t in np.linspace(0, 1, 60)]
+        part = fraction(pair_type, x, move)
+        floor = (1 - GAP_FRACTION) * distance(pair_type, x)
+        gaps = [distance(pair_type, x + t * part * move) for t in np.linspace(0, 1, 60)]
         assert min(gaps) >= floor * (1 - 1e-9)
         limited += part < 1
     assert limited > 15
 
 
-@kinds
-def test_a_limited_move_ends_near_its_limit(kind: int) -> None:
+@pair_types
+def test_a_limited_move_ends_near_its_limit(pair_type: int) -> None:
     """Conservative, not timid: where the move is cut, most of the allowed gap has been used."""
-    random = np.random.default_rng(20 + kind)
+    random = np.random.default_rng(20 + pair_type)
     used = []
     for _ in range(300):
         x, move = random_pair(random)
-        part = fraction(kind, x, move)
+        part = fraction(pair_type, x, move)
         if part < 1:
-            ahead = [distance(kind, x + min(1.0, part + 0.02 * k) * move) for k in range(1, 4)]
-            used.append(min(ahead) <= (1 - GAP_FRACTION) * distance(kind, x) + 0.05 or part > 0.97)
+            ahead = [distance(pair_type, x + min(1.0, part + 0.02 * k) * move) for k in range(1, 4)]
+            used.append(min(ahead) <= (1 - GAP_FRACTION) * distance(pair_type, x) + 0.05 or part > 0.97)
     assert np.mean(used) > 0.9
 
 
-@kinds
-def test_the_fraction_never_exceeds_the_exact_time_of_impact(kind: int) -> None:
+@pair_types
+def test_the_fraction_never_exceeds_the_exact_time_of_impact(pair_type: int) -> None:
     ipctk = pytest.importorskip("ipctk", reason="the IPC Toolkit has no wheel for this machine")
-    random = np.random.default_rng(40 + kind)
+    random = np.random.default_rng(40 + pair_type)
     oracle = ipctk.TightInclusionCCD(tolerance=1e-9, conservative_rescaling=1.0)
-    find = oracle.point_triangle_ccd if kind == POINT_TRIANGLE else oracle.edge_edge_ccd
+    find = oracle.point_triangle_ccd if pair_type == POINT_TRIANGLE else oracle.edge_edge_ccd
     hits = 0
     for _ in range(300):
         x, move = random_pair(random)
-        if kind == POINT_TRIANGLE and random.random() < 0.7:  # aim at the triangle
+        if pair_type == POINT_TRIANGLE and random.random() < 0.7:  # aim at the triangle
             move = np.zeros((4, 3))
             move[0] = 1.5 * (random.dirichlet([1, 1, 1]) @ x[1:] - x[0])
         hit, time = find(*x, *(x + move))
         if hit:
             hits += 1
-            assert fraction(kind, x, move) < time
-            assert fraction(kind, x, move, 0.999) <= time * (1 + 1e-6)
+            assert fraction(pair_type, x, move) < time
+            assert fraction(pair_type, x, move, 0.999) <= time * (1 + 1e-6)
     assert hits > 20
 
 

@@ -37,58 +37,60 @@ CASES = [
     pytest.param(EDGE_EDGE, np.concatenate([EDGE, other]), count, id=name)
     for name, (other, count) in OTHER_EDGES.items()
 ]
-regions = pytest.mark.parametrize(("kind", "x", "slides"), CASES)
+regions = pytest.mark.parametrize(("pair_type", "x", "slides"), CASES)
 
 
-def closest(kind: int, x: FloatArray) -> tuple[Coefficients, Sliding, FloatArray]:
-    c, sliding, r = closest_points(kind, vec3(x[0]), vec3(x[1]), vec3(x[2]), vec3(x[3]))
+def closest(pair_type: int, x: FloatArray) -> tuple[Coefficients, Sliding, FloatArray]:
+    c, sliding, r = closest_points(pair_type, vec3(x[0]), vec3(x[1]), vec3(x[2]), vec3(x[3]))
     return c, sliding, np.array(r)
 
 
-def distance(kind: int, x: FloatArray) -> float:
-    return float(np.linalg.norm(closest(kind, x)[2]))
+def distance(pair_type: int, x: FloatArray) -> float:
+    return float(np.linalg.norm(closest(pair_type, x)[2]))
 
 
-def gradient(kind: int, x: FloatArray) -> FloatArray:
-    c, _, r = closest(kind, x)
+def gradient(pair_type: int, x: FloatArray) -> FloatArray:
+    c, _, r = closest(pair_type, x)
     return np.outer(c, r / np.linalg.norm(r))
 
 
-def directions(kind: int, x: FloatArray) -> list[SlidingDirection]:
-    _, sliding, _ = closest(kind, x)
+def directions(pair_type: int, x: FloatArray) -> list[SlidingDirection]:
+    _, sliding, _ = closest(pair_type, x)
     points = (vec3(x[0]), vec3(x[1]), vec3(x[2]), vec3(x[3]))
     return [k for k in sliding_directions(sliding, points, points) if any(k.tangent)]
 
 
-def hessian(kind: int, x: FloatArray) -> FloatArray:
+def hessian(pair_type: int, x: FloatArray) -> FloatArray:
     """The formula of the module, written with dense arrays."""
-    c, _, r = closest(kind, x)
+    c, _, r = closest(pair_type, x)
     coefficients, d = np.array(c), float(np.linalg.norm(r))
     n = r / d
     result = np.zeros((12, 12))
     result += np.kron(np.outer(coefficients, coefficients), (np.eye(3) - np.outer(n, n)) / d)
-    for k in directions(kind, x):
+    for k in directions(pair_type, x):
         m = np.kron(k.dc, n) + np.kron(coefficients, k.tangent) / d
         result -= d * np.outer(m, m)
     return result
 
 
 @regions
-def test_distance_gradient_matches_differences(kind: int, x: FloatArray, slides: int) -> None:
-    np.testing.assert_allclose(gradient(kind, x), differences(lambda y: distance(kind, y), x, 1e-4), atol=1e-10)
+def test_distance_gradient_matches_differences(pair_type: int, x: FloatArray, slides: int) -> None:
+    np.testing.assert_allclose(
+        gradient(pair_type, x), differences(lambda y: distance(pair_type, y), x, 1e-4), atol=1e-10
+    )
 
 
 @regions
-def test_distance_hessian_matches_differences(kind: int, x: FloatArray, slides: int) -> None:
-    expected = differences(lambda y: gradient(kind, y).ravel(), x, 1e-4).reshape(12, 12)
-    np.testing.assert_allclose(hessian(kind, x), expected, atol=1e-8)
+def test_distance_hessian_matches_differences(pair_type: int, x: FloatArray, slides: int) -> None:
+    expected = differences(lambda y: gradient(pair_type, y).ravel(), x, 1e-4).reshape(12, 12)
+    np.testing.assert_allclose(hessian(pair_type, x), expected, atol=1e-8)
 
 
 @regions
-def test_each_region_has_its_sliding_directions(kind: int, x: FloatArray, slides: int) -> None:
-    found = directions(kind, x)
+def test_each_region_has_its_sliding_directions(pair_type: int, x: FloatArray, slides: int) -> None:
+    found = directions(pair_type, x)
     assert len(found) == slides
-    n = closest(kind, x)[2]
+    n = closest(pair_type, x)[2]
     for k in found:
         assert sum(k.dc) == pytest.approx(0, abs=1e-12)
         assert np.linalg.norm(k.tangent) == pytest.approx(1)
@@ -98,18 +100,18 @@ def test_each_region_has_its_sliding_directions(kind: int, x: FloatArray, slides
 
 
 @regions
-def test_coefficients_sum_to_zero_and_lie_on_the_primitives(kind: int, x: FloatArray, slides: int) -> None:
-    c, _, _ = closest(kind, x)
+def test_coefficients_sum_to_zero_and_lie_on_the_primitives(pair_type: int, x: FloatArray, slides: int) -> None:
+    c, _, _ = closest(pair_type, x)
     assert sum(c) == pytest.approx(0, abs=1e-15)
-    split = 1 if kind == POINT_TRIANGLE else 2
+    split = 1 if pair_type == POINT_TRIANGLE else 2
     assert all(0 <= value <= 1 for value in c[:split])
     assert all(-1 <= value <= 0 for value in c[split:])
 
 
-def brute_force_distance(kind: int, x: FloatArray) -> float:
+def brute_force_distance(pair_type: int, x: FloatArray) -> float:
     """Smallest distance over a fine grid of points on both primitives."""
     s = np.linspace(0, 1, 101)
-    if kind == EDGE_EDGE:
+    if pair_type == EDGE_EDGE:
         a = x[0] + s[:, None] * (x[1] - x[0])
         b = x[2] + s[:, None] * (x[3] - x[2])
         return float(np.linalg.norm(a[:, None] - b[None], axis=2).min())
@@ -119,30 +121,30 @@ def brute_force_distance(kind: int, x: FloatArray) -> float:
     return float(np.linalg.norm(x[0] - on, axis=1).min())
 
 
-@pytest.mark.parametrize("kind", [POINT_TRIANGLE, EDGE_EDGE])
-def test_random_pairs_are_as_close_as_a_brute_force_search_finds(kind: int) -> None:
-    random = np.random.default_rng(kind)
+@pytest.mark.parametrize("pair_type", [POINT_TRIANGLE, EDGE_EDGE])
+def test_random_pairs_are_as_close_as_a_brute_force_search_finds(pair_type: int) -> None:
+    random = np.random.default_rng(pair_type)
     for _ in range(60):
         x = random.normal(size=(4, 3))
-        found = brute_force_distance(kind, x)
-        assert distance(kind, x) <= found + 1e-12
-        assert distance(kind, x) >= found - 0.06
+        found = brute_force_distance(pair_type, x)
+        assert distance(pair_type, x) <= found + 1e-12
+        assert distance(pair_type, x) >= found - 0.06
 
 
-@pytest.mark.parametrize("kind", [POINT_TRIANGLE, EDGE_EDGE])
-def test_random_and_flat_pairs_agree_with_the_ipc_toolkit(kind: int) -> None:
+@pytest.mark.parametrize("pair_type", [POINT_TRIANGLE, EDGE_EDGE])
+def test_random_and_flat_pairs_agree_with_the_ipc_toolkit(pair_type: int) -> None:
     ipctk = pytest.importorskip("ipctk", reason="the IPC Toolkit has no wheel for this machine")
-    oracle = ipctk.point_triangle_distance if kind == POINT_TRIANGLE else ipctk.edge_edge_distance
-    random = np.random.default_rng(10 + kind)
+    oracle = ipctk.point_triangle_distance if pair_type == POINT_TRIANGLE else ipctk.edge_edge_distance
+    random = np.random.default_rng(10 + pair_type)
     for case in range(2000):
         x = random.normal(size=(4, 3)) * (1.0, 1.0, 1.0 if case % 2 else 1e-3)
         if case % 5 == 0:
             x = np.round(x, 1) + (np.arange(4)[:, None] == 0) * 0.05  # many ties between regions
-        if kind == POINT_TRIANGLE and np.linalg.norm(np.cross(x[2] - x[1], x[3] - x[1])) < 1e-6:
+        if pair_type == POINT_TRIANGLE and np.linalg.norm(np.cross(x[2] - x[1], x[3] - x[1])) < 1e-6:
             continue  # meshes with a degenerate triangle are refused
-        if kind == EDGE_EDGE and min(np.linalg.norm(x[1] - x[0]), np.linalg.norm(x[3] - x[2])) < 1e-6:
+        if pair_type == EDGE_EDGE and min(np.linalg.norm(x[1] - x[0]), np.linalg.norm(x[3] - x[2])) < 1e-6:
             continue
-        assert distance(kind, x) ** 2 == pytest.approx(oracle(*x), rel=1e-9, abs=1e-14)
+        assert distance(pair_type, x) ** 2 == pytest.approx(oracle(*x), rel=1e-9, abs=1e-14)
 
 
 @pytest.mark.parametrize("shift", [0.0, 0.5, 1.0, 2.5, -0.5, -3.0])

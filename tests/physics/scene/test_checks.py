@@ -1,4 +1,4 @@
-"""What no scene can be made of is refused with the body or setting and the value that came."""
+"""What no scene can be made of is refused with the body or setting and its value."""
 
 from dataclasses import replace
 from typing import Any

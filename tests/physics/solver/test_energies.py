@@ -36,12 +36,12 @@ class Written:
     def touching(self, x: FloatArray) -> list[Touching]:
         y, near = self.probe.points_m(x), self.probe.candidates(x, 2e-4)
         found = []
-        for kind, p, eps in zip(near.kind, near.points, near.mollifier_eps_m4, strict=True):
-            c, _, r = closest_points(int(kind), *(vec3(y[i]) for i in p))
+        for pair_type, p, eps in zip(near.pair_type, near.points, near.mollifier_eps_m4, strict=True):
+            c, _, r = closest_points(int(pair_type), *(vec3(y[i]) for i in p))
             d = float(np.linalg.norm(r))
             if d < self.model.parameters.d_hat_m:
                 cross = np.cross(y[p[1]] - y[p[0]], y[p[3]] - y[p[2]])
-                ratio = min(1.0, cross @ cross / eps) if kind == EDGE_EDGE else 1.0
+                ratio = min(1.0, cross @ cross / eps) if pair_type == EDGE_EDGE else 1.0
                 fade = ratio * (2 - ratio)
                 found.append(
                     Touching(points=p, coefficients=np.array(c), distance_m=d, normal=np.array(r) / d, fade=float(fade))
