@@ -31,6 +31,13 @@ class SensorMount:
     rotation: FloatArray
 
 
+# For a part that stands upright: both gels' x axes point down; the left one looks along -y, the right one along +y.
+UPRIGHT_MOUNTS = (
+    SensorMount(side=1, rotation=np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])),
+    SensorMount(side=-1, rotation=np.array([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]])),
+)
+
+
 @dataclass(frozen=True, kw_only=True)
 class GripperPose:
     """Pose of the gripper in the world.

@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .pinhole import Intrinsics
+from .sizes import POINTS_PER_OBJECT
 
 ColourPicture = NDArray[np.uint8]
 DepthPicture = NDArray[np.float32]
 
-POINTS_PER_OBJECT = 128
 # The challenge's colour rule: red and blue are bright above the one, red, green and blue are dark below the other.
 _BRIGHT = 200
 _DARK = 100

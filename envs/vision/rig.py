@@ -8,8 +8,6 @@ import numpy as np
 from ..deterministic_math import sine_cosine
 from .pinhole import CameraPose, Intrinsics
 
-HEIGHT_PX = 480
-WIDTH_PX = 640
 COLOUR_INTRINSICS = Intrinsics(604.3075, 604.3075, 317.2341, 233.7944)
 INFRARED_INTRINSICS = Intrinsics(595.8051, 595.8051, 315.0403, 246.2687)
 # The infrared cameras stand on the colour camera's right, with its directions.

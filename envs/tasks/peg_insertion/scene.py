@@ -10,7 +10,7 @@ from ...deterministic_math import sine_cosine
 from ...fem.model.bodies import RigidBody
 from ...geometry.pegs import GRIPPED_WIDTH_MM, PEG_HEIGHT_MM, PLATE_THICKNESS_MM, bottom_vertices
 from ...scene.grasped_scene import Clocks, GraspedScene, fixed_at_origin
-from ...scene.gripper import GEL_HALF_THICKNESS_MM, GripperPose, SensorMount
+from ...scene.gripper import GEL_HALF_THICKNESS_MM, UPRIGHT_MOUNTS, GripperPose
 from ...scene.motion import ipc_steps
 from .meshes import hole_mesh, peg_mesh
 from .settings import PegInsertionSettings
@@ -23,12 +23,6 @@ GRASP_SPEED_M_S = 5e-3
 APPROACH_SPEED_M_S = 1e-3
 TRAVEL_SPEED_M_S = 5e-3
 TURN_SPEED_RAD_S = 0.2
-
-# At angle 0 both gels' x axes point down; the left one looks along -y, the right one along +y.
-MOUNTS = (
-    SensorMount(side=1, rotation=np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])),
-    SensorMount(side=-1, rotation=np.array([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]])),
-)
 
 
 class PegScene:
@@ -53,7 +47,7 @@ class PegScene:
             gel=meshes.gel(),
             held=self._placed_peg(peg_offset=start.offset, start=start, meshes=meshes),
             fixed=fixed_at_origin(hole_mesh(meshes, start.shape), friction=settings.hole_friction),
-            mounts=MOUNTS,
+            mounts=UPRIGHT_MOUNTS,
             pose=self._open_pose(start.offset),
             physics=settings.physics,
             markers=settings.markers,

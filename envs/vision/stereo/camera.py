@@ -8,14 +8,8 @@ from numpy.typing import NDArray
 from ..pictures import unit_normals
 from ..pinhole import CameraPose
 from ..rasterizer import View, rasterize
-from ..rig import (
-    COLOUR_INTRINSICS,
-    HEIGHT_PX,
-    INFRARED_INTRINSICS,
-    LEFT_INFRARED_X_M,
-    RIGHT_INFRARED_X_M,
-    WIDTH_PX,
-)
+from ..rig import COLOUR_INTRINSICS, INFRARED_INTRINSICS, LEFT_INFRARED_X_M, RIGHT_INFRARED_X_M
+from ..sizes import HEIGHT_PX, WIDTH_PX
 from ..surfaces import FloatArray, VisibleSurfaces
 from .dot_pattern import dot_pattern
 from .infrared import InfraredView, Projector, infrared_picture

@@ -13,7 +13,8 @@ from vitac.envs.geometry.pegs import PegShape, peg_surface
 from vitac.envs.tactile.gel import gelsight_mini_mesh
 from vitac.envs.vision.pinhole import CameraPose, Intrinsics
 from vitac.envs.vision.rasterizer import View, rasterize
-from vitac.envs.vision.rig import COLOUR_INTRINSICS, HEIGHT_PX, WIDTH_PX, colour_camera_pose
+from vitac.envs.vision.rig import COLOUR_INTRINSICS, colour_camera_pose
+from vitac.envs.vision.sizes import HEIGHT_PX, WIDTH_PX
 from vitac.envs.vision.surfaces import Body, Label, VisibleSurfaces
 
 FloatArray = NDArray[np.float64]

@@ -6,11 +6,10 @@ from vitac.envs.fem.model.bodies import RigidBody
 from vitac.envs.fem.scene.scene import StepStatus
 from vitac.envs.geometry.pegs import PegShape
 from vitac.envs.scene.grasped_scene import Clocks, GraspedScene, PhysicsSettings
-from vitac.envs.scene.gripper import GripperPose
+from vitac.envs.scene.gripper import UPRIGHT_MOUNTS, GripperPose
 from vitac.envs.scene.stopwatch import Stopwatch
 from vitac.envs.tactile.markers import MarkerSettings
 from vitac.envs.tasks.peg_insertion.meshes import hole_mesh, peg_mesh
-from vitac.envs.tasks.peg_insertion.scene import MOUNTS
 
 POSE = GripperPose(x_m=0.0, y_m=0.0, z_m=0.0621, angle_rad=0.0, half_opening_m=0.0171)
 
@@ -26,7 +25,7 @@ def scene() -> GraspedScene:
         gel=meshes.gel(),
         held=placed(False),
         fixed=placed(True),
-        mounts=MOUNTS,
+        mounts=UPRIGHT_MOUNTS,
         pose=POSE,
         physics=PhysicsSettings(),
         markers=MarkerSettings(),

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from vitac.envs.scene.gripper import Gripper, GripperPose
+from vitac.envs.scene.gripper import UPRIGHT_MOUNTS, Gripper, GripperPose
 from vitac.envs.tactile.gel import gelsight_mini_mesh
-from vitac.envs.tasks.peg_insertion.scene import MOUNTS
 
 POSE = GripperPose(x_m=0.001, y_m=-0.002, z_m=0.0621, angle_rad=0.1, half_opening_m=0.0171)
 AHEAD = GripperPose(x_m=0.003, y_m=0.0, z_m=0.06, angle_rad=0.3, half_opening_m=0.0161)
@@ -21,17 +20,17 @@ poses = st.builds(
 
 
 def gripper(pose: GripperPose = POSE) -> Gripper:
-    return Gripper(mounts=MOUNTS, gel=gelsight_mini_mesh(), pose=pose)
+    return Gripper(mounts=UPRIGHT_MOUNTS, gel=gelsight_mini_mesh(), pose=pose)
 
 
 def test_mounts_are_rotations() -> None:
-    for mount in MOUNTS:
+    for mount in UPRIGHT_MOUNTS:
         assert (mount.rotation @ mount.rotation.T == np.eye(3)).all()
         assert np.linalg.det(mount.rotation) == pytest.approx(1.0)
 
 
 def test_gel_axes_stand_as_in_the_challenge_at_angle_zero() -> None:
-    left, right = (mount.rotation for mount in MOUNTS)
+    left, right = (mount.rotation for mount in UPRIGHT_MOUNTS)
     x, y, z = np.eye(3)
     assert (left @ x == -z).all()
     assert (left @ y == x).all()

@@ -170,7 +170,9 @@ def test_task_must_carry_the_name_of_its_key(content: dict[str, object]) -> None
 
 def test_unknown_environment_names_those_that_there_are(content: dict[str, object]) -> None:
     content["tasks"]["peg-insertion"]["env_id"] = "ViTac/Peg-v1"  # type: ignore[index]
-    with pytest.raises(DocumentRejected, match=r"'ViTac/Peg-v1', expected one of ViTac/LockOpening-v1, ViTac/Peg"):
+    with pytest.raises(
+        DocumentRejected, match=r"'ViTac/Peg-v1', expected one of ViTac/FusionInsertion-v1, ViTac/LockOpening"
+    ):
         parse(content)
 
 

@@ -1,0 +1,135 @@
+"""`ViTac/FusionInsertion-v1`: see which hole fits the peg, go there, and insert it by touch."""
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...fem.model.mesh import SurfaceMesh
+from ...vision.rig import RigShift
+from ..ending import Flags
+from ..task_env import Info, Observation, TactileTaskEnv
+from .definition import TASK
+from .info import FusionInfo, SeenObjects
+from .meshes import base_mesh, peg_mesh
+from .scene import FusionScene
+from .settings import FusionInsertionSettings
+from .task import judge_flags, reward
+from .variation import START, Target, choose_start
+
+
+class FusionInsertionEnv(TactileTaskEnv[FusionScene, FusionInsertionSettings]):
+    """Insert a peg into that of two holes which fits it, by sight and touch.
+
+    A hexagonal or a cuboid peg hangs between two gels above a base with a hexagonal hole at larger y (left) and a
+    rectangular one (right), about midway between them. Only the hole of the peg's own shape counts, though the hexagon
+    goes into the rectangle too. Every env step moves the gripper as the action says; actions outside -1 to 1 are
+    clipped. A camera rig follows the gripper in y and z. World frame: z up, origin at the rectangular hole's centre, in
+    the upper face of the plate; the rim is 17.4 mm high.
+
+    The grid of `marker_flow` is drawn anew at every observation. Depth is what an active stereo camera measures
+    (`depth_mode="stereo"`) or exact ("gt").
+
+    Reset options: `start` (x mm and y mm from the middle between the holes, theta deg, z mm, 1 for left or 0 for right)
+    and `rng_seed`, the integers that seed the episode's generator in place of the environment's own. Without `start`
+    one is drawn: x and y within 5 mm, theta within 10 degrees, z of 3 to 9 mm, either side.
+
+    Ends: terminated by success (`end_reason` "success"); truncated by a sensing surface that moved more than 1.5 mm
+    ("tactile"), an offset beyond 12 mm in x, 30 mm in y, 20 degrees or z of 2.4 to 32.4 mm ("error"), 50 env steps
+    ("steps"), or physics that did not converge ("not_converged", after which nothing moves). An end that already
+    happened in the reset is in the info of the reset.
+
+    Keyword arguments: those of `TactileTaskEnv`, and fields of `FusionInsertionSettings`.
+    """
+
+    task: ClassVar = TASK
+    settings_type: ClassVar = FusionInsertionSettings
+    option_names: ClassVar[tuple[str, ...]] = (START,)
+
+    def reset(self, *, seed: int | None = None, options: Mapping[str, Any] | None = None) -> tuple[Observation, Info]:
+        """Start an episode; see the class for the options.
+
+        Raises:
+            ResetOptionsError: an option is unknown or out of range.
+        """
+        observation, info = super().reset(seed=seed, options=options)
+        return observation, {**info, **self._seen_objects()}
+
+    def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, Info]:
+        """Play one env step.
+
+        Raises:
+            ActionError: the action has another shape than the action space or is not finite.
+        """
+        observation, value, terminated, truncated, info = super().step(action)
+        return observation, value, terminated, truncated, {**info, **self._seen_objects()}
+
+    def _solids(self) -> list[SurfaceMesh]:
+        pegs = [peg_mesh(self._meshes, target) for target in Target]
+        return [*pegs, base_mesh(self._meshes, self.settings.clearance_mm)]
+
+    def _start(self, options: dict[str, Any], random: np.random.Generator) -> FusionScene:
+        settings = self.settings
+        start = choose_start(
+            options,
+            random,
+            xy_mm=settings.random_xy_mm,
+            theta_deg=settings.random_theta_deg,
+            z_mm=settings.random_z_mm,
+        )
+        return FusionScene(
+            start=start,
+            meshes=self._meshes,
+            settings=settings,
+            clocks=self._clocks,
+            rig_shift=_random_shift(settings, random),
+        )
+
+    def _error(self) -> float:
+        return self.task_scene.offset.magnitude()
+
+    def _judge(self) -> Flags:
+        settings = self.settings
+        return judge_flags(
+            self.task_scene.state(), max_steps=settings.max_steps, insertion_depth_mm=settings.insertion_depth_mm
+        )
+
+    def _reward(self, flags: Flags, progress: float) -> float:
+        return reward(
+            flags,
+            progress=progress,
+            env_steps=self.task_scene.env_steps,
+            max_steps=self.settings.max_steps,
+            step_penalty=self.settings.step_penalty,
+            final_reward=self.settings.final_reward,
+        )
+
+    def _info(self, flags: Flags) -> Info:
+        scene = self.task_scene
+        state = scene.state()
+        info: FusionInfo = {
+            "steps": state.env_steps,
+            "surface_diff_m": state.surface_diff_m,
+            "tactile_movement_too_large": flags.tactile_movement_too_large,
+            "too_many_steps": flags.too_many_steps,
+            "error_too_large": flags.error_too_large,
+            "peg_relative_z_mm": state.peg_relative_z_mm,
+            "is_success": flags.is_success,
+            "relative_motion_mm_deg": scene.relative_motion_mm_deg(),
+            "gt_offset_mm_deg": state.offset.as_array(),
+        }
+        return {**info}
+
+    def _seen_objects(self) -> SeenObjects:
+        """Return what the observation's pictures show; no new ones are taken."""
+        assert self._episode_random is not None  # noqa: S101 - set by reset
+        objects = self.task_scene.sight(self._episode_random).objects
+        return {"peg_seen": objects.peg_seen, "base_seen": objects.base_seen}
+
+
+def _random_shift(settings: FusionInsertionSettings, random: np.random.Generator) -> RigShift:
+    """Draw the rig's departure from its pose; four numbers, also where it has none."""
+    turn, x, y, z = random.uniform(-1.0, 1.0, 4).tolist()
+    reach_m = settings.random_camera_offset_m
+    return RigShift(turn_rad=turn * settings.random_camera_turn_rad, offset_m=(x * reach_m, y * reach_m, z * reach_m))

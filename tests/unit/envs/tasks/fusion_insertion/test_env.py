@@ -1,0 +1,189 @@
+"""The fusion environment on a stand-in for the physics: placement, commands, pictures, info and refusals."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from fake_scene import FakeScene
+from vitac.envs.tasks.fusion_insertion.env import FusionInsertionEnv
+from vitac.envs.tasks.settings import SettingsError
+from vitac.envs.vision.observables import SEGMENTATION
+from vitac.envs.vision.surfaces import Label
+
+LEFT = {"start": (2.0, -4.0, 6.0, 5.0, 1), "rng_seed": (0, 1)}
+RIGHT = {"start": (2.0, -4.0, 6.0, 5.0, 0), "rng_seed": (0, 1)}
+PUBLIC = [
+    *("relative_motion", "rgb_picture", "depth_picture", "point_cloud", "object_point_cloud"),
+    "marker_flow",
+]
+
+
+@pytest.fixture(autouse=True)
+def physics(fake_scenes: list[FakeScene]) -> list[FakeScene]:
+    return fake_scenes
+
+
+def played(*actions: list[float], options: dict[str, Any] = LEFT, **settings: Any) -> tuple[Any, ...]:
+    env = FusionInsertionEnv(**({"depth_mode": "gt"} | settings))
+    result: tuple[Any, ...] = env.reset(options=options)
+    for action in actions:
+        result = env.step(np.array(action, dtype=np.float32))
+    return env, *result
+
+
+def test_peg_stands_one_millimetre_and_z_above_the_rim_in_the_middle_between_the_holes(
+    physics: list[FakeScene],
+) -> None:
+    for options, vertices in ((LEFT, 12), (RIGHT, 8)):
+        played(options=options)
+        peg, base = physics[-1].bodies
+        assert peg.translation_m == pytest.approx([2e-3, 18.625e-3, (17.4 + 6.0) * 1e-3])
+        assert peg.rotation[:, 0] == pytest.approx([np.cos(np.radians(6)), np.sin(np.radians(6)), 0])
+        assert len(peg.mesh.vertices_m) == vertices
+        assert (peg.friction, base.friction, peg.fixed, base.fixed) == (9.5, 0.5, False, True)
+
+
+def test_reset_takes_two_ipc_steps_to_grasp_and_comes_down_by_none(physics: list[FakeScene]) -> None:
+    env, _, info = played()
+    assert env.ipc_steps == len(info["step_reports"]) == 2
+    heights_m = [float(np.mean(targets, axis=(0, 1))[2]) for targets in physics[0].targets_m]
+    assert heights_m == pytest.approx([(17.4 + 6.0 + 42.0) * 1e-3] * 2)
+
+
+def test_action_moves_all_four_together_clipped_and_turned(physics: list[FakeScene]) -> None:
+    *_, info = played([0.5, 7.0, -0.25, -0.5])
+    sine, cosine = np.sin(np.radians(6.0)), np.cos(np.radians(6.0))
+    expected = [0.5 * cosine - 1.0 * sine, 0.5 * sine + 1.0 * cosine, -0.25, -0.5]
+    assert info["relative_motion_mm_deg"] == pytest.approx(expected)
+    assert info["gt_offset_mm_deg"] == pytest.approx(np.array([2.0, -4.0 + 22.625 - 45.25, 6.0, 15.5]) + expected)
+    assert info["peg_relative_z_mm"] == pytest.approx([5.5] * 6)
+    centres_m = [centre for _, centre in physics[0].placed]
+    assert np.mean(centres_m, axis=0) * 1e3 == pytest.approx([2.0 + expected[0], 18.625 + expected[1], 65.4 - 0.5])
+
+
+@pytest.mark.parametrize(
+    ("action", "steps"),
+    [([0, 0, 0, 0], 1), ([1, 0, 0, 0], 2), ([1, 1, 0, 0], 3), ([0, 0, 1, 0], 1), ([0, 0, 0, -1], 2), ([1, 1, 1, 1], 3)],
+)
+def test_env_step_takes_the_stated_number_of_ipc_steps(action: list[float], steps: int) -> None:
+    *_, info = played(action, options=LEFT | {"start": (0, 0, 45 / 2 - 5, 5, 1)})
+    assert len(info["step_reports"]) == steps
+
+
+def test_observation_has_the_challenges_keys_in_its_order() -> None:
+    env, observation, _ = played()
+    assert list(observation) == PUBLIC
+    assert observation in env.observation_space
+    _, privileged, _ = played(privileged=True, options=RIGHT)
+    assert list(privileged) == ["gt_direction", "gt_offset", *PUBLIC]
+    assert privileged["gt_direction"].tolist() == [-1.0]
+    assert privileged["gt_offset"] == pytest.approx([2.0, 18.625, 6.0, 15.5])
+
+
+def test_pictures_of_an_observation_belong_together() -> None:
+    env, observation, info = played(observables=(SEGMENTATION,))
+    label = observation["segmentation"]
+    assert set(np.unique(label)) == set(Label)
+    np.testing.assert_array_equal(observation["depth_picture"] > 0, label != Label.NOTHING)
+    np.testing.assert_array_equal(observation["point_cloud"][..., 2], observation["depth_picture"])
+    np.testing.assert_array_equal((observation["rgb_picture"] < 255).any(axis=2), label != Label.NOTHING)
+    assert (info["peg_seen"], info["base_seen"]) == (True, True)
+    assert observation in env.observation_space
+
+
+def test_pictures_show_the_deformed_gels(physics: list[FakeScene]) -> None:
+    env, before, _ = played()
+    physics[0].bulge_m = 1e-3
+    after, *_ = env.step(np.zeros(4, dtype=np.float32))
+    assert (before["depth_picture"] != after["depth_picture"]).any()
+
+
+def test_pictures_follow_the_motion_of_the_peg() -> None:
+    """The rig follows in y and z, so the base moves in the picture and the peg does not."""
+    env, before, _ = played(observables=(SEGMENTATION,), options=LEFT | {"start": (0, 0, 0, 5, 1)})
+    after, *_ = env.step(np.array([0, 1, 0, -1], dtype=np.float32))
+    peg_before, peg_after = (seen["segmentation"] == Label.PEG for seen in (before, after))
+    base_before, base_after = (seen["segmentation"] == Label.BASE for seen in (before, after))
+    assert (peg_before != peg_after).sum() < 0.02 * peg_before.sum()
+    assert (base_before != base_after).sum() > 100
+
+
+def test_stereo_depth_is_the_default_and_differs_from_the_exact_one() -> None:
+    _, exact, _ = played(depth_mode="gt")
+    env, measured, _ = FusionInsertionEnv(), *FusionInsertionEnv().reset(options=LEFT)
+    assert env.settings.depth_mode == "stereo"
+    known = measured["depth_picture"] > 0
+    assert 0.8 < known.sum() / (exact["depth_picture"] > 0).sum() < 1.0
+    error_m = np.abs(measured["depth_picture"] - exact["depth_picture"])[known]
+    assert 1e-4 < np.median(error_m) < 2e-3
+
+
+def test_rng_seed_fixes_the_noise_of_depth_and_clouds() -> None:
+    first, second, other = (FusionInsertionEnv().reset(options=LEFT | {"rng_seed": (0, seed)})[0] for seed in (1, 1, 2))
+    for key in ("depth_picture", "object_point_cloud", "marker_flow"):
+        np.testing.assert_array_equal(first[key], second[key])
+        assert (first[key] != other[key]).any()
+
+
+def test_a_peg_out_of_the_picture_gives_zeros_and_a_flag(
+    physics: list[FakeScene], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    env, *_ = played()
+    away_m = physics[0].body_vertices_m(0) + 9.0
+    monkeypatch.setattr(physics[0], "body_vertices_m", lambda _: away_m)
+    observation, *_, info = env.step(np.zeros(4, dtype=np.float32))
+    assert (info["peg_seen"], info["base_seen"]) == (False, True)
+    assert (observation["object_point_cloud"][0] == 0).all()
+    assert (observation["object_point_cloud"][1, :, 2] > 0).all()
+
+
+def test_random_cameras_move_the_picture_and_nothing_else() -> None:
+    _, nominal, info = played()
+    _, shifted, shifted_info = played(random_camera_turn_rad=0.04, random_camera_offset_m=0.02)
+    assert (nominal["rgb_picture"] != shifted["rgb_picture"]).any()
+    np.testing.assert_array_equal(nominal["relative_motion"], shifted["relative_motion"])
+    np.testing.assert_array_equal(info["gt_offset_mm_deg"], shifted_info["gt_offset_mm_deg"])
+
+
+def test_info_keys_come_in_the_order_of_the_logs() -> None:
+    *_, info = played([0.0] * 4)
+    assert list(info)[:9] == [
+        "steps",
+        "surface_diff_m",
+        "tactile_movement_too_large",
+        "too_many_steps",
+        "error_too_large",
+        "peg_relative_z_mm",
+        "is_success",
+        "relative_motion_mm_deg",
+        "gt_offset_mm_deg",
+    ]
+    assert info["steps"] == 1
+
+
+def test_driving_away_from_the_right_hole_ends_the_episode() -> None:
+    """The hexagon's start lies 22.6 mm from its hole; 30 mm are allowed."""
+    away = [0.0, -1.0, 0.0, 0.0]
+    *_, truncated, info = played(*[away] * 8, options=LEFT | {"start": (0, 0, 0, 5, 1)})
+    assert (truncated, info["end_reason"]) == (True, "error")
+
+
+@pytest.mark.parametrize(
+    ("setting", "value"),
+    [
+        ("depth_mode", "radar"),
+        ("clearance_mm", 0.0),
+        ("clearance_mm", 8.0),
+        ("insertion_depth_mm", 13.0),
+        ("random_z_mm", (9.0, 3.0)),
+        ("random_camera_turn_rad", 0.5),
+        ("action_scale_mm_deg", (1.0, 1.0, 1.0)),
+    ],
+)
+def test_unusable_setting_is_refused_by_name(setting: str, value: Any) -> None:
+    with pytest.raises(SettingsError, match=f"Setting '{setting}' is"):
+        FusionInsertionEnv(**{setting: value})
+
+
+def test_mesh_hash_tells_other_clearances() -> None:
+    assert FusionInsertionEnv().mesh_hash() != FusionInsertionEnv(clearance_mm=1.0).mesh_hash()
