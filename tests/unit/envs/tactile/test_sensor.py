@@ -1,11 +1,10 @@
 import numpy as np
 import pytest
-from vitac.envs.scene.gripper import SensorMount
+from vitac.envs.scene.gripper import UPRIGHT_MOUNTS, SensorMount
 from vitac.envs.tactile.gel import gelsight_mini_mesh
 from vitac.envs.tactile.markers import MarkerSettings
 from vitac.envs.tactile.sensor import NoReferenceCaptured, TactileSensor
 from vitac.envs.tasks.lock_opening import scene as lock
-from vitac.envs.tasks.peg_insertion import scene as peg
 
 
 def sensor_and_view() -> tuple[TactileSensor, np.ndarray]:
@@ -45,8 +44,8 @@ def test_marker_flow_compares_with_the_reference() -> None:
 @pytest.mark.parametrize(
     ("mount", "u_direction", "v_direction"),
     [
-        (peg.MOUNTS[0], (0, 0, 1), (-1, 0, 0)),
-        (peg.MOUNTS[1], (0, 0, 1), (1, 0, 0)),
+        (UPRIGHT_MOUNTS[0], (0, 0, 1), (-1, 0, 0)),
+        (UPRIGHT_MOUNTS[1], (0, 0, 1), (1, 0, 0)),
         (lock.MOUNTS[0], (-1, 0, 0), (0, 0, 1)),
         (lock.MOUNTS[1], (-1, 0, 0), (0, 0, -1)),
     ],
