@@ -29,7 +29,7 @@ LAME_LAMBDA_PA = 3e5 * 0.3 / (1.3 * 0.4)
 
 
 def driven_force_n(mesh: GelMesh, positions_m: FloatArray) -> FloatArray:
-    """Elastic force [N] of the gel on its driven nodes: the sum of -V P grad N over them (neo-Hookean P)."""
+    """Return the elastic force [N] of the gel on its driven nodes: the sum of -V P grad N over them (neo-Hookean P)."""
     rest = mesh.rest_position_m[mesh.tetrahedra]
     rest_edges = np.swapaxes(rest[:, 1:] - rest[:, :1], 1, 2)
     now = positions_m[mesh.tetrahedra]
@@ -46,7 +46,7 @@ def driven_force_n(mesh: GelMesh, positions_m: FloatArray) -> FloatArray:
 
 
 def grasp_response(meshes: Meshes, shape: PegShape, offset: PegOffset) -> dict[str, float]:
-    """Force of the grasp and mean motion of the sensing surface, after grasp and after the first descent."""
+    """Return the force of the grasp and mean motion of the sensing surface, after grasp and after the first descent."""
     scene = PegScene(
         start=PegStart(shape=shape, offset=offset),
         meshes=meshes,
@@ -70,7 +70,7 @@ def grasp_response(meshes: Meshes, shape: PegShape, offset: PegOffset) -> dict[s
 
 
 def replayed(env: PegInsertionEnv, episodes: list[dict[str, Any]]) -> Iterator[tuple[int, float, float]]:
-    """Env step and surface_diff [mm] of both sensors over the logged actions."""
+    """Return the env step and surface_diff [mm] of both sensors over the logged actions."""
     for episode in episodes:
         env.reset(options={"shape": episode["shape"], "offset_mm_deg": episode["initial_offset"]})
         for step in episode["steps"]:

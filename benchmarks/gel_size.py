@@ -100,7 +100,7 @@ def measure(name: str, cells: GelCells, size: GelDimensions) -> Figures:
 
 
 def factorisation_s(scene: PegScene) -> float:
-    """CPU time of one factorisation of the last matrix, the shortest of five."""
+    """Return the CPU time of one factorisation of the last matrix, the shortest of five."""
     engine = scene.grasped._scene
     system, workspace = engine._model.system, engine._workspace
     times_s = []
@@ -112,21 +112,21 @@ def factorisation_s(scene: PegScene) -> float:
 
 
 def solver_bytes(scene: PegScene) -> int:
-    """Size of the matrix, its factors and what makes them."""
+    """Return the size of the matrix, its factors and what makes them."""
     workspace = scene.grasped._scene._workspace
     factor = workspace.factor
     return sum(part.nbytes for part in (workspace.system.entries, factor.entries, factor.front, factor.stack))
 
 
 def exponent(rows: list[Figures], key: str) -> float:
-    """Slope of log(value) by log(nodes), least squares."""
+    """Return the slope of log(value) by log(nodes), least squares."""
     nodes, values = np.log([row["nodes"] for row in rows]), np.log([row[key] for row in rows])
     nodes = nodes - nodes.mean()
     return float((nodes * values).sum() / (nodes * nodes).sum())
 
 
 def node_count(cells: GelCells) -> int:
-    """Nodes of a gel of these cells."""
+    """Return the nodes of a gel of these cells."""
     return (cells.x + 2 * cells.bevel + 1) * (cells.y + 2 * cells.bevel + 1) * (cells.layers + 1)
 
 

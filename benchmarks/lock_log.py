@@ -57,7 +57,7 @@ def played_episode(env: LockOpeningEnv, episode: Episode, draws: int) -> dict[st
 
 
 def end(env: LockOpeningEnv, episode: Episode, draw: int) -> dict[str, Any]:
-    """How the logged actions end with one draw of the grip; `env_step` is None if they do not end it."""
+    """Return how the logged actions end with one draw of the grip; `env_step` is None if they do not end it."""
     options = {"shape": episode["shape"], "offset_mm": tuple(episode["initial_offset"])}
     env.reset(options=options | {"rng_seed": (LIST_SEED + draw, episode["episode"])})
     for step in episode["steps"]:
@@ -77,7 +77,7 @@ def lifted_at(episode: Episode) -> int | None:
 
 
 def summary(played: list[dict[str, Any]]) -> dict[str, Any]:
-    """Agreement on the logged successes, also by key; every draw of the logged failures."""
+    """Return the agreement on the logged successes, also by key; every draw of the logged failures."""
     solved = [episode for episode in played if episode["logged"]["success"]]
     return {
         "logged_successes": agreement(solved),
@@ -115,7 +115,7 @@ def agreement(episodes: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def timing(late: list[int | None]) -> dict[str, float]:
-    """Parts that come exactly, and within one env step, when the log says."""
+    """Return the parts that come exactly, and within one env step, when the log says."""
     return {
         "at_the_logged_env_step": sum(n == 0 for n in late) / len(late),
         "within_one": sum(n is not None and abs(n) <= 1 for n in late) / len(late),
@@ -123,7 +123,7 @@ def timing(late: list[int | None]) -> dict[str, float]:
 
 
 def speed(env: LockOpeningEnv) -> dict[str, float]:
-    """CPU time of the physics, building scenes included."""
+    """Return the CPU time of the physics, building scenes included."""
     return {"ipc_steps": env.ipc_steps, "mean_ms_per_ipc_step": 1e3 * env.physics_cpu_s / env.ipc_steps}
 
 

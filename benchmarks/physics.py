@@ -28,7 +28,7 @@ LEDGER_ENV_STEPS = 3
 
 
 def measured(reference: Reference, episodes: int) -> Figures:
-    """Figures of the standard setting, measured when kernels are compiled and meshes are read."""
+    """Return the figures of the standard setting, measured when kernels are compiled and meshes are read."""
     for episode in reference.log[:3]:
         Replay(reference.assets_dir).play(episode)
     replay = Replay(reference.assets_dir)

@@ -14,7 +14,7 @@ ENV_STEPS = (1, 2, 3)
 
 
 def speed(replay: Replay) -> Figures:
-    """CPU time and Newton iterations per IPC step."""
+    """Return the CPU time and Newton iterations per IPC step."""
     ms, iterations = np.array(replay.step_ms), np.array([report.newton_iterations for report in replay.reports])
     return {
         "episodes": len(replay.reset_ms),
@@ -31,7 +31,7 @@ def speed(replay: Replay) -> Figures:
 
 
 def convergence(reports: list[StepReport]) -> Figures:
-    """How IPC steps ended and what they left."""
+    """Return how IPC steps ended and what they left."""
     solved = [report for report in reports if report.status is not StepStatus.NOT_CONVERGED]
     counts = Counter(report.status for report in reports)
     return {
@@ -47,17 +47,17 @@ def convergence(reports: list[StepReport]) -> Figures:
 
 
 def deviation_mm(step: EnvStep, settled: Figures) -> float:
-    """Largest difference of `surface_diff` of the two sensors from a settled state [mm]."""
+    """Return the largest difference of `surface_diff` of the two sensors from a settled state [mm]."""
     return float(np.abs(step.surface_diff_mm - settled["S_mm"]).max())
 
 
 def spread_mm(settled: Figures) -> float:
-    """How far the reference itself moves with its tolerance and with coplanar edges [mm]."""
+    """Return how far the reference itself moves with its tolerance and with coplanar edges [mm]."""
     return float(max(settled["spread_tolerance_mm"], settled["spread_coplanar_edges_mm"]))
 
 
 def agreement(replay: Replay, reference: Reference) -> list[Figures]:
-    """Deviation from the settled states, by env step."""
+    """Return the deviation from the settled states, by env step."""
     rows, played = [], replay.by_step()
     for n in ENV_STEPS:
         compared = [
@@ -81,7 +81,7 @@ def agreement(replay: Replay, reference: Reference) -> list[Figures]:
 
 
 def misses(replay: Replay, reference: Reference) -> list[Figures]:
-    """Certain episodes whose first env steps end elsewhere than the reference's."""
+    """Return certain episodes whose first env steps end elsewhere than the reference's."""
     rows = []
     for key, step in replay.by_step().items():
         settled = reference.settled.get(key)
@@ -135,7 +135,7 @@ def _count(compared: list[tuple[Figures, Figures]], side: int, flag: str) -> int
 
 
 def outcomes(replay: Replay, reference: Reference) -> list[Figures]:
-    """How the logged episodes ended, and how they end here under the logged actions."""
+    """Return how the logged episodes ended, and how they end here under the logged actions."""
     counts: Counter[tuple[str, str]] = Counter()
     for episode in reference.log[: len(replay.reset_ms)]:
         ours = [step for step in replay.steps if step.episode == episode["episode"]]

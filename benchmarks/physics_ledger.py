@@ -15,7 +15,7 @@ TIGHTEST = "tightest"
 
 
 def settings() -> Iterator[tuple[str, SolverSettings]]:
-    """Names and settings, the tightest first; a tolerance of 1 m or 1 N decides nothing."""
+    """Return the names and settings, the tightest first; a tolerance of 1 m or 1 N decides nothing."""
     standard = SolverSettings()
     yield TIGHTEST, replace(standard, step_tolerance_m=1e-11, residual_tolerance_n=1e-7)
     yield "standard", standard
@@ -66,7 +66,7 @@ def _spread(differences_mm: np.ndarray[Any, Any]) -> Row:
 
 
 def _truth(replay: Replay, reference: Reference) -> Row:
-    """Deviation from the settled states that are certain."""
+    """Return the deviation from the settled states that are certain."""
     found = [
         deviation_mm(step, reference.settled[key])
         for key, step in replay.by_step().items()

@@ -39,7 +39,7 @@ PIECES = {
 
 
 def pieces(replay: Replay, reference: Reference) -> list[Figures]:
-    """CPU time per IPC step by piece [ms], most of it first, `other` last."""
+    """Return the CPU time per IPC step by piece [ms], most of it first, `other` last."""
     samples: list[dict[str, float]] = []
     for episode in reference.log[:EPISODES]:
         sampled = Replay(reference.assets_dir)
@@ -70,7 +70,7 @@ def _calls_per_step(replay: Replay) -> dict[str, float]:
 
 
 def call_times_ms(scene: Scene, x: FloatArray, x_end: FloatArray) -> dict[str, float]:
-    """CPU time of one call of each kernel at the start x [m] of an IPC step that ends at x_end [ms]."""
+    """Return the CPU time of one call of each kernel at the start x [m] of an IPC step that ends at x_end [ms]."""
     model, w = scene._model, new_workspace(scene._model.system, len(x))
     y, y_move = np.empty((2, len(model.points.node_count), 3))
     point_positions(model.points, x, y)

@@ -90,7 +90,7 @@ class Replay:
             )
 
     def by_step(self) -> dict[tuple[int, int], EnvStep]:
-        """Solved env steps by (episode, env step)."""
+        """Return the solved env steps by (episode, env step)."""
         return {(step.episode, step.n): step for step in self.steps if step.solved}
 
     def _lap(self) -> None:

@@ -85,7 +85,7 @@ def fill(session: Session, n_shards: int) -> None:
 
 
 def measure(database: Database, settings: Settings, repeats: int) -> dict[str, float]:
-    """Wall time of each by the client's clock, median and slowest [ms]."""
+    """Return the wall time of each by the client's clock, median and slowest [ms]."""
     with database.transaction() as session:
         ids = session.scalars(select(Shard.id).order_by(Shard.id).limit(SHARDS_OF_ONE)).all()
     pieces: dict[str, Callable[[Session], object]] = {
@@ -101,7 +101,7 @@ def measure(database: Database, settings: Settings, repeats: int) -> dict[str, f
 
 
 def time_ms(database: Database, piece: Callable[[Session], object]) -> float:
-    """Time of one transaction, rolled back so that the next finds the same."""
+    """Return the time of one transaction, rolled back so that the next finds the same."""
     with database.transaction() as session:
         began = perf_counter()
         piece(session)

@@ -60,7 +60,7 @@ def stereo_quality() -> None:
 
 
 def cpu_ms(observe: Callable[[SeenScene], object], count: int) -> list[float]:
-    """CPU time of observing each of the starts in turn [ms], without the first, which compiles."""
+    """Return the CPU time of observing each of the starts in turn [ms], without the first, which compiles."""
     observe(fusion_scene(STARTS[0]))
     times = []
     for i in range(count):

@@ -47,13 +47,13 @@ class Meshes:
         self._gel = gel
 
     def gel(self) -> GelMesh:
-        """Elastomer of both sensors."""
+        """Return the elastomer of both sensors."""
         if self._gel is not None:
             return self._gel
         return gelsight_mini_mesh() if self._folder is None else _read_gel(self._folder / _GEL_FOLDER)
 
     def part(self, generate: Callable[[], SurfaceMesh], file: str) -> SurfaceMesh:
-        """Rigid part of a task.
+        """Return the rigid part of a task.
 
         Args:
             generate: makes it where no folder was given.

@@ -25,7 +25,7 @@ _TWO_PI = 6.283185307179586
 
 @kernel
 def natural_log(x: float) -> float:
-    """Natural logarithm, within 1 ulp, of a positive normal number; NaN otherwise.
+    """Return the natural logarithm, within 1 ulp, of a positive normal number; NaN otherwise.
 
     x = m 2^k with m in [sqrt(1/2), sqrt(2)); with s = (m - 1)/(m + 1), ln m = 2 artanh(s) = 2 (s + s^3/3 + ...),
     summed to s^23 (|s| <= 0.1716, first neglected term below 2^-57 of the result).
@@ -50,7 +50,7 @@ def natural_log(x: float) -> float:
 
 @kernel
 def sine_cosine(angle_rad: float) -> tuple[float, float]:
-    """Sine and cosine of an angle of at most 1e4 rad, each within 1e-15; NaN beyond.
+    """Return the sine and cosine of an angle of at most 1e4 rad, each within 1e-15; NaN beyond.
 
     Reduced by the nearest multiple of pi/2 (two-part constant), then the Taylor series on [-pi/4, pi/4].
     """
@@ -78,7 +78,7 @@ def sine_cosine(angle_rad: float) -> tuple[float, float]:
 
 @allocating_kernel
 def normal_pairs(uniform: FloatArray) -> FloatArray:
-    """Independent standard normal numbers from numbers drawn uniformly from [0, 1), both of shape [n, 2].
+    """Return the independent standard normal numbers from numbers drawn uniformly from [0, 1), both of shape [n, 2].
 
     Box & Muller, A Note on the Generation of Random Normal Deviates (1958): radius sqrt(-2 ln (1 - p)), angle 2 pi q.
     NumPy's own normal numbers come from libm's logarithm where they lie far out.

@@ -81,7 +81,7 @@ def validate(model: type[ModelT], content: object, origin: str) -> ModelT:
 
 
 def explain(model: type[BaseModel], error: ValidationError) -> str:
-    """One sentence for each problem of a validation error, with the nearest valid key for an unknown one."""
+    """Return one sentence for each problem of a validation error, with the nearest valid key for an unknown one."""
     problems = error.errors(include_url=False)
     more = f" And {len(problems) - _TOLD_PROBLEMS} more." if len(problems) > _TOLD_PROBLEMS else ""
     return " ".join(_sentence(model, dict(problem)) for problem in problems[:_TOLD_PROBLEMS]) + more

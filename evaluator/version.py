@@ -41,7 +41,7 @@ def evaluator_version() -> str:
 
 
 def platform_class() -> str:
-    """Machines of one class give the same states to the last bit, e.g. `x86_64-linux`."""
+    """Return the machines of one class give the same states to the last bit, e.g. `x86_64-linux`."""
     return f"{platform.machine().lower()}-{platform.system().lower()}"
 
 

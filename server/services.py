@@ -23,7 +23,7 @@ class Services:
 
 @contextmanager
 def open_services(settings: Settings) -> Iterator[Services]:
-    """Start or finds the database, brings its schema up to date and opens the file store.
+    """Start or find the database, bring its schema up to date and open the file store.
 
     Raises:
         VitacError: one of them cannot be used here; the message says what to do.

@@ -35,12 +35,12 @@ def require_task(track: Track, task: str) -> None:
 
 
 def track_views(settings: Settings) -> TrackListView:
-    """All tracks."""
+    """Return all tracks."""
     return TrackListView(items=[track_view(load_track(name), settings) for name in list_tracks()])
 
 
 def track_view(track: Track, settings: Settings) -> TrackView:
-    """One track."""
+    """Return one track."""
     return TrackView(
         name=track.name,
         title=track.title,

@@ -35,7 +35,7 @@ class RunningShard(Protocol):
     """What a shard's process offers (`evaluator.shards.process.ShardProcess`)."""
 
     def records(self) -> Iterator[EpisodeRecord]:
-        """Each record as soon as its episode is over."""
+        """Yield each record as soon as its episode is over."""
 
     @property
     def result(self) -> ShardResult:

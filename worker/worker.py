@@ -90,7 +90,7 @@ class QueueWorker:
                 await working
 
     def _run_shard(self, shard_id: int) -> None:
-        """One job, in a thread: the shard's row decides whether there is something to do."""
+        """Do one job, in a thread: the shard's row decides whether there is something to do."""
         lease = self._claim(shard_id)
         if lease is None:
             return

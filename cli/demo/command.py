@@ -156,7 +156,7 @@ class Demo:
         )
 
     def _start_workers(self, service: RunningService) -> None:
-        with self.display.stage("Physics", "compiling, a minute or two on the first run") as stage:
+        with self.display.stage("Physics", "compiling, about half a minute on the first run") as stage:
             self._warm_up()
             stage.done("compiled and cached")
         with self.display.stage("Worker", "starting and testing the sandbox") as stage:

@@ -49,7 +49,7 @@ class KernelCache(FunctionCache):
     _impl_class = _KernelCacheFiles
 
     def holds(self, signature: Any, target_context: Any) -> bool:
-        """Whether machine code was kept for these argument types and this CPU."""
+        """Return whether machine code was kept for these argument types and this CPU."""
         try:
             key = self._index_key(signature, target_context.codegen())
             return key in self._cache_file._load_index()

@@ -9,7 +9,7 @@ class PartLibrary(CPUCodeLibrary):
     """The IR of one kernel alone, to be linked into entries; it never becomes machine code by itself."""
 
     def finalize(self) -> None:
-        """Nothing is linked, optimised or made executable."""
+        """Leave it as it is: nothing is linked, optimised or made executable."""
         self._finalized = True
 
 

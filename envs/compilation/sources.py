@@ -16,7 +16,7 @@ _PACKAGE = "vitac.envs"
 
 
 def source_digest(module: Path, envs: Path = _ENVS) -> str:
-    """SHA-256 [hex] of a module, of all modules of `vitac.envs` that it imports, and of what compiles it.
+    """Return the SHA-256 [hex] of a module, of all modules of `vitac.envs` that it imports, and of what compiles it.
 
     A kernel freezes the kernels it calls, constants and field orders of the modules it imports from, whether they hold
     kernels or not, and so on for theirs. Neither the folder they stand in nor their times matter, so that two clones
@@ -31,7 +31,7 @@ def source_digest(module: Path, envs: Path = _ENVS) -> str:
 
 
 def imported_modules(module: Path, envs: Path = _ENVS) -> set[Path]:
-    """All files of `vitac.envs` that a module imports, directly or through others."""
+    """Return all files of `vitac.envs` that a module imports, directly or through others."""
     found: set[Path] = set()
     waiting = [module]
     while waiting:
@@ -43,7 +43,7 @@ def imported_modules(module: Path, envs: Path = _ENVS) -> set[Path]:
 
 
 def _compiler() -> str:
-    """Versions that decide on machine code; Numba itself keeps builds for different CPUs apart."""
+    """Return the versions that decide on machine code; Numba itself keeps builds for different CPUs apart."""
     versions = {"numba": numba.__version__, "llvmlite": llvmlite.__version__, "numpy": np.__version__}
     return f"python {platform.python_version()} {versions}"
 
@@ -61,7 +61,7 @@ def _file_digest(path: Path) -> bytes:
 
 @cache
 def _imports(module: Path, envs: Path) -> frozenset[Path]:
-    """Files of `vitac.envs` that a module names in its imports."""
+    """Return the files of `vitac.envs` that a module names in its imports."""
     paths: set[Path] = set()
     for node in ast.walk(ast.parse(read_source(module))):
         if isinstance(node, ast.ImportFrom):
@@ -74,7 +74,7 @@ def _imports(module: Path, envs: Path) -> frozenset[Path]:
 
 
 def _files_of(node: ast.ImportFrom, module: Path, envs: Path) -> Iterator[Path]:
-    """Files of `from package import a, b`: of the package, and of a and b where these are modules."""
+    """Return the files of `from package import a, b`: of the package, and of a and b where these are modules."""
     names = (node.module or "").split(".") if node.module else []
     if node.level:
         base = module.parents[node.level - 1].joinpath(*names)

@@ -50,14 +50,14 @@ class Caption:
 
 
 def picture_size_px(width_px: int) -> tuple[int, int]:
-    """Width and height of a picture [pixel]."""
+    """Return the width and height of a picture [pixel]."""
     return width_px, round(width_px * _HEIGHT_IN / _WIDTH_IN)
 
 
 def draw(
     playback: Playback, caption: Caption, *, quantity: Quantity, width_px: int, moments: slice = slice(None)
 ) -> Iterator[NDArray[np.uint8]]:
-    """Pictures of the chosen moments, each RGB of shape [height, width, 3].
+    """Return the pictures of the chosen moments, each RGB of shape [height, width, 3].
 
     Args:
         playback: the episode.
@@ -210,6 +210,6 @@ def _outcome(moment: Moment, last: Moment) -> tuple[str, str]:
 
 
 def _colour_map(quantity: Quantity) -> Colormap:
-    """Light to strong, without the darkest end, on which arrows could not be read."""
+    """Return colours from light to strong, without the darkest end, on which arrows could not be read."""
     name, part = ("YlOrRd", 0.75) if quantity is Quantity.STRESS else ("YlGnBu", 0.6)
     return LinearSegmentedColormap.from_list(f"light {name}", colormaps[name](np.linspace(0.0, part, 256)))

@@ -20,7 +20,7 @@ TITLE_PT, TICK_PT = 9.0, 8.0
 
 
 def draw_section(axes: Axes, perspective: Perspective, playback: Playback, moment: Moment) -> None:
-    """Both parts, cut, in their places."""
+    """Return both parts, cut, in their places."""
     view = perspective.section
     fixed = _outline(playback.fixed_m, playback.fixed.triangles, view.fixed_cut, view)
     held = _outline(moment.held_m, playback.held.triangles, view.held_cut, view)
@@ -77,7 +77,7 @@ def _limits(heights: FloatArray, progress: Progress) -> tuple[float, float]:
 
 
 def _outline(vertices_m: FloatArray, triangles: NDArray[np.int64], plane: Plane, view: SectionView) -> Path:
-    """All loops of a section as one path [mm]; holes turn the other way and stay empty."""
+    """Return all loops of a section as one path [mm]; holes turn the other way and stay empty."""
     axes = [index for index, _ in view.axes]
     loops = [1e3 * loop[:, axes] for loop in section_loops_m(vertices_m, triangles, plane)]
     if not loops:

@@ -151,7 +151,7 @@ class SceneView:
             first += len(part.triangles)
 
     def _is_cut(self, visible: Visible) -> NDArray[np.bool_]:
-        """Pixels in which the fixed part is seen from inside, which is where its cut is."""
+        """Return the pixels in which the fixed part is seen from inside, which is where its cut is."""
         from_inside = unit_normals(self._fixed.vertices_m, self._fixed.triangles) @ self._camera.axes[2] > 0.0
         is_fixed = (visible.triangle != NOTHING) & (visible.triangle < len(from_inside))
         return np.asarray(is_fixed & from_inside[np.where(is_fixed, visible.triangle, 0)])

@@ -44,7 +44,7 @@ class SensorPanels:
     def draw(
         self, axes: Axes, side: Side, moment: Moment, values: FloatArray, *, cmap: Colormap, norm: Normalize
     ) -> None:
-        """One sensor's picture; values at all nodes of its gel, and their colours."""
+        """Return one sensor's picture; values at all nodes of its gel, and their colours."""
         face = self._face_px(moment, side)
         axes.tripcolor(face, values[self._mesh.sensing_nodes], shading="gouraud", cmap=cmap, norm=norm)
         start, flow = arrows(moment.marker_flow[side.index])
@@ -90,7 +90,7 @@ def arrows(marker_flow: NDArray[np.float32]) -> tuple[FloatArray, FloatArray]:
 
 
 def magnification(playback: Playback) -> int:
-    """How many times longer than they are the arrows of a playback are drawn."""
+    """Return how many times longer than they are the arrows of a playback are drawn."""
     flows = np.stack([moment.marker_flow for moment in playback.moments]).astype(np.float64)
     longest = float(np.abs(flows[:, :, 1] - flows[:, :, 0]).max())
     return next((factor for factor in _MAGNIFICATIONS if factor * longest <= _LONGEST_ARROW_PX), 1)

@@ -11,7 +11,7 @@ IndexArray = NDArray[np.int64]
 
 
 def deformation_gradients(rest_m: FloatArray, positions_m: FloatArray, tetrahedra: IndexArray) -> FloatArray:
-    """F = D_s D_m^-1 of linear tetrahedra, shape [t, 3, 3]; the columns of D are the edges from corner 0.
+    """Return F = D_s D_m^-1 of linear tetrahedra, shape [t, 3, 3]; the columns of D are the edges from corner 0.
 
     Sifakis & Barbic, FEM Simulation of 3D Deformable Solids (2012), section 4.1.
 
@@ -44,7 +44,7 @@ def cauchy_stress_pa(F: FloatArray, *, youngs_modulus_pa: float, poisson_ratio: 
 
 
 def von_mises_pa(stress_pa: FloatArray) -> FloatArray:
-    """Equivalent stress sqrt(3/2 s : s) with the deviator s [Pa], shape [t, 3, 3] to [t]."""
+    """Return the equivalent stress sqrt(3/2 s : s) with the deviator s [Pa], shape [t, 3, 3] to [t]."""
     pressure = np.trace(stress_pa, axis1=1, axis2=2) / 3.0
     deviator = stress_pa - pressure[:, None, None] * np.eye(3)
     return np.asarray(np.sqrt(1.5 * (deviator * deviator).sum(axis=(1, 2))))
@@ -62,7 +62,7 @@ def nodal_means(values: FloatArray, rest_m: FloatArray, tetrahedra: IndexArray) 
 def displacement_m(
     rest_m: FloatArray, positions_m: FloatArray, rotation: FloatArray, translation_m: FloatArray
 ) -> FloatArray:
-    """Distance of every node from where it would be in the undeformed gel at this pose [m], shape [n].
+    """Return the distance of every node from where it would be in the undeformed gel at this pose [m], shape [n].
 
     Args:
         rest_m: undeformed node positions in the gel's frame [m], shape [n, 3].
@@ -75,6 +75,6 @@ def displacement_m(
 
 
 def _edges(positions_m: FloatArray, tetrahedra: IndexArray) -> FloatArray:
-    """Edge vectors from corner 0 to corners 1, 2, 3 as columns, shape [t, 3, 3]."""
+    """Return the edge vectors from corner 0 to corners 1, 2, 3 as columns, shape [t, 3, 3]."""
     corners = positions_m[tetrahedra]
     return np.asarray(np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2))

@@ -72,14 +72,14 @@ def base_surface(clearance_mm: float = OFFICIAL_CLEARANCE_MM) -> SurfaceMesh:
 
 
 def hole_outlines_mm(clearance_mm: float) -> tuple[Polygon, Polygon]:
-    """Outlines of the rectangular and of the hexagonal hole, counter-clockwise [mm]."""
+    """Return the outlines of the rectangular and of the hexagonal hole, counter-clockwise [mm]."""
     half_x, half_y = _HALF_PEG_X_MM + clearance_mm, _HALF_PEG_Y_MM + clearance_mm
     hexagon = regular_hexagon_mm((0.0, HEXAGON_HOLE_Y_MM), _HALF_PEG_Y_MM + clearance_mm)
     return rectangle(-half_x, half_x, -half_y, half_y), hexagon
 
 
 def _plate_faces() -> list[Face]:
-    """Bottom, the two ends, and the top around the blocks."""
+    """Return the bottom, the two ends, and the top around the blocks."""
     (west, east), (south, north) = _PLATE_X_MM, _PLATE_Y_MM
     outline = rectangle(west, east, south, north)
     low, high = _at_height(outline, PLATE_BOTTOM_MM), _at_height(outline, 0.0)
@@ -93,7 +93,7 @@ def _plate_faces() -> list[Face]:
 
 
 def _plate_top_mm() -> Polygon:
-    """Outline of what the four blocks leave free of the plate's top: they all stand at its edges."""
+    """Return the outline of what the four blocks leave free of the plate's top: they all stand at its edges."""
     (west, east), (south, north) = _PLATE_X_MM, _PLATE_Y_MM
     x, y, end = _BLOCK_HALF_X_MM, _BLOCK_HALF_Y_MM, _GARAGE_END_MM
     south_edge = [(west, south), (end, south), (end, y), (x, y), (x, south), (east, south)]
@@ -104,12 +104,12 @@ def _plate_top_mm() -> Polygon:
 
 
 def _beside(hexagon: Polygon) -> list[NDArray[np.float64]]:
-    """East, south-east, south-west and west corner of a hexagon."""
+    """Return the east, south-east, south-west and west corner of a hexagon."""
     return [hexagon[0], hexagon[5], hexagon[4], hexagon[3]]
 
 
 def _plate_north_face() -> Face:
-    """Northern edge of the plate with the flat of the hexagonal garage, in the plane y = 67.5."""
+    """Return the northern edge of the plate with the flat of the hexagonal garage, in the plane y = 67.5."""
     (west, east), north = _PLATE_X_MM, _PLATE_Y_MM[1]
     garage_east, garage_west = float(_HEXAGON_GARAGE[1, 0]), float(_HEXAGON_GARAGE[2, 0])
     outline = [
@@ -143,13 +143,13 @@ def _rectangular_row_faces(hole: Polygon) -> list[Face]:
 
 
 def _garage_floor_mm() -> Polygon:
-    """Floor of the rectangular garage's pocket: as large as the cuboid peg."""
+    """Return the floor of the rectangular garage's pocket: as large as the cuboid peg."""
     x, half_x, half_y = _GARAGE_X_MM, _HALF_PEG_X_MM, _HALF_PEG_Y_MM
     return rectangle(x - half_x, x + half_x, -half_y, half_y)
 
 
 def _hexagonal_block_faces(hole: Polygon) -> list[Face]:
-    """Six walls of the block with the hexagonal hole, the underside of its overhang, rim and hole."""
+    """Return six walls of the block with the hexagonal hole, the underside of its overhang, rim and hole."""
     east_edge = np.array([_OVERHANG_X_MM, _PLATE_Y_MM[1], 0.0])
     west_edge = np.array([-_OVERHANG_X_MM, _PLATE_Y_MM[1], 0.0])
     walls = [_wall(_HEXAGON_BLOCK, i, 0.0, RIM_MM) for i in range(6)]
@@ -165,14 +165,14 @@ def _hexagonal_block_faces(hole: Polygon) -> list[Face]:
 
 
 def _hexagonal_garage_faces() -> list[Face]:
-    """Five outer walls (the sixth lies in the plate's northern face) and the pocket."""
+    """Return five outer walls (the sixth lies in the plate's northern face) and the pocket."""
     walls = [_wall(_HEXAGON_GARAGE, i, 0.0, GARAGE_TOP_MM) for i in (0, 2, 3, 4, 5)]
     floor = regular_hexagon_mm((_GARAGE_X_MM, HEXAGON_HOLE_Y_MM), _HALF_PEG_Y_MM)
     return [*(Face(outline_mm=wall) for wall in walls), *_pocket_faces(floor, _HEXAGON_GARAGE)]
 
 
 def _blind_hole_faces(top: Polygon, hole: Polygon) -> list[Face]:
-    """Rim around a hole, the hole's walls and its floor."""
+    """Return the rim around a hole, the hole's walls and its floor."""
     rim = Face(outline_mm=_at_height(top, RIM_MM), holes_mm=(_at_height(hole, RIM_MM),))
     inward = hole[::-1]
     walls = [Face(outline_mm=_wall(inward, i, HOLE_FLOOR_MM, RIM_MM)) for i in range(len(hole))]
@@ -180,14 +180,14 @@ def _blind_hole_faces(top: Polygon, hole: Polygon) -> list[Face]:
 
 
 def _pocket_faces(floor: Polygon, top: Polygon) -> list[Face]:
-    """Floor and tapered walls of a garage's pocket."""
+    """Return the floor and tapered walls of a garage's pocket."""
     low, high = _at_height(floor, 0.0), _at_height(top, GARAGE_TOP_MM)
     walls = [Face(outline_mm=np.array([low[i], low[i - 1], high[i - 1], high[i]])) for i in range(len(floor))]
     return [Face(outline_mm=low), *walls]
 
 
 def _wall(polygon: Polygon, i: int, low_mm: float, high_mm: float) -> Corners:
-    """Upright rectangle over the edge from corner i to the next, seen from outside, shape [4, 3]."""
+    """Return the upright rectangle over the edge from corner i to the next, seen from outside, shape [4, 3]."""
     low, high = _at_height(polygon, low_mm), _at_height(polygon, high_mm)
     following = (i + 1) % len(polygon)
     return np.array([low[i], low[following], high[following], high[i]])
@@ -198,5 +198,5 @@ def _at_height(polygon: Polygon, z_mm: float) -> Corners:
 
 
 def _across_y(outline: list[tuple[float, float]], y_mm: float) -> Corners:
-    """Corners (x, z) in the plane y."""
+    """Return the corners (x, z) in the plane y."""
     return np.array([(x, y_mm, z) for x, z in outline])

@@ -34,7 +34,7 @@ def regular_hexagon_mm(centre_mm: tuple[float, float], apothem_mm: float) -> Pol
 
 @cache
 def hexagon_peg_surface() -> SurfaceMesh:
-    """Peg as a prism along z from 0 (its lower end) to 50 mm; gripped width 30 mm along y."""
+    """Return the peg as a prism along z from 0 (its lower end) to 50 mm; gripped width 30 mm along y."""
     profile = regular_hexagon_mm(PEG_CENTRE_MM, PEG_APOTHEM_MM)
     return solid_from_faces(prism_faces(profile, 0.0, PEG_HEIGHT_MM), "hexagon peg")
 

@@ -110,7 +110,7 @@ class KeyControlPoints:
 
 
 def profile_mm(key: KeyDimensions) -> Polygon:
-    """Outline of a key (x, z), counter-clockwise from the lower corner of the tip [mm], shape [n, 2]."""
+    """Return the outline of a key (x, z), counter-clockwise from the lower corner of the tip [mm], shape [n, 2]."""
     teeth = [
         corner
         for low, high in reversed(key.teeth_mm)
@@ -129,7 +129,7 @@ def profile_mm(key: KeyDimensions) -> Polygon:
 
 @cache
 def key_surface(shape: KeyShape) -> SurfaceMesh:
-    """Key as its profile in the x-z plane, extruded along y from -3 to +3 mm."""
+    """Return the key as its profile in the x-z plane, extruded along y from -3 to +3 mm."""
     # (x, z) counter-clockwise is (z, x) clockwise: swapped and reversed it is counter-clockwise seen along +y.
     profile = profile_mm(KEYS[shape])[::-1, ::-1]
     faces = prism_faces(profile, -KEY_HALF_THICKNESS_MM, KEY_HALF_THICKNESS_MM, axes=ZX_ALONG_Y)
@@ -137,7 +137,7 @@ def key_surface(shape: KeyShape) -> SurfaceMesh:
 
 
 def key_control_points(shape: KeyShape) -> KeyControlPoints:
-    """Measured corners of a key in its own frame."""
+    """Return the measured corners of a key in its own frame."""
     key = KEYS[shape]
     top = (key.tooth_top_mm,)
     return KeyControlPoints(
@@ -148,6 +148,6 @@ def key_control_points(shape: KeyShape) -> KeyControlPoints:
 
 
 def box_corners_m(x_mm: tuple[float, ...], half_width_mm: float, z_mm: tuple[float, ...]) -> NDArray[np.float64]:
-    """Points at every given x and z [mm], on both sides y = -+ half width, x slowest [m], shape [n, 3]."""
+    """Return the points at every given x and z [mm], on both sides y = -+ half width, x slowest [m], shape [n, 3]."""
     corners = [(x, y, z) for x in x_mm for y in (-half_width_mm, half_width_mm) for z in z_mm]
     return np.array(corners, dtype=np.float64) * 1e-3

@@ -64,13 +64,13 @@ class LockControlPoints:
 
 @cache
 def lock_surface(shape: KeyShape) -> SurfaceMesh:
-    """Lock block with its channel open at the entrance and its slots open at the top."""
+    """Return the lock block with its channel open at the entrance and its slots open at the top."""
     lock = LOCKS[shape]
     return solid_from_faces([*_outer_faces(lock), *_channel_faces(lock), *_slot_faces(lock)], f"lock of {shape}")
 
 
 def lock_control_points(shape: KeyShape) -> LockControlPoints:
-    """Measured corners of a lock in its own frame."""
+    """Return the measured corners of a lock in its own frame."""
     lock = LOCKS[shape]
     ceiling = (CHANNEL_CEILING_MM,)
     return LockControlPoints(
@@ -152,15 +152,15 @@ def _side_wall(lock: LockDimensions, y: float) -> NDArray[np.float64]:
 
 
 def _across_x(x: float, y: tuple[float, float], z: tuple[float, float]) -> NDArray[np.float64]:
-    """Rectangle at x whose corners run counter-clockwise seen from +x, shape [4, 3]."""
+    """Return the rectangle at x whose corners run counter-clockwise seen from +x, shape [4, 3]."""
     return np.array([[x, y[0], z[0]], [x, y[1], z[0]], [x, y[1], z[1]], [x, y[0], z[1]]])
 
 
 def _across_y(y: float, x: tuple[float, float], z: tuple[float, float]) -> NDArray[np.float64]:
-    """Rectangle at y whose corners run counter-clockwise seen from +y, shape [4, 3]."""
+    """Return the rectangle at y whose corners run counter-clockwise seen from +y, shape [4, 3]."""
     return np.array([[x[0], y, z[0]], [x[0], y, z[1]], [x[1], y, z[1]], [x[1], y, z[0]]])
 
 
 def _across_z(z: float, x: tuple[float, float], y: tuple[float, float]) -> NDArray[np.float64]:
-    """Rectangle at z whose corners run counter-clockwise seen from +z, shape [4, 3]."""
+    """Return the rectangle at z whose corners run counter-clockwise seen from +z, shape [4, 3]."""
     return np.array([[x[0], y[0], z], [x[1], y[0], z], [x[1], y[1], z], [x[0], y[1], z]])

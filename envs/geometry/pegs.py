@@ -67,25 +67,25 @@ BOTTOM_CORNERS_MM: dict[PegShape, Polygon] = {
 
 
 def hole_outline_mm(shape: PegShape) -> Polygon:
-    """Outline of the through hole: the peg's profile, widened by the clearance on every side [mm]."""
+    """Return the outline of the through hole: the peg's profile, widened by the clearance on every side [mm]."""
     return mitred_offset(PROFILES_MM[shape], CLEARANCE_MM)
 
 
 @cache
 def peg_surface(shape: PegShape) -> SurfaceMesh:
-    """Peg as a prism along z from 0 (its lower end) to 50 mm; origin at the centre of the profile."""
+    """Return the peg as a prism along z from 0 (its lower end) to 50 mm; origin at the centre of the profile."""
     return solid_from_faces(prism_faces(PROFILES_MM[shape], 0.0, PEG_HEIGHT_MM), f"{shape} peg")
 
 
 @cache
 def hole_surface(shape: PegShape) -> SurfaceMesh:
-    """Plate 70 x 50 x 20 mm with the through hole; its lower face is z = 0, its centre the origin."""
+    """Return the plate 70 x 50 x 20 mm with the through hole; its lower face is z = 0, its centre the origin."""
     faces = prism_faces(PLATE_OUTLINE_MM, 0.0, PLATE_THICKNESS_MM, holes_mm=(hole_outline_mm(shape),))
     return solid_from_faces(faces, f"{shape} hole")
 
 
 def bottom_vertices(shape: PegShape, peg: SurfaceMesh) -> NDArray[np.int64]:
-    """Vertices of a peg's surface that are the corners of `BOTTOM_CORNERS_MM`, in that order.
+    """Return the vertices of a peg's surface that are the corners of `BOTTOM_CORNERS_MM`, in that order.
 
     Found by position, so the answer also fits a surface read from a file.
     """

@@ -9,12 +9,12 @@ Point = NDArray[np.float64]
 
 
 def as_polygon(corners: list[tuple[float, float]]) -> Polygon:
-    """Corner list as an array of shape [n, 2]."""
+    """Return the corner list as an array of shape [n, 2]."""
     return np.array(corners, dtype=np.float64)
 
 
 def signed_area(polygon: Polygon) -> float:
-    """Enclosed area, positive when the corners run counter-clockwise; unit of the corners, squared."""
+    """Return the enclosed area, positive when the corners run counter-clockwise; unit of the corners, squared."""
     following = np.roll(polygon, -1, axis=0)
     return float(0.5 * (polygon[:, 0] * following[:, 1] - polygon[:, 1] * following[:, 0]).sum())
 
@@ -31,12 +31,12 @@ def mitred_offset(polygon: Polygon, distance: float) -> Polygon:
 
 
 def orientation(a: Point, b: Point, c: Point) -> float:
-    """Twice the signed area of the triangle abc: positive for a left turn, 0 for collinear points."""
+    """Return twice the signed area of the triangle abc: positive for a left turn, 0 for collinear points."""
     return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
 
 
 def segments_touch(a: Point, b: Point, c: Point, d: Point) -> bool:
-    """Whether the closed segments ab and cd have a point in common."""
+    """Return whether the closed segments ab and cd have a point in common."""
     abc, abd = orientation(a, b, c), orientation(a, b, d)
     cda, cdb = orientation(c, d, a), orientation(c, d, b)
     if abc * abd < 0 and cda * cdb < 0:
@@ -50,7 +50,7 @@ def segments_touch(a: Point, b: Point, c: Point, d: Point) -> bool:
 
 
 def boundaries_touch(first: Polygon, second: Polygon) -> bool:
-    """Whether the outlines of two polygons have a point in common."""
+    """Return whether the outlines of two polygons have a point in common."""
     return any(
         segments_touch(first[i - 1], first[i], second[j - 1], second[j])
         for i in range(len(first))
@@ -70,7 +70,7 @@ def contains(polygon: Polygon, point: Point) -> bool:
 
 
 def overlaps_plate(polygon: Polygon, *, plate: Polygon, hole: Polygon) -> bool:
-    """Whether a polygon meets the material between a plate's outline and its hole (touching counts).
+    """Return whether a polygon meets the material between a plate's outline and its hole (touching counts).
 
     If no outlines touch, the polygon lies wholly in the hole, wholly outside the plate, wholly in the material, or
     around the hole; one corner of each decides.

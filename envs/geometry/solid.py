@@ -30,7 +30,7 @@ class Face:
 
 
 def solid_from_faces(faces: Iterable[Face], name: str) -> SurfaceMesh:
-    """Surface of the solid that the faces enclose; corners at the same position become one vertex [m]."""
+    """Return the surface of the solid that the faces enclose; corners at the same position become one vertex [m]."""
     vertices: dict[tuple[float, ...], int] = {}
     triangles = []
     for face in faces:
@@ -49,7 +49,7 @@ def prism_faces(
     axes: tuple[int, int, int] = XY_ALONG_Z,
     holes_mm: tuple[Polygon, ...] = (),
 ) -> list[Face]:
-    """Faces of a prism: two end caps, and one wall for every edge of the profile and of its through holes.
+    """Return the faces of a prism: two end caps, and one wall for every edge of the profile and of its through holes.
 
     Args:
         profile_mm: counter-clockwise outline [mm], shape [n, 2], in the plane of `axes[0]`, `axes[1]`.
@@ -77,18 +77,18 @@ def prism_faces(
 
 
 def rectangle(x_low: float, x_high: float, y_low: float, y_high: float) -> Polygon:
-    """Counter-clockwise rectangle, shape [4, 2]."""
+    """Return the counter-clockwise rectangle, shape [4, 2]."""
     return np.array([[x_low, y_low], [x_high, y_low], [x_high, y_high], [x_low, y_high]], dtype=np.float64)
 
 
 def nearest_vertices(surface: SurfaceMesh, points_m: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Vertex of a surface nearest to each of the points [m], shape [n, 3] to [n]."""
+    """Return the vertex of a surface nearest to each of the points [m], shape [n, 3] to [n]."""
     apart = surface.vertices_m[None, :, :] - points_m[:, None, :]
     return np.asarray((apart * apart).sum(axis=2).argmin(axis=1), dtype=np.int64)
 
 
 def _triangulated(face: Face) -> list[tuple[int, int, int]]:
-    """Triangles of a face, found in its projection along the largest component of its normal."""
+    """Return the triangles of a face, found in its projection along the largest component of its normal."""
     normal = _area_vector(face.outline_mm)
     along = int(np.abs(normal).argmax())
     first, second = (along + 1) % 3, (along + 2) % 3

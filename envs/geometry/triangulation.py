@@ -11,7 +11,7 @@ Triangle = tuple[int, int, int]
 
 
 def triangulate(outline: Polygon, holes: tuple[Polygon, ...] = ()) -> list[Triangle]:
-    """Counter-clockwise triangles of a polygon with holes that adds no corner.
+    """Return the counter-clockwise triangles of a polygon with holes that adds no corner.
 
     Corners are numbered through the outline and then through each hole. The outline runs counter-clockwise; holes may
     run either way. Each hole is joined to the outline by its shortest free bridge, then ears are clipped, the one with
@@ -29,7 +29,7 @@ def triangulate(outline: Polygon, holes: tuple[Polygon, ...] = ()) -> list[Trian
 
 
 def _loops(outline: Polygon, holes: tuple[Polygon, ...]) -> list[list[int]]:
-    """Corner indices of the outline (counter-clockwise) and of every hole (clockwise)."""
+    """Return the corner indices of the outline (counter-clockwise) and of every hole (clockwise)."""
     loops = [list(range(len(outline)))]
     start = len(outline)
     for hole in holes:
@@ -46,7 +46,7 @@ def _twice_area(polygon: Polygon) -> float:
 
 
 def _shortest_bridge(points: NDArray[np.float64], ring: list[int], holes: list[list[int]]) -> tuple[int, int, int]:
-    """Position in the ring, hole, and position in that hole of the shortest segment that crosses no edge."""
+    """Return the position in the ring, hole, and position in that hole of the shortest segment that crosses no edge."""
     edges = list(chain.from_iterable(pairwise([*loop, loop[0]]) for loop in (ring, *holes)))
     candidates = sorted(
         (_squared_length(points, ring[r], hole[k]), r, h, k)
@@ -93,7 +93,7 @@ def _is_ear(points: NDArray[np.float64], ring: list[int], i: int) -> bool:
 
 
 def _in_triangle(points: NDArray[np.float64], a: int, b: int, c: int, other: int) -> bool:
-    """Whether a point lies in the closed triangle."""
+    """Return whether a point lies in the closed triangle."""
     return all(orientation(points[i], points[j], points[other]) >= 0 for i, j in ((a, b), (b, c), (c, a)))
 
 

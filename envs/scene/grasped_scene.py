@@ -120,22 +120,22 @@ class GraspedScene:
             sensor.capture_reference(view_m)
 
     def surface_diff_m(self) -> FloatArray:
-        """Mean motion of the left and right sensing surface since the reference [m], shape [2]."""
+        """Return the mean motion of the left and right sensing surface since the reference [m], shape [2]."""
         pairs = zip(self._sensors, self._views_m(), strict=True)
         return np.array([sensor.surface_diff_m(view_m) for sensor, view_m in pairs])
 
     def marker_flow(self, random: np.random.Generator) -> NDArray[np.float32]:
-        """Marker flow of the left, then the right sensor [pixel], shape [2, 2, 128, 2]."""
+        """Return the marker flow of the left, then the right sensor [pixel], shape [2, 2, 128, 2]."""
         with self._clocks.markers:
             pairs = zip(self._sensors, self._views_m(), strict=True)
             return np.stack([sensor.marker_flow(view_m, random) for sensor, view_m in pairs]).astype(np.float32)
 
     def held_vertices_m(self, vertices: NDArray[np.int64]) -> FloatArray:
-        """World positions of chosen vertices of the held part [m], shape [n, 3]."""
+        """Return the world positions of chosen vertices of the held part [m], shape [n, 3]."""
         return self._scene.body_vertices_m(0)[vertices]
 
     def gel_nodes_m(self, index: int) -> FloatArray:
-        """World positions of all nodes of the left (0) or right (1) gel [m], shape [n, 3]."""
+        """Return the world positions of all nodes of the left (0) or right (1) gel [m], shape [n, 3]."""
         return self._scene.gel_positions_m(index)
 
     def sensor_pose(self, index: int) -> SensorPose:
@@ -143,16 +143,16 @@ class GraspedScene:
         return self._gripper.sensor_pose(index)
 
     def sensor_centres_m(self) -> FloatArray:
-        """World positions of the centres of the left and the right gel [m], shape [2, 3]."""
+        """Return the world positions of the centres of the left and the right gel [m], shape [2, 3]."""
         return np.stack([self.sensor_pose(index).centre_m for index in range(len(self._sensors))])
 
     def take_reports(self) -> tuple[StepReport, ...]:
-        """Report of the IPC steps since the last call."""
+        """Return the report of the IPC steps since the last call."""
         reports, self._reports = tuple(self._reports), []
         return reports
 
     def state_hash(self) -> str:
-        """SHA-256 [hex] of all positions and velocities."""
+        """Return the SHA-256 [hex] of all positions and velocities."""
         return hashlib.sha256(self._scene.state_bytes()).hexdigest()
 
     def _placed_gel(self, gel: GelMesh, index: int, physics: PhysicsSettings) -> GelBody:

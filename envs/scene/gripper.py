@@ -114,7 +114,7 @@ class Gripper:
         return SensorPose(rotation=_turned(about_z, mount.rotation.T).T, centre_m=centre)
 
     def driven_targets_m(self, pose: GripperPose) -> tuple[FloatArray, FloatArray]:
-        """World positions [m] of both gels' driven nodes when the gripper is at this pose, shapes [d, 3]."""
+        """Return the world positions [m] of both gels' driven nodes when the gripper is at this pose, shapes [d, 3]."""
         sine, cosine = sine_cosine(pose.angle_rad)
         left, right = (
             _placed(driven, sine, cosine, pose, mount.side * pose.half_opening_m)

@@ -8,7 +8,7 @@ class MotionError(VitacError):
 
 
 def ipc_steps(amount: float, *, speed_per_s: float, time_step_s: float) -> int:
-    """IPC steps for a motion at a speed: the nearest whole number, ties to even, at least 1.
+    """Return the IPC steps for a motion at a speed: the nearest whole number, ties to even, at least 1.
 
     The published text rounds up; the 2025 code, which the logs follow, rounds to the nearest [D1].
 

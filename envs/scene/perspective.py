@@ -25,7 +25,7 @@ class Plane:
     offset_m: float
 
     def heights_m(self, points_m: FloatArray) -> FloatArray:
-        """Signed distances from the plane [m], positive on the normal's side, shape [..., 3] to [...]."""
+        """Return the signed distances from the plane [m], positive on the normal's side, shape [..., 3] to [...]."""
         return np.asarray(points_m @ np.array(self.normal) - self.offset_m)
 
 

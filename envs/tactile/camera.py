@@ -38,7 +38,7 @@ def camera_frame(
 
 @allocating_kernel
 def project(points_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Pixel coordinates (u, v), shape [n, 2], of camera-frame points [m], shape [n, 3]."""
+    """Return the pixel coordinates (u, v), shape [n, 2], of camera-frame points [m], shape [n, 3]."""
     out = np.empty((points_m.shape[0], 2))
     for i in range(points_m.shape[0]):
         out[i, 0] = FOCAL_U_PX * points_m[i, 0] / points_m[i, 2] + CENTRE_U_PX
@@ -48,7 +48,7 @@ def project(points_m: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @kernel
 def mean_distance_m(first_m: NDArray[np.float64], second_m: NDArray[np.float64]) -> float:
-    """Mean Euclidean distance [m] between corresponding points, both of shape [n, 3]."""
+    """Return the mean Euclidean distance [m] between corresponding points, both of shape [n, 3]."""
     total: float = 0.0
     for i in range(first_m.shape[0]):
         x = first_m[i, 0] - second_m[i, 0]

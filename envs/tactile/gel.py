@@ -62,7 +62,7 @@ _FALLING = ((0, 0, 0), (1, 1, 0), (1, 0, 1), (0, 1, 1))
 
 @cache
 def gelsight_mini_mesh() -> GelMesh:
-    """Mesh of the elastomer every 2025 task uses: 162 nodes, 320 tetrahedra, 81 driven and 49 sensing nodes.
+    """Return the mesh of the elastomer every 2025 task uses: 162 nodes, 320 tetrahedra, 81 driven and 49 sensing nodes.
 
     One layer of hexahedral cells spans the thickness: 6 x 6 between back and sensing face, and a ring of cells below
     the bevel, so that walls and bevel planes are met exactly. The numbers of cells along x and y are even, so the mesh
@@ -100,7 +100,7 @@ def structured_gel(*, name: str, size: GelDimensions | None = None, cells: GelCe
 
 
 def _grid_lines(extent_mm: float, inset_mm: float, cells: int, bevel_cells: int) -> tuple[FloatArray, FloatArray]:
-    """Grid coordinates along one axis from wall to wall, and how high up the bevel each is, from 0 to 1."""
+    """Return the grid coordinates along one axis from wall to wall, and how high up the bevel each is, from 0 to 1."""
     edge_mm = 0.5 * extent_mm
     between = np.linspace(-(edge_mm - inset_mm), edge_mm - inset_mm, cells + 1)
     rise = np.arange(bevel_cells) / bevel_cells
@@ -109,13 +109,13 @@ def _grid_lines(extent_mm: float, inset_mm: float, cells: int, bevel_cells: int)
 
 
 def _dome(grid_mm: FloatArray, size: GelDimensions) -> FloatArray:
-    """Height of a dome over the sensing face: 1 at its centre, 0 at its rim and beyond."""
+    """Return the height of a dome over the sensing face: 1 at its centre, 0 at its rim and beyond."""
     half_mm = 0.5 * np.array([size.length_mm, size.width_mm]) - size.bevel_inset_mm
     return np.asarray(np.maximum(1.0 - (grid_mm / half_mm) ** 2, 0.0).prod(axis=1))
 
 
 def _cut_cells(x_lines: int, y_lines: int, layers: int) -> NDArray[np.int64]:
-    """Five tetrahedra for every cell between the layers of grid nodes, shape [t, 4]."""
+    """Return five tetrahedra for every cell between the layers of grid nodes, shape [t, 4]."""
 
     def node(i: int, j: int, layer: int) -> int:
         return layer * x_lines * y_lines + j * x_lines + i

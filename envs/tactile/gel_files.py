@@ -19,7 +19,7 @@ class GelFilesError(VitacError):
 
 
 def read_gel(directory: Path) -> GelMesh:
-    """Gel mesh of a folder that holds `meta_file`, the mesh in metres and its driven and sensing node lists.
+    """Return the gel mesh of a folder that holds `meta_file`, the mesh in metres and its driven and sensing node lists.
 
     Raises:
         GelFilesError: a file is missing or is not what its name promises.
@@ -96,7 +96,7 @@ def _mask(path: Path, nodes: int) -> NDArray[np.bool_]:
 
 
 def _sections(text: str, path: Path) -> dict[str, list[str]]:
-    """Words between every `$Name` and its `$EndName`."""
+    """Return the words between every `$Name` and its `$EndName`."""
     sections: dict[str, list[str]] = {}
     name = None
     for line in text.splitlines():
@@ -132,7 +132,7 @@ def _nodes(words: Iterator[str]) -> tuple[list[int], list[list[float]]]:
 
 
 def _tetrahedra(words: Iterator[str]) -> list[list[int]]:
-    """Node tags of all tetrahedra; the words of other elements are skipped by their known corner counts."""
+    """Return the node tags of all tetrahedra; the words of other elements are skipped by their known corner counts."""
     corners_of_type = {15: 1, 1: 2, 2: 3, 3: 4, _TETRAHEDRON_TYPE: 4}
     blocks = _integers(words, 4)[0]
     tetrahedra = []

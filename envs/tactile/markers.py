@@ -74,7 +74,7 @@ class SensingSurface:
 
     @classmethod
     def of_gel(cls, mesh: GelMesh) -> "SensingSurface":
-        """Triangles of the mesh's boundary whose corners are all sensing nodes."""
+        """Return the triangles of the mesh's boundary whose corners are all sensing nodes."""
         number = np.full(len(mesh.rest_position_m), -1, dtype=np.int64)
         number[mesh.sensing_nodes] = np.arange(len(mesh.sensing_nodes))
         on_surface = mesh.sensing[mesh.surface_triangles].all(axis=1)
@@ -125,7 +125,7 @@ def marker_flow(
 
 
 def _draw_grid_m(settings: MarkerSettings, random: np.random.Generator) -> FloatArray:
-    """Marker positions in the plane of the gel, camera x and y [m], shape [n, 2]."""
+    """Return the marker positions in the plane of the gel, camera x and y [m], shape [n, 2]."""
     interval = random.uniform(*settings.interval_mm)
     angle = random.uniform(-settings.rotation_rad, settings.rotation_rad)
     x_mm = _grid_line_mm(_GRID_HALF_X_MM, interval, random.uniform(-settings.translation_mm, settings.translation_mm))
@@ -150,7 +150,7 @@ def _in_picture(pixels: FloatArray) -> NDArray[np.bool_]:
 
 
 def _of_fixed_count(flow: FloatArray, random: np.random.Generator) -> FloatArray:
-    """Exactly 128 markers: a random choice of more, or the last one repeated."""
+    """Return exactly 128 markers: a random choice of more, or the last one repeated."""
     count = flow.shape[1]
     if count == 0:
         raise NoMarkerVisible("No marker of the grid lies on the sensing surface and in the picture.")
@@ -237,7 +237,7 @@ def _nearest(x: float, y: float, centroids: FloatArray) -> IndexArray:
 
 @kernel
 def _barycentric(x: float, y: float, vertices: FloatArray, triangle: IndexArray) -> tuple[float, float, float]:
-    """Weights (1 - w1 - w2, w1, w2) with p = p0 + w1 (p1 - p0) + w2 (p2 - p0)."""
+    """Return the weights (1 - w1 - w2, w1, w2) with p = p0 + w1 (p1 - p0) + w2 (p2 - p0)."""
     ax, ay = vertices[triangle[0], 0], vertices[triangle[0], 1]
     bx, by = vertices[triangle[1], 0] - ax, vertices[triangle[1], 1] - ay
     cx, cy = vertices[triangle[2], 0] - ax, vertices[triangle[2], 1] - ay
@@ -249,7 +249,7 @@ def _barycentric(x: float, y: float, vertices: FloatArray, triangle: IndexArray)
 
 @allocating_kernel
 def _interpolated(points: FloatArray, corners: IndexArray, weights: FloatArray) -> FloatArray:
-    """Weighted sums of the corners' positions, shape [m, 3]."""
+    """Return the weighted sums of the corners' positions, shape [m, 3]."""
     out = np.empty((corners.shape[0], 3))
     for i in range(corners.shape[0]):
         for k in range(3):

@@ -29,7 +29,7 @@ class TactileSensor:
         self._reference_m: FloatArray | None = None
 
     def view_m(self, nodes_m: FloatArray, rotation: FloatArray, centre_m: FloatArray) -> FloatArray:
-        """Sensing nodes in the camera frame [m], shape [s, 3].
+        """Return the sensing nodes in the camera frame [m], shape [s, 3].
 
         Args:
             nodes_m: world positions of all gel nodes [m], shape [n, 3].

@@ -145,11 +145,11 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
         return self.task_scene.grasped
 
     def state_hash(self) -> str:
-        """SHA-256 [hex] of the physical state after the last reset or env step."""
+        """Return the SHA-256 [hex] of the physical state after the last reset or env step."""
         return self.scene.state_hash()
 
     def mesh_hash(self) -> str:
-        """SHA-256 [hex] of the meshes, materials and settings in use."""
+        """Return the SHA-256 [hex] of the meshes, materials and settings in use."""
         return mesh_hash(self._meshes.gel(), self._solids(), self.settings)
 
     def reset(self, *, seed: int | None = None, options: Mapping[str, Any] | None = None) -> tuple[Observation, Info]:
@@ -192,7 +192,7 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
 
     @abstractmethod
     def _solids(self) -> list[SurfaceMesh]:
-        """All rigid parts that an episode may have, in a fixed order."""
+        """Return all rigid parts that an episode may have, in a fixed order."""
 
     @abstractmethod
     def _start(self, options: dict[str, Any], random: np.random.Generator) -> SceneT:
@@ -200,7 +200,7 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
 
     @abstractmethod
     def _error(self) -> float:
-        """How far the episode is from its goal, the error e of the reward."""
+        """Return how far the episode is from its goal, the error e of the reward."""
 
     @abstractmethod
     def _judge(self) -> Flags:
@@ -208,7 +208,7 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
 
     @abstractmethod
     def _reward(self, flags: Flags, progress: float) -> float:
-        """Reward of the env step that was just played, which has brought the error down by `progress`."""
+        """Return the reward of the env step that was just played, which has brought the error down by `progress`."""
 
     @abstractmethod
     def _info(self, flags: Flags) -> Info:
@@ -245,7 +245,7 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
 
 
 def _observation_space(observables: Iterable[Observable[Any]]) -> "gymnasium.Space[Observation]":
-    """All finite arrays of the shapes and types of these observables."""
+    """Return all finite arrays of the shapes and types of these observables."""
     boxes = [(entry.name, _box(entry.shape, np.dtype(entry.dtype))) for entry in observables]
     return cast("gymnasium.Space[Observation]", gymnasium.spaces.Dict(boxes))
 

@@ -22,7 +22,7 @@ _DARK_AND_GAIN = {
 
 
 def colour_picture(view: View, surfaces: VisibleSurfaces, vertices_m: FloatArray) -> NDArray[np.uint8]:
-    """Flat-lit picture on a white background, shape [height, width, 3], red, green, blue.
+    """Return the flat-lit picture on a white background, shape [height, width, 3], red, green, blue.
 
     Every triangle has one colour: its class's, brighter by (1 + n.l)/2 for normal n and direction to the light l.
 
@@ -39,12 +39,12 @@ def colour_picture(view: View, surfaces: VisibleSurfaces, vertices_m: FloatArray
 
 
 def depth_picture(view: View) -> NDArray[np.float32]:
-    """Exact distances along the optical axis [m], 0 where nothing is seen, shape [height, width]."""
+    """Return the exact distances along the optical axis [m], 0 where nothing is seen, shape [height, width]."""
     return view.depth_m.astype(np.float32)
 
 
 def segmentation_picture(view: View, surfaces: VisibleSurfaces) -> NDArray[np.uint8]:
-    """`Label` of every pixel, shape [height, width]."""
+    """Return `Label` of every pixel, shape [height, width]."""
     picture = np.full(view.triangle.shape, Label.NOTHING, dtype=np.uint8)
     labels = np.append(surfaces.labels, np.uint8(Label.NOTHING))
     picture[view.box] = labels[view.triangle[view.box]]
@@ -52,7 +52,7 @@ def segmentation_picture(view: View, surfaces: VisibleSurfaces) -> NDArray[np.ui
 
 
 def _triangle_colours(surfaces: VisibleSurfaces, vertices_m: FloatArray) -> FloatArray:
-    """Colour of every triangle, shape [t, 3], 0 to 255."""
+    """Return the colour of every triangle, shape [t, 3], 0 to 255."""
     normals = unit_normals(vertices_m, surfaces.triangles)
     towards_light = normals[:, 0] * _TO_LIGHT[0] + normals[:, 1] * _TO_LIGHT[1] + normals[:, 2] * _TO_LIGHT[2]
     brightness = (1.0 + towards_light) / 2.0
@@ -63,7 +63,7 @@ def _triangle_colours(surfaces: VisibleSurfaces, vertices_m: FloatArray) -> Floa
 
 
 def unit_normals(vertices_m: FloatArray, triangles: IndexArray) -> FloatArray:
-    """Outward unit normals of triangles, shape [t, 3]."""
+    """Return the outward unit normals of triangles, shape [t, 3]."""
     a, b, c = (vertices_m[triangles[:, k]] for k in range(3))
     normals = np.cross(b - a, c - a)
     squares = normals * normals

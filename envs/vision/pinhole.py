@@ -37,7 +37,7 @@ class CameraPose:
     position_m: FloatArray
 
     def in_camera(self, points_m: FloatArray) -> FloatArray:
-        """World positions in the camera's frame [m], shape [n, 3]."""
+        """Return the world positions in the camera's frame [m], shape [n, 3]."""
         return _in_frame(points_m, self.world_from_camera, self.position_m)
 
     def moved_right(self, distance_m: float) -> "CameraPose":

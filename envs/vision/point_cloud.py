@@ -71,13 +71,13 @@ def object_clouds(
 
 
 def peg_pixels(colours: ColourPicture) -> NDArray[np.bool_]:
-    """Where the challenge's rule sees the peg: red bright, green and blue dark; shape [height, width]."""
+    """Return where the challenge's rule sees the peg: red bright, green and blue dark; shape [height, width]."""
     red, green, blue = colours[:, :, 0], colours[:, :, 1], colours[:, :, 2]
     return np.asarray((red > _BRIGHT) & (green < _DARK) & (blue < _DARK))
 
 
 def base_pixels(colours: ColourPicture) -> NDArray[np.bool_]:
-    """Where the challenge's rule sees the base: blue bright, green dark; shape [height, width]."""
+    """Return where the challenge's rule sees the base: blue bright, green dark; shape [height, width]."""
     return np.asarray((colours[:, :, 2] > _BRIGHT) & (colours[:, :, 1] < _DARK))
 
 
@@ -98,7 +98,7 @@ def _drawn_points(
 def _rays(
     columns: NDArray[np.int64], rows: NDArray[np.int64], intrinsics: Intrinsics
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """x/z of columns and y/z of rows."""
+    """Return x/z of columns and y/z of rows."""
     x = (columns.astype(np.float64) + 0.5 - intrinsics.centre_u_px) / intrinsics.focal_u_px
     y = (rows.astype(np.float64) + 0.5 - intrinsics.centre_v_px) / intrinsics.focal_v_px
     return x, y

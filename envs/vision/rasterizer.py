@@ -128,7 +128,7 @@ def _draw(t: int, corners: tuple[Vec3, Vec3, Vec3], screen: _Screen) -> None:
 
 @kernel
 def _pixel_range(corners: tuple[Vec3, Vec3, Vec3], screen: _Screen) -> tuple[int, int, int, int]:
-    """First and last row and column that a triangle can cover: all, where it reaches too near."""
+    """Return the first and last row and column that a triangle can cover: all, where it reaches too near."""
     a, b, c = corners
     height, width = screen.triangle.shape
     if min(a[2], b[2], c[2]) < screen.near_m:

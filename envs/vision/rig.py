@@ -38,7 +38,7 @@ NOMINAL = RigShift()
 
 
 def colour_camera_pose(y_m: float, z_m: float, shift: RigShift = NOMINAL) -> CameraPose:
-    """Pose of the colour camera, which follows the gripper in y and z, but not in x.
+    """Return the pose of the colour camera, which follows the gripper in y and z, but not in x.
 
     It looks along (-0.806, 0, -0.591), 36.25 degrees below the horizontal, with its up side pointing downwards.
 

@@ -87,7 +87,7 @@ class TactileCamera:
         return np.clip(dotted, 0.0, 255.0).astype(np.uint8)
 
     def _depth_m(self, gel_m: FloatArray, body_m: FloatArray, body_triangles: IndexArray) -> FloatArray:
-        """Depth of whatever is nearer to the camera, gel or body [m], shape [240, 320]."""
+        """Return the depth of whatever is nearer to the camera, gel or body [m], shape [240, 320]."""
         vertices_m = np.concatenate([gel_m, body_m])
         triangles = np.concatenate([self._triangles, body_triangles + len(gel_m)])
         view = rasterize(vertices_m, triangles, _INTRINSICS, height_px=HEIGHT_PX, width_px=WIDTH_PX, near_m=_NEAR_M)
@@ -95,7 +95,7 @@ class TactileCamera:
 
 
 def _shaded(depth_m: FloatArray) -> FloatArray:
-    """Colour of a surface by Phong's model, 0 to 255, shape [240, 320, 3]."""
+    """Return the colour of a surface by Phong's model, 0 to 255, shape [240, 320, 3]."""
     depth_px = _blurred(depth_m[:, :, None], _DEPTH_RADIUS_PX)[:, :, 0] / _PIXEL_M
     framed = np.pad(depth_px, 1, mode="edge")
     # The normal towards the camera: the surface rises where the depth falls.
@@ -148,7 +148,7 @@ def _background() -> FloatArray:
 
 
 def _interpolated(known: FloatArray, places: FloatArray, count: int) -> FloatArray:
-    """Values at 0, 1, ... along the first axis, linear between known places and constant beyond them."""
+    """Return the values at 0, 1, ... along the first axis, linear between known places and constant beyond them."""
     at = np.clip(np.arange(count), places[0], places[-1])
     after = np.clip(np.searchsorted(places, at, side="right"), 1, len(places) - 1)
     share = ((at - places[after - 1]) / (places[after] - places[after - 1]))[:, None, None]

@@ -44,10 +44,10 @@ class Environment(Protocol):
         """Play one env step; continue after an end, so that recorded actions can all be played."""
 
     def state_hash(self) -> str:
-        """SHA-256 [hex] of the physical state."""
+        """Return the SHA-256 [hex] of the physical state."""
 
     def mesh_hash(self) -> str:
-        """SHA-256 [hex] of the meshes and materials in use."""
+        """Return the SHA-256 [hex] of the meshes and materials in use."""
 
 
 class Policy(Protocol):
@@ -116,7 +116,7 @@ class _Trace:
 
 
 def run_episode(*, env: Environment, task: Task, episode: Episode, open_session: OpenSession) -> EpisodeRecord:
-    """Plays one episode to its end, or to the failure of the policy.
+    """Play one episode to its end, or to the failure of the policy.
 
     Args:
         env: the task's environment; it is reset here.

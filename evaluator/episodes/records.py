@@ -53,7 +53,7 @@ class ActionSequence(StrictModel):
 
     @classmethod
     def from_array(cls, actions: NDArray[np.float32]) -> Self:
-        """Packs actions, shape [env steps, action size]."""
+        """Pack actions, shape [env steps, action size]."""
         data = base64.b64encode(np.ascontiguousarray(actions, dtype="<f4").tobytes()).decode("ascii")
         return cls(shape=(actions.shape[0], actions.shape[1]), float32_base64=data)
 

@@ -11,7 +11,7 @@ FAILURES_THAT_END_A_SHARD = 3
 
 
 def is_broken(failures: Collection[PolicyFailure]) -> bool:
-    """Whether a policy with these failures in one shard is given up."""
+    """Return whether a policy with these failures in one shard is given up."""
     return any(map(_ends_at_once, failures)) or len(failures) >= FAILURES_THAT_END_A_SHARD
 
 
@@ -30,5 +30,5 @@ def breaking_failure(shards: Sequence[Shard], records: Iterable[EpisodeRecord]) 
 
 
 def _ends_at_once(failure: PolicyFailure) -> bool:
-    """Whether no other episode of the shard could be played after this failure."""
+    """Return whether no other episode of the shard could be played after this failure."""
     return failure.stage is FailureStage.LOAD or failure.code is VerdictCode.SHARD_TIME

@@ -32,7 +32,7 @@ class Ranked:
 
 
 def rank(standings: Iterable[Standing]) -> list[Ranked]:
-    """Places by success rate (high first), mean env steps (few first), submission time (early first), id.
+    """Return the places by success rate (high first), mean env steps (few first), submission time (early first), id.
 
     A standing without a finite success rate is left out. One without a finite mean of steps (no success) comes after
     all others of its success rate. The input's order has no influence.

@@ -52,7 +52,7 @@ def wilson_interval(successes: int, episodes: int, confidence: float = 0.95) -> 
 
 
 def interval_of_mean(rates: Sequence[Rate], *, of: int) -> Interval:
-    """Interval of the mean of `of` rates of independent episodes, those not given being 0 by rule.
+    """Return the interval of the mean of `of` rates of independent episodes, those not given being 0 by rule.
 
     With rates p_i and their intervals [l_i, u_i], from the variances recovered out of the single intervals:
     mean p - sqrt(sum (p_i - l_i)^2) / n to mean p + sqrt(sum (u_i - p_i)^2) / n. It lies within [0, 1] as they do.
@@ -66,7 +66,7 @@ def interval_of_mean(rates: Sequence[Rate], *, of: int) -> Interval:
 
 
 def rate(successes: int, episodes: int) -> Rate:
-    """Successes among episodes, with their interval."""
+    """Return the successes among episodes, with their interval."""
     return Rate(
         episodes=episodes,
         successes=successes,
@@ -76,7 +76,7 @@ def rate(successes: int, episodes: int) -> Rate:
 
 
 def score(records: Collection[EpisodeRecord]) -> Score:
-    """Success rate, interval and mean env steps of the successes over at least one record, in any order."""
+    """Return the success rate, interval and mean env steps of the successes over at least one record, in any order."""
     steps = sorted(record.env_steps for record in records if record.success)
     shapes = sorted({record.shape for record in records})
     return Score(

@@ -127,7 +127,7 @@ class Task(StrictModel):
         )
 
     def digest(self) -> str:
-        """SHA-256 [hex] of the whole definition; it changes with the list, the limits and the tables."""
+        """Return the SHA-256 [hex] of the whole definition; it changes with the list, the limits and the tables."""
         observed = [(row.name, row.shape, row.dtype, row.unit, row.meaning) for row in self.observables]
         done = [(row.name, row.scale, row.unit, row.meaning) for row in self.actions]
         return hashlib.sha256((self.model_dump_json() + json.dumps([observed, done])).encode()).hexdigest()

@@ -26,7 +26,7 @@ class UnknownTask(VitacError):
 
 
 def list_tracks() -> tuple[str, ...]:
-    """Names of all tracks, sorted."""
+    """Return the names of all tracks, sorted."""
     return tuple(sorted(_track_files()))
 
 
@@ -62,7 +62,7 @@ def find_task(name: str) -> tuple[Track, Task]:
 
 
 def archive_folders() -> tuple[str, ...]:
-    """Folders that the archive of a submission may hold: one for each track."""
+    """Return the folders that the archive of a submission may hold: one for each track."""
     return tuple(load_track(name).folder for name in list_tracks())
 
 

@@ -27,7 +27,7 @@ class Principal:
         return f"{self.role.value}:{self.team_name or self.token_id or 'console'}"
 
     def may_see(self, team_id: UUID) -> bool:
-        """Whether a thing of that team exists for this principal."""
+        """Return whether a thing of that team exists for this principal."""
         return self.is_organizer or self.team_id == team_id
 
     def require_organizer(self) -> None:

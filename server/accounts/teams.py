@@ -70,7 +70,7 @@ def own(session: Session, by: Principal) -> Team:
 
 
 def list_teams(session: Session) -> list[Team]:
-    """All teams by name."""
+    """Return all teams by name."""
     return list(session.scalars(select(Team).order_by(Team.name_key)))
 
 

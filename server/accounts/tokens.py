@@ -89,7 +89,7 @@ def principal_of_token_id(session: Session, token_id: UUID) -> Principal:
 
 
 def list_tokens(session: Session, by: Principal) -> list[ApiToken]:
-    """Tokens of the principal's team, or all for an organizer; newest first."""
+    """Return the tokens of the principal's team, or all for an organizer; newest first."""
     query = select(ApiToken).options(joinedload(ApiToken.team)).order_by(ApiToken.created_at.desc(), ApiToken.id)
     if not by.is_organizer:
         query = query.where(ApiToken.team_id == by.team_id)

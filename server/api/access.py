@@ -21,7 +21,7 @@ def services_of(request: Request) -> Services:
 def principal_of(
     request: Request, credentials: Annotated[HTTPAuthorizationCredentials | None, Depends(_bearer)]
 ) -> Principal:
-    """Who asks.
+    """Return who asks.
 
     Raises:
         ServiceError: no, unknown, expired or revoked token.
@@ -37,7 +37,7 @@ def principal_of(
 def optional_principal_of(
     request: Request, credentials: Annotated[HTTPAuthorizationCredentials | None, Depends(_bearer)]
 ) -> Principal | None:
-    """Who asks, or None without a token. A token that is given must be good, though.
+    """Return who asks, or None without a token. A token that is given must be good, though.
 
     Raises:
         ServiceError: unknown, expired or revoked token.

@@ -16,7 +16,7 @@ class BodyLimit:
         self._limit_bytes = limit_bytes
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Hands the request on with a body that is counted while it is read."""
+        """Hand the request on with a body that is counted while it is read."""
         if scope["type"] != "http" or (scope["method"], scope["path"]) == self._unlimited:
             await self._app(scope, receive, send)
             return

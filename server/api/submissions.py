@@ -107,7 +107,7 @@ def get_submission(services: ServicesOf, principal: PrincipalOf, submission_id: 
 
 @router.get("/{submission_id}/episodes")
 def get_episodes(services: ServicesOf, principal: PrincipalOf, submission_id: UUID) -> list[EpisodeView]:
-    """How each finished episode ended."""
+    """Return how each finished episode ended."""
     with services.database.transaction() as session:
         return listing.episodes(session, principal, submission_id)
 

@@ -95,7 +95,7 @@ def delete_token(services: ServicesOf, principal: PrincipalOf, token_id: UUID) -
 
 @router.get("/me")
 def get_me(services: ServicesOf, principal: PrincipalOf) -> MeView:
-    """Who the token belongs to and until when it is good."""
+    """Return who the token belongs to and until when it is good."""
     with services.database.transaction() as session:
         token = session.get(ApiToken, principal.token_id)
         return MeView(

@@ -18,13 +18,13 @@ router = APIRouter(tags=["tracks"], responses=RESPONSES)
 
 @router.get("/tracks")
 def list_tracks(services: ServicesOf) -> TrackListView:
-    """All tracks with their tasks and limits."""
+    """Return all tracks with their tasks and limits."""
     return track_views(services.settings)
 
 
 @router.get("/tracks/{track}")
 def get_track(services: ServicesOf, track: str) -> TrackView:
-    """One track."""
+    """Return one track."""
     return track_view(load_known_track(track), services.settings)
 
 
@@ -40,7 +40,7 @@ def get_leaderboard(
     *,
     task: Annotated[str | None, Query(description="Rank by this task alone; all tasks together without it.")] = None,
 ) -> Response:
-    """Standings of a track or of one of its tasks: the best completed evaluation of each team."""
+    """Return the standings of a track or of one of its tasks: the best completed evaluation of each team."""
     with services.database.transaction() as session:
         board = leaderboard(session, track, task=task)
     return answer(

@@ -64,7 +64,7 @@ class Base(DeclarativeBase):
 
 
 def _closed_set(kind: type[StrEnum], name: str) -> Enum:
-    """Text column that takes the members of an enum only."""
+    """Return the text column that takes the members of an enum only."""
     return Enum(
         kind,
         name=name,

@@ -64,23 +64,23 @@ def _migrating(
 
 
 def is_current(database: Database) -> bool:
-    """Whether the database has exactly the schema that this version works with."""
+    """Return whether the database has exactly the schema that this version works with."""
     with database.engine.connect() as connection:
         return installed_revision(connection) == newest_revision()
 
 
 def installed_revision(connection: Connection) -> str | None:
-    """Revision that the database has; None when it is empty."""
+    """Return the revision that the database has; None when it is empty."""
     return MigrationContext.configure(connection).get_current_revision()
 
 
 def newest_revision() -> str | None:
-    """Revision of this version."""
+    """Return the revision of this version."""
     return ScriptDirectory.from_config(_configuration()).get_current_head()
 
 
 def knows_revision(revision: str) -> bool:
-    """Whether a revision is one of this version's migrations, so that `upgrade` can start from it."""
+    """Return whether a revision is one of this version's migrations, so that `upgrade` can start from it."""
     try:
         return ScriptDirectory.from_config(_configuration()).get_revision(revision) is not None
     except CommandError:

@@ -126,7 +126,7 @@ def stored_episodes(session: Session, lease: Lease) -> StoredEpisodes:
 
 
 def records_of(session: Session, key: EpisodeKey, task: str) -> list[EpisodeRecord]:
-    """All stored records of one task, by episode."""
+    """Return all stored records of one task, by episode."""
     rows = session.scalars(
         select(EpisodeResult.record)
         .where(*key.conditions(), EpisodeResult.task == task)
@@ -136,7 +136,7 @@ def records_of(session: Session, key: EpisodeKey, task: str) -> list[EpisodeReco
 
 
 def count_stored(session: Session, key: EpisodeKey) -> int:
-    """How many episodes of an evaluation are stored."""
+    """Return how many episodes of an evaluation are stored."""
     return session.scalar(select(func.count()).select_from(EpisodeResult).where(*key.conditions())) or 0
 
 

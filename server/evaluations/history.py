@@ -18,7 +18,7 @@ def newest_evaluation(session: Session, submission: Submission) -> Evaluation:
 
 
 def history(submission: Submission) -> Select[Evaluation]:
-    """All evaluations of a submission, newest first."""
+    """Return all evaluations of a submission, newest first."""
     return (
         select(Evaluation)
         .where(Evaluation.submission_id == submission.id)
@@ -42,7 +42,7 @@ def histories(session: Session, submissions: Collection[Submission]) -> dict[UUI
 
 
 def newest_state() -> ScalarSelect[EvaluationState]:
-    """State of the newest evaluation of a row of `submissions`, for a query on them."""
+    """Return the state of the newest evaluation of a row of `submissions`, for a query on them."""
     return (
         select(Evaluation.state)
         .where(Evaluation.submission_id == Submission.id)

@@ -155,7 +155,7 @@ def first_refuted_shard(session: Session, evaluation: Evaluation) -> Shard | Non
 
 
 def _conclude(session: Session, evaluation: Evaluation) -> None:
-    """Scores a finished evaluation, or gives it the verdict of its first shard that broke a policy or refuted a log."""
+    """Score a finished evaluation, or give it the verdict of its first shard that broke a policy or refuted a log."""
     refuted = first_refuted_shard(session, evaluation)
     if refuted is not None:
         _fail_by_log(evaluation, refuted)

@@ -14,7 +14,7 @@ EPISODES_FOR_TIMING = 300
 
 
 def progress_of(session: Session, evaluation: Evaluation, submission: Submission) -> ProgressView:
-    """Finished episodes, by task."""
+    """Return the finished episodes, by task."""
     done = _counts_of_scores(evaluation) or _counts_of_episodes(session, EpisodeKey.of(evaluation, submission))
     track = load_track(submission.track)
     tasks = [
@@ -87,7 +87,7 @@ def _mean_episode_s(session: Session, tasks: list[str]) -> float | None:
 
 
 def _episodes_ahead(session: Session, evaluation: Evaluation) -> int:
-    """Episodes in unfinished shards of evaluations whose turn comes earlier."""
+    """Return the episodes in unfinished shards of evaluations whose turn comes earlier."""
     return (
         session.scalar(
             select(func.sum(func.cardinality(Shard.episodes)))

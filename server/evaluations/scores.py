@@ -45,7 +45,7 @@ def score_views(evaluation: Evaluation) -> list[TaskScoreView]:
 
 
 def bounds(interval: Interval) -> tuple[float, float]:
-    """Both ends of an interval, as views hold them."""
+    """Return both ends of an interval, as views hold them."""
     return interval.low, interval.high
 
 
@@ -65,7 +65,7 @@ def _board_result(evaluation: Evaluation, board: str, score: Score | CombinedSco
 
 
 def _tasks_that_count(evaluation: Evaluation) -> Collection[str]:
-    """All tasks of the track for a model; a log is of one task, and ranks on that one's board only."""
+    """Return all tasks of the track for a model; a log is of one task, and ranks on that one's board only."""
     submission = evaluation.submission
     return load_track(submission.track).tasks if submission.kind.form.runs_policy else submission.tasks
 

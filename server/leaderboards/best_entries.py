@@ -48,7 +48,7 @@ def best_entries(session: Session, board: Board) -> list[BestEntry]:
 
 
 def places(session: Session, track: str) -> PlacesOfBoards:
-    """Places of the submissions that are their team's best entry on a board of the track."""
+    """Return the places of the submissions that are their team's best entry on a board of the track."""
     boards = [Board(track=track, task=task) for task in (None, *load_track(track).tasks)]
     return {board.task: _places(_ranked(session, board)) for board in boards}
 
@@ -103,7 +103,7 @@ def _of_this_version() -> ColumnElement[bool]:
 
 
 def _without_ranked(board: Board) -> ColumnElement[bool]:
-    """Whether the team has no result of this version on the board."""
+    """Return whether the team has no result of this version on the board."""
     ranked = aliased(BoardResult)
     return ~(
         select(ranked.evaluation_id)

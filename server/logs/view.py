@@ -11,7 +11,7 @@ from vitac.server.views.logs import DivergenceView, LogView
 
 
 def log_view(session: Session, submission: Submission, evaluation: Evaluation) -> LogView:
-    """Claims and verdict of a log, by its newest evaluation."""
+    """Return the claims and verdict of a log, by its newest evaluation."""
     claim = LogClaim.model_validate(submission.manifest)
     finding = _finding(session, evaluation)
     holds = submission.kind.form.is_verified and evaluation.state is EvaluationState.COMPLETED

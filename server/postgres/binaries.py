@@ -52,7 +52,7 @@ def find_binaries(*, configured: Path | None = None, major: int | None = None) -
 
 
 def inspect_bin_dir(folder: Path) -> PostgresBinaries | None:
-    """Asks the programs of a folder for their version; None when one is missing or does not start."""
+    """Ask the programs of a folder for their version; None when one is missing or does not start."""
     if not all((folder / program).is_file() for program in _PROGRAMS):
         return None
     answer = subprocess.run([folder / "postgres", "--version"], capture_output=True, text=True, check=False)  # noqa: S603 - our own choice of program

@@ -56,14 +56,14 @@ class Account:
 
     @classmethod
     def for_this_process(cls) -> "Account":
-        """`nobody` for root, otherwise the same user."""
+        """Return `nobody` for root, otherwise the same user."""
         if os.geteuid() != 0:
             return cls(uid=os.geteuid(), gid=os.getegid())
         nobody = pwd.getpwnam("nobody")
         return cls(uid=nobody.pw_uid, gid=nobody.pw_gid)
 
     def is_other(self) -> bool:
-        """Whether the database's user is not ours."""
+        """Return whether the database's user is not ours."""
         return self.uid != os.geteuid()
 
     def own(self, path: Path) -> None:

@@ -45,7 +45,7 @@ class EmbeddedPostgres:
         return self._process.pid if self._process is not None else None
 
     def start(self, timeout_s: float = 120.0) -> str:
-        """Make the database available and returns its address.
+        """Make the database available and return its address.
 
         Raises:
             VitacError: it cannot be started here; the message says why.

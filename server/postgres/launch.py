@@ -12,7 +12,7 @@ _PR_SET_PDEATHSIG = 1
 
 
 def main(arguments: list[str]) -> None:
-    """Becomes the program; never returns."""
+    """Become the program; never return."""
     uid, gid, parent = (int(value) for value in arguments[:3])
     if os.geteuid() == 0:
         os.setgroups([])

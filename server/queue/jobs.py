@@ -111,12 +111,12 @@ def forget_jobs_of_ended_shards(session: Session) -> None:
 
 
 def has_waiting_job() -> ColumnElement[bool]:
-    """Whether a row of `shards` has a job that waits."""
+    """Return whether a row of `shards` has a job that waits."""
     return _has_job(_WAITS_FOR_SHARD.bindparams(task=RUN_SHARD))
 
 
 def has_taken_job(*, started_within: timedelta) -> ColumnElement[bool]:
-    """Whether a row of `shards` has a job that a worker took so lately that it may still claim the shard."""
+    """Return whether a row of `shards` has a job that a worker took so lately that it may still claim the shard."""
     return _has_job(_WAS_TAKEN_FOR_SHARD.bindparams(task=RUN_SHARD, lately=started_within))
 
 

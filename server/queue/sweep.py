@@ -102,7 +102,7 @@ def _enqueue_missing_jobs(session: Session, settings: Settings) -> int:
 
 
 def shards_without_job(settings: Settings) -> Select[int, str, int]:
-    """Queued shards that no job wakes, with the versions and turns of their evaluations."""
+    """Return the queued shards that no job wakes, with the versions and turns of their evaluations."""
     return (
         select(Shard.id, Evaluation.evaluator_version, Evaluation.turn)
         .join(Evaluation)

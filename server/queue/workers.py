@@ -41,7 +41,7 @@ def heartbeat(session: Session, worker_id: UUID, state: WorkerState, message: st
 
 
 def workers_alive(session: Session, settings: Settings, evaluator_version: str | None = None) -> WorkersAlive:
-    """Workers that take shards (of one evaluator version) and are not lost."""
+    """Return the workers that take shards (of one evaluator version) and are not lost."""
     of_version = (
         Worker.evaluator_version == evaluator_version if evaluator_version is not None else Worker.id == Worker.id
     )
@@ -57,7 +57,7 @@ def workers_alive(session: Session, settings: Settings, evaluator_version: str |
 
 
 def list_workers(session: Session) -> Sequence[Worker]:
-    """All known workers, the one with the newest heartbeat first."""
+    """Return all known workers, the one with the newest heartbeat first."""
     return session.scalars(select(Worker).order_by(Worker.heartbeat_at.desc())).all()
 
 

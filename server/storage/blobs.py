@@ -43,7 +43,7 @@ class BlobStore:
             raise _unavailable(error) from error
 
     def fetch(self, sha256: str, destination: Path) -> None:
-        """Write a stored file to a local path and checks its digest on the way.
+        """Write a stored file to a local path and check its digest on the way.
 
         Raises:
             ServiceError: it is not there, was altered, or the store cannot be read.
@@ -62,7 +62,7 @@ class BlobStore:
             raise ServiceError(ProblemCode.STORAGE_UNAVAILABLE, f"The stored file {sha256} was altered in the store.")
 
     def holds(self, sha256: str) -> bool:
-        """Whether a file of that digest is stored."""
+        """Return whether a file of that digest is stored."""
         try:
             obstore.head(self._store, key_of(sha256))
         except (NotFoundError, FileNotFoundError):
@@ -82,7 +82,7 @@ class BlobStore:
             raise _unavailable(error) from error
 
     def list_older_than(self, age: timedelta) -> list[str]:
-        """Digests of all files that were stored at least so long ago.
+        """Return the digests of all files that were stored at least so long ago.
 
         Raises:
             ServiceError: the store cannot be read.
@@ -95,7 +95,7 @@ class BlobStore:
         return [meta["path"].rsplit("/", 1)[-1] for meta in files if meta["last_modified"] <= oldest_kept]
 
     def check(self) -> None:
-        """Write and removes a small file.
+        """Write and remove a small file.
 
         Raises:
             ServiceError: that does not work.
@@ -108,7 +108,7 @@ class BlobStore:
 
 
 def key_of(sha256: str) -> str:
-    """Key of a digest; two characters make a folder, so that none gets too many files."""
+    """Return the key of a digest; two characters make a folder, so that none gets too many files."""
     return f"sha256/{sha256[:2]}/{sha256}"
 
 

@@ -17,7 +17,7 @@ from .runs import next_run
 def create(
     session: Session, by: Principal, upload: CheckedUpload, *, team: str | None = None, again: bool = False
 ) -> tuple[Submission, bool]:
-    """Make the submission and its evaluation, or finds the one that exists; whether a new evaluation was started.
+    """Make the submission and its evaluation, or find the one that exists; whether a new evaluation was started.
 
     The same content of the same team is one submission. While its evaluation is active or completed nothing new is
     started, unless `again` asks for a run that uses no stored episodes; after a cancel the run is taken up where it
@@ -37,7 +37,7 @@ def create(
 
 
 def owner_name(session: Session, by: Principal, team: str | None) -> str:
-    """Name of the team whose submission an upload becomes.
+    """Return the name of the team whose submission an upload becomes.
 
     Raises:
         ServiceError: an organizer named no team, or none that exists.

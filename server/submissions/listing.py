@@ -18,7 +18,7 @@ from .view import submission_views
 
 
 def get(session: Session, settings: Settings, by: Principal, submission_id: UUID) -> SubmissionView:
-    """One submission with its newest evaluation.
+    """Return one submission with its newest evaluation.
 
     Raises:
         ServiceError: there is none that the principal may see.
@@ -63,7 +63,7 @@ def list_submissions(
 
 
 def episodes(session: Session, by: Principal, submission_id: UUID) -> list[EpisodeView]:
-    """How each finished episode of the newest evaluation ended, in order.
+    """Return how each finished episode of the newest evaluation ended, in order.
 
     Raises:
         ServiceError: there is no such submission.

@@ -80,7 +80,7 @@ def _missing_tasks(submission: Submission) -> list[str]:
 
 
 def _ranks(submission: Submission, newest: Evaluation, places_of: PlacesOf) -> dict[str | None, RankView]:
-    """Places of the submission by task; under None that of all tasks together."""
+    """Return the places of the submission by task; under None that of all tasks together."""
     if newest.state is not EvaluationState.COMPLETED:
         return {}
     boards = places_of(submission.track)

@@ -86,7 +86,7 @@ def _require_whole(log: TextLog, script: Script, task: Task) -> None:
 
 
 def _digest_of(received: ReceivedFile, limit_bytes: int) -> str:
-    """SHA-256 [hex] of the unpacked text, equal for a log and its packed copy."""
+    """Return the SHA-256 [hex] of the unpacked text, equal for a log and its packed copy."""
     with open_log(received.path, limit_bytes) as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 

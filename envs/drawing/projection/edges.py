@@ -19,7 +19,7 @@ _SLACK_M = 4e-4
 
 
 def sharp_edges(vertices_m: FloatArray, triangles: IndexArray) -> IndexArray:
-    """Edges at which a closed surface has a fold, vertex indices, shape [e, 2]."""
+    """Return the edges at which a closed surface has a fold, vertex indices, shape [e, 2]."""
     normals = unit_normals(vertices_m, triangles)
     first: dict[tuple[int, int], int] = {}
     sharp = []
@@ -33,13 +33,13 @@ def sharp_edges(vertices_m: FloatArray, triangles: IndexArray) -> IndexArray:
 
 
 def unique_edges(triangles: IndexArray) -> IndexArray:
-    """All edges of a closed surface, each once, shape [e, 2]."""
+    """Return all edges of a closed surface, each once, shape [e, 2]."""
     directed = np.concatenate([triangles[:, [i, (i + 1) % 3]] for i in range(3)])
     return np.asarray(directed[directed[:, 0] < directed[:, 1]])
 
 
 def unit_normals(vertices_m: FloatArray, triangles: IndexArray) -> FloatArray:
-    """Outward unit normals of triangles, shape [t, 3]."""
+    """Return the outward unit normals of triangles, shape [t, 3]."""
     corners = vertices_m[triangles]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return np.asarray(normals / np.linalg.norm(normals, axis=1, keepdims=True))
@@ -71,7 +71,7 @@ def visible_lines(
 
 
 def _runs(seen: NDArray[np.bool_], line: IndexArray) -> list[slice]:
-    """Stretches of at least two points of one line that are all seen."""
+    """Return the stretches of at least two points of one line that are all seen."""
     changes = np.flatnonzero((seen[1:] != seen[:-1]) | (line[1:] != line[:-1])) + 1
     bounds = np.concatenate([[0], changes, [len(seen)]]).tolist()
     return [slice(start, stop) for start, stop in pairwise(bounds) if stop - start > 1 and seen[start]]

@@ -21,7 +21,7 @@ _GLASS_OPACITY = 0.34
 
 
 def lit(rgb: FloatArray, normals: FloatArray, *, matt: bool = True) -> FloatArray:
-    """Colours of faces as the light makes them.
+    """Return the colours of faces as the light makes them.
 
     Args:
         rgb: their own colours in 0 to 1, shape [3] or [k, 3].
@@ -34,13 +34,13 @@ def lit(rgb: FloatArray, normals: FloatArray, *, matt: bool = True) -> FloatArra
 
 
 def seen_through(glass: FloatArray, behind: FloatArray, is_glass: NDArray[np.bool_]) -> FloatArray:
-    """Two pictures, shape [height, width, 3], one over the other: the first is glass where the mask says so."""
+    """Return two pictures, shape [height, width, 3], one over the other: the first is glass where the mask says so."""
     mixed = behind.copy()
     mixed[is_glass] = _GLASS_OPACITY * glass[is_glass] + (1.0 - _GLASS_OPACITY) * behind[is_glass]
     return mixed
 
 
 def averaged(rgb: FloatArray, block: int) -> FloatArray:
-    """Means over blocks of pixels, shape [block h, block w, 3] to [h, w, 3]."""
+    """Return the means over blocks of pixels, shape [block h, block w, 3] to [h, w, 3]."""
     height, width = rgb.shape[0] // block, rgb.shape[1] // block
     return np.asarray(rgb.reshape(height, block, width, block, 3).mean(axis=(1, 3)))

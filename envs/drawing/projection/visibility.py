@@ -82,7 +82,7 @@ class Visible:
         self.weights[rows, columns][seen] = np.stack([w1[seen], w2[seen]], axis=1)
 
     def _window(self, corners: FloatArray) -> tuple[slice, slice]:
-        """Rows and columns of pixels that a triangle may touch."""
+        """Return the rows and columns of pixels that a triangle may touch."""
         height, width = self.depth_m.shape
         low = np.floor(corners[:, :2].min(axis=0)).astype(int)
         high = np.ceil(corners[:, :2].max(axis=0)).astype(int)
@@ -99,7 +99,7 @@ class Visible:
         self.depth_m[inside] = camera.plane_depths_m(plane)[inside]
 
     def interpolated(self, corner_values: FloatArray, number: NDArray[np.int32], here: NDArray[np.bool_]) -> FloatArray:
-        """Values at pixels, linear over each triangle, shape [k].
+        """Return the values at pixels, linear over each triangle, shape [k].
 
         Args:
             corner_values: of some triangles, shape [t, 3].
@@ -111,7 +111,7 @@ class Visible:
         return np.asarray(v0 + w1 * (v1 - v0) + w2 * (v2 - v0))
 
     def hides(self, points: FloatArray, *, slack_m: float) -> NDArray[np.bool_]:
-        """Whether something is more than `slack_m` nearer than each point (x, y, depth), shape [n, 3] to [n].
+        """Return whether something is more than `slack_m` nearer than each point (x, y, depth), shape [n, 3] to [n].
 
         Points outside the picture are hidden.
         """

@@ -18,7 +18,7 @@ FloatArray = NDArray[np.float64]
 
 
 def frame_weights(points_m: FloatArray, centroid_m: FloatArray, frame_length_m: float) -> FloatArray:
-    """Weights [-] of shape [n, 4] that give body points [m] of shape [n, 3] from the frame points."""
+    """Return the weights [-] of shape [n, 4] that give body points [m] of shape [n, 3] from the frame points."""
     local = (points_m - centroid_m) / frame_length_m
     return np.concatenate([1.0 - local.sum(axis=1, keepdims=True), local], axis=1)
 
@@ -43,7 +43,7 @@ def frame_mass(
 
 @kernel
 def affine_columns(y: FloatArray, first: int, frame_length: float) -> Mat3:
-    """Columns of A from frame points y[first : first + 4] [m]."""
+    """Return the columns of A from frame points y[first : first + 4] [m]."""
     origin = load(y, first)
     s = 1.0 / frame_length
     return (

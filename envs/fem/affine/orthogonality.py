@@ -53,7 +53,7 @@ def _add_unknown_block(layout: BlockLayout, entries: FloatArray, a: int, b: int,
 
 @kernel
 def orthogonality_error(A: Mat3) -> Mat3:
-    """Columns of A A^T - I."""
+    """Return the columns of A A^T - I."""
     a, b, c = A
     return (
         (
@@ -82,13 +82,13 @@ def orthogonality_energy(E: Mat3) -> float:
 
 @kernel
 def orthogonality_gradient(E: Mat3, column: Vec3) -> Vec3:
-    """d|A A^T - I|^2 / da_k = 4 (A A^T - I) a_k."""
+    """Return d|A A^T - I|^2 / da_k = 4 (A A^T - I) a_k."""
     return scale(4.0, apply_columns(E, column))
 
 
 @kernel
 def orthogonality_block(E: Mat3, a_k: Vec3, a_l: Vec3, same: bool, projected: bool) -> Mat3:
-    """Rows of d2|A A^T - I|^2 / da_k da_l = 4 ((a_k . a_l) I + a_l a_k^T + delta_kl (A A^T - I)).
+    """Return the rows of d2|A A^T - I|^2 / da_k da_l = 4 ((a_k . a_l) I + a_l a_k^T + delta_kl (A A^T - I)).
 
     `projected` leaves out the last term, the only one that can be indefinite; the rest is the Gauss-Newton matrix.
     """

@@ -17,57 +17,57 @@ def add_matrices(a: Mat3, b: Mat3) -> Mat3:
 
 @kernel
 def scale_matrix(s: float, a: Mat3) -> Mat3:
-    """Product s A."""
+    """Return the product s A."""
     return scale(s, a[0]), scale(s, a[1]), scale(s, a[2])
 
 
 @kernel
 def transpose(a: Mat3) -> Mat3:
-    """Rows of a matrix given by its columns, and the other way round."""
+    """Return the rows of a matrix given by its columns, and the other way round."""
     x, y, z = a
     return (x[0], y[0], z[0]), (x[1], y[1], z[1]), (x[2], y[2], z[2])
 
 
 @kernel
 def apply_rows(rows: Mat3, v: Vec3) -> Vec3:
-    """Matrix, given by its rows, times vector."""
+    """Return the matrix, given by its rows, times vector."""
     return dot(rows[0], v), dot(rows[1], v), dot(rows[2], v)
 
 
 @kernel
 def apply_columns(columns: Mat3, v: Vec3) -> Vec3:
-    """Matrix, given by its columns, times vector."""
+    """Return the matrix, given by its columns, times vector."""
     return combine(v[0], columns[0], v[1], columns[1], v[2], columns[2])
 
 
 @kernel
 def multiply_rows(a: Mat3, b: Mat3) -> Mat3:
-    """Rows of A B, of matrices given by their rows."""
+    """Return the rows of A B, of matrices given by their rows."""
     return apply_columns(b, a[0]), apply_columns(b, a[1]), apply_columns(b, a[2])
 
 
 @kernel
 def outer(a: Vec3, b: Vec3) -> Mat3:
-    """Rows of a b^T."""
+    """Return the rows of a b^T."""
     return scale(a[0], b), scale(a[1], b), scale(a[2], b)
 
 
 @kernel
 def outer_square(columns: Mat3) -> Mat3:
-    """Rows of A A^T, of a matrix given by its columns."""
+    """Return the rows of A A^T, of a matrix given by its columns."""
     a, b, c = columns
     return add_matrices(add_matrices(outer(a, a), outer(b, b)), outer(c, c))
 
 
 @kernel
 def identity_and_outer(s: float, t: float, a: Vec3) -> Mat3:
-    """Rows of s I + t a a^T."""
+    """Return the rows of s I + t a a^T."""
     return identity_and_outers(s, t, a, a, 0.0)
 
 
 @kernel
 def identity_and_outers(s: float, p: float, a: Vec3, b: Vec3, q: float) -> Mat3:
-    """Rows of s I + p a b^T + q b a^T."""
+    """Return the rows of s I + p a b^T + q b a^T."""
     return (
         (
             s + p * a[0] * b[0] + q * b[0] * a[0],

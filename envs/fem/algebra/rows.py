@@ -34,7 +34,7 @@ def add_rows(a: FloatArray, s: float, b: FloatArray, target: FloatArray) -> None
 
 @kernel
 def any_nonzero(rows: FloatArray) -> bool:
-    """Whether any component is not zero."""
+    """Return whether any component is not zero."""
     for i in range(len(rows)):
         for k in range(3):
             if rows[i, k] != 0.0:

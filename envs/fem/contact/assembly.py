@@ -67,7 +67,7 @@ class MollifierRates(NamedTuple):
 def add_contacts(
     model: Model, candidates: Candidates, points: PointState, stencil: Stencil, system: NewtonSystem, matrix: int
 ) -> tuple[float, int]:
-    """Add all pairs closer than d_hat; returns the smallest distance [m] and their number."""
+    """Add all pairs closer than d_hat; return the smallest distance [m] and their number."""
     y, y_start, d_hat = points.y, points.y_start, model.parameters.d_hat_m
     smallest, active = np.inf, 0
     for k in range(len(candidates.pair_type)):

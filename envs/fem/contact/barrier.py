@@ -12,7 +12,7 @@ from ...deterministic_math import natural_log
 
 @kernel
 def barrier(d: float, d_hat: float) -> tuple[float, float, float]:
-    """B [m^2], b' [m] (negative) and b'' [-] (positive) at 0 < d < d_hat [m]."""
+    """Return B [m^2], b' [m] (negative) and b'' [-] (positive) at 0 < d < d_hat [m]."""
     gap = d - d_hat
     log_ratio = natural_log(d / d_hat)
     ratio = gap / d

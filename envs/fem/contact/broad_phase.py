@@ -43,7 +43,7 @@ class Search(NamedTuple):
 
 @allocating_kernel
 def find_candidates(surfaces: Surfaces, y: FloatArray, reach_m: FloatArray) -> Candidates:
-    """All pairs within the reach [m], shape [k], of their pair of bodies, at points y [m] of shape [p, 3]."""
+    """Return all pairs within the reach [m], shape [k], of their pair of bodies, at points y [m] of shape [p, 3]."""
     capacity = 4096
     while True:
         found = Candidates(
@@ -155,7 +155,7 @@ def _high(boxes: FloatArray, i: int) -> Vec3:
 
 @kernel
 def _body_box(search: Search, body: int) -> tuple[Vec3, Vec3]:
-    """Corners of a body's bounding box, grown by the reach."""
+    """Return the corners of a body's bounding box, grown by the reach."""
     start, y, reach = search.surfaces.point_start, search.y, search.reach_m
     low = load(y, start[body])
     high = low
@@ -172,7 +172,7 @@ def _body_box(search: Search, body: int) -> tuple[Vec3, Vec3]:
 
 @allocating_kernel
 def _near_points(search: Search, a: int, b: int) -> IndexArray:
-    """Points of body a within reach of the box of body b."""
+    """Return the points of body a within reach of the box of body b."""
     low, high = _body_box(search, b)
     first, last = search.surfaces.point_start[a], search.surfaces.point_start[a + 1]
     found = np.empty(last - first, np.int64)
@@ -187,7 +187,7 @@ def _near_points(search: Search, a: int, b: int) -> IndexArray:
 
 @allocating_kernel
 def near_rows(search: Search, rows: IndexArray, start: int, stop: int, other: int) -> IndexArray:
-    """Rows (edges or triangles) start..stop whose box is within reach of the box of body `other`."""
+    """Return the rows (edges or triangles) start..stop whose box is within reach of the box of body `other`."""
     low, high = _body_box(search, other)
     found = np.empty(stop - start, np.int64)
     count = 0
@@ -212,7 +212,7 @@ def _row_box(rows: IndexArray, row: int, y: FloatArray) -> tuple[Vec3, Vec3]:
 
 @allocating_kernel
 def _boxes(rows: IndexArray, selected: IndexArray, y: FloatArray, reach: float) -> FloatArray:
-    """Bounding boxes [low, high] of the selected rows, grown by reach, shape [n, 6]."""
+    """Return the bounding boxes [low, high] of the selected rows, grown by reach, shape [n, 6]."""
     boxes = np.empty((len(selected), 6))
     for i in range(len(selected)):
         low, high = _row_box(rows, selected[i], y)
@@ -224,7 +224,7 @@ def _boxes(rows: IndexArray, selected: IndexArray, y: FloatArray, reach: float) 
 
 @allocating_kernel
 def relative_motion(surfaces: Surfaces, displacement: FloatArray, motion: FloatArray) -> float:
-    """Largest possible change of a separation [m] under a point displacement [m] of shape [p, 3].
+    """Return the largest possible change of a separation [m] under a point displacement [m] of shape [p, 3].
 
     Written to `motion` [k] for each pair of bodies; the largest of them is returned. A body moves by its mean
     displacement and, relative to it, by at most its spread; a common translation of two bodies changes nothing.

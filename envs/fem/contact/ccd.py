@@ -40,7 +40,7 @@ class PointMove(NamedTuple):
 
 @kernel
 def contact_free_fraction(candidates: Candidates, points: PointMove, gap_fraction: float, allowed: float) -> float:
-    """Largest part, at most `allowed`, of a move of points; it leaves 1 - gap_fraction of each gap.
+    """Return the largest part, at most `allowed`, of a move of points; it leaves 1 - gap_fraction of each gap.
 
     A pair that cannot have closed that part of its gap, by how far its bodies have moved, is passed over.
     """
@@ -79,7 +79,7 @@ def _pair_fraction(pair_type: int, pair: Corners, points: PointMove, gap_fractio
 
 @kernel
 def _advance(x: Quad, v: Quad, r: Vec3, floor: float, pair_type: int) -> float:
-    """Time until the first two vertices of the two primitives have come as near as floor along r."""
+    """Return the time until the first two vertices of the two primitives have come as near as floor along r."""
     if pair_type == POINT_TRIANGLE:
         return min(
             _vertex_pair_time(x[0], x[1], v[0], v[1], r, floor),

@@ -84,7 +84,7 @@ class Contact(NamedTuple):
 
 @kernel
 def contact_geometry(x: Quad, moves: Quad, c: Coefficients, sliding: Sliding, r: Vec3) -> ContactGeometry:
-    """Geometry of a pair from its closest points: coefficients, sliding directions and separation r [m]."""
+    """Return the geometry of a pair from its closest points: coefficients, sliding directions and separation r [m]."""
     d = np.sqrt(dot(r, r))
     first, second = sliding_directions(sliding, x, moves)
     return ContactGeometry(x, moves, c, d, scale(1.0 / d, r), first, second)
@@ -135,7 +135,7 @@ def _times(s: float, k: SlidingDirection) -> SlidingDirection:
 
 @kernel
 def weighted_sum(c: Vec4, x: Quad) -> Vec3:
-    """sum_i c_i x_i."""
+    """Return sum_i c_i x_i."""
     return add(
         add(scale(c[0], x[0]), scale(c[1], x[1])),
         add(scale(c[2], x[2]), scale(c[3], x[3])),
@@ -144,7 +144,7 @@ def weighted_sum(c: Vec4, x: Quad) -> Vec3:
 
 @kernel
 def contact_terms(geometry: ContactGeometry, normal: NormalForce, friction: Friction, projected: bool) -> Contact:
-    """Force and Jacobian factors of a contact.
+    """Return the force and Jacobian factors of a contact.
 
     With `projected` the factors of the positive semi-definite replacement: no tangential barrier term, friction held.
     """
@@ -182,7 +182,7 @@ def contact_terms(geometry: ContactGeometry, normal: NormalForce, friction: Fric
 
 @kernel
 def _slip_by_separation(u: Vec3, n: Vec3, w_n: float, d: float) -> Mat3:
-    """Rows of du/dr = (1 - (w . n) / d) (I - n n^T) - n u^T / d."""
+    """Return the rows of du/dr = (1 - (w . n) / d) (I - n n^T) - n u^T / d."""
     du_dr = identity_and_outer(1.0 - w_n / d, w_n / d - 1.0, n)
     u_d = scale(1.0 / d, u)
     return (
@@ -194,7 +194,7 @@ def _slip_by_separation(u: Vec3, n: Vec3, w_n: float, d: float) -> Mat3:
 
 @kernel
 def _slip_by_slide(k: SlidingDirection, geometry: ContactGeometry, w: Vec3, w_n: float) -> Vec3:
-    """du/ds_k = -d (I - n n^T) w_k + (w . n) T_k + (w . T_k) n, at held r."""
+    """Return du/ds_k = -d (I - n n^T) w_k + (w . n) T_k + (w . T_k) n, at held r."""
     n = geometry.n
     across = subtract(k.slip, scale(dot(k.slip, n), n))
     return combine(-geometry.d, across, w_n, k.tangent, dot(k.tangent, w), n)

@@ -28,7 +28,7 @@ Sliding = tuple[int, int, int, int]
 
 @kernel
 def closest_points(pair_type: int, x0: Vec3, x1: Vec3, x2: Vec3, x3: Vec3) -> tuple[Coefficients, Sliding, Vec3]:
-    """Coefficients, sliding directions and separation r [m] of a pair of the given type."""
+    """Return the coefficients, sliding directions and separation r [m] of a pair of the given type."""
     c, sliding = point_triangle(x0, x1, x2, x3) if pair_type == POINT_TRIANGLE else edge_edge(x0, x1, x2, x3)
     r = add(add(scale(c[0], x0), scale(c[1], x1)), add(scale(c[2], x2), scale(c[3], x3)))
     return c, sliding, r

@@ -12,7 +12,7 @@ from ...compilation import kernel
 
 @kernel
 def slip_potential(y: float, s: float) -> float:
-    """f0(y) [m], the integral of f1."""
+    """Return f0(y) [m], the integral of f1."""
     if y >= s:
         return y
     return y * y * (1.0 - y / (3.0 * s)) / s + s / 3.0
@@ -20,7 +20,7 @@ def slip_potential(y: float, s: float) -> float:
 
 @kernel
 def slip_factor(y: float, s: float) -> tuple[float, float]:
-    """f1(y)/y [1/m] and (f1'(y) - f1(y)/y)/y^2 [1/m^3], where f1 = f0' is the fraction of the Coulomb force.
+    """Return f1(y)/y [1/m] and (f1'(y) - f1(y)/y)/y^2 [1/m^3], where f1 = f0' is the fraction of the Coulomb force.
 
     Both are finite at y = 0: f1/y = 2/s - y/s^2 and f1' - f1/y = -y/s^2 below s; f1 = 1 above. The second is divided by
     y^2 so that it multiplies u u^T; at y = 0 it is replaced by 0, since u u^T vanishes faster.

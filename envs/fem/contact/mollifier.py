@@ -12,14 +12,14 @@ from ..algebra.vec3 import Vec3, cross, dot, scale, subtract
 
 @kernel
 def squared_cross_norm(u: Vec3, v: Vec3) -> float:
-    """C = |u x v|^2 [m^4]."""
+    """Return C = |u x v|^2 [m^4]."""
     w = cross(u, v)
     return dot(w, w)
 
 
 @kernel
 def mollifier(c: float, eps: float) -> tuple[float, float, float]:
-    """E [-], de/dc and d2e/dc2; exactly (1, 0, 0) from c = eps on."""
+    """Return E [-], de/dc and d2e/dc2; exactly (1, 0, 0) from c = eps on."""
     if c >= eps:
         return 1.0, 0.0, 0.0
     ratio = c / eps
@@ -28,7 +28,7 @@ def mollifier(c: float, eps: float) -> tuple[float, float, float]:
 
 @kernel
 def squared_cross_norm_gradient(u: Vec3, v: Vec3) -> tuple[Vec3, Vec3]:
-    """(dc/du, dc/dv) [m^3]: dc/du = 2 (|v|^2 u - (u . v) v), and the same with u and v exchanged."""
+    """Return (dc/du, dc/dv) [m^3]: dc/du = 2 (|v|^2 u - (u . v) v), and the same with u and v exchanged."""
     uv = dot(u, v)
     return (
         scale(2.0, subtract(scale(dot(v, v), u), scale(uv, v))),
@@ -38,7 +38,7 @@ def squared_cross_norm_gradient(u: Vec3, v: Vec3) -> tuple[Vec3, Vec3]:
 
 @kernel
 def squared_cross_norm_blocks(u: Vec3, v: Vec3) -> tuple[Mat3, Mat3, Mat3]:
-    """Rows of d2c/du du, d2c/du dv and d2c/dv dv [m^2].
+    """Return the rows of d2c/du du, d2c/du dv and d2c/dv dv [m^2].
 
     They are 2 (|v|^2 I - v v^T), 4 u v^T - 2 v u^T - 2 (u . v) I and 2 (|u|^2 I - u u^T).
     """

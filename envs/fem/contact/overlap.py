@@ -64,7 +64,7 @@ def _crossing(surfaces: Surfaces, y: FloatArray, a: int, b: int) -> tuple[int, i
 
 @kernel
 def segment_crosses_triangle(p: Vec3, q: Vec3, a: Vec3, b: Vec3, c: Vec3) -> bool:
-    """Whether segment (p, q) crosses triangle (a, b, c); in one plane with it they do not cross."""
+    """Return whether segment (p, q) crosses triangle (a, b, c); in one plane with it they do not cross."""
     pq = subtract(q, p)
     pa, pb, pc = subtract(a, p), subtract(b, p), subtract(c, p)
     normal = cross(subtract(b, a), subtract(c, a))

@@ -45,7 +45,7 @@ class Stencil(NamedTuple):
 
 
 def new_stencil() -> Stencil:
-    """Uninitialised scratch."""
+    """Return uninitialised scratch."""
     return Stencil(
         point_weights=np.empty((ALL_MODES, 4)),
         nodes=np.empty(_NODES, dtype=np.int64),

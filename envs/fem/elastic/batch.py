@@ -35,7 +35,7 @@ class Rows(NamedTuple):
 
 
 def first_rows(widths: Sequence[int], start: int = 0) -> list[int]:
-    """First rows of quantities of these widths, one after the other, and the row after the last."""
+    """Return the first rows of quantities of these widths, one after the other, and the row after the last."""
     return list(accumulate(widths, initial=start))
 
 
@@ -43,7 +43,7 @@ ROWS = Rows(*first_rows([12, 9, 1, 1, 1, 1, 12]))
 
 
 def new_batch(rows: int) -> FloatArray:
-    """Uninitialised scratch of so many rows."""
+    """Return uninitialised scratch of so many rows."""
     return np.empty(rows * BATCH)
 
 

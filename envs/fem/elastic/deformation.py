@@ -10,7 +10,7 @@ Corners = tuple[Vec3, Vec3, Vec3, Vec3]
 
 @kernel
 def deformation_gradient(x: Corners, dN_dX: Corners) -> Mat3:
-    """Columns of F of a tetrahedron with corners x [m] and rest gradients of the shape functions [1/m].
+    """Return the columns of F of a tetrahedron with corners x [m] and rest gradients of the shape functions [1/m].
 
     The gradient of corner 0 is taken to be minus the sum of the others.
     """
@@ -25,6 +25,6 @@ def deformation_gradient(x: Corners, dN_dX: Corners) -> Mat3:
 
 @kernel
 def cofactors(F: Mat3) -> tuple[Mat3, float]:
-    """Columns of the cofactor matrix of F (J F^-T), and J = det F."""
+    """Return the columns of the cofactor matrix of F (J F^-T), and J = det F."""
     c0 = cross(F[1], F[2])
     return (c0, cross(F[2], F[0]), cross(F[0], F[1])), dot(F[0], c0)

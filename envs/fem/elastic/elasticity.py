@@ -20,13 +20,13 @@ FloatArray = NDArray[np.float64]
 
 
 def new_elastic_batch() -> FloatArray:
-    """Uninitialised scratch for `add_elasticity`."""
+    """Return uninitialised scratch for `add_elasticity`."""
     return new_batch(BATCH_ROWS)
 
 
 @large_kernel
 def add_elasticity(elastic: Elastic, x: FloatArray, batch: FloatArray, system: NewtonSystem, matrix: int) -> float:
-    """Add all tetrahedra at nodes x [m]; returns the smallest det F.
+    """Add all tetrahedra at nodes x [m]; return the smallest det F.
 
     Prescribed corners, which move by the system's prescribed motion, are added to the coupling where they act on
     unknown ones.
@@ -76,7 +76,7 @@ def _add_stiffness(elastic: Elastic, t: int, batch: FloatArray, i: int, system: 
 
 @kernel
 def _acts(elastic: Elastic, system: NewtonSystem, t: int, a: int, b: int) -> bool:
-    """Whether the block of two corners goes anywhere."""
+    """Return whether the block of two corners goes anywhere."""
     return bool(elastic.places[t, 4 * a + b] >= 0 or (system.moves[0] and elastic.reaction[t, 4 * a + b]))
 
 

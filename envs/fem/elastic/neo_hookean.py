@@ -59,7 +59,7 @@ class Strained(NamedTuple):
 
 
 def lame_parameters_pa(youngs_modulus_pa: float, poisson_ratio: float) -> tuple[float, float]:
-    """Lame parameters (mu, lambda) [Pa]: mu = E / (2 (1 + nu)), lambda = E nu / ((1 + nu) (1 - 2 nu))."""
+    """Return the lame parameters (mu, lambda) [Pa]: mu = E / (2 (1 + nu)), lambda = E nu / ((1 + nu) (1 - 2 nu))."""
     mu = youngs_modulus_pa / (2.0 * (1.0 + poisson_ratio))
     lam = youngs_modulus_pa * poisson_ratio / ((1.0 + poisson_ratio) * (1.0 - 2.0 * poisson_ratio))
     return mu, lam
@@ -67,7 +67,7 @@ def lame_parameters_pa(youngs_modulus_pa: float, poisson_ratio: float) -> tuple[
 
 @kernel
 def strain_energy_density(F: Mat3, J: float, mu: float, lam: float) -> float:
-    """psi(F) [J/m^3]; J = det F must be positive."""
+    """Return psi(F) [J/m^3]; J = det F must be positive."""
     log_j = natural_log(J)
     squared_norm = dot(F[0], F[0]) + dot(F[1], F[1]) + dot(F[2], F[2])
     return 0.5 * mu * (squared_norm - 3.0) - mu * log_j + 0.5 * lam * log_j * log_j
@@ -115,19 +115,19 @@ def strained(batch: FloatArray, i: int) -> Strained:
 
 @kernel
 def nodal_gradient(volume: float, mu: float, pressure: float, F_dN_dX: Vec3, dN_dx: Vec3) -> Vec3:
-    """dE/dx_a [N] from F dN_a/dX, dN_a/dx and pressure = lambda ln J - mu [Pa]."""
+    """Return dE/dx_a [N] from F dN_a/dX, dN_a/dx and pressure = lambda ln J - mu [Pa]."""
     return add(scale(volume * mu, F_dN_dX), scale(volume * pressure, dN_dx))
 
 
 @kernel
 def stiffness_block(s: Strained, a: int, b: int) -> Mat3:
-    """Rows of d2E/dx_a dx_b [N/m]."""
+    """Return the rows of d2E/dx_a dx_b [N/m]."""
     return _block(s, a, b, s.pressure)
 
 
 @kernel
 def projected_stiffness_block(s: Strained, a: int, b: int) -> Mat3:
-    """Rows of a positive semi-definite replacement of `stiffness_block`.
+    """Return the rows of a positive semi-definite replacement of `stiffness_block`.
 
     Only the last term of the Hessian is indefinite: with M = F^-1 dF it is q tr(M M) = q |sym M|^2 - q |skew M|^2,
     q = mu - lambda ln J. The part of the wrong sign is left out: q |sym M|^2 is kept for q > 0, |q| |skew M|^2 for

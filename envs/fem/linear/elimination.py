@@ -36,7 +36,7 @@ class Factor(NamedTuple):
 
 
 def new_factor(system: SystemLayout) -> Factor:
-    """Arrays for the factors of a system of this layout."""
+    """Return the arrays for the factors of a system of this layout."""
     fronts = system.fronts
     return Factor(
         entries=np.empty(fronts.factors),
@@ -58,7 +58,7 @@ class Front(NamedTuple):
 
 
 def _aligned(size: int) -> FloatArray:
-    """Uninitialised numbers from a multiple of eight lanes' bytes on, so that no lanes cross a cache line."""
+    """Return uninitialised numbers from a multiple of eight lanes' bytes on, so that no lanes cross a cache line."""
     room = np.empty(size + LANES)
     return room[-(room.ctypes.data // room.itemsize) % LANES :][:size]
 
@@ -93,7 +93,7 @@ def factorise(system: SystemLayout, entries: FloatArray, factor: Factor, positiv
 
 @kernel
 def has_negative_determinant(factor: Factor) -> bool:
-    """Whether the determinant of a factorised matrix, the product of its pivots, is negative."""
+    """Return whether the determinant of a factorised matrix, the product of its pivots, is negative."""
     return bool(factor.negative_pivots[0] % 2 == 1)
 
 
@@ -333,7 +333,7 @@ def _substitute_back(fronts: Fronts, f: int, factors: FloatArray, x: FloatArray,
 
 @kernel
 def _three_products(rows: FloatArray, stride: int, x: FloatArray, count: int) -> Row3:
-    """Scalar products of x [count] with three rows; they are independent, so the processor overlaps them."""
+    """Return the scalar products of x [count] with three rows; they are independent, so the processor overlaps them."""
     t0, t1, t2 = 0.0, 0.0, 0.0
     if count == 0:
         return t0, t1, t2

@@ -50,7 +50,7 @@ def _places(order: IndexArray) -> IndexArray:
 
 
 def _fronts(edges: IndexArray, count: int) -> tuple[list[list[int]], list[set[int]]]:
-    """Pivots of each front and the nodes it reaches, children before their parents.
+    """Return the pivots of each front and the nodes it reaches, children before their parents.
 
     Nodes are numbered in order of elimination. A child joins its parent's front where that is predicted to be faster.
     """
@@ -100,7 +100,7 @@ def _children_first(roots: list[int], children: list[list[int]]) -> list[int]:
 
 
 def _cost(pivots: int, reached: int) -> int:
-    """Predicted time of a front, in floating point operations."""
+    """Return the predicted time of a front, in floating point operations."""
     size, left = pivots + reached + _BORDER, reached + _BORDER
     # Pivot node i of a front updates (size - i)^2 blocks with 54 operations each.
     elimination = 9 * (size * (size - 1) * (2 * size - 1) - left * (left - 1) * (2 * left - 1))

@@ -76,7 +76,7 @@ class SystemLayout(NamedTuple):
 
 
 def system_layout(eliminations: Sequence[Elimination], border: int) -> SystemLayout:
-    """Layout for gels with these eliminations, one after the other, and so many frame points."""
+    """Return the layout for gels with these eliminations, one after the other, and so many frame points."""
     starts = np.concatenate([[0], np.cumsum([len(part.nodes) for part in eliminations])])
     edges = np.concatenate([part.edges + start for part, start in zip(eliminations, starts[:-1], strict=True)])
     both_ways = np.concatenate([edges, edges[:, ::-1]])
@@ -144,7 +144,7 @@ def _fronts(first: IndexArray, rows: list[IndexArray], neighbours: Neighbours) -
 
 
 def _stack_places(child_start: IndexArray, children: IndexArray, sizes: IndexArray) -> tuple[IndexArray, int]:
-    """Where each front's remainder stands until its parent takes it, and how high the stack grows."""
+    """Return where each front's remainder stands until its parent takes it, and how high the stack grows."""
     places, top, highest = np.empty(len(sizes), dtype=np.int64), 0, 0
     for front, size in enumerate(sizes.tolist()):
         taken = children[child_start[front] : child_start[front + 1]]
@@ -157,7 +157,7 @@ def _stack_places(child_start: IndexArray, children: IndexArray, sizes: IndexArr
 def _neighbour_numbers(
     first: IndexArray, members: list[IndexArray], neighbours: Neighbours
 ) -> tuple[IndexArray, IndexArray]:
-    """`local` and `mirrored` of `Fronts`."""
+    """Return `local` and `mirrored` of `Fronts`."""
     start, other = neighbours
     count = len(start) - 1
     node = np.repeat(np.arange(count), np.diff(start))
@@ -196,7 +196,7 @@ def block_place(layout: BlockLayout, a: int, b: int) -> tuple[int, int]:
 
 @kernel
 def gel_block_place(start: IndexArray, node: IndexArray, a: int, b: int) -> int:
-    """Place of the block of two gel nodes, from `Neighbours`; NO_PLACE if they share no tetrahedron."""
+    """Return the place of the block of two gel nodes, from `Neighbours`; NO_PLACE if they share no tetrahedron."""
     if a == b:
         return 9 * a
     low, high = start[a], start[a + 1]

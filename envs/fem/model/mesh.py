@@ -228,13 +228,13 @@ class SurfaceMesh:
 
 
 def unique_edges(triangles: IndexArray) -> IndexArray:
-    """Undirected edges of a triangle list, each once, smaller index first, ascending, shape [e, 2]."""
+    """Return the undirected edges of a triangle list, each once, smaller index first, ascending, shape [e, 2]."""
     directed = np.concatenate([triangles[:, [i, (i + 1) % 3]] for i in range(3)])
     return np.unique(np.sort(directed, axis=1), axis=0)
 
 
 def signed_volumes_m3(corners_m: FloatArray) -> FloatArray:
-    """Volumes [m^3] of tetrahedra with corners of shape [t, 4, 3]; positive when positively oriented."""
+    """Return the volumes [m^3] of tetrahedra with corners of shape [t, 4, 3]; positive when positively oriented."""
     a, b, c = (corners_m[:, i] - corners_m[:, 0] for i in (1, 2, 3))
     return np.asarray((np.cross(a, b) * c).sum(axis=1) / 6.0)
 

@@ -23,7 +23,7 @@ def build_model(
     contact: ContactSettings,
     solver: SolverSettings,
 ) -> Model:
-    """Model of gels and bodies whose nodes stand as in `layout`, stepped by time_step_s [s]."""
+    """Return the model of gels and bodies whose nodes stand as in `layout`, stepped by time_step_s [s]."""
     h2 = time_step_s * time_step_s
     unknowns, system = _build_unknowns(gels, bodies, layout)
     return Model(
@@ -68,7 +68,7 @@ def _build_elastic(gels: tuple[GelBody, ...], layout: NodeLayout, unknowns: Unkn
 
 
 def _rotated(vectors: FloatArray, rotation: FloatArray) -> FloatArray:
-    """Vectors of shape [t, 4, 3] turned by a rotation, without BLAS."""
+    """Return the vectors of shape [t, 4, 3] turned by a rotation, without BLAS."""
     return np.asarray((rotation[None, None, :, :] * vectors[:, :, None, :]).sum(axis=3))
 
 

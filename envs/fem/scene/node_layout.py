@@ -39,7 +39,7 @@ class NodeLayout:
             count += 4
 
     def initial_positions_m(self) -> FloatArray:
-        """Node positions [m] of shape [n, 3] as the bodies were placed."""
+        """Return the node positions [m] of shape [n, 3] as the bodies were placed."""
         parts = [placed(gel.mesh.rest_position_m, gel) for gel in self.gels]
         for body, centroid, length in zip(self.bodies, self.body_centroids_m, self.body_lengths_m, strict=True):
             frame = centroid + length * np.concatenate([np.zeros((1, 3)), np.eye(3)])
@@ -48,5 +48,5 @@ class NodeLayout:
 
 
 def placed(points_m: FloatArray, body: GelBody | RigidBody) -> FloatArray:
-    """Points in the world: rotation @ point + translation, without BLAS."""
+    """Return the points in the world: rotation @ point + translation, without BLAS."""
     return np.asarray((body.rotation[None, :, :] * points_m[:, None, :]).sum(axis=2) + body.translation_m)

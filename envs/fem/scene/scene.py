@@ -147,17 +147,17 @@ class Scene:
         )
 
     def gel_positions_m(self, index: int) -> FloatArray:
-        """World positions of a gel's nodes [m], shape [n, 3] (a copy)."""
+        """Return the world positions of a gel's nodes [m], shape [n, 3] (a copy)."""
         return self._x[self._layout.gel_slices[index]].copy()
 
     def body_vertices_m(self, index: int) -> FloatArray:
-        """World positions of a rigid body's vertices [m], shape [v, 3] (a copy)."""
+        """Return the world positions of a rigid body's vertices [m], shape [v, 3] (a copy)."""
         frame = self._x[self._layout.body_slices[index]]
         weights = self._layout.body_weights[index]
         return np.asarray((weights[:, :, None] * frame[None, :, :]).sum(axis=1))
 
     def state_bytes(self) -> bytes:
-        """All positions and velocities as little-endian float64, for hashing."""
+        """Return all positions and velocities as little-endian float64, for hashing."""
         return self._x.astype("<f8").tobytes() + self._velocity.astype("<f8").tobytes()
 
     def _refuse_overlap(self) -> None:

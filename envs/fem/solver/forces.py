@@ -18,7 +18,7 @@ FloatArray = NDArray[np.float64]
 
 @kernel
 def largest_residual(model: Model, gradient: FloatArray) -> float:
-    """Largest force left on an unknown node or frame point [N]."""
+    """Return the largest force left on an unknown node or frame point [N]."""
     largest = 0.0
     for node in model.unknowns.node:
         g = gradient[node]

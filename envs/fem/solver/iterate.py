@@ -58,7 +58,7 @@ class Solve(NamedTuple):
 
 @allocating_kernel
 def new_solve(model: Model, x: FloatArray, step: IpcStep) -> Solve:
-    """Arrays of a solve that moves nodes x [m] of shape [n, 3]."""
+    """Return the arrays of a solve that moves nodes x [m] of shape [n, 3]."""
     points, pairs, nodes = len(model.points.node_count), len(model.surfaces.pairs), len(x)
     solve = Solve(
         State(x, np.empty((points, 3)), np.zeros(pairs)),
@@ -101,7 +101,7 @@ def look_ahead(model: Model, s: Solve, candidates: Candidates) -> Candidates:
 
 @kernel
 def write_step(model: Model, prescribed_move: FloatArray, step: NewtonStep) -> float:
-    """Write the step of the nodes from that of the unknowns; returns the largest component of an unknown [m]."""
+    """Write the step of the nodes from that of the unknowns; return the largest component of an unknown [m]."""
     copy_rows(prescribed_move, step.x)
     largest = 0.0
     for u in range(len(model.unknowns.node)):
@@ -114,7 +114,7 @@ def write_step(model: Model, prescribed_move: FloatArray, step: NewtonStep) -> f
 
 @allocating_kernel
 def shorten_long_move(model: Model, step: NewtonStep) -> float:
-    """Cut the move down to the longest allowed; returns how far it would have moved bodies against each other [m]."""
+    """Cut the move down to the longest allowed; return how far it would have moved bodies against each other [m]."""
     point_positions(model.points, step.x, step.y)
     longest = relative_motion(model.surfaces, step.y, step.motion_ahead)
     if longest > LONGEST_MOVE_M:
@@ -136,7 +136,7 @@ def make_step(model: Model, s: Solve, fraction: float, x_target: FloatArray, arr
 
 @kernel
 def write_remaining_motion(model: Model, x: FloatArray, x_target: FloatArray, prescribed_move: FloatArray) -> float:
-    """Write the motion left for the prescribed nodes; returns its largest component [m]."""
+    """Write the motion left for the prescribed nodes; return its largest component [m]."""
     largest = 0.0
     for node in range(len(x)):
         if model.unknowns.slot[node] == PRESCRIBED:

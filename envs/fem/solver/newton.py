@@ -97,7 +97,7 @@ _UNCHECKED_STEP_M = 1e-7
 def solve_step(
     model: Model, x: FloatArray, step: IpcStep, tolerances: Tolerances, workspace: Workspace, record: Record
 ) -> int:
-    """Move nodes x [m] of shape [n, 3] to the solution with the prescribed nodes at x_target; returns how that ended.
+    """Move nodes x [m] of shape [n, 3] to the solution with the prescribed nodes at x_target; return how that ended.
 
     Friction is measured from x_start, inertia from x_hat. The prescribed motion is part of the Newton step and is
     applied as far as contact allows in each iteration. Whatever the outcome, x is free of intersections and inversions.

@@ -15,7 +15,7 @@ _SHORTENINGS = 8
 
 @large_kernel
 def feasible_fraction(model: Model, candidates: Candidates, s: Solve) -> float:
-    """Largest part of the step on which no pair closes too much of its gap and no tetrahedron inverts."""
+    """Return the largest part of the step on which no pair closes too much of its gap and no tetrahedron inverts."""
     fraction = inversion_free_fraction(model.elastic, s.iterate.x, s.step.x, 1.0)
     points = PointMove(s.iterate.y, s.step.y, s.iterate.motion, s.step.motion_ahead)
     return contact_free_fraction(candidates, points, model.parameters.ccd_gap_fraction, fraction)
@@ -23,7 +23,7 @@ def feasible_fraction(model: Model, candidates: Candidates, s: Solve) -> float:
 
 @large_kernel
 def falling_fraction(model: Model, candidates: Candidates, s: Solve, workspace: Workspace, fraction: float) -> float:
-    """Part of a step away from a balance at whose end the forces still act along it; by halving."""
+    """Return the part of a step away from a balance at whose end the forces still act along it; by halving."""
     _bound_motion(s)
     for _ in range(_SHORTENINGS):
         if force_along_at(model, candidates, s, workspace, fraction) < 0.0:

@@ -99,7 +99,7 @@ class FusionScene:
         return self._sight
 
     def relative_motion_mm_deg(self) -> NDArray[np.float64]:
-        """Commanded x, y, theta, z since the grasp [mm, mm, deg, mm]."""
+        """Return the commanded x, y, theta, z since the grasp [mm, mm, deg, mm]."""
         return self.offset.as_array() - self._initial.as_array()
 
     def state(self) -> FusionState:
@@ -112,11 +112,11 @@ class FusionScene:
         )
 
     def peg_relative_z_mm(self) -> NDArray[np.float64]:
-        """Height of the peg's bottom corners above the rim [mm], in the order of the logs."""
+        """Return the height of the peg's bottom corners above the rim [mm], in the order of the logs."""
         return self.grasped.held_vertices_m(self._bottom)[:, 2] * 1e3 - RIM_MM
 
     def _commanded(self, command: NDArray[np.float64]) -> FusionOffset:
-        """Offset after an action: scaled, clipped, and x and y turned by the angle before the env step."""
+        """Return the offset after an action: scaled, clipped, and x and y turned by the angle before the env step."""
         scale = np.array(self._settings.action_scale_mm_deg)
         dx, dy, dtheta, dz = np.clip(command * scale, -scale, scale).tolist()
         sine, cosine = sine_cosine(radians(self.offset.theta_deg))
@@ -128,7 +128,7 @@ class FusionScene:
         )
 
     def _placed_peg(self, meshes: Meshes) -> RigidBody:
-        """Peg at the commanded offset, upright."""
+        """Return the peg at the commanded offset, upright."""
         offset = self.offset
         sine, cosine = sine_cosine(radians(offset.theta_deg))
         return RigidBody(
@@ -156,7 +156,7 @@ class FusionScene:
         return ipc_steps(amount, speed_per_s=speed_per_s, time_step_s=self._settings.physics.time_step_s)
 
     def _open_pose(self, offset: FusionOffset) -> GripperPose:
-        """Pose of the gripper around the peg at an offset before the grasp."""
+        """Return the pose of the gripper around the peg at an offset before the grasp."""
         angle_rad = radians(offset.theta_deg)
         sine, cosine = sine_cosine(angle_rad)
         along_mm = self._settings.gripper_x_mm
@@ -170,10 +170,10 @@ class FusionScene:
 
 
 def _lower_end_mm(offset: FusionOffset) -> float:
-    """Commanded height of the peg's lower end in the world [mm]."""
+    """Return the commanded height of the peg's lower end in the world [mm]."""
     return offset.z_mm + Z_TARGET_MM + START_GAP_MM
 
 
 def _open_half_m() -> float:
-    """Distance of the gels' centres from the gripper's before the grasp [m]."""
+    """Return the distance of the gels' centres from the gripper's before the grasp [m]."""
     return (GRIPPED_WIDTH_MM / 2.0 + GEL_HALF_THICKNESS_MM + GRASP_GAP_MM) * 1e-3

@@ -55,7 +55,7 @@ def reward(
     step_penalty: float,
     final_reward: float,
 ) -> float:
-    """Reward of an env step: progress, less the penalty, plus what the end brings [D10, D13].
+    """Return the reward of an env step: progress, less the penalty, plus what the end brings [D10, D13].
 
     The tactile or error flag costs 2 P for every step that is left, less one P; running out of steps costs nothing.
     """
@@ -68,7 +68,7 @@ def reward(
 
 
 def _left_range(offset: FusionOffset) -> bool:
-    """Whether an offset is beyond a limit; its z is compared with the rim's height, as the challenge does."""
+    """Return whether an offset is beyond a limit; its z is compared with the rim's height, as the challenge does."""
     return (
         abs(offset.x_mm) > LARGEST_X_MM + _LIMIT_TOLERANCE
         or abs(offset.y_mm) > LARGEST_Y_MM + _LIMIT_TOLERANCE

@@ -65,7 +65,7 @@ class FusionOffset:
     z_mm: float
 
     def magnitude(self) -> float:
-        """Euclidean norm of (x mm, y mm, theta deg, z mm), the error e of the reward."""
+        """Return the euclidean norm of (x mm, y mm, theta deg, z mm), the error e of the reward."""
         return sqrt(sum(value * value for value in (self.x_mm, self.y_mm, self.theta_deg, self.z_mm)))
 
     def as_array(self) -> NDArray[np.float64]:

@@ -25,7 +25,7 @@ def _tooth(name: str, meaning: str, read: "Callable[[LockScene], FloatArray]") -
 
 
 def _lowest_corners_mm(info: InfoView) -> tuple[float, ...]:
-    """Height of the lowest top corner of the rear and of the front measured tooth."""
+    """Return the height of the lowest top corner of the rear and of the front measured tooth."""
     return tuple(1000 * min(z for _, _, z in info[key]) for key in ("key1_pts_m", "key2_pts_m"))
 
 

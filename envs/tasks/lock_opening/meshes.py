@@ -7,11 +7,11 @@ from ...geometry.locks import lock_surface
 
 
 def key_mesh(meshes: Meshes, shape: KeyShape) -> SurfaceMesh:
-    """Key of this shape."""
+    """Return the key of this shape."""
     return meshes.part(lambda: key_surface(shape), f"key_lock/{shape}.STL")
 
 
 def lock_mesh(meshes: Meshes, shape: KeyShape) -> SurfaceMesh:
-    """Lock for this key."""
+    """Return the lock for this key."""
     number = list(KeyShape).index(shape) + 1
     return meshes.part(lambda: lock_surface(shape), f"key_lock/lock_core_sim{number}.STL")

@@ -105,7 +105,7 @@ class LockScene:
         self.grasped.move_to(goal, ipc_steps=self._ipc_steps(longest_m))
 
     def relative_motion_mm(self) -> FloatArray:
-        """Motion of the gripper's centre since the start [mm], shape [3].
+        """Return the motion of the gripper's centre since the start [mm], shape [3].
 
         The 2025 code measures from a wrong grasp centre after the first env step, so that x jumps by 20.5, 25.5, 20.5
         or 30.5 mm and gives the key away (challenge-facts 14.2); only `reference_quirks` does so here.
@@ -117,7 +117,7 @@ class LockScene:
         return motion_mm
 
     def state(self) -> LockState:
-        """Measured points and surface motion, in arrays of their own."""
+        """Return the measured points and surface motion, in arrays of their own."""
         return LockState(
             env_steps=self.env_steps,
             rear_tooth_m=self.grasped.held_vertices_m(self._vertices.rear_tooth),
@@ -129,27 +129,27 @@ class LockScene:
         )
 
     def rear_slot_m(self) -> FloatArray:
-        """Lower corners of the slot for the rear tooth [m], shape [4, 3]."""
+        """Return the lower corners of the slot for the rear tooth [m], shape [4, 3]."""
         return self._lock_points.rear_slot_m.copy()
 
     def front_slot_m(self) -> FloatArray:
-        """Lower corners of the slot for the front tooth [m], shape [4, 3]."""
+        """Return the lower corners of the slot for the front tooth [m], shape [4, 3]."""
         return self._lock_points.front_slot_m.copy()
 
     def entrance_m(self) -> FloatArray:
-        """Corners of the lock's entrance face [m], shape [4, 3]."""
+        """Return the corners of the lock's entrance face [m], shape [4, 3]."""
         return self._lock_points.entrance_m.copy()
 
     def rear_tooth_from_slot(self) -> FloatArray:
-        """Mean corner of the rear tooth from its slot [5 mm], shape [3]; see `_tooth_from_slot`."""
+        """Return the mean corner of the rear tooth from its slot [5 mm], shape [3]; see `_tooth_from_slot`."""
         return _tooth_from_slot(self.grasped.held_vertices_m(self._vertices.rear_tooth), self.rear_slot_m())
 
     def front_tooth_from_slot(self) -> FloatArray:
-        """Mean corner of the front tooth from its slot [5 mm], shape [3]; see `_tooth_from_slot`."""
+        """Return the mean corner of the front tooth from its slot [5 mm], shape [3]; see `_tooth_from_slot`."""
         return _tooth_from_slot(self.grasped.held_vertices_m(self._vertices.front_tooth), self.front_slot_m())
 
     def tip_m(self) -> FloatArray:
-        """Corners of the key's tip in the world [m], shape [4, 3]."""
+        """Return the corners of the key's tip in the world [m], shape [4, 3]."""
         return self.grasped.held_vertices_m(self._vertices.tip)
 
     def _ipc_steps(self, distance_m: float) -> int:
@@ -162,7 +162,7 @@ def _key_position_m(start: LockStart) -> FloatArray:
 
 
 def _open_pose(start: LockStart) -> GripperPose:
-    """Pose of the open gripper around the key's handle, off by the jitter."""
+    """Return the pose of the open gripper around the key's handle, off by the jitter."""
     x_m, y_m, z_m = _key_position_m(start).tolist()
     return GripperPose(
         x_m=x_m + (SENSOR_X_MM[start.shape] + start.jitter.x_mm) * 1e-3,

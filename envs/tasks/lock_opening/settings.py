@@ -11,7 +11,7 @@ from .definition import TASK
 
 
 def lock_physics() -> PhysicsSettings:
-    """Time step and friction smoothing of the lock task; the rest as in the peg task."""
+    """Return the time step and friction smoothing of the lock task; the rest as in the peg task."""
     return PhysicsSettings(time_step_s=0.2, contact=ContactSettings(friction_velocity_m_s=1e-3))
 
 

@@ -94,11 +94,11 @@ class PegScene:
         )
 
     def peg_relative_z_mm(self) -> NDArray[np.float64]:
-        """Height of the peg's bottom corners above the plate's upper face [mm], in the order of the logs."""
+        """Return the height of the peg's bottom corners above the plate's upper face [mm], in the order of the logs."""
         return self.grasped.held_vertices_m(self._bottom)[:, 2] * 1e3 - PLATE_THICKNESS_MM
 
     def _commanded(self, command: NDArray[np.float64]) -> PegOffset:
-        """Offset after an action: scaled, clipped, and x and y turned by the angle before the env step."""
+        """Return the offset after an action: scaled, clipped, and x and y turned by the angle before the env step."""
         scale = np.array(self._settings.action_scale_mm_deg)
         dx, dy, dtheta = np.clip(command * scale, -scale, scale).tolist()
         sine, cosine = sine_cosine(radians(self.offset.theta_deg))
@@ -120,7 +120,7 @@ class PegScene:
         return _open_half_m() - pose.half_opening_m
 
     def _open_pose(self, offset: PegOffset) -> GripperPose:
-        """Pose of the gripper around the peg before the grasp, at the height of the grasp."""
+        """Return the pose of the gripper around the peg before the grasp, at the height of the grasp."""
         angle_rad = radians(offset.theta_deg)
         sine, cosine = sine_cosine(angle_rad)
         along_mm = self._settings.gripper_x_mm

@@ -62,7 +62,7 @@ def reward(
     step_penalty: float,
     final_reward: float,
 ) -> float:
-    """Reward of an env step: progress, less the penalty, plus what the end brings.
+    """Return the reward of an env step: progress, less the penalty, plus what the end brings.
 
     The tactile or error flag costs 2 P for every step that is left, less one P, which the published formula does not
     have [D10]; running out of steps costs nothing more.

@@ -35,7 +35,7 @@ class PegOffset:
     theta_deg: float
 
     def magnitude(self) -> float:
-        """Euclidean norm of (x mm, y mm, theta deg), the error e of the reward."""
+        """Return the euclidean norm of (x mm, y mm, theta deg), the error e of the reward."""
         return sqrt(self.x_mm * self.x_mm + self.y_mm * self.y_mm + self.theta_deg * self.theta_deg)
 
     def as_array(self) -> NDArray[np.float64]:
@@ -85,7 +85,7 @@ def random_blocked_offset(shape: PegShape, random: np.random.Generator, *, xy_mm
 
 
 def is_blocked(shape: PegShape, offset: PegOffset) -> bool:
-    """Whether the peg's profile at this offset meets the plate's material."""
+    """Return whether the peg's profile at this offset meets the plate's material."""
     sine, cosine = sine_cosine(radians(offset.theta_deg))
     x, y = PROFILES_MM[shape][:, 0], PROFILES_MM[shape][:, 1]
     placed = np.column_stack([cosine * x - sine * y + offset.x_mm, sine * x + cosine * y + offset.y_mm])

@@ -38,7 +38,7 @@ def stereo_depth_m(
     colour_view: View,
     random: np.random.Generator,
 ) -> NDArray[np.float32]:
-    """Depth along the colour camera's axis [m] as the stereo camera measures it, 0 where there is no match.
+    """Return the depth along the colour camera's axis [m] as the stereo camera measures it, 0 where there is no match.
 
     Args:
         surfaces: what can be seen.
@@ -87,14 +87,14 @@ def depth_of_pair(pair: InfraredPair, colour_view: View) -> NDArray[np.float32]:
 
 
 def _exposed_part(picture: Picture) -> tuple[slice, slice]:
-    """Rows and columns of what is not background, with a margin."""
+    """Return the rows and columns of what is not background, with a margin."""
     exposed = picture > 0
     rows, columns = np.flatnonzero(exposed.any(axis=1)), np.flatnonzero(exposed.any(axis=0))
     return _with_margin(rows, picture.shape[0]), _with_margin(columns, picture.shape[1])
 
 
 def _with_margin(places: NDArray[np.int64], end: int) -> slice:
-    """Range of places from the first to the last, widened by the margin; one place where there is none."""
+    """Return the range of places from the first to the last, widened by the margin; one place where there is none."""
     if len(places) == 0:
         return slice(0, 1)
     return slice(max(0, int(places[0]) - _MARGIN_PX), min(end, int(places[-1]) + 1 + _MARGIN_PX))

@@ -15,7 +15,7 @@ _DOT_RADIUS_TEXELS = 3.0
 
 @cache
 def dot_pattern() -> NDArray[np.uint8]:
-    """Brightness by direction, 0 to 255, shape [TEXELS, TEXELS]; rows follow y/z, columns x/z.
+    """Return the brightness by direction, 0 to 255, shape [TEXELS, TEXELS]; rows follow y/z, columns x/z.
 
     One round dot of (1 - r^2/R^2)^2 lies at a random place in every cell of a square lattice, some bright, some dim;
     in a cell of the picture's centre about five pixels of the infrared cameras wide.

@@ -121,7 +121,7 @@ def _is_lit(projector: Projector, a: float, b: float, z: float, triangle: int) -
 
 @kernel
 def _pattern_at(pattern: NDArray[np.uint8], a: float, b: float) -> float:
-    """Brightness in direction (a, b), interpolated between four texels; 0 beyond the pattern."""
+    """Return the brightness in direction (a, b), interpolated between four texels; 0 beyond the pattern."""
     texels = pattern.shape[0]
     column = (a + HALF_WIDTH) / (2.0 * HALF_WIDTH) * texels - 0.5
     row = (b + HALF_WIDTH) / (2.0 * HALF_WIDTH) * texels - 0.5

@@ -37,7 +37,7 @@ _LARGEST_LEFT_RIGHT_DIFFERENCE = 1
 
 
 def disparities(left: Picture, right: Picture) -> NDArray[np.int32]:
-    """Disparity of every pixel of the left picture in parts of a pixel, 0 where there is no match.
+    """Return the disparity of every pixel of the left picture in parts of a pixel, 0 where there is no match.
 
     Args:
         left: grey levels, shape [height, width], C-contiguous like the right one.
@@ -183,7 +183,7 @@ def _cheapest_of_right(totals: Costs, j: int, i: int) -> int:
 
 @kernel
 def _is_unique(totals: Costs, j: int, i: int, best: int) -> bool:
-    """Whether all matches but the best one's neighbours cost clearly more."""
+    """Return whether all matches but the best one's neighbours cost clearly more."""
     limit = int(totals[j, i, best]) * 100
     for e in range(totals.shape[2]):
         if abs(e - best) > 1 and int(totals[j, i, e]) * (100 - _UNIQUENESS_PERCENT) < limit:
@@ -193,7 +193,7 @@ def _is_unique(totals: Costs, j: int, i: int, best: int) -> bool:
 
 @kernel
 def _fraction(totals: Costs, j: int, i: int, best: int) -> int:
-    """How far from the best match two lines of opposite slopes through it and its neighbours meet [parts].
+    """Return how far from the best match two lines of opposite slopes through it and its neighbours meet [parts].
 
     Census costs grow nearly linearly with the distance from the true disparity; a parabola would pull to whole pixels.
     """

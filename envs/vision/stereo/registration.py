@@ -17,7 +17,7 @@ _DEPTH_TIMES_DISPARITY = INFRARED_INTRINSICS.focal_u_px * BASELINE_M * PARTS
 def registered_depth_m(
     found: DisparityMap, first_row: int, first_column: int, shown: NDArray[np.int32]
 ) -> NDArray[np.float32]:
-    """Depth along the optical axis in the colour picture [m], 0 where unknown, shape of `shown`.
+    """Return the depth along the optical axis in the colour picture [m], 0 where unknown, shape of `shown`.
 
     Of several points in one pixel the nearest counts. A pixel that got none takes the nearest of its eight neighbours
     (the two cameras' pixels differ in size). A pixel that shows the white background has no depth.

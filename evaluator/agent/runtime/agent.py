@@ -179,7 +179,7 @@ def run_loader(connection: Connection, submission: str) -> None:
 
 
 def run_policy_side(connection: Connection, submission: str) -> NoReturn:
-    """Everything in which code of the policy runs."""
+    """Return everything in which code of the policy runs."""
     try:
         run_loader(connection, submission)
     except Refused as refusal:
