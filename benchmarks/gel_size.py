@@ -14,8 +14,8 @@ from pathlib import Path
 from time import process_time
 
 import numpy as np
-from physics_document import REPOSITORY, keep
-from physics_tables import GEL_QUANTITIES, Figures
+from physics_report.document import REPOSITORY, keep
+from physics_report.tables import GEL_QUANTITIES, Figures
 from vitac.envs.assets import Meshes
 from vitac.envs.fem.linear.elimination import factorise
 from vitac.envs.fem.scene.scene import StepReport

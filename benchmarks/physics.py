@@ -15,12 +15,12 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-from physics_document import keep
-from physics_figures import against_logs, agreement, convergence, deviation_mm, misses, outcomes, speed
-from physics_ledger import ledger
-from physics_pieces import pieces
-from physics_replay import Reference, Replay, read_reference
-from physics_tables import Figures
+from physics_report.document import keep
+from physics_report.figures import against_logs, agreement, convergence, deviation_mm, misses, outcomes, speed
+from physics_report.ledger import ledger
+from physics_report.pieces import pieces
+from physics_report.replay import Reference, Replay, read_reference
+from physics_report.tables import Figures
 from vitac.envs.fem.model.settings import SolverSettings
 
 LEDGER_EPISODES = 45

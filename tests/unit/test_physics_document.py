@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from physics_tables import TABLES, DocumentError, with_tables
+from physics_report.tables import TABLES, DocumentError, with_tables
 
 
 @pytest.fixture(scope="module")

@@ -3,9 +3,9 @@
 import json
 from pathlib import Path
 
-from physics_tables import Figures, with_tables
+from .tables import Figures, with_tables
 
-REPOSITORY = Path(__file__).resolve().parents[1]
+REPOSITORY = Path(__file__).resolve().parents[2]
 FIGURES = REPOSITORY / "benchmarks" / "physics.json"
 DOCUMENT = REPOSITORY / "docs" / "physics.md"
 

@@ -4,8 +4,9 @@ from collections import Counter
 from typing import Any
 
 import numpy as np
-from physics_replay import EnvStep, Reference, Replay
 from vitac.envs.fem.scene.scene import StepReport, StepStatus
+
+from .replay import EnvStep, Reference, Replay
 
 Figures = dict[str, Any]
 # An episode counts as certain where the reference's own spread is below this, and as missed beyond it.

@@ -11,7 +11,6 @@ from time import thread_time
 from typing import Any
 
 import numpy as np
-from physics_replay import Reference, Replay
 from vitac.envs.fem.contact.assembly import PointState, add_contacts
 from vitac.envs.fem.contact.broad_phase import find_candidates, relative_motion
 from vitac.envs.fem.contact.ccd import PointMove, contact_free_fraction, inversion_free_fraction
@@ -22,6 +21,8 @@ from vitac.envs.fem.model.points import point_positions
 from vitac.envs.fem.scene.scene import Scene
 from vitac.envs.fem.solver.assembly import State, StepStart, assemble
 from vitac.envs.fem.solver.workspace import new_workspace
+
+from .replay import Reference, Replay
 
 Figures = dict[str, Any]
 FloatArray = np.ndarray[Any, np.dtype[np.float64]]

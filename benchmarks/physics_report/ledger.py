@@ -5,10 +5,11 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from physics_figures import AGREEMENT_MM, deviation_mm, spread_mm
-from physics_replay import Reference, Replay
 from vitac.envs.fem.model.settings import SolverSettings
 from vitac.envs.fem.scene.scene import StepStatus
+
+from .figures import AGREEMENT_MM, deviation_mm, spread_mm
+from .replay import Reference, Replay
 
 Row = dict[str, Any]
 TIGHTEST = "tightest"
