@@ -1,6 +1,6 @@
 """What the number of gel nodes costs: the peg task's grasp and two env steps on structured gels of many sizes, as JSON.
 
-Usage: python benchmarks/gel_size.py [--most-nodes N | --write-docs]
+Usage: python benchmarks/gel_size.py [--max-nodes N | --write-docs]
 
 Three families: refined in all directions, one layer thick, and two; and odd ones (thick, domed). Exponents are slopes
 of log(value) by log(nodes) within a family. One thread, no GPU; run it twice, for the first run also compiles.
@@ -154,13 +154,13 @@ def main() -> None:
     """Measure, print and write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     which = parser.add_mutually_exclusive_group()
-    which.add_argument("--most-nodes", type=int, default=10**6)
+    which.add_argument("--max-nodes", type=int, default=10**6)
     which.add_argument("--write-docs", action="store_true")
     arguments = parser.parse_args()
     measure("warm-up", *GELS["162"])
     gels: Figures = {}
     for name, (cells, size) in GELS.items():
-        if node_count(cells) <= arguments.most_nodes:
+        if node_count(cells) <= arguments.max_nodes:
             gels[name] = measure(name, cells, size)
             sys.stderr.write(f"{name}: {gels[name]['ms_per_ipc_step']:.1f} ms per IPC step\n")
     families = {family: [gels[name] for name in names if name in gels] for family, names in FAMILIES.items()}

@@ -26,7 +26,7 @@ def speed(replay: Replay) -> Figures:
         "mean_reset_ms": float(np.mean(replay.reset_ms)),
         "mean_newton_iterations": float(iterations.mean()),
         "mean_reusing_iterations": float(np.mean([report.reusing_iterations for report in replay.reports])),
-        "most_newton_iterations": int(iterations.max()),
+        "max_newton_iterations": int(iterations.max()),
         "physics_cpu_s": replay.env.physics_cpu_s,
     }
 

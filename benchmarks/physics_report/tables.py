@@ -46,7 +46,7 @@ def _speed(figures: Figures) -> Table:
         ["99th percentile", f"{f['p99_ms']:.0f} ms"],
         [
             "Newton iterations per IPC step, mean (most)",
-            f"{f['mean_newton_iterations']:.1f} ({f['most_newton_iterations']})",
+            f"{f['mean_newton_iterations']:.1f} ({f['max_newton_iterations']})",
         ],
         ["of them with an earlier matrix's factors", f"{f['mean_reusing_iterations']:.1f}"],
         ["reset, mean", f"{f['mean_reset_ms']:.0f} ms"],

@@ -52,7 +52,7 @@ def create_app(settings: Settings, routers: Sequence[APIRouter] = (), services: 
         redoc_url=None,
     )
     app.state.settings = settings
-    app.state.registration_limiter = WindowLimiter(most=settings.registrations_per_hour, window_s=3600.0)
+    app.state.registration_limiter = WindowLimiter(limit=settings.registrations_per_hour, window_s=3600.0)
     app.state.upload_limiter = ConcurrencyLimiter(settings.uploads_at_once)
     app.state.stream_limiter = ConcurrencyLimiter(settings.event_streams)
     for router in (teams.router, submissions.router, tracks.router):

@@ -10,10 +10,10 @@ from vitac.server.errors import ProblemCode, ServiceError
 
 
 class WindowLimiter:
-    """At most `most` events for a key within `window_s` seconds."""
+    """At most `limit` events for a key within `window_s` seconds."""
 
-    def __init__(self, *, most: int, window_s: float, clock: Callable[[], float] = time.monotonic) -> None:
-        self._most = most
+    def __init__(self, *, limit: int, window_s: float, clock: Callable[[], float] = time.monotonic) -> None:
+        self._limit = limit
         self._window_s = window_s
         self._clock = clock
         self._events: defaultdict[str, deque[float]] = defaultdict(deque)
@@ -29,11 +29,11 @@ class WindowLimiter:
         with self._lock:
             self._forget(now)
             events = self._events[key]
-            if len(events) >= self._most:
+            if len(events) >= self._limit:
                 wait_s = max(1, round(events[0] + self._window_s - now))
                 raise ServiceError(
                     ProblemCode.TOO_MANY_REQUESTS,
-                    f"At most {self._most} {what} in {self._window_s:.0f} s are possible; wait {wait_s} s.",
+                    f"At most {self._limit} {what} in {self._window_s:.0f} s are possible; wait {wait_s} s.",
                     retry_after_s=wait_s,
                 )
             events.append(now)
@@ -48,10 +48,10 @@ class WindowLimiter:
 
 
 class ConcurrencyLimiter:
-    """At most `most` things of a key at the same time."""
+    """At most `limit` things of a key at the same time."""
 
-    def __init__(self, most: int) -> None:
-        self._most = most
+    def __init__(self, limit: int) -> None:
+        self._limit = limit
         self._running: Counter[str] = Counter()
         self._lock = threading.Lock()
 
@@ -63,9 +63,9 @@ class ConcurrencyLimiter:
             ServiceError: as many as possible are running.
         """
         with self._lock:
-            if self._running[key] >= self._most:
+            if self._running[key] >= self._limit:
                 raise ServiceError(
-                    ProblemCode.TOO_MANY_REQUESTS, f"At most {self._most} {what} are possible; wait for one to end."
+                    ProblemCode.TOO_MANY_REQUESTS, f"At most {self._limit} {what} are possible; wait for one to end."
                 )
             self._running[key] += 1
         try:

@@ -5,7 +5,7 @@ from vitac.server.errors import ProblemCode, ServiceError
 
 def test_window_lets_so_many_through_per_key_and_opens_again() -> None:
     now = [0.0]
-    limiter = WindowLimiter(most=2, window_s=10.0, clock=lambda: now[0])
+    limiter = WindowLimiter(limit=2, window_s=10.0, clock=lambda: now[0])
     limiter.note("a", "things")
     now[0] = 4.0
     limiter.note("a", "things")
@@ -19,7 +19,7 @@ def test_window_lets_so_many_through_per_key_and_opens_again() -> None:
 
 def test_window_forgets_keys_that_fell_silent() -> None:
     now = [0.0]
-    limiter = WindowLimiter(most=1, window_s=1.0, clock=lambda: now[0])
+    limiter = WindowLimiter(limit=1, window_s=1.0, clock=lambda: now[0])
     for number in range(100):
         limiter.note(str(number), "things")
     now[0] = 2.0
