@@ -42,9 +42,9 @@ _THREADS: Final = """
     sched_getparam sched_getscheduler sched_rr_get_interval sched_yield set_robust_list set_thread_area set_tid_address
 """
 _SIGNALS_AND_TIME: Final = """
-    alarm clock_getres clock_nanosleep getitimer getrandom gettimeofday nanosleep pause restart_syscall rt_sigaction
-    rt_sigpending rt_sigprocmask rt_sigreturn rt_sigsuspend rt_sigtimedwait setitimer sigaltstack time timer_create
-    timer_delete timer_getoverrun timer_gettime timer_settime timerfd_create timerfd_gettime timerfd_settime times
+    alarm getitimer getrandom gettimeofday nanosleep pause restart_syscall rt_sigaction rt_sigpending rt_sigprocmask
+    rt_sigreturn rt_sigsuspend rt_sigtimedwait setitimer sigaltstack time timer_delete timer_getoverrun timer_gettime
+    timer_settime timerfd_create timerfd_gettime timerfd_settime times
 """
 ALLOWED: Final = tuple(" ".join((_MEMORY, _FILES, _WAITING, _SOCKETS, _PROCESSES, _THREADS, _SIGNALS_AND_TIME)).split())
 """Calls that may be made with any arguments."""
@@ -74,6 +74,8 @@ _SIGNAL_CALLS: Final = {
 }
 """Which argument of a call is the signal."""
 _SIGNAL_BITS: Final = 7
+_CLOCK_CALLS: Final = ("clock_getres", "clock_gettime", "clock_nanosleep", "timer_create")
+"""Their first argument is a clock."""
 _NEGATIVE: Final = 0x80000000
 """Clocks of other processes have negative numbers; that of the first process advances with every process it reaps."""
 _O_TMPFILE: Final = 0x00400000
@@ -122,7 +124,8 @@ def _add_rules(syscall_filter: Any, seccomp: Any) -> None:
     allow_only("fcntl", 1, _FCNTLS)
     allow_only("prctl", 0, _PRCTLS)
     allow_only("clone", 0, (0,), mask=_NEW_NAMESPACE_FLAGS)
-    allow_only("clock_gettime", 0, (0,), mask=_NEGATIVE)
+    for name in _CLOCK_CALLS:
+        allow_only(name, 0, (0,), mask=_NEGATIVE)
     allow_only("open", 1, (0,), mask=_O_TMPFILE)
     allow_only("openat", 2, (0,), mask=_O_TMPFILE)
     # Own limits and affinity (process 0) may be changed, those of others not.
