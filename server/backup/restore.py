@@ -5,12 +5,15 @@ from collections.abc import Callable
 from pathlib import Path
 
 from sqlalchemy import func, select, text
+from sqlalchemy.orm import Session
 from vitac.envs.errors import VitacError
-from vitac.server.db.models import ApiToken, Submission, Team
+from vitac.server.db.advisory_locks import AdvisoryLock, wait_for_lock
+from vitac.server.db.models import ApiToken, Submission, Team, Worker
 from vitac.server.db.schema import knows_revision, upgrade
 from vitac.server.postgres import tools
 from vitac.server.queue.workers import workers_alive
 from vitac.server.services import Services
+from vitac.server.settings import Settings
 
 from .archive import BackupDescription, BackupReader, BackupRejected
 
@@ -60,28 +63,41 @@ def _check(services: Services, reader: BackupReader) -> None:
             f"The backup is of schema {revision!r}, written by release {reader.description.release}, "
             "which this version does not know; restore it with that release or a newer one."
         )
-    _require_empty(services)
+    with services.database.transaction() as session:
+        _require_empty(session, services.settings)
     reader.check()
 
 
-def _require_empty(services: Services) -> None:
-    with services.database.transaction() as session:
-        counts = {
-            model.__tablename__: session.scalar(select(func.count()).select_from(model)) or 0
-            for model in (Team, ApiToken, Submission)
-        }
-        workers = workers_alive(session, services.settings).alive
+def _require_empty(session: Session, settings: Settings) -> None:
+    counts = {
+        model.__tablename__: session.scalar(select(func.count()).select_from(model)) or 0
+        for model in (Team, ApiToken, Submission)
+    }
     found = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
     if found:
         raise ServiceNotEmpty(f"Expected a service without data, got {found}; restore into a new one.")
+    workers = workers_alive(session, settings).alive
     if workers:
         raise ServiceNotEmpty(f"Expected no running workers, got {workers}; stop them and try again.")
 
 
 def _restore_database(services: Services, dump: Path) -> None:
-    with services.database.engine.begin() as connection:
-        connection.execute(text("DROP SCHEMA public CASCADE"))
-        connection.execute(text("CREATE SCHEMA public"))
-    services.database.dispose()
-    tools.restore(services.database.address, dump, bin_dir=services.settings.postgres_bin_dir)
+    """Replace the empty schema by the dump's; a process that starts meanwhile waits before it would migrate."""
+    with services.database.engine.connect() as connection:
+        connection.detach()  # closed after use instead of pooled: the advisory lock lasts as long as the connection
+        wait_for_lock(connection, AdvisoryLock.SCHEMA_UPGRADE)
+        connection.commit()
+        with Session(connection) as session, session.begin():
+            _drop_empty_schema(session, services.settings)
+        services.database.dispose()
+        tools.restore(services.database.address, dump, bin_dir=services.settings.postgres_bin_dir)
     upgrade(services.database)
+
+
+def _drop_empty_schema(session: Session, settings: Settings) -> None:
+    """Check again under locks: a team or a worker may have registered while the uploaded files were written."""
+    tables = ", ".join(model.__tablename__ for model in (Team, ApiToken, Submission, Worker))
+    session.execute(text(f"LOCK TABLE {tables} IN ACCESS EXCLUSIVE MODE"))
+    _require_empty(session, settings)
+    session.execute(text("DROP SCHEMA public CASCADE"))
+    session.execute(text("CREATE SCHEMA public"))

@@ -11,16 +11,18 @@ import pytest
 from databases import fresh_database
 from httpx import Client
 from service_client import API, Service, bearer, make_archive, running_service, serving
-from service_factories import make_settings, play_all
+from service_factories import make_principal, make_settings, play_all
 from sqlalchemy import func, select
 from vitac.server.api.app import create_app
 from vitac.server.backup.archive import BackupRejected
 from vitac.server.backup.backup import BackupNotMade, back_up
 from vitac.server.backup.restore import ServiceNotEmpty, restore
+from vitac.server.db.advisory_locks import AdvisoryLock, try_lock
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Submission, Team, Worker
 from vitac.server.db.schema import downgrade, is_current
 from vitac.server.db.states import WorkerState
+from vitac.server.postgres import tools
 from vitac.server.services import Services
 from vitac.server.storage.blobs import BlobStore
 
@@ -165,6 +167,37 @@ def test_service_with_running_workers_is_left_as_it_is(service: Service, empty: 
         )
     with pytest.raises(ServiceNotEmpty, match="got 1; stop them"):
         restore(empty, file)
+
+
+def test_team_that_registers_during_a_restore_is_kept(service: Service, empty: Services, file: Path) -> None:
+    upload_and_play(service)
+    back_up(service.services, file)
+
+    def register_team(done: int, total: int) -> None:
+        with empty.database.transaction() as session:
+            make_principal(session, "early")
+
+    with pytest.raises(ServiceNotEmpty, match="got 1 teams"):
+        restore(empty, file, on_file=register_team)
+    with empty.database.transaction() as session:
+        assert session.scalars(select(Team.name)).all() == ["early"]
+
+
+def test_no_other_process_migrates_while_the_database_is_written(
+    service: Service, empty: Services, file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    back_up(service.services, file)
+    free = []
+    write = tools.restore
+
+    def look_and_write(address: str, dump_file: Path, *, bin_dir: Path | None = None) -> None:
+        with empty.database.transaction() as session:
+            free.append(try_lock(session, AdvisoryLock.SCHEMA_UPGRADE))
+        write(address, dump_file, bin_dir=bin_dir)
+
+    monkeypatch.setattr(tools, "restore", look_and_write)
+    restore(empty, file)
+    assert free == [False]
 
 
 def test_backup_of_an_older_schema_is_brought_up_to_date(service: Service, empty: Services, file: Path) -> None:
