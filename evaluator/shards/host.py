@@ -20,6 +20,7 @@ import numpy as np
 
 from ..episodes.episode import make_environment
 from ..tracks import load_track
+from ..version import evaluator_hash
 from .execution import execute
 from .order import PROCESS_ID, ShardOrder
 
@@ -53,34 +54,44 @@ class SimulationHost:
         answers, exit_pipe = descriptors
         with socket.socket(fileno=answers) as connection:
             try:
-                pid = self._fork(connection)
-            except ValueError:  # Whoever ordered the shard ended in the middle of the order.
+                pid, pidfd = self._fork(connection)
+            except (ValueError, OSError):
+                # The order was cut off, or the machine is out of processes. The other end sees the socket close, and
+                # the shards that run already go on.
+                sys.excepthook(*sys.exc_info())
                 os.close(exit_pipe)
                 return True
-        self._selector.register(os.pidfd_open(pid), selectors.EVENT_READ, (pid, exit_pipe))
+        self._selector.register(pidfd, selectors.EVENT_READ, (pid, exit_pipe))
         return True
 
-    def _fork(self, connection: socket.socket) -> int:
+    def _fork(self, connection: socket.socket) -> tuple[int, int]:
+        """Return process id and pidfd of the shard."""
         order = ShardOrder.model_validate_json(_read_all(connection))
         self._load(order)
         host_pid = os.getpid()
         pid = os.fork()
         if pid == 0:
             self._become_shard(host_pid, connection, order)
-        return pid
+        try:
+            return pid, os.pidfd_open(pid)
+        except OSError:
+            os.kill(pid, signal.SIGKILL)
+            os.waitpid(pid, 0)
+            raise
 
     def _load(self, order: ShardOrder) -> None:
-        """Play one env step of the order's task, so that its copies have all kernels."""
+        """Play one env step of the order's task, so that its copies have all kernels and know the evaluator's hash."""
         what = (order.track, order.task, order.assets_dir)
         if what in self._loaded:
             return
-        self._loaded.add(what)
         # The shard meets the same error and reports it with its result.
         with suppress(Exception):
             task = load_track(order.track).tasks[order.task]
             env = make_environment(task, order.assets_dir)
             env.reset(options=task.episodes[0].options)
             env.step(np.zeros(len(task.actions), dtype=np.float32))
+            evaluator_hash()
+            self._loaded.add(what)
 
     def _become_shard(self, host_pid: int, connection: socket.socket, order: ShardOrder) -> NoReturn:
         """Run the shard in the forked process, which never returns."""

@@ -13,10 +13,11 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from types import MappingProxyType, TracebackType
-from typing import Self
+from typing import BinaryIO, Self
 
+from pydantic import ValidationError
 from vitac.envs.errors import VitacError
 
 from ..episodes.records import EpisodeRecord
@@ -39,8 +40,8 @@ class ShardProcesses:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._host: subprocess.Popen[bytes] | None = None
-        self._control: socket.socket | None = None
+        self._newest: _Host | None = None
+        self._hosts: set[_Host] = set()
 
     def __enter__(self) -> Self:
         return self
@@ -49,7 +50,8 @@ class ShardProcesses:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         with self._lock:
-            self._end_host()
+            for host in self._hosts:
+                host.end()
 
     @contextmanager
     def running_shard(self, order: ShardOrder) -> Iterator["ShardProcess"]:
@@ -58,48 +60,85 @@ class ShardProcesses:
         Raises:
             ShardProcessFailed: it cannot be started.
         """
-        process = self._start(order)
+        host = self._join_host()
+        is_forked = False
         try:
-            yield process
+            process = host.start_shard(order)
+            try:
+                yield process
+            finally:
+                is_forked = process.close()
         finally:
-            process.close()
+            self._leave_host(host, is_working=is_forked)
 
-    def _start(self, order: ShardOrder) -> "ShardProcess":
-        with ExitStack() as theirs:
-            ours, connection = socket.socketpair()
-            exit_pipe, exit_end = os.pipe()
-            theirs.callback(connection.close)
-            theirs.callback(os.close, exit_end)
-            with self._lock:
-                control = self._running_host()
-                try:
-                    socket.send_fds(control, [b"\n"], [connection.fileno(), exit_end])
-                except OSError as error:
-                    raise ShardProcessFailed(f"A shard could not be started: {error.strerror}.") from error
-        return ShardProcess(order, ours, exit_pipe)
+    def _join_host(self) -> "_Host":
+        """Return the newest host, or a new one if there is none that works."""
+        with self._lock:
+            if self._newest is None or not self._newest.is_alive():
+                self._newest = _Host()
+                self._hosts.add(self._newest)
+            self._newest.shards += 1
+            return self._newest
 
-    def _running_host(self) -> socket.socket:
-        """Return the control socket of the host, which is started anew if it has ended."""
-        if self._host is None or self._control is None or self._host.poll() is not None:
-            self._end_host()
-            self._control, theirs = socket.socketpair(type=socket.SOCK_SEQPACKET)
-            with theirs:
-                self._host = subprocess.Popen(  # noqa: S603 - our own interpreter and module
+    def _leave_host(self, host: "_Host", *, is_working: bool) -> None:
+        """Use another host from now on if this one did not fork; end it when its last shard has ended."""
+        with self._lock:
+            host.shards -= 1
+            if not is_working and host is self._newest:
+                self._newest = None
+            if host is not self._newest and host.shards == 0:
+                host.end()
+                self._hosts.discard(host)
+
+
+class _Host:
+    """A running `host` and the socket on which it gets orders."""
+
+    def __init__(self) -> None:
+        self.shards = 0
+        """Number of shards that were ordered from it and have not been closed."""
+        self._control, theirs = socket.socketpair(type=socket.SOCK_SEQPACKET)
+        with theirs:
+            try:
+                self._process = subprocess.Popen(  # noqa: S603 - our own interpreter and module
                     [*COMMAND, str(theirs.fileno())],
                     stdin=subprocess.DEVNULL,
                     env=os.environ | _ONE_THREAD,
                     pass_fds=[theirs.fileno()],
                     start_new_session=True,
                 )
-        return self._control
+            except OSError as error:
+                self._control.close()
+                raise ShardProcessFailed(f"The simulation could not be started: {error.strerror}.") from error
 
-    def _end_host(self) -> None:
-        if self._control is not None:
-            self._control.close()
-        if self._host is not None:
-            self._host.kill()
-            self._host.wait()
-        self._host = self._control = None
+    def is_alive(self) -> bool:
+        """Whether it can still be asked."""
+        return self._process.poll() is None
+
+    def start_shard(self, order: ShardOrder) -> "ShardProcess":
+        """Order the process of a shard; it is forked once the simulation is loaded.
+
+        Raises:
+            ShardProcessFailed: the host has ended.
+        """
+        connection, theirs = socket.socketpair()
+        exit_pipe, exit_end = os.pipe()
+        try:
+            socket.send_fds(self._control, [b"\n"], [theirs.fileno(), exit_end])
+        except OSError as error:
+            connection.close()
+            os.close(exit_pipe)
+            raise ShardProcessFailed(f"A shard could not be started: {error.strerror}.") from error
+        finally:
+            theirs.close()
+            os.close(exit_end)
+        return ShardProcess(order, connection, exit_pipe)
+
+    def end(self) -> None:
+        """End it, and its shards with it."""
+        self._control.close()
+        self._process.kill()
+        self._process.wait()
 
 
 class ShardProcess:
@@ -112,7 +151,7 @@ class ShardProcess:
         self._fork: _Fork | None = None
         self._is_killed = False
         self._result: ShardResult | None = None
-        with suppress(BrokenPipeError):  # The host has ended; reading the records raises an error.
+        with suppress(OSError):  # The host has ended; reading the records raises an error.
             connection.sendall(order.model_dump_json().encode())
             connection.shutdown(socket.SHUT_WR)
 
@@ -129,7 +168,7 @@ class ShardProcess:
             ShardProcessFailed: there is none.
         """
         if self._result is None:
-            code = os.read(self._exit_pipe, 16).decode() or "unknown"
+            code = self._exit_code()
             raise ShardProcessFailed(f"The process of a shard ended with exit code {code} and no result; run it again.")
         return self._result
 
@@ -140,14 +179,11 @@ class ShardProcess:
             ShardProcessFailed: the process ended early.
         """
         self._forked()
-        with self._connection.makefile("rb") as answers:
-            for line in answers:
-                message = ShardMessage.model_validate_json(line)
-                if message.error is not None:
-                    raise ShardProcessFailed(message.error)
-                if message.record is not None:
-                    yield message.record
-                self._result = message.result
+        try:
+            with self._connection.makefile("rb") as answers:
+                yield from self._records_in(answers)
+        except (OSError, ValidationError) as error:  # It was killed, perhaps in the middle of a line.
+            raise ShardProcessFailed(f"The process of a shard ended with exit code {self._exit_code()}.") from error
         _ = self.result
 
     def kill(self) -> None:
@@ -157,20 +193,38 @@ class ShardProcess:
             if self._fork is not None:
                 self._fork.kill()
             else:
-                # A process that is forked later finds nobody to answer to and ends.
+                # A process that is forked later cannot answer and ends.
                 with suppress(OSError):
                     self._connection.shutdown(socket.SHUT_RDWR)
 
-    def close(self) -> None:
-        """End the process and wait for it."""
+    def close(self) -> bool:
+        """End the process and wait for it; return whether it was ever forked."""
         self.kill()
-        with suppress(ShardProcessFailed):
+        try:
             fork = self._forked()
+        except ShardProcessFailed:
+            return False
+        else:
             fork.wait()
             with self._lock:
                 fork.close()
-        self._connection.close()
-        os.close(self._exit_pipe)
+            return True
+        finally:
+            self._connection.close()
+            os.close(self._exit_pipe)
+
+    def _records_in(self, answers: BinaryIO) -> Iterator[EpisodeRecord]:
+        for line in answers:
+            message = ShardMessage.model_validate_json(line)
+            if message.error is not None:
+                raise ShardProcessFailed(message.error)
+            if message.record is not None:
+                yield message.record
+            self._result = message.result
+
+    def _exit_code(self) -> str:
+        """Wait for the end of the process and return its exit code, `unknown` where the host ended as well."""
+        return os.read(self._exit_pipe, 16).decode() or "unknown"
 
     def _forked(self) -> "_Fork":
         """Return the process, which introduces itself before its first answer."""
@@ -197,7 +251,12 @@ class _Fork:
         Raises:
             ShardProcessFailed: it never will.
         """
-        introduction, descriptors, _, _ = socket.recv_fds(connection, PROCESS_ID.size, 1)
+        try:
+            introduction, descriptors, _, _ = socket.recv_fds(connection, PROCESS_ID.size, 1)
+        except OSError as error:
+            raise ShardProcessFailed(
+                f"The process of a shard was not started: {error.strerror}; run it again."
+            ) from error
         if not descriptors:
             raise ShardProcessFailed("The process of a shard was not started; run it again.")
         (pid,) = PROCESS_ID.unpack(introduction)
@@ -212,10 +271,12 @@ class _Fork:
     def wait(self) -> None:
         """Return when it has ended."""
         if self._pidfd is not None:
-            select.select([self._pidfd], [], [])
+            ended = select.poll()
+            ended.register(self._pidfd, select.POLLIN)
+            ended.poll()
 
     def close(self) -> None:
-        """Let go of a process that has ended."""
+        """Close the descriptor of a process that has ended."""
         if self._pidfd is not None:
             os.close(self._pidfd)
         self._pidfd = None

@@ -4,6 +4,8 @@ How its policy behaves stands in `behaviour` in the submission's folder, or is t
 """
 
 import os
+import signal
+import stat
 import time
 from functools import partial
 from pathlib import Path
@@ -39,6 +41,21 @@ def exit_early(*_: object) -> Any:
     os._exit(3)
 
 
+def cut_off(*_: object) -> Any:
+    """A process that is killed while it writes an answer."""
+    sockets = [int(path.name) for path in Path("/proc/self/fd").iterdir() if _is_socket(int(path.name))]
+    for descriptor in sockets:
+        os.write(descriptor, b'{"record": {"episode"')
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def _is_socket(descriptor: int) -> bool:
+    try:
+        return stat.S_ISSOCK(os.fstat(descriptor).st_mode)
+    except OSError:
+        return False
+
+
 def break_sandbox(*_: object) -> Any:
     """A fault of the machine."""
     raise SandboxFailed("bwrap is missing")
@@ -50,7 +67,9 @@ def load_policy(submission_dir: Path, limits: Limits, slot: int) -> Any:
     behaviour = told.read_text() if told.exists() else submission_dir.name
     if behaviour == "cannot_load":
         return cannot_load()
-    answers = {f.__name__: f for f in (succeed, fail, hang, hang_after_first, print_much, exit_early, break_sandbox)}
+    answers = {
+        f.__name__: f for f in (cut_off, succeed, fail, hang, hang_after_first, print_much, exit_early, break_sandbox)
+    }
     return FakeSession(answers[behaviour]).load()
 
 

@@ -118,6 +118,44 @@ def test_shard_after_the_death_of_the_loaded_process_gets_a_new_one(processes: S
         assert len(list(process.records())) == 3
 
 
+def test_host_that_hangs_is_replaced_for_the_next_shard(processes: ShardProcesses) -> None:
+    with processes.running_shard(order("hang")) as process:
+        host = parent_of(process.pid)
+        os.kill(host, signal.SIGSTOP)
+        with processes.running_shard(order("succeed")) as stuck:
+            stuck.kill()
+            with pytest.raises(ShardProcessFailed, match="was not started"):
+                list(stuck.records())
+        with processes.running_shard(order("succeed")) as other:
+            assert parent_of(other.pid) != host
+            assert len(list(other.records())) == 3
+        assert is_alive(process.pid)
+    assert not is_alive(host)
+
+
+def test_order_that_a_killed_host_has_not_read_is_a_fault_of_ours(processes: ShardProcesses) -> None:
+    with processes.running_shard(order("hang")) as process:
+        host = parent_of(process.pid)
+        os.kill(host, signal.SIGSTOP)
+        with processes.running_shard(order("succeed")) as unread:
+            os.kill(host, signal.SIGKILL)
+            with pytest.raises(ShardProcessFailed, match="was not started"):
+                list(unread.records())
+
+
+def test_shard_killed_in_the_middle_of_a_line_is_a_fault_of_ours(processes: ShardProcesses) -> None:
+    with processes.running_shard(order("cut_off")) as process, pytest.raises(ShardProcessFailed, match="exit code -9"):
+        list(process.records())
+
+
+def test_order_without_sense_leaves_other_shards_alone(processes: ShardProcesses) -> None:
+    with processes.running_shard(order("hang")) as process:
+        wrong = order("succeed").model_copy(update={"shard": -1})
+        with processes.running_shard(wrong) as refused, pytest.raises(ShardProcessFailed):
+            list(refused.records())
+        assert is_alive(process.pid)
+
+
 def test_leaving_the_block_of_all_ends_every_process() -> None:
     with ShardProcesses() as processes, processes.running_shard(order("hang")) as process:
         pids = [process.pid, parent_of(process.pid)]
