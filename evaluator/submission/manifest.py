@@ -59,7 +59,7 @@ def load_manifest(submission_dir: Path) -> SubmissionManifest:
     """Return the manifest of an unpacked submission, checked against the tracks there are.
 
     Raises:
-        ManifestRejected: it is missing, too large, not YAML, or a key or value is wrong.
+        ManifestRejected: it is missing, no file, too large, not YAML, or a key or value is wrong.
     """
     path = submission_dir / MANIFEST_NAME
     try:
@@ -67,6 +67,10 @@ def load_manifest(submission_dir: Path) -> SubmissionManifest:
             data = file.read(_MANIFEST_MAX_BYTES + 1)
     except FileNotFoundError as error:
         raise ManifestRejected(f"{MANIFEST_NAME} is missing; put it directly into the submission's folder.") from error
+    except IsADirectoryError as error:
+        raise ManifestRejected(f"{MANIFEST_NAME} is a folder, expected a file.") from error
+    except NotADirectoryError as error:
+        raise ManifestRejected(f"{submission_dir.name} is a file, expected a folder with {MANIFEST_NAME}.") from error
     return parse_manifest(data)
 
 

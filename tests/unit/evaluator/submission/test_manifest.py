@@ -44,6 +44,18 @@ def test_missing_manifest_is_named(tmp_path: Path) -> None:
         load_manifest(tmp_path)
 
 
+def test_a_folder_in_place_of_the_manifest_is_refused(tmp_path: Path) -> None:
+    archive = io.BytesIO(zip_bytes({"Track_1/submission.yaml/policy.py": "x"}))
+    with pytest.raises(ManifestRejected, match=r"submission\.yaml is a folder, expected a file"):
+        load_manifest(unpack(archive, tmp_path / "out"))
+
+
+def test_a_file_in_place_of_the_folder_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "Track_1").touch()
+    with pytest.raises(ManifestRejected, match=r"Track_1 is a file, expected a folder"):
+        load_manifest(tmp_path / "Track_1")
+
+
 def test_unknown_key_names_the_nearest_valid_one() -> None:
     assert "did you mean 'entry_point'" in manifest_error(MANIFEST + "entrypoint: a:B\n")
 
