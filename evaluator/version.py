@@ -4,6 +4,7 @@ Nothing here imports the environments: their sources are found and read, not run
 """
 
 import hashlib
+import os
 import platform
 from functools import cache
 from importlib.metadata import entry_points, version
@@ -16,6 +17,8 @@ EVALUATOR_RELEASE = "1"
 _HASHED_PACKAGES = ("vitac.envs", "vitac.evaluator")
 _TASKS = "vitac.tasks"
 """Group of the entry points by which other packages add tasks."""
+_TRACKS_FOLDER_VARIABLE = "VITAC_TRACKS_DIR"
+"""Names the folder with further track files (`vitac.evaluator.tracks.registry`)."""
 _HASHED_SUFFIXES = frozenset({".py", ".yaml"})
 _HASHED_DISTRIBUTIONS = ("llvmlite", "numba", "numpy")
 
@@ -24,14 +27,16 @@ _HASHED_DISTRIBUTIONS = ("llvmlite", "numba", "numpy")
 def evaluator_hash() -> str:
     """SHA-256 [hex] over all that can move a score: our sources and the versions of NumPy, Numba and llvmlite.
 
-    The sources of packages that add tasks (`vitac.envs.tasks.registry`) count too, where there are any. The same for a
-    wheel and an editable installation of one tree, because only the content of packaged files counts.
+    The sources of packages that add tasks (`vitac.envs.tasks.registry`) and the track files of the folder that
+    VITAC_TRACKS_DIR names count too, where there are any. The same for a wheel and an editable installation of one
+    tree, because only names and contents of files count.
     """
     digest = hashlib.sha256()
     for distribution in _HASHED_DISTRIBUTIONS:
         digest.update(f"{distribution}=={version(distribution)}\n".encode())
     for package in (*_HASHED_PACKAGES, *_packages_with_tasks()):
         _add_sources(digest, package)
+    _add_further_tracks(digest)
     return digest.hexdigest()
 
 
@@ -55,9 +60,19 @@ def _add_sources(digest: "hashlib._Hash", package: str) -> None:
         (path.relative_to(root).as_posix(), path) for path in root.rglob("*") if path.suffix in _HASHED_SUFFIXES
     )
     for name, path in files:
-        content = path.read_bytes()
-        digest.update(f"{package}/{name}\0{len(content)}\0".encode())
-        digest.update(content)
+        _add_file(digest, f"{package}/{name}", path)
+
+
+def _add_further_tracks(digest: "hashlib._Hash") -> None:
+    if folder := os.environ.get(_TRACKS_FOLDER_VARIABLE):
+        for path in sorted(Path(folder).glob("*.yaml")):
+            _add_file(digest, f"{_TRACKS_FOLDER_VARIABLE}/{path.name}", path)
+
+
+def _add_file(digest: "hashlib._Hash", name: str, path: Path) -> None:
+    content = path.read_bytes()
+    digest.update(f"{name}\0{len(content)}\0".encode())
+    digest.update(content)
 
 
 def _package_folder(package: str) -> Path:

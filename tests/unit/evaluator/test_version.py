@@ -89,3 +89,27 @@ def test_hash_covers_packages_that_add_tasks(tmp_path: Path, monkeypatch: pytest
     hashes = [added(""), added("x = 1"), added("")]
     assert hashes[0] == hashes[2]
     assert len({*hashes, version.evaluator_hash()}) == 3
+
+
+def test_hash_covers_the_files_of_the_folder_of_further_tracks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    without = fresh_hash()
+    monkeypatch.setenv("VITAC_TRACKS_DIR", str(tmp_path))
+    track = tmp_path / "mine.yaml"
+    track.write_text("max_steps: 10")
+    (tmp_path / "notes.txt").write_text("x")
+    before = fresh_hash()
+    track.write_text("max_steps: 20")
+    edited = fresh_hash()
+    track.rename(tmp_path / "other.yaml")
+    renamed = fresh_hash()
+    assert len({without, before, edited, renamed}) == 4
+
+
+def test_hash_does_not_depend_on_where_the_further_tracks_lie(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    hashes = set()
+    for name in ("here", "there"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "mine.yaml").write_text("max_steps: 10")
+        monkeypatch.setenv("VITAC_TRACKS_DIR", str(tmp_path / name))
+        hashes.add(fresh_hash())
+    assert len(hashes) == 1
