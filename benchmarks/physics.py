@@ -49,7 +49,7 @@ def in_parts_mm(reference: Reference, miss: Figures) -> list[float]:
     """How far a missed env step ends from the reference when every driven motion is divided into 2, 4, 8, 16 parts."""
     key, found = (miss["episode"], miss["env_step"]), []
     for level in (1, 2, 3, 4):
-        replay = Replay(reference.assets_dir, replace(SolverSettings(), first_substep_level=level))
+        replay = Replay(reference.assets_dir, replace(SolverSettings(), first_division_level=level))
         replay.play(reference.log[miss["episode"] - 1], first_steps=miss["env_step"])
         found.append(deviation_mm(replay.by_step()[key], reference.settled[key]))
     return found

@@ -25,7 +25,7 @@ def settings() -> Iterator[tuple[str, SolverSettings]]:
     for force_n in (1e-1, 1e-2, 1e-3, 1e-5):
         yield f"force {force_n:.0e} N alone", replace(standard, step_tolerance_m=1.0, residual_tolerance_n=force_n)
     for level in (1, 2):
-        yield f"every motion in {2**level} parts", replace(standard, first_substep_level=level)
+        yield f"every motion in {2**level} parts", replace(standard, first_division_level=level)
 
 
 def ledger(reference: Reference, *, episodes: int, env_steps: int) -> list[Row]:

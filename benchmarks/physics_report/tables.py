@@ -69,7 +69,7 @@ def _convergence(figures: Figures) -> Table:
         ["IPC steps", f"{f['ipc_steps']:,}"],
         [
             "solved at once / after division / after escaping a saddle",
-            f"{f['converged']:,} / {f['substepped']} / {f['escaped_saddle']}",
+            f"{f['converged']:,} / {f['divided']} / {f['escaped_saddle']}",
         ],
         ["not solved", str(f["not_converged"])],
         ["largest nodal residual (median)", f"{f['largest_residual_n']:.1e} N ({f['median_residual_n']:.1e} N)"],
@@ -174,7 +174,7 @@ def _fuzz(figures: Figures) -> Table:
             f"{f['first_seed']} to {f['first_seed'] + f['episodes'] - 1}",
             str(f["episodes"]),
             f"{f['ipc_steps']:,}",
-            f"{f['substepped']} / {f['escaped_saddle']}",
+            f"{f['divided']} / {f['escaped_saddle']}",
             str(f["not_converged"]),
             f"{f['intersections']} / {f['overlooked']}",
             f"{f['smallest_det_f']:.2f}",

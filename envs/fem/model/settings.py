@@ -31,8 +31,8 @@ class SolverSettings:
         residual_tolerance_n: largest force left on a node, friction taken at the solution [N].
         newton_iterations: largest number of Newton iterations of one solve, not counting those that reuse factors.
         phase_iterations: length of a turn of free Newton iterations, and of the first cautious one.
-        first_substep_level: how often the driven motion is halved from the start.
-        substep_levels: how often the driven motion may be halved when a step does not converge.
+        first_division_level: how often the driven motion is halved from the start.
+        division_levels: how often the driven motion may be halved when an IPC step does not converge whole.
         saddle_escapes: how many saddles may be left at the end of a motion, where dividing finds no stable equilibrium.
         candidate_margin_m: relative motion that a list of candidate pairs stays good for [m].
     """
@@ -41,7 +41,7 @@ class SolverSettings:
     residual_tolerance_n: float = 1e-4
     newton_iterations: int = 228
     phase_iterations: int = 12
-    first_substep_level: int = 0
-    substep_levels: int = 4
+    first_division_level: int = 0
+    division_levels: int = 4
     saddle_escapes: int = 3
     candidate_margin_m: float = 2e-4

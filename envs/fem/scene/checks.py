@@ -59,9 +59,9 @@ def check_settings(time_step_s: float, contact: ContactSettings, solver: SolverS
         phase_iterations=solver.phase_iterations,
         candidate_margin_m=solver.candidate_margin_m,
     )
-    if not 0 <= solver.first_substep_level <= solver.substep_levels:
-        level, levels = solver.first_substep_level, solver.substep_levels
-        raise SceneError(f"first_substep_level is {level}, expected 0 to substep_levels = {levels}.")
+    if not 0 <= solver.first_division_level <= solver.division_levels:
+        level, levels = solver.first_division_level, solver.division_levels
+        raise SceneError(f"first_division_level is {level}, expected 0 to division_levels = {levels}.")
     if solver.saddle_escapes < 0:
         raise SceneError(f"saddle_escapes is {solver.saddle_escapes}, expected 0 or more.")
 

@@ -29,7 +29,7 @@ class StepStatus(StrEnum):
     """How an IPC step ended."""
 
     CONVERGED = "converged"  # solved in one go
-    SUBSTEPPED = "substepped"  # solved after the driven motion was divided
+    DIVIDED = "divided"  # solved after the driven motion was divided
     ESCAPED_SADDLE = "escaped_saddle"  # solved after an unstable equilibrium was left along negative curvature
     NOT_CONVERGED = "not_converged"  # not solved; the state is free of intersections but is not a minimum
 
@@ -40,8 +40,8 @@ class StepReport:
 
     Attributes:
         status: how it ended; a caller must not go on after NOT_CONVERGED.
-        newton_iterations: Newton iterations, all sub-steps together.
-        substeps: parts the driven motion was divided into where this state comes from.
+        newton_iterations: Newton iterations, all parts together.
+        parts: parts the driven motion was divided into where this state comes from.
         reusing_iterations: iterations that solved with the factors of an earlier one, among the Newton iterations.
         projected_iterations: iterations whose Hessian had to be projected to be positive definite.
         unstable_solutions: how often an equilibrium was reached whose Jacobian has a negative determinant.
@@ -56,7 +56,7 @@ class StepReport:
 
     status: StepStatus
     newton_iterations: int
-    substeps: int
+    parts: int
     reusing_iterations: int
     projected_iterations: int
     unstable_solutions: int
@@ -126,14 +126,14 @@ class Scene:
         start, time_step_s = self._x.copy(), self._model.parameters.time_step_s
         x_hat, target = start + time_step_s * self._velocity, self._target(driven_targets_m)
         attempt = _Attempt(start=start, x_hat=x_hat, target=target)
-        status, substeps = self._solve(attempt)
+        status, parts = self._solve(attempt)
         self._velocity = (self._x - start) / time_step_s
         force, torque = self._net_load(self._workspace.system.gradient)
         counts, measures = attempt.record
         return StepReport(
             status=status,
             newton_iterations=int(counts[Counter.ITERATIONS]),
-            substeps=substeps,
+            parts=parts,
             reusing_iterations=int(counts[Counter.REUSING_ITERATIONS]),
             projected_iterations=int(counts[Counter.PROJECTED_ITERATIONS]),
             unstable_solutions=int(counts[Counter.UNSTABLE]),
@@ -197,10 +197,10 @@ class Scene:
         """Solve at once, in more and more parts, or by escaping a saddle; how, and in how many parts."""
         s = self._solver
         unstable: tuple[FloatArray, int] | None = None
-        for parts in (2**level for level in range(s.first_substep_level, s.substep_levels + 1)):
+        for parts in (2**level for level in range(s.first_division_level, s.division_levels + 1)):
             outcome = self._solve_in_parts(attempt, parts)
             if outcome == SOLVED:
-                return StepStatus.SUBSTEPPED if parts > 1 else StepStatus.CONVERGED, parts
+                return StepStatus.DIVIDED if parts > 1 else StepStatus.CONVERGED, parts
             if outcome == UNSTABLE and unstable is None:
                 unstable = self._x.copy(), parts
         if unstable is None or s.saddle_escapes == 0:

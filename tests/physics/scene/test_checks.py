@@ -34,7 +34,7 @@ def scene(gel: GelBody = GEL, body: RigidBody = BODY, time_step_s: float = 0.1, 
         ({"contact": ContactSettings(d_hat_m=-1e-4)}, "d_hat_m of the contact"),
         ({"contact": ContactSettings(ccd_gap_fraction=1.5)}, "ccd_gap_fraction is 1.5"),
         ({"solver": SolverSettings(phase_iterations=0)}, "phase_iterations of the solver is 0"),
-        ({"solver": SolverSettings(first_substep_level=9)}, "first_substep_level is 9"),
+        ({"solver": SolverSettings(first_division_level=9)}, "first_division_level is 9"),
         ({"solver": SolverSettings(saddle_escapes=-1)}, "saddle_escapes is -1"),
     ],
 )

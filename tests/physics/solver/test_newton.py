@@ -69,20 +69,20 @@ def test_a_step_that_takes_too_many_iterations_is_divided_and_ends_in_the_same_s
     report, x = pushed(
         replace(STANDARD, newton_iterations=plain[0].newton_iterations - plain[0].reusing_iterations - 1)
     )
-    assert report.status is StepStatus.SUBSTEPPED
-    assert report.substeps > 1
+    assert report.status is StepStatus.DIVIDED
+    assert report.parts > 1
     np.testing.assert_allclose(x, plain[1], rtol=0, atol=SAME_M)
 
 
 def test_a_step_can_be_divided_from_the_start(plain: tuple[StepReport, FloatArray]) -> None:
-    report, x = pushed(replace(STANDARD, first_substep_level=2))
-    assert report.status is StepStatus.SUBSTEPPED
-    assert report.substeps == 4
+    report, x = pushed(replace(STANDARD, first_division_level=2))
+    assert report.status is StepStatus.DIVIDED
+    assert report.parts == 4
     np.testing.assert_allclose(x, plain[1], rtol=0, atol=SAME_M)
 
 
 def test_what_is_not_solved_is_called_so_and_stays_apart() -> None:
-    report, _ = pushed(replace(STANDARD, newton_iterations=2, substep_levels=1))
+    report, _ = pushed(replace(STANDARD, newton_iterations=2, division_levels=1))
     assert report.status is StepStatus.NOT_CONVERGED
     assert report.residual_n > STANDARD.residual_tolerance_n
     assert report.smallest_gap_m > 0
@@ -164,13 +164,13 @@ def test_a_compressed_column_escapes_its_saddle_and_bows_out(changes: dict[str, 
     report, bow = compressed_column(replace(STANDARD, **changes), size=size, across=across)
     assert report.status is StepStatus.ESCAPED_SADDLE
     assert report.saddle_escapes == 1
-    assert report.substeps == 1
+    assert report.parts == 1
     assert bow > 0.1
 
 
 def test_an_escape_that_leads_to_no_solution_is_called_so() -> None:
     """With too few iterations for what comes after the escape."""
-    plain, _ = compressed_column(replace(STANDARD, saddle_escapes=0, substep_levels=0))
-    few = replace(STANDARD, substep_levels=0, newton_iterations=plain.newton_iterations)
+    plain, _ = compressed_column(replace(STANDARD, saddle_escapes=0, division_levels=0))
+    few = replace(STANDARD, division_levels=0, newton_iterations=plain.newton_iterations)
     report, _ = compressed_column(few)
     assert (report.status, report.saddle_escapes) == (StepStatus.NOT_CONVERGED, 1)

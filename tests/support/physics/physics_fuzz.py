@@ -196,7 +196,7 @@ def summary(steps: list[FuzzedStep]) -> dict[str, float]:
     return {
         "episodes": len({(step.task, step.seed) for step in steps}),
         "ipc_steps": len(steps),
-        "substepped": status.count(StepStatus.SUBSTEPPED),
+        "divided": status.count(StepStatus.DIVIDED),
         "escaped_saddle": status.count(StepStatus.ESCAPED_SADDLE),
         "not_converged": status.count(StepStatus.NOT_CONVERGED),
         "intersections": sum(step.intersects for step in steps),

@@ -81,14 +81,14 @@ def test_marker_flow_is_left_then_right_in_float32(fake_scenes: list[FakeScene])
 def test_step_that_does_not_converge_stops_all_motion(
     fake_scenes: list[FakeScene], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(FakeScene, "statuses", [StepStatus.SUBSTEPPED, StepStatus.NOT_CONVERGED])
+    monkeypatch.setattr(FakeScene, "statuses", [StepStatus.DIVIDED, StepStatus.NOT_CONVERGED])
     made = scene()
     made.move_to(POSE.moved(x_m=4e-3), ipc_steps=4)
     assert not made.solved
     assert made.ipc_steps == 2
     made.move_to(POSE, ipc_steps=1)
     assert made.ipc_steps == 2
-    assert [report.status for report in made.take_reports()] == ["substepped", "not_converged"]
+    assert [report.status for report in made.take_reports()] == ["divided", "not_converged"]
     assert made.take_reports() == ()
 
 
