@@ -15,7 +15,7 @@ from ..agent.limits import Limits
 from ..agent.verdicts import VerdictCode
 from ..strict_model import DocumentRejected, StrictModel, parse_untrusted_yaml
 from ..tracks import UnknownTrack, archive_folders, load_track
-from .archive import Entry, packed_entries, unpack, write
+from .archive import ArchiveFault, ArchiveRejected, Entry, packed_entries, unpack, write
 from .names import NamedEntry, check_names, is_ignored, link, special_file
 
 MANIFEST_NAME: Final = "submission.yaml"
@@ -74,6 +74,21 @@ def load_manifest(submission_dir: Path) -> SubmissionManifest:
     return parse_manifest(data)
 
 
+def load_unpacked_manifest(submission_dir: Path) -> SubmissionManifest:
+    """Return the manifest of an unpacked archive, whose top folder must be that of its track.
+
+    Args:
+        submission_dir: what `archive.unpack` returned.
+
+    Raises:
+        ManifestRejected: it is missing or wrong.
+        ArchiveRejected: the folder is that of another track.
+    """
+    manifest = load_manifest(submission_dir)
+    _check_top_folder(manifest, submission_dir.name)
+    return manifest
+
+
 def parse_manifest(data: bytes) -> SubmissionManifest:
     """Return the manifest that the bytes of submission.yaml hold.
 
@@ -109,16 +124,18 @@ def manifest_of(source: Path, limits: Limits | None = None) -> SubmissionManifes
 
     Raises:
         ManifestRejected: it is missing or cannot be read.
-        ArchiveRejected: a rule of archives is broken.
+        ArchiveRejected: a rule of archives is broken, or the top folder of a zip is that of another track.
         NoSubmission: the path is no submission.
     """
     if not source.is_file():
         return load_manifest(find_submission(source))
     with ExitStack() as exits:
-        _, entries = packed_entries(exits.enter_context(source.open("rb")), limits or Limits(), exits)
+        top, entries = packed_entries(exits.enter_context(source.open("rb")), limits or Limits(), exits)
         for entry in entries:
             if entry.path == MANIFEST_NAME and entry.n_bytes <= _MANIFEST_MAX_BYTES:
-                return parse_manifest(b"".join(entry.chunks()))
+                manifest = parse_manifest(b"".join(entry.chunks()))
+                _check_top_folder(manifest, top)
+                return manifest
     raise ManifestRejected(
         f"{MANIFEST_NAME} is missing or larger than {_MANIFEST_MAX_BYTES} bytes; put it directly into the "
         "submission's folder."
@@ -138,7 +155,7 @@ def stage(source: Path, destination: Path, limits: Limits | None = None) -> Path
     """Copy a zip or folder to where it can be evaluated, under the same rules for both.
 
     Args:
-        source: zip, submission folder, or the folder that holds `Track_1`.
+        source: zip, submission folder, or the folder that contains it under its track's name, such as `Track_1`.
         destination: new or empty folder.
         limits: sizes and counts.
 
@@ -146,13 +163,17 @@ def stage(source: Path, destination: Path, limits: Limits | None = None) -> Path
         The submission's folder below `destination`, readable by every user.
 
     Raises:
-        ArchiveRejected: a rule of archives is broken.
+        ArchiveRejected: a rule of archives is broken, or the top folder of a zip is that of another track.
+        ManifestRejected: the manifest is missing or wrong.
         NoSubmission: the path is not a submission.
     """
     limits = limits or Limits()
     if source.is_file():
+        manifest_of(source, limits)  # refuses the folder of another track
         return unpack(source, destination, limits)
-    return write(_folder_entries(find_submission(source), limits), destination, archive_folders()[0], limits)
+    found = find_submission(source)
+    top = top_folder(found)
+    return write(_folder_entries(found, top, limits), destination, top, limits)
 
 
 def submission_digest(source: Path, limits: Limits | None = None) -> str:
@@ -160,6 +181,7 @@ def submission_digest(source: Path, limits: Limits | None = None) -> str:
 
     Raises:
         ArchiveRejected: a rule of archives is broken.
+        ManifestRejected: the manifest of a folder is missing or wrong.
         NoSubmission: the path is not a submission.
     """
     limits = limits or Limits()
@@ -167,7 +189,8 @@ def submission_digest(source: Path, limits: Limits | None = None) -> str:
         if source.is_file():
             _, entries = packed_entries(exits.enter_context(source.open("rb")), limits, exits)
         else:
-            entries = _folder_entries(find_submission(source), limits)
+            found = find_submission(source)
+            entries = _folder_entries(found, top_folder(found), limits)
         return _digest(entries)
 
 
@@ -181,9 +204,9 @@ def _digest(entries: list[Entry]) -> str:
     return digest.hexdigest()
 
 
-def _folder_entries(folder: Path, limits: Limits) -> list[Entry]:
+def _folder_entries(folder: Path, top: str, limits: Limits) -> list[Entry]:
     entries = list(_walk(folder, ""))
-    check_names((NamedEntry(path=f"{archive_folders()[0]}/{entry.path}", is_folder=False) for entry in entries), limits)
+    check_names((NamedEntry(path=f"{top}/{entry.path}", is_folder=False) for entry in entries), limits)
     return entries
 
 
@@ -204,6 +227,16 @@ def _walk(folder: Path, prefix: str) -> Iterator[Entry]:
 
 def _open(path: str) -> IO[bytes]:
     return Path(path).open("rb")
+
+
+def _check_top_folder(manifest: SubmissionManifest, top: str) -> None:
+    expected = load_track(manifest.track).folder
+    if top != expected:
+        raise ArchiveRejected(
+            ArchiveFault.WRONG_TOP_FOLDER,
+            f"{MANIFEST_NAME} names {manifest.track}: expected folder {expected}, got {top}; rename the folder and "
+            "pack it again.",
+        )
 
 
 def _check_tasks(manifest: SubmissionManifest) -> None:

@@ -1,7 +1,7 @@
-"""Checks an uploaded model: the archive's rules and the submission manifest; called by `acceptance`."""
+"""Checks an uploaded model: the archive's rules and the submission manifest; called by `kinds`."""
 
 from vitac.evaluator.submission.archive import unpack
-from vitac.evaluator.submission.manifest import ManifestRejected, load_manifest, submission_digest
+from vitac.evaluator.submission.manifest import ManifestRejected, load_unpacked_manifest, submission_digest
 from vitac.evaluator.submission.names import ArchiveRejected
 from vitac.evaluator.submission_kinds import SubmissionKind
 
@@ -27,7 +27,7 @@ def check_model(received: ReceivedFile, owner: str, settings: Settings) -> Check
     """
     try:
         folder = unpack(received.path, received.path.with_name(_UNPACKED_NAME), settings.limits)
-        manifest, digest = load_manifest(folder), submission_digest(folder, settings.limits)
+        manifest, digest = load_unpacked_manifest(folder), submission_digest(folder, settings.limits)
     except ArchiveRejected as error:
         raise ServiceError(ProblemCode.ARCHIVE_REJECTED, error.message, reason=error.code.value) from error
     except ManifestRejected as error:

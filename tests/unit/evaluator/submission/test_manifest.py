@@ -4,10 +4,12 @@ import os
 import stat
 import time
 import tracemalloc
+from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 
 import pytest
+import yaml
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from submissions import FILES, MANIFEST, submission_folder, submission_zip, zip_bytes
@@ -18,10 +20,13 @@ from vitac.evaluator.submission.manifest import (
     NoSubmission,
     find_submission,
     load_manifest,
+    load_unpacked_manifest,
+    manifest_of,
     parse_manifest,
     stage,
     submission_digest,
 )
+from vitac.evaluator.tracks import registry
 
 
 def manifest_error(text: str | bytes) -> str:
@@ -291,3 +296,42 @@ def test_zip_with_other_top_folder_has_no_digest(tmp_path: Path) -> None:
         submission_digest(archive)
     with pytest.raises(ArchiveRejected):
         unpack(io.BytesIO(archive.read_bytes()), tmp_path / "out")
+
+
+@pytest.fixture
+def second_track(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A track "mine" with the folder "Mine" and the task "my-peg", which comes before track_1."""
+    content = yaml.safe_load((Path(registry.__file__).parent / "track_1.yaml").read_text())
+    del content["combination_rule"]
+    task = content["tasks"]["peg-insertion"] | {"name": "my-peg"}
+    folder = tmp_path / "tracks"
+    folder.mkdir()
+    (folder / "mine.yaml").write_text(
+        yaml.safe_dump(content | {"name": "mine", "folder": "Mine", "tasks": {"my-peg": task}})
+    )
+    monkeypatch.setenv("VITAC_TRACKS_DIR", str(folder))
+
+
+@pytest.mark.usefixtures("second_track")
+@pytest.mark.parametrize("read", [manifest_of, lambda archive: stage(archive, archive.parent / "out")])
+def test_top_folder_of_another_track_is_refused(tmp_path: Path, read: Callable[[Path], object]) -> None:
+    archive = tmp_path / "s.zip"
+    archive.write_bytes(submission_zip(top="Mine"))
+    with pytest.raises(ArchiveRejected, match="names track_1: expected folder Track_1, got Mine") as caught:
+        read(archive)
+    assert caught.value.code is ArchiveFault.WRONG_TOP_FOLDER
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.usefixtures("second_track")
+def test_unpacked_folder_of_another_track_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ArchiveRejected, match="expected folder Track_1, got Mine"):
+        load_unpacked_manifest(unpack(io.BytesIO(submission_zip(top="Mine")), tmp_path / "out"))
+    assert load_unpacked_manifest(unpack(io.BytesIO(submission_zip()), tmp_path / "right")).track == "track_1"
+
+
+@pytest.mark.usefixtures("second_track")
+def test_a_staged_folder_has_the_name_of_its_track(tmp_path: Path) -> None:
+    mine = {**FILES, "submission.yaml": "track: mine\ntasks: [my-peg]\nname: x\n"}
+    assert stage(submission_folder(tmp_path / "1"), tmp_path / "out_1").name == "Track_1"
+    assert stage(submission_folder(tmp_path / "2", mine), tmp_path / "out_2").name == "Mine"

@@ -228,6 +228,20 @@ def test_archive_that_breaks_a_rule_is_refused_and_nothing_is_left(
     assert_nothing_left(service)
 
 
+def test_archive_in_the_folder_of_another_track_is_refused(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("vitac.evaluator.submission.archive.archive_folders", lambda: ("Track_1", "Track_2"))
+    archive = make_archive({"Track_2/submission.yaml": MANIFEST, "Track_2/policy.py": POLICY})
+    problem = problem_of(service.upload(archive), 422, "archive_rejected")
+    assert problem["reason"] == "wrong_top_folder"
+    assert "expected folder Track_1, got Track_2" in problem["detail"]
+    assert_nothing_left(service)
+
+
+def test_folder_in_place_of_the_manifest_is_refused(service: Service) -> None:
+    problem_of(service.upload(make_archive({"Track_1/submission.yaml/x": "x"})), 422, "manifest_rejected")
+    assert_nothing_left(service)
+
+
 @pytest.mark.parametrize(
     ("manifest", "says"),
     [
