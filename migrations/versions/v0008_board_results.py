@@ -7,7 +7,6 @@ from typing import Any
 
 import sqlalchemy as sa
 from alembic import op
-from vitac.evaluator.tracks import UnknownTrack, load_track
 
 revision = "0008"
 down_revision = "0007"
@@ -15,6 +14,8 @@ branch_labels = None
 depends_on = None
 
 ALL_TASKS = "*"
+TRACK_TASKS = {"track_1": frozenset({"peg-insertion", "lock-opening"})}
+"""The tracks with several tasks, as they are at this revision: track files may change later, history may not."""
 RANKING = (sa.text("success_rate DESC"), sa.text("mean_steps"), sa.text("submitted_at"), sa.text("evaluation_id"))
 ROWS_AT_ONCE = 1000
 
@@ -107,8 +108,5 @@ def combination(scores: list[dict[str, Any]], tasks: frozenset[str]) -> dict[str
 
 
 def tasks_of(evaluation: Any) -> frozenset[str]:
-    """Return the tasks of its track; those of the submission where there is no such track any more."""
-    try:
-        return frozenset(load_track(evaluation.track).tasks)
-    except UnknownTrack:
-        return frozenset(evaluation.tasks)
+    """Return the tasks of its track; those of the submission where this revision does not know the track."""
+    return TRACK_TASKS.get(evaluation.track, frozenset(evaluation.tasks))

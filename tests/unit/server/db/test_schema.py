@@ -103,6 +103,22 @@ def test_scores_outlive_the_loss_of_their_stored_combination_and_its_return(migr
     assert rows(migrated, "SELECT id, scores, result_hash FROM evaluations ORDER BY id") == before
 
 
+def test_board_results_are_filled_whatever_track_files_there_are(
+    migrated: Database, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with migrated.transaction() as session:
+        team = make_principal(session)
+        submit_scored(session, team, "one", {TASK: make_score(50)})
+        submit_scored(session, team, "both", {TASK: make_score(50), LOCK: make_score(100)})
+    query = "SELECT evaluation_id, board, success_rate, mean_steps FROM board_results ORDER BY 1, 2"
+    before = rows(migrated, query)
+    assert {row[2:] for row in before if row[1] == "*"} == {(0.25, None), (0.75, 4.0)}
+    downgrade(migrated, "0007")
+    monkeypatch.setenv("VITAC_TRACKS_DIR", str(tmp_path / "moved away"))
+    upgrade(migrated)
+    assert rows(migrated, query) == before
+
+
 def test_migration_gives_up_on_a_locked_table_instead_of_queueing_behind_it(empty: Database) -> None:
     upgrade(empty)
     downgrade(empty, "0001")
