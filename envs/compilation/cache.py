@@ -53,14 +53,14 @@ class KernelCache(FunctionCache):
         try:
             key = self._index_key(signature, target_context.codegen())
             return key in self._cache_file._load_index()
-        except _DAMAGED:
+        except _UNREADABLE:
             return False
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Load machine code; None if there is none."""
         try:
             found = super().load_overload(sig, target_context)
-        except _DAMAGED as error:
+        except _UNREADABLE as error:
             _LOG.warning("Compiled kernels in %s cannot be read (%s); compiling anew.", self.cache_path, error)
             return None
         if found is not None:
@@ -68,10 +68,13 @@ class KernelCache(FunctionCache):
         return found
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep machine code, and remove what is no longer used."""
-        super().save_overload(sig, data)
-        remove_unused(Path(self.cache_path).parent)
+        """Keep machine code, and remove what is no longer used; go on without where the disk does not take it."""
+        try:
+            super().save_overload(sig, data)
+            remove_unused(Path(self.cache_path).parent)
+        except OSError as error:
+            _LOG.warning("Compiled kernels cannot be kept in %s (%s); going on without.", self.cache_path, error)
 
 
-# What reading a file raises that was cut off or is no pickle.
-_DAMAGED = (EOFError, pickle.UnpicklingError, ValueError, AttributeError, ImportError, IndexError)
+# What reading a file raises that was cut off, is no pickle, or belongs to another user.
+_UNREADABLE = (OSError, EOFError, pickle.UnpicklingError, ValueError, AttributeError, ImportError, IndexError)

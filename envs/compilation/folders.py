@@ -4,6 +4,7 @@ import os
 import shutil
 import tempfile
 import time
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
@@ -26,9 +27,10 @@ def cache_directory() -> Path:
 
 
 def note_use(folder: Path) -> None:
-    """Set the time of use of a module's folder, where it is long ago."""
-    if time.time() - folder.stat().st_mtime > _USE_NOTED_S:
-        os.utime(folder)
+    """Set the time of use of a module's folder, where it is long ago and the folder is ours."""
+    with suppress(OSError):  # another process has removed it, or another user owns it
+        if time.time() - folder.stat().st_mtime > _USE_NOTED_S:
+            os.utime(folder)
 
 
 def remove_unused(directory: Path) -> None:

@@ -134,3 +134,20 @@ def test_a_folder_that_cannot_be_written_is_not_needed(tmp_path: Path) -> None:
     sources = clone(tmp_path / "clone")
     assert small_compiled_by(sources, str(tmp_path / "file" / "cache"), TMPDIR=str(tmp_path)) == ALL_SMALL
     assert list(tmp_path.glob("vitac-*/kernels/*/*.nbc"))
+
+
+def test_a_full_disk_does_not_fail_the_physics(tmp_path: Path) -> None:
+    """Machine code larger than any file may be; the numbers are there, and the reason is logged."""
+    cache = str(tmp_path / "cache")
+    sources = clone(tmp_path / "clone")
+    full = "import resource\nresource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))\n"
+    done = subprocess.run(
+        [sys.executable, "-c", full + SMALL_KERNELS + "print(vec3.cross((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)))"],
+        env=os.environ | {"PYTHONPATH": str(sources), "PYTHONDONTWRITEBYTECODE": "1", "VITAC_CACHE_DIR": cache},
+        check=False,
+        capture_output=True,
+        text=True,
+    )
+    assert (done.returncode, done.stdout) == (0, "(0.0, 0.0, 1.0)\n"), done.stderr
+    assert "cannot be kept" in done.stderr
+    assert small_compiled_by(sources, cache) == ALL_SMALL

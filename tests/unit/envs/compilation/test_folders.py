@@ -4,6 +4,7 @@ import os
 import time
 from pathlib import Path
 
+import pytest
 from vitac.envs.compilation.folders import note_use, remove_unused
 
 DAY_S = 86400.0
@@ -33,3 +34,16 @@ def test_a_folder_that_is_used_stays(tmp_path: Path) -> None:
     note_use(used)
     remove_unused(tmp_path / "kernels")
     assert used.exists()
+
+
+def test_a_folder_that_another_process_removed_is_no_error(tmp_path: Path) -> None:
+    note_use(tmp_path / "removed")
+
+
+def test_a_folder_of_another_user_is_no_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise PermissionError(1, "Operation not permitted")
+
+    used = folder(tmp_path / "a-0", 31)
+    monkeypatch.setattr(os, "utime", refuse)
+    note_use(used)
