@@ -55,7 +55,10 @@ def _packages_with_tasks() -> list[str]:
 
 
 def _add_sources(digest: "hashlib._Hash", package: str) -> None:
-    root = _package_folder(package)
+    root = _package_path(package)
+    if root.is_file():
+        _add_file(digest, package, root)
+        return
     files = sorted(
         (path.relative_to(root).as_posix(), path) for path in root.rglob("*") if path.suffix in _HASHED_SUFFIXES
     )
@@ -75,8 +78,12 @@ def _add_file(digest: "hashlib._Hash", name: str, path: Path) -> None:
     digest.update(content)
 
 
-def _package_folder(package: str) -> Path:
+def _package_path(package: str) -> Path:
+    """Return the folder of a package, or the file of a single module."""
     spec = find_spec(package)
-    if spec is None or not spec.submodule_search_locations:
-        raise ModuleNotFoundError(f"The package {package} is not installed; install vitac-arena again.")
-    return Path(next(iter(spec.submodule_search_locations)))
+    if spec and spec.submodule_search_locations:
+        return Path(next(iter(spec.submodule_search_locations)))
+    if spec and spec.has_location and spec.origin:
+        return Path(spec.origin)
+    remedy = "install vitac-arena again" if package in _HASHED_PACKAGES else "install or remove what adds its task"
+    raise ModuleNotFoundError(f"The package {package} is not installed; {remedy}.")

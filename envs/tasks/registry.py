@@ -1,6 +1,6 @@
 """All tasks by the id of their environment: those in the folders beside this module, and those of other packages.
 
-A package of somebody else's adds a task by an entry point of the group `vitac.tasks` that names a `TaskDefinition`.
+Another package adds a task by an entry point of the group `vitac.tasks` that names a `TaskDefinition`.
 """
 
 from collections.abc import Iterator, Mapping
@@ -51,8 +51,9 @@ def _own_tasks() -> Iterator[TaskDefinition]:
 def _loaded(point: EntryPoint) -> TaskDefinition:
     try:
         task = point.load()
-    except (ImportError, AttributeError) as error:
-        raise TaskRejected(f"{_origin(point)} adds the task {point.value}, which cannot be loaded: {error}.") from error
+    except (Exception, SystemExit) as error:
+        told = f"{type(error).__name__}: {error}"
+        raise TaskRejected(f"{_origin(point)} adds the task {point.value}, which cannot be loaded ({told}).") from error
     if not isinstance(task, TaskDefinition):
         found = type(task).__name__
         raise TaskRejected(f"{_origin(point)} adds {point.value}, expected a TaskDefinition, got {found}.")

@@ -34,9 +34,9 @@ def test_hash_needs_no_simulation_libraries() -> None:
 def copied_sources(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A copy of the hashed packages that a test may change."""
     for package in ("envs", "evaluator"):
-        source = version._package_folder(f"vitac.{package}")
+        source = version._package_path(f"vitac.{package}")
         shutil.copytree(source, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
-    monkeypatch.setattr(version, "_package_folder", lambda package: tmp_path / package.removeprefix("vitac."))
+    monkeypatch.setattr(version, "_package_path", lambda package: tmp_path / package.removeprefix("vitac."))
     return tmp_path
 
 
@@ -89,6 +89,17 @@ def test_hash_covers_packages_that_add_tasks(tmp_path: Path, monkeypatch: pytest
     hashes = [added(""), added("x = 1"), added("")]
     assert hashes[0] == hashes[2]
     assert len({*hashes, version.evaluator_hash()}) == 3
+
+
+def test_hash_covers_a_single_module_that_adds_a_task(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def added(source: str) -> str:
+        (tmp_path / "single_toy.py").write_text(source)
+        return fresh_hash()
+
+    point = EntryPoint(name="lift", value="single_toy:TASK", group="vitac.tasks")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setattr(version, "entry_points", lambda *, group: [point] if group == point.group else [])
+    assert len({added(""), added("x = 1"), version.evaluator_hash()}) == 3
 
 
 def test_hash_covers_the_files_of_the_folder_of_further_tracks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

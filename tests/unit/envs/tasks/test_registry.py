@@ -1,5 +1,6 @@
 from collections.abc import Iterator
 from importlib.metadata import EntryPoint
+from pathlib import Path
 
 import pytest
 from vitac.envs.tasks import registry
@@ -37,7 +38,26 @@ def test_an_id_that_is_there_already_is_refused(monkeypatch: pytest.MonkeyPatch)
 
 def test_what_cannot_be_loaded_is_refused_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
     added(monkeypatch, "no.such.module:TASK")
-    with pytest.raises(TaskRejected, match=r"adds the task no\.such\.module:TASK, which cannot be loaded: No module"):
+    with pytest.raises(
+        TaskRejected, match=r"adds the task no\.such\.module:TASK, which cannot be loaded \(ModuleNotFoundError"
+    ):
+        task_definitions()
+
+
+@pytest.mark.parametrize(
+    ("source", "told"),
+    [
+        ("raise ValueError('no gel')", "ValueError: no gel"),
+        ("raise SystemExit('no licence')", "SystemExit: no licence"),
+    ],
+)
+def test_a_package_that_fails_at_import_is_refused_by_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, source: str, told: str
+) -> None:
+    (tmp_path / "broken_toy.py").write_text(source)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    added(monkeypatch, "broken_toy:TASK")
+    with pytest.raises(TaskRejected, match=rf"adds the task broken_toy:TASK, which cannot be loaded \({told}\)"):
         task_definitions()
 
 
