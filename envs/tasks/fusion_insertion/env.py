@@ -9,13 +9,14 @@ from numpy.typing import NDArray
 from ...fem.model.mesh import SurfaceMesh
 from ...vision.rig import RigShift
 from ..ending import Flags
+from ..insertion_reward import insertion_reward
 from ..task_env import Info, Observation, TactileTaskEnv
 from .definition import TASK
 from .info import FusionInfo, SeenObjects
 from .meshes import base_mesh, peg_mesh
 from .scene import FusionScene
 from .settings import FusionInsertionSettings
-from .task import judge_flags, reward
+from .task import judge_flags
 from .variation import START, Target, choose_start
 
 
@@ -96,14 +97,7 @@ class FusionInsertionEnv(TactileTaskEnv[FusionScene, FusionInsertionSettings]):
         )
 
     def _reward(self, flags: Flags, progress: float) -> float:
-        return reward(
-            flags,
-            progress=progress,
-            env_steps=self.task_scene.env_steps,
-            max_steps=self.settings.max_steps,
-            step_penalty=self.settings.step_penalty,
-            final_reward=self.settings.final_reward,
-        )
+        return insertion_reward(flags, self.settings, progress=progress, env_steps=self.task_scene.env_steps)
 
     def _info(self, flags: Flags) -> Info:
         scene = self.task_scene

@@ -1,4 +1,4 @@
-"""Goal of the fusion task: flags, success and reward of an env step, as in the 2025 code (challenge-facts 6.3)."""
+"""Goal of the fusion task: flags and success of an env step, as in the 2025 code (challenge-facts 6.3)."""
 
 from dataclasses import dataclass
 
@@ -44,27 +44,6 @@ def judge_flags(state: FusionState, *, max_steps: int, insertion_depth_mm: float
         error_too_large=error,
         is_success=inside and _is_at_target(state.offset) and not (tactile or steps or error),
     )
-
-
-def reward(
-    flags: Flags,
-    *,
-    progress: float,
-    env_steps: int,
-    max_steps: int,
-    step_penalty: float,
-    final_reward: float,
-) -> float:
-    """Return the reward of an env step: progress, less the penalty, plus what the end brings [D10, D13].
-
-    The tactile or error flag costs 2 P for every step that is left, less one P; running out of steps costs nothing.
-    """
-    final = 0.0
-    if flags.tactile_movement_too_large or flags.error_too_large:
-        final = -2.0 * step_penalty * (max_steps - env_steps) + step_penalty
-    elif flags.is_success:
-        final = final_reward
-    return progress - step_penalty + final
 
 
 def _left_range(offset: FusionOffset) -> bool:

@@ -7,13 +7,14 @@ import numpy as np
 from ...fem.model.mesh import SurfaceMesh
 from ...geometry.pegs import PegShape
 from ..ending import Flags
+from ..insertion_reward import insertion_reward
 from ..task_env import Info, TactileTaskEnv
 from .definition import TASK
 from .info import PegInfo
 from .meshes import hole_mesh, peg_mesh
 from .scene import PegScene
 from .settings import PegInsertionSettings
-from .task import judge_flags, reward
+from .task import judge_flags
 from .variation import OFFSET, SHAPE, choose_start
 
 
@@ -58,14 +59,7 @@ class PegInsertionEnv(TactileTaskEnv[PegScene, PegInsertionSettings]):
         return judge_flags(self.task_scene.state(), max_steps=settings.max_steps, z_step_mm=settings.z_step_mm)
 
     def _reward(self, flags: Flags, progress: float) -> float:
-        return reward(
-            flags,
-            progress=progress,
-            env_steps=self.task_scene.env_steps,
-            max_steps=self.settings.max_steps,
-            step_penalty=self.settings.step_penalty,
-            final_reward=self.settings.final_reward,
-        )
+        return insertion_reward(flags, self.settings, progress=progress, env_steps=self.task_scene.env_steps)
 
     def _info(self, flags: Flags) -> Info:
         scene = self.task_scene

@@ -1,4 +1,4 @@
-"""Goal of the peg task: flags, success and reward of an env step, as the 2025 code has them (challenge-facts 6.1)."""
+"""Goal of the peg task: flags and success of an env step, as the 2025 code has them (challenge-facts 6.1)."""
 
 from dataclasses import dataclass
 
@@ -51,25 +51,3 @@ def judge_flags(state: PegState, *, max_steps: int, z_step_mm: float) -> Flags:
         error_too_large=error,
         is_success=deep_enough and inside and not (tactile or steps or error),
     )
-
-
-def reward(
-    flags: Flags,
-    *,
-    progress: float,
-    env_steps: int,
-    max_steps: int,
-    step_penalty: float,
-    final_reward: float,
-) -> float:
-    """Return the reward of an env step: progress, less the penalty, plus what the end brings.
-
-    The tactile or error flag costs 2 P for every step that is left, less one P, which the published formula does not
-    have [D10]; running out of steps costs nothing more.
-    """
-    final = 0.0
-    if flags.tactile_movement_too_large or flags.error_too_large:
-        final = -2.0 * step_penalty * (max_steps - env_steps) + step_penalty
-    elif flags.is_success:
-        final = final_reward
-    return progress - step_penalty + final

@@ -1,11 +1,11 @@
-"""Flags, success and reward of the fusion task (challenge-facts 6.3)."""
+"""Flags and success of the fusion task (challenge-facts 6.3)."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from vitac.envs.tasks.ending import Flags
-from vitac.envs.tasks.fusion_insertion.task import FusionState, judge_flags, reward
+from vitac.envs.tasks.fusion_insertion.task import FusionState, judge_flags
 from vitac.envs.tasks.fusion_insertion.variation import FusionOffset
 
 SEATED = FusionState(
@@ -55,15 +55,3 @@ def test_moved_surface_or_used_up_steps_prevent_success() -> None:
     assert tactile == Flags(tactile_movement_too_large=True)
     assert judged(replace(SEATED, env_steps=50)) == Flags(too_many_steps=True)
     assert judged(replace(SEATED, env_steps=49)).is_success
-
-
-def rewarded(flags: Flags, progress: float = 0.5) -> float:
-    return reward(flags, progress=progress, env_steps=20, max_steps=50, step_penalty=0.8, final_reward=50.0)
-
-
-def test_reward_is_progress_less_penalty_and_what_the_end_brings() -> None:
-    assert rewarded(Flags()) == pytest.approx(0.5 - 0.8)
-    assert rewarded(Flags(is_success=True)) == pytest.approx(0.5 - 0.8 + 50.0)
-    assert rewarded(Flags(too_many_steps=True)) == pytest.approx(0.5 - 0.8)
-    for failed in (Flags(error_too_large=True), Flags(tactile_movement_too_large=True)):
-        assert rewarded(failed) == pytest.approx(0.5 - 0.8 - 2 * 0.8 * 30 + 0.8)

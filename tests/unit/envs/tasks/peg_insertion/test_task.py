@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 from vitac.envs.tasks.ending import EndReason, Flags
-from vitac.envs.tasks.peg_insertion.task import PegState, judge_flags, reward
+from vitac.envs.tasks.peg_insertion.task import PegState, judge_flags
 from vitac.envs.tasks.peg_insertion.variation import PegOffset
 
 SEATED = (-0.5, -0.5, -0.5, -0.5)
@@ -71,31 +71,3 @@ def test_first_of_several_flags_names_the_end() -> None:
     assert flags(env_steps=8, offset=(13, 0, 0)).failure is EndReason.ERROR
     assert flags(env_steps=8).failure is EndReason.STEPS
     assert flags().failure is None
-
-
-def gained(raised: Flags, env_steps: int) -> float:
-    return reward(
-        raised,
-        progress=1.0,
-        env_steps=env_steps,
-        max_steps=8,
-        step_penalty=1.0,
-        final_reward=10.0,
-    )
-
-
-def test_reward_is_progress_less_the_penalty() -> None:
-    assert gained(flags(env_steps=2), 2) == 0.0
-
-
-def test_success_adds_the_final_reward() -> None:
-    assert gained(flags(env_steps=4), 4) == 10.0
-
-
-def test_tactile_and_error_cost_two_for_every_step_left_less_one() -> None:
-    assert gained(flags(surface_diff_m=(2e-3, 0)), 3) == -10.0 + 1.0
-    assert gained(flags(offset=(13, 0, 0)), 3) == -10.0 + 1.0
-
-
-def test_running_out_of_steps_costs_nothing_more() -> None:
-    assert gained(flags(env_steps=8), 8) == 0.0

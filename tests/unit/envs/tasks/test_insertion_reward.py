@@ -1,0 +1,43 @@
+"""Reward of the peg and the fusion task (challenge-facts 6.1, 6.3)."""
+
+from dataclasses import replace
+
+import pytest
+from vitac.envs.tasks.ending import Flags
+from vitac.envs.tasks.fusion_insertion.settings import FusionInsertionSettings
+from vitac.envs.tasks.insertion_reward import insertion_reward
+from vitac.envs.tasks.peg_insertion.settings import PegInsertionSettings
+
+PEG = replace(PegInsertionSettings(), max_steps=8, step_penalty=1.0, final_reward=10.0)
+FUSION = replace(FusionInsertionSettings(), max_steps=50, step_penalty=0.8, final_reward=50.0)
+FAILURES = [Flags(tactile_movement_too_large=True), Flags(error_too_large=True)]
+
+
+def rewarded(flags: Flags) -> tuple[float, float]:
+    """Reward of the peg task after 3 of 8 env steps, and of the fusion task after 20 of 50."""
+    return (
+        insertion_reward(flags, PEG, progress=1.0, env_steps=3),
+        insertion_reward(flags, FUSION, progress=0.5, env_steps=20),
+    )
+
+
+def test_reward_is_progress_less_the_penalty() -> None:
+    assert rewarded(Flags()) == (0.0, 0.5 - 0.8)
+
+
+def test_success_adds_the_final_reward() -> None:
+    assert rewarded(Flags(is_success=True)) == (10.0, 0.5 - 0.8 + 50.0)
+
+
+@pytest.mark.parametrize("flags", FAILURES)
+def test_tactile_and_error_cost_two_for_every_step_left_less_one(flags: Flags) -> None:
+    assert rewarded(flags) == pytest.approx((-10.0 + 1.0, 0.5 - 0.8 - 2 * 0.8 * 30 + 0.8))
+
+
+@pytest.mark.parametrize("flags", FAILURES)
+def test_a_flag_is_paid_for_even_where_the_goal_is_reached(flags: Flags) -> None:
+    assert rewarded(replace(flags, is_success=True)) == rewarded(flags)
+
+
+def test_running_out_of_steps_costs_nothing_more() -> None:
+    assert insertion_reward(Flags(too_many_steps=True), PEG, progress=1.0, env_steps=8) == 0.0
