@@ -2,22 +2,13 @@
 
 import os
 import subprocess
-from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
-from psycopg.conninfo import conninfo_to_dict
+from psycopg.conninfo import conninfo_to_dict, make_conninfo
 from vitac.envs.errors import VitacError
 
 from .binaries import find_binaries
-
-_VARIABLES: Mapping[str, str] = {
-    "host": "PGHOST",
-    "port": "PGPORT",
-    "user": "PGUSER",
-    "password": "PGPASSWORD",
-    "dbname": "PGDATABASE",
-    "sslmode": "PGSSLMODE",
-}
 
 
 class DatabaseToolFailed(VitacError):
@@ -46,8 +37,7 @@ def restore(address: str, dump_file: Path, *, bin_dir: Path | None = None) -> No
     Raises:
         DatabaseToolFailed: it did not work; the database has no tables then.
     """
-    database = conninfo_to_dict(address)["dbname"]
-    arguments = ["--no-owner", "--no-privileges", "--exit-on-error", "--single-transaction", f"--dbname={database}"]
+    arguments = ["--no-owner", "--no-privileges", "--exit-on-error", "--single-transaction"]
     _run("pg_restore", [*arguments, str(dump_file)], address, bin_dir)
 
 
@@ -55,10 +45,16 @@ def _run(program: str, arguments: list[str], address: str, bin_dir: Path | None)
     path = find_binaries(configured=bin_dir).bin_dir / program
     if not path.is_file():
         raise DatabaseToolFailed(f"{path} is missing; install PostgreSQL's client programs beside its server.")
+    parameters: dict[str, Any] = conninfo_to_dict(address)
     # The password stays out of the arguments, which everybody on the machine can list.
-    given = {_VARIABLES[key]: str(value) for key, value in conninfo_to_dict(address).items() if key in _VARIABLES}
+    password = parameters.pop("password", None)
+    environment = os.environ if password is None else os.environ | {"PGPASSWORD": str(password)}
     done = subprocess.run(  # noqa: S603 - our own choice of program
-        [path, *arguments], env=os.environ | given, capture_output=True, text=True, check=False
+        [path, f"--dbname={make_conninfo(**parameters)}", *arguments],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     if done.returncode != 0:
         raise DatabaseToolFailed(f"{program} failed with exit code {done.returncode}: {done.stderr.strip()[-1000:]}")

@@ -1,0 +1,68 @@
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import psycopg
+import pytest
+from databases import fresh_database
+from psycopg.conninfo import conninfo_to_dict, make_conninfo
+from vitac.server.postgres import tools
+from vitac.server.postgres.tools import DatabaseToolFailed, dump, restore
+
+
+@pytest.fixture
+def target() -> Iterator[str]:
+    with fresh_database(template="template0") as address:
+        yield address
+
+
+@pytest.fixture
+def dump_file(tmp_path: Path) -> Path:
+    file = tmp_path / "database.dump"
+    with fresh_database(template="template0") as address, psycopg.connect(address) as connection:
+        connection.execute("CREATE TABLE kept AS SELECT 7 AS value")
+        connection.commit()
+        row = connection.execute("SELECT pg_export_snapshot()").fetchone()
+        assert row is not None
+        dump(address, file, snapshot=row[0])
+    return file
+
+
+def kept(address: str) -> list[tuple[Any, ...]]:
+    with psycopg.connect(address) as connection:
+        return connection.execute("SELECT value FROM kept").fetchall()
+
+
+def test_address_without_a_database_name_means_the_default_one(
+    dump_file: Path, target: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    parameters: dict[str, Any] = conninfo_to_dict(target)
+    monkeypatch.setenv("PGDATABASE", str(parameters.pop("dbname")))
+    restore(make_conninfo(**parameters), dump_file)
+    assert kept(target) == [(7,)]
+
+
+def test_parameters_of_the_address_reach_the_program(dump_file: Path, target: str) -> None:
+    with pytest.raises(DatabaseToolFailed, match="read-only transaction"):
+        restore(make_conninfo(target, options="-c default_transaction_read_only=on"), dump_file)
+
+
+def test_password_is_in_the_environment_and_not_among_the_arguments(
+    dump_file: Path, target: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls = []
+    run = subprocess.run
+
+    def note_and_run(arguments: list[Any], **options: Any) -> Any:
+        if Path(arguments[0]).name == "pg_restore":
+            calls.append((" ".join(map(str, arguments)), options["env"]["PGPASSWORD"]))
+        return run(arguments, **options)
+
+    monkeypatch.setattr(tools.subprocess, "run", note_and_run)  # type: ignore[attr-defined]
+    restore(target, dump_file)
+    (arguments, password), *others = calls
+    assert not others
+    assert password == conninfo_to_dict(target)["password"]
+    assert password not in arguments
+    assert kept(target) == [(7,)]
