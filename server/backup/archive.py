@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from datetime import datetime
 from io import BytesIO
 from pathlib import Path
-from typing import IO, Final, Self
+from typing import IO, Final, Literal, Self
 
 from pydantic import ValidationError
 from vitac.envs.errors import VitacError
@@ -27,7 +27,7 @@ class BackupRejected(VitacError):
 class BackupDescription(StrictModel):
     """What a backup holds, written as its first member."""
 
-    format: int = 1
+    format: Literal[1] = 1
     made_at: datetime
     release: str
     """Version of the package that wrote it."""

@@ -1,5 +1,6 @@
 """Makes a backup of a service while it serves; called by `vitac admin backup`."""
 
+import errno
 import hashlib
 import tarfile
 import tempfile
@@ -45,10 +46,24 @@ def back_up(
         with tempfile.TemporaryDirectory(prefix=f"{destination.name}.", dir=destination.absolute().parent) as folder:
             unfinished = Path(folder) / "unfinished"
             description = _write(services, unfinished, Path(folder), on_file)
-            unfinished.rename(destination)
+            _put_in_place(unfinished, destination)
     except OSError as error:
         raise BackupNotMade(f"{destination} cannot be written: {error.strerror}.") from error
     return description
+
+
+def _put_in_place(unfinished: Path, destination: Path) -> None:
+    """Give the finished file its name, keeping a file that got the name meanwhile wherever hard links work."""
+    try:
+        destination.hardlink_to(unfinished)
+    except FileExistsError as error:
+        raise BackupNotMade(f"{destination} exists; name a file that does not.") from error
+    except OSError as error:
+        if error.errno not in {errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS}:
+            raise
+        unfinished.rename(destination)
+    else:
+        unfinished.unlink()
 
 
 def _write(

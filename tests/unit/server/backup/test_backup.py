@@ -1,3 +1,4 @@
+import errno
 import io
 import re
 import stat
@@ -14,7 +15,7 @@ from service_client import API, Service, bearer, make_archive, running_service, 
 from service_factories import make_principal, make_settings, play_all
 from sqlalchemy import func, select
 from vitac.server.api.app import create_app
-from vitac.server.backup.archive import BackupRejected
+from vitac.server.backup.archive import BackupReader, BackupRejected
 from vitac.server.backup.backup import BackupNotMade, back_up
 from vitac.server.backup.restore import ServiceNotEmpty, restore
 from vitac.server.db.advisory_locks import AdvisoryLock, try_lock
@@ -129,6 +130,30 @@ def test_existing_file_is_kept(service: Service, file: Path) -> None:
     assert file.read_text() == "precious"
 
 
+def test_file_that_appears_while_the_backup_is_written_is_kept(service: Service, file: Path) -> None:
+    upload_and_play(service)
+
+    def write_another(done: int, total: int) -> None:
+        file.write_text("precious")
+
+    with pytest.raises(BackupNotMade, match="exists"):
+        back_up(service.services, file, on_file=write_another)
+    assert file.read_text() == "precious"
+    assert list(file.parent.glob("backup*")) == [file]
+
+
+def test_backup_is_made_where_the_file_system_has_no_hard_links(
+    service: Service, file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise PermissionError(errno.EPERM, "Operation not permitted")
+
+    monkeypatch.setattr("os.link", refuse)
+    back_up(service.services, file)
+    with BackupReader.opened(file) as reader:
+        reader.check()
+
+
 def test_folder_that_is_missing_is_named(service: Service, tmp_path: Path) -> None:
     with pytest.raises(BackupNotMade, match="No such file"):
         back_up(service.services, tmp_path / "none" / "backup.tar")
@@ -224,6 +249,10 @@ def make_newer(members: Members) -> None:
     members["backup.json"] = text.replace(f'"schema_revision": "{revision}"', '"schema_revision": "9999"').encode()
 
 
+def make_another_format(members: Members) -> None:
+    members["backup.json"] = members["backup.json"].replace(b'"format": 1', b'"format": 2')
+
+
 def add_unknown_key(members: Members) -> None:
     members["backup.json"] = b'{"surprise": 1}'
 
@@ -234,6 +263,7 @@ def add_unknown_key(members: Members) -> None:
         (drop_dump, "no file database.dump"),
         (alter_blob, "was altered"),
         (make_newer, "does not know"),
+        (make_another_format, "backup.json"),
         (add_unknown_key, "backup.json"),
     ],
 )
