@@ -19,9 +19,12 @@ from ..settings import Settings
 
 logger = structlog.get_logger(__name__)
 
+BEGUN_AGAIN_AT_ONCE = 200
+"""Each one reads all active evaluations for its turn and stays locked to the end: the next sweep takes the rest."""
+
 
 def supersede_outdated(session: Session, settings: Settings) -> int:
-    """Begin evaluations of versions without a worker again with this process's version; how many.
+    """Begin the oldest evaluations of versions without a worker again with this process's version; how many.
 
     Only while a worker of this version lives: otherwise nothing would be gained, and two versions of the service side
     by side would take each other's work away.
@@ -46,6 +49,7 @@ def _outdated(session: Session, settings: Settings, current: str) -> Sequence[UU
             Evaluation.evaluator_version.not_in(served),
         )
         .order_by(Evaluation.created_at, Evaluation.id)
+        .limit(BEGUN_AGAIN_AT_ONCE)
     ).all()
 
 

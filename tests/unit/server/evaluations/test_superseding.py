@@ -7,6 +7,7 @@ from vitac.server.db.advisory_locks import AdvisoryLock
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Evaluation, Submission, Worker
 from vitac.server.db.states import EvaluationState, WorkerState
+from vitac.server.evaluations import superseding
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.evaluations.superseding import supersede_outdated
 from vitac.server.queue import workers
@@ -96,6 +97,27 @@ def test_finished_evaluations_and_those_of_this_version_are_left_alone(
         session.execute(text("UPDATE evaluations SET evaluator_version = 'yesterday'"))
         submit(session, principal, "waiting")
     add_worker(database, evaluator_version())
+    assert supersede(database) == 0
+
+
+def test_many_evaluations_are_begun_again_in_several_sweeps_the_oldest_first(
+    database: Database, principal: Principal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(superseding, "BEGUN_AGAIN_AT_ONCE", 2)
+    submissions = []
+    for name in ("first", "second", "third"):
+        with database.transaction() as session:
+            submissions.append(submit(session, principal, name))
+    with database.transaction() as session:
+        session.execute(text("UPDATE evaluations SET evaluator_version = 'yesterday'"))
+    add_worker(database, evaluator_version())
+    assert supersede(database) == 2
+    assert [newest(database, submission).evaluator_version == evaluator_version() for submission in submissions] == [
+        True,
+        True,
+        False,
+    ]
+    assert supersede(database) == 1
     assert supersede(database) == 0
 
 
