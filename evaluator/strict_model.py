@@ -1,7 +1,7 @@
 """Validated records for file borders: unknown keys are refused and the nearest valid one is named.
 
 Used for track files, episode records and logs; YAML enters the evaluator by `parse_yaml` where we wrote the file and
-by `parse_untrusted_yaml` where a stranger did.
+by `parse_untrusted_yaml` where somebody untrusted did.
 """
 
 from collections.abc import Iterator
@@ -52,7 +52,7 @@ def parse_yaml(model: type[ModelT], text: str, origin: str) -> ModelT:
 
 
 def parse_untrusted_yaml(model: type[ModelT], text: str, origin: str) -> ModelT:
-    """Read one YAML document that a stranger wrote into a model; bound the length of the text before.
+    """Read one untrusted YAML document into a model; bound the length of the text before.
 
     Raises:
         DocumentRejected: as `parse_yaml`, and where it has tags, anchors, aliases, or too many or too deep values.

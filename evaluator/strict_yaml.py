@@ -1,4 +1,4 @@
-"""YAML as plain data, for our own documents and for a stranger's. Called by `strict_model`."""
+"""YAML as plain data, for our own documents and for untrusted ones. Called by `strict_model`."""
 
 from typing import Any, Final
 
@@ -36,7 +36,7 @@ class UniqueKeyLoader(yaml.SafeLoader):
 
 
 class UntrustedLoader(UniqueKeyLoader):
-    """Loader for what a stranger wrote: no tags, anchors or aliases, and a small number of values.
+    """Loader for untrusted documents: no tags, anchors or aliases, and a small number of values.
 
     Tags choose constructors and aliases multiply what is built, so that a few hundred bytes could cost seconds.
     """

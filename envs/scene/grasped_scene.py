@@ -142,10 +142,6 @@ class GraspedScene:
         """Present pose of the left (0) or right (1) sensor."""
         return self._gripper.sensor_pose(index)
 
-    def sensor_centres_m(self) -> FloatArray:
-        """Return the world positions of the centres of the left and the right gel [m], shape [2, 3]."""
-        return np.stack([self.sensor_pose(index).centre_m for index in range(len(self._sensors))])
-
     def take_reports(self) -> tuple[StepReport, ...]:
         """Return the report of the IPC steps since the last call."""
         reports, self._reports = tuple(self._reports), []

@@ -46,7 +46,7 @@ class Measure:
 
 @dataclass(frozen=True, kw_only=True)
 class TaskDefinition:
-    """A task, as other parts of the house need to know it; nothing here imports the simulation.
+    """A task, as code outside its own folder needs to know it; nothing here imports the simulation.
 
     Places are given as `package.module:NAME` and imported when they are needed.
 

@@ -32,11 +32,6 @@ class VerdictCode(StrEnum):
         """What happened and what to do about it."""
         return _SENTENCES[self]
 
-    @property
-    def is_infrastructure(self) -> bool:
-        """True where the fault is ours: the work is retried and never counts against the team."""
-        return self is VerdictCode.SANDBOX_FAILED
-
 
 _SENTENCES = {
     VerdictCode.ARCHIVE_REJECTED: "The archive breaks a rule of the upload; pack the folder again as the message says.",

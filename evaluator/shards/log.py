@@ -1,6 +1,6 @@
-"""Re-simulates the episodes of a shard from an uploaded log, where `shards.run_shard` plays them with a policy.
+"""Re-simulates the episodes of a shard from an uploaded log, where `policy.run_shard` plays them.
 
-Called by `shard_process`. No policy runs, so no sandbox is needed.
+Called by `execution`. No policy runs, so no sandbox is needed.
 """
 
 from collections.abc import Callable, Collection

@@ -1,4 +1,4 @@
-"""Plays the episodes of a shard with a submitted policy; called by `process`."""
+"""Plays the episodes of a shard with a submitted policy; called by `execution`."""
 
 from collections.abc import Callable, Collection, Iterable, Sequence
 from contextlib import AbstractContextManager, ExitStack
@@ -42,7 +42,6 @@ def run_shard(
     assets_dir: Path | None = None,
     skip: Collection[int] = (),
     earlier_failures: Sequence[PolicyFailure] = (),
-    cancelled: Callable[[], bool] = lambda: False,
     load_policy: LoadPolicy = load_in_sandbox,
     make_env: Callable[[Task, Path | None], Environment] = make_environment,
 ) -> ShardResult:
@@ -62,7 +61,6 @@ def run_shard(
         assets_dir: folder with the challenge's own meshes; our own generated ones by default.
         skip: episodes that have a record already.
         earlier_failures: policy failures among the skipped ones.
-        cancelled: looked at before each episode.
         load_policy: loads the policy of a submission; in the sandbox by default.
         make_env: gives the environment.
 
@@ -75,8 +73,6 @@ def run_shard(
     with ExitStack() as stack:
         policy = _LoadedPolicy(lambda: stack.enter_context(load_policy(submission_dir, limits or Limits(), slot)))
         for episode in _secret_order(episode for episode in shard.episodes if episode.number not in skip):
-            if end is ShardEnd.COMPLETE and cancelled():
-                end = ShardEnd.CANCELLED
             if end is not ShardEnd.COMPLETE:
                 break
             record = run_episode(env=env, task=task, episode=episode, open_session=policy)

@@ -17,8 +17,6 @@ class ShardEnd(StrEnum):
     """The policy cannot be loaded or failed too often; the rest was not played."""
     REFUTED = "refuted"
     """What was re-simulated is not true; the finding says why, and the rest was not re-simulated."""
-    CANCELLED = "cancelled"
-    """The caller asked to stop."""
 
 
 class ShardResult(StrictModel):

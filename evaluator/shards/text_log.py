@@ -1,4 +1,4 @@
-"""Re-simulates the episodes of a shard from a 2025 text log; called by `shard_process`.
+"""Re-simulates the episodes of a shard from a 2025 text log; called by `execution`.
 
 Nothing of it can be verified: the 2025 simulator does not reproduce itself. The result shows how our physics
 plays the same actions.

@@ -1,4 +1,4 @@
-"""Checks an uploaded evaluation log as far as that needs no simulation; called by `acceptance`."""
+"""Checks an uploaded evaluation log as far as that needs no simulation; called by `kinds`."""
 
 from collections.abc import Iterable, Iterator
 

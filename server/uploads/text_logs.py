@@ -1,4 +1,4 @@
-"""Checks an uploaded text log of the 2025 challenge; called by `acceptance`.
+"""Checks an uploaded text log of the 2025 challenge; called by `kinds`.
 
 Refused is what is not one whole log of a task that we have. Numbers that do not follow from each other are no reason to
 refuse: they are shown with the log.

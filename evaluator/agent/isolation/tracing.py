@@ -21,7 +21,6 @@ _ALL_SIGNALS: Final = (1 << 64) - 1
 _OPTIONS: Final = 0x01 | 0x02 | 0x04 | 0x08 | 0x00100000
 """Mark system call stops; follow fork, vfork and clone; kill the traced process when the tracer's thread ends."""
 _EVENT_FORKS: Final = (1, 2, 3)
-_EVENT_STOP: Final = 128
 _SYSCALL_STOP: Final = signal.SIGTRAP | 0x80
 _ESRCH: Final = 3
 _WAIT_ALL: Final = 0x40000000

@@ -36,8 +36,9 @@ def scene() -> GraspedScene:
 def test_gels_are_placed_at_the_sensor_poses_with_the_materials(fake_scenes: list[FakeScene]) -> None:
     made = scene()
     left, right = fake_scenes[0].gels
-    assert np.stack([left.translation_m, right.translation_m]) == pytest.approx(made.sensor_centres_m())
-    assert made.sensor_centres_m() == pytest.approx(np.array([[0, 0.0171, 0.0621], [0, -0.0171, 0.0621]]))
+    centres_m = np.stack([made.sensor_pose(index).centre_m for index in range(2)])
+    assert np.stack([left.translation_m, right.translation_m]) == pytest.approx(centres_m)
+    assert centres_m == pytest.approx(np.array([[0, 0.0171, 0.0621], [0, -0.0171, 0.0621]]))
     assert (left.youngs_modulus_pa, left.poisson_ratio, left.density_kg_m3, left.friction) == (3e5, 0.3, 1e3, 87.5)
     assert fake_scenes[0].time_step_s == 0.1
     assert fake_scenes[0].contact.d_hat_m == 1e-4

@@ -1,6 +1,6 @@
 import pytest
 from vitac.envs.errors import VitacError
-from vitac.evaluator.agent.verdicts import PolicyFailed, SandboxFailed, VerdictCode
+from vitac.evaluator.agent.verdicts import PolicyFailed, VerdictCode
 
 
 @pytest.mark.parametrize("code", VerdictCode)
@@ -11,10 +11,6 @@ def test_every_verdict_has_a_sentence(code: VerdictCode) -> None:
 
 def test_sentences_differ() -> None:
     assert len({code.sentence for code in VerdictCode}) == len(VerdictCode)
-
-
-def test_only_the_sandbox_is_our_fault() -> None:
-    assert [code for code in VerdictCode if code.is_infrastructure] == [SandboxFailed.verdict]
 
 
 def test_failure_carries_what_its_team_needs() -> None:

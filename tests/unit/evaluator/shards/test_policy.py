@@ -136,12 +136,6 @@ def test_shard_that_was_broken_stays_broken() -> None:
     assert (result.end, records, session.loads) == (ShardEnd.BROKEN, {}, 0)
 
 
-def test_cancelling_stops_before_the_next_episode() -> None:
-    asked = iter([False, False, True])
-    result, records = run(FakeSession(succeed).load, cancelled=lambda: next(asked))
-    assert (result.end, len(records)) == (ShardEnd.CANCELLED, 2)
-
-
 def test_fault_of_the_sandbox_is_not_the_teams() -> None:
     def broken(*_: object) -> Any:
         raise SandboxFailed("bwrap is missing")
