@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 
 from sqlalchemy import select
 from sqlalchemy.dialects.postgresql import distinct_on
-from sqlalchemy.orm import Session, joinedload
+from sqlalchemy.orm import Session, defer, joinedload
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.version import evaluator_version
 from vitac.server.db.models import BoardResult, Evaluation, Submission
@@ -60,7 +60,7 @@ def _newest_text_logs(session: Session, track: str) -> Sequence[Evaluation]:
     return session.scalars(
         select(Evaluation)
         .where(Evaluation.id.in_(newest_of_each))
-        .options(joinedload(Evaluation.submission).joinedload(Submission.team))
+        .options(defer(Evaluation.log_tail), joinedload(Evaluation.submission).joinedload(Submission.team))
         .order_by(Evaluation.created_at.desc(), Evaluation.id)
         .limit(MAX_TEXT_LOGS)
     ).all()

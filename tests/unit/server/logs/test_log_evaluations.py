@@ -23,7 +23,7 @@ from service_factories import (
     shard_ids,
     store,
 )
-from sqlalchemy import event, text
+from sqlalchemy import event, inspect, text
 from sqlalchemy.exc import IntegrityError
 from uploaded_logs import a_log, a_text_log, log_manifest, some_records, upload_log
 from vitac.evaluator.episodes.records import ActionSequence, EpisodeOutcome, EpisodeRecord
@@ -275,7 +275,9 @@ def test_only_the_newest_text_logs_are_loaded(service: Service, monkeypatch: pyt
         event.listen(session, "loaded_as_persistent", lambda _, found: loaded.append(found))
         shown = log_boards.log_boards(session, "track_1").text_logs
     assert [entry.claimed_success_rate for entry in shown] == [0.0479, 0.048]
-    assert sum(isinstance(found, Evaluation) for found in loaded) == 2
+    evaluations = [found for found in loaded if isinstance(found, Evaluation)]
+    assert len(evaluations) == 2
+    assert all("log_tail" in inspect(found).unloaded for found in evaluations)
 
 
 def test_text_log_that_was_evaluated_again_is_listed_once(service: Service) -> None:
