@@ -32,7 +32,7 @@ _SENTENCES = {
 }
 
 
-VERDICTS_ON_LOGS = frozenset({ServiceVerdict.DIVERGED, ServiceVerdict.IMPOSSIBLE})
+REFUTING_RESULTS = frozenset({ServiceVerdict.DIVERGED, ServiceVerdict.IMPOSSIBLE})
 
 
 def sentence_of(code: str) -> str:

@@ -16,7 +16,7 @@ from vitac.server.evaluations.scores import score_views
 from vitac.server.leaderboards.best_entries import BestEntry, Board, best_entries
 from vitac.server.leaderboards.standings import completed_evaluations
 from vitac.server.logs.claims import LogClaim
-from vitac.server.logs.view import verdict_of
+from vitac.server.logs.view import verification_of
 from vitac.server.tracks import load_known_track
 from vitac.server.views.leaderboards import LogBoardsView, LogBoardView, LogEntryView, TextLogEntryView
 
@@ -83,7 +83,7 @@ def _entry(entry: BestEntry, evaluation: Evaluation) -> LogEntryView:
         team=submission.team.name,
         submission_id=submission.id,
         submission_name=submission.name,
-        verdict=verdict_of(claim, evaluation),
+        verdict=verification_of(claim, evaluation),
         submitted_at=evaluation.created_at,
         episodes=score.episodes,
         successes=score.successes,

@@ -5,7 +5,7 @@ from vitac.evaluator.logs.findings import LogFinding, VerificationResult
 from vitac.server.db.models import Evaluation, Submission
 from vitac.server.db.states import EvaluationState
 from vitac.server.evaluations.lifecycle import first_refuted_shard
-from vitac.server.evaluations.verdicts import VERDICTS_ON_LOGS
+from vitac.server.evaluations.verdicts import REFUTING_RESULTS
 from vitac.server.logs.claims import LogClaim
 from vitac.server.views.logs import DivergenceView, LogView
 
@@ -15,7 +15,7 @@ def log_view(session: Session, submission: Submission, evaluation: Evaluation) -
     claim = LogClaim.model_validate(submission.manifest)
     finding = _finding(session, evaluation)
     holds = submission.kind.form.is_verified and evaluation.state is EvaluationState.COMPLETED
-    held = verdict_of(claim, evaluation) if holds else None
+    held = verification_of(claim, evaluation) if holds else None
     verdict = finding.verdict if finding else held
     divergence = finding.divergence if finding else None
     return LogView(
@@ -35,7 +35,7 @@ def log_view(session: Session, submission: Submission, evaluation: Evaluation) -
     )
 
 
-def verdict_of(claim: LogClaim, evaluation: Evaluation) -> VerificationResult:
+def verification_of(claim: LogClaim, evaluation: Evaluation) -> VerificationResult:
     """Return the verdict on one of our logs whose evaluation is completed, so that nothing was found against it.
 
     The result hash covers every state: where it is the log's own, no state differs. An evaluation with another one is
@@ -53,7 +53,7 @@ def _finding(session: Session, evaluation: Evaluation) -> LogFinding | None:
 
     A shard may have found something where the evaluation ended otherwise, as by machines that failed at an earlier one.
     """
-    if evaluation.verdict_code not in VERDICTS_ON_LOGS:
+    if evaluation.verdict_code not in REFUTING_RESULTS:
         return None
     refuted = first_refuted_shard(session, evaluation)
     return LogFinding.model_validate(refuted.finding) if refuted else None

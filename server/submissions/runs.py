@@ -15,7 +15,7 @@ from ..db.states import ACTIVE_EVALUATION_STATES, TERMINAL_EVALUATION_STATES, Ev
 from ..errors import ProblemCode, ServiceError
 from ..evaluations import lifecycle
 from ..evaluations.history import history, newest_evaluation
-from ..evaluations.verdicts import VERDICTS_ON_LOGS, ServiceVerdict
+from ..evaluations.verdicts import REFUTING_RESULTS, ServiceVerdict
 
 
 def cancel(session: Session, by: Principal, submission_id: UUID) -> None:
@@ -81,7 +81,7 @@ def next_run(session: Session, submission: Submission, *, again: bool) -> int | 
     if not same_version:
         return 1
     newest = same_version[0]
-    if not again and (newest.state is EvaluationState.COMPLETED or newest.verdict_code in VERDICTS_ON_LOGS):
+    if not again and (newest.state is EvaluationState.COMPLETED or newest.verdict_code in REFUTING_RESULTS):
         return None
     if not again and _can_be_taken_up(newest):
         return newest.run
