@@ -62,9 +62,9 @@ async def post_submission(
 ) -> SubmissionView:
     """Upload a submission and start its evaluation.
 
-    The body of a `model` is a zip with one folder `Track_1`. Where the track takes them, the body of a `log` is what
-    `vitac evaluate --log` writes, and that of a `text_log` a log of the 2025 challenge; either may be gzip. Logs are
-    re-simulated from their actions and rank apart: `log` in the answer has the verdict.
+    The body of a `model` is a zip with one folder, the track's own. Where the track takes them, the body of a `log`
+    is what `vitac evaluate --log` writes, and that of a `text_log` a log of the 2025 challenge; either may be gzip.
+    Logs are re-simulated from their actions and rank apart: `log` in the answer has the verdict.
 
     A body over the limit is refused by its `Content-Length` before any of it is read (send
     `Expect: 100-continue` to be told first). `X-Content-SHA256: <hex>` or `Content-Digest: sha-256=:<base64>:` is

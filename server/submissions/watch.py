@@ -17,7 +17,7 @@ WATCH_INTERVAL_S = 0.5
 async def watch(
     database: Database, settings: Settings, by: Principal, submission_id: UUID
 ) -> AsyncGenerator[SubmissionView, None]:
-    """Return the submission now and after each change, until its evaluation has ended.
+    """Yield the submission now and after each change, until its evaluation has ended.
 
     Raises:
         ServiceError: there is no such submission.

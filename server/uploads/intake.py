@@ -101,7 +101,7 @@ def _too_large(limit_bytes: int, what: str) -> ServiceError:
 
 
 async def _until_idle(body: AsyncIterator[bytes], limit_s: float) -> AsyncIterator[bytes]:
-    """Return the chunks of a body as long as they keep coming."""
+    """Yield the chunks of a body as long as they keep coming."""
     while True:
         try:
             chunk = await asyncio.wait_for(anext(body), limit_s)

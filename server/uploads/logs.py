@@ -106,7 +106,7 @@ def _track_and_task(manifest: Manifest) -> tuple[Track, Task]:
 
 
 def _keeping(kept: list[EpisodeRecord], records: Iterable[EpisodeRecord]) -> Iterator[EpisodeRecord]:
-    """Return the records as they come; keep them without infos and messages, which alone can be large."""
+    """Yield the records as they come; keep them without infos and messages, which alone can be large."""
     for record in records:
         failure = record.failure and record.failure.model_copy(update={"message": "", "output_tail": ""})
         kept.append(record.model_copy(update={"infos": (), "failure": failure}))
