@@ -104,7 +104,7 @@ def _on_http_error(request: Request, error: Exception) -> JSONResponse:
 
 def _on_database_error(request: Request, error: Exception) -> JSONResponse:
     if isinstance(error, DBAPIError) and is_connection_loss(error):
-        detail = "The database is starting or away; try again in a moment."
+        detail = "The database is starting or unavailable; try again in a moment."
         return problem(request, ServiceError(ProblemCode.DATABASE_UNAVAILABLE, detail))
     return _on_bug(request, error)
 

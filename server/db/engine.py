@@ -38,10 +38,10 @@ class Database:
             yield session
 
     def retrying(self, work: Callable[[Session], ResultT], *, give_up_after_s: float) -> ResultT:
-        """Run a transaction again while the database is away (restart, kill); for work that may be repeated.
+        """Run a transaction again while the database is unavailable (restart, kill); for work that may be repeated.
 
         Raises:
-            DBAPIError: the database stayed away for longer than `give_up_after_s`, or another error occurred.
+            DBAPIError: the database stayed unavailable for longer than `give_up_after_s`, or another error occurred.
         """
         deadline = time.monotonic() + give_up_after_s
         failures = 0
@@ -52,7 +52,7 @@ class Database:
             except DBAPIError as error:
                 if not is_connection_loss(error) or time.monotonic() > deadline:
                     raise
-                logger.warning("database_away", failures=failures + 1)
+                logger.warning("database_unavailable", failures=failures + 1)
                 time.sleep(RETRY_PAUSES_S[min(failures, len(RETRY_PAUSES_S) - 1)])
                 failures += 1
 
@@ -62,7 +62,7 @@ class Database:
 
 
 def is_connection_loss(error: DBAPIError) -> bool:
-    """Whether an error means that the server is away, starting or shutting down, not that a statement is wrong."""
+    """Return whether the server is unavailable, starting or shutting down, as opposed to a statement that is wrong."""
     state = getattr(error.orig, "sqlstate", None)
     # No state: the connection broke or could not be made. 57P01-3: shutdown, crash, starting. 08: connection errors.
     is_operational = type(error.orig).__name__ in {

@@ -16,7 +16,7 @@ from sqlalchemy.orm import Session
 
 RUN_SHARD = "run_shard"
 
-ONCE_MORE = 1
+RETRY_PRIORITY = 1
 """Priority of a shard that comes back: before all that wait for the first time, whose priority is minus their turn."""
 
 _enqueuer = procrastinate.App(connector=SyncPsycopgConnector())
@@ -52,7 +52,7 @@ _WAS_TAKEN_FOR_SHARD = text("""
     job.status = 'doing' AND job.task_name = :task AND (job.args ->> 'shard_id')::bigint = shards.id
     AND EXISTS (SELECT FROM procrastinate_events event
                 WHERE event.job_id = job.id AND event.type = 'started'
-                  AND event.at > statement_timestamp() - CAST(:lately AS interval))
+                  AND event.at > statement_timestamp() - CAST(:started_within AS interval))
 """)
 
 
@@ -76,7 +76,7 @@ def enqueue_shards(
         shard_ids: what to run, in this order.
         evaluator_version: of their evaluations.
         delay_s: how long they wait at least [s].
-        priority: high ones first; minus the turn of their evaluation, or `ONCE_MORE`.
+        priority: high ones first; minus the turn of their evaluation, or `RETRY_PRIORITY`.
     """
     arguments: list[Any] = [{"shard_id": shard_id} for shard_id in shard_ids]
     if arguments:
@@ -101,7 +101,7 @@ def withdraw_jobs(session: Session, shard_ids: Iterable[int]) -> None:
 
 
 def prune_finished_jobs(session: Session, older_than: timedelta) -> int:
-    """Remove finished jobs and jobs of workers that are gone; the number of removed ones."""
+    """Remove jobs that finished longer ago than `older_than`; return how many."""
     return len(session.execute(_PRUNE, {"age": older_than}).all())
 
 
@@ -116,8 +116,8 @@ def has_waiting_job() -> ColumnElement[bool]:
 
 
 def has_taken_job(*, started_within: timedelta) -> ColumnElement[bool]:
-    """Return whether a row of `shards` has a job that a worker took so lately that it may still claim the shard."""
-    return _has_job(_WAS_TAKEN_FOR_SHARD.bindparams(task=RUN_SHARD, lately=started_within))
+    """Return whether a row of `shards` has a job started so recently that its worker may still claim the shard."""
+    return _has_job(_WAS_TAKEN_FOR_SHARD.bindparams(task=RUN_SHARD, started_within=started_within))
 
 
 def _has_job(condition: TextClause) -> ColumnElement[bool]:

@@ -19,7 +19,7 @@ from vitac.server.db.models import Evaluation, Shard
 from vitac.server.db.row_locks import lock_evaluation
 from vitac.server.db.states import EvaluationState, ShardState
 
-from .jobs import ONCE_MORE, enqueue_shards
+from .jobs import RETRY_PRIORITY, enqueue_shards
 
 
 class LeaseLost(VitacError):
@@ -147,7 +147,7 @@ def hand_back(session: Session, lease: Lease, *, counts_as_attempt: bool, delay_
         worker_id=None,
         queued_at=func.clock_timestamp(),
     )
-    enqueue_shards(session, [lease.shard_id], lease.evaluator_version, delay_s=delay_s, priority=ONCE_MORE)
+    enqueue_shards(session, [lease.shard_id], lease.evaluator_version, delay_s=delay_s, priority=RETRY_PRIORITY)
 
 
 def _isolation_of(result: ShardResult) -> str | None:

@@ -17,7 +17,7 @@ from ..db.models import Evaluation, Shard
 from ..db.row_locks import lock_evaluation
 from ..db.states import ShardState
 from ..settings import Settings
-from .jobs import ONCE_MORE, enqueue_shards, forget_jobs_of_ended_shards, has_taken_job, has_waiting_job
+from .jobs import RETRY_PRIORITY, enqueue_shards, forget_jobs_of_ended_shards, has_taken_job, has_waiting_job
 
 logger = structlog.get_logger(__name__)
 
@@ -79,7 +79,7 @@ def _queue_again(session: Session, shard: Shard, evaluation: Evaluation) -> None
     shard.lease_expires_at = None
     shard.queued_at = now
     session.flush()
-    enqueue_shards(session, [shard.id], evaluation.evaluator_version, priority=ONCE_MORE)
+    enqueue_shards(session, [shard.id], evaluation.evaluator_version, priority=RETRY_PRIORITY)
 
 
 def _explain(shard: Shard) -> str:

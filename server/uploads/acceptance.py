@@ -41,7 +41,7 @@ def accept(
         owner: the team whose submission it becomes; a log must name no other.
 
     Raises:
-        ServiceError: a rule is broken, or the file store is away.
+        ServiceError: a rule is broken, or the file store is unavailable.
     """
     upload = SERVED_KINDS[kind].check(received, owner, services.settings)
     if track is not None and upload.track != track:
