@@ -72,10 +72,6 @@ class Client:
     token: str | None = None
     transport: httpx.BaseTransport | None = None
 
-    def register_team(self, name: str) -> Json:
-        """Register a team; the answer contains its token, which is shown only once."""
-        return self._json("POST", "/api/v1/teams", json={"name": name})
-
     def me(self) -> Json:
         """Return the owner of the token."""
         return self._json("GET", "/api/v1/me")
