@@ -139,7 +139,8 @@ return len(found) + sum("{CANARY}" in value for value in os.environ.values())"""
         name="fork bomb capped",
         code="while True:\n    reached(os.fork)",
         verdict=VerdictCode.TOO_MANY_PROCESSES,
-        limits=replace(_LIMITS, action_cpu_s=4.0, episode_cpu_s=10.0),
+        # Memory for all processes that the limit allows: on a busy machine they would else run out of it first.
+        limits=replace(_LIMITS, memory_bytes=1024 * MIB, action_cpu_s=4.0, episode_cpu_s=10.0),
     ),
     Probe(
         name="memory of one process capped",
