@@ -7,8 +7,8 @@ import numpy as np
 from ...observable import Observable
 from ...scene.observables import marker_flow
 from ...vision.observables import DEPTH_PICTURE, OBJECT_POINT_CLOUD, POINT_CLOUD, RGB_PICTURE
-from ..definition import ActionComponent, Measure, TaskDefinition
-from ..measures import SURFACE_DIFF
+from ..definition import ActionComponent, TaskDefinition
+from ..measures import PEG_HEIGHT, SURFACE_DIFF
 
 if TYPE_CHECKING:
     from .scene import FusionScene
@@ -71,15 +71,7 @@ TASK = TaskDefinition(
         OBJECT_POINT_CLOUD,
         marker_flow("With the peg unturned u+ is up for both sensors; v+ is -x for the left and +x for the right one."),
     ),
-    measures=(
-        SURFACE_DIFF,
-        Measure(
-            name="peg_relative_z_mm",
-            label="peg",
-            needs=("peg_relative_z_mm",),
-            read=lambda info: tuple(info["peg_relative_z_mm"]),
-        ),
-    ),
+    measures=(SURFACE_DIFF, PEG_HEIGHT),
     perspective="vitac.envs.tasks.fusion_insertion.perspective:PERSPECTIVE",
     guided_motion="vitac.envs.tasks.fusion_insertion.guided_motion:over_the_hole_then_down",
 )

@@ -4,8 +4,8 @@ from typing import TYPE_CHECKING
 
 from ...observable import Observable
 from ...scene.observables import marker_flow
-from ..definition import ActionComponent, Measure, TaskDefinition
-from ..measures import SURFACE_DIFF
+from ..definition import ActionComponent, TaskDefinition
+from ..measures import PEG_HEIGHT, SURFACE_DIFF
 
 if TYPE_CHECKING:
     from .scene import PegScene
@@ -60,15 +60,7 @@ TASK = TaskDefinition(
         RELATIVE_MOTION,
         marker_flow("With the peg unturned u+ is up for both sensors; v+ is -x for the left and +x for the right one."),
     ),
-    measures=(
-        SURFACE_DIFF,
-        Measure(
-            name="peg_relative_z_mm",
-            label="peg",
-            needs=("peg_relative_z_mm",),
-            read=lambda info: tuple(info["peg_relative_z_mm"]),
-        ),
-    ),
+    measures=(SURFACE_DIFF, PEG_HEIGHT),
     perspective="vitac.envs.tasks.peg_insertion.perspective:PERSPECTIVE",
     guided_motion="vitac.envs.tasks.peg_insertion.guided_motion:to_the_hole",
 )
