@@ -9,7 +9,8 @@ compile() { # output file, further arguments...
   output=$1
   shift
   "${UV:-uv}" pip compile --quiet --universal --generate-hashes --python-version 3.11 --no-emit-index-url \
-    --custom-compile-command setup/lock.sh --output-file "$output" "$@" pyproject.toml requirements/build.in
+    --custom-compile-command setup/lock.sh --constraint requirements/bounds.in --output-file "$output" "$@" \
+    pyproject.toml requirements/build.in
 }
 
 compile requirements/base.lock "$@"
