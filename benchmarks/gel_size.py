@@ -23,9 +23,10 @@ from vitac.envs.geometry.pegs import PegShape
 from vitac.envs.scene.grasped_scene import Clocks
 from vitac.envs.scene.stopwatch import Stopwatch
 from vitac.envs.tactile.gel import GelCells, GelDimensions, structured_gel
+from vitac.envs.tasks.insertion.offset import PegOffset
 from vitac.envs.tasks.peg_insertion.scene import PegScene
 from vitac.envs.tasks.peg_insertion.settings import PegInsertionSettings
-from vitac.envs.tasks.peg_insertion.variation import PegOffset, PegStart
+from vitac.envs.tasks.peg_insertion.variation import PegStart
 
 PLAIN, THICK, DOMED = GelDimensions(), GelDimensions(thickness_mm=8.0), GelDimensions(dome_mm=0.5)
 GELS: dict[str, tuple[GelCells, GelDimensions]] = {

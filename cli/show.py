@@ -1,7 +1,7 @@
 """`vitac show`: draws an episode."""
 
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.metadata import requires
@@ -17,9 +17,10 @@ from vitac.envs.errors import VitacError
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
-    from vitac.envs.drawing.files import Kind
+    from vitac.envs.drawing.colouring import Quantity
+    from vitac.envs.drawing.files import Destination, Kind
     from vitac.envs.drawing.picture import Caption
-    from vitac.envs.drawing.playback import NextAction, Playback
+    from vitac.envs.drawing.playback import NextAction, Pace, Playback
     from vitac.envs.tasks.task_env import Info, Observation, TactileTaskEnv
     from vitac.evaluator.logs.recordings import Recording
     from vitac.evaluator.tracks import Episode, Task
@@ -105,33 +106,23 @@ def command(
     require_extra()
     from vitac.envs.drawing.colouring import Quantity
     from vitac.envs.drawing.files import Destination
-    from vitac.envs.drawing.picture import Caption, draw
-    from vitac.envs.drawing.playback import Pace, record
+    from vitac.envs.drawing.picture import Caption
 
     if policy and actions:
         raise typer.BadParameter("expected one of them, got both.", param_hint="--policy and --actions")
-    start = find_start(task, episode)
     destination = Destination.at(out or Path(f"{task.rpartition('/')[2]}-{episode}.png"))
     if step is not None and destination.kind is not destination.kind.PNG:
         raise typer.BadParameter("expected a single PNG as output for one env step.", param_hint="--step")
-    pace = Pace(every) if every else Pace.IPC_STEP if destination.kind.is_animated else Pace.ENV_STEP
-    env = _environment(start.env_id, assets)
-    with _player(start, policy, actions) as played:
-        playback = record(env, options=played.start.options, next_action=played.next_action, pace=pace)
-    title = played.start.title if played.start.listed else f"{played.start.title}: {playback.held.name}"
+    with _player(find_start(task, episode), policy, actions) as played:
+        playback = _record(played, assets, _pace(every, destination))
+    start = played.start
+    title = start.title if start.listed else f"{start.title}: {playback.held.name}"
     caption = Caption(title=title, actions=played.actions)
+    width_px = width or (_ANIMATION_WIDTH_PX if destination.kind.is_animated else _PICTURE_WIDTH_PX)
     moments = _chosen(playback, destination.kind, step)
-    pictures = draw(
-        playback,
-        caption,
-        quantity=Quantity(colour),
-        width_px=width or (_ANIMATION_WIDTH_PX if destination.kind.is_animated else _PICTURE_WIDTH_PX),
-        moments=moments,
-    )
+    pictures = _draw(playback, caption, Quantity(colour), width_px=width_px, moments=moments)
     names, durations_ms = zip(*_names_and_durations(playback), strict=True)
-    written = destination.write(
-        list(_with_progress(pictures, len(names[moments]))), names=names[moments], durations_ms=durations_ms[moments]
-    )
+    written = destination.write(pictures, names=names[moments], durations_ms=durations_ms[moments])
     _report(caption, playback, written, as_json=as_json)
 
 
@@ -173,12 +164,24 @@ def _listed(task: "Task", episode: "Episode") -> Start:
     return Start(env_id=task.env_id, title=title, options=episode.options, listed=(task, episode))
 
 
-def _environment(env_id: str, assets: Path | None) -> "TactileTaskEnv[Any, Any]":
+def _pace(every: str | None, destination: "Destination") -> "Pace":
+    from vitac.envs.drawing.playback import Pace
+
+    if every:
+        return Pace(every)
+    return Pace.IPC_STEP if destination.kind.is_animated else Pace.ENV_STEP
+
+
+def _record(played: Played, assets: Path | None, pace: "Pace") -> "Playback":
+    """Play the episode and keep what is drawn of it."""
     import gymnasium
     from vitac.envs.assets import assets_dir_from_environment
+    from vitac.envs.drawing.playback import record
 
-    env = gymnasium.make(env_id, disable_env_checker=True, assets_dir=assets or assets_dir_from_environment())
-    return cast("TactileTaskEnv[Any, Any]", env.unwrapped)
+    start = played.start
+    made = gymnasium.make(start.env_id, disable_env_checker=True, assets_dir=assets or assets_dir_from_environment())
+    env = cast("TactileTaskEnv[Any, Any]", made.unwrapped)
+    return record(env, options=start.options, next_action=played.next_action, pace=pace)
 
 
 @contextmanager
@@ -270,11 +273,17 @@ def _names_and_durations(playback: "Playback") -> Iterator[tuple[str, int]]:
             yield f"step-{moment.env_step:02}-ipc-{index - first + 1:02}", _BETWEEN_MS
 
 
-def _with_progress(pictures: "Iterable[NDArray[np.uint8]]", total: int) -> "Iterator[NDArray[np.uint8]]":
+def _draw(
+    playback: "Playback", caption: "Caption", quantity: "Quantity", *, width_px: int, moments: slice
+) -> "list[NDArray[np.uint8]]":
+    """Return the pictures of these moments, with a progress bar while they are drawn."""
     from rich.console import Console
     from rich.progress import track
+    from vitac.envs.drawing.picture import draw
 
-    yield from track(pictures, description="drawing", total=total, console=Console(stderr=True), transient=True)
+    pictures = draw(playback, caption, quantity=quantity, width_px=width_px, moments=moments)
+    total = len(playback.moments[moments])
+    return list(track(pictures, description="drawing", total=total, console=Console(stderr=True), transient=True))
 
 
 def _report(caption: "Caption", playback: "Playback", written: list[Path], *, as_json: bool) -> None:

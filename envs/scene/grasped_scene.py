@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..fem.model.bodies import GelBody, RigidBody
-from ..fem.model.mesh import GelMesh, SurfaceMesh
+from ..fem.model.mesh import SurfaceMesh
 from ..fem.model.settings import ContactSettings, SolverSettings
 from ..fem.scene.scene import Scene, StepReport, StepStatus
 from ..tactile.markers import MarkerSettings
 from ..tactile.sensor import TactileSensor
-from .gripper import Gripper, GripperPose, SensorMount, SensorPose
+from .gripper import SENSOR_COUNT, Gripper, GripperPose, SensorPose
 from .stopwatch import Stopwatch
 
 FloatArray = NDArray[np.float64]
@@ -75,23 +75,21 @@ class GraspedScene:
     def __init__(
         self,
         *,
-        gel: GelMesh,
+        gripper: Gripper,
         held: RigidBody,
         fixed: RigidBody,
-        mounts: tuple[SensorMount, SensorMount],
-        pose: GripperPose,
         physics: PhysicsSettings,
         markers: MarkerSettings,
         clocks: Clocks,
     ) -> None:
-        self.gel, self.held, self.fixed, self.physics = gel, held, fixed, physics
+        self.gel, self.held, self.fixed, self.physics = gripper.gel, held, fixed, physics
         self.after_ipc_step: Callable[[], None] | None = None
         self._clocks = clocks
-        self._gripper = Gripper(mounts=mounts, gel=gel, pose=pose)
-        self._sensors = tuple(TactileSensor(gel, markers) for _ in mounts)
+        self._gripper = gripper
+        self._sensors = tuple(TactileSensor(gripper.gel, markers) for _ in range(SENSOR_COUNT))
         with clocks.physics:
             self._scene = Scene(
-                gels=[self._placed_gel(gel, index, physics) for index in range(len(mounts))],
+                gels=[self._placed_gel(index) for index in range(SENSOR_COUNT)],
                 bodies=[held, fixed],
                 time_step_s=physics.time_step_s,
                 contact=physics.contact,
@@ -151,10 +149,10 @@ class GraspedScene:
         """Return the SHA-256 [hex] of all positions and velocities."""
         return hashlib.sha256(self._scene.state_bytes()).hexdigest()
 
-    def _placed_gel(self, gel: GelMesh, index: int, physics: PhysicsSettings) -> GelBody:
-        sensor = self.sensor_pose(index)
+    def _placed_gel(self, index: int) -> GelBody:
+        sensor, physics = self.sensor_pose(index), self.physics
         return GelBody(
-            mesh=gel,
+            mesh=self.gel,
             rotation=sensor.rotation,
             translation_m=sensor.centre_m,
             youngs_modulus_pa=physics.youngs_modulus_pa,

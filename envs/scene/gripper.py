@@ -14,6 +14,8 @@ from ..fem.model.mesh import GelMesh
 
 FloatArray = NDArray[np.float64]
 
+# One on each jaw.
+SENSOR_COUNT = 2
 # Distance of a gel's centre from its sensing face.
 GEL_HALF_THICKNESS_MM = 2.0
 
@@ -96,9 +98,15 @@ class SensorPose:
 
 
 class Gripper:
-    """Two mounted gels and the pose they share."""
+    """Two mounted gels and the pose they share.
+
+    Attributes:
+        gel: mesh of both.
+        pose: present pose.
+    """
 
     def __init__(self, *, mounts: tuple[SensorMount, SensorMount], gel: GelMesh, pose: GripperPose) -> None:
+        self.gel = gel
         self._mounts = mounts
         driven_m = gel.rest_position_m[gel.driven_nodes]
         self._driven_m = tuple(_turned(mount.rotation, driven_m) for mount in mounts)

@@ -9,11 +9,3 @@ SURFACE_DIFF = Measure(
     read=lambda info: tuple(1000 * value for value in info["surface_diff_m"]),
 )
 """Mean motion of the left and the right sensing surface since the grasp [mm]."""
-
-PEG_HEIGHT = Measure(
-    name="peg_relative_z_mm",
-    label="peg",
-    needs=("peg_relative_z_mm",),
-    read=lambda info: tuple(info["peg_relative_z_mm"]),
-)
-"""Height of each bottom corner of the peg above the plate or the rim, measured [mm]."""

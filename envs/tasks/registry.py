@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 from functools import cache
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
+from importlib.util import find_spec
 from pathlib import Path
 from pkgutil import iter_modules
 
@@ -42,10 +43,11 @@ def added_tasks() -> tuple[EntryPoint, ...]:
 
 
 def _own_tasks() -> Iterator[TaskDefinition]:
-    """Yield the task of each folder beside this module."""
+    """Yield the task of each folder beside this module that has a definition."""
     for folder in iter_modules([str(Path(__file__).parent)]):
-        if folder.ispkg:
-            yield import_module(f"{__package__}.{folder.name}.definition").TASK
+        place = f"{__package__}.{folder.name}.definition"
+        if folder.ispkg and find_spec(place):
+            yield import_module(place).TASK
 
 
 def _loaded(point: EntryPoint) -> TaskDefinition:

@@ -86,9 +86,9 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
     solver_version = SOLVER_VERSION
 
     def __init_subclass__(cls, **keywords: Any) -> None:
-        """Add the tables of the task's actions and observations to the docstring."""
+        """Add the tables of the task's actions and observations to the docstring; a base of several tasks has none."""
         super().__init_subclass__(**keywords)
-        if cls.__doc__:
+        if cls.__doc__ and hasattr(cls, "task"):
             cls.__doc__ = with_tables(cls.__doc__, cls.task)
 
     def __init__(

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from ...fem.model.mesh import SurfaceMesh
 from ...vision.rig import RigShift
 from ..ending import Flags
-from ..insertion_reward import insertion_reward
-from ..task_env import Info, Observation, TactileTaskEnv
+from ..insertion.env import InsertionEnv
+from ..task_env import Info, Observation
 from .definition import TASK
-from .info import FusionInfo, SeenObjects
+from .info import SeenObjects
 from .meshes import base_mesh, peg_mesh
 from .scene import FusionScene
 from .settings import FusionInsertionSettings
@@ -20,7 +20,7 @@ from .task import judge_flags
 from .variation import START, Target, choose_start
 
 
-class FusionInsertionEnv(TactileTaskEnv[FusionScene, FusionInsertionSettings]):
+class FusionInsertionEnv(InsertionEnv[FusionScene, FusionInsertionSettings]):
     """Insert a peg into that of two holes which fits it, by sight and touch.
 
     A hexagonal or a cuboid peg hangs between two gels above a base with a hexagonal hole at larger y (left) and a
@@ -87,33 +87,11 @@ class FusionInsertionEnv(TactileTaskEnv[FusionScene, FusionInsertionSettings]):
             rig_shift=_random_shift(settings, random),
         )
 
-    def _error(self) -> float:
-        return self.task_scene.offset.magnitude()
-
     def _judge(self) -> Flags:
         settings = self.settings
         return judge_flags(
             self.task_scene.state(), max_steps=settings.max_steps, insertion_depth_mm=settings.insertion_depth_mm
         )
-
-    def _reward(self, flags: Flags, progress: float) -> float:
-        return insertion_reward(flags, self.settings, progress=progress, env_steps=self.task_scene.env_steps)
-
-    def _info(self, flags: Flags) -> Info:
-        scene = self.task_scene
-        state = scene.state()
-        info: FusionInfo = {
-            "steps": state.env_steps,
-            "surface_diff_m": state.surface_diff_m,
-            "tactile_movement_too_large": flags.tactile_movement_too_large,
-            "too_many_steps": flags.too_many_steps,
-            "error_too_large": flags.error_too_large,
-            "peg_relative_z_mm": state.peg_relative_z_mm,
-            "is_success": flags.is_success,
-            "relative_motion_mm_deg": scene.relative_motion_mm_deg(),
-            "gt_offset_mm_deg": state.offset.as_array(),
-        }
-        return {**info}
 
     def _seen_objects(self) -> SeenObjects:
         """Return what the observation's pictures show; no new ones are taken."""

@@ -1,11 +1,9 @@
 """Actions that bring the peg over its hole, a little above the rim, and then straight down."""
 
-from math import radians
-
 import numpy as np
 
-from ...deterministic_math import sine_cosine
 from ...scene.guided_motion import ActionArray, longest_action
+from ..insertion.guided_motion import way_to_the_hole
 from ..task_env import Info, Observation
 from .definition import TASK
 
@@ -17,15 +15,9 @@ _RIM_OFFSET_MM = 9.5
 
 
 def over_the_hole_then_down(_: Observation, info: Info) -> ActionArray:
-    """Take the offset away while hovering, then descend; x and y are the gripper's own axes, which turn with it."""
-    x_mm, y_mm, theta_deg, z_mm = info["gt_offset_mm_deg"].tolist()
-    there = max(abs(x_mm), abs(y_mm), abs(theta_deg)) < _CLOSE
+    """Take the offset away while hovering, then descend; the gripper's own axes turn with it."""
+    *horizontal, z_mm = info["gt_offset_mm_deg"].tolist()
+    there = max(abs(value) for value in horizontal) < _CLOSE
     height_mm = -_DEPTH_MM if there else _HOVER_MM
-    sine, cosine = sine_cosine(radians(theta_deg))
-    way = (
-        -cosine * x_mm - sine * y_mm,
-        sine * x_mm - cosine * y_mm,
-        -theta_deg,
-        _RIM_OFFSET_MM + height_mm - z_mm,
-    )
+    way = (*way_to_the_hole(horizontal), _RIM_OFFSET_MM + height_mm - z_mm)
     return longest_action(np.array(way), np.array(TASK.action_scale))

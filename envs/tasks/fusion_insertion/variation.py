@@ -3,13 +3,12 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from math import sqrt
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...geometry.bases import HEXAGON_HOLE_Y_MM, RIM_MM
+from ..insertion.offset import PegOffset
 from ..options import numbers, refusal
 from .definition import TASK
 
@@ -49,28 +48,14 @@ class Target(StrEnum):
 
 
 @dataclass(frozen=True, kw_only=True)
-class FusionOffset:
+class FusionOffset(PegOffset):
     """Pose of the peg (and the gripper) relative to the right hole.
 
     Attributes:
-        x_mm: world x [mm].
-        y_mm: world y [mm].
-        theta_deg: about the vertical [deg].
         z_mm: 9.5 where the peg's lower end is as high as the rim [mm].
     """
 
-    x_mm: float
-    y_mm: float
-    theta_deg: float
     z_mm: float
-
-    def magnitude(self) -> float:
-        """Return the euclidean norm of (x mm, y mm, theta deg, z mm), the error e of the reward."""
-        return sqrt(sum(value * value for value in (self.x_mm, self.y_mm, self.theta_deg, self.z_mm)))
-
-    def as_array(self) -> NDArray[np.float64]:
-        """Return x [mm], y [mm], theta [deg] and z [mm], shape [4]."""
-        return np.array([self.x_mm, self.y_mm, self.theta_deg, self.z_mm])
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,7 +11,7 @@ from ...geometry.keys import KEY_HALF_THICKNESS_MM, KeyShape, key_control_points
 from ...geometry.locks import lock_control_points
 from ...geometry.solid import nearest_vertices
 from ...scene.grasped_scene import Clocks, GraspedScene, fixed_at_origin
-from ...scene.gripper import GEL_HALF_THICKNESS_MM, GripperPose, SensorMount
+from ...scene.gripper import GEL_HALF_THICKNESS_MM, Gripper, GripperPose, SensorMount
 from ...scene.motion import ipc_steps
 from .meshes import key_mesh, lock_mesh
 from .settings import LockOpeningSettings
@@ -70,7 +70,7 @@ class LockScene:
         self._lock_points = lock_control_points(start.shape)
         self._grasp_pose = _open_pose(start)
         self.grasped = GraspedScene(
-            gel=meshes.gel(),
+            gripper=Gripper(mounts=MOUNTS, gel=meshes.gel(), pose=self._grasp_pose),
             held=RigidBody(
                 mesh=key,
                 rotation=np.eye(3),
@@ -79,8 +79,6 @@ class LockScene:
                 friction=settings.key_friction,
             ),
             fixed=fixed_at_origin(lock_mesh(meshes, start.shape), friction=settings.lock_friction),
-            mounts=MOUNTS,
-            pose=self._grasp_pose,
             physics=settings.physics,
             markers=settings.markers,
             clocks=clocks,

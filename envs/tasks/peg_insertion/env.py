@@ -7,10 +7,8 @@ import numpy as np
 from ...fem.model.mesh import SurfaceMesh
 from ...geometry.pegs import PegShape
 from ..ending import Flags
-from ..insertion_reward import insertion_reward
-from ..task_env import Info, TactileTaskEnv
+from ..insertion.env import InsertionEnv
 from .definition import TASK
-from .info import PegInfo
 from .meshes import hole_mesh, peg_mesh
 from .scene import PegScene
 from .settings import PegInsertionSettings
@@ -18,7 +16,7 @@ from .task import judge_flags
 from .variation import OFFSET, SHAPE, choose_start
 
 
-class PegInsertionEnv(TactileTaskEnv[PegScene, PegInsertionSettings]):
+class PegInsertionEnv(InsertionEnv[PegScene, PegInsertionSettings]):
     """Insert a peg into the hole of a plate, by touch alone.
 
     The peg hangs between two gels, displaced from its hole by a few millimetres and degrees that the policy is not
@@ -51,28 +49,6 @@ class PegInsertionEnv(TactileTaskEnv[PegScene, PegInsertionSettings]):
         start = choose_start(options, random, xy_mm=settings.random_xy_mm, theta_deg=settings.random_theta_deg)
         return PegScene(start=start, meshes=self._meshes, settings=settings, clocks=self._clocks)
 
-    def _error(self) -> float:
-        return self.task_scene.offset.magnitude()
-
     def _judge(self) -> Flags:
         settings = self.settings
         return judge_flags(self.task_scene.state(), max_steps=settings.max_steps, z_step_mm=settings.z_step_mm)
-
-    def _reward(self, flags: Flags, progress: float) -> float:
-        return insertion_reward(flags, self.settings, progress=progress, env_steps=self.task_scene.env_steps)
-
-    def _info(self, flags: Flags) -> Info:
-        scene = self.task_scene
-        state = scene.state()
-        info: PegInfo = {
-            "steps": state.env_steps,
-            "surface_diff_m": state.surface_diff_m,
-            "tactile_movement_too_large": flags.tactile_movement_too_large,
-            "too_many_steps": flags.too_many_steps,
-            "error_too_large": flags.error_too_large,
-            "peg_relative_z_mm": state.peg_relative_z_mm,
-            "is_success": flags.is_success,
-            "relative_motion_mm_deg": scene.relative_motion_mm_deg(),
-            "gt_offset_mm_deg": state.offset.as_array(),
-        }
-        return {**info}

@@ -1,15 +1,15 @@
 """Which episode is played: a given shape and offset, or a random start that really blocks the peg."""
 
 from dataclasses import dataclass
-from math import radians, sqrt
+from math import radians
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...deterministic_math import sine_cosine
 from ...geometry.pegs import PLATE_OUTLINE_MM, PROFILES_MM, PegShape, hole_outline_mm
 from ...geometry.polygon import overlaps_plate
+from ..insertion.offset import PegOffset
 from ..options import choice, numbers, refusal
 from .definition import TASK
 
@@ -18,29 +18,6 @@ SHAPE, OFFSET = "shape", "offset_mm_deg"
 # The task's own limits of the commanded offset.
 LARGEST_XY_MM = 12.0
 LARGEST_THETA_DEG = 15.0
-
-
-@dataclass(frozen=True, kw_only=True)
-class PegOffset:
-    """Pose of the peg (and the gripper) relative to the hole.
-
-    Attributes:
-        x_mm: world x [mm].
-        y_mm: world y [mm].
-        theta_deg: about the vertical [deg].
-    """
-
-    x_mm: float
-    y_mm: float
-    theta_deg: float
-
-    def magnitude(self) -> float:
-        """Return the euclidean norm of (x mm, y mm, theta deg), the error e of the reward."""
-        return sqrt(self.x_mm * self.x_mm + self.y_mm * self.y_mm + self.theta_deg * self.theta_deg)
-
-    def as_array(self) -> NDArray[np.float64]:
-        """Return x [mm], y [mm] and theta [deg], shape [3]."""
-        return np.array([self.x_mm, self.y_mm, self.theta_deg])
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,9 +9,10 @@ from vitac.envs.fem.scene.scene import StepReport
 from vitac.envs.geometry.pegs import PegShape
 from vitac.envs.scene.grasped_scene import Clocks, GraspedScene
 from vitac.envs.scene.stopwatch import Stopwatch
+from vitac.envs.tasks.insertion.offset import PegOffset
 from vitac.envs.tasks.peg_insertion.scene import PegScene
 from vitac.envs.tasks.peg_insertion.settings import PegInsertionSettings
-from vitac.envs.tasks.peg_insertion.variation import PegOffset, PegStart
+from vitac.envs.tasks.peg_insertion.variation import PegStart
 
 FloatArray = NDArray[np.float64]
 OffsetMmDeg = tuple[float, float, float]

@@ -6,7 +6,7 @@ from vitac.envs.fem.model.bodies import RigidBody
 from vitac.envs.fem.scene.scene import StepStatus
 from vitac.envs.geometry.pegs import PegShape
 from vitac.envs.scene.grasped_scene import Clocks, GraspedScene, PhysicsSettings
-from vitac.envs.scene.gripper import UPRIGHT_MOUNTS, GripperPose
+from vitac.envs.scene.gripper import UPRIGHT_MOUNTS, Gripper, GripperPose
 from vitac.envs.scene.stopwatch import Stopwatch
 from vitac.envs.tactile.markers import MarkerSettings
 from vitac.envs.tasks.peg_insertion.meshes import hole_mesh, peg_mesh
@@ -22,11 +22,9 @@ def scene() -> GraspedScene:
         return RigidBody(mesh=mesh, rotation=np.eye(3), translation_m=np.zeros(3), fixed=fixed)
 
     return GraspedScene(
-        gel=meshes.gel(),
+        gripper=Gripper(mounts=UPRIGHT_MOUNTS, gel=meshes.gel(), pose=POSE),
         held=placed(False),
         fixed=placed(True),
-        mounts=UPRIGHT_MOUNTS,
-        pose=POSE,
         physics=PhysicsSettings(),
         markers=MarkerSettings(),
         clocks=Clocks(physics=Stopwatch(), markers=Stopwatch()),

@@ -10,7 +10,7 @@ from vitac.envs.fem.model.bodies import RigidBody
 from vitac.envs.fem.model.mesh import SurfaceMesh
 from vitac.envs.geometry.solid import prism_faces, rectangle, solid_from_faces
 from vitac.envs.scene.grasped_scene import Clocks, GraspedScene, PhysicsSettings, fixed_at_origin
-from vitac.envs.scene.gripper import GEL_HALF_THICKNESS_MM, GripperPose, SensorMount
+from vitac.envs.scene.gripper import GEL_HALF_THICKNESS_MM, Gripper, GripperPose, SensorMount
 from vitac.envs.scene.motion import ipc_steps
 from vitac.envs.tactile.markers import MarkerSettings
 
@@ -60,8 +60,15 @@ class LiftScene:
         self._x_mm, self._settings = x_mm, settings
         block = block_mesh(shape)
         self._bottom = np.flatnonzero(block.vertices_m[:, 2] == 0.0)
+        pose = GripperPose(
+            x_m=x_mm * 1e-3,
+            y_m=0.0,
+            z_m=(TABLE_MM + 25.0) * 1e-3,
+            angle_rad=0.0,
+            half_opening_m=(0.5 * WIDTH_MM + GEL_HALF_THICKNESS_MM + GAP_MM) * 1e-3,
+        )
         self.grasped = GraspedScene(
-            gel=meshes.gel(),
+            gripper=Gripper(mounts=MOUNTS, gel=meshes.gel(), pose=pose),
             held=RigidBody(
                 mesh=block,
                 rotation=np.eye(3),
@@ -70,14 +77,6 @@ class LiftScene:
                 friction=9.5,
             ),
             fixed=fixed_at_origin(table_mesh(), friction=0.5),
-            mounts=MOUNTS,
-            pose=GripperPose(
-                x_m=x_mm * 1e-3,
-                y_m=0.0,
-                z_m=(TABLE_MM + 25.0) * 1e-3,
-                angle_rad=0.0,
-                half_opening_m=(0.5 * WIDTH_MM + GEL_HALF_THICKNESS_MM + GAP_MM) * 1e-3,
-            ),
             physics=settings.physics,
             markers=settings.markers,
             clocks=clocks,

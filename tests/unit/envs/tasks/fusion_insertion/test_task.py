@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from vitac.envs.tasks.ending import Flags
-from vitac.envs.tasks.fusion_insertion.task import FusionState, judge_flags
+from vitac.envs.tasks.fusion_insertion.task import judge_flags
 from vitac.envs.tasks.fusion_insertion.variation import FusionOffset
+from vitac.envs.tasks.insertion.state import InsertionState
 
-SEATED = FusionState(
+SEATED = InsertionState(
     env_steps=20,
     offset=FusionOffset(x_mm=0.5, y_mm=-0.5, theta_deg=1.0, z_mm=8.0),
     surface_diff_m=np.array([1e-4, 1e-4]),
@@ -16,11 +17,11 @@ SEATED = FusionState(
 )
 
 
-def judged(state: FusionState) -> Flags:
+def judged(state: InsertionState[FusionOffset]) -> Flags:
     return judge_flags(state, max_steps=50, insertion_depth_mm=1.0)
 
 
-def moved(**offset: float) -> FusionState:
+def moved(**offset: float) -> InsertionState[FusionOffset]:
     return replace(SEATED, offset=replace(SEATED.offset, **offset))
 
 

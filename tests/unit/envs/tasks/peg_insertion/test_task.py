@@ -1,8 +1,9 @@
 import numpy as np
 import pytest
 from vitac.envs.tasks.ending import EndReason, Flags
-from vitac.envs.tasks.peg_insertion.task import PegState, judge_flags
-from vitac.envs.tasks.peg_insertion.variation import PegOffset
+from vitac.envs.tasks.insertion.offset import PegOffset
+from vitac.envs.tasks.insertion.state import InsertionState
+from vitac.envs.tasks.peg_insertion.task import judge_flags
 
 SEATED = (-0.5, -0.5, -0.5, -0.5)
 
@@ -16,7 +17,7 @@ def flags(
     z_step_mm: float = 0.125,
 ) -> Flags:
     x_mm, y_mm, theta_deg = offset
-    state = PegState(
+    state = InsertionState(
         env_steps=env_steps,
         offset=PegOffset(x_mm=x_mm, y_mm=y_mm, theta_deg=theta_deg),
         surface_diff_m=np.array(surface_diff_m),

@@ -3,9 +3,9 @@ from typing import Any
 import numpy as np
 import pytest
 from vitac.envs.geometry.pegs import PegShape
+from vitac.envs.tasks.insertion.offset import PegOffset
 from vitac.envs.tasks.options import ResetOptionsError
 from vitac.envs.tasks.peg_insertion.variation import (
-    PegOffset,
     PegStart,
     choose_start,
     is_blocked,

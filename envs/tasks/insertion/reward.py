@@ -1,27 +1,10 @@
 """Reward of the tasks that insert a peg, as the 2025 code has it (challenge-facts 6.1, 6.3)."""
 
-from typing import Protocol
-
-from .ending import Flags
-
-
-class RewardSettings(Protocol):
-    """What a task's settings say of its reward."""
-
-    @property
-    def max_steps(self) -> int:
-        """Env steps of an episode."""
-
-    @property
-    def step_penalty(self) -> float:
-        """P in the reward."""
-
-    @property
-    def final_reward(self) -> float:
-        """Reward of success."""
+from ..ending import Flags
+from .settings import InsertionSettings
 
 
-def insertion_reward(flags: Flags, settings: RewardSettings, *, progress: float, env_steps: int) -> float:
+def insertion_reward(flags: Flags, settings: InsertionSettings, *, progress: float, env_steps: int) -> float:
     """Return the reward of an env step: progress, less the penalty, plus what the end brings [D13].
 
     The tactile or error flag costs 2 P for every step that is left, less one P, which the published formula does not

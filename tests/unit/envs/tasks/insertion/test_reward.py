@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 from vitac.envs.tasks.ending import Flags
 from vitac.envs.tasks.fusion_insertion.settings import FusionInsertionSettings
-from vitac.envs.tasks.insertion_reward import insertion_reward
+from vitac.envs.tasks.insertion.reward import insertion_reward
 from vitac.envs.tasks.peg_insertion.settings import PegInsertionSettings
 
 PEG = replace(PegInsertionSettings(), max_steps=8, step_penalty=1.0, final_reward=10.0)
