@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import shutil
 import zipfile
+import zlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -16,6 +17,11 @@ if TYPE_CHECKING:
 FIXED_TIME = (1980, 1, 1, 0, 0, 0)
 READABLE_FILE = 0o100644 << 16
 UNIX = 3
+COPY_BYTES = 1 << 20
+SAMPLE_BYTES = 1 << 20
+WORTH_COMPRESSING = 0.9
+"""A file whose start does not shrink to less of itself is stored as it is: compressing weights takes far longer than
+sending them."""
 
 
 def pack(folder: Path, archive: Path) -> int:
@@ -46,12 +52,18 @@ def pack(folder: Path, archive: Path) -> int:
 
 def _add(writer: zipfile.ZipFile, file: Path, path: str) -> None:
     entry = zipfile.ZipInfo(path, FIXED_TIME)
-    entry.compress_type = zipfile.ZIP_DEFLATED
+    entry.compress_type = zipfile.ZIP_DEFLATED if _shrinks(file) else zipfile.ZIP_STORED
     entry.create_system = UNIX
     entry.external_attr = READABLE_FILE
     entry.file_size = file.stat().st_size
     with file.open("rb") as source, writer.open(entry, "w") as target:
-        shutil.copyfileobj(source, target, 1 << 20)
+        shutil.copyfileobj(source, target, COPY_BYTES)
+
+
+def _shrinks(file: Path) -> bool:
+    with file.open("rb") as source:
+        sample = source.read(SAMPLE_BYTES)
+    return len(zlib.compress(sample, level=1)) < WORTH_COMPRESSING * len(sample)
 
 
 def _files(folder: Path, prefix: str) -> Iterator[str]:

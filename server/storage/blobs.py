@@ -11,6 +11,8 @@ from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.settings import Settings
 
 PART_BYTES = 8 << 20
+PARTS_AT_ONCE = 2
+"""A file is stored in parts; so many of them are in memory at a time."""
 _COPY_BYTES = 1 << 20
 
 
@@ -38,7 +40,7 @@ class BlobStore:
         try:
             if not self.holds(sha256):
                 with path.open("rb") as file:
-                    obstore.put(self._store, key_of(sha256), file, chunk_size=PART_BYTES)
+                    obstore.put(self._store, key_of(sha256), file, chunk_size=PART_BYTES, max_concurrency=PARTS_AT_ONCE)
         except (BaseError, OSError) as error:
             raise _unavailable(error) from error
 

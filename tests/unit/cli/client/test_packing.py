@@ -83,3 +83,14 @@ def test_archive_and_folder_are_the_same_submission(folder: Path, tmp_path: Path
 def test_says_what_is_missing_in_a_folder_without_manifest(tmp_path: Path) -> None:
     with pytest.raises(NoSubmission, match=r"submission\.yaml"):
         pack(tmp_path, tmp_path / "a.zip")
+
+
+def test_stores_what_does_not_shrink_and_compresses_the_rest(folder: Path, tmp_path: Path) -> None:
+    (folder / "weights" / "random.bin").write_bytes(os.urandom(100_000))
+    (folder / "weights" / "empty.bin").write_bytes(b"")
+    pack(folder, tmp_path / "a.zip")
+    with zipfile.ZipFile(tmp_path / "a.zip") as reader:
+        methods = {info.filename.rpartition("/")[2]: info.compress_type for info in reader.infolist()}
+        assert reader.testzip() is None
+    assert methods["w.bin"] == zipfile.ZIP_DEFLATED
+    assert methods["random.bin"] == methods["empty.bin"] == zipfile.ZIP_STORED
