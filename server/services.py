@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
+from vitac.server.db.availability import DatabaseUnreachable, once_available
 from vitac.server.db.engine import Database
 from vitac.server.db.schema import upgrade
 from vitac.server.postgres.embedded import EmbeddedPostgres
@@ -22,8 +23,12 @@ class Services:
 
 
 @contextmanager
-def open_services(settings: Settings) -> Iterator[Services]:
+def open_services(settings: Settings, *, may_run_database: bool = True) -> Iterator[Services]:
     """Start or find the database, bring its schema up to date and open the file store.
+
+    Args:
+        settings: of this process.
+        may_run_database: whether the embedded database is run by this process when no other one does.
 
     Raises:
         VitacError: one of them cannot be used here; the message says what to do.
@@ -33,10 +38,20 @@ def open_services(settings: Settings) -> Iterator[Services]:
         if settings.database_url is not None:
             address = settings.database_url.get_secret_value()
         else:
-            postgres = stack.enter_context(EmbeddedPostgres(settings.state_dir, bin_dir=settings.postgres_bin_dir))
-            address = postgres.cluster.dsn()
+            postgres = EmbeddedPostgres(settings.state_dir, bin_dir=settings.postgres_bin_dir, may_run=may_run_database)
+            stack.callback(postgres.stop)
+            address = postgres.start()
         database = Database(address)
         stack.callback(database.dispose)
-        upgrade(database)
+        try:
+            once_available(database, upgrade, patience_s=settings.database_wait_s)
+        except DatabaseUnreachable as error:
+            raise DatabaseUnreachable(f"{error} {_advice(settings)}") from error
         settings.scratch_dir.mkdir(mode=0o700, parents=True, exist_ok=True)
         yield Services(settings=settings, database=database, blobs=BlobStore.from_settings(settings), postgres=postgres)
+
+
+def _advice(settings: Settings) -> str:
+    if settings.database_url is not None:
+        return "Check VITAC_DATABASE_URL and that the server runs, or unset it to use the embedded one."
+    return f"See {settings.state_dir / 'postgres' / 'server.log'}."

@@ -32,6 +32,11 @@ class Settings(BaseSettings):
         default=None,
         description="PostgreSQL to use (postgresql://...). Not set: an embedded one in the state directory.",
     )
+    database_wait_s: PositiveFloat = Field(
+        default=30.0,
+        description="At the start, a database that does not answer at all is waited for so long; one that recovers or "
+        "restarts, without limit.",
+    )
     state_dir: Path = Field(
         default_factory=default_state_directory,
         description="Folder of the embedded database, of stored files and of keys.",

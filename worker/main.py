@@ -33,7 +33,7 @@ def run(settings: Settings) -> None:
     Raises:
         VitacError: database or file store cannot be used.
     """
-    with open_services(settings) as services, ShardProcesses() as processes:
+    with open_services(settings, may_run_database=False) as services, ShardProcesses() as processes:
         work(services, processes.running_shard)
 
 

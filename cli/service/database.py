@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-from vitac.envs.errors import VitacError
+from .events import keep_events_off_output
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -13,10 +13,6 @@ if TYPE_CHECKING:
     from sqlalchemy.orm import Session
     from vitac.server.services import Services
     from vitac.server.settings import Settings
-
-
-class DatabaseUnreachable(VitacError):
-    """No database answers at VITAC_DATABASE_URL, or its schema cannot be migrated."""
 
 
 def load_settings(**overrides: Any) -> Settings:
@@ -35,20 +31,13 @@ def open_service(settings: Settings) -> Iterator[Services]:
     """Open storage and database (by default the embedded one) and migrate the schema to this version.
 
     Raises:
-        DatabaseUnreachable: the configured server does not answer.
+        DatabaseUnreachable: the configured server does not answer or refuses us.
         VitacError: the embedded server does not start.
     """
-    from sqlalchemy.exc import OperationalError
     from vitac.server.services import open_services
 
-    with ExitStack() as stack:
-        try:
-            services = stack.enter_context(open_services(settings))
-        except OperationalError as error:
-            raise DatabaseUnreachable(
-                f"The database cannot be used: {str(error.orig).strip()}. Check VITAC_DATABASE_URL and that the server "
-                "runs, or unset it to use the embedded one."
-            ) from error
+    keep_events_off_output()
+    with open_services(settings) as services:
         yield services
 
 

@@ -1,8 +1,9 @@
-"""Where this process writes its service events. Called by `serve`, `worker` and `demo`."""
+"""Where this process writes its service events. Called by the commands that open the service."""
 
 from __future__ import annotations
 
 import logging
+import sys
 from typing import TextIO
 
 
@@ -23,3 +24,11 @@ def write_events_to(stream: TextIO) -> None:
     logging.basicConfig(
         stream=stream, level=logging.WARNING, force=True, format="%(asctime)s %(levelname)s %(name)s %(message)s"
     )
+
+
+def keep_events_off_output() -> None:
+    """Write service events to standard error unless `write_events_to` was called: standard output is for results."""
+    import structlog
+
+    if not structlog.is_configured():
+        structlog.configure(logger_factory=lambda *_: structlog.PrintLogger(sys.stderr))

@@ -17,6 +17,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,15 +25,18 @@ from pathlib import Path
 from urllib.parse import quote
 
 import psycopg
+import structlog
 from vitac.envs.errors import VitacError
 from vitac.server.state_directory import others_can_enter
 
 from .binaries import PostgresBinaries, copy_binaries, find_binaries
+from .leftovers import NOTICE_EVERY_S, forget_lock_files, wait_for_leftovers
+
+logger = structlog.get_logger(__name__)
 
 DATABASE = "vitac"
 SUPERUSER = "vitac"
 SOCKET_PATH_LIMIT = 107  # bytes in sockaddr_un.sun_path, less the closing zero
-START_LIMIT_S = 60.0  # crash recovery of a large log comes before the server is ready
 STOP_LIMIT_S = 20.0
 LOG_LIMIT_BYTES = 8 << 20
 _SOCKET_NAME = ".s.PGSQL.5432"
@@ -137,20 +141,36 @@ class Cluster:
             self._initdb(binaries)
 
     def start(self) -> "subprocess.Popen[bytes]":
-        """Start the server and wait until it takes connections.
+        """Start the server; `wait_until_ready` tells when it takes connections.
 
-        Must be called in a thread that lives as long as the server shall: its end is the server's.
-
-        Raises:
-            DatabaseStartFailed: it ended, or was not ready in time.
+        Must be called in a thread that lives as long as the server shall: its end is the server's. A server that is
+        left by a killed starter is waited for.
         """
         self._make_socket_dir()
-        self._end_leftover_server()
+        wait_for_leftovers(self.data_dir.resolve())
+        forget_lock_files(self.data_dir, self.socket_dir / _SOCKET_NAME)
         arguments = ["-D", str(self.data_dir), *self._server_options()]
         with self._open_log() as log:
-            process = self._launch(self._binaries().bin_dir / "postgres", arguments, log.fileno())
-        self._wait_ready(process)
-        return process
+            return self._launch(self._binaries().bin_dir / "postgres", arguments, log.fileno())
+
+    def wait_until_ready(self, process: "subprocess.Popen[bytes]", stopping: threading.Event) -> bool:
+        """Wait until the server takes connections, or `stopping` is set; return whether it does.
+
+        There is no limit: a recovery that is ended begins anew at the next start.
+
+        Raises:
+            DatabaseStartFailed: it ended.
+        """
+        began = noticed = time.monotonic()
+        while not self._pid_file_says_ready(process.pid):
+            if process.poll() is not None:
+                raise DatabaseStartFailed(f"PostgreSQL ended with code {process.returncode}. {self._end_of_log()}")
+            if stopping.wait(0.01):
+                return False
+            if time.monotonic() - noticed > NOTICE_EVERY_S:
+                noticed = time.monotonic()
+                logger.warning("database_still_starts", waited_s=round(noticed - began), says=self._end_of_log())
+        return True
 
     def stop(self, process: "subprocess.Popen[bytes]") -> None:
         """Fast shutdown, then immediate, then kill; returns when the process is gone."""
@@ -230,42 +250,13 @@ class Cluster:
             start_new_session=True,
         )
 
-    def _wait_ready(self, process: "subprocess.Popen[bytes]") -> None:
-        deadline = time.monotonic() + START_LIMIT_S
-        while time.monotonic() < deadline:
-            if process.poll() is not None:
-                raise DatabaseStartFailed(f"PostgreSQL ended with code {process.returncode}. {self._end_of_log()}")
-            if self._pid_file_says_ready(process.pid):
-                return
-            time.sleep(0.01)
-        self.stop(process)
-        raise DatabaseStartFailed(f"PostgreSQL was not ready within {START_LIMIT_S:.0f} s. {self._end_of_log()}")
-
-    def _pid_file_lines(self) -> list[str]:
-        try:
-            return (self.data_dir / "postmaster.pid").read_text().splitlines()
-        except FileNotFoundError:
-            return []
-
     def _pid_file_says_ready(self, pid: int) -> bool:
         # An older file may still lie there after a kill, so the first line has to be our child.
-        lines = self._pid_file_lines()
+        try:
+            lines = (self.data_dir / "postmaster.pid").read_text().splitlines()
+        except FileNotFoundError:
+            return False
         return bool(lines) and lines[0] == str(pid) and lines[-1].strip() == "ready"
-
-    def _end_leftover_server(self) -> None:
-        """End a server whose starter was killed, and forget a pid file whose number belongs to something else."""
-        lines = self._pid_file_lines()
-        if not lines or not lines[0].isdigit():
-            return
-        pid = int(lines[0])
-        deadline = time.monotonic() + STOP_LIMIT_S
-        signal_number = signal.SIGINT
-        while _serves(pid, self.data_dir):
-            os.kill(pid, signal_number)
-            if time.monotonic() > deadline:
-                signal_number = signal.SIGKILL
-            time.sleep(0.05)
-        (self.data_dir / "postmaster.pid").unlink(missing_ok=True)
 
     def _make_socket_dir(self) -> None:
         folder = self.socket_dir
@@ -284,14 +275,6 @@ class Cluster:
     def _end_of_log(self) -> str:
         lines = self.log_file.read_text(errors="replace").splitlines()[-5:]
         return f"The end of {self.log_file}: {' / '.join(lines)}"
-
-
-def _serves(pid: int, data_dir: Path) -> bool:
-    try:
-        command = Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")
-    except (FileNotFoundError, ProcessLookupError):
-        return False
-    return os.fsencode(data_dir) in command
 
 
 def _write_private(path: Path, text: str) -> None:

@@ -1,7 +1,8 @@
-"""Keeps the embedded PostgreSQL running; every process of the service without VITAC_DATABASE_URL starts one of these.
+"""Keeps the embedded PostgreSQL running; every process of the service without VITAC_DATABASE_URL has one of these.
 
 The process that holds the file lock runs the server and starts it again whenever it dies; the others use the address
-file and take over when the owner is gone. The server ends with its owner, also after a `kill -9` of the owner.
+file. Of these, servers and commands of `vitac admin` take over when the owner is gone; workers never do, so that
+killing any of them leaves the database alone. The server ends with its owner, also after a `kill -9` of the owner.
 """
 
 import fcntl
@@ -18,22 +19,35 @@ import structlog
 from vitac.envs.errors import VitacError
 
 from .cluster import Cluster, DatabaseStartFailed
+from .leftovers import NOTICE_EVERY_S
 
 logger = structlog.get_logger(__name__)
 
 OWNER_POLL_S = 0.2  # how often a process that does not own the database tries to take it over
 RESTART_PAUSE_S = (0.0, 0.1, 0.5, 2.0)  # before the next start of a server that keeps dying at once
 HEALTHY_AFTER_S = 30.0
+FIRST_NOTICE_S = 2.0  # an ordinary start is quicker
 
 
 class EmbeddedPostgres:
     """A PostgreSQL that is there from `start` to `stop`, whichever process runs it.
 
-    Used as a context manager, or with `start` and `stop`. `options` are `name=value` server settings.
+    Used as a context manager, or with `start` and `stop`.
     """
 
-    def __init__(self, state_dir: Path, *, bin_dir: Path | None = None, options: Sequence[str] = ()) -> None:
+    def __init__(
+        self, state_dir: Path, *, bin_dir: Path | None = None, options: Sequence[str] = (), may_run: bool = True
+    ) -> None:
+        """Prepare; nothing is started.
+
+        Args:
+            state_dir: folder whose `postgres` holds it.
+            bin_dir: folder with PostgreSQL's programs; found by itself if None.
+            options: `name=value` server settings.
+            may_run: whether this process runs the server when nobody else does, or only waits for another one.
+        """
         self.cluster = Cluster(state_dir, bin_dir=bin_dir, options=options)
+        self._may_run = may_run
         self._stopping = threading.Event()
         self._keeper: threading.Thread | None = None
         self._failure: VitacError | None = None
@@ -44,28 +58,27 @@ class EmbeddedPostgres:
         """Process id of the server when this process runs it."""
         return self._process.pid if self._process is not None else None
 
-    def start(self, timeout_s: float = 120.0) -> str:
-        """Make the database available and return its address.
+    def start(self) -> str:
+        """Make the database available and return its address; wait for as long as it recovers or another starts it.
 
         Raises:
             VitacError: it cannot be started here; the message says why.
         """
-        self.cluster.make_folder()
-        # A thread of its own, alive until `stop`: the server's death signal is tied to the thread that started it.
-        self._keeper = threading.Thread(target=self._keep, name="embedded-postgres", daemon=True)
-        self._keeper.start()
-        deadline = time.monotonic() + timeout_s
-        while time.monotonic() < deadline:
+        if self._may_run:
+            self.cluster.make_folder()
+            # A thread of its own, alive until `stop`: the server's death signal is tied to the thread that started it.
+            self._keeper = threading.Thread(target=self._keep, name="embedded-postgres", daemon=True)
+            self._keeper.start()
+        noticed = time.monotonic() - NOTICE_EVERY_S + FIRST_NOTICE_S
+        while (address := self._address()) is None:
             if self._failure is not None:
                 self.stop()
                 raise self._failure
-            if (address := self._address()) is not None:
-                return address
-            time.sleep(0.02)
-        self.stop()
-        raise DatabaseStartFailed(
-            f"The embedded database was not there within {timeout_s:.0f} s; see {self.cluster.log_file}."
-        )
+            if time.monotonic() - noticed > NOTICE_EVERY_S:
+                noticed = time.monotonic()
+                logger.warning("database_awaited", started_by="this process" if self._may_run else "`vitac serve`")
+            time.sleep(0.05)
+        return address
 
     def stop(self) -> None:
         """End the server if this process runs it, otherwise only stops waiting for the ownership."""
@@ -118,6 +131,8 @@ class EmbeddedPostgres:
         self.cluster.initialise()
         self._process = self.cluster.start()
         try:
+            if not self.cluster.wait_until_ready(self._process, self._stopping):
+                return
             self.cluster.make_database()
             self._failure = None
             while not self._stopping.is_set() and self._process.poll() is None:

@@ -4,6 +4,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from urllib.parse import urlsplit
 
 import httpx
 import pytest
@@ -75,8 +76,22 @@ def test_a_taken_port_is_refused(environment: dict[str, str]) -> None:
 
 def test_an_unreachable_database_is_refused_with_what_to_check(environment: dict[str, str]) -> None:
     environment["VITAC_DATABASE_URL"] = "postgresql://nobody@127.0.0.1:9/none"
+    environment["VITAC_DATABASE_WAIT_S"] = "0.1"
     with serve(environment) as process:
         _, complaints = process.communicate(timeout=60)
     assert process.returncode == 1
+    assert "No database answers at 127.0.0.1 port 9" in complaints
     assert "Check VITAC_DATABASE_URL" in complaints
     assert "Traceback" not in complaints
+
+
+def test_a_wrong_password_is_refused_at_once_and_not_taken_for_a_restart(environment: dict[str, str]) -> None:
+    address = urlsplit(environment["VITAC_DATABASE_URL"])
+    wrong = address._replace(netloc=f"{address.username}:guess@{address.hostname or ''}")
+    environment["VITAC_DATABASE_URL"] = wrong.geturl()
+    environment["VITAC_DATABASE_WAIT_S"] = "600"
+    with serve(environment) as process:
+        _, complaints = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert "password authentication failed" in complaints
+    assert "guess" not in complaints

@@ -1,8 +1,10 @@
+import fcntl
 import os
 import signal
 import stat
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -10,6 +12,7 @@ from pathlib import Path
 import psycopg
 import pytest
 from databases import state_directory
+from vitac.server.postgres import cluster, leftovers
 from vitac.server.postgres.binaries import PostgresNotFound, copy_binaries, find_binaries
 from vitac.server.postgres.cluster import SOCKET_PATH_LIMIT, Cluster, StateDirectoryUnreachable
 from vitac.server.postgres.embedded import EmbeddedPostgres
@@ -79,6 +82,102 @@ def test_server_ends_with_a_killed_owner_and_the_next_one_starts_in_its_place(fo
         assert not Path(f"/proc/{first}").exists() or b"postgres" not in Path(f"/proc/{first}/cmdline").read_bytes()
 
 
+def test_killing_a_process_that_only_uses_the_database_leaves_it_alone(folder: Path) -> None:
+    program = (
+        "import sys, time; from pathlib import Path; from vitac.server.postgres.embedded import EmbeddedPostgres\n"
+        "e = EmbeddedPostgres(Path(sys.argv[1]), may_run=False); e.start(); print(e.server_pid, flush=True)\n"
+        "time.sleep(600)"
+    )
+    with subprocess.Popen([sys.executable, "-c", program, str(folder)], stdout=subprocess.PIPE, text=True) as user:
+        assert user.stdout is not None
+        with EmbeddedPostgres(folder) as postgres:
+            assert user.stdout.readline() == "None\n"
+            before = postgres.server_pid
+            with psycopg.connect(postgres.cluster.dsn()) as connection:
+                user.kill()
+                user.wait()
+                assert connection.execute("SELECT 1").fetchone() == (1,)
+            assert postgres.server_pid == before
+
+
+def test_a_process_that_may_not_run_the_database_does_not_take_it_over(folder: Path) -> None:
+    owner, user = EmbeddedPostgres(folder), EmbeddedPostgres(folder, may_run=False)
+    address = owner.start()
+    assert user.start() == address
+    owner.stop()
+    with user.cluster.lock_file.open("a") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # raises an error if somebody else wanted it
+    assert not answers(address)
+    user.stop()
+
+
+class RacingClock:
+    """Time of which each look at it takes a quarter of an hour."""
+
+    def __init__(self) -> None:
+        self._now = 0.0
+
+    def monotonic(self) -> float:
+        self._now += 900.0
+        return self._now
+
+    sleep = staticmethod(time.sleep)
+
+
+def test_a_start_that_takes_long_is_waited_for_and_not_killed(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cluster, "time", RacingClock())
+    with EmbeddedPostgres(folder) as postgres:
+        assert answers(postgres.cluster.dsn())
+    assert postgres.cluster.log_file.read_text().count("received fast shutdown request") == 1
+
+
+def test_an_old_server_that_still_shuts_down_is_waited_for_and_not_killed(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is stopped here: as with a checkpoint on a slow disk, it cannot end when it is asked to."""
+    with EmbeddedPostgres(folder) as postgres:
+        made = postgres.cluster
+    old = made.start()
+    made.wait_until_ready(old, threading.Event())
+    os.kill(old.pid, signal.SIGSTOP)
+    timer = threading.Timer(0.5, os.kill, [old.pid, signal.SIGCONT])
+    timer.start()
+    monkeypatch.setattr(leftovers, "time", RacingClock())
+    before = made.log_file.stat().st_size
+    with EmbeddedPostgres(folder) as postgres:
+        assert answers(postgres.cluster.dsn())
+    assert "not properly shut down" not in made.log_file.read_text()[before:]
+    assert old.wait() == 0
+    timer.join()
+
+
+def test_a_backend_that_outlives_its_killed_server_does_not_keep_the_next_one_from_starting(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(leftovers, "ORPHAN_LIMIT_S", 0.1)
+    with EmbeddedPostgres(folder) as postgres:
+        address = postgres.cluster.dsn()
+        killed = postgres.server_pid
+        assert killed is not None
+        with psycopg.connect(address) as connection:
+            os.kill(connection.info.backend_pid, signal.SIGSTOP)
+            os.kill(killed, signal.SIGKILL)
+            eventually(lambda: postgres.server_pid not in (None, killed) and answers(address))
+
+
+def test_socket_lock_of_a_killed_server_whose_number_belongs_to_another_process_is_forgotten(folder: Path) -> None:
+    with EmbeddedPostgres(folder) as postgres:
+        lock = postgres.cluster.socket_dir / ".s.PGSQL.5432.lock"
+        content = lock.read_text().splitlines()
+    owner = postgres.cluster.data_dir.stat()
+    with subprocess.Popen(["sleep", "600"], user=owner.st_uid) as other:
+        lock.write_text("\n".join([str(other.pid), *content[1:]]) + "\n")
+        os.chown(lock, owner.st_uid, owner.st_gid)
+        with EmbeddedPostgres(folder) as postgres:
+            assert answers(postgres.cluster.dsn())
+        other.kill()
+
+
 def test_stale_pid_file_whose_number_belongs_to_another_process_is_forgotten(folder: Path) -> None:
     with EmbeddedPostgres(folder) as postgres:
         pid_file = postgres.cluster.data_dir / "postmaster.pid"
@@ -90,9 +189,9 @@ def test_stale_pid_file_whose_number_belongs_to_another_process_is_forgotten(fol
 
 
 def test_interrupted_first_start_is_made_again(folder: Path) -> None:
-    cluster = Cluster(folder)
-    cluster.make_folder()
-    unfinished = cluster.data_dir.with_name("data.unfinished")
+    empty = Cluster(folder)
+    empty.make_folder()
+    unfinished = empty.data_dir.with_name("data.unfinished")
     unfinished.mkdir(parents=True)
     (unfinished / "half").touch()
     with EmbeddedPostgres(folder) as postgres:

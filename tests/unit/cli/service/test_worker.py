@@ -1,0 +1,21 @@
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+from databases import state_directory
+
+WORKER = "from vitac.cli.main import main; main(['worker'])"
+
+
+def test_a_worker_waits_for_the_database_of_a_server_and_starts_none() -> None:
+    folder = state_directory()
+    environment = {"VITAC_STATE_DIR": str(folder), "PATH": "/usr/bin:/bin"}
+    with subprocess.Popen([sys.executable, "-c", WORKER], env=environment, stderr=subprocess.PIPE, text=True) as worker:
+        assert worker.stderr is not None
+        said = worker.stderr.readline()
+        worker.terminate()
+    assert "database_awaited" in said
+    assert "`vitac serve`" in said
+    assert list(Path(folder).iterdir()) == []
+    shutil.rmtree(folder)
