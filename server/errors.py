@@ -34,6 +34,7 @@ class ProblemCode(StrEnum):
     NOT_REQUEUABLE = "not_requeuable"
     NO_LOG = "no_log"
     REGISTRATION_CLOSED = "registration_closed"
+    STORAGE_FULL = "storage_full"
     STORAGE_UNAVAILABLE = "storage_unavailable"
     TEAM_EXISTS = "team_exists"
     TEAM_REQUIRED = "team_required"
@@ -69,6 +70,7 @@ STATUS_OF_CODE: Mapping[ProblemCode, HTTPStatus] = MappingProxyType(
         ProblemCode.NOT_REQUEUABLE: HTTPStatus.CONFLICT,
         ProblemCode.NO_LOG: HTTPStatus.CONFLICT,
         ProblemCode.REGISTRATION_CLOSED: HTTPStatus.FORBIDDEN,
+        ProblemCode.STORAGE_FULL: HTTPStatus.INSUFFICIENT_STORAGE,
         ProblemCode.STORAGE_UNAVAILABLE: HTTPStatus.SERVICE_UNAVAILABLE,
         ProblemCode.TEAM_EXISTS: HTTPStatus.CONFLICT,
         ProblemCode.TEAM_REQUIRED: HTTPStatus.UNPROCESSABLE_ENTITY,
@@ -107,4 +109,12 @@ def not_found(noun: str, name: object) -> ServiceError:
     """Return the refusal for a thing that is missing or belongs to somebody else: both look alike from outside."""
     return ServiceError(
         ProblemCode.NOT_FOUND, f"There is no {noun} {name} that you may see. Check the id and the token."
+    )
+
+
+def storage_full() -> ServiceError:
+    """Return the refusal of a request for which the service has no disk space left."""
+    return ServiceError(
+        ProblemCode.STORAGE_FULL,
+        "The disk of the service is full. Nothing of this request was kept; tell the organizers, and try again later.",
     )

@@ -15,6 +15,9 @@ from vitac.server.services import Services
 
 logger = structlog.get_logger(__name__)
 
+START_PATIENCE_S = 60.0
+"""A worker that cannot register for so long ends, and whoever started it starts it again."""
+
 
 class Heartbeat:
     """The regular sign that this worker runs, from `start` to `stop`."""
@@ -29,9 +32,9 @@ class Heartbeat:
         self._thread = threading.Thread(target=self._run, name="heartbeat", daemon=True)
 
     def start(self) -> None:
-        """Register the worker and begin."""
-        with self._services.database.transaction() as session:
-            workers.register(session, self._row())
+        """Register the worker and begin; wait for a while for a database that restarts."""
+        database = self._services.database
+        database.retrying(lambda session: workers.register(session, self._row()), give_up_after_s=START_PATIENCE_S)
         self._thread.start()
 
     def stop(self) -> None:

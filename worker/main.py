@@ -12,6 +12,7 @@ from vitac.server.db.states import WorkerState
 from vitac.server.housekeeping import Housekeeping
 from vitac.server.services import Services, open_services
 from vitac.server.settings import Settings
+from vitac.server.storage.disk_space import is_disk_full
 
 from .heartbeat import Heartbeat
 from .isolation import IsolationReport, probe_isolation
@@ -22,6 +23,9 @@ from .worker import QueueWorker
 logger = structlog.get_logger(__name__)
 
 ProbeIsolation = Callable[[], IsolationReport]
+
+DISK_AGAIN_S = 10.0
+"""Pause of a worker that has no disk space to begin with."""
 
 PROBE_AGAIN_S = 60.0
 """Pause of a worker that refuses: what kept it from isolating policies may have been repaired."""
@@ -43,10 +47,16 @@ def work(services: Services, start: StartShard, *, probe: ProbeIsolation = probe
     with _stopped_by_signals(stopping):
         while not stopping.is_set():
             report = probe()
-            if report.is_sound:
-                _take_shards(services, report, start, stopping)
-            else:
+            if not report.is_sound:
                 _refuse(services, report, stopping)
+                continue
+            try:
+                _take_shards(services, report, start, stopping)
+            except OSError as error:
+                if not is_disk_full(error):
+                    raise
+                logger.error("disk_full", error=str(error))
+                stopping.wait(DISK_AGAIN_S)
 
 
 def _take_shards(services: Services, report: IsolationReport, start: StartShard, stopping: threading.Event) -> None:

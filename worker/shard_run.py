@@ -1,5 +1,6 @@
 """One claimed shard: run in a process of its own, each episode stored at once, the lease kept alive meanwhile."""
 
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -21,6 +22,7 @@ from vitac.server.evaluations.provenance import known_manifest
 from vitac.server.queue import leases
 from vitac.server.queue.leases import Lease, LeaseLost
 from vitac.server.services import Services
+from vitac.server.storage.disk_space import has_space, is_disk_full
 
 from .staging import SubmissionStage
 
@@ -29,6 +31,10 @@ ResultT = TypeVar("ResultT")
 
 DATABASE_PATIENCE_S = 600.0
 """So long a worker keeps what it has while the database is away."""
+
+
+FULL_DISK_PAUSE_S = 5.0
+"""So long a shard waits that a worker gave back because its disk was full."""
 
 
 class RunningShard(Protocol):
@@ -53,7 +59,7 @@ class RunEnd(StrEnum):
 
     FINISHED = "finished"  # all its episodes are stored and the shard is ended
     LOST = "lost"  # another worker has it, or its evaluation was ended
-    HANDED_BACK = "handed_back"  # this worker stops
+    HANDED_BACK = "handed_back"  # this worker stops or has no disk space left
     BROKE = "broke"  # the machine could not run it; reported
 
 
@@ -166,6 +172,14 @@ class ShardRun:
             if self._stopping.is_set():
                 self._database(lambda session: leases.hand_back(session, self._lease, counts_as_attempt=False))
                 return RunEnd.HANDED_BACK
+            if self._lacks_space(error):
+                logger.error("disk_full", shard=self._lease.shard_id, error=" ".join(str(error).split())[:300])
+                self._database(
+                    lambda session: leases.hand_back(
+                        session, self._lease, counts_as_attempt=False, delay_s=FULL_DISK_PAUSE_S
+                    )
+                )
+                return RunEnd.HANDED_BACK
             message = " ".join(str(error).split())[:1000]
             if self._is_idle.is_set():
                 message = f"No episode ended within {self._services.settings.shard_idle_timeout_s:g} s."
@@ -175,6 +189,11 @@ class ShardRun:
         except LeaseLost:
             return RunEnd.LOST
         return RunEnd.BROKE
+
+    def _lacks_space(self, error: Exception) -> bool:
+        """Return whether the disk is full; the process of a shard may end with any error then, so we look."""
+        folders = (self._services.settings.scratch_dir, Path(tempfile.gettempdir()))
+        return is_disk_full(error) or not all(has_space(folder) for folder in folders)
 
     def _database(self, work: Callable[[Session], ResultT]) -> ResultT:
         """Run a transaction, again and again while the database is away and the worker is not told to stop."""

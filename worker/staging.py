@@ -57,7 +57,7 @@ class SubmissionStage:
         try:
             with staged.lock:
                 if staged.path is None:
-                    staged.path = self._fetch(kind, archive_sha256, staged.folder)
+                    staged.path = self._fetch_whole(kind, archive_sha256, staged.folder)
             yield staged.path
         finally:
             with self._lock:
@@ -68,8 +68,14 @@ class SubmissionStage:
         """Remove everything."""
         shutil.rmtree(self._folder, ignore_errors=True)
 
+    def _fetch_whole(self, kind: SubmissionKind, archive_sha256: str, folder: Path) -> Path:
+        try:
+            return self._fetch(kind, archive_sha256, folder)
+        except BaseException:
+            shutil.rmtree(folder, ignore_errors=True)  # perhaps the disk is full of it
+            raise
+
     def _fetch(self, kind: SubmissionKind, archive_sha256: str, folder: Path) -> Path:
-        shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir()
         upload = folder / "upload"
         self._blobs.fetch(archive_sha256, upload)

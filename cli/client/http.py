@@ -36,6 +36,7 @@ HINTS = {
     "upload_too_large": "Remove files that the policy does not need; a log holds one evaluation of one task.",
     "too_many_requests": "Wait a moment and retry.",
     "database_unavailable": "The database is starting or down; retry in a minute.",
+    "storage_full": "Tell the organizers that the disk of the service is full.",
     "storage_unavailable": "The service cannot store files now; retry in a minute.",
 }
 Json = dict[str, Any]

@@ -11,7 +11,9 @@ from fastapi.responses import JSONResponse
 from sqlalchemy.exc import DBAPIError
 from starlette.exceptions import HTTPException
 from vitac.server.db.engine import is_connection_loss
-from vitac.server.errors import ProblemCode, ServiceError
+from vitac.server.errors import ProblemCode, ServiceError, storage_full
+from vitac.server.settings import Settings
+from vitac.server.storage.disk_space import has_space, is_disk_full
 from vitac.server.views.problems import ProblemView
 
 logger = structlog.get_logger(__name__)
@@ -35,7 +37,8 @@ def install(app: FastAPI) -> None:
     app.add_exception_handler(ServiceError, _on_service_error)
     app.add_exception_handler(RequestValidationError, _on_invalid_request)
     app.add_exception_handler(HTTPException, _on_http_error)
-    app.add_exception_handler(DBAPIError, _on_database_error)
+    app.add_exception_handler(DBAPIError, _on_failure)
+    app.add_exception_handler(OSError, _on_failure)
     app.add_exception_handler(Exception, _on_bug)
 
 
@@ -102,11 +105,23 @@ def _on_http_error(request: Request, error: Exception) -> JSONResponse:
     return answer
 
 
-def _on_database_error(request: Request, error: Exception) -> JSONResponse:
-    if isinstance(error, DBAPIError) and is_connection_loss(error):
-        detail = "The database is starting or unavailable; try again in a moment."
-        return problem(request, ServiceError(ProblemCode.DATABASE_UNAVAILABLE, detail))
-    return _on_bug(request, error)
+def _on_failure(request: Request, error: Exception) -> JSONResponse:
+    refusal = refusal_of_failure(request, error)
+    return _on_service_error(request, refusal) if refusal is not None else _on_bug(request, error)
+
+
+def refusal_of_failure(request: Request, error: Exception) -> ServiceError | None:
+    """Return why disk or database cannot be used now, or None if the error says something else."""
+    if is_disk_full(error):
+        return storage_full()
+    if not isinstance(error, DBAPIError) or not is_connection_loss(error):
+        return None
+    # The embedded database ends when it cannot write its own log, and comes back when there is room.
+    settings: Settings = request.app.state.settings
+    if settings.database_url is None and not has_space(settings.state_dir):
+        return storage_full()
+    detail = "The database is starting or unavailable; try again in a moment."
+    return ServiceError(ProblemCode.DATABASE_UNAVAILABLE, detail)
 
 
 def _on_bug(request: Request, error: Exception) -> JSONResponse:

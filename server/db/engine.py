@@ -13,6 +13,9 @@ from sqlalchemy.orm import Session, sessionmaker
 ResultT = TypeVar("ResultT")
 logger = structlog.get_logger(__name__)
 
+INSUFFICIENT_RESOURCES = "53"
+"""Class of the SQL states that say so."""
+
 RETRY_PAUSES_S = (0.05, 0.1, 0.2, 0.5, 1.0)
 
 
@@ -38,7 +41,7 @@ class Database:
             yield session
 
     def retrying(self, work: Callable[[Session], ResultT], *, give_up_after_s: float) -> ResultT:
-        """Run a transaction again while the database is unavailable (restart, kill); for work that may be repeated.
+        """Run a transaction again while the database is unavailable (restart, kill, full disk); for repeatable work.
 
         Raises:
             DBAPIError: the database stayed unavailable for longer than `give_up_after_s`, or another error occurred.
@@ -50,7 +53,7 @@ class Database:
                 with self.transaction() as session:
                     return work(session)
             except DBAPIError as error:
-                if not is_connection_loss(error) or time.monotonic() > deadline:
+                if not is_temporary(error) or time.monotonic() > deadline:
                     raise
                 logger.warning("database_unavailable", failures=failures + 1)
                 time.sleep(RETRY_PAUSES_S[min(failures, len(RETRY_PAUSES_S) - 1)])
@@ -72,6 +75,12 @@ def is_connection_loss(error: DBAPIError) -> bool:
         "CannotConnectNow",
     }
     return error.connection_invalidated or (is_operational and (state is None or state[:2] in {"08", "57"}))
+
+
+def is_temporary(error: DBAPIError) -> bool:
+    """Return whether the same transaction may succeed later: the server is unavailable or lacks disk or memory."""
+    state = getattr(error.orig, "sqlstate", None)
+    return is_connection_loss(error) or (state is not None and state.startswith(INSUFFICIENT_RESOURCES))
 
 
 def sqlalchemy_url(address: str) -> str:

@@ -189,7 +189,8 @@ class Cluster:
             known = connection.execute("SELECT 1 FROM pg_database WHERE datname = %s", [DATABASE]).fetchone()
             if known is None:
                 connection.execute(f"CREATE DATABASE {DATABASE}")
-        _write_private(self.dsn_file, self.dsn())
+        if not self.dsn_file.exists() or self.dsn_file.read_text() != self.dsn():  # the disk may be full by now
+            _write_private(self.dsn_file, self.dsn())
 
     def dsn(self, database: str = DATABASE) -> str:
         """Address of a database of this cluster, with the password."""

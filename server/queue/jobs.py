@@ -11,7 +11,9 @@ from typing import Any, cast
 import procrastinate
 import psycopg
 from procrastinate import PsycopgConnector, SyncPsycopgConnector
+from procrastinate.exceptions import ConnectorException
 from sqlalchemy import ColumnElement, TextClause, select, text
+from sqlalchemy.exc import OperationalError
 from sqlalchemy.orm import Session
 
 RUN_SHARD = "run_shard"
@@ -77,6 +79,9 @@ def enqueue_shards(
         evaluator_version: of their evaluations.
         delay_s: how long they wait at least [s].
         priority: high ones first; minus the turn of their evaluation, or `RETRY_PRIORITY`.
+
+    Raises:
+        DBAPIError: the database failed.
     """
     arguments: list[Any] = [{"shard_id": shard_id} for shard_id in shard_ids]
     if arguments:
@@ -87,7 +92,16 @@ def enqueue_shards(
             priority=priority,
             schedule_in={"milliseconds": round(1000 * delay_s)} if delay_s else None,
         )
-        deferrer.batch_defer(*arguments)
+        try:
+            deferrer.batch_defer(*arguments)
+        except ConnectorException as error:
+            raise _database_error(error) from error
+
+
+def _database_error(error: ConnectorException) -> Exception:
+    """Return what went wrong in the database as our own statements raise it: it is retried and answered alike."""
+    cause = error.__cause__
+    return OperationalError("enqueue", {}, cause) if isinstance(cause, psycopg.Error) else error
 
 
 def raw_connection(session: Session) -> "psycopg.Connection[Any]":

@@ -7,8 +7,10 @@ from pathlib import Path
 import obstore
 from obstore.exceptions import BaseError, NotFoundError
 from obstore.store import LocalStore, ObjectStore, from_url
-from vitac.server.errors import ProblemCode, ServiceError
+from vitac.server.errors import ProblemCode, ServiceError, storage_full
 from vitac.server.settings import Settings
+
+from .disk_space import is_disk_full
 
 PART_BYTES = 8 << 20
 PARTS_AT_ONCE = 2
@@ -115,5 +117,7 @@ def key_of(sha256: str) -> str:
 
 
 def _unavailable(error: Exception) -> ServiceError:
+    if is_disk_full(error):
+        return storage_full()
     summary = " ".join(str(error).split())[:200]
     return ServiceError(ProblemCode.STORAGE_UNAVAILABLE, f"The file store does not work: {summary}. Try again later.")

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, cast
 
 from sqlalchemy.exc import DBAPIError
 from starlette.exceptions import HTTPException
-from vitac.server.db.engine import is_connection_loss
-from vitac.server.errors import ServiceError
+from vitac.server.api.problems import refusal_of_failure
+from vitac.server.errors import ProblemCode, ServiceError
 
 from ..headers import HEADERS
 from ..site import page
@@ -34,6 +34,7 @@ TITLES = {
     429: "Too many requests",
     500: "Internal error",
     503: "Service not ready",
+    507: "Disk full",
 }
 CRASHED = (
     "The error is on our side and has been recorded. Try again; if it persists, tell the organizers when it happened."
@@ -44,7 +45,7 @@ MISSING = "This page does not exist or belongs to another team. Check the addres
 
 def install(app: FastAPI) -> None:
     """Add HTML answers to the error handlers that the application already has."""
-    for kind in (ServiceError, HTTPException, DBAPIError, Exception):
+    for kind in (ServiceError, HTTPException, DBAPIError, OSError, Exception):
         app.add_exception_handler(kind, _handler_with_page(app.exception_handlers.get(kind)))
 
 
@@ -64,7 +65,7 @@ def _handler_with_page(api_handler: object) -> Handler:
 
 
 def _page(request: Request, error: Exception) -> Response:
-    status, detail, headers = _explain(error)
+    status, detail, headers = _explain(request, error)
     title = TITLES.get(status, HTTPStatus(status).phrase)
     answer = page(request, "error.html", viewer=None, status=status, code=status, title=title, detail=detail)
     answer.headers.update(headers)
@@ -72,12 +73,14 @@ def _page(request: Request, error: Exception) -> Response:
     return answer
 
 
-def _explain(error: Exception) -> tuple[int, str, dict[str, str]]:
+def _explain(request: Request, error: Exception) -> tuple[int, str, dict[str, str]]:
     if isinstance(error, ServiceError):
         return error.status.value, error.detail, {}
     if isinstance(error, HTTPException):
         ours = error.detail != HTTPStatus(error.status_code).phrase
         return error.status_code, error.detail if ours else MISSING, dict(error.headers or {})
-    if isinstance(error, DBAPIError) and is_connection_loss(error):
-        return 503, DATABASE_DOWN, {"Retry-After": "2"}
+    if (refusal := refusal_of_failure(request, error)) is not None:
+        if refusal.code is ProblemCode.DATABASE_UNAVAILABLE:
+            return 503, DATABASE_DOWN, {"Retry-After": "2"}
+        return refusal.status.value, refusal.detail, {}
     return 500, CRASHED, {}

@@ -17,6 +17,7 @@ from vitac.evaluator.tracks import load_track
 from vitac.server.accounts.principals import Principal
 from vitac.server.db.states import EvaluationState, Role
 from vitac.server.errors import ProblemCode, ServiceError, not_found
+from vitac.server.settings import load_settings
 from vitac.server.views.accounts import TeamView
 from vitac.server.views.evaluations import (
     EvaluationSummaryView,
@@ -434,5 +435,6 @@ class FixedData:
 def an_application(data: FixedData) -> FastAPI:
     """Pages over fixed content, as `vitac serve` mounts them."""
     app = FastAPI(docs_url=None, redoc_url=None)
+    app.state.settings = load_settings(database_url="postgresql:///elsewhere")
     routes.install(app, Site(data=data, signer=SIGNER, version="0.1.0", tracks=("track_1",)))
     return app

@@ -1,8 +1,10 @@
+import errno
 import os
 import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import pytest
 from service_factories import make_principal, make_upload
@@ -16,6 +18,7 @@ from vitac.server.services import Services
 from vitac.server.submissions import creation
 from vitac.worker import main
 from vitac.worker.isolation import IsolationReport
+from vitac.worker.staging import SubmissionStage
 from worker_fakes import FakeShards, eventually
 
 SOUND = IsolationReport(level="user: root", problems=())
@@ -94,6 +97,22 @@ def test_worker_on_a_machine_that_leaks_takes_nothing_and_says_why(services: Ser
     assert "network refused: escaped" in rows(services)[0].message
     with services.database.transaction() as session:
         assert workers_alive(session, services.settings).alive == 0
+
+
+def test_worker_without_disk_space_at_its_start_waits_for_it(
+    services: Services, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    refusals = iter([OSError(errno.ENOSPC, "No space left on device")])
+    def stage(*arguments: Any) -> SubmissionStage:
+        for error in refusals:
+            raise error
+        return SubmissionStage(*arguments)
+
+    monkeypatch.setattr(main, "SubmissionStage", stage)
+    monkeypatch.setattr(main, "DISK_AGAIN_S", 0.05)
+    with signalled_when(lambda: len(rows(services)) == 2):
+        main.work(services, FakeShards(), probe=lambda: SOUND)
+    assert {row.state for row in rows(services)} == {WorkerState.STOPPED}
 
 
 def test_worker_goes_to_work_when_the_machine_was_mended(services: Services, monkeypatch: pytest.MonkeyPatch) -> None:

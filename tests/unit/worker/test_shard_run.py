@@ -1,6 +1,8 @@
+import errno
 import hashlib
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from datetime import datetime
 
@@ -17,7 +19,9 @@ from service_factories import (
     store,
     submit,
 )
+from small_disk import FILLER, fill, make_room, small_disk
 from sqlalchemy import select, text
+from vitac.evaluator.shards.order import ShardOrder
 from vitac.evaluator.shards.process import ShardProcessFailed
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.accounts.principals import Principal
@@ -29,7 +33,7 @@ from vitac.server.services import Services
 from vitac.server.submissions import creation, runs
 from vitac.worker.shard_run import RunEnd, ShardRun
 from vitac.worker.staging import SubmissionStage
-from worker_fakes import FakeShards, eventually
+from worker_fakes import FakeShard, FakeShards, eventually
 
 
 @pytest.fixture
@@ -114,6 +118,44 @@ def test_half_done_shard_is_resumed_from_its_stored_episodes(
     assert order.skip == (3, 8)
     assert [failure.message for failure in order.earlier_failures] == ["failed in 8"]
     assert stored_numbers(services) == list(range(1, 28))
+
+
+def test_shards_on_a_full_disk_wait_and_never_fail_an_evaluation(
+    services: Services, stage: SubmissionStage, submission: Submission
+) -> None:
+    @contextmanager
+    def start(order: ShardOrder) -> Iterator[FakeShard]:
+        raise OSError(errno.ENOSPC, "No space left on device")
+        yield
+
+    shard_id = first_shard(services, submission)
+    for _ in range(2 * services.settings.shard_attempts):
+        lease = claim(services.database, shard_id, lease_s=services.settings.lease_s)
+        assert ShardRun(services, stage, lease, start).run() is RunEnd.HANDED_BACK
+    with services.database.transaction() as session:
+        assert newest_evaluation(session, submission).state is EvaluationState.RUNNING
+    lease = claim(services.database, shard_id, lease_s=services.settings.lease_s)
+    assert lease.attempt == 1
+    assert ShardRun(services, stage, lease, FakeShards()).run() is RunEnd.FINISHED
+
+
+def test_shard_whose_process_says_nothing_of_the_disk_waits_as_well_while_it_is_full(
+    services: Services, stage: SubmissionStage, lease: Lease
+) -> None:
+    def gate(number: int) -> None:
+        raise ShardProcessFailed("The process of a shard ended with exit code 1.")
+
+    with small_disk(services.settings.scratch_dir, 2 << 20) as disk:
+        other = SubmissionStage(services.blobs, disk, services.settings.limits)
+        fill(disk)
+        assert ShardRun(services, other, lease, FakeShards(gate=gate)).run() is RunEnd.HANDED_BACK
+        assert [path for path in disk.rglob("*") if path.is_file() and path.name != FILLER] == []
+        make_room(disk)
+        assert ShardRun(services, other, claim_again(services, lease), FakeShards()).run() is RunEnd.FINISHED
+
+
+def claim_again(services: Services, lease: Lease) -> Lease:
+    return claim(services.database, lease.shard_id, lease_s=services.settings.lease_s)
 
 
 def test_shard_whose_episodes_are_all_stored_starts_no_process(

@@ -4,6 +4,7 @@ from sqlalchemy import text
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.orm import Session
 from vitac.server.db.engine import Database, is_connection_loss, sqlalchemy_url
+from vitac.server.queue.jobs import enqueue_shards
 
 
 def lose_connection(session: Session) -> None:
@@ -34,6 +35,31 @@ def test_work_of_a_lost_transaction_is_not_half_done(database: Database) -> None
     database.retrying(work, give_up_after_s=30.0)
     with database.transaction() as session:
         assert session.scalar(text("SELECT count(*) FROM audit_log")) == 1
+
+
+def test_work_is_repeated_while_the_disk_of_the_database_is_full(database: Database) -> None:
+    tries: list[int] = []
+
+    def work(session: Session) -> str:
+        tries.append(1)
+        if len(tries) < 3:
+            session.execute(text("DO $$ BEGIN RAISE disk_full; END $$"))
+        return "done"
+
+    assert database.retrying(work, give_up_after_s=30.0) == "done"
+    assert len(tries) == 3
+
+
+def test_connection_that_is_lost_while_jobs_are_added_is_known_as_such(database: Database) -> None:
+    def enqueue_after_the_loss(session: Session) -> None:
+        backend = session.scalar(text("SELECT pg_backend_pid()"))
+        with database.engine.connect() as other:
+            other.execute(text("SELECT pg_terminate_backend(:backend, 5000)"), {"backend": backend})
+        enqueue_shards(session, [1], "some version", priority=0)
+
+    with pytest.raises(DBAPIError) as failed:
+        database.retrying(enqueue_after_the_loss, give_up_after_s=0.0)
+    assert is_connection_loss(failed.value)
 
 
 def test_patience_ends(database: Database) -> None:

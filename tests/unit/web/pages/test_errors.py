@@ -1,4 +1,7 @@
+import errno
+
 import psycopg
+import pytest
 from asgi_browser import AsgiBrowser
 from page_fixtures import FixedData
 from sqlalchemy.exc import OperationalError
@@ -32,6 +35,20 @@ def test_database_that_is_away_is_a_page_that_says_when_to_come_back(data: Fixed
     assert answer.status_code == 503
     assert answer.headers["retry-after"] == "2"
     assert "Nothing is lost" in answer.text
+
+
+@pytest.mark.parametrize(
+    "error",
+    [OSError(errno.ENOSPC, "No space left on device"), OperationalError("INSERT", {}, psycopg.errors.DiskFull())],
+)
+def test_full_disk_is_a_page_that_says_so(data: FixedData, browser: AsgiBrowser, error: Exception) -> None:
+    async def full(track: str, task: str | None) -> LeaderboardView:
+        raise error
+
+    data.leaderboard = full  # type: ignore[method-assign]
+    answer = browser.get("/")
+    assert answer.status_code == 507
+    assert "The disk of the service is full" in answer.text
 
 
 def test_wrong_method_is_a_page(browser: AsgiBrowser) -> None:

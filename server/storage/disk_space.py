@@ -1,0 +1,33 @@
+"""Tells a full disk from other failures. Called by the API, the file store and the workers."""
+
+import errno
+import os
+import re
+from pathlib import Path
+
+from sqlalchemy.exc import DBAPIError
+
+NEEDED_BYTES = 1 << 20
+"""With less than this a disk counts as full: nothing of use can be done on it."""
+
+_ERRORS = frozenset({errno.ENOSPC, errno.EDQUOT})
+_IN_TEXT = re.compile(r"\(os error (\d+)\)")  # the file store passes the system's error on as text only
+_SQLSTATE = "53100"
+
+
+def is_disk_full(error: BaseException) -> bool:
+    """Return whether an error, or what caused it, is a lack of disk space; of files, the store or the database."""
+    if isinstance(error, OSError) and error.errno in _ERRORS:
+        return True
+    if isinstance(error, DBAPIError):
+        return getattr(error.orig, "sqlstate", None) == _SQLSTATE
+    found = _IN_TEXT.search(str(error))
+    if found is not None and int(found[1]) in _ERRORS:
+        return True
+    return error.__cause__ is not None and is_disk_full(error.__cause__)
+
+
+def has_space(folder: Path) -> bool:
+    """Return whether the disk of a folder, which exists, has room for anything."""
+    disk = os.statvfs(folder)
+    return disk.f_bavail * disk.f_frsize >= NEEDED_BYTES
