@@ -103,6 +103,7 @@ def test_worker_without_disk_space_at_its_start_waits_for_it(
     services: Services, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     refusals = iter([OSError(errno.ENOSPC, "No space left on device")])
+
     def stage(*arguments: Any) -> SubmissionStage:
         for error in refusals:
             raise error
