@@ -7,7 +7,6 @@ after the other. Times are wall times; `cpu_` is the time of this process withou
 
 import argparse
 import asyncio
-import gc
 import json
 import shutil
 import tempfile
@@ -24,7 +23,8 @@ import httpx
 import numpy as np
 from sqlalchemy import select, text
 from sqlalchemy.orm import Session
-from vitac.evaluator.episodes.records import EpisodeOutcome
+from vitac.cli.service.web_server import spare_loaded_objects
+from vitac.evaluator.episodes.records import ActionSequence, EpisodeOutcome
 from vitac.evaluator.scoring.score import Rate, Score, rate
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import Task, load_track
@@ -35,6 +35,7 @@ from vitac.server.db.models import EpisodeResult, Evaluation, Submission
 from vitac.server.db.states import EvaluationState, Role
 from vitac.server.evaluations.episode_store import EpisodeKey
 from vitac.server.evaluations.scores import store_scores
+from vitac.server.logs.claims import LogClaim
 from vitac.server.services import Services, open_services
 from vitac.server.settings import load_settings
 from vitac.web import application
@@ -45,6 +46,7 @@ TARGET_P99_MS = 20.0
 WARM_UP = 5
 RECORD_BYTES = 8000
 ROWS_AT_ONCE = 500
+A_CLAIM = LogClaim(team=None, episodes=270, successes=135, success_rate=0.5, mean_steps=5.0)
 
 
 def main() -> None:
@@ -87,25 +89,28 @@ def service(n_submissions: int, n_teams: int) -> Iterator[Services]:
             for begun in range(0, n_submissions, ROWS_AT_ONCE):
                 with services.database.transaction() as session:
                     for number in range(begun, min(begun + ROWS_AT_ONCE, n_submissions)):
-                        add_submission(session, number, team_ids[number % n_teams], rng)
+                        add_submission(session, number, team_ids[number % n_teams], rng, number // n_teams % 10)
             with services.database.transaction() as session:
-                add_episodes(session, newest(session, team_ids[0]), rng)
+                for kind in (SubmissionKind.MODEL, SubmissionKind.LOG):
+                    add_episodes(session, newest(session, team_ids[0], kind), rng)
                 session.execute(text("ANALYZE"))
             yield services
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def add_submission(session: Session, number: int, team_id: UUID, rng: np.random.Generator) -> None:
-    """Add a model with a completed evaluation of one task or of all."""
+def add_submission(session: Session, number: int, team_id: UUID, rng: np.random.Generator, turn: int) -> None:
+    """Add a completed evaluation of a model that plays one task or all; one turn in ten of a log, one of a text log."""
+    kind = {8: SubmissionKind.LOG, 9: SubmissionKind.TEXT_LOG}.get(turn, SubmissionKind.MODEL)
     digest = sha256(str(number).encode()).hexdigest()
     tasks = load_track(TRACK).tasks
-    chosen = list(tasks) if rng.integers(3) else [list(tasks)[number % len(tasks)]]
+    plays_all = bool(rng.integers(3)) and kind.form.runs_policy
+    chosen = list(tasks) if plays_all else [list(tasks)[number // 3 % len(tasks)]]
     moment = datetime.now(UTC) - timedelta(days=30) + timedelta(seconds=number)
     submission = Submission(
-        id=uuid4(), team_id=team_id, kind=SubmissionKind.MODEL, track=TRACK, tasks=chosen, name=f"model {number}",
-        digest=digest, archive_sha256=digest, archive_bytes=1000, manifest={"track": TRACK},
-        submitted_at=moment,
+        id=uuid4(), team_id=team_id, kind=kind, track=TRACK, tasks=chosen, name=f"{kind.value} {number}",
+        digest=digest, archive_sha256=digest, archive_bytes=1000, submitted_at=moment,
+        manifest={"track": TRACK} if kind.form.runs_policy else A_CLAIM.stored(),
     )  # fmt: skip
     evaluation = Evaluation(
         submission=submission, run=1, evaluator_version=evaluator_version(), evaluator_hash=evaluator_hash(),
@@ -133,10 +138,11 @@ def random_score(task: Task, rng: np.random.Generator) -> Score:
     )
 
 
-def newest(session: Session, team_id: UUID) -> Submission:
-    """Return the last submission of a team that plays all tasks."""
-    query = select(Submission).where(Submission.team_id == team_id).order_by(Submission.submitted_at.desc())
-    return next(submission for submission in session.scalars(query) if len(submission.tasks) > 1)
+def newest(session: Session, team_id: UUID, kind: SubmissionKind) -> Submission:
+    """Return the last submission of a team of a kind, a model that plays all tasks."""
+    query = select(Submission).where(Submission.team_id == team_id, Submission.kind == kind)
+    found = session.scalars(query.order_by(Submission.submitted_at.desc()))
+    return next(submission for submission in found if len(submission.tasks) > 1 or not kind.form.runs_policy)
 
 
 def add_episodes(session: Session, submission: Submission, rng: np.random.Generator) -> None:
@@ -145,7 +151,11 @@ def add_episodes(session: Session, submission: Submission, rng: np.random.Genera
     key = EpisodeKey.of(evaluation, submission)
     for name in submission.tasks:
         for number, episode in enumerate(load_track(TRACK).tasks[name].episodes, start=1):
-            record = {"shape": episode.shape, "filling": rng.bytes(RECORD_BYTES // 2).hex()}
+            record = {
+                "shape": episode.shape,
+                "actions": ActionSequence.from_array(np.zeros((5, 3), np.float32)).model_dump(mode="json"),
+                "filling": rng.bytes(RECORD_BYTES // 2).hex(),
+            }
             session.add(
                 EpisodeResult(
                     submission_digest=key.submission_digest,
@@ -154,6 +164,7 @@ def add_episodes(session: Session, submission: Submission, rng: np.random.Genera
                     task=name,
                     episode=number,
                     run=key.run,
+                    shape=episode.shape,
                     outcome="success",
                     success=True,
                     env_steps=5,
@@ -170,6 +181,7 @@ async def measure(services: Services, n_requests: int) -> dict[str, dict[str, fl
     addresses, headers, cookies = addresses_of(services)
     app = application.create(services)
     app.state.services = services
+    spare_loaded_objects()
     transport = httpx.ASGITransport(app)
     async with httpx.AsyncClient(transport=transport, base_url="http://benchmark", headers=headers) as client:
         client.cookies.update(cookies)
@@ -181,7 +193,8 @@ def addresses_of(services: Services) -> tuple[dict[str, str], dict[str, str], di
     with services.database.transaction() as session:
         team = teams.find(session, "Team 0")
         issued = tokens.issue(session, CONSOLE, role=Role.TEAM, label="benchmark", team=team, lifetime=None)
-        submission = newest(session, team.id).id
+        submission = newest(session, team.id, SubmissionKind.MODEL).id
+        log = newest(session, team.id, SubmissionKind.LOG).id
     key = application.signing_key(services.settings)
     cookie = SessionSigner(key=key).sign(begin(issued.token.id, now=datetime.now(UTC)))
     task = next(iter(load_track(TRACK).tasks))
@@ -192,6 +205,7 @@ def addresses_of(services: Services) -> tuple[dict[str, str], dict[str, str], di
         "home": "/",
         "submissions": "/submissions",
         "submission": f"/submissions/{submission}",
+        "submission of a log": f"/submissions/{log}",
         "api board": f"/api/v1/leaderboards/{TRACK}",
         "api board of a task": f"/api/v1/leaderboards/{TRACK}?task={task}",
         "api logs": f"/api/v1/leaderboards/{TRACK}/logs",
@@ -206,7 +220,6 @@ async def times_of(client: httpx.AsyncClient, address: str, n_requests: int) -> 
     """Ask for one page again and again."""
     wall_ms, cpu_ms = [], []
     for _ in range(WARM_UP + n_requests):
-        gc.collect()
         began, began_cpu = perf_counter(), process_time()
         response = await client.get(address)
         wall_ms.append(1000 * (perf_counter() - began))

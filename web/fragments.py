@@ -1,4 +1,4 @@
-"""Parts of pages as they were last rendered: kept until what they show has another revision. Held by `site`."""
+"""Parts of pages as they were last rendered, the last ones asked for. Held by `site`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from markupsafe import Markup
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
 
-MAX_KEPT = 128
+MAX_KEPT = 8192
+"""Rows of boards are about 1 kB each."""
 
 
 class Fragments:

@@ -67,7 +67,13 @@ def archive_folders() -> tuple[str, ...]:
 
 
 def _track_files() -> Mapping[str, Path]:
-    own, further = _files_in(Path(__file__).parent), os.environ.get(ENVIRONMENT_VARIABLE)
+    return _files_with(os.environ.get(ENVIRONMENT_VARIABLE))
+
+
+@cache
+def _files_with(further: str | None) -> Mapping[str, Path]:
+    """Return the files by track; looked for once in a process, as the evaluator's version is."""
+    own = _files_in(Path(__file__).parent)
     if not further:
         return own
     added = _files_in(Path(further))

@@ -1,9 +1,10 @@
 """Routes that anybody may read: tracks and leaderboards."""
 
-from typing import Annotated
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request, Response
 from vitac.server.leaderboards.log_boards import log_boards
+from vitac.server.leaderboards.made_boards import MadeBoard
 from vitac.server.leaderboards.standings import leaderboard
 from vitac.server.tracks import load_known_track, track_view, track_views
 from vitac.server.views.leaderboards import LeaderboardView, LogBoardsView
@@ -14,6 +15,10 @@ from .conditional import answer
 from .problems import RESPONSES
 
 router = APIRouter(tags=["tracks"], responses=RESPONSES)
+
+UNCHANGED: dict[int | str, dict[str, Any]] = {
+    304: {"description": "As the `If-None-Match` of the request says, the client has this revision."}
+}
 
 
 @router.get("/tracks")
@@ -28,11 +33,7 @@ def get_track(services: ServicesOf, track: str) -> TrackView:
     return track_view(load_known_track(track), services.settings)
 
 
-@router.get(
-    "/leaderboards/{track}",
-    response_model=LeaderboardView,
-    responses={304: {"description": "As the `If-None-Match` of the request says, the client has this revision."}},
-)
+@router.get("/leaderboards/{track}", response_model=LeaderboardView, responses=UNCHANGED)
 def get_leaderboard(
     request: Request,
     services: ServicesOf,
@@ -43,6 +44,18 @@ def get_leaderboard(
     """Return the standings of a track or of one of its tasks: the best completed evaluation of each team."""
     with services.database.transaction() as session:
         board = leaderboard(session, track, task=task)
+    return _answer(request, board)
+
+
+@router.get("/leaderboards/{track}/logs", response_model=LogBoardsView, responses=UNCHANGED)
+def get_log_boards(request: Request, services: ServicesOf, track: str) -> Response:
+    """Return the verified logs of a track, ranked by task, and the 2025 text logs, which are not ranked."""
+    with services.database.transaction() as session:
+        board = log_boards(session, track)
+    return _answer(request, board)
+
+
+def _answer(request: Request, board: MadeBoard[LeaderboardView] | MadeBoard[LogBoardsView]) -> Response:
     return answer(
         request,
         board.body,
@@ -50,10 +63,3 @@ def get_leaderboard(
         media_type="application/json",
         headers={"Cache-Control": "no-cache"},
     )
-
-
-@router.get("/leaderboards/{track}/logs")
-def get_log_boards(services: ServicesOf, track: str) -> LogBoardsView:
-    """Return the verified logs of a track, ranked by task, and the 2025 text logs, which are not ranked."""
-    with services.database.transaction() as session:
-        return log_boards(session, track)

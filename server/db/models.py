@@ -120,6 +120,7 @@ class Submission(Base):
         _sha256_check("archive_sha256"),
         CheckConstraint("archive_bytes > 0", name="archive_is_not_empty"),
         Index("ix_submissions_submitted_at_id", text("submitted_at DESC"), text("id DESC")),
+        Index("ix_submissions_of_team", "team_id", text("submitted_at DESC"), text("id DESC")),
     )
     id: Mapped[UUID] = mapped_column(primary_key=True, default=uuid4)
     team_id: Mapped[UUID] = mapped_column(ForeignKey("teams.id", ondelete="RESTRICT"))
@@ -278,6 +279,7 @@ class EpisodeResult(Base):
     task: Mapped[str]
     episode: Mapped[int]
     run: Mapped[int]
+    shape: Mapped[str]
     outcome: Mapped[str]
     success: Mapped[bool]
     env_steps: Mapped[int]

@@ -91,6 +91,7 @@ def row_values(lease: Lease, record: EpisodeRecord) -> dict[str, Any]:
         "task": record.task,
         "episode": record.episode,
         "run": key.run,
+        "shape": record.shape,
         "outcome": record.outcome.value,
         "success": record.success,
         "env_steps": record.env_steps,

@@ -4,7 +4,7 @@ from collections.abc import Collection
 from uuid import UUID
 
 from sqlalchemy import ScalarSelect, Select, select
-from sqlalchemy.orm import Session
+from sqlalchemy.orm import Session, defer
 
 from ..db.models import Evaluation, Submission
 from ..db.states import EvaluationState
@@ -28,11 +28,12 @@ def history(submission: Submission) -> Select[Evaluation]:
 
 
 def histories(session: Session, submissions: Collection[Submission]) -> dict[UUID, list[Evaluation]]:
-    """Return all evaluations of each submission, newest first."""
+    """Return all evaluations of each submission, newest first, without what their policies printed."""
     found: dict[UUID, list[Evaluation]] = {submission.id: [] for submission in submissions}
     rows = session.scalars(
         select(Evaluation)
         .where(Evaluation.submission_id.in_(found))
+        .options(defer(Evaluation.log_tail))
         .order_by(*_NEWEST_FIRST)
         .execution_options(populate_existing=True)
     )

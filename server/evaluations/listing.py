@@ -3,7 +3,7 @@
 from uuid import UUID
 
 from sqlalchemy import select
-from sqlalchemy.orm import Session, joinedload
+from sqlalchemy.orm import Session, defer, joinedload
 
 from ..db.models import Evaluation, Shard, Submission
 from ..db.states import EvaluationState
@@ -32,7 +32,7 @@ def list_evaluations(session: Session, *, state: EvaluationState | None = None, 
     """Return the newest evaluations (in a state), newest first."""
     query = (
         select(Evaluation, count_differing_episodes())
-        .options(joinedload(Evaluation.submission).joinedload(Submission.team))
+        .options(defer(Evaluation.log_tail), joinedload(Evaluation.submission).joinedload(Submission.team))
         .order_by(Evaluation.created_at.desc(), Evaluation.id)
         .limit(limit)
     )
@@ -49,9 +49,9 @@ def show_evaluation(session: Session, settings: Settings, evaluation_id: UUID) -
     """
     evaluation = find(session, evaluation_id)
     workers = workers_alive(session, settings, evaluation.evaluator_version)
-    rows = EvaluationRows.read(session, [evaluation], for_organizer=True)
+    rows = EvaluationRows.read(session, [evaluation], for_organizer=True, with_output=True)
     return EvaluationDetailView(
-        **dict(evaluation_view(session, evaluation, workers, rows)),
+        **dict(evaluation_view(evaluation, workers, rows)),
         submission_id=evaluation.submission_id,
         team=evaluation.submission.team.name,
         track=evaluation.submission.track,

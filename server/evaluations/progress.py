@@ -1,21 +1,35 @@
-"""How far an evaluation is: finished episodes, place in the queue, time to the end."""
+"""How far evaluations are: finished episodes, place in the queue, time to the end; read once for all that are shown."""
 
+from collections.abc import Collection, Mapping, Sequence
 from datetime import timedelta
+from types import MappingProxyType
+from uuid import UUID
 
-from sqlalchemy import ColumnElement, func, select, tuple_
+from sqlalchemy import and_, func, select
 from sqlalchemy.orm import Session
 from vitac.evaluator.tracks import load_track
 from vitac.server.db.models import EpisodeResult, Evaluation, Shard, Submission
 from vitac.server.db.states import ACTIVE_EVALUATION_STATES, OPEN_SHARD_STATES, EvaluationState
-from vitac.server.evaluations.episode_store import EpisodeKey
 from vitac.server.views.evaluations import ProgressView, TaskProgressView
 
 EPISODES_FOR_TIMING = 300
+EpisodeCounts = Mapping[str, tuple[int, int]]
+"""Finished and successful episodes, by task."""
+
+_NONE: EpisodeCounts = MappingProxyType({})
+_TURN = (Evaluation.turn, Evaluation.created_at, Evaluation.id)
+"""The order of the queue."""
 
 
-def progress_of(session: Session, evaluation: Evaluation, submission: Submission) -> ProgressView:
-    """Return the finished episodes, by task."""
-    done = _counts_of_scores(evaluation) or _counts_of_episodes(session, EpisodeKey.of(evaluation, submission))
+def progress_of(evaluation: Evaluation, submission: Submission, counts: EpisodeCounts = _NONE) -> ProgressView:
+    """Return the finished episodes, by task.
+
+    Args:
+        evaluation: whose progress.
+        submission: that it evaluates.
+        counts: of its stored episodes; not asked once it is scored.
+    """
+    done = _counts_of_scores(evaluation) or counts
     track = load_track(submission.track)
     tasks = [
         TaskProgressView(
@@ -40,42 +54,64 @@ def _counts_of_scores(evaluation: Evaluation) -> dict[str, tuple[int, int]]:
     return {row["task"]: (row["episodes"], row["successes"]) for row in evaluation.scores or []}
 
 
-def _counts_of_episodes(session: Session, key: EpisodeKey) -> dict[str, tuple[int, int]]:
+def episode_counts(session: Session, evaluations: Collection[Evaluation]) -> dict[UUID, dict[str, tuple[int, int]]]:
+    """Return the stored episodes of each evaluation that is not scored."""
+    counts: dict[UUID, dict[str, tuple[int, int]]] = {
+        evaluation.id: {} for evaluation in evaluations if evaluation.scores is None
+    }
+    if not counts:
+        return counts
+    of_evaluation = and_(
+        EpisodeResult.submission_digest == Submission.digest,
+        EpisodeResult.evaluator_version == Evaluation.evaluator_version,
+        EpisodeResult.track == Submission.track,
+        EpisodeResult.run == Evaluation.run,
+    )
     rows = session.execute(
-        select(EpisodeResult.task, func.count(), func.count().filter(EpisodeResult.success))
-        .where(*key.conditions())
-        .group_by(EpisodeResult.task)
+        select(Evaluation.id, EpisodeResult.task, func.count(), func.count().filter(EpisodeResult.success))
+        .join(Evaluation.submission)
+        .join(EpisodeResult, of_evaluation)
+        .where(Evaluation.id.in_(counts))
+        .group_by(Evaluation.id, EpisodeResult.task)
     )
-    return {task: (episodes, successes) for task, episodes, successes in rows}
+    for evaluation_id, task, episodes, successes in rows:
+        counts[evaluation_id][task] = (episodes, successes)
+    return counts
 
 
-def queue_position(session: Session, evaluation: Evaluation) -> int | None:
-    """Place among the evaluations that have not started, from 1; None for one that has."""
-    if evaluation.state is not EvaluationState.QUEUED:
-        return None
-    ahead = session.scalar(
-        select(func.count())
-        .select_from(Evaluation)
-        .where(Evaluation.state == EvaluationState.QUEUED, _goes_before(evaluation))
+def queue_positions(session: Session, evaluations: Collection[Evaluation]) -> dict[UUID, int]:
+    """Return the place of those that have not started among all that have not, from 1."""
+    waiting = [evaluation.id for evaluation in evaluations if evaluation.state is EvaluationState.QUEUED]
+    if not waiting:
+        return {}
+    queue = (
+        select(Evaluation.id, func.row_number().over(order_by=_TURN).label("position"))
+        .where(Evaluation.state == EvaluationState.QUEUED)
+        .subquery()
     )
-    return 1 + (ahead or 0)
+    rows = session.execute(select(queue.c.id, queue.c.position).where(queue.c.id.in_(waiting)))
+    return {evaluation_id: int(position) for evaluation_id, position in rows}
 
 
-def seconds_to_end(session: Session, evaluation: Evaluation, progress: ProgressView, slots: int) -> float | None:
-    """Return the expected time [s] to the end; None when finished, without workers, or before anything was measured.
+def episodes_ahead(session: Session, evaluations: Collection[Evaluation]) -> dict[UUID, int]:
+    """Return for those that have not ended the episodes in unfinished shards of evaluations whose turn is earlier."""
+    active = [evaluation.id for evaluation in evaluations if evaluation.state in ACTIVE_EVALUATION_STATES]
+    if not active:
+        return {}
+    unfinished = func.sum(func.cardinality(Shard.episodes))
+    queue = (
+        select(Evaluation.id, func.sum(unfinished).over(order_by=_TURN, rows=(None, -1)).label("ahead"))
+        .join(Evaluation.shards)
+        .where(Shard.state.in_(OPEN_SHARD_STATES), Evaluation.state.in_(ACTIVE_EVALUATION_STATES))
+        .group_by(*_TURN)
+        .subquery()
+    )
+    rows = session.execute(select(queue.c.id, queue.c.ahead).where(queue.c.id.in_(active)))
+    return {evaluation_id: int(ahead or 0) for evaluation_id, ahead in rows}
 
-    Episodes ahead in the queue and our own, times the mean wall time of the last ones, over the workers' slots.
-    """
-    if evaluation.state not in ACTIVE_EVALUATION_STATES or not slots:
-        return None
-    mean_s = _mean_episode_s(session, [task.task for task in progress.tasks])
-    if mean_s is None:
-        return None
-    own = progress.episodes_total - progress.episodes_done
-    return mean_s * (_episodes_ahead(session, evaluation) + own) / slots
 
-
-def _mean_episode_s(session: Session, tasks: list[str]) -> float | None:
+def mean_episode_s(session: Session, tasks: Sequence[str]) -> float | None:
+    """Return the mean wall time [s] of the last episodes of some tasks; None where none was played for a week."""
     latest = (
         select(EpisodeResult.wall_s)
         .where(EpisodeResult.task.in_(tasks), EpisodeResult.created_at > func.now() - timedelta(days=7))
@@ -86,22 +122,11 @@ def _mean_episode_s(session: Session, tasks: list[str]) -> float | None:
     return session.scalar(select(func.avg(latest.c.wall_s)))
 
 
-def _episodes_ahead(session: Session, evaluation: Evaluation) -> int:
-    """Return the episodes in unfinished shards of evaluations whose turn comes earlier."""
-    return (
-        session.scalar(
-            select(func.sum(func.cardinality(Shard.episodes)))
-            .join(Evaluation)
-            .where(
-                Shard.state.in_(OPEN_SHARD_STATES),
-                Evaluation.state.in_(ACTIVE_EVALUATION_STATES),
-                _goes_before(evaluation),
-            )
-        )
-        or 0
-    )
+def seconds_to_end(progress: ProgressView, *, ahead: int, slots: int, mean_s: float | None) -> float | None:
+    """Return the expected time [s] to the end; None without workers, or before anything was measured.
 
-
-def _goes_before(evaluation: Evaluation) -> ColumnElement[bool]:
-    mine = (evaluation.turn, evaluation.created_at, evaluation.id)
-    return tuple_(Evaluation.turn, Evaluation.created_at, Evaluation.id) < tuple_(*mine)
+    Episodes ahead in the queue and our own, times the mean wall time of the last ones, over the workers' slots.
+    """
+    if mean_s is None or not slots:
+        return None
+    return mean_s * (ahead + progress.episodes_total - progress.episodes_done) / slots

@@ -5,7 +5,7 @@ from collections.abc import Collection, Mapping
 from vitac.evaluator.scoring.ranking import CombinedScore, combine
 from vitac.evaluator.scoring.score import Interval, Rate, Score
 from vitac.evaluator.tracks import load_track
-from vitac.server.db.models import ALL_TASKS, BoardResult, Evaluation
+from vitac.server.db.models import ALL_TASKS, BoardResult, Evaluation, Submission
 from vitac.server.views.scores import ShapeScoreView, TaskScoreView
 
 
@@ -34,14 +34,23 @@ def scores_of(evaluation: Evaluation) -> dict[str, Score]:
 
 def combined_score(evaluation: Evaluation) -> CombinedScore | None:
     """Return the score over all tasks of the track, by today's rule; None without a score."""
-    scores = scores_of(evaluation)
-    return combine(_tasks_that_count(evaluation), scores) if scores else None
+    return combination_of(evaluation.submission, scores_of(evaluation))
+
+
+def combination_of(submission: Submission, scores: Mapping[str, Score]) -> CombinedScore | None:
+    """Return the same for scores that are read already."""
+    return combine(_tasks_that_count(submission), scores) if scores else None
 
 
 def score_views(evaluation: Evaluation) -> list[TaskScoreView]:
     """Return the score of each task as it is shown."""
+    return task_views(evaluation, scores_of(evaluation))
+
+
+def task_views(evaluation: Evaluation, scores: Mapping[str, Score]) -> list[TaskScoreView]:
+    """Return the same for scores that are read already."""
     hashes = {row["task"]: row["result_hash"] for row in evaluation.scores or []}
-    return [_score_view(task, score, hashes[task]) for task, score in scores_of(evaluation).items()]
+    return [_score_view(task, score, hashes[task]) for task, score in scores.items()]
 
 
 def bounds(interval: Interval) -> tuple[float, float]:
@@ -64,9 +73,8 @@ def _board_result(evaluation: Evaluation, board: str, score: Score | CombinedSco
     )
 
 
-def _tasks_that_count(evaluation: Evaluation) -> Collection[str]:
+def _tasks_that_count(submission: Submission) -> Collection[str]:
     """Return all tasks of the track for a model; a log is of one task, and ranks on that one's board only."""
-    submission = evaluation.submission
     return load_track(submission.track).tasks if submission.kind.form.runs_policy else submission.tasks
 
 

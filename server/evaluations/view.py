@@ -1,23 +1,38 @@
 """Makes the view of an evaluation out of its rows; called where submissions and evaluations are shown."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Self
 from uuid import UUID
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session
-from vitac.server.db.states import TERMINAL_EVALUATION_STATES
+from vitac.server.db.states import ACTIVE_EVALUATION_STATES, TERMINAL_EVALUATION_STATES
 
-from ..db.models import EpisodeResult, Evaluation, Submission
+from ..db.models import EpisodeResult, Evaluation
 from ..queue.workers import WorkersAlive
-from ..views.evaluations import DifferingEpisodeView, EvaluationSummaryView, EvaluationView, VerdictView
+from ..views.evaluations import (
+    DifferingEpisodeView,
+    EvaluationSummaryView,
+    EvaluationView,
+    ProgressView,
+    VerdictView,
+)
 from .differences import differing_episodes
 from .episode_store import EpisodeKey
 from .lifecycle import LOG_TAIL_CHARACTERS
-from .progress import progress_of, queue_position, seconds_to_end
+from .progress import (
+    EpisodeCounts,
+    episode_counts,
+    episodes_ahead,
+    mean_episode_s,
+    progress_of,
+    queue_positions,
+    seconds_to_end,
+)
 from .provenance import isolation_levels
-from .scores import bounds, combined_score, score_views
+from .scores import bounds, combination_of, scores_of, task_views
 from .verdicts import sentence_of
 
 
@@ -28,46 +43,67 @@ class EvaluationRows:
     Attributes:
         isolation: how policies were isolated.
         differing: episodes that were run again with another record; None where only organizers may see them.
+        output: the end of what policies printed; nothing where many are shown.
+        counts: stored episodes of those without scores.
+        positions: places in the queue of those that have not started.
+        ahead: episodes to be played before those that have not ended.
+        mean_s: mean wall time of an episode of some tasks [s].
     """
 
     isolation: Mapping[UUID, list[str]]
     differing: Mapping[UUID, list[DifferingEpisodeView]] | None
+    output: Mapping[UUID, str]
+    counts: Mapping[UUID, EpisodeCounts]
+    positions: Mapping[UUID, int]
+    ahead: Mapping[UUID, int]
+    mean_s: Callable[[tuple[str, ...]], float | None]
 
     @classmethod
-    def read(cls, session: Session, evaluations: Collection[Evaluation], *, for_organizer: bool) -> Self:
-        """Return what is shown of these evaluations."""
+    def read(
+        cls, session: Session, evaluations: Sequence[Evaluation], *, for_organizer: bool, with_output: bool
+    ) -> Self:
+        """Return what is shown of these evaluations, in as many statements for many as for one.
+
+        Args:
+            session: of the transaction.
+            evaluations: which ones.
+            for_organizer: with what only organizers may see.
+            with_output: with what the policies printed, which is up to 64 Ki characters each.
+        """
         return cls(
             isolation=isolation_levels(session, evaluations),
             differing=differing_episodes(session, evaluations) if for_organizer else None,
+            output={found.id: _output(session, found) for found in evaluations} if with_output else {},
+            counts=episode_counts(session, evaluations),
+            positions=queue_positions(session, evaluations),
+            ahead=episodes_ahead(session, evaluations),
+            mean_s=cache(lambda tasks: mean_episode_s(session, tasks)),
         )
 
 
-def evaluation_view(
-    session: Session, evaluation: Evaluation, workers: WorkersAlive, rows: EvaluationRows
-) -> EvaluationView:
+def evaluation_view(evaluation: Evaluation, workers: WorkersAlive, rows: EvaluationRows) -> EvaluationView:
     """Return an evaluation as it is shown.
 
     Args:
-        session: of the transaction.
         evaluation: whose view.
         workers: those alive of its evaluator version.
         rows: of this evaluation among others.
     """
-    submission = evaluation.submission
-    progress = progress_of(session, evaluation, submission)
-    combined = combined_score(evaluation)
+    progress = progress_of(evaluation, evaluation.submission, rows.counts.get(evaluation.id, {}))
+    scores = scores_of(evaluation)
+    combined = combination_of(evaluation.submission, scores)
     return EvaluationView(
         **dict(summary_view(evaluation)),
         started_at=evaluation.started_at,
-        queue_position=queue_position(session, evaluation),
-        eta_s=seconds_to_end(session, evaluation, progress, workers.slots),
+        queue_position=rows.positions.get(evaluation.id),
+        eta_s=_seconds_to_end(evaluation, progress, workers, rows),
         progress=progress,
         verdict=verdict_view(evaluation),
-        log_tail=_log_tail(session, evaluation, submission),
+        log_tail=rows.output.get(evaluation.id, ""),
         success_rate=combined.success_rate if combined else None,
         success_rate_interval=bounds(combined.interval) if combined else None,
         mean_steps=combined.mean_steps if combined else None,
-        scores=score_views(evaluation),
+        scores=task_views(evaluation, scores),
         evaluator_hash=evaluation.evaluator_hash,
         platform_class=evaluation.platform_class,
         isolation=rows.isolation[evaluation.id],
@@ -93,11 +129,21 @@ def verdict_view(evaluation: Evaluation) -> VerdictView | None:
     )
 
 
-def _log_tail(session: Session, evaluation: Evaluation, submission: Submission) -> str:
+def _seconds_to_end(
+    evaluation: Evaluation, progress: ProgressView, workers: WorkersAlive, rows: EvaluationRows
+) -> float | None:
+    if evaluation.state not in ACTIVE_EVALUATION_STATES or not workers.slots:
+        return None
+    mean_s = rows.mean_s(tuple(task.task for task in progress.tasks))
+    return seconds_to_end(progress, ahead=rows.ahead.get(evaluation.id, 0), slots=workers.slots, mean_s=mean_s)
+
+
+def _output(session: Session, evaluation: Evaluation) -> str:
     """Return what was kept at the end; while it runs, the output of the last episode that the policy failed in.
 
     Nothing for a log: no policy ran here, and the output that a log names could be anything.
     """
+    submission = evaluation.submission
     if not submission.kind.form.runs_policy:
         return ""
     if evaluation.state in TERMINAL_EVALUATION_STATES:

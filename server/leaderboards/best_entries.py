@@ -3,13 +3,16 @@
 The order is that of `vitac.evaluator.scoring.ranking.rank`, which a test compares on random standings.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 from uuid import UUID
 
-from sqlalchemy import ColumnElement, Select, lateral, select, true
+from sqlalchemy import ColumnElement, Select, Text, bindparam, func, lateral, select, true
+from sqlalchemy.dialects.postgresql import ARRAY
 from sqlalchemy.orm import Session, aliased
+from sqlalchemy.types import Uuid
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import load_track
 from vitac.evaluator.version import evaluator_version
@@ -41,40 +44,36 @@ class BestEntry:
 
 def best_entries(session: Session, board: Board) -> list[BestEntry]:
     """Return the best entry of each team, ranked; then those of teams that only have results of other versions."""
-    return _ranked(session, board) + [
+    named = {"track": board.track, "kind": board.kind, "board": board.task or ALL_TASKS}
+    of_version = named | {"version": evaluator_version()}
+    ranked = session.execute(_best_of_teams(), of_version)
+    unranked = session.execute(_best_of_other_versions(), of_version)
+    return [
+        BestEntry(rank=rank, evaluation_id=evaluation_id, submission_id=submission_id)
+        for rank, (evaluation_id, submission_id) in enumerate(ranked, start=1)
+    ] + [
         BestEntry(rank=None, evaluation_id=evaluation_id, submission_id=submission_id)
-        for evaluation_id, submission_id in session.execute(best_of_teams(board).where(_without_ranked(board)))
+        for evaluation_id, submission_id in unranked
     ]
 
 
-def places(session: Session, track: str) -> PlacesOfBoards:
-    """Return the places of the submissions that are their team's best entry on a board of the track."""
-    boards = [Board(track=track, task=task) for task in (None, *load_track(track).tasks)]
-    return {board.task: _places(_ranked(session, board)) for board in boards}
-
-
-def best_of_teams(board: Board, *conditions: ColumnElement[bool]) -> Select[UUID, UUID]:
-    """Ids of evaluation and submission of each team's best entry, best first: one look into an index for each team.
-
-    Args:
-        board: whose results.
-        conditions: by which of its results count; none: all.
-    """
-    best = aliased(
-        BoardResult,
-        lateral(
-            select(BoardResult)
-            .where(*_of(board), BoardResult.team_id == Team.id, *conditions)
-            .order_by(*ranking_order(BoardResult))
-            .limit(1)
-        ),
+def places(session: Session, track: str, submissions: Collection[UUID]) -> PlacesOfBoards:
+    """Return the places of those submissions that are their team's best entry on a board of the track."""
+    boards: dict[str, str | None] = {ALL_TASKS: None} | {task: task for task in load_track(track).tasks}
+    found = session.execute(
+        _places_of_submissions(),
+        {
+            "track": track,
+            "kind": SubmissionKind.MODEL,
+            "boards": list(boards),
+            "version": evaluator_version(),
+            "submissions": list(submissions),
+        },
     )
-    return (
-        select(best.evaluation_id, best.submission_id)
-        .select_from(Team)
-        .join(best, true())
-        .order_by(*ranking_order(best))
-    )
+    places: dict[str | None, dict[UUID, RankView]] = {board: {} for board in boards.values()}
+    for board, submission_id, rank, of in found:
+        places[boards[board]][submission_id] = RankView(rank=rank, of=of)
+    return places
 
 
 def ranking_order(result: type[BoardResult]) -> tuple[ColumnElement[Any], ...]:
@@ -82,41 +81,76 @@ def ranking_order(result: type[BoardResult]) -> tuple[ColumnElement[Any], ...]:
     return (result.success_rate.desc(), result.mean_steps.asc(), result.submitted_at.asc(), result.evaluation_id.asc())
 
 
-def _ranked(session: Session, board: Board) -> list[BestEntry]:
-    ids = session.execute(best_of_teams(board, _of_this_version())).all()
-    return [
-        BestEntry(rank=rank, evaluation_id=evaluation_id, submission_id=submission_id)
-        for rank, (evaluation_id, submission_id) in enumerate(ids, start=1)
-    ]
+# Building a statement takes longer than running it, so each is built once and filled by its parameters.
 
 
-def _of(board: Board) -> tuple[ColumnElement[bool], ...]:
-    return (
-        BoardResult.track == board.track,
-        BoardResult.kind == board.kind,
-        BoardResult.board == (board.task or ALL_TASKS),
-    )
+@cache
+def _best_of_teams() -> Select[UUID, UUID]:
+    """Ids of evaluation and submission of each team's best entry of a version, best first."""
+    best = _best_result(bindparam("board"), _of_version(BoardResult))
+    return _ids(best).select_from(Team).join(best, true()).order_by(*ranking_order(best))
 
 
-def _of_this_version() -> ColumnElement[bool]:
-    return BoardResult.evaluator_version == evaluator_version()
-
-
-def _without_ranked(board: Board) -> ColumnElement[bool]:
-    """Return whether the team has no result of this version on the board."""
-    ranked = aliased(BoardResult)
-    return ~(
+@cache
+def _best_of_other_versions() -> Select[UUID, UUID]:
+    """Return the same of teams without any entry of the version, whichever version made theirs."""
+    best, ranked = _best_result(bindparam("board")), aliased(BoardResult)
+    has_ranked = (
         select(ranked.evaluation_id)
-        .where(
-            ranked.track == board.track,
-            ranked.kind == board.kind,
-            ranked.board == (board.task or ALL_TASKS),
-            ranked.evaluator_version == evaluator_version(),
-            ranked.team_id == Team.id,
-        )
+        .where(*_on(ranked, bindparam("board")), _of_version(ranked), ranked.team_id == Team.id)
         .exists()
     )
+    return _ids(best).select_from(Team).join(best, true()).where(~has_ranked).order_by(*ranking_order(best))
 
 
-def _places(entries: Sequence[BestEntry]) -> dict[UUID, RankView]:
-    return {entry.submission_id: RankView(rank=rank, of=len(entries)) for rank, entry in enumerate(entries, start=1)}
+@cache
+def _places_of_submissions() -> Select[str, UUID, int, int]:
+    """Board, submission, rank and number of ranked teams, for each best entry among the given submissions."""
+    board = (
+        func.unnest(bindparam("boards", type_=ARRAY(Text)))
+        .table_valued("board", name="boards")
+        .render_derived()
+        .c.board
+    )
+    best = _best_result(board, _of_version(BoardResult))
+    ranked = (
+        select(
+            board.label("board"),
+            best.submission_id,
+            func.row_number().over(partition_by=board, order_by=ranking_order(best)).label("rank"),
+            func.count().over(partition_by=board).label("of"),
+        )
+        .select_from(Team)
+        .join(board.table, true())
+        .join(best, true())
+        .subquery()
+    )
+    wanted = func.any(bindparam("submissions", type_=ARRAY(Uuid)))
+    return select(ranked.c.board, ranked.c.submission_id, ranked.c.rank, ranked.c.of).where(
+        ranked.c.submission_id == wanted
+    )
+
+
+def _best_result(board: ColumnElement[str], *conditions: ColumnElement[bool]) -> type[BoardResult]:
+    """Best result of the team at hand on a board, for a join: one look into an index for each team."""
+    return aliased(
+        BoardResult,
+        lateral(
+            select(BoardResult)
+            .where(*_on(BoardResult, board), BoardResult.team_id == Team.id, *conditions)
+            .order_by(*ranking_order(BoardResult))
+            .limit(1)
+        ),
+    )
+
+
+def _on(result: type[BoardResult], board: ColumnElement[str]) -> tuple[ColumnElement[bool], ...]:
+    return (result.track == bindparam("track"), result.kind == bindparam("kind"), result.board == board)
+
+
+def _of_version(result: type[BoardResult]) -> ColumnElement[bool]:
+    return result.evaluator_version == bindparam("version")
+
+
+def _ids(best: type[BoardResult]) -> Select[UUID, UUID]:
+    return select(best.evaluation_id, best.submission_id)

@@ -3,18 +3,21 @@
 A log proves its actions, not that a policy chose them, so it never ranks together with models.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
+from uuid import UUID
 
 from sqlalchemy import select
 from sqlalchemy.dialects.postgresql import distinct_on
-from sqlalchemy.orm import Session, defer, joinedload
+from sqlalchemy.orm import Session
 from vitac.evaluator.submission_kinds import SubmissionKind
+from vitac.evaluator.tracks import Track
 from vitac.evaluator.version import evaluator_version
-from vitac.server.db.models import BoardResult, Evaluation, Submission
+from vitac.server.db.models import BoardResult, Evaluation
 from vitac.server.evaluations.scores import score_views
 from vitac.server.leaderboards.best_entries import BestEntry, Board, best_entries
-from vitac.server.leaderboards.standings import completed_evaluations
+from vitac.server.leaderboards.made_boards import MadeBoard, MadeBoards, revision_of
+from vitac.server.leaderboards.standings import completed_evaluations, made_entries
 from vitac.server.logs.claims import LogClaim
 from vitac.server.logs.view import verification_of
 from vitac.server.tracks import load_known_track
@@ -27,50 +30,74 @@ RANKING_RULE = (
 MAX_TEXT_LOGS = 200
 
 
-def log_boards(session: Session, track_name: str) -> LogBoardsView:
+_made_boards: MadeBoards[LogBoardsView] = MadeBoards()
+
+
+def log_boards(session: Session, track_name: str) -> MadeBoard[LogBoardsView]:
     """Return the logs of a track.
 
     Raises:
         ServiceError: there is no such track.
     """
     track = load_known_track(track_name)
+    best = {
+        task: best_entries(session, Board(track=track.name, kind=SubmissionKind.LOG, task=task)) for task in track.tasks
+    }
+    text_logs = _newest_text_logs(session, track.name)
+    revision = revision_of(f"logs of {track.name}", [*best.items(), *text_logs])
+    return _made_boards.get(track.name, revision, lambda last: _view(session, track, best, text_logs, revision, last))
+
+
+def _view(
+    session: Session,
+    track: Track,
+    best: Mapping[str, list[BestEntry]],
+    text_logs: Sequence[UUID],
+    revision: str,
+    last: LogBoardsView | None,
+) -> LogBoardsView:
+    entries_before = {board.task: board.entries for board in last.boards} if last else {}
     return LogBoardsView(
         track=track.name,
         title=track.title,
         label=SubmissionKind.LOG.form.worth,
         ranking_rule=RANKING_RULE,
         evaluator_version=evaluator_version(),
+        revision=revision,
         generated_at=datetime.now(UTC),
         boards=[
-            LogBoardView(task=name, title=task.title, entries=_entries(session, track_name, name))
+            LogBoardView(
+                task=name,
+                title=task.title,
+                entries=made_entries(session, best[name], entries_before.get(name, ()), _entry),
+            )
             for name, task in track.tasks.items()
         ],
-        text_logs=[_text_log(e) for e in _newest_text_logs(session, track_name)],
+        text_logs=_text_logs(session, text_logs, last.text_logs if last else ()),
     )
 
 
-def _newest_text_logs(session: Session, track: str) -> Sequence[Evaluation]:
-    """Return the newest completed evaluation of each text log, cut before anything is loaded."""
+def _text_logs(session: Session, ids: Sequence[UUID], last: Iterable[TextLogEntryView]) -> list[TextLogEntryView]:
+    """Return the views of text logs by their evaluations; those that were there before, too, are not read again."""
+    kept = {view.evaluation_id: view for view in last}
+    new = completed_evaluations(session, set(ids) - kept.keys())
+    return [_text_log(new[found]) if found in new else kept[found] for found in ids]
+
+
+def _newest_text_logs(session: Session, track: str) -> Sequence[UUID]:
+    """Return the newest completed evaluation of each text log; the newest ones, which are shown."""
     newest_of_each = (
-        select(BoardResult.evaluation_id)
+        select(BoardResult.evaluation_id, BoardResult.submitted_at)
         .where(BoardResult.track == track, BoardResult.kind == SubmissionKind.TEXT_LOG)
         .ext(distinct_on(BoardResult.submission_id))
         .order_by(BoardResult.submission_id, BoardResult.submitted_at.desc(), BoardResult.evaluation_id)
+        .subquery()
     )
     return session.scalars(
-        select(Evaluation)
-        .where(Evaluation.id.in_(newest_of_each))
-        .options(defer(Evaluation.log_tail), joinedload(Evaluation.submission).joinedload(Submission.team))
-        .order_by(Evaluation.created_at.desc(), Evaluation.id)
+        select(newest_of_each.c.evaluation_id)
+        .order_by(newest_of_each.c.submitted_at.desc(), newest_of_each.c.evaluation_id)
         .limit(MAX_TEXT_LOGS)
     ).all()
-
-
-def _entries(session: Session, track: str, task: str) -> list[LogEntryView]:
-    """Return the best log of each team that this evaluator verified; then those of teams that only have older ones."""
-    best = best_entries(session, Board(track=track, kind=SubmissionKind.LOG, task=task))
-    evaluations = completed_evaluations(session, best)
-    return [_entry(entry, evaluations[entry.evaluation_id]) for entry in best]
 
 
 def _entry(entry: BestEntry, evaluation: Evaluation) -> LogEntryView:
@@ -81,6 +108,7 @@ def _entry(entry: BestEntry, evaluation: Evaluation) -> LogEntryView:
         rank=entry.rank,
         stale=entry.rank is None,
         team=submission.team.name,
+        evaluation_id=evaluation.id,
         submission_id=submission.id,
         submission_name=submission.name,
         verdict=verification_of(claim, evaluation),
@@ -101,6 +129,7 @@ def _text_log(evaluation: Evaluation) -> TextLogEntryView:
     return TextLogEntryView(
         team=submission.team.name,
         task=score.task,
+        evaluation_id=evaluation.id,
         submission_id=submission.id,
         submission_name=submission.name,
         submitted_at=submission.submitted_at,

@@ -1,26 +1,28 @@
-"""Boards as they were last made: kept by this process until a new best entry changes them.
+"""Boards as they were last made: kept by this process until a new entry changes them.
 
 An entry never changes, since a completed evaluation, its submission's name and its team's name do not. So the ids of
-the best entries say whether a board that was made before is still right.
+the entries say whether a board that was made before is still right.
 """
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.metadata import version
+from typing import Generic, TypeVar
 
 from vitac.evaluator.version import evaluator_version
 
-from ..views.leaderboards import LeaderboardView
-from .best_entries import BestEntry, Board
+from ..views.leaderboards import LeaderboardView, LogBoardsView
+
+BoardT = TypeVar("BoardT", LeaderboardView, LogBoardsView)
 
 
 @dataclass(frozen=True, kw_only=True)
-class MadeBoard:
-    """A leaderboard, and as the API sends it."""
+class MadeBoard(Generic[BoardT]):
+    """A board, and as the API sends it."""
 
-    view: LeaderboardView
+    view: BoardT
 
     @cached_property
     def body(self) -> bytes:
@@ -28,23 +30,27 @@ class MadeBoard:
         return self.view.model_dump_json().encode()
 
 
-class MadeBoards:
+class MadeBoards(Generic[BoardT]):
     """Keeps each board as it was last made."""
 
     def __init__(self) -> None:
-        self._made: dict[Board, MadeBoard] = {}
+        self._made: dict[Hashable, MadeBoard[BoardT]] = {}
 
-    def get(self, board: Board, revision: str, make: Callable[[], LeaderboardView]) -> MadeBoard:
-        """Return the board of that revision, made anew only where another one is kept."""
+    def get(self, board: Hashable, revision: str, make: Callable[[BoardT | None], BoardT]) -> MadeBoard[BoardT]:
+        """Return the board of that revision, made anew out of the one that is kept where that is another one."""
         made = self._made.get(board)
         if made is None or made.view.revision != revision:
-            made = MadeBoard(view=make())
+            made = MadeBoard(view=make(made.view if made else None))
             self._made[board] = made
         return made
 
 
-def revision_of(board: Board, entries: Sequence[BestEntry]) -> str:
-    """Return what changes with everything that a board shows: its entries, their order, the software that made it."""
-    parts = [version("vitac-arena"), evaluator_version(), board.track, board.kind, board.task or ""]
-    parts += [f"{entry.rank} {entry.evaluation_id}" for entry in entries]
+def revision_of(board: str, entries: Iterable[object]) -> str:
+    """Return what changes with everything that a board shows: its entries, their order, the software that made it.
+
+    Args:
+        board: its name.
+        entries: in their order, each as what identifies it and its place when printed.
+    """
+    parts = [version("vitac-arena"), evaluator_version(), board, *map(str, entries)]
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:32]

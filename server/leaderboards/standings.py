@@ -1,7 +1,9 @@
 """Standings of a track and of its tasks: reads completed evaluations only, ranks them by the evaluator's rule."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from datetime import UTC, datetime
+from functools import partial
+from typing import TypeVar
 from uuid import UUID
 
 from sqlalchemy import select
@@ -9,16 +11,18 @@ from sqlalchemy.orm import Session, defer, selectinload
 from vitac.evaluator.tracks import Track
 from vitac.evaluator.version import evaluator_version
 from vitac.server.db.models import Evaluation, Submission
-from vitac.server.evaluations.scores import bounds, combined_score, score_views, scores_of
+from vitac.server.evaluations.scores import bounds, combination_of, scores_of, task_views
 from vitac.server.leaderboards.best_entries import BestEntry, Board, best_entries
 from vitac.server.leaderboards.made_boards import MadeBoard, MadeBoards, revision_of
 from vitac.server.tracks import load_known_track, require_task
-from vitac.server.views.leaderboards import LeaderboardEntryView, LeaderboardView
+from vitac.server.views.leaderboards import LeaderboardEntryView, LeaderboardView, LogEntryView
 
-_made_boards = MadeBoards()
+EntryT = TypeVar("EntryT", LeaderboardEntryView, LogEntryView)
+
+_made_boards: MadeBoards[LeaderboardView] = MadeBoards()
 
 
-def leaderboard(session: Session, track_name: str, *, task: str | None = None) -> MadeBoard:
+def leaderboard(session: Session, track_name: str, *, task: str | None = None) -> MadeBoard[LeaderboardView]:
     """Return the best entry of each team, ranked; then teams with results of another evaluator version only.
 
     Args:
@@ -34,15 +38,19 @@ def leaderboard(session: Session, track_name: str, *, task: str | None = None) -
         require_task(track, task)
     board = Board(track=track_name, task=task)
     best = best_entries(session, board)
-    revision = revision_of(board, best)
-    return _made_boards.get(board, revision, lambda: _view(session, track, task, best, revision))
+    revision = revision_of(str(board), best)
+    return _made_boards.get(board, revision, lambda last: _view(session, track, task, best, revision, last))
 
 
 def _view(
-    session: Session, track: Track, task: str | None, best: Collection[BestEntry], revision: str
+    session: Session,
+    track: Track,
+    task: str | None,
+    best: Collection[BestEntry],
+    revision: str,
+    last: LeaderboardView | None,
 ) -> LeaderboardView:
-    evaluations = completed_evaluations(session, best)
-    entries = [_entry(entry, evaluations[entry.evaluation_id], task) for entry in best]
+    entries = made_entries(session, best, last.entries if last else (), partial(_entry, task=task))
     return LeaderboardView(
         track=track.name,
         title=track.title,
@@ -57,11 +65,39 @@ def _view(
     )
 
 
-def completed_evaluations(session: Session, entries: Collection[BestEntry]) -> Mapping[UUID, Evaluation]:
+def made_entries(
+    session: Session,
+    best: Collection[BestEntry],
+    last: Iterable[EntryT],
+    make: Callable[[BestEntry, Evaluation], EntryT],
+) -> list[EntryT]:
+    """Return the views of entries; those that were there before, too, are not read again.
+
+    Args:
+        session: of the transaction.
+        best: the entries.
+        last: the views that the board had before.
+        make: the view of a new entry.
+    """
+    kept = {view.evaluation_id: view for view in last}
+    new = completed_evaluations(session, {entry.evaluation_id for entry in best} - kept.keys())
+    return [
+        make(entry, new[entry.evaluation_id])
+        if entry.evaluation_id in new
+        else _with_rank(kept[entry.evaluation_id], entry.rank)
+        for entry in best
+    ]
+
+
+def _with_rank(view: EntryT, rank: int | None) -> EntryT:
+    return view if view.rank == rank else view.model_copy(update={"rank": rank, "stale": rank is None})
+
+
+def completed_evaluations(session: Session, ids: Collection[UUID]) -> Mapping[UUID, Evaluation]:
     """Return the evaluations behind entries by their ids, with submissions and teams, without what boards leave out."""
     found = session.scalars(
         select(Evaluation)
-        .where(Evaluation.id.in_([entry.evaluation_id for entry in entries]))
+        .where(Evaluation.id.in_(ids))
         .options(
             defer(Evaluation.log_tail),
             # Not joined: of a join with so many rows on one side, the database reads the other one from end to end.
@@ -71,16 +107,17 @@ def completed_evaluations(session: Session, entries: Collection[BestEntry]) -> M
     return {evaluation.id: evaluation for evaluation in found}
 
 
-def _entry(entry: BestEntry, evaluation: Evaluation, task: str | None) -> LeaderboardEntryView:
-    submission = evaluation.submission
-    scores = [score for score in score_views(evaluation) if task in {None, score.task}]
-    ranked_by = combined_score(evaluation) if task is None else scores_of(evaluation)[task]
+def _entry(entry: BestEntry, evaluation: Evaluation, *, task: str | None) -> LeaderboardEntryView:
+    submission, found = evaluation.submission, scores_of(evaluation)
+    scores = [score for score in task_views(evaluation, found) if task in {None, score.task}]
+    ranked_by = combination_of(submission, found) if task is None else found[task]
     if ranked_by is None:
         raise ValueError(f"Evaluation {evaluation.id} is on a board but has no scores.")
     return LeaderboardEntryView(
         rank=entry.rank,
         stale=entry.rank is None,
         team=submission.team.name,
+        evaluation_id=evaluation.id,
         submission_id=submission.id,
         submission_name=submission.name,
         kind=submission.kind,

@@ -1,19 +1,22 @@
 """What is shown of an uploaded log: its claims, the verdict on it and how models of the team go along with it."""
 
+from collections.abc import Collection
+from uuid import UUID
+
+from sqlalchemy import select
+from sqlalchemy.dialects.postgresql import distinct_on
 from sqlalchemy.orm import Session
 from vitac.evaluator.logs.findings import LogFinding, VerificationResult
-from vitac.server.db.models import Evaluation, Submission
+from vitac.server.db.models import Evaluation, Shard, Submission
 from vitac.server.db.states import EvaluationState
-from vitac.server.evaluations.lifecycle import first_refuted_shard
 from vitac.server.evaluations.verdicts import REFUTING_RESULTS
 from vitac.server.logs.claims import LogClaim
 from vitac.server.views.logs import DivergenceView, LogView
 
 
-def log_view(session: Session, submission: Submission, evaluation: Evaluation) -> LogView:
-    """Return the claims and verdict of a log, by its newest evaluation."""
+def log_view(submission: Submission, evaluation: Evaluation, finding: LogFinding | None) -> LogView:
+    """Return the claims and verdict of a log, by its newest evaluation and what that found against it."""
     claim = LogClaim.model_validate(submission.manifest)
-    finding = _finding(session, evaluation)
     holds = submission.kind.form.is_verified and evaluation.state is EvaluationState.COMPLETED
     held = verification_of(claim, evaluation) if holds else None
     verdict = finding.verdict if finding else held
@@ -35,6 +38,23 @@ def log_view(session: Session, submission: Submission, evaluation: Evaluation) -
     )
 
 
+def findings_of(session: Session, evaluations: Collection[Evaluation]) -> dict[UUID, LogFinding]:
+    """Return what was found first, in list order, against each log whose evaluation ended by it.
+
+    A shard may have found something where the evaluation ended otherwise, as by machines that failed at an earlier one.
+    """
+    refuted = [evaluation.id for evaluation in evaluations if evaluation.verdict_code in REFUTING_RESULTS]
+    if not refuted:
+        return {}
+    rows = session.execute(
+        select(Shard.evaluation_id, Shard.finding)
+        .where(Shard.evaluation_id.in_(refuted), Shard.finding.is_not(None))
+        .ext(distinct_on(Shard.evaluation_id))
+        .order_by(Shard.evaluation_id, Shard.id)
+    )
+    return {evaluation_id: LogFinding.model_validate(finding) for evaluation_id, finding in rows}
+
+
 def verification_of(claim: LogClaim, evaluation: Evaluation) -> VerificationResult:
     """Return the verdict on one of our logs whose evaluation is completed, so that nothing was found against it.
 
@@ -46,17 +66,6 @@ def verification_of(claim: LogClaim, evaluation: Evaluation) -> VerificationResu
         if evaluation.result_hash == claim.result_hash
         else VerificationResult.WITHIN_TOLERANCE
     )
-
-
-def _finding(session: Session, evaluation: Evaluation) -> LogFinding | None:
-    """Return what was found against the log, where the evaluation ended by it.
-
-    A shard may have found something where the evaluation ended otherwise, as by machines that failed at an earlier one.
-    """
-    if evaluation.verdict_code not in REFUTING_RESULTS:
-        return None
-    refuted = first_refuted_shard(session, evaluation)
-    return LogFinding.model_validate(refuted.finding) if refuted else None
 
 
 def _reason(verdict: VerificationResult | None, claim: LogClaim) -> str | None:

@@ -24,7 +24,7 @@ def get(session: Session, settings: Settings, by: Principal, submission_id: UUID
         ServiceError: there is none that the principal may see.
     """
     found = visible(session, by, submission_id)
-    return submission_views(session, settings, [found], for_organizer=by.is_organizer)[0]
+    return submission_views(session, settings, [found], for_organizer=by.is_organizer, with_output=True)[0]
 
 
 def list_submissions(
@@ -74,7 +74,7 @@ def episodes(session: Session, by: Principal, submission_id: UUID) -> list[Episo
         select(
             EpisodeResult.task,
             EpisodeResult.episode,
-            EpisodeResult.record["shape"].astext,
+            EpisodeResult.shape,
             EpisodeResult.outcome,
             EpisodeResult.success,
             EpisodeResult.env_steps,
@@ -82,4 +82,4 @@ def episodes(session: Session, by: Principal, submission_id: UUID) -> list[Episo
         .where(*key.conditions())
         .order_by(EpisodeResult.task, EpisodeResult.episode)
     )
-    return [EpisodeView(**dict(zip(EpisodeView.model_fields, row, strict=True))) for row in rows]
+    return [EpisodeView.model_validate(row, from_attributes=True) for row in rows]

@@ -1,9 +1,12 @@
 """Makes the view of a submission out of its rows; called by `listing` for the API and the pages."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache, partial
+from uuid import UUID
 
 from sqlalchemy.orm import Session
+from vitac.evaluator.logs.findings import LogFinding
 from vitac.evaluator.tracks import load_track
 from vitac.server.db.states import EvaluationState
 
@@ -12,6 +15,7 @@ from ..db.models import Evaluation, Submission
 from ..evaluations.history import histories
 from ..evaluations.view import EvaluationRows, evaluation_view, summary_view
 from ..leaderboards.best_entries import PlacesOfBoards, places
+from ..logs.view import findings_of
 from ..queue.workers import WorkersAlive, workers_alive
 from ..settings import Settings
 from ..uploads.kinds import SERVED_KINDS
@@ -22,7 +26,12 @@ PlacesOf = Callable[[str], PlacesOfBoards]
 
 
 def submission_views(
-    session: Session, settings: Settings, submissions: Sequence[Submission], *, for_organizer: bool = False
+    session: Session,
+    settings: Settings,
+    submissions: Sequence[Submission],
+    *,
+    for_organizer: bool = False,
+    with_output: bool = False,
 ) -> list[SubmissionView]:
     """Return submissions with their newest evaluations; what they share is read once for all.
 
@@ -31,26 +40,41 @@ def submission_views(
         settings: of this process.
         submissions: whose views.
         for_organizer: show also what only organizers may see.
+        with_output: show also what the policies printed.
     """
     runs = histories(session, submissions)
-    rows = EvaluationRows.read(session, [found[0] for found in runs.values()], for_organizer=for_organizer)
-    workers_of = cache(partial(workers_alive, session, settings))
-    places_of = cache(partial(places, session))
-    return [_view(session, submission, runs[submission.id], rows, workers_of, places_of) for submission in submissions]
+    newest = [found[0] for found in runs.values()]
+    shown = _Shown(
+        evaluations=EvaluationRows.read(session, newest, for_organizer=for_organizer, with_output=with_output),
+        findings=findings_of(session, newest),
+        workers=cache(partial(workers_alive, session, settings)),
+        places=cache(lambda track: places(session, track, runs)),
+    )
+    return [_view(submission, runs[submission.id], shown) for submission in submissions]
 
 
-def _view(
-    session: Session,
-    submission: Submission,
-    runs: Sequence[Evaluation],
-    rows: EvaluationRows,
-    workers_of: Callable[[str], WorkersAlive],
-    places_of: PlacesOf,
-) -> SubmissionView:
+@dataclass(frozen=True, kw_only=True)
+class _Shown:
+    """What submissions are shown with.
+
+    Attributes:
+        evaluations: of their newest evaluations.
+        findings: against logs, by evaluation.
+        workers: those alive of an evaluator version.
+        places: of these submissions on the boards of a track.
+    """
+
+    evaluations: EvaluationRows
+    findings: Mapping[UUID, LogFinding]
+    workers: Callable[[str], WorkersAlive]
+    places: PlacesOf
+
+
+def _view(submission: Submission, runs: Sequence[Evaluation], shown: _Shown) -> SubmissionView:
     newest = runs[0]
-    workers = workers_of(newest.evaluator_version)
+    workers = shown.workers(newest.evaluator_version)
     log_view = SERVED_KINDS[submission.kind].log_view
-    ranks = _ranks(submission, newest, places_of)
+    ranks = _ranks(submission, newest, shown.places)
     return SubmissionView(
         id=submission.id,
         team=team_view(submission.team),
@@ -63,12 +87,12 @@ def _view(
         archive_sha256=submission.archive_sha256,
         archive_bytes=submission.archive_bytes,
         submitted_at=submission.submitted_at,
-        evaluation=evaluation_view(session, newest, workers, rows),
+        evaluation=evaluation_view(newest, workers, shown.evaluations),
         evaluations=[summary_view(evaluation) for evaluation in runs],
         workers=WorkersView(alive=workers.alive, last_heartbeat_at=workers.last_heartbeat_at),
         rank=ranks.get(None),
         task_ranks={task: place for task, place in ranks.items() if task is not None},
-        log=log_view(session, submission, newest) if log_view else None,
+        log=log_view(submission, newest, shown.findings.get(newest.id)) if log_view else None,
     )
 
 
@@ -81,7 +105,7 @@ def _missing_tasks(submission: Submission) -> list[str]:
 
 def _ranks(submission: Submission, newest: Evaluation, places_of: PlacesOf) -> dict[str | None, RankView]:
     """Return the places of the submission by task; under None that of all tasks together."""
-    if newest.state is not EvaluationState.COMPLETED:
+    if newest.state is not EvaluationState.COMPLETED or not submission.kind.form.runs_policy:
         return {}
     boards = places_of(submission.track)
     return {task: places[submission.id] for task, places in boards.items() if submission.id in places}

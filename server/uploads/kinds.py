@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from sqlalchemy.orm import Session
+from vitac.evaluator.logs.findings import LogFinding
 from vitac.evaluator.submission_kinds import SubmissionKind
 
 from ..db.models import Evaluation, Submission
@@ -29,7 +29,7 @@ class ServedKind:
     max_bytes: Callable[[Settings], int]  #: largest body
     check: Callable[[ReceivedFile, str, Settings], CheckedUpload]  #: all rules, given the owner's name
     names_track: tuple[ProblemCode, str]  #: refusal of a body for another track, and where the body names it
-    log_view: Callable[[Session, Submission, Evaluation], LogView] | None = None  #: shows what a log claims
+    log_view: Callable[[Submission, Evaluation, LogFinding | None], LogView] | None = None  #: shows a log's claims
 
 
 SERVED_KINDS: Mapping[SubmissionKind, ServedKind] = MappingProxyType(

@@ -75,7 +75,9 @@ class EvaluationView(EvaluationSummaryView):
     eta_s: float | None = Field(description="Seconds to the end; null when finished or not known.")
     progress: ProgressView
     verdict: VerdictView | None
-    log_tail: str = Field(description="The end of what the policy printed in episodes that it failed in.")
+    log_tail: str = Field(
+        description="The end of what the policy printed in episodes that it failed in; empty in a list."
+    )
     success_rate: float | None = Field(description="Mean over all tasks of the track; a task not played counts as 0.")
     success_rate_interval: tuple[float, float] | None = Field(description="Of that mean, 95 %.")
     mean_steps: float | None = Field(description="Mean of all tasks' mean steps; null where a task has none.")

@@ -17,6 +17,7 @@ class LeaderboardEntryView(View):
     rank: int | None = Field(description="Null for an entry that another evaluator version made: it is not comparable.")
     stale: bool
     team: str
+    evaluation_id: UUID
     submission_id: UUID
     submission_name: str
     kind: SubmissionKind
@@ -55,6 +56,7 @@ class LogEntryView(View):
     rank: int | None = Field(description="Null for an entry that another evaluator version made: it is not comparable.")
     stale: bool
     team: str
+    evaluation_id: UUID
     submission_id: UUID
     submission_name: str
     verdict: VerificationResult
@@ -81,6 +83,7 @@ class TextLogEntryView(View):
 
     team: str
     task: str
+    evaluation_id: UUID
     submission_id: UUID
     submission_name: str
     submitted_at: datetime
@@ -100,6 +103,7 @@ class LogBoardsView(View):
     label: str
     ranking_rule: str
     evaluator_version: str
-    generated_at: datetime
+    revision: str = Field(description="Changes with the entries; the ETag of the answer.")
+    generated_at: datetime = Field(description="When this revision was put together.")
     boards: list[LogBoardView]
     text_logs: list[TextLogEntryView]

@@ -50,6 +50,21 @@ class LimitRow:
     value: str
 
 
+@dataclass(frozen=True, kw_only=True)
+class SubmissionDetail:
+    """What the page of a submission shows.
+
+    Attributes:
+        submission: with its newest evaluation.
+        episodes: outcomes of the finished episodes of that evaluation.
+        action_matches: how far the team's models go along with a log; nothing for other submissions.
+    """
+
+    submission: SubmissionView
+    episodes: Sequence[EpisodeView]
+    action_matches: Sequence[ActionMatchView]
+
+
 class PageData(Protocol):
     """The pages' reads and their only write. What a visitor may not see raises the service's "not found"."""
 
@@ -65,17 +80,11 @@ class PageData(Protocol):
     async def log_boards(self, track: str) -> LogBoardsView:
         """Return the verified logs and the 2025 text logs of a track."""
 
-    async def submission(self, visitor: Visitor, submission_id: UUID) -> SubmissionView:
-        """Return one submission."""
+    async def submission(self, visitor: Visitor, submission_id: UUID) -> SubmissionDetail:
+        """Return one submission with its episodes."""
 
     async def submissions(self, visitor: Visitor, before: UUID | None) -> SubmissionListView:
         """Return the visitor's submissions (all teams' for an organizer) that are older than a cursor."""
-
-    async def episodes(self, visitor: Visitor, submission_id: UUID) -> Sequence[EpisodeView]:
-        """Return the outcomes of the finished episodes of a submission's newest evaluation."""
-
-    async def action_matches(self, visitor: Visitor, submission_id: UUID) -> Sequence[ActionMatchView]:
-        """Return how far the team's models go along with a log; nothing for other submissions."""
 
     async def cancel(self, visitor: Visitor, submission_id: UUID) -> None:
         """Cancel the queued or running evaluation of a submission."""

@@ -16,7 +16,7 @@ from vitac.server.logs import action_matches
 from vitac.server.submissions import listing, runs
 
 from .limits import limit_rows, size
-from .protocol import Visitor
+from .protocol import SubmissionDetail, Visitor
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -27,8 +27,7 @@ if TYPE_CHECKING:
     from vitac.server.db.engine import Database
     from vitac.server.settings import Settings
     from vitac.server.views.leaderboards import LeaderboardView, LogBoardsView
-    from vitac.server.views.logs import ActionMatchView
-    from vitac.server.views.submissions import EpisodeView, SubmissionListView, SubmissionView
+    from vitac.server.views.submissions import SubmissionListView
 
     from .protocol import LimitRow
 
@@ -56,25 +55,24 @@ class ServiceData:
 
     async def log_boards(self, track: str) -> LogBoardsView:
         """Return the logs of a track."""
-        return await self._run(lambda session: log_boards.log_boards(session, track))
+        return await self._run(lambda session: log_boards.log_boards(session, track).view)
 
-    async def submission(self, visitor: Visitor, submission_id: UUID) -> SubmissionView:
-        """Return one submission."""
-        return await self._run(lambda session: listing.get(session, self.settings, visitor.principal, submission_id))
+    async def submission(self, visitor: Visitor, submission_id: UUID) -> SubmissionDetail:
+        """Return one submission with its episodes, all read in one transaction."""
+        by = visitor.principal
+        return await self._run(
+            lambda session: SubmissionDetail(
+                submission=listing.get(session, self.settings, by, submission_id),
+                episodes=listing.episodes(session, by, submission_id),
+                action_matches=action_matches.action_matches(session, by, submission_id),
+            )
+        )
 
     async def submissions(self, visitor: Visitor, before: UUID | None) -> SubmissionListView:
         """Return a page of submissions."""
         return await self._run(
             lambda session: listing.list_submissions(session, self.settings, visitor.principal, before=before)
         )
-
-    async def episodes(self, visitor: Visitor, submission_id: UUID) -> Sequence[EpisodeView]:
-        """Return the outcomes of the finished episodes."""
-        return await self._run(lambda session: listing.episodes(session, visitor.principal, submission_id))
-
-    async def action_matches(self, visitor: Visitor, submission_id: UUID) -> Sequence[ActionMatchView]:
-        """Return how far the team's models go along with a log."""
-        return await self._run(lambda session: action_matches.action_matches(session, visitor.principal, submission_id))
 
     async def cancel(self, visitor: Visitor, submission_id: UUID) -> None:
         """Cancel an evaluation."""

@@ -7,12 +7,16 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING, Literal
+
+from markupsafe import Markup, escape
+from vitac.evaluator.tracks import load_track
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from vitac.evaluator.tracks import Episode, Task
+    from vitac.evaluator.tracks import Episode
     from vitac.server.views.submissions import EpisodeView
 
 CellState = Literal["success", "other", "waiting"]
@@ -26,6 +30,15 @@ class Cell:
     row: int
     state: CellState
     label: str
+
+    @property
+    def drawing(self) -> Markup:
+        """The cell as SVG."""
+        x, y, radius = 10 * self.column + 1, 10 * self.row + 1, 4 if self.state == "success" else 1
+        return Markup(  # noqa: S704 - numbers and a closed set; the label is escaped
+            f'<rect class="cell {self.state}" x="{x}" y="{y}" width="8" height="8" rx="{radius}">'
+            f"<title>{escape(self.label)}</title></rect>"
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,6 +57,11 @@ class ShapeMap:
     def rows(self) -> int:
         """Number of repeats."""
         return 1 + max(cell.row for cell in self.cells)
+
+    @property
+    def drawing(self) -> Markup:
+        """Its cells as SVG; composed here because a template takes several times as long for so many."""
+        return Markup("\n").join(cell.drawing for cell in self.cells)
 
     @property
     def total(self) -> int:
@@ -71,39 +89,59 @@ class EpisodeMap:
     outcomes: Mapping[str, int]
 
 
-def episode_map(name: str, task: Task, ends: Mapping[int, EpisodeView]) -> EpisodeMap:
+@dataclass(frozen=True, kw_only=True)
+class Place:
+    """Where the cell of an episode is, and how its label begins."""
+
+    number: int
+    column: int
+    row: int
+    label: str
+
+
+def episode_map(track: str, task: str, ends: Mapping[int, EpisodeView]) -> EpisodeMap:
     """Arrange the episodes of a task.
 
     Args:
-        name: the task's name.
-        task: its definition with the fixed list of starts.
+        track: name of its track.
+        task: its name.
         ends: finished episodes by number; the others are waiting.
     """
     return EpisodeMap(
-        task=name,
-        title=task.title,
-        shapes=tuple(_shape_map(shape, task.episodes, ends) for shape in task.episode_list.shapes),
+        task=task,
+        title=load_track(track).tasks[task].title,
+        shapes=tuple(
+            ShapeMap(name=shape, cells=tuple(_cell(place, ends.get(place.number)) for place in places))
+            for shape, places in _layout(track, task).items()
+        ),
         outcomes=dict(Counter(end.outcome for end in ends.values()).most_common()),
     )
 
 
-def _shape_map(shape: str, episodes: Sequence[Episode], ends: Mapping[int, EpisodeView]) -> ShapeMap:
+@cache
+def _layout(track: str, task: str) -> Mapping[str, tuple[Place, ...]]:
+    """Return the places of all episodes, by shape."""
+    definition = load_track(track).tasks[task]
+    return {shape: _places(shape, definition.episodes) for shape in definition.episode_list.shapes}
+
+
+def _places(shape: str, episodes: Sequence[Episode]) -> tuple[Place, ...]:
     columns: dict[tuple[float, ...], int] = {}
     repeats: Counter[tuple[float, ...]] = Counter()
-    cells = []
+    places = []
     for episode in episodes:
         if episode.shape == shape:
             column = columns.setdefault(episode.offset, len(columns))
-            cells.append(_cell(episode, column, repeats[episode.offset], ends.get(episode.number)))
+            start = ", ".join(f"{value:g}" for value in episode.offset)
+            label = f"Episode {episode.number}, start ({start}): "
+            places.append(Place(number=episode.number, column=column, row=repeats[episode.offset], label=label))
             repeats[episode.offset] += 1
-    return ShapeMap(name=shape, cells=tuple(cells))
+    return tuple(places)
 
 
-def _cell(episode: Episode, column: int, row: int, end: EpisodeView | None) -> Cell:
-    start = ", ".join(f"{value:g}" for value in episode.offset)
-    label = f"Episode {episode.number}, start ({start}): "
+def _cell(place: Place, end: EpisodeView | None) -> Cell:
     if end is None:
-        return Cell(column=column, row=row, state="waiting", label=f"{label}not run yet")
+        return Cell(column=place.column, row=place.row, state="waiting", label=f"{place.label}not run yet")
     state: CellState = "success" if end.success else "other"
-    how = end.outcome.replace("_", " ")
-    return Cell(column=column, row=row, state=state, label=f"{label}{how} at env step {end.env_steps}")
+    how = f"{end.outcome.replace('_', ' ')} at env step {end.env_steps}"
+    return Cell(column=place.column, row=place.row, state=state, label=place.label + how)

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Sequence
 
     from starlette.requests import Request
-    from vitac.evaluator.tracks import Track
     from vitac.server.views.evaluations import TaskProgressView
     from vitac.server.views.scores import TaskScoreView
     from vitac.server.views.submissions import EpisodeView, RankView, SubmissionView
@@ -105,28 +104,27 @@ async def _changes(request: Request) -> AsyncIterator[ServerSentEvent]:
 
 
 async def _values(request: Request, viewer: Viewer) -> dict[str, Any]:
-    data = site_of(request).data
     submission_id = as_id(request.path_params["submission_id"])
-    found = await data.submission(viewer.visitor, submission_id)
-    ends = await data.episodes(viewer.visitor, submission_id)
+    detail = await site_of(request).data.submission(viewer.visitor, submission_id)
+    found = detail.submission
     track = load_track(found.track)
     return {
         "submission": found,
         "track": track,
         "active": found.evaluation.state not in TERMINAL_EVALUATION_STATES,
         "took": seconds_taken(found),
-        "parts": [task_part(found, track, name, ends) for name in found.tasks],
+        "parts": [task_part(found, name, detail.episodes) for name in found.tasks],
         "several": len(found.tasks) + len(found.missing_tasks) > 1,
-        "action_matches": await data.action_matches(viewer.visitor, submission_id),
+        "action_matches": detail.action_matches,
         "missing": [track.tasks[name].title for name in found.missing_tasks],
     }
 
 
-def task_part(found: SubmissionView, track: Track, task: str, ends: Sequence[EpisodeView]) -> TaskPart:
+def task_part(found: SubmissionView, task: str, ends: Sequence[EpisodeView]) -> TaskPart:
     """Return the part of the page for one task of a submission."""
     evaluation = found.evaluation
     return TaskPart(
-        map=episode_map(task, track.tasks[task], {end.episode: end for end in ends if end.task == task}),
+        map=episode_map(found.track, task, {end.episode: end for end in ends if end.task == task}),
         progress=next(progress for progress in evaluation.progress.tasks if progress.task == task),
         score=next((score for score in evaluation.scores if score.task == task), None),
         rank=found.task_ranks.get(task),

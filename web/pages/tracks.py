@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
+from markupsafe import Markup
 from starlette.exceptions import HTTPException
 from vitac.evaluator.tracks import UnknownTrack, load_track
 
@@ -12,13 +13,30 @@ from ..rendering import render, steps, words
 from ..site import page, site_of, viewer_of
 
 if TYPE_CHECKING:
-    from markupsafe import Markup
+    from collections.abc import Callable, Hashable, Mapping, Sequence
+    from uuid import UUID
+
     from starlette.requests import Request
     from starlette.responses import Response
     from vitac.evaluator.tracks import Track
     from vitac.server.views.leaderboards import LeaderboardEntryView, LeaderboardView
 
     from ..site import Viewer
+
+
+class Entry(Protocol):
+    """A row of a board: whose it is, and what it shows."""
+
+    @property
+    def team(self) -> str:
+        """Whose it is."""
+
+    @property
+    def evaluation_id(self) -> UUID:
+        """What it shows; that never changes."""
+
+
+EntryT = TypeVar("EntryT", bound=Entry)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,15 +78,21 @@ async def leaderboard(request: Request) -> Response:
 async def logs(request: Request) -> Response:
     """Show the logs of a track: verified logs by task, and 2025 text logs with their claims."""
     track = _track(request.path_params["track"])
-    site = site_of(request)
+    site, viewer = site_of(request), await viewer_of(request)
+    found = await site.data.log_boards(track.name)
     return page(
         request,
         "logs.html",
-        viewer=await viewer_of(request),
+        viewer=viewer,
         section="/" if track.name == site.tracks[0] else "",
         track=track,
         tabs=tabs(track, None, logs=True),
-        found=await site.data.log_boards(track.name),
+        found=found,
+        rows={
+            board.task: _rows(request, viewer, "log_row.html", board.entries, of=lambda entry: entry.rank)
+            for board in found.boards
+        },
+        text_log_rows=_rows(request, viewer, "text_log_row.html", found.text_logs),
     )
 
 
@@ -159,21 +183,50 @@ async def _leaderboard(request: Request, name: str) -> Response:
 
 
 def _table(request: Request, board: LeaderboardView, track: Track, viewer: Viewer | None) -> Markup:
-    """Return the entries as a table; the same for all who see the same of this revision."""
-    shown = columns(track, board.task)
-    seen_by = None if viewer is None else (viewer.name, viewer.is_organizer)
-    return site_of(request).fragments.get(
-        (board.track, board.task, board.revision, seen_by),
-        lambda: render(
-            "leaderboard_table.html",
-            request,
-            viewer=viewer,
-            board=board,
-            combined=_is_combined(track, board.task),
-            columns=shown,
-            cells=lambda entry: cells(shown, entry),
-        ),
+    """Return the entries as a table."""
+    shown, combined = columns(track, board.task), _is_combined(track, board.task)
+
+    def values(entry: LeaderboardEntryView) -> dict[str, object]:
+        return {"combined": combined, "columns": shown, "cells": cells(shown, entry)}
+
+    rows = _rows(
+        request, viewer, "leaderboard_row.html", board.entries, values, of=lambda entry: (board.task, entry.rank)
     )
+    return Markup(  # noqa: S704 - a rendered template, whose values are escaped
+        render("leaderboard_table.html", request, board=board, combined=combined, columns=shown, rows=rows)
+    )
+
+
+def _rows(
+    request: Request,
+    viewer: Viewer | None,
+    template: str,
+    entries: Sequence[EntryT],
+    values: Callable[[EntryT], Mapping[str, object]] = lambda _: {},
+    *,
+    of: Callable[[EntryT], Hashable] = lambda _: None,
+) -> Markup:
+    """Return the rows of entries, each as it was last rendered for somebody who sees the same of it.
+
+    Args:
+        request: the request being answered.
+        viewer: who sees them.
+        template: of a row.
+        entries: each with what identifies it.
+        values: what the template shows of an entry beside it.
+        of: what else the row of an entry depends on.
+    """
+    fragments = site_of(request).fragments
+
+    def row(entry: EntryT) -> Markup:
+        own = viewer is not None and viewer.name == entry.team
+        linked = viewer is not None and viewer.may_see(entry.team)
+        return fragments.get(
+            (template, of(entry), entry.evaluation_id, own, linked),
+            lambda: render(template, request, entry=entry, own=own, linked=linked, **values(entry)),
+        )
+
+    return Markup("").join(map(row, entries))
 
 
 def _track(name: str) -> Track:

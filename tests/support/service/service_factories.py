@@ -23,6 +23,7 @@ from vitac.evaluator.episodes.records import (
     PolicyFailure,
     Timings,
 )
+from vitac.evaluator.logs.findings import Divergence, LogFinding
 from vitac.evaluator.scoring.score import Score, rate
 from vitac.evaluator.shards.result import ShardEnd, ShardResult
 from vitac.evaluator.submission_kinds import SubmissionKind
@@ -37,6 +38,7 @@ from vitac.server.evaluations import lifecycle
 from vitac.server.evaluations.episode_store import row_values, store_episode
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.evaluations.scores import store_scores
+from vitac.server.logs.claims import LogClaim
 from vitac.server.queue import leases
 from vitac.server.queue.leases import Lease
 from vitac.server.settings import Settings
@@ -109,6 +111,29 @@ def submit_scored(
     evaluation.result_hash = sha256(name)
     evaluation.finished_at = datetime.now(UTC)
     evaluation.state = EvaluationState.COMPLETED
+    return submission
+
+
+def submit_refuted_log(session: Session, principal: Principal, name: str) -> Submission:
+    """A log whose evaluation has ended because its first episode led elsewhere, without the episodes played."""
+    claim = LogClaim(team=None, episodes=270, successes=1, success_rate=1 / 270, mean_steps=3.0)
+    upload = make_upload(name, name=name, kind=SubmissionKind.LOG, manifest=claim.stored())
+    submission = creation.create(session, principal, upload)[0]
+    evaluation = newest_evaluation(session, submission)
+    evaluation.state = EvaluationState.RUNNING
+    session.flush()
+    divergence = Divergence(
+        episode=1, env_step=1, recorded_state=None, recorded_info=None, resimulated_state=None, resimulated_info=None
+    )
+    finding = LogFinding.diverged(divergence)
+    session.execute(
+        update(Shard)
+        .where(Shard.evaluation_id == evaluation.id)
+        .values(state=ShardState.FAILED, finding=finding.model_dump(mode="json"))
+    )
+    evaluation.verdict_code, evaluation.verdict_message = finding.verdict.value, finding.reason
+    evaluation.finished_at = datetime.now(UTC)
+    evaluation.state = EvaluationState.FAILED
     return submission
 
 

@@ -38,7 +38,7 @@ from vitac.server.views.logs import ActionMatchView, DivergenceView, LogView, Ma
 from vitac.server.views.scores import ShapeScoreView, TaskScoreView
 from vitac.server.views.submissions import EpisodeView, RankView, SubmissionListView, SubmissionView
 from vitac.server.views.workers import WorkersView
-from vitac.web.data.protocol import LimitRow, Visitor
+from vitac.web.data.protocol import LimitRow, SubmissionDetail, Visitor
 from vitac.web.pages import routes
 from vitac.web.session.signer import SessionSigner
 from vitac.web.site import Site
@@ -115,6 +115,7 @@ def an_entry(
         rank=rank,
         stale=rank is None,
         team=team,
+        evaluation_id=an_id(f"{team}/{name}/{scores}"),
         submission_id=an_id(f"{team}/{name}"),
         submission_name=name,
         kind=SubmissionKind.MODEL,
@@ -324,6 +325,7 @@ def some_log_boards() -> LogBoardsView:
         label="actions verified, policy not seen",
         ranking_rule="Higher success rate first.",
         evaluator_version="1+0123456789ab",
+        revision="c0ffee",
         generated_at=NOW,
         boards=[
             LogBoardView(task=name, title=task.title, entries=entries if name == TASK else [])
@@ -333,6 +335,7 @@ def some_log_boards() -> LogBoardsView:
             TextLogEntryView(
                 team="Touch",
                 task="lock-opening",
+                evaluation_id=an_id("evaluation of the text log"),
                 submission_id=an_id("text log"),
                 submission_name="2025 text log 0a1b2c3d",
                 submitted_at=NOW,
@@ -354,6 +357,7 @@ def a_log_entry(place: int, team: str, successes: int, verdict: VerificationResu
         rank=place,
         stale=False,
         team=team,
+        evaluation_id=an_id(f"evaluation of the log of {team}"),
         submission_id=an_id(f"log of {team}"),
         submission_name="log 0a1b2c3d",
         verdict=verdict,
@@ -402,25 +406,23 @@ class FixedData:
     async def log_boards(self, track: str) -> LogBoardsView:
         return self.logs
 
-    async def submission(self, visitor: Visitor, submission_id: UUID) -> SubmissionView:
+    async def submission(self, visitor: Visitor, submission_id: UUID) -> SubmissionDetail:
         for submission in self.found:
             if submission.id == submission_id and visitor.may_see(submission.team.name):
-                return submission
+                progress = submission.evaluation.progress
+                return SubmissionDetail(
+                    submission=submission,
+                    episodes=[end for task in progress.tasks for end in some_episodes(task.task, task.episodes_done)],
+                    action_matches=self.matches if submission.log else [],
+                )
         raise not_found("submission", submission_id)
 
     async def submissions(self, visitor: Visitor, before: UUID | None) -> SubmissionListView:
         seen = [submission for submission in self.found if visitor.may_see(submission.team.name)]
         return SubmissionListView(items=seen, next_before=self.next_before)
 
-    async def episodes(self, visitor: Visitor, submission_id: UUID) -> list[EpisodeView]:
-        progress = (await self.submission(visitor, submission_id)).evaluation.progress
-        return [end for task in progress.tasks for end in some_episodes(task.task, task.episodes_done)]
-
-    async def action_matches(self, visitor: Visitor, submission_id: UUID) -> list[ActionMatchView]:
-        return self.matches if (await self.submission(visitor, submission_id)).log else []
-
     async def cancel(self, visitor: Visitor, submission_id: UUID) -> None:
-        submission = await self.submission(visitor, submission_id)
+        submission = (await self.submission(visitor, submission_id)).submission
         if submission.evaluation.finished_at is not None:
             raise ServiceError(ProblemCode.NOT_CANCELLABLE, "The evaluation has ended.")
         self.cancelled.append(submission_id)

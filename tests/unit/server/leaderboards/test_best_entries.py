@@ -18,6 +18,7 @@ from vitac.server.db.models import Evaluation, Submission, Team
 from vitac.server.db.schema import downgrade, upgrade
 from vitac.server.db.states import EvaluationState
 from vitac.server.evaluations.scores import combined_score, scores_of, store_scores
+from vitac.server.leaderboards import standings
 from vitac.server.leaderboards.best_entries import Board, best_entries, places
 from vitac.server.leaderboards.log_boards import log_boards
 from vitac.server.leaderboards.standings import leaderboard
@@ -71,12 +72,12 @@ def add_result(
 
 def best_by_the_rule(evaluations: Sequence[Evaluation], task: str | None) -> list[UUID]:
     """Ids of each team's best evaluation on a board, by the evaluator's own function."""
-    standings, team_of = [], {}
+    candidates, team_of = [], {}
     for evaluation in evaluations:
         score = combined_score(evaluation) if task is None else scores_of(evaluation).get(task)
         if score is not None:
             team_of[str(evaluation.id)] = evaluation.submission.team_id
-            standings.append(
+            candidates.append(
                 Standing(
                     id=str(evaluation.id),
                     success_rate=score.success_rate,
@@ -85,7 +86,7 @@ def best_by_the_rule(evaluations: Sequence[Evaluation], task: str | None) -> lis
                 )
             )
     best: dict[UUID, str] = {}
-    for ranked in rank(standings):
+    for ranked in rank(candidates):
         best.setdefault(team_of[ranked.standing.id], ranked.standing.id)
     return [UUID(found) for found in best.values()]
 
@@ -112,7 +113,11 @@ def test_the_database_ranks_as_the_evaluator_does(database: Database, drawn: lis
             assert [entry.evaluation_id for entry in entries if entry.rank] == ranked
             assert [entry.rank for entry in entries[: len(ranked)]] == list(range(1, len(ranked) + 1))
             assert [entry.evaluation_id for entry in entries if not entry.rank] == best_by_the_rule(others, task)
-            assert [place.rank for place in places(session, TRACK)[task].values()] == list(range(1, len(ranked) + 1))
+            shown = places(session, TRACK, [model.submission_id for model in models])[task]
+            assert {found: (place.rank, place.of) for found, place in shown.items()} == {
+                session.get_one(Evaluation, found).submission_id: (rank, len(ranked))
+                for rank, found in enumerate(ranked, start=1)
+            }
         session.rollback()
 
 
@@ -135,14 +140,33 @@ def test_boards_read_the_best_of_each_team_and_not_all_results(many_results: Dat
         lambda session: leaderboard(session, TRACK),
         lambda session: leaderboard(session, TRACK, task=TASK),
         lambda session: log_boards(session, TRACK),
-        lambda session: places(session, TRACK),
+        lambda session: places(session, TRACK, session.scalars(select(Submission.id).limit(50)).all()),
     ):
         with many_results.transaction() as session, database_work(session) as work:
             read(session)
         assert work.rows_read["evaluations"] < 50
-        assert work.rows_read["submissions"] < 50
+        assert work.rows_read["submissions"] <= 50
         assert work.rows_read["board_results"] < 100
         assert work.statements <= 9
+
+
+def test_a_new_entry_is_all_that_is_read_for_a_board_that_was_made_before(many_results: Database) -> None:
+    with many_results.transaction() as session:
+        before = leaderboard(session, TRACK).view
+        team = session.scalars(select(Team).where(Team.name == "Team 3")).one()
+        add_result(session, 1000, team, {TASK: make_score(99), LOCK: make_score(99)}, BEGIN)
+    with many_results.transaction() as session, database_work(session) as work:
+        after = leaderboard(session, TRACK).view
+    assert work.rows_read["evaluations"] <= 1
+    assert [entry.rank for entry in after.entries] == list(range(1, 11))
+    assert [entry.team for entry in after.entries] == [
+        "Team 3",
+        *(entry.team for entry in before.entries if entry.team != "Team 3"),
+    ]
+    with many_results.transaction() as session:
+        standings._made_boards._made.clear()
+        anew = leaderboard(session, TRACK).view
+    assert after.model_copy(update={"generated_at": anew.generated_at}) == anew
 
 
 def test_migration_fills_the_results_of_completed_evaluations(database: Database) -> None:

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from database_work import database_work
 from service_client import Service, problem_of, running_service
 from service_factories import (
     TASK,
@@ -31,10 +32,12 @@ from vitac.evaluator.logs.findings import Divergence, Impossibility, ImpossibleR
 from vitac.evaluator.logs.log import LogReader
 from vitac.evaluator.shards.result import ShardEnd, ShardResult
 from vitac.evaluator.version import evaluator_version
+from vitac.server.accounts.principals import CONSOLE
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Evaluation, Submission
 from vitac.server.evaluations import lifecycle
 from vitac.server.leaderboards import log_boards
+from vitac.server.logs import action_matches
 from vitac.server.queue.leases import Lease
 from vitac.server.submissions import creation
 
@@ -245,6 +248,21 @@ def test_verified_logs_rank_apart_from_models_and_the_best_of_each_team_counts(s
     assert shown(service, better)["rank"] is None
 
 
+def test_boards_of_logs_that_a_client_has_are_not_sent_again_until_they_change(service: Service) -> None:
+    address = "/api/v1/leaderboards/track_1/logs"
+    play_all(service.database, uploaded(service, a_log()))
+    first = service.client.get(address)
+    assert first.headers["etag"] == f'W/"{first.json()["revision"]}"'
+    again = service.client.get(address, headers={"If-None-Match": first.headers["etag"]})
+    assert (again.status_code, again.content) == (304, b"")
+    assert service.client.get(address).content == first.content
+    play_all(service.database, uploaded(service, a_text_log(), "text_log"))
+    changed = service.client.get(address, headers={"If-None-Match": first.headers["etag"]})
+    assert changed.status_code == 200
+    assert changed.json()["boards"] == first.json()["boards"]
+    assert len(changed.json()["text_logs"]) == 1
+
+
 def test_log_of_an_older_evaluator_stays_visible_without_a_rank(service: Service) -> None:
     log = resimulated(service, a_log())
     with service.database.transaction() as session:
@@ -273,7 +291,7 @@ def test_only_the_newest_text_logs_are_loaded(service: Service, monkeypatch: pyt
     loaded: list[Evaluation] = []
     with service.database.transaction() as session:
         event.listen(session, "loaded_as_persistent", lambda _, found: loaded.append(found))
-        shown = log_boards.log_boards(session, "track_1").text_logs
+        shown = log_boards.log_boards(session, "track_1").view.text_logs
     assert [entry.claimed_success_rate for entry in shown] == [0.0479, 0.048]
     evaluations = [found for found in loaded if isinstance(found, Evaluation)]
     assert len(evaluations) == 2
@@ -325,6 +343,21 @@ def test_names_the_first_mismatch(service: Service) -> None:
     (match,) = service.get(f"/submissions/{log.id}/action-matches").json()
     assert (match["reproduced"], match["episodes_reproduced"]) == (808, 269)
     assert match["others"] == [{"episode": 5, "actions": 3, "reproduced": 1, "first_mismatch": 2}]
+
+
+def test_models_that_were_compared_before_are_not_read_again(service: Service) -> None:
+    log = resimulated(service, a_log())
+    with_model(service)
+    first = service.get(f"/submissions/{log.id}/action-matches").json()
+    with_model(service, parts_from_the_second_step, content="another")
+    with service.database.transaction() as session, database_work(session) as work:
+        found = action_matches.action_matches(session, CONSOLE, log.id)
+    assert 540 <= work.rows_read["episode_results"] <= 550
+    assert [match.reproduced for match in found] == [808, 810]
+    assert found[1].model_dump(mode="json") == first[0]
+    with service.database.transaction() as session, database_work(session) as work:
+        assert action_matches.action_matches(session, CONSOLE, log.id) == found
+    assert work.rows_read["episode_results"] == 0
 
 
 def test_only_complete_models_of_the_same_team_and_evaluator_are_compared(service: Service) -> None:

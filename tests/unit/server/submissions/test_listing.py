@@ -9,10 +9,13 @@ from service_factories import (
     make_record,
     make_score,
     store,
+    submit_refuted_log,
     submit_scored,
 )
-from submission_steps import SETTINGS, create, ids_of, refused, view_of
+from sqlalchemy import text
+from submission_steps import SETTINGS, create, ids_of, make_worker, refused, view_of
 from vitac.evaluator.episodes.records import EpisodeOutcome
+from vitac.evaluator.logs.findings import VerificationResult
 from vitac.server.accounts.principals import CONSOLE, Principal
 from vitac.server.db.engine import Database
 from vitac.server.db.states import EvaluationState
@@ -70,12 +73,46 @@ def test_episodes_are_listed_in_order(database: Database, principal: Principal) 
 
 
 def test_a_long_list_takes_no_more_statements_than_a_short_one(database: Database, principal: Principal) -> None:
+    """Whatever its submissions are: scored, running, queued, logs that were refuted."""
     with database.transaction() as session:
-        for number in range(12):
+        for number in range(4):
             submit_scored(session, principal, f"model {number}", {TASK: make_score(number)})
+            submit_refuted_log(session, principal, f"log {number}")
+    make_worker(database)
+    for number in range(4):
+        submission, _ = create(database, principal, f"runs {number}")
+        store(database, claim(database, ids_of(database, submission)[0]), [make_record(1)])
+        create(database, principal, f"waits {number}")
     statements = []
-    for limit in (2, 12):
+    for limit in (4, 16):
         with database.transaction() as session, database_work(session) as work:
-            assert len(listing.list_submissions(session, SETTINGS, CONSOLE, limit=limit).items) == limit
+            found = listing.list_submissions(session, SETTINGS, CONSOLE, limit=limit).items
+        assert len({item.evaluation.state for item in found}) == (2 if limit == 4 else 4)
         statements.append(work.statements)
-    assert statements[0] == statements[1] < 20
+    assert [item.evaluation.queue_position for item in found[:8]] == [4, None, 3, None, 2, None, 1, None]
+    assert [item.evaluation.progress.episodes_done for item in found[:2]] == [0, 1]
+    assert [item.log.verdict for item in found if item.log] == [VerificationResult.DIVERGED] * 4
+    assert statements[1] <= statements[0] + 2 < 20  # the findings against logs, and the places of models
+
+
+def test_a_teams_list_reads_no_other_teams_rows_and_no_output(database: Database, principal: Principal) -> None:
+    with database.transaction() as session:
+        for other in range(20):
+            stranger = make_principal(session, f"Team {other}")
+            for number in range(10):
+                submit_scored(session, stranger, f"model {other} {number}", {TASK: make_score(number)})
+        for number in range(30):
+            submit_scored(session, principal, f"model {number}", {TASK: make_score(number)})
+        session.execute(text("UPDATE evaluations SET log_tail = 'printed'"))
+    with database.transaction() as session:
+        session.execute(text("ANALYZE"))
+    with database.transaction() as session, database_work(session) as work:
+        found = listing.list_submissions(session, SETTINGS, principal, limit=5).items
+    assert work.rows_read["submissions"] <= 6
+    assert work.rows_read["evaluations"] <= 6
+    assert {item.evaluation.log_tail for item in found} == {""}
+    with database.transaction() as session, database_work(session) as work:
+        assert listing.get(session, SETTINGS, principal, found[0].id).evaluation.log_tail == "printed"
+    assert work.statements <= 9
+    assert work.rows_read["submissions"] <= 2
+    assert work.rows_read["evaluations"] <= 3
