@@ -78,10 +78,13 @@ def _check_task(staged: Path, manifest: "SubmissionManifest", task: str, finding
     from vitac.evaluator.evaluation.local import evaluate
     from vitac.evaluator.tracks import load_track
 
+    from .terminal.compiling import compiling_shown
+
     track = load_track(manifest.track)
     definition = track.tasks[task]
     numbers = sorted({definition.episodes[0].number, definition.episodes[-1].number})
-    evaluation = evaluate(submission_dir=staged, track=track, task=definition, episodes=numbers)
+    with compiling_shown():
+        evaluation = evaluate(submission_dir=staged, track=track, task=definition, episodes=numbers)
     for record in evaluation.records:
         _add_result(record, findings)
 

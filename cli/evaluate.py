@@ -47,6 +47,8 @@ def command(
     from vitac.evaluator.submission.staging import staged
     from vitac.evaluator.tracks import load_track
 
+    from .terminal.compiling import compiling_shown
+
     numbers = parse_episodes(episodes)
     _check_outputs(json, log, team)
     with staged(submission) as folder:
@@ -54,7 +56,7 @@ def command(
         digest = submission_digest(submission)
         track = load_track(manifest.track)
         definition = track.tasks[_chosen_task(manifest, task)]
-        with _Progress(len(numbers or definition.episodes)) as progress:
+        with _Progress(len(numbers or definition.episodes)) as progress, compiling_shown(progress.bar):
             evaluation = evaluate(
                 submission_dir=folder,
                 track=track,
@@ -152,7 +154,7 @@ class _Progress:
             TimeRemainingColumn,
         )
 
-        self._bar = Progress(
+        self.bar = Progress(
             TextColumn("{task.description}"),
             BarColumn(),
             MofNCompleteColumn(),
@@ -161,15 +163,15 @@ class _Progress:
             console=Console(file=sys.stderr),
         )
         self._successes = 0
-        self._task = self._bar.add_task("starting", total=total)
+        self._task = self.bar.add_task("starting", total=total)
 
     def advance(self, record: "EpisodeRecord") -> None:
         self._successes += record.success
-        self._bar.update(self._task, advance=1, description=f"{self._successes} successes")
+        self.bar.update(self._task, advance=1, description=f"{self._successes} successes")
 
     def __enter__(self) -> "_Progress":
-        self._bar.start()
+        self.bar.start()
         return self
 
     def __exit__(self, *_: Any) -> None:
-        self._bar.stop()
+        self.bar.stop()

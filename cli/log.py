@@ -57,19 +57,21 @@ def verify(
     from vitac.evaluator.tracks import find_task
 
     from .evaluate import parse_episodes
+    from .terminal.compiling import compiling_shown
     from .terminal.output import print_json
 
     header, records = _read(log)
     track, task = find_task(header.manifest.task)
-    verification = verify_log(
-        env=make_environment(task),
-        track=track,
-        task=task,
-        header=header,
-        records=records,
-        episodes=parse_episodes(episodes),
-        on_episode=lambda record: _progress(f"re-simulated {record.episode}"),
-    )
+    with compiling_shown():
+        verification = verify_log(
+            env=make_environment(task),
+            track=track,
+            task=task,
+            header=header,
+            records=records,
+            episodes=parse_episodes(episodes),
+            on_episode=lambda record: _progress(f"re-simulated {record.episode}"),
+        )
     _progress("")
     if json:
         content = verification.model_dump(mode="json", exclude={"records"})
@@ -148,11 +150,12 @@ def match(
     from vitac.evaluator.submission.staging import staged
     from vitac.evaluator.tracks import find_task
 
+    from .terminal.compiling import compiling_shown
     from .terminal.output import print_json
 
     header, records = _read(log)
     _, task = find_task(header.manifest.task)
-    with staged(submission) as folder, load_in_sandbox(folder, Limits(), 0) as session:
+    with staged(submission) as folder, load_in_sandbox(folder, Limits(), 0) as session, compiling_shown():
         result = match_actions(
             env=make_environment(task),
             task=task,

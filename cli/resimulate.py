@@ -34,14 +34,17 @@ def command(
     from vitac.evaluator.logs.resimulation import report, resimulate_all
     from vitac.evaluator.tracks import find_task
 
+    from .terminal.compiling import compiling_shown
+
     _, definition = find_task(task)
     recordings = read_recordings(file, definition)
     env = make_environment(definition, assets or assets_dir_from_environment())
     episodes = []
-    for recording, played in resimulate_all(env, definition, recordings):
-        episodes.append(played)
-        for line in _lines(definition, recording, played):
-            print(line)
+    with compiling_shown():
+        for recording, played in resimulate_all(env, definition, recordings):
+            episodes.append(played)
+            for line in _lines(definition, recording, played):
+                print(line)
     result = report(env, episodes)
     if json:
         json.write_text(result.model_dump_json(exclude_unset=True, indent=1) + "\n", encoding="utf-8")

@@ -108,12 +108,14 @@ def command(
     from vitac.envs.drawing.files import Destination
     from vitac.envs.drawing.picture import Caption
 
+    from .terminal.compiling import compiling_shown
+
     if policy and actions:
         raise typer.BadParameter("expected one of them, got both.", param_hint="--policy and --actions")
     destination = Destination.at(out or Path(f"{task.rpartition('/')[2]}-{episode}.png"))
     if step is not None and destination.kind is not destination.kind.PNG:
         raise typer.BadParameter("expected a single PNG as output for one env step.", param_hint="--step")
-    with _player(find_start(task, episode), policy, actions) as played:
+    with compiling_shown(), _player(find_start(task, episode), policy, actions) as played:
         playback = _record(played, assets, _pace(every, destination))
     start = played.start
     title = start.title if start.listed else f"{start.title}: {playback.held.name}"

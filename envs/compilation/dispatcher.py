@@ -10,14 +10,16 @@ from numba.core.dispatcher import _FunctionCompiler  # type: ignore[attr-defined
 from numba.core.registry import CPUDispatcher
 from numba.core.typing.templates import make_concrete_template
 
+from ..kernel_cache.folders import cache_directory
+from ..kernel_cache.progress import CompileProgress
+from ..kernel_cache.turns import CompilingTurn
 from .cache import KernelCache
-from .folders import cache_directory
 from .libraries import EntryLibrary, PartLibrary
 from .sources import read_source
-from .turns import CompilingTurn
 
 _LOG = logging.getLogger("vitac.envs.compilation")
 _TURN = CompilingTurn()
+_COUNTS = {"compiled": 0, "kernels": 0}
 
 
 class KernelDispatcher(CPUDispatcher):
@@ -28,14 +30,15 @@ class KernelDispatcher(CPUDispatcher):
     there for the first time. So compiling takes a third of the time. A part is compiled for the types of its arguments,
     and not once more for each constant that a caller hands over.
 
-    What is not in the cache is compiled by one process at a time: the others wait, and find it there then. Every
-    compilation is logged at the level INFO, so that a program which warms up can show how far it is.
+    What is not in the cache is compiled by one process at a time: the others wait, and find it there then. Each
+    compilation is logged at the level INFO and counted where others see it (`vitac.envs.kernel_cache.progress`).
     """
 
     _cache: Any
 
     def __init__(self, function: Any, **options: Any) -> None:
         super().__init__(function, **options)
+        _COUNTS["kernels"] += 1
         read_source(Path(function.__code__.co_filename))
         self._compiler = _EntryCompiler(function, self.targetdescr, self.targetoptions, {}, compiler.Compiler)
         self.parts: dict[tuple[Any, ...], Any] = {}
@@ -48,7 +51,7 @@ class KernelDispatcher(CPUDispatcher):
             args, _ = sigutils.normalize_signature(sig)
             if tuple(args) in self.overloads or self._cache.holds(sig, self.targetctx):
                 return super().compile(sig)
-            with _TURN.taken(cache_directory()):
+            with _TURN.taken(cache_directory(), CompileProgress(**_COUNTS)):
                 return super().compile(sig)
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
@@ -110,5 +113,7 @@ def _lower(kernel: Any, args: tuple[Any, ...], library: Any, **flags: bool) -> A
     )
     if lowered.typing_error is not None:
         raise lowered.typing_error
+    _COUNTS["compiled"] += 1
+    _TURN.tell(CompileProgress(**_COUNTS))
     _LOG.info("Compiled %s.%s", kernel.py_func.__module__, kernel.py_func.__qualname__)
     return lowered

@@ -5,11 +5,12 @@ import logging
 import os
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from .progress import LOCK_FILE, CompileProgress
+
 _LOG = logging.getLogger("vitac.envs.compilation")
-_LOCK_FILE = "compiling.lock"
 # How often a waiting process looks, and after how long it says that it waits.
 _POLL_S = 0.1
 _SILENT_S = 1.0
@@ -23,28 +24,36 @@ class CompilingTurn:
     """
 
     def __init__(self) -> None:
-        self._depth = 0
+        self._lock: int | None = None
 
     @contextmanager
-    def taken(self, folder: Path) -> Iterator[None]:
-        """Wait for the turn, and hold it for the body.
+    def taken(self, folder: Path, progress: CompileProgress) -> Iterator[None]:
+        """Wait for the turn, and hold it for the body; whoever started this process can read how far it is.
 
         Raises:
             OSError: the folder cannot be written to, or its file system has no locks.
         """
-        if self._depth:
+        if self._lock is not None:
             yield
             return
-        lock = os.open(folder / _LOCK_FILE, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+        lock = os.open(folder / LOCK_FILE, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
         try:
             _wait_for(lock, folder)
-            self._depth += 1
+            self._lock = lock
             try:
+                self.tell(progress)
                 yield
             finally:
-                self._depth -= 1
+                self._lock = None
+                os.ftruncate(lock, 0)
         finally:
             os.close(lock)
+
+    def tell(self, progress: CompileProgress) -> None:
+        """Write how far compiling is; nothing where this process has no turn or the disk is full."""
+        if self._lock is not None:
+            with suppress(OSError):
+                os.pwrite(self._lock, progress.as_bytes(), 0)
 
 
 def _wait_for(lock: int, folder: Path) -> None:

@@ -5,14 +5,17 @@ import sys
 from pathlib import Path
 
 import pytest
-from vitac.envs.compilation import turns
-from vitac.envs.compilation.turns import CompilingTurn
+from vitac.envs.kernel_cache import turns
+from vitac.envs.kernel_cache.progress import CompileProgress
+from vitac.envs.kernel_cache.turns import CompilingTurn
 
+START = CompileProgress(compiled=0, kernels=9)
 HOLD = """
 import sys
 from pathlib import Path
-from vitac.envs.compilation.turns import CompilingTurn
-with CompilingTurn().taken(Path(sys.argv[1])):
+from vitac.envs.kernel_cache.progress import CompileProgress
+from vitac.envs.kernel_cache.turns import CompilingTurn
+with CompilingTurn().taken(Path(sys.argv[1]), CompileProgress(compiled=0, kernels=9)):
     print("taken", flush=True)
     sys.stdin.read()
 """
@@ -40,7 +43,7 @@ def test_a_process_waits_and_says_so(
             first.wait()
 
         monkeypatch.setattr("time.sleep", end_the_other)
-        with CompilingTurn().taken(tmp_path):
+        with CompilingTurn().taken(tmp_path, START):
             pass
     assert looks == [None]
     assert caplog.messages == [f"Another process is compiling the physics into {tmp_path}; waiting for it."]
@@ -48,7 +51,7 @@ def test_a_process_waits_and_says_so(
 
 def test_a_turn_is_taken_again_within_itself_and_given_back_after_an_error(tmp_path: Path) -> None:
     turn = CompilingTurn()
-    with pytest.raises(ZeroDivisionError), turn.taken(tmp_path), turn.taken(tmp_path):
+    with pytest.raises(ZeroDivisionError), turn.taken(tmp_path, START), turn.taken(tmp_path, START):
         raise ZeroDivisionError
     with holder(tmp_path) as other:
         other.communicate()

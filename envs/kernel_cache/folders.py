@@ -17,13 +17,18 @@ _USE_NOTED_S = 86400.0
 
 @cache
 def cache_directory() -> Path:
-    """Folder of compiled kernels: in `VITAC_CACHE_DIR`, else the user's cache folder, else a private temporary one."""
+    """Folder of compiled kernels: the one that processes share, else a private temporary one."""
+    return shared_directory() or _private_directory()
+
+
+def shared_directory() -> Path | None:
+    """Folder in `VITAC_CACHE_DIR` or the user's cache folder; None where it cannot be written to."""
     directory = _candidate_root() / _NAME
     try:
         directory.mkdir(parents=True, exist_ok=True)
     except OSError:
-        return _private_directory()
-    return directory if os.access(directory, os.W_OK) else _private_directory()
+        return None
+    return directory if os.access(directory, os.W_OK) else None
 
 
 def note_use(folder: Path) -> None:

@@ -5,7 +5,7 @@ import time
 from pathlib import Path
 
 import pytest
-from vitac.envs.compilation.folders import note_use, remove_unused
+from vitac.envs.kernel_cache.folders import note_use, remove_unused
 
 DAY_S = 86400.0
 
