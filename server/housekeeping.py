@@ -1,4 +1,4 @@
-"""The regular work besides requests and shards: the sweep for lost shards and the removal of what nobody needs."""
+"""The regular work besides requests and shards: the sweep for lost shards, totals, the removal of what nobody needs."""
 
 import shutil
 import threading
@@ -13,6 +13,8 @@ from vitac.envs.errors import VitacError
 from .db.models import Submission
 from .evaluations.lifecycle import fail_by_machines
 from .evaluations.superseding import supersede_outdated
+from .metrics.instruments import RetryReason
+from .metrics.totals import TotalsWriter
 from .queue.jobs import prune_finished_jobs
 from .queue.sweep import sweep
 from .services import Services
@@ -29,6 +31,7 @@ class Housekeeping:
 
     def __init__(self, services: Services) -> None:
         self._services = services
+        self._totals = TotalsWriter(services.instruments)
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="housekeeping", daemon=True)
 
@@ -37,20 +40,25 @@ class Housekeeping:
         self._thread.start()
 
     def stop(self) -> None:
-        """End after the round at work."""
+        """End after the round at work, and write what was counted since."""
         self._stopping.set()
         self._thread.join()
+        try:
+            self._totals.write(self._services.database)
+        except DBAPIError as error:
+            _postpone(error)
 
     def _run(self) -> None:
         pruned_at = float("-inf")
         while not self._stopping.is_set():
             try:
                 self._sweep()
+                self._totals.write(self._services.database)
                 if time.monotonic() - pruned_at > PRUNE_EVERY_S:
                     prune(self._services)
                     pruned_at = time.monotonic()
             except (DBAPIError, VitacError, OSError) as error:
-                logger.warning("housekeeping_postponed", error=" ".join(str(error).split())[:300])
+                _postpone(error)
             self._stopping.wait(self._services.settings.sweep_interval_s)
 
     def _sweep(self) -> None:
@@ -58,8 +66,15 @@ class Housekeeping:
             done = sweep(session, self._services.settings, give_up=fail_by_machines)
         with self._services.database.transaction() as session:
             supersede_outdated(session, self._services.settings)
+        instruments = self._services.instruments
+        instruments.shard_retries.labels(RetryReason.LEASE_EXPIRED).inc(done.queued_again)
+        instruments.shards_given_up.inc(done.given_up)
         if done.queued_again or done.given_up or done.woken:
             logger.info("swept", queued_again=done.queued_again, given_up=done.given_up, woken=done.woken)
+
+
+def _postpone(error: Exception) -> None:
+    logger.warning("housekeeping_postponed", error=" ".join(str(error).split())[:300])
 
 
 def prune(services: Services) -> None:

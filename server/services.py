@@ -2,11 +2,12 @@
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from vitac.server.db.availability import DatabaseUnreachable, once_available
 from vitac.server.db.engine import Database
 from vitac.server.db.schema import upgrade
+from vitac.server.metrics.instruments import Instruments
 from vitac.server.postgres.embedded import EmbeddedPostgres
 from vitac.server.settings import Settings
 from vitac.server.storage.blobs import BlobStore
@@ -14,12 +15,13 @@ from vitac.server.storage.blobs import BlobStore
 
 @dataclass(frozen=True, kw_only=True)
 class Services:
-    """Open connections of one process. `postgres` is None when VITAC_DATABASE_URL names a server."""
+    """Open connections of one process and what it counts. `postgres` is None if VITAC_DATABASE_URL names a server."""
 
     settings: Settings
     database: Database
     blobs: BlobStore
     postgres: EmbeddedPostgres | None
+    instruments: Instruments = field(default_factory=Instruments)
 
 
 @contextmanager

@@ -21,6 +21,13 @@ class Registration(StrEnum):
     CLOSED = "closed"  # organizers only
 
 
+class LogFormat(StrEnum):
+    """How service events are written on standard error, one line each."""
+
+    TEXT = "text"  # key='value' pairs, for people
+    JSON = "json"  # JSON objects, for programs
+
+
 class Settings(BaseSettings):
     """Settings of server and worker. Sizes in bytes, times in seconds unless the name says otherwise."""
 
@@ -62,6 +69,15 @@ class Settings(BaseSettings):
         default="",
         description="Addresses or networks (10.0.0.0/8), with commas, of the reverse proxies in front. The client's "
         "address is taken from their X-Forwarded-For, which counts from nobody else.",
+    )
+
+    metrics_token: SecretStr | None = Field(
+        default=None,
+        min_length=16,
+        description="Bearer token that may read /metrics. Not set: organizers' tokens only.",
+    )
+    log_format: LogFormat = Field(
+        default=LogFormat.TEXT, description="How service events are written: text, or json with one object per line."
     )
 
     registration: Registration = Registration.OPEN

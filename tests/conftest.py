@@ -7,7 +7,10 @@ from pathlib import Path
 import pytest
 
 REPOSITORY = Path(__file__).resolve().parent.parent
-MACHINE_VARIABLES = {"VITAC_BWRAP", "VITAC_CACHE_DIR", "VITAC_CHROMIUM", "VITAC_EXPECT_WHEEL", "VITAC_REFERENCE_DIR"}
+MACHINE_VARIABLES = {
+    *("VITAC_BWRAP", "VITAC_CACHE_DIR", "VITAC_CHROMIUM", "VITAC_EXPECT_WHEEL", "VITAC_REFERENCE_DIR"),
+    "VITAC_TEST_COMPOSE",
+}
 
 
 def pytest_configure() -> None:

@@ -50,8 +50,9 @@ class Heartbeat:
     def _beat(self, state: WorkerState) -> None:
         try:
             with self._services.database.transaction() as session:
-                workers.heartbeat(session, self.worker_id, state, self._message)
-        except DBAPIError as error:
+                disk = workers.disk_of(self._services.settings.scratch_dir)
+                workers.heartbeat(session, self.worker_id, state, disk, self._message)
+        except (DBAPIError, OSError) as error:
             logger.warning("heartbeat_failed", error=" ".join(str(error).split())[:200])
 
     def _row(self) -> Worker:

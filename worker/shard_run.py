@@ -144,6 +144,7 @@ class ShardRun:
     def _store(self, record: EpisodeRecord) -> None:
         self._last_record_at = time.monotonic()
         self._database(lambda session: store_episode(session, self._lease, record))
+        self._services.instruments.episodes.labels(self._lease.task).inc()
 
     def _keep_lease(self) -> None:
         settings = self._services.settings

@@ -11,6 +11,7 @@ import structlog
 from procrastinate.exceptions import ProcrastinateException
 from sqlalchemy.exc import DBAPIError
 from vitac.evaluator.version import evaluator_version
+from vitac.server.metrics.instruments import RetryReason
 from vitac.server.queue import leases
 from vitac.server.queue.jobs import RUN_SHARD, make_worker_app, queue_name
 from vitac.server.queue.leases import Lease
@@ -109,12 +110,28 @@ class QueueWorker:
         finally:
             with self._lock:
                 self._runs.discard(run)
+        self._count(end)
         log: Callable[..., object] = logger.info if end is RunEnd.FINISHED else logger.warning
         log("shard_ended", shard=shard_id, task=lease.task, number=lease.number, attempt=lease.attempt, end=str(end))
 
     def _claim(self, shard_id: int) -> Lease | None:
         lease_s = self._services.settings.lease_s
-        return self._services.database.retrying(
-            lambda session: leases.claim(session, shard_id, self._worker_id, lease_s),
-            give_up_after_s=DATABASE_PATIENCE_S,
-        )
+        instruments = self._services.instruments
+        with instruments.claim_s.time():
+            lease = self._services.database.retrying(
+                lambda session: leases.claim(session, shard_id, self._worker_id, lease_s),
+                give_up_after_s=DATABASE_PATIENCE_S,
+            )
+        if lease is not None:
+            instruments.shard_wait_s.observe(lease.waited_s)
+        return lease
+
+    def _count(self, end: RunEnd) -> None:
+        instruments = self._services.instruments
+        if end is RunEnd.FINISHED:
+            instruments.shards_finished.inc()
+        elif end is RunEnd.LOST:
+            instruments.leases_lost.inc()
+        else:
+            reason = RetryReason.BROKE if end is RunEnd.BROKE else RetryReason.HANDED_BACK
+            instruments.shard_retries.labels(reason).inc()

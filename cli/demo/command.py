@@ -74,7 +74,7 @@ def command(
     display.title(version("vitac-arena"))
     settings.state_dir.mkdir(parents=True, exist_ok=True)
     with (settings.state_dir / LOG).open("a") as log, StopRequest().listening() as stop:
-        write_events_to(log)
+        write_events_to(log, settings.log_format)
         demo = Demo(
             settings=settings,
             display=display,

@@ -4,26 +4,40 @@ from __future__ import annotations
 
 import logging
 import sys
-from typing import TextIO
+from typing import TYPE_CHECKING, TextIO
+
+if TYPE_CHECKING:
+    from structlog.typing import Processor
+    from vitac.server.settings import LogFormat
 
 
-def write_events_to(stream: TextIO) -> None:
+def write_events_to(stream: TextIO, form: LogFormat) -> None:
     """Write the service events of this process (ours and the libraries') to a stream, one line per event."""
     import structlog
+    from vitac.server.settings import LogFormat
 
+    first: list[Processor] = [
+        structlog.processors.add_log_level,
+        structlog.processors.TimeStamper(fmt="iso", utc=True),
+    ]
+    last: list[Processor] = [structlog.processors.format_exc_info]
+    if form is LogFormat.JSON:
+        last.append(structlog.processors.JSONRenderer(default=str))
+    else:
+        last.append(structlog.processors.KeyValueRenderer(key_order=["timestamp", "level", "event"]))
     structlog.configure(
-        processors=[
-            structlog.processors.add_log_level,
-            structlog.processors.TimeStamper(fmt="iso", utc=True),
-            structlog.processors.format_exc_info,
-            structlog.processors.KeyValueRenderer(key_order=["timestamp", "level", "event"]),
-        ],
+        processors=[*first, *last],
         logger_factory=structlog.PrintLoggerFactory(stream),
         cache_logger_on_first_use=False,
     )
-    logging.basicConfig(
-        stream=stream, level=logging.WARNING, force=True, format="%(asctime)s %(levelname)s %(name)s %(message)s"
+    handler = logging.StreamHandler(stream)
+    handler.setFormatter(
+        structlog.stdlib.ProcessorFormatter(
+            foreign_pre_chain=[*first, structlog.stdlib.add_logger_name],
+            processors=[structlog.stdlib.ProcessorFormatter.remove_processors_meta, *last],
+        )
     )
+    logging.basicConfig(handlers=[handler], level=logging.WARNING, force=True)
 
 
 def keep_events_off_output() -> None:

@@ -1,7 +1,6 @@
 """`vitac serve`: runs the service on this machine."""
 
 import sys
-from functools import partial
 from typing import Annotated
 
 import typer
@@ -22,13 +21,11 @@ def command(
 ) -> None:
     """Run the service until Ctrl-C: API, pages, and the embedded database unless VITAC_DATABASE_URL is set."""
     settings = load_settings(host=host, port=port)
-    write_events_to(sys.stderr)
+    write_events_to(sys.stderr, settings.log_format)
     listener = bind(settings.host, settings.port)
     with (
         StopRequest().listening() as stop,
-        running_service(
-            settings, listener, workers=workers, log=sys.stderr.fileno(), notify=partial(print, file=sys.stderr)
-        ) as service,
+        running_service(settings, listener, workers=workers, log=sys.stderr.fileno(), notify=_note) as service,
     ):
         service.workers.start()
         print(f"ViTac Arena is running at {service.address}", flush=True)
@@ -36,3 +33,10 @@ def command(
         print("Press Ctrl-C to stop.", flush=True)
         stop.supervise(service.workers)
         print("stopping", flush=True)
+
+
+def _note(sentence: str) -> None:
+    """Write what became of a worker as a service event."""
+    import structlog
+
+    structlog.get_logger(__name__).warning("worker_restarted", message=sentence)

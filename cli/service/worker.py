@@ -21,10 +21,11 @@ def command(
 
     from .events import write_events_to
 
-    write_events_to(sys.stderr)
+    settings = load_settings(worker_slots=slots)
+    write_events_to(sys.stderr, settings.log_format)
     if parent is not None:
         end_with(parent)
-    run(load_settings(worker_slots=slots))
+    run(settings)
 
 
 def end_with(parent: int) -> None:

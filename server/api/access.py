@@ -9,7 +9,7 @@ from vitac.server.accounts.principals import Principal
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.services import Services
 
-_bearer = HTTPBearer(auto_error=False, description="An API token: `vitac_` and 43 characters.")
+bearer = HTTPBearer(auto_error=False, description="An API token: `vitac_` and 43 characters.")
 
 
 def services_of(request: Request) -> Services:
@@ -19,7 +19,7 @@ def services_of(request: Request) -> Services:
 
 
 def principal_of(
-    request: Request, credentials: Annotated[HTTPAuthorizationCredentials | None, Depends(_bearer)]
+    request: Request, credentials: Annotated[HTTPAuthorizationCredentials | None, Depends(bearer)]
 ) -> Principal:
     """Return who asks.
 
@@ -35,7 +35,7 @@ def principal_of(
 
 
 def optional_principal_of(
-    request: Request, credentials: Annotated[HTTPAuthorizationCredentials | None, Depends(_bearer)]
+    request: Request, credentials: Annotated[HTTPAuthorizationCredentials | None, Depends(bearer)]
 ) -> Principal | None:
     """Return who asks, or None without a token. A token that is given must be good, though.
 

@@ -7,13 +7,15 @@ from importlib.metadata import version
 from fastapi import APIRouter, FastAPI
 from fastapi.concurrency import run_in_threadpool
 from vitac.server.housekeeping import Housekeeping
+from vitac.server.operations.exposition import Exposition
 from vitac.server.services import Services, open_services
 from vitac.server.settings import Settings
 
-from . import health, problems, submissions, teams, tracks
+from . import health, metrics, problems, submissions, teams, tracks
 from .body_limit import BodyLimit
 from .limiter import ConcurrencyLimiter, WindowLimiter
 from .request_head import RequestHead
+from .request_times import RequestTimes
 
 API_PREFIX = "/api/v1"
 DESCRIPTION = """Evaluation of policies for manipulation with vision and touch.
@@ -36,6 +38,7 @@ def create_app(settings: Settings, routers: Sequence[APIRouter] = (), services: 
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         with ExitStack() as stack:
             app.state.services = services or await run_in_threadpool(stack.enter_context, open_services(settings))
+            app.state.exposition = Exposition(app.state.services)
             housekeeping = Housekeeping(app.state.services)
             housekeeping.start()
             stack.callback(housekeeping.stop)
@@ -57,9 +60,10 @@ def create_app(settings: Settings, routers: Sequence[APIRouter] = (), services: 
     app.state.stream_limiter = ConcurrencyLimiter(settings.event_streams)
     for router in (teams.router, submissions.router, tracks.router):
         app.include_router(router, prefix=API_PREFIX)
-    for router in (health.router, *routers):
+    for router in (health.router, metrics.router, *routers):
         app.include_router(router)
     app.add_middleware(BodyLimit, unlimited=("POST", f"{API_PREFIX}{submissions.router.prefix}"))
     app.add_middleware(RequestHead)
+    app.add_middleware(RequestTimes)
     problems.install(app)
     return app

@@ -311,7 +311,7 @@ class EpisodeDifference(Base):
 
 
 class Worker(Base):
-    """A worker process and its last heartbeat."""
+    """A worker process, its last heartbeat and the space on its disk at that time."""
 
     __tablename__ = "workers"
     id: Mapped[UUID] = mapped_column(primary_key=True, default=uuid4)
@@ -325,6 +325,17 @@ class Worker(Base):
     message: Mapped[str] = mapped_column(default="")
     started_at: Mapped[datetime] = mapped_column(server_default=func.now())
     heartbeat_at: Mapped[datetime] = mapped_column(server_default=func.now(), index=True)
+    disk_bytes: Mapped[int | None] = mapped_column(BigInteger)
+    disk_free_bytes: Mapped[int | None] = mapped_column(BigInteger)
+
+
+class MetricTotal(Base):
+    """Sum over all processes of one sample of `server.metrics.instruments`; `labels` is JSON with sorted keys."""
+
+    __tablename__ = "metric_totals"
+    name: Mapped[str] = mapped_column(primary_key=True)
+    labels: Mapped[str] = mapped_column(primary_key=True)
+    value: Mapped[float] = mapped_column(Float)
 
 
 class AuditEntry(Base):

@@ -28,7 +28,7 @@ class LeaseLost(VitacError):
 
 @dataclass(frozen=True, kw_only=True)
 class Lease:
-    """The right to work on one shard, and all that is needed for it."""
+    """The right to work on one shard, and all that is needed for it; `waited_s` is how long it was queued [s]."""
 
     shard_id: int
     token: int
@@ -43,6 +43,7 @@ class Lease:
     task: str
     number: int
     episodes: tuple[int, ...]
+    waited_s: float
 
 
 def claim(session: Session, shard_id: int, worker_id: UUID, lease_s: float) -> Lease | None:
@@ -81,6 +82,7 @@ def claim(session: Session, shard_id: int, worker_id: UUID, lease_s: float) -> L
         task=shard.task,
         number=shard.number,
         episodes=tuple(shard.episodes),
+        waited_s=(now - shard.queued_at).total_seconds(),
     )
 
 

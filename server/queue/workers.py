@@ -1,8 +1,10 @@
 """Workers as the service knows them: registration, heartbeats, and whether any is alive."""
 
+import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 from uuid import UUID
 
 from sqlalchemy import delete, func, select, update
@@ -25,18 +27,38 @@ class WorkersAlive:
     last_heartbeat_at: datetime | None
 
 
+@dataclass(frozen=True, kw_only=True)
+class Disk:
+    """Size of a disk and what is free on it."""
+
+    total_bytes: int
+    free_bytes: int
+
+
+def disk_of(folder: Path) -> Disk:
+    """Return the disk that a folder is on."""
+    usage = shutil.disk_usage(folder)
+    return Disk(total_bytes=usage.total, free_bytes=usage.free)
+
+
 def register(session: Session, worker: Worker) -> None:
     """Add a worker process and forget those without a heartbeat for a week."""
     session.execute(delete(Worker).where(Worker.heartbeat_at < datetime.now(UTC) - FORGOTTEN_AFTER))
     session.add(worker)
 
 
-def heartbeat(session: Session, worker_id: UUID, state: WorkerState, message: str = "") -> None:
-    """Record that a worker is there and what it says about itself."""
+def heartbeat(session: Session, worker_id: UUID, state: WorkerState, disk: Disk, message: str = "") -> None:
+    """Record that a worker is there and what it says about itself and its disk."""
     session.execute(
         update(Worker)
         .where(Worker.id == worker_id)
-        .values(heartbeat_at=func.clock_timestamp(), state=state, message=message)
+        .values(
+            heartbeat_at=func.clock_timestamp(),
+            state=state,
+            message=message,
+            disk_bytes=disk.total_bytes,
+            disk_free_bytes=disk.free_bytes,
+        )
     )
 
 

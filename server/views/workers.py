@@ -28,3 +28,5 @@ class WorkerView(View):
     platform_class: str
     started_at: datetime
     heartbeat_at: datetime
+    disk_bytes: int | None
+    disk_free_bytes: int | None

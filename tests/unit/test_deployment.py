@@ -20,6 +20,8 @@ SERVICE_KEYS = {
 HEALTHCHECK_KEYS = {"test", "interval", "timeout", "retries", "start_period"}
 VARIABLE = re.compile(r"\$\{([A-Z_]+)(:[-?][^}]*)?\}")
 
+PASSED_ON = re.compile(r"^ +((?:VITAC|AWS)_[A-Z_]+):$", re.MULTILINE)
+
 
 @pytest.fixture(scope="module")
 def compose(repository: Path) -> dict[str, Any]:
@@ -48,7 +50,8 @@ def test_uses_only_keys_of_the_compose_model(compose: dict[str, Any], services: 
 def test_declares_every_volume_and_network_it_uses(
     compose: dict[str, Any], services: dict[str, dict[str, Any]]
 ) -> None:
-    volumes = {mount.split(":")[0] for service in services.values() for mount in service.get("volumes", [])}
+    mounts = [mount.split(":")[0] for service in services.values() for mount in service.get("volumes", [])]
+    volumes = {mount for mount in mounts if not mount.startswith("/")}  # one without a name is the container's own
     networks = {network for service in services.values() for network in service["networks"]}
     assert volumes == set(compose["volumes"])
     assert networks == set(compose["networks"])
@@ -90,7 +93,10 @@ def test_has_no_secret_of_its_own(repository: Path, services: dict[str, dict[str
 
 
 def test_every_variable_is_explained(repository: Path) -> None:
-    asked = {name for name, _ in VARIABLE.findall((repository / "docker-compose.yml").read_text())}
+    asked = set()
+    for name in ("docker-compose.yml", "docker-compose.s3.yml"):
+        content = (repository / name).read_text()
+        asked |= {name for name, _ in VARIABLE.findall(content)} | set(PASSED_ON.findall(content))
     manual = (repository / "docs" / "deployment.md").read_text()
     assert asked
     assert {name for name in asked if f"`{name}`" not in manual} == set()
@@ -115,6 +121,30 @@ def test_worker_reaches_nothing_outside(compose: dict[str, Any], services: dict[
     assert services["worker"]["networks"] == ["inside"]
     assert compose["networks"]["inside"] == {"internal": True}
     assert "ports" not in services["worker"]
+
+
+def test_worker_unpacks_submissions_on_a_disk_that_may_execute(services: dict[str, dict[str, Any]]) -> None:
+    """Engines mount a tmpfs without the right to execute, and what is on it counts towards the memory limit."""
+    state = "/var/lib/vitac-arena/state"
+    for name in ("server", "worker"):
+        assert not [mount for mount in services[name]["tmpfs"] if mount.startswith(state)]
+        assert [mount for mount in services[name]["volumes"] if mount.endswith(state)]
+
+
+def test_database_counts_as_healthy_once_it_takes_connections_over_tcp(services: dict[str, dict[str, Any]]) -> None:
+    assert "--host 127.0.0.1" in services["postgres"]["healthcheck"]["test"][1]
+
+
+def test_bucket_is_reached_by_server_and_worker_with_the_same_settings(
+    repository: Path, services: dict[str, dict[str, Any]]
+) -> None:
+    changed = yaml.safe_load((repository / "docker-compose.s3.yml").read_text())["services"]
+    assert changed["server"]["environment"] == changed["worker"]["environment"]
+    assert {"VITAC_STORAGE_URL", "AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY", "AWS_ENDPOINT_URL"} <= changed["server"][
+        "environment"
+    ].keys()
+    for name in ("server", "worker"):
+        assert {*services[name]["networks"], *changed[name].get("networks", ())} == {"inside", "outside"}
 
 
 def test_server_listens_on_this_machine_unless_told_otherwise(services: dict[str, dict[str, Any]]) -> None:

@@ -15,6 +15,7 @@ from vitac.server.db.states import EvaluationState, ShardState
 from vitac.server.evaluations.episode_store import store_episode
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.housekeeping import Housekeeping
+from vitac.server.metrics.totals import SeriesKey, totals
 from vitac.server.queue import leases
 from vitac.server.services import Services
 from vitac.server.submissions import creation, runs
@@ -190,3 +191,15 @@ def test_slots_run_shards_at_the_same_time(services: Services, archive_sha256: s
     submission = submit(services, archive_sha256)
     with working(several, FakeShards(gate=gate)):
         eventually(lambda: state(services, submission) is EvaluationState.COMPLETED)
+
+
+def test_worker_counts_claims_waits_and_episodes_in_the_totals_of_all(services: Services, archive_sha256: str) -> None:
+    submission = submit(services, archive_sha256)
+    with working(services, FakeShards()):
+        eventually(lambda: state(services, submission) is EvaluationState.COMPLETED)
+    with services.database.transaction() as session:
+        n_shards, found = len(shard_ids(session, submission)), totals(session)
+    assert found[SeriesKey("vitac_episodes_total", '{"task": "peg-insertion"}')] == 270
+    assert found[SeriesKey("vitac_shards_finished_total")] == n_shards
+    assert found[SeriesKey("vitac_shard_wait_seconds_count")] == n_shards
+    assert found[SeriesKey("vitac_claim_seconds_count")] >= n_shards

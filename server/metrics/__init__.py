@@ -1,0 +1,1 @@
+"""What every process of the service counts, and the totals of all processes in the database."""

@@ -1,0 +1,1 @@
+"""The state of the whole service, for Prometheus and for the organizers' page."""

@@ -1,0 +1,100 @@
+"""Reads the state of the service: queue, workers, storage. Called by `/metrics` and the page *Operations*.
+
+Every query looks at what is open or recent only, or at one narrow table, so that a scrape stays cheap.
+"""
+
+from collections.abc import Collection
+from datetime import datetime, timedelta
+from enum import StrEnum
+from typing import TypeVar
+
+from sqlalchemy import func, select
+from sqlalchemy.orm import InstrumentedAttribute, Session
+from vitac.evaluator.tracks import list_tracks, load_track
+from vitac.server.db.models import EpisodeResult, Evaluation, Shard, Submission, Worker
+from vitac.server.db.states import (
+    ACTIVE_EVALUATION_STATES,
+    OPEN_SHARD_STATES,
+    EvaluationState,
+    ShardState,
+    WorkerState,
+)
+from vitac.server.queue.workers import worker_view
+from vitac.server.settings import Settings
+from vitac.server.views.operations import MachineWorkerView, OperationsView, QueueView, StorageView
+
+StateT = TypeVar("StateT", bound=StrEnum)
+
+WORKERS_SHOWN_FOR = timedelta(hours=1)
+RATE_WINDOW = timedelta(minutes=5)
+
+
+def operations(session: Session, settings: Settings) -> OperationsView:
+    """Return the state of the service."""
+    now = session.scalars(select(func.clock_timestamp())).one()
+    recent = select(Worker).where(Worker.heartbeat_at > now - WORKERS_SHOWN_FOR).order_by(Worker.host, Worker.pid)
+    return OperationsView(
+        queue=_queue(session, now),
+        storage=_storage(session),
+        workers=[
+            MachineWorkerView(worker=worker_view(worker), is_lost=_is_lost(worker, now, settings))
+            for worker in session.scalars(recent)
+        ],
+        episodes_in_5_minutes=_episodes_since(session, now - RATE_WINDOW),
+        at=now,
+    )
+
+
+def _queue(session: Session, now: datetime) -> QueueView:
+    shards = _open_rows(session, Shard.state, OPEN_SHARD_STATES, Shard.queued_at)
+    evaluations = _open_rows(session, Evaluation.state, ACTIVE_EVALUATION_STATES, Evaluation.created_at)
+    return QueueView(
+        shards_queued=shards.get(ShardState.QUEUED, (0, now))[0],
+        shards_running=shards.get(ShardState.RUNNING, (0, now))[0],
+        oldest_shard_s=_age_s(shards.get(ShardState.QUEUED), now),
+        evaluations_queued=evaluations.get(EvaluationState.QUEUED, (0, now))[0],
+        evaluations_running=evaluations.get(EvaluationState.RUNNING, (0, now))[0],
+        oldest_evaluation_s=_age_s(evaluations.get(EvaluationState.QUEUED), now),
+    )
+
+
+def _open_rows(
+    session: Session,
+    state: InstrumentedAttribute[StateT],
+    open_states: Collection[StateT],
+    since: InstrumentedAttribute[datetime],
+) -> dict[StateT, tuple[int, datetime]]:
+    """Return number and first time of the rows in each open state that has any."""
+    rows = session.execute(select(state, func.count(), func.min(since)).where(state.in_(open_states)).group_by(state))
+    return {found: (count, first) for found, count, first in rows}
+
+
+def _age_s(oldest: tuple[int, datetime] | None, now: datetime) -> float | None:
+    return None if oldest is None else max(0.0, (now - oldest[1]).total_seconds())
+
+
+def _storage(session: Session) -> StorageView:
+    files = (
+        select(Submission.archive_sha256, func.max(Submission.archive_bytes).label("size"))
+        .group_by(Submission.archive_sha256)
+        .subquery()
+    )
+    uploads, uploads_bytes, database_bytes = session.execute(
+        select(
+            func.count(),
+            func.coalesce(func.sum(files.c.size), 0),
+            func.pg_database_size(func.current_database()),
+        ).select_from(files)
+    ).one()
+    return StorageView(uploads=uploads, uploads_bytes=int(uploads_bytes), database_bytes=database_bytes)
+
+
+def _is_lost(worker: Worker, now: datetime, settings: Settings) -> bool:
+    is_late = now - worker.heartbeat_at > timedelta(seconds=settings.worker_lost_after_s)
+    return is_late and worker.state is not WorkerState.STOPPED
+
+
+def _episodes_since(session: Session, moment: datetime) -> int:
+    tasks = {task for track in list_tracks() for task in load_track(track).tasks}  # named, so that the index is used
+    query = select(func.count()).where(EpisodeResult.task.in_(tasks), EpisodeResult.created_at > moment)
+    return session.scalars(query).one()

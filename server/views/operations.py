@@ -1,0 +1,44 @@
+"""The state of the whole service at one moment, as organizers and Prometheus see it. Times in seconds."""
+
+from datetime import datetime
+
+from .base import View
+from .workers import WorkerView
+
+
+class QueueView(View):
+    """What waits and what runs; ages are None where nothing waits."""
+
+    shards_queued: int
+    shards_running: int
+    oldest_shard_s: float | None
+    evaluations_queued: int
+    evaluations_running: int
+    oldest_evaluation_s: float | None
+
+
+class StorageView(View):
+    """What submissions and database take up."""
+
+    uploads: int
+    """Different stored files; the same file uploaded twice is stored once."""
+    uploads_bytes: int
+    database_bytes: int
+
+
+class MachineWorkerView(View):
+    """A worker of the last hour."""
+
+    worker: WorkerView
+    is_lost: bool
+    """No heartbeat for longer than `VITAC_WORKER_LOST_AFTER_S`, although it did not report its end."""
+
+
+class OperationsView(View):
+    """Everything but the totals of `server.metrics`."""
+
+    queue: QueueView
+    storage: StorageView
+    workers: list[MachineWorkerView]
+    episodes_in_5_minutes: int
+    at: datetime

@@ -1,0 +1,52 @@
+import io
+import json
+import logging
+from collections.abc import Iterator
+
+import pytest
+import structlog
+from vitac.cli.service.events import write_events_to
+from vitac.server.settings import LogFormat
+
+
+@pytest.fixture(autouse=True)
+def restored() -> Iterator[None]:
+    """Other tests find logging as it was."""
+    root = logging.getLogger()
+    handlers, level = root.handlers[:], root.level
+    yield
+    root.handlers[:], root.level = handlers, level
+    structlog.reset_defaults()
+
+
+def written(form: LogFormat) -> list[str]:
+    """What two events of ours, one of a library and an error are written as."""
+    stream = io.StringIO()
+    write_events_to(stream, form)
+    logger = structlog.get_logger("test")
+    logger.info("worker_started", slots=2)
+    logger.warning("two\nlines", text='a "quoted" word')
+    logging.getLogger("library").warning("%d connections", 3)
+    try:
+        raise ValueError("broken")
+    except ValueError:
+        logging.getLogger("library").exception("failed")
+        logger.exception("request_failed", path="/x")
+    return stream.getvalue().splitlines()
+
+
+def test_json_has_one_object_per_line_also_for_libraries_and_errors() -> None:
+    events = [json.loads(line) for line in written(LogFormat.JSON)]
+    assert [event["event"] for event in events] == [
+        "worker_started", "two\nlines", "3 connections", "failed", "request_failed",
+    ]  # fmt: skip
+    assert [event["level"] for event in events] == ["info", "warning", "warning", "error", "error"]
+    assert all(event["timestamp"].endswith("Z") for event in events)
+    assert events[0]["slots"] == 2
+    assert events[2]["logger"] == "library"
+    assert all("ValueError: broken" in event["exception"] for event in events[3:])
+
+
+def test_text_names_the_values() -> None:
+    first = written(LogFormat.TEXT)[0]
+    assert "level='info' event='worker_started' slots=2" in first
