@@ -63,6 +63,9 @@ class Settings(BaseSettings):
 
     host: str = "127.0.0.1"
     port: int = Field(default=8000, ge=0, le=65535)
+    server_processes: PositiveInt = Field(
+        default=1, description="Processes that answer requests; one uses about one core. They share all limits."
+    )
     public_url: str | None = Field(default=None, description="Address that people use, when a proxy stands in front.")
 
     trusted_proxies: str = Field(
@@ -98,7 +101,7 @@ class Settings(BaseSettings):
     upload_idle_timeout_s: PositiveFloat = Field(
         default=30.0, description="An upload that sends nothing for so long is given up."
     )
-    event_streams: PositiveInt = Field(default=200, description="Event streams that one server process keeps open.")
+    event_streams: PositiveInt = Field(default=200, description="Event streams that a server keeps open.")
 
     lease_s: PositiveFloat = Field(
         default=10.0, description="A shard whose worker does not renew its lease for so long is given to another one."

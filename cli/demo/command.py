@@ -215,7 +215,7 @@ class Demo:
         """
         if self.stop.wait(POLL_S):
             raise Interrupted
-        service.workers.restart_ended()
+        service.restart_ended()
 
     def _show(self, client: Client, found: Json) -> None:
         # On the leaderboard of all tasks a submission of one task counts 0 in the others.
@@ -234,7 +234,7 @@ class Demo:
         if not service.workers.pids:
             service.workers.start()
         self.display.staying()
-        self.stop.supervise(service.workers)
+        self.stop.supervise(service)
 
 
 def describe_evaluation(found: Json) -> str:

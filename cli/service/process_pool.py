@@ -1,6 +1,6 @@
-"""A pool of worker processes: started, restarted when they end, stopped with this process.
+"""A pool of processes, workers or servers: started, restarted when they end, stopped with this process.
 
-Called by `serve` and `demo`.
+Called by `process_tree`.
 """
 
 from __future__ import annotations
@@ -23,21 +23,25 @@ RESTART_PAUSE_S = 2.0  # limits how often a worker that ends at once is restarte
 
 @dataclass(kw_only=True)
 class ProcessPool:
-    """Several worker processes.
+    """Several processes of one kind.
 
     Attributes:
+        noun: what one of them is called.
         count: number of processes.
         log: file that they write their service events to.
         environment: added to this process's environment.
         notify: called with a sentence when one has ended.
-        command: arguments of the Python interpreter that start a worker; our process id is appended.
+        command: arguments of the Python interpreter that start one; our process id is appended.
+        inherited: file descriptors that they keep.
     """
 
+    noun: str = "worker"
     count: int
     log: IO[bytes] | int
     environment: dict[str, str] = field(default_factory=dict)
     notify: Callable[[str], None]
     command: Sequence[str] = COMMAND
+    inherited: Sequence[int] = ()
     _running: list[subprocess.Popen[bytes]] = field(default_factory=list, init=False)
     _not_before: float = field(default=0.0, init=False)
 
@@ -57,7 +61,7 @@ class ProcessPool:
             if time.monotonic() < self._not_before:
                 return
             self._running.remove(process)
-            self.notify(f"worker {process.pid} ended with code {process.returncode}; starting another one")
+            self.notify(f"{self.noun} {process.pid} ended with code {process.returncode}; starting another one")
             self._running.append(self._launch())
             self._not_before = time.monotonic() + RESTART_PAUSE_S
 
@@ -82,5 +86,6 @@ class ProcessPool:
             stdout=self.log,
             stderr=self.log,
             env=os.environ | self.environment,
+            pass_fds=self.inherited,
             start_new_session=True,
         )

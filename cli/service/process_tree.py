@@ -6,10 +6,11 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import IO, TYPE_CHECKING
 
-from . import process_pool
+from . import process_pool, web_process
 from .database import open_service
 from .process_pool import ProcessPool
-from .web_server import WebServer, address_of
+from .web_process import serving
+from .web_server import address_of
 
 if TYPE_CHECKING:
     import socket
@@ -26,6 +27,12 @@ class RunningService:
     address: str
     database: Database
     workers: ProcessPool
+    servers: ProcessPool
+
+    def restart_ended(self) -> None:
+        """Start a new process for each that has ended; call this regularly."""
+        self.servers.restart_ended()
+        self.workers.restart_ended()
 
 
 @contextmanager
@@ -46,21 +53,30 @@ def running_service(
         log: file that the workers write their service events to.
         notify: called with a sentence when a worker has ended.
     """
-    from vitac.web.application import create
-
     with ExitStack() as stack:
         stack.callback(listener.close)
         services = stack.enter_context(open_service(settings))
-        server = WebServer(app=create(services), listener=listener, trusted_proxies=settings.trusted_proxy_networks)
-        stack.callback(server.stop)
-        server.start()
-        pool = ProcessPool(
-            count=workers, log=log, environment=_environment(settings), notify=notify, command=process_pool.COMMAND
+        environment = _environment(settings)
+        servers = ProcessPool(
+            noun="server",
+            count=settings.server_processes if settings.server_processes > 1 else 0,
+            log=log,
+            environment=environment,
+            notify=notify,
+            command=(*web_process.COMMAND, str(listener.fileno())),
+            inherited=[listener.fileno()],
         )
+        if servers.count:
+            stack.callback(servers.stop)
+            servers.start()
+            web_process.wait_until_answering(listener, servers)
+        else:
+            stack.enter_context(serving(services, listener))
+        pool = ProcessPool(count=workers, log=log, environment=environment, notify=notify, command=process_pool.COMMAND)
         stack.callback(pool.stop)
-        yield RunningService(address=address_of(listener), database=services.database, workers=pool)
+        yield RunningService(address=address_of(listener), database=services.database, workers=pool, servers=servers)
 
 
 def _environment(settings: Settings) -> dict[str, str]:
-    """Return the settings that workers need and that our command line may have changed."""
+    """Return the settings that other processes need and that our command line may have changed."""
     return {"VITAC_STATE_DIR": str(settings.state_dir), "VITAC_WORKER_SLOTS": str(settings.worker_slots)}

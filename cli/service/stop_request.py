@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from .process_pool import ProcessPool
+    from .process_tree import RunningService
 
 SUPERVISION_PERIOD_S = 0.5
 
@@ -41,10 +41,10 @@ class StopRequest:
         """Wait for the request for at most `timeout_s`; return whether it was received."""
         return self._received.wait(timeout_s)
 
-    def supervise(self, workers: ProcessPool) -> None:
-        """Restart workers that end, until the request is received."""
+    def supervise(self, service: RunningService) -> None:
+        """Restart processes that end, until the request is received."""
         while not self.wait(SUPERVISION_PERIOD_S):
-            workers.restart_ended()
+            service.restart_ended()
 
     def _handle(self, number: int, _frame: object) -> None:
         if self.received:

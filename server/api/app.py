@@ -55,9 +55,12 @@ def create_app(settings: Settings, routers: Sequence[APIRouter] = (), services: 
         redoc_url=None,
     )
     app.state.settings = settings
-    app.state.registration_limiter = WindowLimiter(limit=settings.registrations_per_hour, window_s=3600.0)
-    app.state.upload_limiter = ConcurrencyLimiter(settings.uploads_at_once)
-    app.state.stream_limiter = ConcurrencyLimiter(settings.event_streams)
+    limits = settings.state_dir / "limits"
+    app.state.registration_limiter = WindowLimiter(
+        limits / "registrations", limit=settings.registrations_per_hour, window_s=3600.0
+    )
+    app.state.upload_limiter = ConcurrencyLimiter(limits / "uploads", settings.uploads_at_once)
+    app.state.stream_limiter = ConcurrencyLimiter(limits / "event_streams", settings.event_streams)
     for router in (teams.router, submissions.router, tracks.router):
         app.include_router(router, prefix=API_PREFIX)
     for router in (health.router, metrics.router, *routers):

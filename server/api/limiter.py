@@ -1,23 +1,35 @@
-"""Counts what one client may do: events in a time window, and things at the same time. Kept in this process only."""
+"""Counts what one client may do: events in a time window, and things at the same time.
 
-import threading
+Kept in files of the state directory, so that all server processes of a machine count together, and a killed one counts
+no longer.
+"""
+
+import fcntl
+import hashlib
+import os
+import struct
 import time
-from collections import Counter, defaultdict, deque
-from collections.abc import Callable, Iterator
+from array import array
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
+from typing import BinaryIO
 
 from vitac.server.errors import ProblemCode, ServiceError
 
+_LOCK = struct.Struct("hhqqi0q")  # struct flock: kind, whence, start, length, process id
+_KEY_BYTES = 5
+
 
 class WindowLimiter:
-    """At most `limit` events for a key within `window_s` seconds."""
+    """At most `limit` events for a key within `window_s` seconds; a key has a file with the times of its events."""
 
-    def __init__(self, *, limit: int, window_s: float, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, folder: Path, *, limit: int, window_s: float, clock: Callable[[], float] = time.time) -> None:
+        self._folder = folder
         self._limit = limit
         self._window_s = window_s
         self._clock = clock
-        self._events: defaultdict[str, deque[float]] = defaultdict(deque)
-        self._lock = threading.Lock()
+        self._cleaned_at = float("-inf")
 
     def note(self, key: str, what: str) -> None:
         """Count one event.
@@ -25,35 +37,51 @@ class WindowLimiter:
         Raises:
             ServiceError: too many; `retry_after_s` says when the next one is possible.
         """
-        now = self._clock()
-        with self._lock:
-            self._forget(now)
-            events = self._events[key]
-            if len(events) >= self._limit:
-                wait_s = max(1, round(events[0] + self._window_s - now))
+        self._remove_expired(self._clock())
+        with self._locked(self._folder / _digest(key).hex()) as file:
+            now = self._clock()
+            recent = array("d", [at for at in _times(file) if now - self._window_s < at <= now])
+            if len(recent) >= self._limit:
+                wait_s = max(1, round(recent[0] + self._window_s - now))
                 raise ServiceError(
                     ProblemCode.TOO_MANY_REQUESTS,
                     f"At most {self._limit} {what} in {self._window_s:.0f} s are possible; wait {wait_s} s.",
                     retry_after_s=wait_s,
                 )
-            events.append(now)
+            recent.append(now)
+            file.seek(0)
+            file.write(recent.tobytes())
+            file.truncate()
 
-    def _forget(self, now: float) -> None:
-        for key in list(self._events):
-            events = self._events[key]
-            while events and events[0] <= now - self._window_s:
-                events.popleft()
-            if not events:
-                del self._events[key]
+    @contextmanager
+    def _locked(self, path: Path) -> Iterator[BinaryIO]:
+        """Open a file that nobody else reads or removes meanwhile."""
+        while True:
+            with _open(path) as file:
+                fcntl.flock(file, fcntl.LOCK_EX)
+                if os.fstat(file.fileno()).st_nlink:  # else it was removed before we had it
+                    yield file
+                    return
+
+    def _remove_expired(self, now: float) -> None:
+        if now - self._cleaned_at < self._window_s:
+            return
+        self._cleaned_at = now
+        for path in self._folder.glob("*"):
+            with self._locked(path) as file:
+                if all(at <= now - self._window_s for at in _times(file)):
+                    path.unlink()
 
 
 class ConcurrencyLimiter:
-    """At most `limit` things of a key at the same time."""
+    """At most `limit` things of a key at the same time.
 
-    def __init__(self, limit: int) -> None:
+    Each one holds a lock on a byte of the file, at a place that belongs to its key. It is freed with the process.
+    """
+
+    def __init__(self, path: Path, limit: int) -> None:
+        self._path = path
         self._limit = limit
-        self._running: Counter[str] = Counter()
-        self._lock = threading.Lock()
 
     @contextmanager
     def one(self, key: str, what: str) -> Iterator[None]:
@@ -62,16 +90,33 @@ class ConcurrencyLimiter:
         Raises:
             ServiceError: as many as possible are running.
         """
-        with self._lock:
-            if self._running[key] >= self._limit:
+        first = int.from_bytes(_digest(key)[:_KEY_BYTES]) * self._limit
+        with _open(self._path) as file:
+            if not any(_lock_byte(file, place) for place in range(first, first + self._limit)):
                 raise ServiceError(
                     ProblemCode.TOO_MANY_REQUESTS, f"At most {self._limit} {what} are possible; wait for one to end."
                 )
-            self._running[key] += 1
-        try:
             yield
-        finally:
-            with self._lock:
-                self._running[key] -= 1
-                if not self._running[key]:
-                    del self._running[key]
+
+
+def _digest(key: str) -> bytes:
+    return hashlib.sha256(key.encode()).digest()
+
+
+def _times(file: BinaryIO) -> Iterable[float]:
+    content = file.read()
+    return array("d", content[: len(content) // 8 * 8])  # on a full disk the last one may be cut off
+
+
+def _open(path: Path) -> BinaryIO:
+    path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+    return os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600), "r+b", buffering=0)
+
+
+def _lock_byte(file: BinaryIO, place: int) -> bool:
+    """Lock one byte for as long as the file is open; return whether nobody else, in this process or others, had it."""
+    try:
+        fcntl.fcntl(file, fcntl.F_OFD_SETLK, _LOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, place, 1, 0))
+    except BlockingIOError:
+        return False
+    return True

@@ -1,0 +1,90 @@
+"""One of several processes that answer requests at the same socket (`VITAC_SERVER_PROCESSES`).
+
+`process_tree` starts them. They use the database, which stays with the process that started them.
+"""
+
+from __future__ import annotations
+
+import socket
+import sys
+import time
+from contextlib import contextmanager
+from http.client import HTTPConnection, HTTPException
+from typing import TYPE_CHECKING
+
+from .database import load_settings
+from .events import write_events_to
+from .stop_request import StopRequest
+from .web_server import BACKLOG, START_LIMIT_S, ServerDidNotStart, WebServer
+from .worker import end_with
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from vitac.server.services import Services
+
+    from .process_pool import ProcessPool
+
+COMMAND = ("-c", "import sys; from vitac.cli.service.web_process import main; main(*map(int, sys.argv[1:]))")
+POLL_S = 0.05
+
+
+def main(listener: int, parent: int) -> None:
+    """Answer requests until SIGTERM.
+
+    Args:
+        listener: descriptor of the socket.
+        parent: process id of the process that started us; we end with it.
+    """
+    from vitac.server.services import open_services
+
+    write_events_to(sys.stderr)
+    end_with(parent)
+    with (
+        StopRequest().listening() as stop,
+        open_services(load_settings(), may_run_database=False) as services,
+        serving(services, socket.socket(fileno=listener)),
+    ):
+        while not stop.wait(3600.0):
+            continue
+
+
+@contextmanager
+def serving(services: Services, listener: socket.socket) -> Iterator[None]:
+    """Answer requests in a thread of this process while the block runs; close the socket after it."""
+    from vitac.web.application import create
+
+    trusted = services.settings.trusted_proxy_networks
+    server = WebServer(app=create(services), listener=listener, trusted_proxies=trusted)
+    try:
+        server.start()
+        yield
+    finally:
+        server.stop()
+
+
+def wait_until_answering(listener: socket.socket, servers: ProcessPool) -> None:
+    """Wait until one of the processes answers.
+
+    Raises:
+        ServerDidNotStart: none did in time.
+    """
+    listener.listen(BACKLOG)
+    deadline = time.monotonic() + START_LIMIT_S
+    while not _answers(listener):
+        if time.monotonic() > deadline:
+            raise ServerDidNotStart("No server process answers; `vitac serve` prints why.")
+        servers.restart_ended()
+        time.sleep(POLL_S)
+
+
+def _answers(listener: socket.socket) -> bool:
+    host, port = listener.getsockname()[:2]
+    connection = HTTPConnection({"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host), port, timeout=START_LIMIT_S)  # noqa: S104
+    try:
+        connection.request("GET", "/health")
+        return connection.getresponse().status == 200
+    except (OSError, HTTPException):
+        return False
+    finally:
+        connection.close()

@@ -1,0 +1,132 @@
+"""Several server processes at one socket behave as one: answers, limits, the end, the loss of one of them."""
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import httpx
+import pytest
+from databases import fresh_database
+from worker_fakes import eventually
+
+SERVE = "from vitac.cli.main import main; main(['serve', '--port', '0'])"
+TEAMS = "/api/v1/teams"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Servers:
+    """`vitac serve` with two server processes. Each request has a connection of its own."""
+
+    process: "subprocess.Popen[str]"
+    address: str
+
+    @property
+    def pids(self) -> list[int]:
+        return [pid for pid in children_of(self.process.pid) if b"web_process" in command_of(pid)]
+
+    def register(self, name: str) -> httpx.Response:
+        return httpx.post(f"{self.address}{TEAMS}", json={"name": name}, timeout=60)
+
+    @contextmanager
+    def only(self, pid: int) -> Iterator[None]:
+        """Has one process answer all requests; the other one is stopped meanwhile."""
+        others = [other for other in self.pids if other != pid]
+        for other in others:
+            os.kill(other, signal.SIGSTOP)
+        try:
+            yield
+        finally:
+            for other in others:
+                os.kill(other, signal.SIGCONT)
+
+
+def children_of(pid: int) -> list[int]:
+    return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+
+
+def command_of(pid: int) -> bytes:
+    return Path(f"/proc/{pid}/cmdline").read_bytes()
+
+
+@pytest.fixture
+def servers(tmp_path: Path) -> Iterator[Servers]:
+    limits = {"VITAC_REGISTRATIONS_PER_HOUR": "3", "VITAC_UPLOADS_AT_ONCE": "1"}
+    with fresh_database() as address:
+        environment = os.environ | limits | {"VITAC_DATABASE_URL": address, "VITAC_STATE_DIR": str(tmp_path / "state")}
+        environment["VITAC_SERVER_PROCESSES"] = "2"
+        with subprocess.Popen(
+            [sys.executable, "-c", SERVE], env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        ) as process:
+            assert process.stdout is not None
+            address = process.stdout.readline().split()[-1]
+            servers = Servers(process=process, address=address)
+            eventually(lambda: all_answer(servers))
+            yield servers
+            process.send_signal(signal.SIGTERM)
+            _, complaints = process.communicate(timeout=60)
+        assert process.returncode == 0, complaints
+        assert "Traceback" not in complaints
+
+
+def all_answer(servers: Servers) -> bool:
+    return len(servers.pids) == 2 and all(answers(servers, pid) for pid in servers.pids)
+
+
+def answers(servers: Servers, pid: int) -> bool:
+    with servers.only(pid):
+        try:
+            return httpx.get(f"{servers.address}/ready", timeout=1).is_success
+        except httpx.TimeoutException:
+            return False
+
+
+def test_limits_count_for_all_processes_together(servers: Servers) -> None:
+    one, other = servers.pids
+    answers = []
+    for number, pid in enumerate([one, other, one, other, one]):
+        with servers.only(pid):
+            answers.append(servers.register(f"Team {number}"))
+    assert [answer.status_code for answer in answers] == [201, 201, 201, 429, 429]
+    token = {"Authorization": f"Bearer {answers[0].json()['token']['secret']}", "Content-Type": "application/zip"}
+
+    def upload(content: object) -> httpx.Response:
+        upload_to = f"{servers.address}/api/v1/submissions"
+        return httpx.post(upload_to, content=content, headers=token, timeout=60)  # type: ignore[arg-type]
+
+    second: list[httpx.Response] = []
+
+    def pieces() -> Iterator[bytes]:
+        yield b"PK"
+        with servers.only(other):
+            second.append(upload(b"PK"))
+        yield b"PK"
+
+    first = upload(pieces())
+    assert first.status_code == 422
+    assert second[0].status_code == 429
+    assert "uploads at the same time" in second[0].json()["detail"]
+
+
+def test_kill_of_one_process_leaves_the_service_answering_and_another_one_is_started(servers: Servers) -> None:
+    killed, other = servers.pids
+    os.kill(killed, signal.SIGKILL)
+    assert httpx.get(f"{servers.address}/ready", timeout=60).json()["status"] == "ready"
+    eventually(lambda: len(servers.pids) == 2 and killed not in servers.pids)
+    assert other in servers.pids
+    assert "No complete evaluation yet" in httpx.get(servers.address, timeout=60).text
+
+
+def test_a_page_session_of_one_process_holds_at_the_other(servers: Servers) -> None:
+    secret = servers.register("Team A").json()["token"]["secret"]
+    one, other = servers.pids
+    with servers.only(one):
+        headers = {"sec-fetch-site": "same-origin"}
+        signed_in = httpx.post(f"{servers.address}/sign-in", data={"token": secret}, headers=headers, timeout=60)
+    assert signed_in.status_code == 303
+    with servers.only(other), httpx.Client(cookies=signed_in.cookies, timeout=60) as browser:
+        assert "Team A" in browser.get(f"{servers.address}/submissions").text
