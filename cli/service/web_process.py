@@ -38,11 +38,12 @@ def main(listener: int, parent: int) -> None:
     """
     from vitac.server.services import open_services
 
-    write_events_to(sys.stderr)
+    settings = load_settings()
+    write_events_to(sys.stderr, settings.log_format)
     end_with(parent)
     with (
         StopRequest().listening() as stop,
-        open_services(load_settings(), may_run_database=False) as services,
+        open_services(settings, may_run_database=False) as services,
         serving(services, socket.socket(fileno=listener)),
     ):
         while not stop.wait(3600.0):
