@@ -102,7 +102,7 @@ def measure(pid: int, client: Client, source: Path) -> dict[str, Any]:
     Path(f"/proc/{pid}/clear_refs").write_text(RESET_PEAK)
     memory_before, server_before, client_before = peak_mb(pid), cpu_s(pid), time.process_time()
     started = time.perf_counter()
-    client.upload(archive, track="track_1", on_bytes=lambda _: None)
+    client.upload(archive, track="track_1", on_position=lambda _: None)
     took_s = time.perf_counter() - started
     megabytes = archive.stat().st_size / MEGABYTE
     archive.unlink()

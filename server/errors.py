@@ -16,6 +16,7 @@ class ProblemCode(StrEnum):
 
     ARCHIVE_REJECTED = "archive_rejected"
     BODY_TOO_LARGE = "body_too_large"
+    CHECKSUM_MISMATCH = "checksum_mismatch"
     DATABASE_UNAVAILABLE = "database_unavailable"
     DIGEST_MISMATCH = "digest_mismatch"
     FORBIDDEN = "forbidden"
@@ -39,19 +40,24 @@ class ProblemCode(StrEnum):
     TEAM_EXISTS = "team_exists"
     TEAM_REQUIRED = "team_required"
     TOO_MANY_REQUESTS = "too_many_requests"
+    TOO_MANY_UPLOADS = "too_many_uploads"
     UNKNOWN_TASK = "unknown_task"
     UNKNOWN_TEAM = "unknown_team"
     UNKNOWN_TRACK = "unknown_track"
     UNSUPPORTED_CONTENT_TYPE = "unsupported_content_type"
     UNSUPPORTED_SUBMISSION_KIND = "unsupported_submission_kind"
+    UPLOAD_CONFLICT = "upload_conflict"
+    UPLOAD_INCOMPLETE = "upload_incomplete"
     UPLOAD_TOO_LARGE = "upload_too_large"
     UPLOAD_TRUNCATED = "upload_truncated"
+    WRONG_PROTOCOL_VERSION = "wrong_protocol_version"
 
 
 STATUS_OF_CODE: Mapping[ProblemCode, HTTPStatus] = MappingProxyType(
     {
         ProblemCode.ARCHIVE_REJECTED: HTTPStatus.UNPROCESSABLE_ENTITY,
         ProblemCode.BODY_TOO_LARGE: HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
+        ProblemCode.CHECKSUM_MISMATCH: HTTPStatus.BAD_REQUEST,
         ProblemCode.DATABASE_UNAVAILABLE: HTTPStatus.SERVICE_UNAVAILABLE,
         ProblemCode.DIGEST_MISMATCH: HTTPStatus.BAD_REQUEST,
         ProblemCode.FORBIDDEN: HTTPStatus.FORBIDDEN,
@@ -75,13 +81,17 @@ STATUS_OF_CODE: Mapping[ProblemCode, HTTPStatus] = MappingProxyType(
         ProblemCode.TEAM_EXISTS: HTTPStatus.CONFLICT,
         ProblemCode.TEAM_REQUIRED: HTTPStatus.UNPROCESSABLE_ENTITY,
         ProblemCode.TOO_MANY_REQUESTS: HTTPStatus.TOO_MANY_REQUESTS,
+        ProblemCode.TOO_MANY_UPLOADS: HTTPStatus.TOO_MANY_REQUESTS,
         ProblemCode.UNKNOWN_TASK: HTTPStatus.NOT_FOUND,
         ProblemCode.UNKNOWN_TEAM: HTTPStatus.NOT_FOUND,
         ProblemCode.UNKNOWN_TRACK: HTTPStatus.NOT_FOUND,
         ProblemCode.UNSUPPORTED_CONTENT_TYPE: HTTPStatus.UNSUPPORTED_MEDIA_TYPE,
         ProblemCode.UNSUPPORTED_SUBMISSION_KIND: HTTPStatus.UNPROCESSABLE_ENTITY,
+        ProblemCode.UPLOAD_CONFLICT: HTTPStatus.CONFLICT,
+        ProblemCode.UPLOAD_INCOMPLETE: HTTPStatus.CONFLICT,
         ProblemCode.UPLOAD_TOO_LARGE: HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
         ProblemCode.UPLOAD_TRUNCATED: HTTPStatus.BAD_REQUEST,
+        ProblemCode.WRONG_PROTOCOL_VERSION: HTTPStatus.PRECONDITION_FAILED,
     }
 )
 

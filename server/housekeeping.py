@@ -18,6 +18,7 @@ from .metrics.totals import TotalsWriter
 from .queue.jobs import prune_finished_jobs
 from .queue.sweep import sweep
 from .services import Services
+from .uploads import partial
 
 logger = structlog.get_logger(__name__)
 
@@ -78,7 +79,8 @@ def _postpone(error: Exception) -> None:
 
 
 def prune(services: Services) -> None:
-    """Remove finished jobs, stored files without a submission and leftovers of interrupted uploads."""
+    """Remove finished jobs, stored files without a submission, and uploads that were given up."""
+    partial.remove_expired(services)
     with services.database.transaction() as session:
         prune_finished_jobs(session, timedelta(hours=services.settings.finished_jobs_kept_h))
         known = set(session.scalars(select(Submission.archive_sha256)))

@@ -101,6 +101,12 @@ class Settings(BaseSettings):
     upload_idle_timeout_s: PositiveFloat = Field(
         default=30.0, description="An upload that sends nothing for so long is given up."
     )
+    unfinished_uploads: PositiveInt = Field(
+        default=4, description="Uploads in pieces that one team may have begun and not finished."
+    )
+    upload_kept_h: PositiveInt = Field(
+        default=24, description="An upload in pieces that gets no further piece for so long is removed."
+    )
     event_streams: PositiveInt = Field(default=200, description="Event streams that a server keeps open.")
 
     lease_s: PositiveFloat = Field(

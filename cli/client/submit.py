@@ -52,8 +52,8 @@ def command(
     client = client_from(server, token_file)
     kind = kind or kind_of(submission)
     track = track or _track_of(submission, kind)
-    with packed(submission) as archive, upload_bar(archive.stat().st_size, shown=not as_json) as on_bytes:
-        answer = client.upload(archive, track=track, kind=kind, team=team, again=again, on_bytes=on_bytes)
+    with packed(submission) as archive, upload_bar(archive.stat().st_size, shown=not as_json) as on_position:
+        answer = client.upload(archive, track=track, kind=kind, team=team, again=again, on_position=on_position)
     if as_json and not watch:
         print_json(answer)
     if not as_json:
@@ -103,7 +103,7 @@ def upload_bar(total_bytes: int, *, shown: bool) -> Iterator[Callable[[int], Non
     columns = (TextColumn("upload"), BarColumn(), DownloadColumn(binary_units=True), TransferSpeedColumn())
     with Progress(*columns, console=console, transient=True) as progress:
         task = progress.add_task("upload", total=total_bytes)
-        yield lambda count: progress.update(task, advance=count)
+        yield lambda position: progress.update(task, completed=position)
 
 
 def describe(client: Client, answer: Json) -> None:

@@ -1,4 +1,4 @@
-"""What a file to submit is, by its name, and how its upload is announced.
+"""What a file to submit is, by its name.
 
 Called by `submit`.
 """
@@ -7,9 +7,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from vitac.evaluator.submission_kinds import GZIP_TYPE, SubmissionKind
-
-GZIP_MAGIC = b"\x1f\x8b"
+from vitac.evaluator.submission_kinds import SubmissionKind
 
 
 def kind_of(path: Path) -> SubmissionKind:
@@ -19,11 +17,3 @@ def kind_of(path: Path) -> SubmissionKind:
     named = path.with_suffix("") if path.suffix == ".gz" else path
     suffix = named.suffix.lower()
     return next((kind for kind in SubmissionKind if suffix in kind.form.suffixes), SubmissionKind.MODEL)
-
-
-def content_type(path: Path, kind: SubmissionKind) -> str:
-    """Return how the body of an upload is announced."""
-    types = kind.form.content_types
-    with path.open("rb") as file:
-        packed = file.read(len(GZIP_MAGIC)) == GZIP_MAGIC
-    return GZIP_TYPE if packed and GZIP_TYPE in types else types[0]

@@ -143,7 +143,7 @@ class Demo:
 
     def _upload(self, client: Client) -> Json:
         with self.display.stage("Submission", "packing and uploading") as stage, packed(self.submission) as archive:
-            found = client.upload(archive, track=self.track, again=self.again, on_bytes=lambda _: None)
+            found = client.upload(archive, track=self.track, again=self.again, on_position=lambda _: None)
             stage.done(f"{found['name']} ({archive.stat().st_size / 1024:.1f} KiB), team {TEAM}")
         return found
 

@@ -69,6 +69,11 @@ def own(session: Session, by: Principal) -> Team:
     return team
 
 
+def lock(session: Session, team: Team) -> None:
+    """Let changes that count what a team has go on one after the other; rows that refer to the team are left alone."""
+    session.execute(select(Team.id).where(Team.id == team.id).with_for_update(key_share=True))
+
+
 def list_teams(session: Session) -> list[Team]:
     """Return all teams by name."""
     return list(session.scalars(select(Team).order_by(Team.name_key)))

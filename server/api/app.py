@@ -16,6 +16,8 @@ from .body_limit import BodyLimit
 from .limiter import ConcurrencyLimiter, WindowLimiter
 from .request_head import RequestHead
 from .request_times import RequestTimes
+from .resumable import routes as uploads
+from .resumable.protocol import ProtocolVersion
 
 API_PREFIX = "/api/v1"
 DESCRIPTION = """Evaluation of policies for manipulation with vision and touch.
@@ -23,6 +25,12 @@ DESCRIPTION = """Evaluation of policies for manipulation with vision and touch.
 Register a team, upload a zip with a policy, follow its evaluation, read the leaderboard. Every error is a problem
 document (RFC 9457, `application/problem+json`) with a stable `code`.
 """
+
+UNLIMITED = (
+    ("POST", f"{API_PREFIX}{submissions.router.prefix}"),
+    ("PATCH", f"{API_PREFIX}{uploads.router.prefix}/"),
+)
+"""Routes that take uploads, which have limits of their own."""
 
 
 def create_app(settings: Settings, routers: Sequence[APIRouter] = (), services: Services | None = None) -> FastAPI:
@@ -61,11 +69,12 @@ def create_app(settings: Settings, routers: Sequence[APIRouter] = (), services: 
     )
     app.state.upload_limiter = ConcurrencyLimiter(limits / "uploads", settings.uploads_at_once)
     app.state.stream_limiter = ConcurrencyLimiter(limits / "event_streams", settings.event_streams)
-    for router in (teams.router, submissions.router, tracks.router):
+    for router in (teams.router, submissions.router, uploads.router, tracks.router):
         app.include_router(router, prefix=API_PREFIX)
     for router in (health.router, metrics.router, *routers):
         app.include_router(router)
-    app.add_middleware(BodyLimit, unlimited=("POST", f"{API_PREFIX}{submissions.router.prefix}"))
+    app.add_middleware(BodyLimit, unlimited=UNLIMITED)
+    app.add_middleware(ProtocolVersion, prefix=f"{API_PREFIX}{uploads.router.prefix}")
     app.add_middleware(RequestHead)
     app.add_middleware(RequestTimes)
     problems.install(app)

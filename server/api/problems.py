@@ -42,18 +42,21 @@ def install(app: FastAPI) -> None:
     app.add_exception_handler(Exception, _on_bug)
 
 
-def problem(request: Request, error: ServiceError, headers: Mapping[str, str] | None = None) -> JSONResponse:
-    """Return the answer for a refusal."""
+def problem(
+    request: Request, error: ServiceError, headers: Mapping[str, str] | None = None, *, status: int | None = None
+) -> JSONResponse:
+    """Return the answer for a refusal, with its usual status unless another one is given."""
+    status = status or int(error.status)
     content = {
         "type": f"urn:vitac:problem:{error.code}",
         "title": error.status.phrase,
-        "status": int(error.status),
+        "status": status,
         "detail": error.detail,
         "code": str(error.code),
         "instance": request.url.path,
         **error.extras,
     }
-    return JSONResponse(content, error.status, {**_headers(error), **(headers or {})}, media_type=MEDIA_TYPE)
+    return JSONResponse(content, status, {**_headers(error), **(headers or {})}, media_type=MEDIA_TYPE)
 
 
 def _headers(error: ServiceError) -> dict[str, str]:
@@ -71,7 +74,7 @@ def _on_service_error(request: Request, error: Exception) -> JSONResponse:
 
 
 def _leaves_body_unread(request: Request) -> bool:
-    return request.method == "POST" and request.url.path.endswith("/submissions")
+    return request.method == "PATCH" or (request.method == "POST" and request.url.path.endswith("/submissions"))
 
 
 def _on_invalid_request(request: Request, error: Exception) -> JSONResponse:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from sqlalchemy import Connection, select, text
 from vitac.envs.errors import VitacError
-from vitac.server.db.models import Submission
+from vitac.server.db.models import PartialUpload, Submission, UploadPart
 from vitac.server.db.schema import installed_revision
 from vitac.server.postgres import tools
 from vitac.server.services import Services
@@ -28,7 +28,7 @@ def back_up(
 ) -> BackupDescription:
     """Write the database and all uploaded files, as they are at one moment, to a new file that only its owner may read.
 
-    Submissions and results that arrive meanwhile are not in it.
+    Submissions and results that arrive meanwhile are not in it, nor are uploads in pieces.
 
     Args:
         services: the open service.
@@ -93,7 +93,13 @@ def _dump(services: Services, dump: Path) -> BackupDescription:
         blobs = connection.scalars(
             select(Submission.archive_sha256).distinct().order_by(Submission.archive_sha256)
         ).all()
-        tools.dump(services.database.address, dump, snapshot=snapshot, bin_dir=services.settings.postgres_bin_dir)
+        tools.dump(
+            services.database.address,
+            dump,
+            snapshot=snapshot,
+            bin_dir=services.settings.postgres_bin_dir,
+            without_rows_of=(PartialUpload.__tablename__, UploadPart.__tablename__),
+        )
         return BackupDescription(
             made_at=datetime.now(UTC),
             release=version("vitac-arena"),

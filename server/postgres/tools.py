@@ -2,6 +2,7 @@
 
 import os
 import subprocess
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,14 @@ class DatabaseToolFailed(VitacError):
     """`pg_dump` or `pg_restore` is missing, older than the server, or could not do its work; it says why."""
 
 
-def dump(address: str, destination: Path, *, snapshot: str, bin_dir: Path | None = None) -> None:
+def dump(
+    address: str,
+    destination: Path,
+    *,
+    snapshot: str,
+    bin_dir: Path | None = None,
+    without_rows_of: Sequence[str] = (),
+) -> None:
     """Write a database's content, as an exported snapshot shows it, to a file in PostgreSQL's custom format.
 
     Args:
@@ -23,12 +31,14 @@ def dump(address: str, destination: Path, *, snapshot: str, bin_dir: Path | None
         destination: file to write.
         snapshot: name that `pg_export_snapshot()` gave in a transaction that is still open.
         bin_dir: folder with PostgreSQL's programs; found by itself if None.
+        without_rows_of: tables that are empty in the dump.
 
     Raises:
         DatabaseToolFailed: it did not work.
     """
     arguments = ["--format=custom", "--no-owner", "--no-privileges", f"--snapshot={snapshot}", f"--file={destination}"]
-    _run("pg_dump", arguments, address, bin_dir)
+    excluded = [f"--exclude-table-data={table}" for table in without_rows_of]
+    _run("pg_dump", [*arguments, *excluded], address, bin_dir)
 
 
 def restore(address: str, dump_file: Path, *, bin_dir: Path | None = None) -> None:

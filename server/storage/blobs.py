@@ -16,6 +16,8 @@ PART_BYTES = 8 << 20
 PARTS_AT_ONCE = 2
 """A file is stored in parts; so many of them are in memory at a time."""
 _COPY_BYTES = 1 << 20
+PART_FOLDER = "partial"
+"""Where the parts of uploads wait that are not complete; by upload."""
 
 
 class BlobStore:
@@ -97,6 +99,66 @@ class BlobStore:
         except (BaseError, OSError) as error:
             raise _unavailable(error) from error
         return [meta["path"].rsplit("/", 1)[-1] for meta in files if meta["last_modified"] <= oldest_kept]
+
+    def put_part(self, upload: str, name: str, content: bytes) -> str:
+        """Store a part of an upload that is not complete and return its key.
+
+        Raises:
+            ServiceError: the store cannot be written.
+        """
+        key = f"{PART_FOLDER}/{upload}/{name}"
+        try:
+            obstore.put(self._store, key, content)
+        except (BaseError, OSError) as error:
+            raise _unavailable(error) from error
+        return key
+
+    def part(self, key: str) -> memoryview:
+        """Return a stored part.
+
+        Raises:
+            ServiceError: it is gone, or the store cannot be read.
+        """
+        try:
+            return memoryview(obstore.get(self._store, key).bytes())
+        except (BaseError, OSError) as error:
+            raise _unavailable(error) from error
+
+    def delete_part(self, key: str) -> None:
+        """Remove one part.
+
+        Raises:
+            ServiceError: the store does not work.
+        """
+        try:
+            obstore.delete(self._store, key)
+        except (BaseError, OSError) as error:
+            raise _unavailable(error) from error
+
+    def delete_parts(self, upload: str) -> None:
+        """Remove all parts of an upload, also those that no row names.
+
+        Raises:
+            ServiceError: the store does not work.
+        """
+        try:
+            for batch in obstore.list(self._store, prefix=f"{PART_FOLDER}/{upload}"):
+                obstore.delete(self._store, [meta["path"] for meta in batch])
+        except (BaseError, OSError) as error:
+            raise _unavailable(error) from error
+
+    def uploads_with_parts(self, age: timedelta) -> set[str]:
+        """Return the uploads of which a part was stored at least so long ago.
+
+        Raises:
+            ServiceError: the store cannot be read.
+        """
+        oldest_kept = datetime.now(UTC) - age
+        try:
+            files = [meta for batch in obstore.list(self._store, prefix=PART_FOLDER) for meta in batch]
+        except (BaseError, OSError) as error:
+            raise _unavailable(error) from error
+        return {meta["path"].split("/")[-2] for meta in files if meta["last_modified"] <= oldest_kept}
 
     def check(self) -> None:
         """Write and remove a small file.

@@ -26,8 +26,8 @@ def create(
     Raises:
         ServiceError: an organizer named no team.
     """
-    owner = _owner(session, by, team)
-    submission = _find_or_add(session, owner, upload)
+    team_row = owner(session, by, team)
+    submission = _find_or_add(session, team_row, upload)
     run = next_run(session, submission, again=again)
     if run is None:
         return submission, False
@@ -42,10 +42,15 @@ def owner_name(session: Session, by: Principal, team: str | None) -> str:
     Raises:
         ServiceError: an organizer named no team, or none that exists.
     """
-    return _owner(session, by, team).name
+    return owner(session, by, team).name
 
 
-def _owner(session: Session, by: Principal, team: str | None) -> Team:
+def owner(session: Session, by: Principal, team: str | None) -> Team:
+    """Return the team whose submission an upload becomes.
+
+    Raises:
+        ServiceError: an organizer named no team, or none that exists.
+    """
     if not by.is_organizer:
         return teams.own(session, by)
     if team is None:

@@ -15,7 +15,7 @@ from pathlib import Path
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.settings import Settings
 
-_FILE_NAME = "upload"
+FILE_NAME = "upload"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,10 +56,10 @@ async def receive(
     Raises:
         ServiceError: larger than the limit, shorter than announced, idle for too long, or empty.
     """
-    path = folder / _FILE_NAME
+    path = folder / FILE_NAME
     digest, n_bytes = hashlib.sha256(), 0
     with path.open("xb") as file:
-        async for chunk in _until_idle(body, idle_timeout_s):
+        async for chunk in until_idle(body, idle_timeout_s):
             n_bytes += len(chunk)
             if n_bytes > limit_bytes:
                 raise _too_large(limit_bytes, "more were sent")
@@ -88,7 +88,8 @@ def check_digest(received: ReceivedFile, claimed: str | None) -> None:
 def truncated(what: str) -> ServiceError:
     """Return the refusal of a body that ended early."""
     return ServiceError(
-        ProblemCode.UPLOAD_TRUNCATED, f"The upload ended early: {what}. Nothing was kept; send it again."
+        ProblemCode.UPLOAD_TRUNCATED,
+        f"The upload ended early: {what}. Send it again; one in pieces goes on where it ended.",
     )
 
 
@@ -100,8 +101,12 @@ def _too_large(limit_bytes: int, what: str) -> ServiceError:
     )
 
 
-async def _until_idle(body: AsyncIterator[bytes], limit_s: float) -> AsyncIterator[bytes]:
-    """Yield the chunks of a body as long as they keep coming."""
+async def until_idle(body: AsyncIterator[bytes], limit_s: float) -> AsyncIterator[bytes]:
+    """Yield the chunks of a body as long as they keep coming.
+
+    Raises:
+        ServiceError: none arrived for too long.
+    """
     while True:
         try:
             chunk = await asyncio.wait_for(anext(body), limit_s)

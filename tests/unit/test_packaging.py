@@ -27,6 +27,7 @@ URL_HOSTS = {
     "keepachangelog.com",
     "localhost",
     "semver.org",
+    "tus.io",
     "spec.openapis.org",
     "www.apache.org",
     "www.rfc-editor.org",

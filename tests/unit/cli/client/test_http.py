@@ -1,10 +1,10 @@
-import hashlib
 from collections.abc import Callable
 from pathlib import Path
 
 import httpx
 import pytest
-from vitac.cli.client.http import DEFAULT_SERVER, HINTS, Client, RequestRefused, ServiceUnreachable, client_from
+from vitac.cli.client.http import DEFAULT_SERVER, Client, client_from
+from vitac.cli.client.refusals import HINTS, RequestRefused, ServiceUnreachable
 from vitac.envs.errors import VitacError
 from vitac.server.errors import ProblemCode
 
@@ -30,29 +30,6 @@ def test_sends_the_token_and_nothing_without_one() -> None:
     client(answer).me()
     client(answer, token=None).leaderboard("track_1")
     assert seen == ["Bearer vitac_secret", None]
-
-
-def test_uploads_with_length_and_digest_and_tells_the_progress(tmp_path: Path) -> None:
-    archive = tmp_path / "s.zip"
-    archive.write_bytes(b"z" * 700_000)
-    got: dict[str, object] = {}
-
-    def answer(request: httpx.Request) -> httpx.Response:
-        got.update(body=request.read(), headers=request.headers, url=str(request.url))
-        return httpx.Response(202, json={"id": "17"})
-
-    told: list[int] = []
-    assert client(answer).upload(archive, track="track_1", again=True, on_bytes=told.append) == {"id": "17"}
-    assert got["body"] == archive.read_bytes()
-    assert got["url"] == "http://arena.test/api/v1/submissions?track=track_1&kind=model&again=true"
-    headers = got["headers"]
-    assert isinstance(headers, httpx.Headers)
-    assert headers["content-length"] == "700000"
-    assert headers["content-type"] == "application/zip"
-    assert headers["x-content-sha256"] == hashlib.sha256(archive.read_bytes()).hexdigest()
-    assert "transfer-encoding" not in headers
-    assert sum(told) == 700_000
-    assert len(told) > 1
 
 
 @pytest.mark.parametrize("status", [400, 401, 403, 404, 409, 413, 415, 422, 429, 500, 503])

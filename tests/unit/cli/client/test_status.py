@@ -4,7 +4,7 @@ from pathlib import Path
 
 from cli_service import MANIFEST, CliService, submission_folder
 from service_factories import make_failed_record, make_record, play_all
-from vitac.cli.client.http import RequestRefused
+from vitac.cli.client.refusals import RequestRefused
 from vitac.cli.client.status import EvaluationEndedWithoutScore
 from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord
 from vitac.server.db.models import Submission

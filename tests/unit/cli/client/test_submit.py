@@ -6,7 +6,7 @@ from cli_service import CliService, submission_folder, zip_of
 from quick_worker import record_of
 from service_factories import TASK
 from uploaded_logs import EPISODES, a_log, a_text_log, packed
-from vitac.cli.client.http import RequestRefused, ServiceUnreachable
+from vitac.cli.client.refusals import RequestRefused, ServiceUnreachable
 from vitac.cli.client.upload_kind import kind_of
 from vitac.evaluator.submission.manifest import NoSubmission, submission_digest
 

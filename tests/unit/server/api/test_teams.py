@@ -1,4 +1,5 @@
 from pathlib import Path
+from uuid import uuid4
 
 import pytest
 from service_client import Service, bearer, problem_of, running_service
@@ -83,6 +84,7 @@ def test_every_route_of_the_api_but_the_public_ones_needs_a_token(service: Servi
         ("get", "/api/v1/tracks/{track}"),
         ("get", "/api/v1/leaderboards/{track}"),
         ("get", "/api/v1/leaderboards/{track}/logs"),
+        ("options", "/api/v1/uploads"),
         ("get", "/health"),
         ("get", "/ready"),
     }
@@ -90,7 +92,10 @@ def test_every_route_of_the_api_but_the_public_ones_needs_a_token(service: Servi
     routes = {(method, path) for path, methods in document["paths"].items() for method in methods}
     assert public <= routes
     for method, path in routes - public:
-        url = path.format(submission_id="00000000-0000-0000-0000-000000000000", token_id="0" * 32, track=TRACK)
-        answer = service.client.request(method, url)
-        problem_of(answer, 401, "missing_credentials")
+        ids = {"submission_id": uuid4(), "upload_id": uuid4(), "token_id": uuid4()}
+        answer = service.client.request(method, path.format(**ids, track=TRACK), headers={"Tus-Resumable": "1.0.0"})
+        if method == "head":
+            assert answer.status_code == 401
+        else:
+            problem_of(answer, 401, "missing_credentials")
     assert len(routes - public) >= 10

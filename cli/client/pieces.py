@@ -1,0 +1,107 @@
+"""Uploads a file so that cuts cost little: begins, sends, and after a cut asks how far it is and goes on from there.
+
+The other side is the service's `/uploads`, by the protocol tus 1.0. The service finds an unfinished upload by the
+digest of its content, so a command that was killed goes on when it is started again. Called by `Client.upload`.
+"""
+
+from __future__ import annotations
+
+import base64
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from .refusals import RequestRefused, ServiceUnreachable
+
+if TYPE_CHECKING:
+    import httpx
+
+    from .http import Json
+
+UPLOADS = "/api/v1/uploads"
+PROTOCOL = {"Tus-Resumable": "1.0.0"}
+CHUNK_BYTES = 1 << 18
+PAUSES_S = (0.2, 0.5, 1.0, 2.0, 4.0, 8.0, 15.0, 15.0, 15.0)
+"""Waits after failures with no byte of progress between them; after the last one the upload is given up."""
+TRANSIENT = frozenset(
+    {"database_unavailable", "not_found", "storage_unavailable", "too_many_requests", "upload_conflict"}
+    | {"upload_incomplete", "upload_truncated"}
+)
+"""Refusals that may go away. An upload that is not found has expired, and a new one is begun."""
+CHECKING_TIMEOUT_S = 600.0
+"""The service unpacks and hashes the whole upload before it answers."""
+
+Send = Callable[..., "httpx.Response"]
+"""Sends a request (method, path, headers, content, timeout_s); raises where there is no good answer."""
+
+
+@dataclass(kw_only=True)
+class PieceSender:
+    """One upload.
+
+    Attributes:
+        send: makes the requests.
+        file: what is uploaded.
+        metadata: what the service has to know of it, with its `sha256`.
+        on_position: told how many bytes are sent; after a cut it may be fewer than before.
+        pause: waits, in seconds.
+    """
+
+    send: Send
+    file: Path
+    metadata: Mapping[str, str]
+    on_position: Callable[[int], None]
+    pause: Callable[[float], None] = time.sleep
+
+    def run(self) -> Json:
+        """Upload, and return the submission.
+
+        Raises:
+            RequestRefused: the service refuses it for good.
+            ServiceUnreachable: there was no progress for about a minute.
+        """
+        failures, furthest = 0, -1
+        while True:
+            try:
+                place, offset = self._begin()
+                if offset > furthest:
+                    failures, furthest = 0, offset
+                self._send_rest(place, offset)
+                return dict(self.send("POST", f"{place}/submission", timeout_s=CHECKING_TIMEOUT_S).json())
+            except (ServiceUnreachable, RequestRefused) as error:
+                given_up = failures == len(PAUSES_S)
+                if given_up or (isinstance(error, RequestRefused) and error.code not in TRANSIENT):
+                    raise
+            self.pause(PAUSES_S[failures])
+            failures += 1
+
+    def _begin(self) -> tuple[str, int]:
+        """Begin the upload, or find it again; return its path and how many bytes the service has."""
+        metadata = ",".join(
+            f"{name} {base64.b64encode(text.encode()).decode()}" for name, text in self.metadata.items()
+        )
+        headers = {"Upload-Length": str(self.file.stat().st_size), "Upload-Metadata": metadata}
+        answer = self.send("POST", UPLOADS, headers=PROTOCOL | headers)
+        return answer.headers["Location"], int(answer.headers["Upload-Offset"])
+
+    def _send_rest(self, place: str, offset: int) -> None:
+        length = self.file.stat().st_size
+        if offset == length:
+            return
+        headers = PROTOCOL | {
+            "Content-Type": "application/offset+octet-stream",
+            "Content-Length": str(length - offset),
+            "Upload-Offset": str(offset),
+        }
+        self.send("PATCH", place, headers=headers, content=self._content(offset))
+
+    def _content(self, position: int) -> Iterator[bytes]:
+        with self.file.open("rb") as file:
+            file.seek(position)
+            self.on_position(position)
+            while chunk := file.read(CHUNK_BYTES):
+                yield chunk
+                position += len(chunk)
+                self.on_position(position)

@@ -1,0 +1,63 @@
+"""What a service says no with, as the command line tells it. Raised by the client, told apart by its callers."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from vitac.envs.errors import VitacError
+
+if TYPE_CHECKING:
+    import httpx
+
+HINTS = {
+    "missing_credentials": "Set VITAC_TOKEN to your team's API token, or give --token-file.",
+    "invalid_credentials": "Check VITAC_TOKEN; ask an organizer for a new token if it was revoked or has expired.",
+    "forbidden": "This token has no permission for that; use the right team's token, or an organizer's.",
+    "not_found": "Check the id (`vitac status` lists yours) and the token.",
+    "unknown_track": "Check the track's name in submission.yaml and with --track.",
+    "log_rejected": "Make the log again with `vitac evaluate --log`, and upload one log at a time, unaltered; "
+    "`vitac log import FILE` lists the problems of a 2025 text log.",
+    "log_impossible": "Check it locally: `vitac log verify FILE`, or `vitac log import FILE` for a 2025 text log.",
+    "log_team_mismatch": "Use the token of the team that the log names, or evaluate with --team.",
+    "archive_rejected": "Run `vitac check` on the submission; it lists everything that would be refused.",
+    "digest_mismatch": "The upload was corrupted in transit; send it again.",
+    "upload_truncated": "The upload was cut off; send it again.",
+    "upload_too_large": "Remove files that the policy does not need; a log holds one evaluation of one task.",
+    "too_many_requests": "Wait a moment and retry.",
+    "too_many_uploads": "Finish or wait; `vitac submit` goes on with an upload of the same content.",
+    "database_unavailable": "The database is starting or down; retry in a minute.",
+    "storage_full": "Tell the organizers that the disk of the service is full.",
+    "storage_unavailable": "The service cannot store files now; retry in a minute.",
+}
+
+
+class RequestRefused(VitacError):
+    """The service refused a request; the message has status, code, detail, hint and request id."""
+
+    def __init__(self, *, status: int, code: str, detail: str, request_id: str | None) -> None:
+        self.status, self.code, self.detail, self.hint = status, code, detail, HINTS.get(code)
+        lines = [f"refused with status {status} ({code}): {detail}"]
+        if self.hint is not None:
+            lines.append(f"hint: {self.hint}")
+        if request_id is not None:
+            lines.append(f"request id: {request_id}")
+        super().__init__("\n  ".join(lines))
+
+
+class ServiceUnreachable(VitacError):
+    """No service answers at the address; the message names it and says what to check."""
+
+
+def refusal(answer: httpx.Response) -> RequestRefused:
+    """Return what an answer that is no success says."""
+    request_id = answer.headers.get("x-request-id")
+    try:
+        problem = dict(answer.json())
+    except ValueError:
+        problem = {}
+    return RequestRefused(
+        status=answer.status_code,
+        code=str(problem.get("code", "no_code")),
+        detail=str(problem.get("detail", f"{answer.reason_phrase}; this may not be a ViTac Arena service")),
+        request_id=request_id,
+    )

@@ -1,0 +1,62 @@
+"""Makes the submission out of an upload in pieces; called by the API."""
+
+from uuid import UUID
+
+from vitac.server.accounts.principals import Principal
+from vitac.server.db.models import PartialUpload
+from vitac.server.errors import ProblemCode, ServiceError
+from vitac.server.services import Services
+from vitac.server.submissions import creation
+from vitac.server.uploads import intake, partial
+from vitac.server.uploads.acceptance import accept
+
+_TRANSIENT = frozenset(
+    {
+        ProblemCode.STORAGE_FULL,
+        ProblemCode.STORAGE_UNAVAILABLE,
+        ProblemCode.TOO_MANY_REQUESTS,
+        ProblemCode.UPLOAD_INCOMPLETE,
+    }
+)
+"""Refusals after which the upload stays, so that the client can ask again; after all others it is of no use."""
+
+
+def complete(services: Services, by: Principal, upload_id: UUID) -> tuple[UUID, bool]:
+    """Check an upload whose bytes are all there and make its submission; return that, and whether it was started.
+
+    Asked for again, it returns the submission that it made, so that a client whose connection was cut can repeat it.
+
+    Raises:
+        ServiceError: bytes are missing, or the body breaks a rule.
+    """
+    with services.database.transaction() as session:
+        upload = partial.find(session, by, upload_id)
+    if upload.submission_id is not None:
+        return upload.submission_id, False
+    try:
+        return _make(services, by, upload)
+    except ServiceError as error:
+        made = _made_meanwhile(services, upload_id)
+        if made is not None:
+            return made, False
+        if error.code not in _TRANSIENT:
+            partial.remove(services, upload_id)
+        raise
+
+
+def _make(services: Services, by: Principal, upload: PartialUpload) -> tuple[UUID, bool]:
+    with intake.upload_folder(services.settings) as folder:
+        received = partial.put_together(services, upload.id, folder)
+        intake.check_digest(received, upload.sha256)
+        checked = accept(services, received, kind=upload.kind, track=upload.track, owner=upload.team.name)
+    with services.database.transaction() as session:
+        submission, is_new = creation.create(session, by, checked, team=str(upload.team_id), again=upload.again)
+    partial.finish(services, upload.id, submission.id)
+    return submission.id, is_new
+
+
+def _made_meanwhile(services: Services, upload_id: UUID) -> UUID | None:
+    """Return the submission that another request made of the upload meanwhile, whose parts are gone then."""
+    with services.database.transaction() as session:
+        upload = session.get(PartialUpload, upload_id)
+        return None if upload is None else upload.submission_id

@@ -1,0 +1,211 @@
+"""Uploads in pieces: begun, continued from where they ended, put together, removed.
+
+The received bytes wait as parts in the file store, which all servers reach; rows say which parts count. Of two clients
+that send the same piece the first one wins, the other learns where to go on: nothing is locked while bytes arrive, so
+a connection that died unnoticed holds up nobody. Called by the API, `submissions.completion` and housekeeping.
+"""
+
+import hashlib
+import secrets
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from uuid import UUID
+
+from sqlalchemy import delete, func, select, update
+from sqlalchemy.orm import Session, joinedload
+from vitac.evaluator.submission_kinds import SubmissionKind
+from vitac.server.accounts import teams
+from vitac.server.accounts.principals import Principal
+from vitac.server.db.models import PartialUpload, Team, UploadPart
+from vitac.server.errors import ProblemCode, ServiceError, not_found
+from vitac.server.services import Services
+from vitac.server.settings import Settings
+
+from .intake import FILE_NAME, ReceivedFile, check_announced_size
+from .kinds import SERVED_KINDS
+
+MAX_PARTS = 5000
+"""So many parts make up one upload at most: one of 512 MiB has 128, and one more for each cut."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class UploadPlan:
+    """What a client says of an upload before it sends the first byte.
+
+    Attributes:
+        kind: what the body is.
+        track: that the body must name; None: whatever it names.
+        again: whether all episodes are to be played anew.
+        total_bytes: length of the body.
+        sha256: digest of the body, hex; None: not told.
+    """
+
+    kind: SubmissionKind
+    track: str | None
+    again: bool
+    total_bytes: int
+    sha256: str | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class StoredPart:
+    """A part in the file store that does not count yet."""
+
+    first_byte: int
+    n_bytes: int
+    key: str
+
+
+def begin(session: Session, settings: Settings, owner: Team, plan: UploadPlan) -> PartialUpload:
+    """Make an upload, or return the team's unfinished one of the same content, which a client then continues.
+
+    Raises:
+        ServiceError: too large, or the team has too many unfinished uploads.
+    """
+    check_announced_size(plan.total_bytes, SERVED_KINDS[plan.kind].max_bytes(settings))
+    teams.lock(session, owner)
+    unfinished = select(PartialUpload).where(
+        PartialUpload.team_id == owner.id,
+        PartialUpload.submission_id.is_(None),
+        PartialUpload.expires_at > datetime.now(UTC),
+    )
+    if plan.sha256 is not None:
+        same = unfinished.filter_by(**vars(plan)).order_by(PartialUpload.received_bytes.desc()).limit(1)
+        found = session.scalar(same)
+        if found is not None:
+            return found
+    if (session.scalar(select(func.count()).select_from(unfinished.subquery())) or 0) >= settings.unfinished_uploads:
+        raise ServiceError(
+            ProblemCode.TOO_MANY_UPLOADS,
+            f"{owner.name} has {settings.unfinished_uploads} unfinished uploads, the most that are possible; finish or "
+            f"delete one. Each is removed {settings.upload_kept_h} h after its last piece.",
+        )
+    upload = PartialUpload(team=owner, received_bytes=0, expires_at=_expiry(settings), **vars(plan))
+    session.add(upload)
+    session.flush()
+    return upload
+
+
+def find(session: Session, by: Principal, upload_id: UUID) -> PartialUpload:
+    """Return an upload.
+
+    Raises:
+        ServiceError: there is none that the principal may see; one that has expired is gone.
+    """
+    upload = session.get(PartialUpload, upload_id, options=[joinedload(PartialUpload.team)])
+    if upload is None or not by.may_see(upload.team_id) or upload.expires_at <= datetime.now(UTC):
+        raise not_found("upload", upload_id)
+    return upload
+
+
+def store_part(services: Services, upload_id: UUID, first_byte: int, content: bytes) -> StoredPart:
+    """Put bytes into the file store; they count once they are added.
+
+    Raises:
+        ServiceError: the store does not work.
+    """
+    name = f"{first_byte:015d}-{secrets.token_hex(8)}"
+    key = services.blobs.put_part(str(upload_id), name, content)
+    return StoredPart(first_byte=first_byte, n_bytes=len(content), key=key)
+
+
+def add_parts(session: Session, settings: Settings, upload_id: UUID, parts: list[StoredPart]) -> datetime:
+    """Make stored parts, which follow each other, the next ones of an upload; return when it expires now.
+
+    Raises:
+        ServiceError: the upload goes on elsewhere, has too many parts, or is gone.
+    """
+    first, n_bytes = parts[0].first_byte, sum(part.n_bytes for part in parts)
+    expires_at = _expiry(settings)
+    advanced = session.execute(
+        update(PartialUpload)
+        .where(
+            PartialUpload.id == upload_id,
+            PartialUpload.received_bytes == first,
+            PartialUpload.submission_id.is_(None),
+        )
+        .values(received_bytes=first + n_bytes, expires_at=expires_at)
+        .returning(PartialUpload.id)
+    ).one_or_none()
+    if advanced is None:
+        raise conflict(session, upload_id, first)
+    session.add_all(UploadPart(upload_id=upload_id, **vars(part)) for part in parts)
+    session.flush()
+    count = select(func.count()).select_from(UploadPart).where(UploadPart.upload_id == upload_id)
+    if (session.scalar(count) or 0) > MAX_PARTS:
+        raise ServiceError(
+            ProblemCode.TOO_MANY_UPLOADS,
+            f"The upload would have more than {MAX_PARTS} pieces; delete it and send larger ones.",
+        )
+    return expires_at
+
+
+def conflict(session: Session, upload_id: UUID, first_byte: int) -> ServiceError:
+    """Return the refusal of a piece that does not begin where the upload goes on."""
+    offset = session.scalar(select(PartialUpload.received_bytes).where(PartialUpload.id == upload_id))
+    if offset is None:
+        return not_found("upload", upload_id)
+    return ServiceError(
+        ProblemCode.UPLOAD_CONFLICT,
+        f"Expected a piece that begins at byte {offset}, got one for byte {first_byte}. Go on from there.",
+        offset=offset,
+    )
+
+
+def put_together(services: Services, upload_id: UUID, folder: Path) -> ReceivedFile:
+    """Write the parts of a complete upload into one file and hash it on the way.
+
+    Raises:
+        ServiceError: bytes are missing still, or the file store does not work.
+    """
+    with services.database.transaction() as session:
+        upload = session.get_one(PartialUpload, upload_id)
+        keys = session.scalars(
+            select(UploadPart.key).where(UploadPart.upload_id == upload_id).order_by(UploadPart.first_byte)
+        ).all()
+    if upload.received_bytes != upload.total_bytes:
+        raise ServiceError(
+            ProblemCode.UPLOAD_INCOMPLETE,
+            f"Expected {upload.total_bytes} bytes, got {upload.received_bytes} so far. Send the rest first.",
+            offset=upload.received_bytes,
+        )
+    path, digest = folder / FILE_NAME, hashlib.sha256()
+    with path.open("xb") as file:
+        for key in keys:
+            content = services.blobs.part(key)
+            digest.update(content)
+            file.write(content)
+    return ReceivedFile(path=path, sha256=digest.hexdigest(), n_bytes=upload.total_bytes)
+
+
+def finish(services: Services, upload_id: UUID, submission_id: UUID) -> None:
+    """Note what an upload became and remove its parts."""
+    with services.database.transaction() as session:
+        session.execute(update(PartialUpload).where(PartialUpload.id == upload_id).values(submission_id=submission_id))
+        session.execute(delete(UploadPart).where(UploadPart.upload_id == upload_id))
+    services.blobs.delete_parts(str(upload_id))
+
+
+def remove(services: Services, upload_id: UUID) -> None:
+    """Remove an upload with all its parts; removing it again changes nothing."""
+    with services.database.transaction() as session:
+        session.execute(delete(PartialUpload).where(PartialUpload.id == upload_id))
+    services.blobs.delete_parts(str(upload_id))
+
+
+def remove_expired(services: Services) -> None:
+    """Remove the uploads that got no piece for too long, and parts of uploads that are not there."""
+    with services.database.transaction() as session:
+        expired = session.scalars(select(PartialUpload.id).where(PartialUpload.expires_at <= datetime.now(UTC))).all()
+    for upload_id in expired:
+        remove(services, upload_id)
+    with_parts = services.blobs.uploads_with_parts(timedelta(hours=services.settings.upload_kept_h))
+    with services.database.transaction() as session:
+        known = {str(upload_id) for upload_id in session.scalars(select(PartialUpload.id))}
+    for upload in with_parts - known:
+        services.blobs.delete_parts(upload)
+
+
+def _expiry(settings: Settings) -> datetime:
+    return datetime.now(UTC) + timedelta(hours=settings.upload_kept_h)

@@ -1,0 +1,164 @@
+import hashlib
+import os
+import zipfile
+from collections.abc import Callable, Iterator
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+from cutting_proxy import CuttingProxy
+from databases import fresh_database
+from service_client import MANIFEST, POLICY, Service, running_service, serving
+from vitac.cli.client import pieces
+from vitac.cli.client.http import Client
+from vitac.cli.client.pieces import PAUSES_S, PieceSender
+from vitac.cli.client.refusals import RequestRefused, ServiceUnreachable
+from vitac.server.api.app import create_app
+from vitac.server.db.engine import Database
+
+MEGABYTE = 1_000_000
+N_CUTS = 20
+
+
+@pytest.fixture
+def service(tmp_path: Path) -> Iterator[Service]:
+    with fresh_database() as address:
+        database = Database(address)
+        with running_service(database, tmp_path / "state") as service:
+            yield service
+        database.dispose()
+
+
+@pytest.fixture
+def archive(tmp_path: Path) -> Path:
+    path = tmp_path / "big.zip"
+    with zipfile.ZipFile(path, "w") as writer:
+        writer.writestr("Track_1/submission.yaml", MANIFEST)
+        writer.writestr("Track_1/policy.py", POLICY)
+        writer.writestr("Track_1/weights.bin", os.urandom(12 * MEGABYTE))
+    return path
+
+
+@pytest.fixture(autouse=True)
+def _no_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pieces, "PAUSES_S", (0.01,) * len(PAUSES_S))
+
+
+def client_at(address: tuple[str, int], service: Service) -> Client:
+    return Client(server=f"http://{address[0]}:{address[1]}", token=service.token)
+
+
+def sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def test_an_upload_survives_cuts_at_random_places(service: Service, archive: Path) -> None:
+    cuts = [int(cut) for cut in np.random.default_rng(20).integers(1, MEGABYTE, N_CUTS)]
+    positions: list[int] = []
+    with CuttingProxy(target=service.address, cuts=cuts).running() as proxy:
+        made = client_at(proxy.address, service).upload(archive, track="track_1", on_position=positions.append)
+    assert proxy.n_cut == N_CUTS
+    assert made["archive_sha256"] == sha256(archive)
+    assert positions[-1] == archive.stat().st_size
+
+
+def test_a_command_that_was_killed_goes_on_where_it_ended(service: Service, archive: Path) -> None:
+    class Killed(BaseException):
+        pass
+
+    def kill(position: int) -> None:
+        if position > 9 * MEGABYTE:
+            raise Killed
+
+    client = client_at(service.address, service)
+    with pytest.raises(Killed):
+        client.upload(archive, track="track_1", on_position=kill)
+    positions: list[int] = []
+    made = client.upload(archive, track="track_1", on_position=positions.append)
+    assert made["archive_sha256"] == sha256(archive)
+    assert positions[0] >= 4 << 20
+
+
+def test_an_upload_goes_on_at_another_server_process(service: Service, archive: Path) -> None:
+    with CuttingProxy(target=service.address, cuts=[8 * MEGABYTE]).running() as proxy:
+        positions: list[int] = []
+        app = create_app(service.settings, services=service.services)
+        with serving(app) as first:
+            proxy.target = first
+            sender = client_at(proxy.address, service)
+
+            def replaced(position: int) -> None:
+                positions.append(position)
+                if proxy.n_cut:
+                    proxy.target = service.address
+
+            made = sender.upload(archive, track="track_1", on_position=replaced)
+    assert made["archive_sha256"] == sha256(archive)
+    assert any(later < earlier for earlier, later in pairwise(positions))
+    assert 0 not in positions[1:]
+
+
+def test_a_small_submission_takes_three_requests(service: Service, tmp_path: Path) -> None:
+    path = tmp_path / "small.zip"
+    with zipfile.ZipFile(path, "w") as writer:
+        writer.writestr("Track_1/submission.yaml", MANIFEST)
+        writer.writestr("Track_1/policy.py", POLICY)
+    asked: list[str] = []
+
+    def noted(self: Client, method: str, *arguments: Any, **options: Any) -> httpx.Response:
+        asked.append(method)
+        return send(self, method, *arguments, **options)
+
+    send = Client.send
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Client, "send", noted)
+        client_at(service.address, service).upload(path, track="track_1", on_position=lambda _: None)
+    assert asked == ["POST", "PATCH", "POST"]
+
+
+def sender_to(answers: Callable[[str], httpx.Response], tmp_path: Path, pauses: list[float]) -> PieceSender:
+    path = tmp_path / "file"
+    path.write_bytes(b"12345")
+
+    def send(method: str, path: str, **_: Any) -> httpx.Response:
+        return answers(method)
+
+    return PieceSender(send=send, file=path, metadata={}, on_position=lambda _: None, pause=pauses.append)
+
+
+def test_gives_up_after_so_many_failures_without_progress(tmp_path: Path) -> None:
+    def answer(_: str) -> httpx.Response:
+        raise ServiceUnreachable("no")
+
+    pauses: list[float] = []
+    with pytest.raises(ServiceUnreachable):
+        sender_to(answer, tmp_path, pauses).run()
+    assert len(pauses) == len(PAUSES_S)
+
+
+def test_progress_starts_the_count_of_failures_anew(tmp_path: Path) -> None:
+    offsets = iter(offset for offset in range(5) for _ in range(len(PAUSES_S)))
+
+    def answer(method: str) -> httpx.Response:
+        if method == "POST":
+            return httpx.Response(201, headers={"Location": "/u", "Upload-Offset": str(next(offsets))})
+        raise ServiceUnreachable("cut")
+
+    pauses: list[float] = []
+    with pytest.raises(StopIteration):
+        sender_to(answer, tmp_path, pauses).run()
+    assert len(pauses) == 5 * len(PAUSES_S)
+
+
+@pytest.mark.parametrize("code", ["archive_rejected", "too_many_uploads", "invalid_credentials"])
+def test_a_refusal_for_good_is_not_tried_again(tmp_path: Path, code: str) -> None:
+    def answer(_: str) -> httpx.Response:
+        raise RequestRefused(status=400, code=code, detail="No.", request_id=None)
+
+    pauses: list[float] = []
+    with pytest.raises(RequestRefused):
+        sender_to(answer, tmp_path, pauses).run()
+    assert pauses == []
