@@ -4,7 +4,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, ExitStack
 from enum import StrEnum
 from pathlib import Path
 from typing import Protocol, TypeVar
@@ -16,12 +16,14 @@ from vitac.evaluator.episodes.records import EpisodeRecord, Manifest
 from vitac.evaluator.scoring.failures import is_broken
 from vitac.evaluator.shards.order import ShardOrder
 from vitac.evaluator.shards.result import ShardEnd, ShardResult
+from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.evaluations.episode_store import StoredEpisodes, store_episode, stored_episodes
 from vitac.server.evaluations.lifecycle import finish_shard, report_broken_machine
 from vitac.server.evaluations.provenance import known_manifest
 from vitac.server.queue import leases
 from vitac.server.queue.leases import Lease, LeaseLost
 from vitac.server.services import Services
+from vitac.server.storage.blobs import StoredFileLost
 from vitac.server.storage.disk_space import has_space, is_disk_full
 
 from .staging import SubmissionStage
@@ -35,6 +37,11 @@ DATABASE_PATIENCE_S = 600.0
 
 FULL_DISK_PAUSE_S = 5.0
 """So long a shard waits that a worker gave back because its disk was full."""
+
+
+STORAGE_PATIENCE_S = 600.0
+"""So long a worker waits for a storage that is unavailable before the attempt counts as failed."""
+STORAGE_PAUSE_S = 1.0
 
 
 class RunningShard(Protocol):
@@ -116,10 +123,9 @@ class ShardRun:
         return ShardResult(index=self._lease.number, end=end, manifest=manifest, isolation=None)
 
     def _play(self, stored: StoredEpisodes) -> ShardResult:
-        with (
-            self._stage.submission(self._lease.kind, self._lease.archive_sha256) as path,
-            self._start(self._order(path, stored)) as process,
-        ):
+        with ExitStack() as stack:
+            path = self._fetch(stack)
+            process = stack.enter_context(self._start(self._order(path, stored)))
             with self._lock:
                 self._process = process
             if self._stopping.is_set() or self._lost.is_set():
@@ -127,6 +133,20 @@ class ShardRun:
             for record in process.records():
                 self._store(record)
             return process.result
+
+    def _fetch(self, stack: ExitStack) -> Path:
+        """Return where the submission is until the stack is closed; wait while the storage is unavailable."""
+        deadline = time.monotonic() + STORAGE_PATIENCE_S
+        while True:
+            try:
+                return stack.enter_context(self._stage.submission(self._lease.kind, self._lease.archive_sha256))
+            except ServiceError as error:
+                may_pass = error.code is ProblemCode.STORAGE_UNAVAILABLE and not isinstance(error, StoredFileLost)
+                ends = self._stopping.is_set() or self._lost.is_set() or time.monotonic() > deadline
+                if ends or not may_pass:
+                    raise
+                logger.warning("storage_unavailable", shard=self._lease.shard_id, error=error.detail)
+                self._stopping.wait(STORAGE_PAUSE_S)
 
     def _order(self, path: Path, stored: StoredEpisodes) -> ShardOrder:
         return ShardOrder(

@@ -3,6 +3,7 @@
 import hashlib
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import obstore
 from obstore.exceptions import BaseError, NotFoundError
@@ -12,12 +13,26 @@ from vitac.server.settings import Settings
 
 from .disk_space import is_disk_full
 
+if TYPE_CHECKING:
+    from obstore.store import RetryConfig
+
 PART_BYTES = 8 << 20
 PARTS_AT_ONCE = 2
 """A file is stored in parts; so many of them are in memory at a time."""
 _COPY_BYTES = 1 << 20
 PART_FOLDER = "partial"
 """Where the parts of uploads wait that are not complete; by upload."""
+
+
+RETRIES: "RetryConfig" = {"max_retries": 5, "retry_timeout": timedelta(seconds=20)}
+"""Of requests to a bucket that fails; by default they go on for three minutes, for which an upload would hang."""
+
+
+class StoredFileLost(ServiceError):
+    """A stored file is gone or was altered: trying again does not help, restoring it from a backup does."""
+
+    def __init__(self, detail: str) -> None:
+        super().__init__(ProblemCode.STORAGE_UNAVAILABLE, detail)
 
 
 class BlobStore:
@@ -30,7 +45,7 @@ class BlobStore:
     def from_settings(cls, settings: Settings) -> "BlobStore":
         """Return the store that the settings name; by default the folder `blobs` of the state directory."""
         if settings.storage_url is not None:
-            return cls(from_url(settings.storage_url))
+            return cls(from_url(settings.storage_url, retry_config=RETRIES))
         folder = settings.state_dir / "blobs"
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         return cls(LocalStore(folder))
@@ -52,7 +67,8 @@ class BlobStore:
         """Write a stored file to a local path and check its digest on the way.
 
         Raises:
-            ServiceError: it is not there, was altered, or the store cannot be read.
+            StoredFileLost: it is not there or was altered.
+            ServiceError: the store cannot be read.
         """
         digest = hashlib.sha256()
         try:
@@ -61,11 +77,11 @@ class BlobStore:
                     digest.update(chunk)
                     file.write(chunk)
         except (NotFoundError, FileNotFoundError) as error:
-            raise ServiceError(ProblemCode.STORAGE_UNAVAILABLE, f"The stored file {sha256} is gone.") from error
+            raise StoredFileLost(f"The stored file {sha256} is gone.") from error
         except (BaseError, OSError) as error:
             raise _unavailable(error) from error
         if digest.hexdigest() != sha256:
-            raise ServiceError(ProblemCode.STORAGE_UNAVAILABLE, f"The stored file {sha256} was altered in the store.")
+            raise StoredFileLost(f"The stored file {sha256} was altered in the store.")
 
     def holds(self, sha256: str) -> bool:
         """Return whether a file of that digest is stored."""

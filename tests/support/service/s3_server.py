@@ -6,7 +6,6 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -17,12 +16,36 @@ CREDENTIALS = {"AWS_ACCESS_KEY_ID": "test", "AWS_SECRET_ACCESS_KEY": "test", "AW
 START_LIMIT_S = 60.0
 
 
-@dataclass(frozen=True, kw_only=True)
 class S3Server:
-    """A server with one empty bucket."""
+    """A server with one bucket, empty after each start; what it prints goes to a file in the folder."""
 
-    endpoint: str
-    process: "subprocess.Popen[bytes]"
+    def __init__(self, folder: Path, host: str) -> None:
+        with socket.socket() as free:
+            free.bind((host, 0))
+            self._host, self._port = host, free.getsockname()[1]
+        self._log = folder / "s3.log"
+        self.endpoint = f"http://{host}:{self._port}"
+        self.process: subprocess.Popen[bytes]
+
+    def start(self) -> None:
+        """Starts it, always on the same port."""
+        program = [sys.executable, "-m", "moto.server", "-H", self._host, "-p", str(self._port)]
+        with self._log.open("ab") as log:
+            self.process = subprocess.Popen(program, stdout=log, stderr=log)
+        deadline = time.monotonic() + START_LIMIT_S
+        while True:
+            assert self.process.poll() is None, "the S3 server did not start"
+            assert time.monotonic() < deadline, "the S3 server did not answer in time"
+            try:
+                httpx.put(f"{self.endpoint}/{BUCKET}", timeout=10).raise_for_status()
+                return
+            except httpx.TransportError:
+                time.sleep(0.05)
+
+    def kill(self) -> None:
+        """Ends it; ending it again changes nothing."""
+        self.process.kill()
+        self.process.wait()
 
     @property
     def environment(self) -> dict[str, str]:
@@ -42,7 +65,7 @@ class S3Server:
         return self._texts("?uploads", "Key")
 
     def _texts(self, query: str, tag: str) -> list[str]:
-        answer = httpx.get(f"{self.endpoint}/{BUCKET}{query}", timeout=10)
+        answer = httpx.get(f"{self.endpoint}/{BUCKET}{query}", timeout=30)
         answer.raise_for_status()
         found = ET.fromstring(answer.text).iter()  # noqa: S314 - of a server that the test has started
         return [element.text or "" for element in found if element.tag.rpartition("}")[2] == tag]
@@ -50,29 +73,10 @@ class S3Server:
 
 @contextmanager
 def s3_server(folder: Path, host: str = "127.0.0.1") -> Iterator[S3Server]:
-    """Runs the server on a free port while the block runs; its output goes to a file in the folder."""
-    with socket.socket() as free:
-        free.bind((host, 0))
-        port = free.getsockname()[1]
-    endpoint = f"http://{host}:{port}"
-    with (folder / "s3.log").open("wb") as log:
-        program = [sys.executable, "-m", "moto.server", "-H", host, "-p", str(port)]
-        process = subprocess.Popen(program, stdout=log, stderr=log)
+    """Runs the server on a free port while the block runs."""
+    server = S3Server(folder, host)
+    server.start()
     try:
-        _make_bucket(endpoint, process)
-        yield S3Server(endpoint=endpoint, process=process)
+        yield server
     finally:
-        process.kill()
-        process.wait()
-
-
-def _make_bucket(endpoint: str, process: "subprocess.Popen[bytes]") -> None:
-    deadline = time.monotonic() + START_LIMIT_S
-    while True:
-        assert process.poll() is None, "the S3 server did not start"
-        assert time.monotonic() < deadline, "the S3 server did not answer in time"
-        try:
-            httpx.put(f"{endpoint}/{BUCKET}", timeout=10).raise_for_status()
-            return
-        except httpx.TransportError:
-            time.sleep(0.05)
+        server.kill()

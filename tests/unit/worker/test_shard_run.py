@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from datetime import datetime
+from pathlib import Path
 
 import pytest
 from service_factories import (
@@ -27,10 +28,13 @@ from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.accounts.principals import Principal
 from vitac.server.db.models import EpisodeResult, Shard, Submission
 from vitac.server.db.states import EvaluationState, Role, ShardState
+from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.queue.leases import Lease
 from vitac.server.services import Services
+from vitac.server.storage.blobs import BlobStore, StoredFileLost
 from vitac.server.submissions import creation, runs
+from vitac.worker import shard_run
 from vitac.worker.shard_run import RunEnd, ShardRun
 from vitac.worker.staging import SubmissionStage
 from worker_fakes import FakeShard, FakeShards, eventually
@@ -343,3 +347,48 @@ def test_archive_that_is_gone_from_the_store_is_reported_as_a_broken_machine(
 ) -> None:
     services.blobs.delete(lease.archive_sha256)
     assert ShardRun(services, stage, lease, FakeShards()).run() is RunEnd.BROKE
+
+
+class UnsteadyBlobs(BlobStore):
+    """A storage that refuses the first times."""
+
+    def __init__(self, blobs: BlobStore, refusals: list[ServiceError]) -> None:
+        super().__init__(blobs._store)
+        self.refusals = refusals
+
+    def fetch(self, sha256: str, destination: Path) -> None:
+        if self.refusals:
+            raise self.refusals.pop()
+        super().fetch(sha256, destination)
+
+
+def unsteady(services: Services, *refusals: ServiceError) -> SubmissionStage:
+    blobs = UnsteadyBlobs(services.blobs, list(refusals))
+    return SubmissionStage(blobs, services.settings.scratch_dir, services.settings.limits)
+
+
+AWAY = ServiceError(ProblemCode.STORAGE_UNAVAILABLE, "The file store does not work.")
+
+
+def test_storage_that_is_away_is_waited_for_and_costs_no_attempt(
+    services: Services, lease: Lease, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(shard_run, "STORAGE_PAUSE_S", 0.01)
+    stage = unsteady(services, *[AWAY] * 10)
+    assert ShardRun(services, stage, lease, FakeShards()).run() is RunEnd.FINISHED
+    assert stored_numbers(services) == sorted(lease.episodes)
+
+
+def test_worker_that_waits_for_the_storage_can_be_stopped(services: Services, lease: Lease) -> None:
+    run = ShardRun(services, unsteady(services, *[AWAY] * 1000), lease, FakeShards())
+    wait = run_in_thread(run)
+    run.stop()
+    assert wait() is RunEnd.HANDED_BACK
+
+
+@pytest.mark.parametrize("refusal", [AWAY, StoredFileLost("The stored file is gone.")], ids=["away", "lost"])
+def test_storage_that_stays_away_or_has_lost_the_file_is_reported(
+    services: Services, lease: Lease, monkeypatch: pytest.MonkeyPatch, refusal: ServiceError
+) -> None:
+    monkeypatch.setattr(shard_run, "STORAGE_PATIENCE_S", -1.0 if refusal is AWAY else 600.0)
+    assert ShardRun(services, unsteady(services, refusal), lease, FakeShards()).run() is RunEnd.BROKE
