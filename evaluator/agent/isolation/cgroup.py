@@ -17,6 +17,7 @@ _ROOT: Final = Path("/sys/fs/cgroup")
 _MEMBERSHIP: Final = Path("/proc/self/cgroup")
 _PREFIX: Final = "vitac-"
 _REMOVE_DEADLINE_S: Final = 20.0
+_LONGEST_FILE_BYTES: Final = 65536
 _counter = itertools.count(1)
 
 
@@ -56,7 +57,7 @@ class ControlGroup:
         """Return CPU time used by everything that was ever in the group [s]."""
         if self.kind is MemoryIsolation.CGROUP_V2:
             return _read_key(self.cpu / "cpu.stat", "usage_usec") * 1e-6
-        return int((self.cpu / "cpuacct.usage").read_text()) * 1e-9
+        return int(_content(self.cpu / "cpuacct.usage")) * 1e-9
 
     def remove(self) -> None:
         """Remove the folders; the kernel may need a moment after the last process was killed.
@@ -175,8 +176,17 @@ def _remove(folder: Path) -> bool:
     return True
 
 
+def _content(file: Path) -> str:
+    """Return what a counter says; asked several times for each action, and `read_text` takes five times as long."""
+    descriptor = os.open(file, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        return os.read(descriptor, _LONGEST_FILE_BYTES).decode()
+    finally:
+        os.close(descriptor)
+
+
 def _read_key(file: Path, key: str) -> int:
-    for line in file.read_text().splitlines():
+    for line in _content(file).splitlines():
         name, _, value = line.partition(" ")
         if name == key:
             return int(value)
