@@ -18,7 +18,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "suppo
 import numpy as np
 from visible_scenes import STARTS, SeenScene, fusion_scene
 from vitac.envs.vision.pictures import colour_picture, depth_picture, segmentation_picture
-from vitac.envs.vision.stereo.camera import stereo_depth_m
+from vitac.envs.vision.rasterizer import View
+from vitac.envs.vision.stereo.camera import depth_of_pair, draw_noise_keys, infrared_pair
 from vitac.envs.vision.surfaces import Label
 
 
@@ -33,8 +34,14 @@ def colour_and_stereo_depth(scene: SeenScene) -> None:
     """Render the two pictures of an observation in the mode `stereo`."""
     view = scene.view()
     colour_picture(view, scene.surfaces, scene.vertices_m)
-    random = np.random.default_rng(0)
-    stereo_depth_m(scene.surfaces, scene.vertices_m, pose=scene.pose, colour_view=view, random=random)
+    stereo_depth_m(scene, view, 0)
+
+
+def stereo_depth_m(scene: SeenScene, view: View, seed: int) -> np.ndarray:
+    """Return the depth that the stereo camera measures [m]."""
+    keys = draw_noise_keys(np.random.default_rng(seed))
+    pair = infrared_pair(scene.surfaces, scene.vertices_m, pose=scene.pose, colour_view=view, noise_keys=keys)
+    return depth_of_pair(pair, view)
 
 
 def stereo_quality() -> None:
@@ -44,8 +51,7 @@ def stereo_quality() -> None:
     for seed, start in enumerate(STARTS):
         scene = fusion_scene(start)
         view = scene.view()
-        random = np.random.default_rng(seed)
-        depth_m = stereo_depth_m(scene.surfaces, scene.vertices_m, pose=scene.pose, colour_view=view, random=random)
+        depth_m = stereo_depth_m(scene, view, seed)
         shown = segmentation_picture(view, scene.surfaces)
         for label, found in errors_mm.items():
             measured = (shown == label) & (depth_m > 0)

@@ -64,7 +64,7 @@ def verify(
     track, task = find_task(header.manifest.task)
     with compiling_shown():
         verification = verify_log(
-            env=make_environment(task),
+            env=make_environment(task, None, ()),
             track=track,
             task=task,
             header=header,
@@ -145,8 +145,10 @@ def match(
     """Count how many of a log's actions a model gives; exit code 0 if all, 1 otherwise."""
     from vitac.evaluator.agent.limits import Limits
     from vitac.evaluator.episodes.episode import make_environment
+    from vitac.evaluator.episodes.reading import reading_of
     from vitac.evaluator.logs.action_match import match_actions
     from vitac.evaluator.shards.policy import load_in_sandbox
+    from vitac.evaluator.submission.manifest import load_manifest
     from vitac.evaluator.submission.staging import staged
     from vitac.evaluator.tracks import find_task
 
@@ -156,11 +158,13 @@ def match(
     header, records = _read(log)
     _, task = find_task(header.manifest.task)
     with staged(submission) as folder, load_in_sandbox(folder, Limits(), 0) as session, compiling_shown():
+        reading = reading_of(task, load_manifest(folder).observation_keys)
         result = match_actions(
-            env=make_environment(task),
+            env=make_environment(task, None, reading.sent),
             task=task,
             records=records,
             open_session=lambda: session,
+            reading=reading,
             on_episode=lambda episode: _progress(f"compared {episode.episode}"),
         )
     _progress("")

@@ -38,7 +38,7 @@ def command(
 
     _, definition = find_task(task)
     recordings = read_recordings(file, definition)
-    env = make_environment(definition, assets or assets_dir_from_environment())
+    env = make_environment(definition, assets or assets_dir_from_environment(), ())
     episodes = []
     with compiling_shown():
         for recording, played in resimulate_all(env, definition, recordings):

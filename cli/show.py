@@ -3,7 +3,7 @@
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.metadata import requires
 from importlib.util import find_spec
 from pathlib import Path
@@ -46,12 +46,14 @@ class Start:
         env_id: id of the environment.
         title: names the episode.
         options: reset options.
+        settings: of the environment that are not its defaults.
         listed: task and episode of the list; None for a random start of an environment.
     """
 
     env_id: str
     title: str
     options: Mapping[str, object]
+    settings: Mapping[str, object] = field(default_factory=dict)
     listed: "tuple[Task, Episode] | None" = None
 
 
@@ -163,7 +165,9 @@ def find_start(task: str, number: int) -> Start:
 
 def _listed(task: "Task", episode: "Episode") -> Start:
     title = f"{task.title}, episode {episode.number}: {episode.shape}"
-    return Start(env_id=task.env_id, title=title, options=episode.options, listed=(task, episode))
+    return Start(
+        env_id=task.env_id, title=title, options=episode.options, settings=task.settings, listed=(task, episode)
+    )
 
 
 def _pace(every: str | None, destination: "Destination") -> "Pace":
@@ -181,7 +185,8 @@ def _record(played: Played, assets: Path | None, pace: "Pace") -> "Playback":
     from vitac.envs.drawing.playback import record
 
     start = played.start
-    made = gymnasium.make(start.env_id, disable_env_checker=True, assets_dir=assets or assets_dir_from_environment())
+    arguments: dict[str, Any] = {"assets_dir": assets or assets_dir_from_environment(), **start.settings}
+    made = gymnasium.make(start.env_id, disable_env_checker=True, **arguments)
     env = cast("TactileTaskEnv[Any, Any]", made.unwrapped)
     return record(env, options=start.options, next_action=played.next_action, pace=pace)
 
@@ -209,7 +214,8 @@ def _player(start: Start, policy: Path | None, actions: Path | None) -> Iterator
 @contextmanager
 def _policy_player(task: "Task", start: Start, submission: Path) -> Iterator[Played]:
     from vitac.evaluator.agent.session import PolicySession
-    from vitac.evaluator.episodes.episode import public_part
+    from vitac.evaluator.episodes.episode import open_episode
+    from vitac.evaluator.episodes.reading import reading_of
     from vitac.evaluator.submission.manifest import load_manifest, stage
 
     with TemporaryDirectory(prefix="vitac-show-") as folder:
@@ -220,13 +226,14 @@ def _policy_player(task: "Task", start: Start, submission: Path) -> Iterator[Pla
             raise NothingToShow(
                 f"Expected one of the submission's tasks, {', '.join(manifest.tasks)}, got {task.name}."
             )
+        reading = reading_of(task, manifest.observation_keys)
         with (
             PolicySession(staged, entry_point=manifest.entry_point) as session,
-            session.episode(task=task.name, action_shape=(len(task.actions),)) as policy,
+            open_episode(session, task, reading) as policy,
         ):
             yield Played(
                 start=start,
-                next_action=lambda observation, _: policy.act(public_part(task, observation)),
+                next_action=lambda seen, _: policy.act({key: seen[key] for key in reading.sent}),
                 actions=manifest.name,
             )
 

@@ -11,6 +11,19 @@ SceneT = TypeVar("SceneT")
 
 
 @dataclass(frozen=True, kw_only=True)
+class BackProjection:
+    """How points follow from a depth picture (`vitac.envs.vision.back_projection`), so that only the picture is sent.
+
+    Attributes:
+        depth: key of the depth picture.
+        intrinsics: of its camera: focal lengths and principal point in u and v [px].
+    """
+
+    depth: str
+    intrinsics: tuple[float, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
 class Observable(Generic[SceneT]):
     """One entry of an observation.
 
@@ -23,6 +36,7 @@ class Observable(Generic[SceneT]):
             comes earlier in a list is read earlier.
         dtype: of the array; the value is converted to it.
         privileged: it is a truth that only training sees.
+        computed_from: how it follows from another observable; None where it does not.
     """
 
     name: str
@@ -32,3 +46,4 @@ class Observable(Generic[SceneT]):
     read: Callable[[SceneT, np.random.Generator], NDArray[Any]]
     dtype: str = "float32"
     privileged: bool = False
+    computed_from: BackProjection | None = None

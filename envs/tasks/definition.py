@@ -1,11 +1,15 @@
 """What a task says of itself without being run: names, actions, observables, and where its parts lie."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from inspect import cleandoc
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from ..errors import VitacError
 from ..observable import Observable
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 InfoView = Mapping[str, Any]
 
@@ -56,6 +60,7 @@ class TaskDefinition:
         actions: numbers of an action, in order.
         observables: entries of the observation, in the order in which they are read.
         measures: what a report of a re-simulation shows of it.
+        methods: settings of what measures for an observation, as dataclasses; part of a track's digest.
         perspective: place of the `Perspective` it is drawn from; None where it is not drawn.
         guided_motion: place of the `NextAction` that goes to its target; None where there is none.
     """
@@ -65,6 +70,7 @@ class TaskDefinition:
     actions: tuple[ActionComponent, ...]
     observables: tuple[Observable[Any], ...]
     measures: tuple[Measure, ...] = ()
+    methods: tuple["DataclassInstance", ...] = ()
     perspective: str | None = None
     guided_motion: str | None = None
 
@@ -77,6 +83,23 @@ class TaskDefinition:
     def public_observables(self) -> tuple[Observable[Any], ...]:
         """Return what a policy sees in an evaluation."""
         return tuple(observable for observable in self.observables if not observable.privileged)
+
+
+class UnknownObservationKey(VitacError):
+    """A key was asked for that the task does not have, or is privileged; the message lists those that it has."""
+
+
+def chosen_observables(listed: Sequence[Observable[Any]], keys: Collection[str]) -> tuple[Observable[Any], ...]:
+    """Return the observables with these keys, in the order of the list.
+
+    Raises:
+        UnknownObservationKey: one is not in the list.
+    """
+    names = [entry.name for entry in listed]
+    unknown = sorted(set(keys) - set(names))
+    if unknown:
+        raise UnknownObservationKey(f"There is no observation key {unknown[0]!r:.80}; expected {', '.join(names)}.")
+    return tuple(entry for entry in listed if entry.name in keys)
 
 
 def with_tables(docstring: str, task: TaskDefinition) -> str:

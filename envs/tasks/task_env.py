@@ -20,7 +20,7 @@ from ..fem.model.mesh import GelMesh, SurfaceMesh
 from ..observable import Observable
 from ..scene.grasped_scene import Clocks, GraspedScene
 from ..scene.stopwatch import Stopwatch
-from .definition import TaskDefinition, with_tables
+from .definition import TaskDefinition, chosen_observables, with_tables
 from .ending import EndReason, Flags
 from .options import RNG_SEED, refuse_unknown, seeded_generator
 from .settings import settings_from
@@ -71,6 +71,8 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
         assets_dir: folder with the challenge's own meshes, to be used in place of the generated ones.
         gel: elastomer of both sensors; the challenge's by default.
         observables: what is to be observed besides, such as a camera's pictures.
+        observation_keys: which of the task's own observables are observed; all that are not privileged by default.
+            Others are not computed.
         **overrides: fields of the task's settings.
 
     Attributes:
@@ -98,10 +100,13 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
         assets_dir: str | Path | None = None,
         gel: GelMesh | None = None,
         observables: Sequence[Observable[Any]] = (),
+        observation_keys: Sequence[str] | None = None,
         **overrides: Any,
     ) -> None:
         self.settings: SettingsT = settings_from(self.settings_type, overrides)
         own = self.task.observables if privileged else self.task.public_observables
+        if observation_keys is not None:
+            own = chosen_observables(own, observation_keys)
         self._observables: tuple[Observable[SceneT], ...] = (*own, *observables)
         self._meshes = Meshes(assets_dir, gel=gel)
         self._clocks = Clocks(physics=Stopwatch(), markers=Stopwatch())

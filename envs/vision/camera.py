@@ -7,13 +7,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from .back_projection import point_cloud
+from .optics import COLOUR_INTRINSICS, HEIGHT_PX, WIDTH_PX
 from .pictures import colour_picture, depth_picture, segmentation_picture
 from .pinhole import CameraPose
-from .point_cloud import object_clouds, point_cloud
-from .rasterizer import rasterize
-from .rig import COLOUR_INTRINSICS
-from .sizes import HEIGHT_PX, WIDTH_PX
-from .stereo.camera import stereo_depth_m
+from .point_cloud import ObjectClouds, draw_points, object_clouds
+from .rasterizer import View, rasterize
+from .stereo.camera import InfraredPair, depth_of_pair, draw_noise_keys, infrared_pair
 from .surfaces import Body, FloatArray, VisibleSurfaces
 
 
@@ -25,12 +25,9 @@ class DepthMode(StrEnum):
 
 
 class Sight:
-    """What the rig saw at one moment.
+    """What the rig saw at one moment; each picture is made when it is first asked for.
 
-    Attributes:
-        colours: red, green and blue, shape [480, 640, 3].
-        depth_m: along the optical axis [m], 0 where unknown, shape [480, 640].
-        objects: points on peg and base, and whether they were seen.
+    The numbers for the noise are drawn at once, so that a picture does not depend on which others are asked for.
     """
 
     def __init__(
@@ -42,17 +39,44 @@ class Sight:
         depth_mode: DepthMode,
         random: np.random.Generator,
     ) -> None:
-        in_camera_m = pose.in_camera(vertices_m)
-        self._surfaces = surfaces
-        self._view = rasterize(
-            in_camera_m, surfaces.triangles, COLOUR_INTRINSICS, height_px=HEIGHT_PX, width_px=WIDTH_PX
+        self._surfaces, self._vertices_m, self._pose, self._depth_mode = surfaces, vertices_m, pose, depth_mode
+        self._noise_keys = draw_noise_keys(random)
+        self._cloud_draws = draw_points(random)
+
+    @cached_property
+    def _view(self) -> View:
+        in_camera_m = self._pose.in_camera(self._vertices_m)
+        return rasterize(
+            in_camera_m, self._surfaces.triangles, COLOUR_INTRINSICS, height_px=HEIGHT_PX, width_px=WIDTH_PX
         )
-        self.colours = colour_picture(self._view, surfaces, vertices_m)
-        if depth_mode is DepthMode.GT:
-            self.depth_m = depth_picture(self._view)
-        else:
-            self.depth_m = stereo_depth_m(surfaces, vertices_m, pose=pose, colour_view=self._view, random=random)
-        self.objects = object_clouds(self.colours, self.depth_m, COLOUR_INTRINSICS, random)
+
+    @cached_property
+    def colours(self) -> NDArray[np.uint8]:
+        """Red, green and blue, shape [480, 640, 3]."""
+        return colour_picture(self._view, self._surfaces, self._vertices_m)
+
+    @cached_property
+    def depth_m(self) -> NDArray[np.float32]:
+        """Distance along the optical axis [m], 0 where unknown, shape [480, 640]."""
+        if self._depth_mode is DepthMode.GT:
+            return depth_picture(self._view)
+        return depth_of_pair(self.infrared, self._view)
+
+    @cached_property
+    def infrared(self) -> InfraredPair:
+        """Pictures that the stereo camera measures depth with, also where depth is exact."""
+        return infrared_pair(
+            self._surfaces,
+            self._vertices_m,
+            pose=self._pose,
+            colour_view=self._view,
+            noise_keys=self._noise_keys,
+        )
+
+    @cached_property
+    def objects(self) -> ObjectClouds:
+        """Points on peg and base, and whether they were seen."""
+        return object_clouds(self.colours, self.depth_m, COLOUR_INTRINSICS, self._cloud_draws)
 
     @cached_property
     def segmentation(self) -> NDArray[np.uint8]:
@@ -78,6 +102,12 @@ class RigCamera:
         self._depth_mode = depth_mode
 
     def look(self, positions_m: Sequence[FloatArray], pose: CameraPose, random: np.random.Generator) -> Sight:
-        """Take all pictures of the bodies at these vertex positions in the world [m], one array of [n, 3] each."""
+        """Look at the bodies at these vertex positions in the world [m], one array of [n, 3] each.
+
+        Args:
+            positions_m: of every body.
+            pose: of the colour camera.
+            random: the noise of this look is drawn from it; as many numbers whatever is seen.
+        """
         vertices_m = self._surfaces.vertices_m(positions_m)
         return Sight(self._surfaces, vertices_m, pose=pose, depth_mode=self._depth_mode, random=random)

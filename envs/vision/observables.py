@@ -2,10 +2,8 @@
 
 from typing import TYPE_CHECKING, Protocol
 
-import numpy as np
-
-from ..observable import Observable
-from .sizes import HEIGHT_PX, POINTS_PER_OBJECT, WIDTH_PX
+from ..observable import BackProjection, Observable
+from .optics import COLOUR_INTRINSICS, HEIGHT_PX, POINTS_PER_OBJECT, WIDTH_PX
 
 if TYPE_CHECKING:
     from .camera import Sight
@@ -14,8 +12,8 @@ if TYPE_CHECKING:
 class HasSight(Protocol):
     """A task's scene at which a camera rig looks."""
 
-    def sight(self, random: np.random.Generator) -> "Sight":
-        """Return what the rig sees now; noise comes from the generator."""
+    def sight(self) -> "Sight":
+        """Return what the rig sees now."""
 
 
 RGB_PICTURE: Observable[HasSight] = Observable(
@@ -24,28 +22,29 @@ RGB_PICTURE: Observable[HasSight] = Observable(
     dtype="uint8",
     unit="1",
     meaning="Red, green, blue; the base is blue, the peg red, the gels light blue, the background white.",
-    read=lambda scene, random: scene.sight(random).colours,
+    read=lambda scene, _: scene.sight().colours,
 )
 DEPTH_PICTURE: Observable[HasSight] = Observable(
     name="depth_picture",
     shape=(HEIGHT_PX, WIDTH_PX),
     unit="m",
     meaning="Distance along the colour camera's optical axis, 0 where unknown.",
-    read=lambda scene, random: scene.sight(random).depth_m,
+    read=lambda scene, _: scene.sight().depth_m,
 )
 POINT_CLOUD: Observable[HasSight] = Observable(
     name="point_cloud",
     shape=(HEIGHT_PX, WIDTH_PX, 3),
     unit="m",
     meaning="Point of every pixel in the camera's frame: x right, y down, z forward; zeros where depth is unknown.",
-    read=lambda scene, random: scene.sight(random).point_cloud_m,
+    read=lambda scene, _: scene.sight().point_cloud_m,
+    computed_from=BackProjection(depth=DEPTH_PICTURE.name, intrinsics=COLOUR_INTRINSICS),
 )
 OBJECT_POINT_CLOUD: Observable[HasSight] = Observable(
     name="object_point_cloud",
     shape=(2, POINTS_PER_OBJECT, 3),
     unit="m",
     meaning="Random points of `point_cloud` on the peg and on the base; zeros for one that is not seen.",
-    read=lambda scene, random: scene.sight(random).objects.points_m,
+    read=lambda scene, _: scene.sight().objects.points_m,
 )
 SEGMENTATION: Observable[HasSight] = Observable(
     name="segmentation",
@@ -53,7 +52,7 @@ SEGMENTATION: Observable[HasSight] = Observable(
     dtype="uint8",
     unit="1",
     meaning="0 nothing, 1 base, 2 peg, 3 left gel, 4 right gel.",
-    read=lambda scene, random: scene.sight(random).segmentation,
+    read=lambda scene, _: scene.sight().segmentation,
     privileged=True,
 )
 """For training: no task lists it, it is given to an environment's `observables`."""

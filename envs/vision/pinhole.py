@@ -1,11 +1,10 @@
-"""Pinhole cameras: intrinsics, and where a camera stands.
+"""Where a pinhole camera stands.
 
 A camera's frame has x to the right of the picture, y down and z along the optical axis. The pixel in column i and row j
 is the ray through (i + 0.5, j + 0.5).
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,15 +12,6 @@ from numpy.typing import NDArray
 from ..compilation import allocating_kernel
 
 FloatArray = NDArray[np.float64]
-
-
-class Intrinsics(NamedTuple):
-    """Focal lengths and principal point [px]; a tuple, so that kernels take it."""
-
-    focal_u_px: float
-    focal_v_px: float
-    centre_u_px: float
-    centre_v_px: float
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

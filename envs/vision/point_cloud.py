@@ -1,15 +1,16 @@
-"""Point clouds made of a depth picture: of all pixels, and of peg and base alone (challenge-facts 4.1, 4.5)."""
+"""Points on peg and base alone, picked out of a depth picture by colour (challenge-facts 4.1, 4.5)."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .pinhole import Intrinsics
-from .sizes import POINTS_PER_OBJECT
+from .back_projection import rays
+from .optics import POINTS_PER_OBJECT, Intrinsics
 
 ColourPicture = NDArray[np.uint8]
 DepthPicture = NDArray[np.float32]
+Draws = NDArray[np.float64]
 
 # The challenge's colour rule: red and blue are bright above the one, red, green and blue are dark below the other.
 _BRIGHT = 200
@@ -31,42 +32,26 @@ class ObjectClouds:
     base_seen: bool
 
 
-def point_cloud(depth_m: DepthPicture, intrinsics: Intrinsics) -> NDArray[np.float32]:
-    """Point of every pixel in the camera's frame [m], x right, y down, z forward; zeros where there is no depth.
-
-    Args:
-        depth_m: along the optical axis [m], 0 for unknown, shape [height, width].
-        intrinsics: of the camera that the depth belongs to.
-
-    Returns:
-        Points of shape [height, width, 3].
-    """
-    height, width = depth_m.shape
-    x, y = _rays(np.arange(width), np.arange(height), intrinsics)
-    cloud = np.empty((height, width, 3), np.float32)
-    cloud[:, :, 0] = depth_m * x[None, :]
-    cloud[:, :, 1] = depth_m * y[:, None]
-    cloud[:, :, 2] = depth_m
-    return cloud
+def draw_points(random: np.random.Generator) -> Draws:
+    """Draw which pixels become points: numbers of 0 to 1 for peg and base, shape [2, 128]."""
+    return random.random((2, POINTS_PER_OBJECT))
 
 
-def object_clouds(
-    colours: ColourPicture, depth_m: DepthPicture, intrinsics: Intrinsics, random: np.random.Generator
-) -> ObjectClouds:
+def object_clouds(colours: ColourPicture, depth_m: DepthPicture, intrinsics: Intrinsics, draws: Draws) -> ObjectClouds:
     """Points drawn with replacement among the pixels that the challenge's colour rule finds and that have a depth.
 
     The reference draws among all pixels of the colour, also those without depth, and fails where there is none; here
-    the cloud is zeros then. As many numbers are drawn in either case.
+    the cloud is zeros then.
 
     Args:
         colours: red, green and blue, shape [height, width, 3].
         depth_m: of the same pixels [m], 0 for unknown, shape [height, width].
         intrinsics: of the camera.
-        random: the episode's generator; 128 numbers are drawn for each object.
+        draws: from `draw_points`.
     """
     measured = depth_m > 0.0
     masks = (peg_pixels(colours) & measured, base_pixels(colours) & measured)
-    clouds = [_drawn_points(mask, depth_m, intrinsics, random) for mask in masks]
+    clouds = [_drawn_points(mask, depth_m, intrinsics, drawn) for mask, drawn in zip(masks, draws, strict=True)]
     return ObjectClouds(points_m=np.stack(clouds), peg_seen=bool(masks[0].any()), base_seen=bool(masks[1].any()))
 
 
@@ -82,23 +67,13 @@ def base_pixels(colours: ColourPicture) -> NDArray[np.bool_]:
 
 
 def _drawn_points(
-    mask: NDArray[np.bool_], depth_m: DepthPicture, intrinsics: Intrinsics, random: np.random.Generator
+    mask: NDArray[np.bool_], depth_m: DepthPicture, intrinsics: Intrinsics, drawn: Draws
 ) -> NDArray[np.float32]:
-    drawn = random.random(POINTS_PER_OBJECT)
     rows, columns = np.nonzero(mask)
     if len(rows) == 0:
         return np.zeros((POINTS_PER_OBJECT, 3), np.float32)
     chosen = (drawn * len(rows)).astype(np.int64)
     rows, columns = rows[chosen], columns[chosen]
-    x, y = _rays(columns, rows, intrinsics)
+    x, y = rays(columns, rows, intrinsics)
     z = depth_m[rows, columns]
     return np.column_stack([z * x, z * y, z]).astype(np.float32)
-
-
-def _rays(
-    columns: NDArray[np.int64], rows: NDArray[np.int64], intrinsics: Intrinsics
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return x/z of columns and y/z of rows."""
-    x = (columns.astype(np.float64) + 0.5 - intrinsics.centre_u_px) / intrinsics.focal_u_px
-    y = (rows.astype(np.float64) + 0.5 - intrinsics.centre_v_px) / intrinsics.focal_v_px
-    return x, y

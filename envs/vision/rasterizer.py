@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..compilation import kernel, large_kernel
 from ..fem.algebra.vec3 import Vec3, cross, dot, load, subtract
-from .pinhole import Intrinsics
+from .optics import Intrinsics
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

@@ -1,4 +1,4 @@
-"""The camera rig of the fusion task, like a RealSense D415: intrinsics and poses (challenge-facts 4.5, 15)."""
+"""The camera rig of the fusion task, like a RealSense D415: where its cameras stand (challenge-facts 4.5, 15)."""
 
 from dataclasses import dataclass
 from math import radians
@@ -6,10 +6,8 @@ from math import radians
 import numpy as np
 
 from ..deterministic_math import sine_cosine
-from .pinhole import CameraPose, Intrinsics
+from .pinhole import CameraPose
 
-COLOUR_INTRINSICS = Intrinsics(604.3075, 604.3075, 317.2341, 233.7944)
-INFRARED_INTRINSICS = Intrinsics(595.8051, 595.8051, 315.0403, 246.2687)
 # The infrared cameras stand on the colour camera's right, with its directions.
 LEFT_INFRARED_X_M = 0.0150221
 RIGHT_INFRARED_X_M = 0.0700455

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..fem.model.mesh import GelMesh
 from ..tactile.camera import CENTRE_U_PX, CENTRE_V_PX, FOCAL_U_PX, FOCAL_V_PX, camera_frame
-from .pinhole import Intrinsics
+from .optics import Intrinsics
 from .rasterizer import rasterize
 
 FloatArray = NDArray[np.float64]

@@ -4,7 +4,7 @@ import os
 import select
 import signal
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -12,7 +12,7 @@ from .isolation.output import printable
 from .isolation.sandbox import Sandbox
 from .limits import Limits
 from .protocol.channel import ChannelClosed
-from .protocol.frames import Answer, AnswerKind, Array, QuestionKind
+from .protocol.frames import Answer, AnswerKind, Question
 from .verdicts import PolicyFailed, VerdictCode
 
 LOADER_PID: Final = 2
@@ -81,16 +81,14 @@ class Exchange:
         for source in (sandbox.channel, sandbox.output, sandbox.status_descriptor):
             self._poll.register(source, select.POLLIN)
 
-    def ask(
-        self, kind: QuestionKind, text: str, arrays: Mapping[str, Array], expected: AnswerKind, deadlines: Deadlines
-    ) -> Answer:
+    def ask(self, question: Question, expected: AnswerKind, deadlines: Deadlines) -> Answer:
         """Return the one answer to a question.
 
         Raises:
             PolicyFailed: any verdict.
         """
         try:
-            self._sandbox.channel.ask(kind, text, arrays)
+            self._sandbox.channel.ask(question)
             answer = self._wait((expected, AnswerKind.FAILED), deadlines)
         except PolicyFailed as failure:
             raise self.failure(failure.verdict, failure.message) from None

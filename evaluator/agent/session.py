@@ -4,7 +4,7 @@ import contextlib
 import os
 import select
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -24,7 +24,7 @@ from .isolation.tracing import TracedProcessGone
 from .limits import Limits
 from .loaded_copy import LoadedCopy
 from .protocol.action import checked_action
-from .protocol.frames import Answer, AnswerKind, Array, QuestionKind
+from .protocol.frames import Answer, AnswerKind, Array, CloudSpec, Question, QuestionKind
 from .shard_time import ShardTime
 from .verdicts import PolicyFailed, SandboxFailed, VerdictCode
 
@@ -115,8 +115,15 @@ class PolicySession:
         return self._isolation
 
     @contextlib.contextmanager
-    def episode(self, *, task: str, action_shape: tuple[int, ...]) -> Iterator["EpisodePolicy"]:
+    def episode(
+        self, *, task: str, action_shape: tuple[int, ...], clouds: Sequence[CloudSpec] = ()
+    ) -> Iterator["EpisodePolicy"]:
         """Give a fresh copy of the loaded policy for one episode, after its `reset(task)`.
+
+        Args:
+            task: name for `reset`.
+            action_shape: that its actions must have.
+            clouds: what the policy gets besides the arrays that are sent.
 
         Raises:
             PolicyFailed: reset failed, or the policy had to be loaded again and that failed.
@@ -125,7 +132,12 @@ class PolicySession:
         sandbox, process = self._start_episode()
         try:
             policy = EpisodePolicy(
-                sandbox, process, limits=self._limits, shard_time=self._shard_time, action_shape=action_shape
+                sandbox,
+                process,
+                limits=self._limits,
+                shard_time=self._shard_time,
+                action_shape=action_shape,
+                clouds=clouds,
             )
             policy.reset(task)
             yield policy
@@ -196,7 +208,8 @@ class PolicySession:
         )
         started = time.perf_counter()
         try:
-            answer = exchange.ask(QuestionKind.LOAD, self._entry_point, {}, AnswerKind.LOADED, deadlines)
+            question = Question(kind=QuestionKind.LOAD, text=self._entry_point)
+            answer = exchange.ask(question, AnswerKind.LOADED, deadlines)
         finally:
             self._shard_time.cpu_s += sandbox.cpu_s()
             self._shard_time.wall_s += time.perf_counter() - started
@@ -234,8 +247,10 @@ class EpisodePolicy:
         limits: Limits,
         shard_time: ShardTime,
         action_shape: tuple[int, ...],
+        clouds: Sequence[CloudSpec],
     ) -> None:
         self._sandbox = sandbox
+        self._clouds = clouds
         self._limits = limits
         self._shard_time = shard_time
         self._action_shape = action_shape
@@ -252,7 +267,7 @@ class EpisodePolicy:
         Raises:
             PolicyFailed: any verdict.
         """
-        self._ask(QuestionKind.RESET, task, {}, AnswerKind.READY, "reset()")
+        self._ask(Question(kind=QuestionKind.RESET, text=task), AnswerKind.READY, "reset()")
 
     def act(self, observation: Mapping[str, Array]) -> NDArray[np.float32]:
         """Return the policy's action: float32, of the task's shape, finite, not clipped.
@@ -260,7 +275,8 @@ class EpisodePolicy:
         Raises:
             PolicyFailed: any verdict.
         """
-        answer = self._ask(QuestionKind.OBSERVE, "", observation, AnswerKind.ACTION, "act()")
+        question = Question(kind=QuestionKind.OBSERVE, arrays=observation, clouds=self._clouds)
+        answer = self._ask(question, AnswerKind.ACTION, "act()")
         try:
             return checked_action(answer.arrays, self._action_shape)
         except PolicyFailed as failure:
@@ -277,9 +293,7 @@ class EpisodePolicy:
         except PolicyFailed as failure:
             raise self._exchange.failure(failure.verdict, failure.message) from None
 
-    def _ask(
-        self, kind: QuestionKind, text: str, arrays: Mapping[str, Array], expected: AnswerKind, what: str
-    ) -> Answer:
+    def _ask(self, question: Question, expected: AnswerKind, what: str) -> Answer:
         self._count_cpu()
         self._check_time_left()
         left_s = self._limits.episode_cpu_s - self.cpu_s
@@ -288,7 +302,7 @@ class EpisodePolicy:
         )
         started, cpu_before_s = time.perf_counter(), self.cpu_s
         try:
-            return self._exchange.ask(kind, text, arrays, expected, deadlines)
+            return self._exchange.ask(question, expected, deadlines)
         finally:
             self._count_cpu()
             wall_s = time.perf_counter() - started

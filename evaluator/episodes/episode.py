@@ -1,6 +1,6 @@
 """Plays one fixed episode of a task with a policy and writes its record; called by `shards`."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from pydantic import JsonValue
 from vitac.envs.errors import VitacError
 
+from ..agent.protocol.frames import CloudSpec
 from ..agent.session import Isolation
 from ..agent.verdicts import PolicyFailed
 from ..tracks import Episode, Task
+from .reading import Observation, Reading, reading_of
 from .records import ActionSequence, EpisodeOutcome, EpisodeRecord, FailureStage, PolicyFailure, Timings
-
-Observation = Mapping[str, NDArray[Any]]
 
 _INFO_KEYS_NOT_RECORDED = frozenset({"step_reports"})
 
@@ -76,7 +76,9 @@ class Session(Protocol):
     def isolation(self) -> Isolation:
         """How strongly it is isolated."""
 
-    def episode(self, *, task: str, action_shape: tuple[int, ...]) -> AbstractContextManager[Policy]:
+    def episode(
+        self, *, task: str, action_shape: tuple[int, ...], clouds: Sequence[CloudSpec] = ()
+    ) -> AbstractContextManager[Policy]:
         """Return a fresh process of the policy for one episode.
 
         Raises:
@@ -85,19 +87,24 @@ class Session(Protocol):
 
 
 OpenSession = Callable[[], Session]
+MakeEnvironment = Callable[["Task", Path | None, Sequence[str] | None], Environment]
 
 
-def make_environment(task: Task, assets_dir: Path | None = None) -> Environment:
+def make_environment(
+    task: Task, assets_dir: Path | None = None, observation_keys: Sequence[str] | None = None
+) -> Environment:
     """Return the environment of a task, as policies are scored in it (nothing privileged).
 
     Args:
         task: whose environment.
         assets_dir: folder with the challenge's own meshes; our own generated ones by default.
+        observation_keys: what is observed; all that the track lists by default.
     """
     import gymnasium
     import vitac.envs  # noqa: F401 - registers the environment ids
 
-    env = gymnasium.make(task.env_id, disable_env_checker=True, privileged=False, assets_dir=assets_dir)
+    arguments: dict[str, Any] = {"assets_dir": assets_dir, "observation_keys": observation_keys, **task.settings}
+    env = gymnasium.make(task.env_id, disable_env_checker=True, privileged=False, **arguments)
     return cast(Environment, env.unwrapped)
 
 
@@ -115,7 +122,9 @@ class _Trace:
     channel_s: float = 0.0
 
 
-def run_episode(*, env: Environment, task: Task, episode: Episode, open_session: OpenSession) -> EpisodeRecord:
+def run_episode(
+    *, env: Environment, task: Task, episode: Episode, open_session: OpenSession, reading: Reading | None = None
+) -> EpisodeRecord:
     """Play one episode to its end, or to the failure of the policy.
 
     Args:
@@ -123,15 +132,16 @@ def run_episode(*, env: Environment, task: Task, episode: Episode, open_session:
         task: what is played.
         episode: the fixed start.
         open_session: gives the loaded policy; a `PolicyFailed` out of it means that it cannot be loaded.
+        reading: what the policy reads; all that the track lists by default.
 
     Raises:
-        EnvironmentBroken: the environment gave keys the track does not list, or did not end.
+        EnvironmentBroken: the environment gave keys that the policy does not read, or did not end.
     """
     started, physics_s, markers_s = perf_counter(), env.physics_cpu_s, env.marker_cpu_s
     trace = _Trace()
     observation, _ = env.reset(options=episode.options)
     trace.state_hashes.append(env.state_hash())
-    _play_or_fail(env, task, open_session, observation, trace)
+    _play_or_fail(env, task, open_session, observation, trace, reading or reading_of(task))
     timings = Timings(
         physics_s=env.physics_cpu_s - physics_s,
         markers_s=env.marker_cpu_s - markers_s,
@@ -148,15 +158,15 @@ def json_info(info: Mapping[str, Any]) -> dict[str, JsonValue]:
 
 
 def _play_or_fail(
-    env: Environment, task: Task, open_session: OpenSession, observation: Observation, trace: _Trace
+    env: Environment, task: Task, open_session: OpenSession, observation: Observation, trace: _Trace, reading: Reading
 ) -> None:
     stage = FailureStage.LOAD
     try:
         session = open_session()
         stage = FailureStage.EPISODE
-        with session.episode(task=task.name, action_shape=(len(task.actions),)) as policy:
+        with open_episode(session, task, reading) as policy:
             try:
-                _play(env, task, policy, observation, trace)
+                _play(env, task, policy, observation, trace, reading)
             finally:
                 trace.policy_s, trace.channel_s = policy.cpu_s, policy.channel_s
     except PolicyFailed as failed:
@@ -168,13 +178,15 @@ def _play_or_fail(
         )
 
 
-def _play(env: Environment, task: Task, policy: Policy, observation: Observation, trace: _Trace) -> None:
+def _play(
+    env: Environment, task: Task, policy: Policy, observation: Observation, trace: _Trace, reading: Reading
+) -> None:
     while trace.outcome is None:
         if len(trace.actions) == task.max_steps:
             raise EnvironmentBroken(
                 f"{task.env_id} did not end within {task.max_steps} env steps; its limit must hold."
             )
-        action = policy.act(public_part(task, observation))
+        action = policy.act(public_part(task, reading, observation))
         observation, reward, terminated, truncated, info = env.step(action)
         trace.actions.append(np.array(action, dtype=np.float32))
         trace.state_hashes.append(env.state_hash())
@@ -184,13 +196,21 @@ def _play(env: Environment, task: Task, policy: Policy, observation: Observation
             trace.outcome = EpisodeOutcome(info["end_reason"])
 
 
-def public_part(task: Task, observation: Observation) -> Observation:
-    """Return the observation, after making sure that it holds what the track's table lists and nothing else."""
-    listed = {row.name for row in task.observables}
-    if set(observation) != listed:
+def open_episode(session: Session, task: Task, reading: Reading) -> AbstractContextManager[Policy]:
+    """Return a fresh process of the policy that plays a task.
+
+    Raises:
+        PolicyFailed: its reset failed.
+    """
+    return session.episode(task=task.name, action_shape=(len(task.actions),), clouds=reading.clouds)
+
+
+def public_part(task: Task, reading: Reading, observation: Observation) -> Observation:
+    """Return the observation, after making sure that it holds what is to be sent and nothing else."""
+    if set(observation) != set(reading.sent):
         raise EnvironmentBroken(
-            f"{task.env_id} gave observation keys {sorted(observation)}, expected exactly {sorted(listed)}; "
-            "a policy must never see a key that the track does not list."
+            f"{task.env_id} gave observation keys {sorted(observation)}, expected exactly {sorted(reading.sent)}; "
+            "a policy must never see a key that the track does not list or that it does not read."
         )
     return observation
 

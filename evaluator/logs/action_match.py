@@ -7,7 +7,8 @@ import numpy as np
 from pydantic import NonNegativeInt
 
 from ..agent.verdicts import PolicyFailed
-from ..episodes.episode import Environment, OpenSession, Policy, Session, public_part
+from ..episodes.episode import Environment, OpenSession, Policy, Session, open_episode, public_part
+from ..episodes.reading import Reading, reading_of
 from ..episodes.records import ActionSequence, EpisodeRecord
 from ..strict_model import StrictModel
 from ..tracks import Task
@@ -47,6 +48,7 @@ def match_actions(
     task: Task,
     records: Iterable[EpisodeRecord],
     open_session: OpenSession,
+    reading: Reading | None = None,
     on_episode: Callable[[EpisodeMatch], None] = lambda _: None,
 ) -> ActionMatch:
     """Show a model the observations that the log's actions lead to, and compare its actions with the log's.
@@ -58,6 +60,7 @@ def match_actions(
         task: task of the log.
         records: episodes of the log.
         open_session: returns a session with the loaded policy.
+        reading: what the policy reads; all that the track lists by default.
         on_episode: called with each episode as soon as it is compared.
 
     Raises:
@@ -67,7 +70,7 @@ def match_actions(
     session = open_session()
     matched = []
     for record in records:
-        matched.append(_match_episode(env, task, recording_of(record, task), session))
+        matched.append(_match_episode(env, task, recording_of(record, task), session, reading or reading_of(task)))
         on_episode(matched[-1])
     return ActionMatch(episodes=tuple(matched))
 
@@ -93,12 +96,16 @@ def _compare_episode(number: int, log: ActionSequence, model: ActionSequence | N
     )
 
 
-def _match_episode(env: Environment, task: Task, recording: Recording, session: Session) -> EpisodeMatch:
+def _match_episode(
+    env: Environment, task: Task, recording: Recording, session: Session, reading: Reading
+) -> EpisodeMatch:
     equal: list[bool] = []
     failure = None
     try:
-        with session.episode(task=task.name, action_shape=(len(task.actions),)) as policy:
-            equal.extend(_comparisons(env, task, recording, policy))  # Keeps what was compared before a failure.
+        with open_episode(session, task, reading) as policy:
+            equal.extend(
+                _comparisons(env, task, recording, policy, reading)
+            )  # Keeps what was compared before a failure.
     except PolicyFailed as failed:
         failure = str(failed)
     complete = len(equal) == len(recording.actions) and all(equal)
@@ -111,9 +118,11 @@ def _match_episode(env: Environment, task: Task, recording: Recording, session: 
     )
 
 
-def _comparisons(env: Environment, task: Task, recording: Recording, policy: Policy) -> Iterator[bool]:
+def _comparisons(
+    env: Environment, task: Task, recording: Recording, policy: Policy, reading: Reading
+) -> Iterator[bool]:
     observation, _ = env.reset(options=recording.episode.options)
     for action in recording.actions:
-        answer = policy.act(public_part(task, observation))
+        answer = policy.act(public_part(task, reading, observation))
         yield answer.astype(np.float32).tobytes() == action.tobytes()
         observation, *_ = env.step(action)

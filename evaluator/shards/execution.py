@@ -6,7 +6,9 @@ from typing import IO
 
 from vitac.envs.errors import VitacError
 
+from ..episodes.reading import reading_of
 from ..episodes.records import EpisodeRecord
+from ..submission.manifest import load_manifest
 from ..submission_kinds import SubmissionKind
 from ..tracks import Task, Track, load_track
 from ..tracks.cut import Shard, cut
@@ -50,6 +52,7 @@ def _run_policy(order: ShardOrder, track: Track, task: Task, shard: Shard, on_ep
         task=task,
         shard=shard,
         on_episode=on_episode,
+        reading=reading_of(task, load_manifest(order.submission).observation_keys),
         limits=order.limits,
         slot=order.slot,
         assets_dir=order.assets_dir,

@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..episodes.episode import Environment, make_environment
+from ..episodes.episode import Environment, MakeEnvironment, make_environment
 from ..episodes.provenance import make_manifest
 from ..episodes.records import EpisodeRecord, Manifest
 from ..logs.checks import must_agree, why_impossible
@@ -38,7 +38,7 @@ class LogShard:
     task: Task
     shard: Shard
     skip: Collection[int] = ()
-    make_env: Callable[[Task, Path | None], Environment] = make_environment
+    make_env: MakeEnvironment = make_environment
 
     @property
     def numbers(self) -> frozenset[int]:
@@ -61,7 +61,7 @@ def resimulate_log(part: LogShard, on_episode: Callable[[EpisodeRecord], None]) 
     Raises:
         LogRejected: the log cannot be read.
     """
-    env = part.make_env(part.task, None)
+    env = part.make_env(part.task, None, ())
     manifest = make_manifest(part.track, part.task, env)
     finding = _why_impossible(part, manifest) or _first_divergence(part, env, manifest, on_episode)
     return part.result(manifest, finding)

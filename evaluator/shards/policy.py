@@ -7,8 +7,9 @@ from random import SystemRandom
 
 from ..agent.limits import Limits
 from ..agent.session import Isolation, PolicySession
-from ..episodes.episode import Environment, Session, make_environment, run_episode
+from ..episodes.episode import MakeEnvironment, Session, make_environment, run_episode
 from ..episodes.provenance import make_manifest
+from ..episodes.reading import Reading, reading_of
 from ..episodes.records import EpisodeRecord, PolicyFailure
 from ..scoring.failures import is_broken
 from ..submission.manifest import load_manifest
@@ -37,13 +38,14 @@ def run_shard(
     task: Task,
     shard: Shard,
     on_episode: Callable[[EpisodeRecord], None],
+    reading: Reading | None = None,
     limits: Limits | None = None,
     slot: int = 0,
     assets_dir: Path | None = None,
     skip: Collection[int] = (),
     earlier_failures: Sequence[PolicyFailure] = (),
     load_policy: LoadPolicy = load_in_sandbox,
-    make_env: Callable[[Task, Path | None], Environment] = make_environment,
+    make_env: MakeEnvironment = make_environment,
 ) -> ShardResult:
     """Play the episodes of a shard, each in a fresh process of the policy.
 
@@ -56,6 +58,7 @@ def run_shard(
         task: what is played.
         shard: which episodes.
         on_episode: gets each record as soon as its episode is over.
+        reading: what the policy reads; all that the track lists by default.
         limits: of the policy; the default ones if None.
         slot: number of this worker on its machine; concurrent runs need different ones.
         assets_dir: folder with the challenge's own meshes; our own generated ones by default.
@@ -67,7 +70,8 @@ def run_shard(
     Raises:
         VitacError: the sandbox or the environment broke. This is never the team's fault; run the shard again.
     """
-    env = make_env(task, assets_dir)
+    reading = reading or reading_of(task)
+    env = make_env(task, assets_dir, reading.sent)
     failures = list(earlier_failures)
     end = ShardEnd.BROKEN if is_broken(failures) else ShardEnd.COMPLETE
     with ExitStack() as stack:
@@ -75,7 +79,7 @@ def run_shard(
         for episode in _secret_order(episode for episode in shard.episodes if episode.number not in skip):
             if end is not ShardEnd.COMPLETE:
                 break
-            record = run_episode(env=env, task=task, episode=episode, open_session=policy)
+            record = run_episode(env=env, task=task, episode=episode, open_session=policy, reading=reading)
             on_episode(record)
             failures.extend([record.failure] if record.failure else [])
             end = ShardEnd.BROKEN if is_broken(failures) else ShardEnd.COMPLETE

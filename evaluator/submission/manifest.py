@@ -53,6 +53,10 @@ class SubmissionManifest(StrictModel):
     entry_point: Annotated[
         str, Field(pattern=_ENTRY_POINT, max_length=200, description="module:Class of the policy.")
     ] = "policy:Policy"
+    observation_keys: Annotated[
+        tuple[Name, ...] | None,
+        Field(max_length=64, description="Keys of the observation that it reads; all by default. Others are not sent."),
+    ] = None
 
 
 def load_manifest(submission_dir: Path) -> SubmissionManifest:
@@ -104,6 +108,7 @@ def parse_manifest(data: bytes) -> SubmissionManifest:
     except DocumentRejected as error:
         raise ManifestRejected(str(error)) from error
     _check_tasks(manifest)
+    _check_observation_keys(manifest)
     return manifest
 
 
@@ -249,4 +254,16 @@ def _check_tasks(manifest: SubmissionManifest) -> None:
         raise ManifestRejected(
             f"{MANIFEST_NAME}: tasks are {', '.join(manifest.tasks)}, expected each once, "
             f"out of {', '.join(track.tasks)}."
+        )
+
+
+def _check_observation_keys(manifest: SubmissionManifest) -> None:
+    tasks = load_track(manifest.track).tasks
+    known = list(dict.fromkeys(row.name for task in manifest.tasks for row in tasks[task].observables))
+    named = manifest.observation_keys or ()
+    unknown = sorted(set(named) - set(known))
+    if unknown or len(set(named)) != len(named):
+        got = f"{unknown[0]!r}" if unknown else "a key twice"
+        raise ManifestRejected(
+            f"{MANIFEST_NAME}: observation_keys has {got}, expected each once, out of {', '.join(known)}."
         )

@@ -3,7 +3,7 @@
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any, Self
 
@@ -87,6 +87,9 @@ class Task(StrictModel):
     shard_size: PositiveInt
     name_2025: Word | None = Field(default=None, description="Its name in the text logs of 2025, if it is in them.")
     notes: tuple[str, ...] = ()
+    settings: dict[Word, bool | int | float | str] = Field(
+        default={}, description="Settings of the environment that are not its defaults."
+    )
     episode_list: EpisodeList
 
     @property
@@ -127,10 +130,17 @@ class Task(StrictModel):
         )
 
     def digest(self) -> str:
-        """Return the SHA-256 [hex] of the whole definition; it changes with the list, the limits and the tables."""
+        """Return the SHA-256 [hex] of the whole definition.
+
+        It changes with the list, the limits, the settings, the tables and the methods of measurement.
+        """
         observed = [(row.name, row.shape, row.dtype, row.unit, row.meaning) for row in self.observables]
         done = [(row.name, row.scale, row.unit, row.meaning) for row in self.actions]
-        return hashlib.sha256((self.model_dump_json() + json.dumps([observed, done])).encode()).hexdigest()
+        measured = [asdict(method) for method in self.definition.methods]
+        # A task without settings or methods keeps the digest that it had before there were any.
+        tables = [observed, done, *([measured] if measured else [])]
+        own = self.model_dump_json(exclude=None if self.settings else {"settings"})
+        return hashlib.sha256((own + json.dumps(tables)).encode()).hexdigest()
 
 
 class Track(StrictModel):

@@ -62,8 +62,8 @@ def find_task(name: str) -> tuple[Track, Task]:
 
 
 def archive_folders() -> tuple[str, ...]:
-    """Return the folders that the archive of a submission may hold: one for each track."""
-    return tuple(load_track(name).folder for name in list_tracks())
+    """Return the folders that the archive of a submission may hold: each track's, once."""
+    return tuple(dict.fromkeys(load_track(name).folder for name in list_tracks()))
 
 
 def _track_files() -> Mapping[str, Path]:

@@ -1,10 +1,11 @@
 """What a track file says of a task is what its environment does."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
-from vitac.evaluator.episodes.episode import json_info, make_environment, public_part
+from vitac.evaluator.episodes.episode import json_info, make_environment
 from vitac.evaluator.episodes.records import canonical_json
 from vitac.evaluator.logs.log import MAX_INFO_BYTES, MAX_INFO_VALUES, count_values
 from vitac.evaluator.tracks import Task, list_tracks, load_track
@@ -34,8 +35,8 @@ def test_action_table_and_limit_are_the_settings(task: Task, env: Any) -> None:
     assert task.max_steps == env.settings.max_steps
 
 
-def test_official_settings_are_the_defaults(env: Any) -> None:
-    assert env.settings == type(env.settings)()
+def test_official_settings_are_the_defaults_and_those_that_the_track_names(task: Task, env: Any) -> None:
+    assert env.settings == replace(type(env.settings)(), **task.settings)
 
 
 def test_every_listed_episode_starts_as_the_list_says(task: Task, env: Any) -> None:
@@ -44,7 +45,7 @@ def test_every_listed_episode_starts_as_the_list_says(task: Task, env: Any) -> N
         episode = next(episode for episode in task.episodes if episode.shape == shape)
         observation, info = env.reset(options=episode.options)
         assert info["end_reason"] is None
-        assert set(public_part(task, observation)) == set(observation)
+        assert set(observation) == {row.name for row in task.observables}
         assert (observation["relative_motion"] == 0).all()
 
 

@@ -16,7 +16,9 @@ def manual(repository: Path) -> str:
     return (repository / "docs" / "submissions.md").read_text()
 
 
-TASKS = list(load_track("track_1").tasks.values())
+TRACKS = [load_track(name) for name in ("track_1", "track_2")]
+TASKS = [task for track in TRACKS for task in track.tasks.values()]
+FOLDERS = {name: track.folder for track in TRACKS for name in track.tasks}
 
 
 def section(manual: str, title: str) -> str:
@@ -43,14 +45,14 @@ def test_names_every_verdict_with_its_sentence(manual: str) -> None:
 
 @pytest.mark.parametrize("task", TASKS, ids=lambda task: task.name)
 def test_shows_the_observations_of_the_track(manual: str, task: Task) -> None:
-    own = section(manual, f"Track 1, {task.title.lower()}")
+    own = section(manual, f"{FOLDERS[task.name].replace('_', ' ')}, {task.title.lower()}")
     shown = set(re.findall(r"^\| `(\w+)` \| (\([\d, ]+\)) (\w+) \|", own, re.MULTILINE))
     assert shown == {(row.name, str(tuple(row.shape)), row.dtype) for row in task.observables}
 
 
 @pytest.mark.parametrize("task", TASKS, ids=lambda task: task.name)
 def test_shows_the_actions_of_the_track(manual: str, task: Task) -> None:
-    own = section(manual, f"Track 1, {task.title.lower()}")
+    own = section(manual, f"{FOLDERS[task.name].replace('_', ' ')}, {task.title.lower()}")
     shown = re.findall(r"^\| (\w+) \| (\d+) (mm|degrees) \|", own, re.MULTILINE)
     units = {"degree": "degrees"}
     assert shown == [(row.name, f"{row.scale:g}", units.get(row.unit, row.unit)) for row in task.actions]

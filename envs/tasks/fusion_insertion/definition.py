@@ -6,6 +6,7 @@ import numpy as np
 
 from ...observable import Observable
 from ...vision.observables import DEPTH_PICTURE, OBJECT_POINT_CLOUD, POINT_CLOUD, RGB_PICTURE
+from ...vision.stereo.method import METHOD
 from ..definition import ActionComponent, TaskDefinition
 from ..insertion.interface import MARKER_FLOW, PEG_HEIGHT, gt_offset, horizontal_actions, relative_motion
 from ..measures import SURFACE_DIFF
@@ -40,6 +41,7 @@ TASK = TaskDefinition(
         MARKER_FLOW,
     ),
     measures=(SURFACE_DIFF, PEG_HEIGHT),
+    methods=(METHOD,),
     perspective="vitac.envs.tasks.fusion_insertion.perspective:PERSPECTIVE",
     guided_motion="vitac.envs.tasks.fusion_insertion.guided_motion:over_the_hole_then_down",
 )

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...fem.model.mesh import SurfaceMesh
-from ...vision.rig import RigShift
+from ...vision.observables import OBJECT_POINT_CLOUD
 from ..ending import Flags
 from ..insertion.env import InsertionEnv
 from ..task_env import Info, Observation
@@ -17,7 +17,7 @@ from .meshes import base_mesh, peg_mesh
 from .scene import FusionScene
 from .settings import FusionInsertionSettings
 from .task import judge_flags
-from .variation import START, Target, choose_start
+from .variation import SHAPE, START, Target, choose_rig, choose_start
 
 
 class FusionInsertionEnv(InsertionEnv[FusionScene, FusionInsertionSettings]):
@@ -32,9 +32,10 @@ class FusionInsertionEnv(InsertionEnv[FusionScene, FusionInsertionSettings]):
     The grid of `marker_flow` is drawn anew at every observation. Depth is what an active stereo camera measures
     (`depth_mode="stereo"`) or exact ("gt").
 
-    Reset options: `start` (x mm and y mm from the middle between the holes, theta deg, z mm, 1 for left or 0 for right)
-    and `rng_seed`, the integers that seed the episode's generator in place of the environment's own. Without `start`
-    one is drawn: x and y within 5 mm, theta within 10 degrees, z of 3 to 9 mm, either side.
+    Reset options: `start` (x mm and y mm from the middle between the holes, theta deg, z mm, 1 for left or 0 for
+    right), `shape` ("hexagon" or "cuboid"; with `start` it must be that of the side) and `rng_seed`, the integers that
+    seed the episode's generator in place of the environment's own. Without `start` one is drawn: x and y within 5 mm,
+    theta within 10 degrees, z of 3 to 9 mm, either side.
 
     Ends: terminated by success (`end_reason` "success"); truncated by a sensing surface that moved more than 1.5 mm
     ("tactile"), an offset beyond 12 mm in x, 30 mm in y, 20 degrees or z of 2.4 to 32.4 mm ("error"), 50 env steps
@@ -46,7 +47,7 @@ class FusionInsertionEnv(InsertionEnv[FusionScene, FusionInsertionSettings]):
 
     task: ClassVar = TASK
     settings_type: ClassVar = FusionInsertionSettings
-    option_names: ClassVar[tuple[str, ...]] = (START,)
+    option_names: ClassVar[tuple[str, ...]] = (START, SHAPE)
 
     def reset(self, *, seed: int | None = None, options: Mapping[str, Any] | None = None) -> tuple[Observation, Info]:
         """Start an episode; see the class for the options.
@@ -84,7 +85,7 @@ class FusionInsertionEnv(InsertionEnv[FusionScene, FusionInsertionSettings]):
             meshes=self._meshes,
             settings=settings,
             clocks=self._clocks,
-            rig_shift=_random_shift(settings, random),
+            rig=choose_rig(random, turn_rad=settings.random_camera_turn_rad, offset_m=settings.random_camera_offset_m),
         )
 
     def _judge(self) -> Flags:
@@ -93,15 +94,10 @@ class FusionInsertionEnv(InsertionEnv[FusionScene, FusionInsertionSettings]):
             self.task_scene.state(), max_steps=settings.max_steps, insertion_depth_mm=settings.insertion_depth_mm
         )
 
-    def _seen_objects(self) -> SeenObjects:
-        """Return what the observation's pictures show; no new ones are taken."""
-        assert self._episode_random is not None  # noqa: S101 - set by reset
-        objects = self.task_scene.sight(self._episode_random).objects
-        return {"peg_seen": objects.peg_seen, "base_seen": objects.base_seen}
-
-
-def _random_shift(settings: FusionInsertionSettings, random: np.random.Generator) -> RigShift:
-    """Draw the rig's departure from its pose; four numbers, also where it has none."""
-    turn, x, y, z = random.uniform(-1.0, 1.0, 4).tolist()
-    reach_m = settings.random_camera_offset_m
-    return RigShift(turn_rad=turn * settings.random_camera_turn_rad, offset_m=(x * reach_m, y * reach_m, z * reach_m))
+    def _seen_objects(self) -> Info:
+        """Return which objects the observed clouds are of; nothing where they are not observed."""
+        if OBJECT_POINT_CLOUD not in self._observables:
+            return {}
+        objects = self.task_scene.sight().objects
+        seen: SeenObjects = {"peg_seen": objects.peg_seen, "base_seen": objects.base_seen}
+        return {**seen}

@@ -4,7 +4,7 @@ from typing import TypedDict
 
 
 class SeenObjects(TypedDict):
-    """What the rig saw, after the challenge's entries.
+    """What the rig saw, after the challenge's entries; only where `object_point_cloud` is observed.
 
     Attributes:
         peg_seen: a pixel of the peg has a depth; otherwise its cloud is zeros.

@@ -7,12 +7,12 @@ from ...assets import Meshes
 from ...geometry.bases import RIM_MM
 from ...scene.grasped_scene import Clocks, fixed_at_origin
 from ...vision.camera import DepthMode, RigCamera, Sight
-from ...vision.rig import RigShift, colour_camera_pose
+from ...vision.rig import colour_camera_pose
 from ...vision.surfaces import Body, Label
 from ..insertion.scene import InsertionScene, Parts
 from .meshes import base_mesh, peg_bottom, peg_mesh
 from .settings import FusionInsertionSettings
-from .variation import START_GAP_MM, Z_TARGET_MM, FusionOffset, FusionStart, Target
+from .variation import START_GAP_MM, Z_TARGET_MM, FusionOffset, FusionStart, RigVariation, Target
 
 
 class FusionScene(InsertionScene[FusionOffset, FusionInsertionSettings]):
@@ -29,9 +29,9 @@ class FusionScene(InsertionScene[FusionOffset, FusionInsertionSettings]):
         meshes: Meshes,
         settings: FusionInsertionSettings,
         clocks: Clocks,
-        rig_shift: RigShift,
+        rig: RigVariation,
     ) -> None:
-        self._rig_shift = rig_shift
+        self._rig_variation = rig
         self.target: Target = start.target
         peg = peg_mesh(meshes, start.target)
         parts = Parts(
@@ -60,15 +60,21 @@ class FusionScene(InsertionScene[FusionOffset, FusionInsertionSettings]):
         self._sight = None
         self._travel(goal, max(abs(goal.x_mm - now.x_mm), abs(goal.y_mm - now.y_mm), abs(goal.z_mm - now.z_mm)))
 
-    def sight(self, random: np.random.Generator) -> Sight:
-        """Return what the rig sees now; looked at once, however often it is asked for before the next motion."""
+    def sight(self) -> Sight:
+        """Return what the rig sees now; looked at once, however often it is asked for before the next motion.
+
+        Its noise follows from the episode's and the number of the env step, so that the pictures of an env step are the
+        same whether those before were looked at or not.
+        """
         if self._sight is None:
             grasped = self.grasped
             peg_m = grasped.held_vertices_m(np.arange(len(grasped.held.mesh.vertices_m)))
             positions_m = [grasped.fixed.mesh.vertices_m, peg_m, grasped.gel_nodes_m(0), grasped.gel_nodes_m(1)]
             y_m = (self.offset.y_mm + self.target.y_mm) * 1e-3
             z_m = (self.offset.z_mm + Z_TARGET_MM) * 1e-3
-            self._sight = self._rig.look(positions_m, colour_camera_pose(y_m, z_m, self._rig_shift), random)
+            random = np.random.default_rng((self._rig_variation.noise_seed, self.env_steps))
+            pose = colour_camera_pose(y_m, z_m, self._rig_variation.shift)
+            self._sight = self._rig.look(positions_m, pose, random)
         return self._sight
 
     def _lower_end_mm(self, offset: FusionOffset) -> tuple[float, float, float]:

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..optics import COLOUR_INTRINSICS, HEIGHT_PX, INFRARED_INTRINSICS, WIDTH_PX
 from ..pictures import unit_normals
 from ..pinhole import CameraPose
 from ..rasterizer import View, rasterize
-from ..rig import COLOUR_INTRINSICS, INFRARED_INTRINSICS, LEFT_INFRARED_X_M, RIGHT_INFRARED_X_M
-from ..sizes import HEIGHT_PX, WIDTH_PX
+from ..rig import LEFT_INFRARED_X_M, RIGHT_INFRARED_X_M
 from ..surfaces import FloatArray, VisibleSurfaces
 from .dot_pattern import dot_pattern
 from .infrared import InfraredView, Projector, infrared_picture
@@ -18,6 +18,7 @@ from .median import median_of_neighbours
 from .registration import registered_depth_m
 
 Picture = NDArray[np.uint8]
+NoiseKeys = NDArray[np.uint64]
 # Background that is matched around what is exposed, so that no block at an object's edge is cut.
 _MARGIN_PX = 6
 
@@ -30,25 +31,9 @@ class InfraredPair:
     right: Picture
 
 
-def stereo_depth_m(
-    surfaces: VisibleSurfaces,
-    vertices_m: FloatArray,
-    *,
-    pose: CameraPose,
-    colour_view: View,
-    random: np.random.Generator,
-) -> NDArray[np.float32]:
-    """Return the depth along the colour camera's axis [m] as the stereo camera measures it, 0 where there is no match.
-
-    Args:
-        surfaces: what can be seen.
-        vertices_m: its vertices in the world [m], shape [n, 3].
-        pose: of the colour camera.
-        colour_view: what the colour camera sees there.
-        random: the episode's generator; one draw of two whole numbers is made.
-    """
-    pair = infrared_pair(surfaces, vertices_m, pose=pose, colour_view=colour_view, random=random)
-    return depth_of_pair(pair, colour_view)
+def draw_noise_keys(random: np.random.Generator) -> NoiseKeys:
+    """Draw what the noise of both pictures is made of: two whole numbers."""
+    return random.integers(0, 2**63, 2).astype(np.uint64)
 
 
 def infrared_pair(
@@ -57,15 +42,22 @@ def infrared_pair(
     *,
     pose: CameraPose,
     colour_view: View,
-    random: np.random.Generator,
+    noise_keys: NoiseKeys,
 ) -> InfraredPair:
-    """Take the two infrared pictures; arguments as in `stereo_depth_m`."""
+    """Take the two infrared pictures.
+
+    Args:
+        surfaces: what can be seen.
+        vertices_m: its vertices in the world [m], shape [n, 3].
+        pose: of the colour camera.
+        colour_view: what the colour camera sees there.
+        noise_keys: from `draw_noise_keys`.
+    """
     in_colour_m = pose.in_camera(vertices_m)
     normals = unit_normals(in_colour_m, surfaces.triangles)
     projector = Projector(dot_pattern(), colour_view.depth_m, colour_view.triangle, COLOUR_INTRINSICS)
-    keys = random.integers(0, 2**63, 2).astype(np.uint64)
     pictures = []
-    for x_m, key in zip((LEFT_INFRARED_X_M, RIGHT_INFRARED_X_M), keys, strict=True):
+    for x_m, key in zip((LEFT_INFRARED_X_M, RIGHT_INFRARED_X_M), noise_keys, strict=True):
         view = rasterize(
             pose.moved_right(x_m).in_camera(vertices_m),
             surfaces.triangles,
@@ -79,7 +71,12 @@ def infrared_pair(
 
 
 def depth_of_pair(pair: InfraredPair, colour_view: View) -> NDArray[np.float32]:
-    """Match the pictures and move the depths into the colour picture [m], 0 where there is no match."""
+    """Return the depth along the colour camera's axis as the stereo camera measures it [m], 0 where there is no match.
+
+    Args:
+        pair: the two pictures.
+        colour_view: what the colour camera sees.
+    """
     rows, columns = _exposed_part(pair.left)
     found = disparities(np.ascontiguousarray(pair.left[rows, columns]), _right_part(pair.right, rows, columns))
     found = median_of_neighbours(found)

@@ -5,7 +5,8 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-PATTERN_SEED = 415
+from .method import METHOD
+
 # The pattern covers the directions x/z and y/z from -HALF_WIDTH to +HALF_WIDTH, wider than the colour camera's picture.
 HALF_WIDTH = 0.6
 TEXELS = 1440
@@ -20,7 +21,7 @@ def dot_pattern() -> NDArray[np.uint8]:
     One round dot of (1 - r^2/R^2)^2 lies at a random place in every cell of a square lattice, some bright, some dim;
     in a cell of the picture's centre about five pixels of the infrared cameras wide.
     """
-    random = np.random.default_rng(PATTERN_SEED)
+    random = np.random.default_rng(METHOD.pattern_seed)
     cells = TEXELS // _CELL_TEXELS
     corner = np.arange(cells) * float(_CELL_TEXELS)
     rows = corner[:, None] + random.uniform(0.0, _CELL_TEXELS, (cells, cells))

@@ -11,18 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...compilation import kernel, large_kernel
-from ..pinhole import Intrinsics
+from ..optics import Intrinsics
 from ..rasterizer import NO_TRIANGLE
 from .dot_pattern import HALF_WIDTH
+from .method import METHOD
 
 FloatArray = NDArray[np.float64]
 TriangleMap = NDArray[np.int32]
 
-ALBEDO = 0.5
-AMBIENT = 0.02
-# Speckle is a factor of a gamma distribution of shape 1333.33 and mean 1 (challenge-facts 15); so narrow, it is normal.
-SPECKLE_SD = 1.0 / sqrt(1333.33)
-THERMAL_SD_GREY = 0.25
+ALBEDO = METHOD.albedo
+AMBIENT = METHOD.ambient
+# Speckle is a factor of a gamma distribution of mean 1 (challenge-facts 15); so narrow, it is normal.
+SPECKLE_SD = 1.0 / sqrt(METHOD.speckle_shape)
+THERMAL_SD_GREY = METHOD.thermal_sd_grey
 # A surface is lit where the projector sees the same triangle in its direction, or another one this little nearer.
 _SHADOW_SLACK_M = 0.0015
 # Mean and standard deviation of the sum of eight random bytes.

@@ -10,30 +10,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...compilation import kernel, large_kernel
+from .method import METHOD
 
 Picture = NDArray[np.uint8]
 Codes = NDArray[np.uint64]
 # Cost of every pixel and match, shape [height, width, matches].
 Costs = NDArray[np.int16]
 
-# Disparities of the official scene are 62.7 to 82.8 px (challenge-facts 15); 48 to 95 reach from 0.345 to 0.683 m.
-SMALLEST_DISPARITY = 48
-LARGEST_DISPARITY = 95
+SMALLEST_DISPARITY = METHOD.smallest_disparity_px
+LARGEST_DISPARITY = METHOD.largest_disparity_px
 MATCHES = LARGEST_DISPARITY - SMALLEST_DISPARITY + 1
 # A disparity is given in this many parts of a pixel.
 PARTS = 64
 NO_DISPARITY = 0
 
-_CENSUS_RADIUS = 3
-_BLOCK_RADIUS = 3
+_CENSUS_RADIUS = METHOD.census_radius_px
+_BLOCK_RADIUS = METHOD.block_radius_px
 _BLOCK_PIXELS = (2 * _BLOCK_RADIUS + 1) ** 2
-_SMALL_JUMP = np.int16(8 * _BLOCK_PIXELS)
-_LARGE_JUMP = np.int16(32 * _BLOCK_PIXELS)
+_SMALL_JUMP = np.int16(METHOD.small_jump * _BLOCK_PIXELS)
+_LARGE_JUMP = np.int16(METHOD.large_jump * _BLOCK_PIXELS)
 # Larger than any path's cost; with a jump added it still is an int16.
 _FAR = np.int16(16000)
-_PATHS = ((0, 1), (0, -1), (1, 0), (1, 1), (1, -1), (-1, 0), (-1, 1), (-1, -1))
-_UNIQUENESS_PERCENT = 15
-_LARGEST_LEFT_RIGHT_DIFFERENCE = 1
+_PATHS = ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1))[: METHOD.paths]
+_UNIQUENESS_PERCENT = METHOD.uniqueness_percent
+_LARGEST_LEFT_RIGHT_DIFFERENCE = METHOD.largest_left_right_difference_px
 
 
 def disparities(left: Picture, right: Picture) -> NDArray[np.int32]:

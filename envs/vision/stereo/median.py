@@ -4,13 +4,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...compilation import large_kernel
+from .method import METHOD
 
 DisparityMap = NDArray[np.int32]
-_NEIGHBOURHOOD = 9
+_RADIUS = METHOD.median_width_px // 2
+_NEIGHBOURHOOD = (2 * _RADIUS + 1) ** 2
 
 
 def median_of_neighbours(found: DisparityMap) -> DisparityMap:
-    """Replace every disparity by the lower median of those found in its 3 x 3 neighbourhood; gaps (0) stay gaps."""
+    """Replace every disparity by the lower median of those found in its square neighbourhood; gaps (0) stay gaps."""
     smoothed = np.zeros_like(found)
     _write_medians(found, np.empty(_NEIGHBOURHOOD, np.int32), smoothed)
     return smoothed
@@ -24,8 +26,8 @@ def _write_medians(found: DisparityMap, ordered: DisparityMap, smoothed: Dispari
             if found[j, i] == 0:
                 continue
             count = 0
-            for row in range(max(0, j - 1), min(height, j + 2)):
-                for column in range(max(0, i - 1), min(width, i + 2)):
+            for row in range(max(0, j - _RADIUS), min(height, j + _RADIUS + 1)):
+                for column in range(max(0, i - _RADIUS), min(width, i + _RADIUS + 1)):
                     value = found[row, column]
                     if value == 0:
                         continue

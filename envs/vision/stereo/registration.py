@@ -4,8 +4,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...compilation import large_kernel
+from ..optics import COLOUR_INTRINSICS, INFRARED_INTRINSICS
 from ..rasterizer import NO_TRIANGLE
-from ..rig import BASELINE_M, COLOUR_INTRINSICS, INFRARED_INTRINSICS, LEFT_INFRARED_X_M
+from ..rig import BASELINE_M, LEFT_INFRARED_X_M
 from .matching import NO_DISPARITY, PARTS
 
 FloatArray = NDArray[np.float64]

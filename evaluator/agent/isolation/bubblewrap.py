@@ -9,6 +9,8 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Final
 
+from vitac.envs.vision import back_projection
+
 from ..limits import Limits
 from ..verdicts import SandboxFailed
 from .interpreter import Interpreter
@@ -17,7 +19,9 @@ OWN_PROCESSES: Final = 3
 """Processes of ours in a sandbox at once: the first, the loader or an episode's, the loaded copy."""
 INSIDE_SUBMISSION: Final = "/submission"
 INSIDE_RUNTIME: Final = "/opt/vitac/agent.py"
+INSIDE_BACK_PROJECTION: Final = "/opt/vitac/back_projection.py"
 _RUNTIME: Final = Path(__file__).parents[1] / "runtime" / "agent.py"
+_BACK_PROJECTION: Final = Path(back_projection.__file__)
 DEVICES: Final = ("/dev/null", "/dev/zero", "/dev/full", "/dev/random", "/dev/urandom")
 """Devices that hold nothing, so that a policy may keep them open."""
 _FIRST_UID: Final = 1_000_000_000
@@ -163,7 +167,11 @@ def _python_files(interpreter: Interpreter) -> list[str]:
         arguments += ["--ro-bind", str(outside), str(inside)]
     for folder in interpreter.masked:
         arguments += ["--tmpfs", str(folder), "--remount-ro", str(folder)]
-    return [*arguments, "--ro-bind", str(_RUNTIME), INSIDE_RUNTIME]
+    return [
+        *arguments,
+        *("--ro-bind", str(_RUNTIME), INSIDE_RUNTIME),
+        *("--ro-bind", str(_BACK_PROJECTION), INSIDE_BACK_PROJECTION),
+    ]
 
 
 def _environment(interpreter: Interpreter) -> list[str]:

@@ -4,10 +4,10 @@ import array
 import fcntl
 import socket
 import termios
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Final
 
-from .frames import Answer, AnswerKind, Array, FrameReader, QuestionKind, encode_question, violation
+from .frames import Answer, AnswerKind, FrameReader, Question, encode_question, violation
 
 _CHUNK_BYTES: Final = 256 * 1024
 _CREDENTIALS_BYTES: Final = 12
@@ -34,7 +34,7 @@ class Channel:
         """True while a part of the question still waits for room in the socket."""
         return bool(self._unsent)
 
-    def ask(self, kind: QuestionKind, text: str = "", arrays: Mapping[str, Array] | None = None) -> None:
+    def ask(self, question: Question) -> None:
         """Start sending the next question.
 
         Raises:
@@ -42,7 +42,7 @@ class Channel:
         """
         self.check_silent()
         self._seq += 1
-        self._unsent = encode_question(self._seq, kind, text, arrays or {})
+        self._unsent = encode_question(self._seq, question)
         self.send_more()
 
     def send_more(self) -> None:

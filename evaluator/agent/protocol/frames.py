@@ -6,7 +6,7 @@ Nothing that arrives is ever unpickled or evaluated, and whatever is not the one
 
 import math
 import struct
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Annotated, Final, Literal
@@ -62,6 +62,17 @@ class ArraySpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return math.prod(self.shape) * _DTYPES[self.dtype].itemsize
 
 
+class CloudSpec(msgspec.Struct, frozen=True):
+    """A point cloud that the runtime makes of a depth picture among the arrays, because it is three times as large."""
+
+    name: str
+    depth: str
+    keep_depth: bool
+    """Whether the policy gets the depth picture, too."""
+    intrinsics: list[float]
+    """Focal lengths and principal point in u and v [px]."""
+
+
 class QuestionHeader(msgspec.Struct, frozen=True):
     """Header of a frame to the policy."""
 
@@ -69,6 +80,17 @@ class QuestionHeader(msgspec.Struct, frozen=True):
     kind: QuestionKind
     text: str
     arrays: list[ArraySpec]
+    clouds: list[CloudSpec]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Question:
+    """What one frame to the policy says."""
+
+    kind: QuestionKind
+    text: str = ""
+    arrays: Mapping[str, Array] = field(default_factory=dict)
+    clouds: Sequence[CloudSpec] = ()
 
 
 class AnswerHeader(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -112,17 +134,19 @@ def array_code(value: Array) -> str:
     return code
 
 
-def encode_question(seq: int, kind: QuestionKind, text: str, arrays: Mapping[str, Array]) -> list[memoryview]:
+def encode_question(seq: int, question: Question) -> list[memoryview]:
     """Return the parts of one frame to the policy, ready for `sendmsg`."""
     buffers: list[memoryview] = []
     specs: list[ArraySpec] = []
-    for name, value in arrays.items():
+    for name, value in question.arrays.items():
         code = array_code(value)
         contiguous = np.ascontiguousarray(value, dtype=_DTYPES[code])
         specs.append(ArraySpec(name=name, dtype=code, shape=list(value.shape)))  # type: ignore[arg-type]
         if contiguous.size:
             buffers.append(contiguous.data.cast("B"))
-    header = msgspec.json.encode(QuestionHeader(seq=seq, kind=kind, text=text, arrays=specs))
+    header = msgspec.json.encode(
+        QuestionHeader(seq=seq, kind=question.kind, text=question.text, arrays=specs, clouds=list(question.clouds))
+    )
     prefix = PREFIX.pack(MAGIC, len(header), sum(part.nbytes for part in buffers))
     return [memoryview(prefix + header), *buffers]
 

@@ -1,6 +1,6 @@
 """Runs inside the sandbox as its first process: loads the policy and answers the evaluator's questions.
 
-Only the standard library and NumPy are imported. Started as
+Only the standard library, NumPy and `back_projection`, which needs NumPy only, are imported. Started as
 `python agent.py CHANNEL_FD STATUS_FD CPU_SOFT_S CPU_HARD_S SUBMISSION PACKAGES...`.
 Nothing here is relied upon for safety: after the policy is imported it owns this code too, and the evaluator checks
 every byte that it sends. Three processes take part:
@@ -13,10 +13,12 @@ every byte that it sends. Three processes take part:
 
 import contextlib
 import faulthandler
+import functools
 import importlib
 import json
 import os
 import resource
+import runpy
 import signal
 import socket
 import struct
@@ -25,6 +27,7 @@ import traceback
 import warnings
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import Any, NoReturn
 
 PREFIX = struct.Struct("<4sIQ")
@@ -32,6 +35,7 @@ MAGIC = b"VTC1"
 STATUS = struct.Struct("<ii")
 MESSAGE_MAX_CHARS = 2000
 DTYPES = {"u1": "u1", "u2": "<u2", "i4": "<i4", "i8": "<i8", "f4": "<f4", "f8": "<f8", "b1": "b1"}
+BACK_PROJECTION = Path(__file__).with_name("back_projection.py")
 FORK_ERRORS = ("can't start new thread", "Resource temporarily unavailable")
 
 
@@ -57,7 +61,9 @@ class Connection:
         header = json.loads(self._read_exactly(header_bytes))
         payload = self._read_exactly(payload_bytes)
         self._seq = header["seq"]
-        return header["kind"], header["text"], decode_arrays(header["arrays"], payload)
+        arrays = decode_arrays(header["arrays"], payload)
+        add_clouds(header["clouds"], arrays)
+        return header["kind"], header["text"], arrays
 
     def write(self, kind: str, *, action: Any = None, code: str = "", message: str = "") -> None:
         """Answer the last question."""
@@ -93,6 +99,21 @@ def decode_arrays(specs: list[dict[str, Any]], payload: bytearray) -> dict[str, 
         arrays[spec["name"]] = flat.reshape(spec["shape"])
         offset += flat.nbytes
     return arrays
+
+
+def add_clouds(specs: list[dict[str, Any]], arrays: dict[str, Any]) -> None:
+    """Make the point clouds of a question out of its depth pictures; a picture that is not read is taken out."""
+    for spec in specs:
+        arrays[spec["name"]] = point_cloud()(arrays[spec["depth"]], spec["intrinsics"])
+    for spec in specs:
+        if not spec["keep_depth"]:
+            del arrays[spec["depth"]]
+
+
+@functools.cache
+def point_cloud() -> Any:
+    """Return the environments' own function, whose file lies beside this one in the sandbox."""
+    return runpy.run_path(str(BACK_PROJECTION))["point_cloud"]
 
 
 def as_action(value: Any) -> Any:
@@ -168,6 +189,7 @@ def answer_episode(policy: Any, connection: Connection) -> None:
 def run_loader(connection: Connection, submission: str) -> None:
     """Load the policy, then go on as a copy that has one thread only."""
     _, entry_point, _ = connection.read()
+    point_cloud()  # now, so that no episode has to read it
     policy = load(entry_point, submission)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)

@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from vitac.envs.vision.pinhole import CameraPose, Intrinsics
+from vitac.envs.vision.optics import Intrinsics
+from vitac.envs.vision.pinhole import CameraPose
 
 FloatArray = NDArray[np.float64]
 NO_HIT = -1

@@ -14,7 +14,7 @@ import numpy as np
 import vitac.envs
 from visible_scenes import STARTS, fusion_scene
 from vitac.envs.vision.pictures import colour_picture
-from vitac.envs.vision.stereo.camera import depth_of_pair, infrared_pair
+from vitac.envs.vision.stereo.camera import depth_of_pair, draw_noise_keys, infrared_pair
 
 
 def trajectory_digest(env_id: str, seed: int, env_steps: int) -> str:
@@ -39,8 +39,8 @@ def trajectory_digest(env_id: str, seed: int, env_steps: int) -> str:
 def picture_digest(seed: int) -> str:
     """SHA-256 over all pictures of a scene with bodies in front of each other."""
     scene = fusion_scene(STARTS[seed])
-    view, random = scene.view(), np.random.default_rng(seed)
-    pair = infrared_pair(scene.surfaces, scene.vertices_m, pose=scene.pose, colour_view=view, random=random)
+    view, keys = scene.view(), draw_noise_keys(np.random.default_rng(seed))
+    pair = infrared_pair(scene.surfaces, scene.vertices_m, pose=scene.pose, colour_view=view, noise_keys=keys)
     colours = colour_picture(view, scene.surfaces, scene.vertices_m)
     digest = hashlib.sha256(view.depth_m.tobytes() + colours.tobytes())
     digest.update(pair.left.tobytes() + pair.right.tobytes() + depth_of_pair(pair, view).tobytes())

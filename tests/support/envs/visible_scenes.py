@@ -11,10 +11,10 @@ from vitac.envs.geometry.bases import RIM_MM, base_surface
 from vitac.envs.geometry.hexagons import hexagon_peg_surface
 from vitac.envs.geometry.pegs import PegShape, peg_surface
 from vitac.envs.tactile.gel import gelsight_mini_mesh
-from vitac.envs.vision.pinhole import CameraPose, Intrinsics
+from vitac.envs.vision.optics import COLOUR_INTRINSICS, HEIGHT_PX, WIDTH_PX, Intrinsics
+from vitac.envs.vision.pinhole import CameraPose
 from vitac.envs.vision.rasterizer import View, rasterize
-from vitac.envs.vision.rig import COLOUR_INTRINSICS, colour_camera_pose
-from vitac.envs.vision.sizes import HEIGHT_PX, WIDTH_PX
+from vitac.envs.vision.rig import colour_camera_pose
 from vitac.envs.vision.surfaces import Body, Label, VisibleSurfaces
 
 FloatArray = NDArray[np.float64]

@@ -121,7 +121,7 @@ class FakeSession:
             self.open = False
 
     @contextmanager
-    def episode(self, *, task: str, action_shape: tuple[int, ...]) -> Iterator[FakePolicy]:
+    def episode(self, *, task: str, action_shape: tuple[int, ...], clouds: object = ()) -> Iterator[FakePolicy]:
         assert self.open
         assert (task, action_shape) == ("peg-insertion", (3,))
         self.started += 1

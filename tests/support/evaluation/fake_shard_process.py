@@ -16,6 +16,7 @@ from vitac.evaluator.agent.limits import Limits
 from vitac.evaluator.agent.verdicts import SandboxFailed
 from vitac.evaluator.shards import execution, host
 from vitac.evaluator.shards.policy import run_shard
+from vitac.evaluator.submission.manifest import SubmissionManifest
 
 
 def hang(_: int, step: int) -> Any:
@@ -76,6 +77,9 @@ def load_policy(submission_dir: Path, limits: Limits, slot: int) -> Any:
 if __name__ == "__main__":
     execution.run_shard = partial(  # type: ignore[attr-defined]
         run_shard, load_policy=load_policy, make_env=lambda *_: FakeEnvironment()
+    )
+    execution.load_manifest = lambda _: SubmissionManifest(  # type: ignore[attr-defined, assignment]
+        track="track_1", tasks=("peg-insertion",), name="fake"
     )
     host.make_environment = lambda *_: FakeEnvironment()  # type: ignore[attr-defined]
     host.main()

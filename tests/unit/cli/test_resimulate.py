@@ -26,7 +26,7 @@ def asked_assets(monkeypatch: pytest.MonkeyPatch) -> list[Path | None]:
     """Takes the simulation's place; the asset folders that were asked for."""
     asked: list[Path | None] = []
 
-    def make(_: object, assets_dir: Path | None) -> FakeEnvironment:
+    def make(_: object, assets_dir: Path | None, __: object) -> FakeEnvironment:
         asked.append(assets_dir)
         return FakeEnvironment()
 

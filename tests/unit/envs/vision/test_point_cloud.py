@@ -3,14 +3,17 @@
 import numpy as np
 import pytest
 from visible_scenes import STARTS, fusion_scene
+from vitac.envs.vision.back_projection import point_cloud
+from vitac.envs.vision.optics import COLOUR_INTRINSICS
 from vitac.envs.vision.pictures import colour_picture, depth_picture, segmentation_picture
-from vitac.envs.vision.point_cloud import base_pixels, object_clouds, peg_pixels, point_cloud
-from vitac.envs.vision.rig import COLOUR_INTRINSICS
+from vitac.envs.vision.point_cloud import base_pixels, draw_points, object_clouds, peg_pixels
 from vitac.envs.vision.surfaces import Label
 
 SCENE = fusion_scene(STARTS[1])
 VIEW = SCENE.view()
 COLOURS, DEPTH_M = colour_picture(VIEW, SCENE.surfaces, SCENE.vertices_m), depth_picture(VIEW)
+
+DRAWS = draw_points(np.random.default_rng(0))
 
 
 def in_world(points_m: np.ndarray) -> np.ndarray:
@@ -43,7 +46,7 @@ def test_unknown_pixels_are_zeros() -> None:
 
 
 def test_the_object_clouds_are_drawn_from_their_objects_pixels() -> None:
-    clouds = object_clouds(COLOURS, DEPTH_M, COLOUR_INTRINSICS, np.random.default_rng(0))
+    clouds = object_clouds(COLOURS, DEPTH_M, COLOUR_INTRINSICS, DRAWS)
     cloud = point_cloud(DEPTH_M, COLOUR_INTRINSICS)
     label = segmentation_picture(VIEW, SCENE.surfaces)
     assert clouds.points_m.shape == (2, 128, 3)
@@ -59,25 +62,22 @@ def test_pixels_without_depth_never_enter_a_cloud() -> None:
     depth_m = DEPTH_M.copy()
     depth_m[:, ::2] = 0
     depth_m[::2] = 0
-    clouds = object_clouds(COLOURS, depth_m, COLOUR_INTRINSICS, np.random.default_rng(0))
+    clouds = object_clouds(COLOURS, depth_m, COLOUR_INTRINSICS, DRAWS)
     assert (clouds.points_m[:, :, 2] > 0.3).all()
 
 
 def test_an_object_out_of_sight_gives_zeros_and_a_flag() -> None:
     without_peg = np.where(peg_pixels(COLOURS), np.float32(0), DEPTH_M)
-    clouds = object_clouds(COLOURS, without_peg, COLOUR_INTRINSICS, np.random.default_rng(0))
+    clouds = object_clouds(COLOURS, without_peg, COLOUR_INTRINSICS, DRAWS)
     assert (clouds.peg_seen, clouds.base_seen) == (False, True)
     assert (clouds.points_m[0] == 0).all()
     assert (clouds.points_m[1, :, 2] > 0).all()
 
 
-def test_as_many_numbers_are_drawn_whether_objects_are_seen_or_not() -> None:
-    seeing, blind = np.random.default_rng(0), np.random.default_rng(0)
-    full = object_clouds(COLOURS, DEPTH_M, COLOUR_INTRINSICS, seeing)
-    object_clouds(np.full_like(COLOURS, 255), DEPTH_M, COLOUR_INTRINSICS, blind)
-    assert seeing.random() == blind.random()
+def test_the_points_of_an_object_do_not_depend_on_the_other() -> None:
+    full = object_clouds(COLOURS, DEPTH_M, COLOUR_INTRINSICS, DRAWS)
     without_peg = np.where(peg_pixels(COLOURS), np.float32(0), DEPTH_M)
-    half = object_clouds(COLOURS, without_peg, COLOUR_INTRINSICS, np.random.default_rng(0))
+    half = object_clouds(COLOURS, without_peg, COLOUR_INTRINSICS, DRAWS)
     np.testing.assert_array_equal(half.points_m[1], full.points_m[1])
 
 

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 from ray_caster import cast, pixel_centres
 from visible_scenes import STARTS, SeenScene, fusion_scene, random_scene
-from vitac.envs.vision.pinhole import CameraPose, Intrinsics
+from vitac.envs.vision.optics import COLOUR_INTRINSICS, HEIGHT_PX, WIDTH_PX, Intrinsics
+from vitac.envs.vision.pinhole import CameraPose
 from vitac.envs.vision.rasterizer import NEAR_M, NO_TRIANGLE, rasterize
-from vitac.envs.vision.rig import COLOUR_INTRINSICS
-from vitac.envs.vision.sizes import HEIGHT_PX, WIDTH_PX
 
 SMALL = Intrinsics(70.0, 65.0, 33.3, 22.8)
 SMALL_HEIGHT_PX, SMALL_WIDTH_PX = 48, 64

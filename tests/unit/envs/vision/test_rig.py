@@ -2,15 +2,8 @@
 
 import numpy as np
 import pytest
-from vitac.envs.vision.rig import (
-    BASELINE_M,
-    COLOUR_INTRINSICS,
-    INFRARED_INTRINSICS,
-    LEFT_INFRARED_X_M,
-    RIGHT_INFRARED_X_M,
-    RigShift,
-    colour_camera_pose,
-)
+from vitac.envs.vision.optics import COLOUR_INTRINSICS, INFRARED_INTRINSICS
+from vitac.envs.vision.rig import BASELINE_M, LEFT_INFRARED_X_M, RIGHT_INFRARED_X_M, RigShift, colour_camera_pose
 
 
 def test_camera_looks_down_at_the_peg_with_its_picture_upside_down() -> None:

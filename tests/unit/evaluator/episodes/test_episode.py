@@ -73,7 +73,7 @@ def test_policy_that_cannot_be_loaded_is_recorded_as_such() -> None:
 def test_failure_after_the_last_action_does_not_undo_the_episode() -> None:
     class FailsAtTheEnd(FakeSession):
         @contextmanager
-        def episode(self, *, task: str, action_shape: tuple[int, ...]) -> Iterator[FakePolicy]:
+        def episode(self, *, task: str, action_shape: tuple[int, ...], clouds: object = ()) -> Iterator[FakePolicy]:
             yield FakePolicy(succeed, 1)
             fail()
 

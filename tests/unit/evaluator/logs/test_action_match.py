@@ -68,7 +68,7 @@ def test_model_gets_the_observations_of_the_logs_actions() -> None:
 
     class WatchingSession(FakeSession):
         @contextmanager
-        def episode(self, *, task: str, action_shape: tuple[int, ...]) -> Iterator[FakePolicy]:
+        def episode(self, *, task: str, action_shape: tuple[int, ...], clouds: object = ()) -> Iterator[FakePolicy]:
             yield Watching(succeed, 1)
 
     match_actions(

@@ -44,6 +44,25 @@ def test_entry_point_has_a_default() -> None:
     assert parse_manifest(MANIFEST.replace("entry_point: policy:Policy\n", "").encode()).entry_point == "policy:Policy"
 
 
+def test_observation_keys_are_those_named_and_all_where_none_are() -> None:
+    assert parse_manifest(MANIFEST.encode()).observation_keys is None
+    assert parse_manifest(f"{MANIFEST}observation_keys: []\n".encode()).observation_keys == ()
+    named = parse_manifest(f"{MANIFEST}observation_keys: [marker_flow]\n".encode())
+    assert named.observation_keys == ("marker_flow",)
+
+
+@pytest.mark.parametrize("key", ["gt_offset", "rgb_picture", "", "marker_flow, marker_flow", "a" * 80])
+def test_unknown_privileged_and_repeated_observation_keys_are_refused_with_the_valid_ones(key: str) -> None:
+    error = manifest_error(f"{MANIFEST}observation_keys: [{key or repr('')}]\n")
+    assert "observation_keys" in error
+    if key:
+        assert "expected each once, out of relative_motion, marker_flow" in error
+
+
+def test_too_many_observation_keys_are_refused() -> None:
+    assert "observation_keys" in manifest_error(f"{MANIFEST}observation_keys: [{'marker_flow, ' * 65}]\n")
+
+
 def test_missing_manifest_is_named(tmp_path: Path) -> None:
     with pytest.raises(ManifestRejected, match=r"submission\.yaml is missing"):
         load_manifest(tmp_path)

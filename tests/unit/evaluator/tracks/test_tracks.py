@@ -1,10 +1,24 @@
+import hashlib
 import json
+from dataclasses import fields, replace
 from pathlib import Path
 
 import pytest
 import yaml
+from visible_scenes import STARTS
+from vitac.envs.vision.stereo.method import StereoMethod
 from vitac.evaluator.strict_model import DocumentRejected, parse_yaml
-from vitac.evaluator.tracks import Track, UnknownTask, UnknownTrack, archive_folders, find_task, list_tracks, load_track
+from vitac.evaluator.tracks import (
+    Episode,
+    Task,
+    Track,
+    UnknownTask,
+    UnknownTrack,
+    archive_folders,
+    find_task,
+    list_tracks,
+    load_track,
+)
 
 TRACK_1 = Path(__file__).parents[4] / "evaluator" / "tracks" / "track_1.yaml"
 
@@ -58,6 +72,58 @@ def test_list_order_matches_the_organizers_log(task: str, log: str, reference_di
     episodes = load_track("track_1").tasks[task].episodes
     listed = [episodes[e["episode"] - 1] for e in logged]
     assert [(e["shape"], tuple(e["initial_offset"])) for e in logged] == [(e.shape, e.offset) for e in listed]
+
+
+def fusion_episodes() -> tuple[Episode, ...]:
+    return load_track("track_2").tasks["fusion-insertion"].episodes
+
+
+def test_fusion_list_has_three_repeats_of_fifty_starts_that_carry_their_own_side() -> None:
+    episodes = fusion_episodes()
+    assert len(episodes) == 150
+    assert [e.offset for e in episodes[:50]] == [e.offset for e in episodes[100:]]
+    assert tuple(e.offset for e in episodes[:50]) == STARTS
+    assert [e.shape == "hexagon" for e in episodes] == [e.offset[4] == 1 for e in episodes]
+    assert sum(e.shape == "hexagon" for e in episodes) == 90
+    assert episodes[60].options == {"shape": "cuboid", "start": (1.2, 0.2, -3.2, 6.8, 0), "rng_seed": (0, 61)}
+
+
+def test_fusion_list_matches_the_organizers_log(reference_dir: Path) -> None:
+    """It writes the offset from the hole in the books of its era, 13.0 mm more than z."""
+    lines = (reference_dir / "logs" / "track2_peg_insertion_v2.jsonl").read_text().splitlines()
+    logged = [json.loads(line)["initial_offset"] for line in lines]
+    listed = [episode.offset for episode in fusion_episodes()]
+    assert len(logged) == len(listed)
+    for got, (x, y, theta, z, left) in zip(logged, listed, strict=True):
+        assert got == pytest.approx([x, y + 22.625 - 45.25 * left, theta, z + 13.0])
+
+
+def test_practice_with_exact_depth_plays_the_same_starts_with_another_digest_on_another_board() -> None:
+    scored, practice = load_track("track_2"), load_track("track_2_gt")
+    (task,), (practised,) = scored.tasks.values(), practice.tasks.values()
+    assert task.episode_list == practised.episode_list
+    assert (task.settings, practised.settings) == ({"depth_mode": "stereo"}, {"depth_mode": "gt"})
+    assert task.digest() != practised.digest()
+    assert set(scored.tasks).isdisjoint(practice.tasks)
+
+
+@pytest.mark.parametrize("number", [field.name for field in fields(StereoMethod)])
+def test_every_number_of_the_stereo_method_is_in_the_digest(number: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    task = load_track("track_2").tasks["fusion-insertion"]
+    before = task.digest()
+    (method,) = task.definition.methods
+    other = replace(task.definition, methods=(replace(method, **{number: getattr(method, number) + 1}),))
+    monkeypatch.setattr(Task, "definition", other)
+    assert task.digest() != before
+
+
+@pytest.mark.parametrize("name", ["peg-insertion", "lock-opening"])
+def test_a_task_without_settings_and_methods_keeps_the_digest_from_before_there_were_any(name: str) -> None:
+    task = load_track("track_1").tasks[name]
+    observed = [(row.name, row.shape, row.dtype, row.unit, row.meaning) for row in task.observables]
+    done = [(row.name, row.scale, row.unit, row.meaning) for row in task.actions]
+    content = task.model_dump_json(exclude={"settings"}) + json.dumps([observed, done])
+    assert task.digest() == hashlib.sha256(content.encode()).hexdigest()
 
 
 def test_blocks_are_played_one_after_the_other_each_as_often_as_it_says(content: dict[str, object]) -> None:
@@ -193,9 +259,9 @@ def one_task(content: dict[str, object], *, task: str) -> str:
 
 def test_tracks_of_a_folder_stand_beside_ours(further: Path, content: dict[str, object]) -> None:
     (further / "mine.yaml").write_text(one_task(content, task="my-peg"))
-    assert list_tracks() == ("mine", "track_1")
+    assert list_tracks() == ("mine", "track_1", "track_2", "track_2_gt")
     assert find_task("my-peg")[0].name == "mine"
-    assert archive_folders() == ("Mine", "Track_1")
+    assert archive_folders() == ("Mine", "Track_1", "Track_2")
 
 
 def test_tracks_of_ours_are_not_replaced(further: Path) -> None:

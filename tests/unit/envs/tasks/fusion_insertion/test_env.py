@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 from fake_scene import FakeScene
+from vitac.envs.tasks.definition import UnknownObservationKey
 from vitac.envs.tasks.fusion_insertion.env import FusionInsertionEnv
 from vitac.envs.tasks.settings import SettingsError
 from vitac.envs.vision.observables import SEGMENTATION
@@ -187,3 +188,42 @@ def test_unusable_setting_is_refused_by_name(setting: str, value: Any) -> None:
 
 def test_mesh_hash_tells_other_clearances() -> None:
     assert FusionInsertionEnv().mesh_hash() != FusionInsertionEnv(clearance_mm=1.0).mesh_hash()
+
+
+def test_only_the_chosen_keys_are_observed_in_the_order_of_the_task() -> None:
+    env, observation, info = played(observation_keys=("marker_flow", "rgb_picture"))
+    assert list(observation) == ["rgb_picture", "marker_flow"]
+    assert observation in env.observation_space
+    assert "peg_seen" not in info
+
+
+@pytest.mark.parametrize("key", PUBLIC)
+def test_what_a_key_holds_does_not_depend_on_the_other_keys(key: str) -> None:
+    """Neither now nor after env steps; so choosing keys chooses no noise."""
+    motion = [0.0, 0.0, 0.0, -0.1]
+    _, everything, *_ = played(motion, motion, depth_mode="stereo")
+    _, alone, *_ = played(motion, motion, depth_mode="stereo", observation_keys=(key,))
+    assert list(alone) == [key]
+    np.testing.assert_array_equal(everything[key], alone[key])
+
+
+def test_pictures_that_are_not_observed_are_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise AssertionError("A picture was taken.")
+
+    monkeypatch.setattr("vitac.envs.vision.camera.rasterize", refuse)
+    played([0.0] * 4, observation_keys=("marker_flow", "relative_motion"))
+    with pytest.raises(AssertionError, match="A picture was taken"):
+        played(observation_keys=("rgb_picture",))
+
+
+def test_noise_differs_between_env_steps() -> None:
+    env, first, _ = played(depth_mode="stereo")
+    second, *_ = env.step(np.zeros(4, dtype=np.float32))
+    assert (first["depth_picture"] != second["depth_picture"]).any()
+
+
+@pytest.mark.parametrize("key", ["infrared", "gt_offset"])
+def test_unknown_and_privileged_keys_are_refused_with_the_list_of_valid_ones(key: str) -> None:
+    with pytest.raises(UnknownObservationKey, match=f"no observation key '{key}'; expected {', '.join(PUBLIC)}"):
+        FusionInsertionEnv(observation_keys=("marker_flow", key))

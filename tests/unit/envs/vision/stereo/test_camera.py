@@ -7,18 +7,17 @@ import pytest
 from numpy.typing import NDArray
 from visible_scenes import STARTS, SeenScene, fusion_scene
 from vitac.envs.vision.pictures import segmentation_picture
-from vitac.envs.vision.stereo.camera import depth_of_pair, infrared_pair, stereo_depth_m
+from vitac.envs.vision.stereo.camera import InfraredPair, depth_of_pair, draw_noise_keys, infrared_pair
 from vitac.envs.vision.surfaces import Body, Label, VisibleSurfaces
 
 
+def pair_of(scene: SeenScene, seed: int) -> InfraredPair:
+    keys = draw_noise_keys(np.random.default_rng(seed))
+    return infrared_pair(scene.surfaces, scene.vertices_m, pose=scene.pose, colour_view=scene.view(), noise_keys=keys)
+
+
 def stereo(scene: SeenScene, seed: int) -> NDArray[np.float32]:
-    return stereo_depth_m(
-        scene.surfaces,
-        scene.vertices_m,
-        pose=scene.pose,
-        colour_view=scene.view(),
-        random=np.random.default_rng(seed),
-    )
+    return depth_of_pair(pair_of(scene, seed), scene.view())
 
 
 @cache
@@ -63,13 +62,6 @@ def test_noise_is_the_generators() -> None:
     assert (stereo(scene, 1) != stereo(scene, 2)).any()
 
 
-def test_as_many_numbers_are_drawn_whatever_is_seen() -> None:
-    full, empty = np.random.default_rng(0), np.random.default_rng(0)
-    for scene, random in ((fusion_scene(STARTS[0]), full), (behind_the_camera(), empty)):
-        stereo_depth_m(scene.surfaces, scene.vertices_m, pose=scene.pose, colour_view=scene.view(), random=random)
-    assert full.random() == empty.random()
-
-
 def behind_the_camera() -> SeenScene:
     scene = fusion_scene(STARTS[0])
     surfaces = VisibleSurfaces([Body(vertex_count=3, triangles=np.array([[0, 1, 2]]), label=Label.PEG)])
@@ -87,9 +79,7 @@ def test_nothing_in_front_of_the_camera_gives_an_empty_picture() -> None:
 def test_objects_at_the_left_edge_of_the_picture_are_not_matched_beyond_it() -> None:
     """Their partners lie left of the right picture's first column."""
     scene = fusion_scene(STARTS[0])
-    pair = infrared_pair(
-        scene.surfaces, scene.vertices_m, pose=scene.pose, colour_view=scene.view(), random=np.random.default_rng(0)
-    )
+    pair = pair_of(scene, 0)
     shifted = type(pair)(left=np.roll(pair.left, -270, axis=1), right=np.roll(pair.right, -270, axis=1))
     shifted.right[:, 400:] = 0
     assert depth_of_pair(shifted, scene.view()).shape == (480, 640)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from vitac.envs.vision.optics import Intrinsics
 from vitac.envs.vision.pictures import unit_normals
-from vitac.envs.vision.pinhole import Intrinsics
 from vitac.envs.vision.rasterizer import rasterize
 from vitac.envs.vision.stereo.dot_pattern import dot_pattern
 from vitac.envs.vision.stereo.infrared import (

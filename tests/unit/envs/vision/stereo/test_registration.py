@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from vitac.envs.vision.rig import BASELINE_M, COLOUR_INTRINSICS, INFRARED_INTRINSICS, LEFT_INFRARED_X_M
+from vitac.envs.vision.optics import COLOUR_INTRINSICS, INFRARED_INTRINSICS
+from vitac.envs.vision.rig import BASELINE_M, LEFT_INFRARED_X_M
 from vitac.envs.vision.stereo.matching import PARTS
 from vitac.envs.vision.stereo.registration import registered_depth_m
 

@@ -13,12 +13,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as st_numpy
+from vitac.envs.vision import back_projection
 from vitac.evaluator.agent import runtime
 from vitac.evaluator.agent.protocol.frames import (
     HEADER_MAX_BYTES,
     Answer,
     AnswerKind,
+    CloudSpec,
     FrameReader,
+    Question,
     QuestionKind,
     UnsendableObservation,
     array_code,
@@ -79,7 +82,7 @@ def test_arrays_reach_the_policy_unchanged(data: st.DataObject, dtype: str, shap
     value = data.draw(st_numpy.arrays(dtype, shape))
     ours, theirs = socket.socketpair()
     with ours:
-        ours.sendall(b"".join(encode_question(5, QuestionKind.OBSERVE, "ü", {"x": value})))
+        ours.sendall(b"".join(encode_question(5, Question(kind=QuestionKind.OBSERVE, text="ü", arrays={"x": value}))))
         connection = AGENT.Connection(theirs.detach())
         kind, text, arrays = connection.read()
         connection._socket.close()
@@ -101,7 +104,7 @@ def test_arrays_reach_the_policy_unchanged(data: st.DataObject, dtype: str, shap
 )
 def test_other_memory_layouts_are_converted(value: Any, far_end: tuple[socket.socket, Any]) -> None:
     ours, connection = far_end
-    ours.sendall(b"".join(encode_question(1, QuestionKind.OBSERVE, "", {"x": value})))
+    ours.sendall(b"".join(encode_question(1, Question(kind=QuestionKind.OBSERVE, arrays={"x": value}))))
     assert np.array_equal(connection.read()[2]["x"], value)
 
 
@@ -113,7 +116,7 @@ def test_refuses_to_send_other_types(dtype: str) -> None:
 
 def test_runtime_answers_are_read(far_end: tuple[socket.socket, Any]) -> None:
     ours, connection = far_end
-    ours.sendall(b"".join(encode_question(3, QuestionKind.OBSERVE, "", {})))
+    ours.sendall(b"".join(encode_question(3, Question(kind=QuestionKind.OBSERVE))))
     connection.read()
     connection.write("action", action=np.array([1, 2, 3], dtype="<f4"))
     answer = read(ours.recv(1 << 16))
@@ -190,3 +193,22 @@ def test_no_bytes_raise_anything_but_a_verdict(noise: bytes, position: int) -> N
     else:
         verdict = VerdictCode.PROTOCOL_VIOLATION
     assert verdict is VerdictCode.PROTOCOL_VIOLATION
+
+
+@pytest.mark.parametrize("keep_depth", [True, False])
+def test_runtime_makes_the_cloud_that_the_environment_would(
+    keep_depth: bool, far_end: tuple[socket.socket, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """To the last bit; the depth picture goes on to the policy only where it reads that, too."""
+    monkeypatch.setattr(AGENT, "BACK_PROJECTION", Path(back_projection.__file__))
+    depth_m = np.random.default_rng(0).uniform(0.0, 1.0, (30, 40)).astype(np.float32)
+    optics = [604.3075, 603.0, 317.2341, 233.7944]
+    spec = CloudSpec(name="cloud", depth="depth", keep_depth=keep_depth, intrinsics=optics)
+    ours, connection = far_end
+    question = Question(kind=QuestionKind.OBSERVE, arrays={"depth": depth_m}, clouds=(spec,))
+    ours.sendall(b"".join(encode_question(1, question)))
+    arrays = connection.read()[2]
+    assert set(arrays) == ({"depth", "cloud"} if keep_depth else {"cloud"})
+    expected = back_projection.point_cloud(depth_m, tuple(optics))
+    assert arrays["cloud"].dtype == np.float32
+    assert arrays["cloud"].tobytes() == expected.tobytes()
