@@ -79,7 +79,7 @@ def call_times_ms(scene: Scene, x: FloatArray, x_end: FloatArray) -> dict[str, f
     reach_m = np.full(len(model.surfaces.pairs), model.parameters.d_hat_m + model.parameters.candidate_margin_m)
     near = find_candidates(model.surfaces, y, reach_m)
     still, motion = np.zeros_like(reach_m), np.empty_like(reach_m)
-    relative_motion(model.surfaces, y_move, motion)
+    relative_motion(model.surfaces, y_move, np.empty((len(model.surfaces.point_start) - 1, 4)), motion)
     points, move = PointState(y, y, still), PointMove(y, y_move, still, motion)
     assemble(model, near, State(x, y, still), StepStart(x, y), w, EXACT_MATRIX)
     calls: dict[str, Callable[[], object]] = {

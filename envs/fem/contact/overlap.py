@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from ...compilation import allocating_kernel, kernel
 from ..algebra.vec3 import Vec3, cross, dot, load, subtract
 from ..model.model import Surfaces
-from .broad_phase import Search, near_rows
+from .broad_phase import IndexArray, Search, find_body_boxes, write_near_rows
 
 FloatArray = NDArray[np.float64]
 
@@ -30,23 +30,23 @@ def find_overlap(surfaces: Surfaces, y: FloatArray) -> Overlap:
 
     Points y [m] have shape [p, 3].
     """
+    search = Search(surfaces, y, find_body_boxes(surfaces, y), 0.0)
     for k in range(len(surfaces.pairs)):
         a, b = surfaces.pairs[k, 0], surfaces.pairs[k, 1]
-        edge, triangle = _crossing(surfaces, y, a, b)
+        edge, triangle = _crossing(search, a, b)
         if edge == _NOWHERE:
-            edge, triangle = _crossing(surfaces, y, b, a)
+            edge, triangle = _crossing(search, b, a)
         if edge != _NOWHERE or _encloses(surfaces, y, a, b) or _encloses(surfaces, y, b, a):
             return Overlap(a, b, edge, triangle)
     return Overlap(_NOWHERE, _NOWHERE, _NOWHERE, _NOWHERE)
 
 
 @allocating_kernel
-def _crossing(surfaces: Surfaces, y: FloatArray, a: int, b: int) -> tuple[int, int]:
+def _crossing(search: Search, a: int, b: int) -> tuple[int, int]:
     """Return an edge of body a and a triangle of body b that cross."""
-    search = Search(surfaces, y, 0.0)
-    edges = near_rows(search, surfaces.edges, surfaces.edge_start[a], surfaces.edge_start[a + 1], b)
-    starts = surfaces.triangle_start
-    triangles = near_rows(search, surfaces.triangles, starts[b], starts[b + 1], a)
+    surfaces, y = search.surfaces, search.y
+    edges = _near_rows(search, surfaces.edges, surfaces.edge_start[a : a + 2], b)
+    triangles = _near_rows(search, surfaces.triangles, surfaces.triangle_start[b : b + 2], a)
     for e in edges:
         p, q = load(y, surfaces.edges[e, 0]), load(y, surfaces.edges[e, 1])
         for t in triangles:
@@ -60,6 +60,13 @@ def _crossing(surfaces: Surfaces, y: FloatArray, a: int, b: int) -> tuple[int, i
             ):
                 return e, t
     return _NOWHERE, _NOWHERE
+
+
+@allocating_kernel
+def _near_rows(search: Search, rows: IndexArray, span: IndexArray, other: int) -> IndexArray:
+    """Return the rows (edges or triangles) of a span whose box meets that of body `other`."""
+    found = np.empty(span[1] - span[0], np.int64)
+    return found[: write_near_rows(search, rows, (span[0], span[1]), other, found)]
 
 
 @kernel

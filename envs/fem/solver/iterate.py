@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...compilation import allocating_kernel, kernel
+from ...compilation import allocating_kernel, kernel, large_kernel
 from ..algebra.rows import add_rows, copy_rows, scale_rows
 from ..contact.broad_phase import Candidates, find_candidates, relative_motion
 from ..model.model import PRESCRIBED, Model
@@ -36,6 +36,7 @@ class NewtonStep(NamedTuple):
     x: FloatArray  # [n, 3] of the nodes [m]
     y: FloatArray  # [p, 3] of the points [m]
     motion_ahead: FloatArray  # [k] motion of pairs of bodies at its end, since the candidates were listed [m]
+    body_motion: FloatArray  # [b, 4] mean motion of each body [m] and the largest relative to it, see `relative_motion`
 
 
 class Listing(NamedTuple):
@@ -69,6 +70,7 @@ def new_solve(model: Model, x: FloatArray, step: IpcStep) -> Solve:
             np.zeros((nodes, 3)),
             np.empty((points, 3)),
             np.zeros(pairs),
+            np.empty((len(model.surfaces.point_start) - 1, 4)),
         ),
         Listing(np.empty((points, 3)), np.full(pairs, model.parameters.candidate_margin_m), np.empty(pairs)),
     )
@@ -86,17 +88,24 @@ def list_candidates(model: Model, s: Solve) -> Candidates:
     return find_candidates(model.surfaces, s.iterate.y, s.listing.reach)
 
 
-@allocating_kernel
-def look_ahead(model: Model, s: Solve, candidates: Candidates) -> Candidates:
-    """Write how far the step moves bodies, and list the candidates anew if they are not complete for it."""
-    add_rows(s.iterate.y, 1.0, s.step.y, s.trial.y)
+@large_kernel
+def look_ahead(model: Model, s: Solve) -> bool:
+    """Write how far the step moves bodies; return whether the candidates are complete for it.
+
+    If not, the margin is widened and the candidates have to be listed anew.
+    """
+    step, margin = s.step, s.listing.margin
+    add_rows(s.iterate.y, 1.0, step.y, s.trial.y)
     add_rows(s.trial.y, -1.0, s.listing.y, s.trial.y)
-    relative_motion(model.surfaces, s.trial.y, s.step.motion_ahead)
-    if not np.any(s.step.motion_ahead > s.listing.margin):
-        return candidates
-    relative_motion(model.surfaces, s.step.y, s.step.motion_ahead)
-    s.listing.margin[:] = np.maximum(model.parameters.candidate_margin_m, _MARGIN * s.step.motion_ahead)
-    return list_candidates(model, s)
+    relative_motion(model.surfaces, s.trial.y, step.body_motion, step.motion_ahead)
+    complete = True
+    for k in range(len(margin)):
+        complete = complete and not step.motion_ahead[k] > margin[k]
+    if not complete:
+        relative_motion(model.surfaces, step.y, step.body_motion, step.motion_ahead)
+        for k in range(len(margin)):
+            margin[k] = max(model.parameters.candidate_margin_m, _MARGIN * step.motion_ahead[k])
+    return complete
 
 
 @kernel
@@ -112,18 +121,18 @@ def write_step(model: Model, prescribed_move: FloatArray, step: NewtonStep) -> f
     return largest
 
 
-@allocating_kernel
+@large_kernel
 def shorten_long_move(model: Model, step: NewtonStep) -> float:
     """Cut the move down to the longest allowed; return how far it would have moved bodies against each other [m]."""
     point_positions(model.points, step.x, step.y)
-    longest = relative_motion(model.surfaces, step.y, step.motion_ahead)
+    longest = relative_motion(model.surfaces, step.y, step.body_motion, step.motion_ahead)
     if longest > LONGEST_MOVE_M:
         scale_rows(LONGEST_MOVE_M / longest, step.x)
         scale_rows(LONGEST_MOVE_M / longest, step.y)
     return longest
 
 
-@allocating_kernel
+@large_kernel
 def make_step(model: Model, s: Solve, fraction: float, x_target: FloatArray, arriving: bool) -> None:
     """Move the iterate by a part of the step; `arriving` puts the prescribed nodes at their targets exactly."""
     add_rows(s.iterate.x, fraction, s.step.x, s.iterate.x)
@@ -131,7 +140,7 @@ def make_step(model: Model, s: Solve, fraction: float, x_target: FloatArray, arr
         _place_prescribed(model, x_target, s.iterate.x)
     point_positions(model.points, s.iterate.x, s.iterate.y)
     add_rows(s.iterate.y, -1.0, s.listing.y, s.trial.y)
-    relative_motion(model.surfaces, s.trial.y, s.iterate.motion)
+    relative_motion(model.surfaces, s.trial.y, s.step.body_motion, s.iterate.motion)
 
 
 @kernel

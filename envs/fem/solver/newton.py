@@ -128,7 +128,8 @@ def solve_step(
             record.counts[Counter.UNSTABLE] += 1
             return UNSTABLE
         longest = shorten_long_move(model, s.step)
-        candidates = look_ahead(model, s, candidates)
+        if not look_ahead(model, s):
+            candidates = list_candidates(model, s)
         fraction = feasible_fraction(model, candidates, s)
         if escaping:
             fraction = falling_fraction(model, candidates, s, workspace, fraction)

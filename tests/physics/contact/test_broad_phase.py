@@ -85,7 +85,7 @@ def test_relative_motion_bounds_the_change_of_every_distance(probe: Probe, seed:
     move = 1e-4 * random.normal(size=y.shape)
     for body in range(len(s.point_start) - 1):
         move[s.point_start[body] : s.point_start[body + 1]] += 1e-3 * random.normal(size=3)
-    bound = relative_motion(s, move, np.empty(3))
+    bound = relative_motion(s, move, np.empty((3, 4)), np.empty(3))
     pairs = [pair for k, pair in enumerate(all_pairs(probe)) if k % 37 == seed]
     changes = [abs(distance(y + move, pair) - distance(y, pair)) for pair in pairs]
     assert 0.2 * bound < max(changes) <= bound
@@ -93,7 +93,7 @@ def test_relative_motion_bounds_the_change_of_every_distance(probe: Probe, seed:
 
 def test_a_common_translation_is_no_relative_motion(probe: Probe) -> None:
     move = np.tile([3e-3, -1e-3, 2e-3], (probe.model.surfaces.point_start[-1], 1))
-    assert relative_motion(probe.model.surfaces, move, np.empty(3)) < 1e-15
+    assert relative_motion(probe.model.surfaces, move, np.empty((3, 4)), np.empty(3)) < 1e-15
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -103,7 +103,7 @@ def test_a_list_with_margin_stays_complete_under_motions_within_it(probe: Probe,
     candidates = listed(probe.candidates(probe.x_m, d_hat + margin))
     y = probe.points_m(probe.x_m)
     move = random.normal(size=y.shape)
-    move *= margin / relative_motion(probe.model.surfaces, move, np.empty(3))
+    move *= margin / relative_motion(probe.model.surfaces, move, np.empty((3, 4)), np.empty(3))
     move += [1e-2, 0, 0]
     near = {pair for pair in all_pairs(probe) if distance(y + move, pair) < d_hat}
     assert near <= candidates

@@ -74,7 +74,8 @@ class Probe:
         near = self.candidates(listed_m, self.model.parameters.d_hat_m * 1.5)
         y, y_start = self.points_m(x_m), self.points_m(self.start_m)
         motion = np.empty(len(self.model.surfaces.pairs))
-        relative_motion(self.model.surfaces, y - self.points_m(listed_m), motion)
+        body_motion = np.empty((len(self.model.surfaces.point_start) - 1, 4))
+        relative_motion(self.model.surfaces, y - self.points_m(listed_m), body_motion, motion)
         matrix = PROJECTED_MATRIX if projected else EXACT_MATRIX
         w = self._workspace
         w.system.prescribed_move[:] = move
