@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 from markupsafe import Markup
 
+from .data.limits import size
+
 if TYPE_CHECKING:
     from starlette.requests import Request
 
@@ -40,6 +42,9 @@ def environment() -> Environment:
         across=across,
         prose=prose,
         quantity=quantity,
+        size=size,
+        number=number,
+        within=within,
     )
     return jinja
 
@@ -96,6 +101,20 @@ def duration(seconds: float | None) -> str:
     if whole < 3600:
         return f"{whole // 60} min {whole % 60:02d} s"
     return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
+
+
+def within(seconds: float | None) -> str:
+    """Format a bound on times [s]: `within 50 ms`, `within 2 s`; None as a dash, infinite as beyond what is counted."""
+    if seconds is None:
+        return "–"
+    if seconds == float("inf"):
+        return "beyond what is counted"
+    return f"within {1000 * seconds:g} ms" if seconds < 1 else f"within {duration(seconds)}"
+
+
+def number(count: int) -> str:
+    """Format a number with its thousands apart."""
+    return f"{count:,}".replace(",", "\N{NARROW NO-BREAK SPACE}")
 
 
 def words(name: str) -> str:

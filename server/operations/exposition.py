@@ -52,8 +52,8 @@ class Exposition:
         disk = disk_of(self._services.settings.state_dir)
         try:
             with self._services.database.transaction() as session:
-                state = operations(session, self._services.settings)
                 counted = totals(session)
+                state = operations(session, self._services.settings, counted)
         except DBAPIError:
             return [_gauge("vitac_database_up", "Whether the database answers.", 0), *server_families(disk)]
         return [

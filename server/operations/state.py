@@ -3,7 +3,7 @@
 Every query looks at what is open or recent only, or at one narrow table, so that a scrape stays cheap.
 """
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from datetime import datetime, timedelta
 from enum import StrEnum
 from typing import TypeVar
@@ -19,9 +19,12 @@ from vitac.server.db.states import (
     ShardState,
     WorkerState,
 )
+from vitac.server.metrics.totals import SeriesKey
 from vitac.server.queue.workers import worker_view
 from vitac.server.settings import Settings
 from vitac.server.views.operations import MachineWorkerView, OperationsView, QueueView, StorageView
+
+from .counts import counts_of
 
 StateT = TypeVar("StateT", bound=StrEnum)
 
@@ -29,8 +32,8 @@ WORKERS_SHOWN_FOR = timedelta(hours=1)
 RATE_WINDOW = timedelta(minutes=5)
 
 
-def operations(session: Session, settings: Settings) -> OperationsView:
-    """Return the state of the service."""
+def operations(session: Session, settings: Settings, counted: Mapping[SeriesKey, float]) -> OperationsView:
+    """Return the state of the service, with a summary of the totals."""
     now = session.scalars(select(func.clock_timestamp())).one()
     recent = select(Worker).where(Worker.heartbeat_at > now - WORKERS_SHOWN_FOR).order_by(Worker.host, Worker.pid)
     return OperationsView(
@@ -41,6 +44,7 @@ def operations(session: Session, settings: Settings) -> OperationsView:
             for worker in session.scalars(recent)
         ],
         episodes_in_5_minutes=_episodes_since(session, now - RATE_WINDOW),
+        counts=counts_of(counted),
         at=now,
     )
 

@@ -34,11 +34,31 @@ class MachineWorkerView(View):
     """No heartbeat for longer than `VITAC_WORKER_LOST_AFTER_S`, although it did not report its end."""
 
 
+class CountsView(View):
+    """What all processes have counted since the database was made.
+
+    `..._within_s`: so long took 95 % at most; None before the first, infinite beyond the largest bound that is counted.
+    """
+
+    episodes: int
+    shards_finished: int
+    shard_retries: int
+    shards_given_up: int
+    leases_lost: int
+    requests: int
+    requests_failed: int
+    """Answered with a status of 500 or above."""
+    requests_within_s: float | None
+    claims_within_s: float | None
+    shard_waits_within_s: float | None
+
+
 class OperationsView(View):
-    """Everything but the totals of `server.metrics`."""
+    """The state of the service, and what was counted."""
 
     queue: QueueView
     storage: StorageView
     workers: list[MachineWorkerView]
     episodes_in_5_minutes: int
+    counts: CountsView
     at: datetime

@@ -3,10 +3,10 @@ from typing import Any
 
 import pytest
 from axe_playwright_python.sync_playwright import Axe
-from page_fixtures import FixedData, a_leaderboard, a_submission
+from page_fixtures import FixedData, a_leaderboard, a_submission, a_worker, an_operations_view
 from playwright.sync_api import Browser, ConsoleMessage, Page, expect
 from site_under_test import SiteUnderTest
-from vitac.server.db.states import EvaluationState
+from vitac.server.db.states import EvaluationState, WorkerState
 from vitac.server.views.submissions import SubmissionView
 
 PHONE = {"width": 375, "height": 740}
@@ -52,6 +52,26 @@ def test_pages_are_accessible_fit_and_raise_no_error(
         assert violations(page) == [], path
     assert complaints.heard == []
     context.close()
+
+
+@pytest.mark.parametrize(("scheme", "size"), [("light", DESK), ("dark", PHONE)], ids=["light desk", "dark phone"])
+def test_operations_are_accessible_fit_and_need_no_javascript(
+    browser: Browser, site: SiteUnderTest, scheme: str, size: dict[str, int]
+) -> None:
+    site.data.service = an_operations_view(
+        a_worker(WorkerState.READY), a_worker(WorkerState.REFUSING, message="The sandbox does not hold. " * 5)
+    )
+    for scripted in (True, False):
+        context = browser.new_context(viewport=size, color_scheme=scheme, java_script_enabled=scripted)  # type: ignore[arg-type]
+        page = context.new_page()
+        site.sign_in(page, "organizers")
+        page.locator("a[href='/operations']").first.click()
+        expect(page.locator("h1")).to_have_text("Operations")
+        expect(page.locator("text=machine-1").first).to_be_visible()
+        if scripted:
+            assert page.evaluate("document.documentElement.scrollWidth") <= size["width"]
+            assert violations(page) == []
+        context.close()
 
 
 def test_an_empty_site_is_accessible(page: Page, site: SiteUnderTest) -> None:

@@ -10,8 +10,10 @@ if TYPE_CHECKING:
     from uuid import UUID
 
     from vitac.server.accounts.principals import Principal
+    from vitac.server.queue.workers import Disk
     from vitac.server.views.leaderboards import LeaderboardView, LogBoardsView
     from vitac.server.views.logs import ActionMatchView
+    from vitac.server.views.operations import OperationsView
     from vitac.server.views.submissions import EpisodeView, SubmissionListView, SubmissionView
 
 
@@ -88,6 +90,12 @@ class PageData(Protocol):
 
     async def cancel(self, visitor: Visitor, submission_id: UUID) -> None:
         """Cancel the queued or running evaluation of a submission."""
+
+    async def operations(self) -> OperationsView:
+        """Return the state of the service, for organizers."""
+
+    def server_disk(self) -> Disk:
+        """Return the disk of this server's state directory."""
 
     def log_size(self) -> str:
         """Return the largest size of a log, as text."""

@@ -13,6 +13,9 @@ from vitac.server.accounts import tokens
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.leaderboards import log_boards, standings
 from vitac.server.logs import action_matches
+from vitac.server.metrics.totals import totals
+from vitac.server.operations.state import operations
+from vitac.server.queue.workers import disk_of
 from vitac.server.submissions import listing, runs
 
 from .limits import limit_rows, size
@@ -25,8 +28,10 @@ if TYPE_CHECKING:
     from sqlalchemy.orm import Session
     from vitac.server.accounts.principals import Principal
     from vitac.server.db.engine import Database
+    from vitac.server.queue.workers import Disk
     from vitac.server.settings import Settings
     from vitac.server.views.leaderboards import LeaderboardView, LogBoardsView
+    from vitac.server.views.operations import OperationsView
     from vitac.server.views.submissions import SubmissionListView
 
     from .protocol import LimitRow
@@ -77,6 +82,14 @@ class ServiceData:
     async def cancel(self, visitor: Visitor, submission_id: UUID) -> None:
         """Cancel an evaluation."""
         await self._run(lambda session: runs.cancel(session, visitor.principal, submission_id))
+
+    async def operations(self) -> OperationsView:
+        """Return the state of the service."""
+        return await self._run(lambda session: operations(session, self.settings, totals(session)))
+
+    def server_disk(self) -> Disk:
+        """Return the disk of this server's state directory."""
+        return disk_of(self.settings.state_dir)
 
     def log_size(self) -> str:
         """Return the largest size of a log."""

@@ -9,7 +9,7 @@ from starlette.staticfiles import StaticFiles
 
 from ..headers import SecurityHeaders
 from ..rendering import STATIC
-from . import errors, sign_in, submissions, tracks
+from . import errors, operations, sign_in, submissions, tracks
 
 if TYPE_CHECKING:
     from fastapi import FastAPI
@@ -52,6 +52,7 @@ def _router() -> APIRouter:
         ("/submissions/{submission_id}", submissions.submission, "GET"),
         ("/submissions/{submission_id}/events", submissions.events, "GET"),
         ("/submissions/{submission_id}/cancel", submissions.cancel, "POST"),
+        ("/operations", operations.operations, "GET"),
         ("/sign-in", sign_in.sign_in_form, "GET"),
         ("/sign-in", sign_in.sign_in, "POST"),
         ("/sign-out", sign_in.sign_out, "POST"),

@@ -1,5 +1,6 @@
 """Three workers and two servers that have only a database and a bucket in common, as on machines of their own."""
 
+import json
 import os
 import signal
 import subprocess
@@ -11,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import httpx
+import psycopg
 import pytest
 import short_evaluation
 from databases import fresh_database, state_directory
@@ -21,7 +23,8 @@ from service_factories import TASK, TRACK
 from short_evaluation import EPISODES
 from worker_fakes import eventually
 
-SERVE = "import short_evaluation; short_evaluation.shorten(); from vitac.cli.main import main; main()"
+MAIN = "from vitac.cli.main import main; main()"
+SERVE = f"import short_evaluation; short_evaluation.shorten(); {MAIN}"
 N_WORKERS, N_SERVERS = 3, 2
 LIMIT_S = 240.0
 
@@ -34,7 +37,6 @@ class Machines:
     stack: ExitStack
     servers: list[str] = field(default_factory=list)
     server_processes: list["subprocess.Popen[str]"] = field(default_factory=list)
-    workers: list["subprocess.Popen[str]"] = field(default_factory=list)
 
     def start_server(self) -> None:
         process = self._start("-c", SERVE, "serve", "--port", "0", stdout=subprocess.PIPE)
@@ -44,7 +46,7 @@ class Machines:
         self.server_processes.append(process)
 
     def start_worker(self) -> None:
-        self.workers.append(self._start(short_evaluation.__file__))
+        self._start(short_evaluation.__file__)
 
     def _start(self, *arguments: str, **options: Any) -> "subprocess.Popen[str]":
         folder = state_directory()
@@ -55,6 +57,26 @@ class Machines:
         self.stack.callback(process.wait)
         self.stack.callback(process.terminate)
         return process
+
+    def ready_workers(self) -> int:
+        """How many workers the last server knows of."""
+        ready: int = httpx.get(f"{self.servers[-1]}/ready").json()["workers"]["alive"]
+        return ready
+
+    def busy_workers(self) -> list[int]:
+        """Process ids of the workers that hold a shard."""
+        query = "SELECT pid FROM workers JOIN shards ON shards.worker_id = workers.id WHERE shards.state = 'running'"
+        with psycopg.connect(self.common["VITAC_DATABASE_URL"]) as connection:
+            return [pid for (pid,) in connection.execute(query)]
+
+    def submit(self, server: int) -> tuple[str, str]:
+        """Submits for a new team; path of the submission and the team's token."""
+        registered = httpx.post(f"{self.servers[server]}{API}/teams", json={"name": "Team A"})
+        token = registered.json()["token"]["secret"]
+        headers = bearer(token) | {"Content-Type": "application/zip"}
+        submitted = httpx.post(f"{self.servers[server]}{API}/submissions", content=HONEST, headers=headers, timeout=60)
+        assert submitted.status_code == 202, submitted.text
+        return f"{API}/submissions/{submitted.json()['id']}", token
 
     def get(self, server: int, path: str, token: str) -> Any:
         answer = httpx.get(f"{self.servers[server]}{path}", headers=bearer(token), timeout=30)
@@ -72,24 +94,19 @@ def machines(tmp_path: Path) -> Iterator[Machines]:
         machines = Machines(common=common, stack=stack)
         for _ in range(N_SERVERS):
             machines.start_server()
-        for _ in range(N_WORKERS):
-            machines.start_worker()
         yield machines
 
 
 def test_what_one_machine_takes_all_evaluate_and_any_shows_although_some_are_killed(
     machines: Machines, undisturbed_hash: str
 ) -> None:
-    registered = httpx.post(f"{machines.servers[0]}{API}/teams", json={"name": "Team A"})
-    token = registered.json()["token"]["secret"]
-    eventually(lambda: machines.get(1, "/ready", token)["workers"]["alive"] == N_WORKERS, LIMIT_S)
-    headers = bearer(token) | {"Content-Type": "application/zip"}
-    submitted = httpx.post(f"{machines.servers[0]}{API}/submissions", content=HONEST, headers=headers, timeout=60)
-    assert submitted.status_code == 202, submitted.text
-    path = f"{API}/submissions/{submitted.json()['id']}"
-    eventually(lambda: machines.get(1, path, token)["evaluation"]["progress"]["episodes_done"] >= 1, LIMIT_S)
-    for process in (machines.server_processes[0], machines.workers[0]):
-        process.send_signal(signal.SIGKILL)
+    for _ in range(N_WORKERS):
+        machines.start_worker()
+    eventually(lambda: machines.ready_workers() == N_WORKERS, LIMIT_S)
+    path, token = machines.submit(0)
+    eventually(lambda: bool(machines.busy_workers()), LIMIT_S)
+    for pid in (machines.server_processes[0].pid, machines.busy_workers()[0]):
+        os.kill(pid, signal.SIGKILL)
     eventually(lambda: machines.get(1, path, token)["evaluation"]["finished_at"] is not None, LIMIT_S)
     evaluation = machines.get(1, path, token)["evaluation"]
     assert (evaluation["state"], evaluation["verdict"]) == ("completed", None)
@@ -97,3 +114,22 @@ def test_what_one_machine_takes_all_evaluate_and_any_shows_although_some_are_kil
     assert evaluation["result_hash"] == undisturbed_hash
     board = machines.get(1, f"{API}/leaderboards/{TRACK}?task={TASK}", token)
     assert [entry["result_hash"] for entry in board["entries"]] == [undisturbed_hash]
+
+
+def test_servers_share_sessions_and_show_the_same_metrics(machines: Machines) -> None:
+    added = subprocess.run(
+        [sys.executable, "-c", MAIN, "admin", "token", "add", "--organizer", "--json"],
+        env=os.environ | machines.common,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    token = json.loads(added.stdout)["secret"]
+    signed_in = httpx.post(f"{machines.servers[0]}/sign-in", data={"token": token})
+    assert signed_in.status_code == 303
+    page = httpx.get(f"{machines.servers[1]}/operations", cookies=signed_in.cookies)
+    assert page.status_code == 200
+    machines.submit(0)
+    for address in machines.servers:
+        figures = httpx.get(f"{address}/metrics", headers=bearer(token)).text
+        assert 'vitac_evaluations{state="queued"} 1.0' in figures

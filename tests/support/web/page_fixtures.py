@@ -15,8 +15,9 @@ from vitac.evaluator.scoring.score import Score, rate
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import load_track
 from vitac.server.accounts.principals import Principal
-from vitac.server.db.states import EvaluationState, Role
+from vitac.server.db.states import EvaluationState, Role, WorkerState
 from vitac.server.errors import ProblemCode, ServiceError, not_found
+from vitac.server.queue.workers import Disk
 from vitac.server.settings import load_settings
 from vitac.server.views.accounts import TeamView
 from vitac.server.views.evaluations import (
@@ -35,9 +36,10 @@ from vitac.server.views.leaderboards import (
     TextLogEntryView,
 )
 from vitac.server.views.logs import ActionMatchView, DivergenceView, LogView, MatchedEpisodeView
+from vitac.server.views.operations import CountsView, MachineWorkerView, OperationsView, QueueView, StorageView
 from vitac.server.views.scores import ShapeScoreView, TaskScoreView
 from vitac.server.views.submissions import EpisodeView, RankView, SubmissionListView, SubmissionView
-from vitac.server.views.workers import WorkersView
+from vitac.server.views.workers import WorkersView, WorkerView
 from vitac.web.data.protocol import LimitRow, SubmissionDetail, Visitor
 from vitac.web.pages import routes
 from vitac.web.session.signer import SessionSigner
@@ -379,6 +381,56 @@ def a_visitor(name: str, role: Role = Role.TEAM) -> Visitor:
     return Visitor(principal=principal, token_id=an_id(f"t:{name}"))
 
 
+def a_worker(state: WorkerState, *, is_lost: bool = False, message: str = "") -> MachineWorkerView:
+    """A worker on a machine with a disk of 100 GiB."""
+    worker = WorkerView(
+        id=an_id(f"worker {state} {is_lost}"),
+        host="machine-1",
+        pid=4711,
+        slots=2,
+        state=state,
+        message=message,
+        isolation="user: root, memory: cgroup-v1",
+        evaluator_version="1+0123456789ab",
+        platform_class="x86_64-linux",
+        started_at=NOW - timedelta(hours=2),
+        heartbeat_at=NOW,
+        disk_bytes=100 << 30,
+        disk_free_bytes=12 << 30,
+    )
+    return MachineWorkerView(worker=worker, is_lost=is_lost)
+
+
+def an_operations_view(*workers: MachineWorkerView) -> OperationsView:
+    """A busy service."""
+    return OperationsView(
+        queue=QueueView(
+            shards_queued=18_000,
+            shards_running=4,
+            oldest_shard_s=3660.0,
+            evaluations_queued=2000,
+            evaluations_running=2,
+            oldest_evaluation_s=3660.0,
+        ),
+        storage=StorageView(uploads=1234, uploads_bytes=5 << 30, database_bytes=700 << 20),
+        workers=list(workers),
+        episodes_in_5_minutes=270,
+        counts=CountsView(
+            episodes=123_456,
+            shards_finished=4100,
+            shard_retries=3,
+            shards_given_up=0,
+            leases_lost=1,
+            requests=9000,
+            requests_failed=2,
+            requests_within_s=0.05,
+            claims_within_s=0.02,
+            shard_waits_within_s=float("inf"),
+        ),
+        at=NOW,
+    )
+
+
 @dataclass(kw_only=True)
 class FixedData:
     """A service with fixed content; tokens are `token-of-<name>`. Implements `PageData`."""
@@ -391,6 +443,7 @@ class FixedData:
     logs: LogBoardsView = field(default_factory=some_log_boards)
     matches: list[ActionMatchView] = field(default_factory=list)
     cancelled: list[UUID] = field(default_factory=list)
+    service: OperationsView = field(default_factory=an_operations_view)
 
     async def visitor_with_token(self, token: str) -> Visitor | None:
         return next((visitor for visitor in self.visitors if token == f"token-of-{visitor.name}"), None)
@@ -426,6 +479,12 @@ class FixedData:
         if submission.evaluation.finished_at is not None:
             raise ServiceError(ProblemCode.NOT_CANCELLABLE, "The evaluation has ended.")
         self.cancelled.append(submission_id)
+
+    async def operations(self) -> OperationsView:
+        return self.service
+
+    def server_disk(self) -> Disk:
+        return Disk(total_bytes=200 << 30, free_bytes=50 << 30)
 
     def log_size(self) -> str:
         return "32 MiB"

@@ -10,6 +10,7 @@ from vitac.evaluator.version import evaluator_version
 from vitac.server.db.engine import Database
 from vitac.server.db.models import EpisodeResult, Evaluation, Shard, Worker
 from vitac.server.db.states import WorkerState
+from vitac.server.metrics.totals import totals
 from vitac.server.operations.state import operations
 from vitac.server.settings import Settings
 from vitac.server.views.operations import OperationsView
@@ -22,7 +23,7 @@ def settings(tmp_path: Path) -> Settings:
 
 def look(database: Database, settings: Settings) -> OperationsView:
     with database.transaction() as session:
-        return operations(session, settings)
+        return operations(session, settings, totals(session))
 
 
 def add_worker(session: Session, state: WorkerState, *, seen_ago: timedelta = timedelta(0)) -> None:

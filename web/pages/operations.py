@@ -1,0 +1,29 @@
+"""The organizers' page *Operations*: the state of the service at a glance, the same figures as `/metrics`."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from starlette.responses import Response
+from vitac.server.errors import ProblemCode, ServiceError
+
+from ..site import page, require_viewer, site_of
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+
+
+async def operations(request: Request) -> Response:
+    """Show queue, workers, storage and counts to an organizer.
+
+    Raises:
+        ServiceError: the visitor is a team.
+    """
+    viewer = await require_viewer(request)
+    if isinstance(viewer, Response):
+        return viewer
+    if not viewer.is_organizer:
+        raise ServiceError(ProblemCode.FORBIDDEN, "This page is for organizers. Sign in with an organizer's token.")
+    data = site_of(request).data
+    found = await data.operations()
+    return page(request, "operations.html", viewer=viewer, section="/operations", found=found, disk=data.server_disk())
