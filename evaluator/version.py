@@ -45,6 +45,10 @@ def evaluator_version() -> str:
     return f"{EVALUATOR_RELEASE}+{evaluator_hash()[:12]}"
 
 
+PLATFORM_CLASSES = frozenset({"aarch64-linux", "x86_64-linux"})
+"""Those that logs may come from whose states differ from ours: the sandbox, and so an evaluation, needs Linux."""
+
+
 def platform_class() -> str:
     """Return the machines of one class give the same states to the last bit, e.g. `x86_64-linux`."""
     return f"{platform.machine().lower()}-{platform.system().lower()}"

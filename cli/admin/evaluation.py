@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
 EvaluationId = Annotated[UUID, typer.Argument(help="Id of the evaluation.")]
-COLUMNS = ("id", "team", "submission", "run", "state", "success", "steps", "verdict", "alarms", "created")
+COLUMNS = ("id", "team", "submission", "run", "state", "success", "steps", "verdict", "alarms", "copied", "created")
 
 
 @app.command("list")
@@ -25,7 +25,11 @@ def list_evaluations(
     limit: Annotated[int, typer.Option(min=1, max=1000, help="At most so many.")] = 50,
     as_json: AsJson = False,
 ) -> None:
-    """List evaluations, newest first. Alarms: episodes that were played again with another result."""
+    """List evaluations, newest first.
+
+    Alarms: episodes that were played again with another result. Copied: episodes of a log with the states of an earlier
+    submission of another team.
+    """
     from vitac.server.evaluations import listing
 
     wanted = None if state is None else known_state(state)
@@ -100,6 +104,7 @@ def _row(row: "EvaluationRowView") -> list[object]:
         row.mean_steps,
         row.verdict.code if row.verdict else None,
         row.differing_episodes or None,
+        row.copied_episodes or None,
         moment(row.created_at),
     ]
 

@@ -18,7 +18,7 @@ class VerificationResult(StrEnum):
     VERIFIED = "verified"
     """Every state hash is equal."""
     WITHIN_TOLERANCE = "verified within tolerance"
-    """Made on another platform class; states differ, all outcomes and numbers of env steps are equal."""
+    """Made on another known platform class; states differ, all outcomes and numbers of env steps are equal."""
     DIVERGED = "diverged"
     """The actions lead to other states than the log says."""
     IMPOSSIBLE = "impossible"

@@ -13,6 +13,7 @@ from ..episodes.replay import Resimulated, resimulate
 from ..scoring.score import Score, score
 from ..strict_model import StrictModel
 from ..tracks import Task, Track
+from ..version import PLATFORM_CLASSES
 from .checks import must_agree, why_impossible
 from .findings import Divergence, LogFinding, VerificationResult, comparable
 from .log import LogHeader
@@ -113,7 +114,8 @@ def check_episode(
     recording = recording_of(record, task)
     played = resimulate(env, recording.episode, recording.actions)
     divergence = find_divergence(record, played)
-    other_platform = header.manifest.platform_class != manifest.platform_class
+    # Of an invented class nothing is tolerated: anybody may write one.
+    other_platform = header.manifest.platform_class in PLATFORM_CLASSES - {manifest.platform_class}
     ended_as_recorded = _ended_as_recorded(record, played)
     if other_platform and not ended_as_recorded:
         divergence = _divergence_at(min(record.env_steps, played.end_step or record.env_steps), record, played)

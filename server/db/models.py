@@ -23,6 +23,7 @@ from sqlalchemy import (
     Text,
     UniqueConstraint,
     Uuid,
+    false,
     func,
     text,
 )
@@ -235,7 +236,8 @@ class Evaluation(Base):
 class BoardResult(Base):
     """What a completed evaluation is ranked by on one board: that of a task, or under `ALL_TASKS` that of the track.
 
-    Repeats what the rows of its evaluation, submission and team say, so that one index finds the best of each team.
+    `is_copy` is a log that is not ranked because another team reached its states before (`LogCopy`). The rest repeats
+    what the rows of its evaluation, submission and team say, so that one index finds the best of each team.
     """
 
     __tablename__ = "board_results"
@@ -255,6 +257,7 @@ class BoardResult(Base):
     success_rate: Mapped[float] = mapped_column(Float)
     mean_steps: Mapped[float | None] = mapped_column(Float)
     submitted_at: Mapped[datetime]
+    is_copy: Mapped[bool] = mapped_column(default=False, server_default=false())
     evaluation: Mapped[Evaluation] = relationship(back_populates="board_results")
 
 
@@ -308,6 +311,7 @@ class EpisodeResult(Base):
         _sha256_check("submission_digest"),
         _sha256_check("record_digest"),
         Index("ix_episode_results_task_created_at", "task", text("created_at DESC")),
+        Index("ix_episode_results_states", "states_digest", "task", "episode"),
     )
     id: Mapped[int] = mapped_column(BigInteger, Identity(always=True), primary_key=True)
     submission_digest: Mapped[str] = mapped_column(String(64))
@@ -322,9 +326,21 @@ class EpisodeResult(Base):
     env_steps: Mapped[int]
     record: Mapped[dict[str, Any]]
     record_digest: Mapped[str] = mapped_column(String(64))
+    states_digest: Mapped[str] = mapped_column(String(64))
     wall_s: Mapped[float] = mapped_column(Float)
     evaluation_id: Mapped[UUID | None] = mapped_column(ForeignKey("evaluations.id", ondelete="SET NULL"), index=True)
     created_at: Mapped[datetime] = mapped_column(server_default=func.now())
+
+
+class LogCopy(Base):
+    """So many episodes of a log have the states of an earlier submission of another team, the one with most of them."""
+
+    __tablename__ = "log_copies"
+    __table_args__ = (CheckConstraint("episodes > 0", name="some_are_equal"),)
+    evaluation_id: Mapped[UUID] = mapped_column(ForeignKey("evaluations.id", ondelete="CASCADE"), primary_key=True)
+    earlier_submission_id: Mapped[UUID] = mapped_column(ForeignKey("submissions.id", ondelete="CASCADE"))
+    episodes: Mapped[int]
+    found_at: Mapped[datetime] = mapped_column(server_default=func.now())
 
 
 class EpisodeDifference(Base):

@@ -1,5 +1,6 @@
 """Stored episodes: one row for each key and episode, written by whoever holds the shard, never written twice."""
 
+import hashlib
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -42,13 +43,13 @@ class EpisodeKey:
             run=lease.run,
         )
 
-    def conditions(self) -> tuple[Any, ...]:
-        """Return the key as conditions on `EpisodeResult`."""
+    def conditions(self, result: type[EpisodeResult] = EpisodeResult) -> tuple[Any, ...]:
+        """Return the key as conditions on `EpisodeResult` or an alias of it."""
         return (
-            EpisodeResult.submission_digest == self.submission_digest,
-            EpisodeResult.evaluator_version == self.evaluator_version,
-            EpisodeResult.track == self.track,
-            EpisodeResult.run == self.run,
+            result.submission_digest == self.submission_digest,
+            result.evaluator_version == self.evaluator_version,
+            result.track == self.track,
+            result.run == self.run,
         )
 
 
@@ -97,9 +98,15 @@ def row_values(lease: Lease, record: EpisodeRecord) -> dict[str, Any]:
         "env_steps": record.env_steps,
         "record": record.model_dump(mode="json"),
         "record_digest": record.record_digest(),
+        "states_digest": states_digest(record),
         "wall_s": record.timings.wall_s,
         "evaluation_id": lease.evaluation_id,
     }
+
+
+def states_digest(record: EpisodeRecord) -> str:
+    """SHA-256 [hex] over all states of an episode, by which those of different submissions are compared."""
+    return hashlib.sha256("\n".join(record.state_hashes).encode()).hexdigest()
 
 
 def storable(record: EpisodeRecord) -> EpisodeRecord:

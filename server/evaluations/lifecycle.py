@@ -17,10 +17,10 @@ from vitac.evaluator.version import evaluator_hash, evaluator_version
 from vitac.server.db.models import Evaluation, Shard, Submission
 from vitac.server.db.row_locks import lock_evaluation
 from vitac.server.db.states import OPEN_SHARD_STATES, EvaluationState, ShardState
+from vitac.server.evaluations.copies import flag_copies
 from vitac.server.evaluations.episode_store import EpisodeKey, count_stored, records_of, stored_episodes
 from vitac.server.evaluations.provenance import manifest_of
-from vitac.server.evaluations.result_hashes import combine_hashes
-from vitac.server.evaluations.scores import store_scores
+from vitac.server.evaluations.scores import combine_hashes, store_scores
 from vitac.server.evaluations.verdicts import ServiceVerdict
 from vitac.server.queue.jobs import enqueue_shards, withdraw_jobs
 from vitac.server.queue.leases import Lease, end_shard, hand_back, lock_held
@@ -181,6 +181,8 @@ def _complete(session: Session, evaluation: Evaluation, records: dict[str, list[
     evaluation.platform_class = next(iter(manifests.values())).platform_class
     evaluation.state = EvaluationState.COMPLETED
     evaluation.finished_at = datetime.now(UTC)
+    session.flush()
+    flag_copies(session, evaluation)
 
 
 def _fail_by_policy(

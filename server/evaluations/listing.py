@@ -11,6 +11,7 @@ from ..errors import not_found
 from ..queue.workers import workers_alive
 from ..settings import Settings
 from ..views.evaluations import EvaluationDetailView, EvaluationRowView, ShardView
+from .copies import count_copied_episodes
 from .differences import count_differing_episodes
 from .scores import combined_score
 from .view import EvaluationRows, evaluation_view, summary_view, verdict_view
@@ -31,14 +32,14 @@ def find(session: Session, evaluation_id: UUID) -> Evaluation:
 def list_evaluations(session: Session, *, state: EvaluationState | None = None, limit: int) -> list[EvaluationRowView]:
     """Return the newest evaluations (in a state), newest first."""
     query = (
-        select(Evaluation, count_differing_episodes())
+        select(Evaluation, count_differing_episodes(), count_copied_episodes())
         .options(defer(Evaluation.log_tail), joinedload(Evaluation.submission).joinedload(Submission.team))
         .order_by(Evaluation.created_at.desc(), Evaluation.id)
         .limit(limit)
     )
     if state is not None:
         query = query.where(Evaluation.state == state)
-    return [_row(evaluation, differing) for evaluation, differing in session.execute(query)]
+    return [_row(evaluation, differing, copied) for evaluation, differing, copied in session.execute(query)]
 
 
 def show_evaluation(session: Session, settings: Settings, evaluation_id: UUID) -> EvaluationDetailView:
@@ -59,7 +60,7 @@ def show_evaluation(session: Session, settings: Settings, evaluation_id: UUID) -
     )
 
 
-def _row(evaluation: Evaluation, differing: int) -> EvaluationRowView:
+def _row(evaluation: Evaluation, differing: int, copied: int) -> EvaluationRowView:
     combined = combined_score(evaluation)
     return EvaluationRowView(
         **dict(summary_view(evaluation)),
@@ -72,6 +73,7 @@ def _row(evaluation: Evaluation, differing: int) -> EvaluationRowView:
         platform_class=evaluation.platform_class,
         started_at=evaluation.started_at,
         differing_episodes=differing,
+        copied_episodes=copied,
     )
 
 

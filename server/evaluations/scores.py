@@ -1,5 +1,6 @@
 """Scores as they are stored with an evaluation and as they are shown; called where evaluations end and are read."""
 
+import hashlib
 from collections.abc import Collection, Mapping
 
 from vitac.evaluator.scoring.ranking import CombinedScore, combine
@@ -22,6 +23,14 @@ def store_scores(evaluation: Evaluation, scores: Mapping[str, Score], hashes: Ma
     combined = combined_score(evaluation)
     if combined is not None and evaluation.submission.kind.form.runs_policy:
         evaluation.board_results.append(_board_result(evaluation, ALL_TASKS, combined))
+
+
+def combine_hashes(hashes: Mapping[str, str]) -> str:
+    """Return the hash of the one task; of several, SHA-256 [hex] over a line `task hash` for each, by task name."""
+    if len(hashes) == 1:
+        return next(iter(hashes.values()))
+    lines = "".join(f"{task} {hashes[task]}\n" for task in sorted(hashes))
+    return hashlib.sha256(lines.encode()).hexdigest()
 
 
 def scores_of(evaluation: Evaluation) -> dict[str, Score]:

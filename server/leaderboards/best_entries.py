@@ -35,7 +35,7 @@ class Board:
 
 @dataclass(frozen=True, kw_only=True)
 class BestEntry:
-    """The best entry of a team on a board. `rank` is None where another evaluator version made it."""
+    """The best entry of a team on a board. `rank` is None where another version made it, and of a copied log."""
 
     rank: int | None
     evaluation_id: UUID
@@ -87,17 +87,17 @@ def ranking_order(result: type[BoardResult]) -> tuple[ColumnElement[Any], ...]:
 @cache
 def _best_of_teams() -> Select[UUID, UUID]:
     """Ids of evaluation and submission of each team's best entry of a version, best first."""
-    best = _best_result(bindparam("board"), _of_version(BoardResult))
+    best = _best_result(bindparam("board"), _of_version(BoardResult), ~BoardResult.is_copy)
     return _ids(best).select_from(Team).join(best, true()).order_by(*ranking_order(best))
 
 
 @cache
 def _best_of_other_versions() -> Select[UUID, UUID]:
-    """Return the same of teams without any entry of the version, whichever version made theirs."""
+    """Return the same of teams without a ranked entry of the version: made by another one, or copies."""
     best, ranked = _best_result(bindparam("board")), aliased(BoardResult)
     has_ranked = (
         select(ranked.evaluation_id)
-        .where(*_on(ranked, bindparam("board")), _of_version(ranked), ranked.team_id == Team.id)
+        .where(*_on(ranked, bindparam("board")), _of_version(ranked), ~ranked.is_copy, ranked.team_id == Team.id)
         .exists()
     )
     return _ids(best).select_from(Team).join(best, true()).where(~has_ranked).order_by(*ranking_order(best))

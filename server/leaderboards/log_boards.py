@@ -4,6 +4,7 @@ A log proves its actions, not that a policy chose them, so it never ranks togeth
 """
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from uuid import UUID
 
@@ -14,6 +15,7 @@ from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import Track
 from vitac.evaluator.version import evaluator_version
 from vitac.server.db.models import BoardResult, Evaluation
+from vitac.server.evaluations.copies import copies_among
 from vitac.server.evaluations.scores import score_views
 from vitac.server.leaderboards.best_entries import BestEntry, Board, best_entries
 from vitac.server.leaderboards.made_boards import MadeBoard, MadeBoards, revision_of
@@ -22,10 +24,12 @@ from vitac.server.logs.claims import LogClaim
 from vitac.server.logs.view import verification_of
 from vitac.server.tracks import load_known_track
 from vitac.server.views.leaderboards import LogBoardsView, LogBoardView, LogEntryView, TextLogEntryView
+from vitac.server.views.logs import LogCopyView
 
 RANKING_RULE = (
     "Higher success rate first; then fewer mean env steps of the successful episodes; then the earlier submission. "
-    "Only verified logs are ranked, the best of each team, task by task, and never together with models."
+    "Only verified logs are ranked, the best of each team, task by task, and never together with models. "
+    "A log is not ranked if half of its episodes or more have the states of an earlier submission of another team."
 )
 MAX_TEXT_LOGS = 200
 
@@ -44,18 +48,23 @@ def log_boards(session: Session, track_name: str) -> MadeBoard[LogBoardsView]:
         task: best_entries(session, Board(track=track.name, kind=SubmissionKind.LOG, task=task)) for task in track.tasks
     }
     text_logs = _newest_text_logs(session, track.name)
-    revision = revision_of(f"logs of {track.name}", [*best.items(), *text_logs])
-    return _made_boards.get(track.name, revision, lambda last: _view(session, track, best, text_logs, revision, last))
+    copies = copies_among(session, [entry.evaluation_id for entries in best.values() for entry in entries])
+    revision = revision_of(f"logs of {track.name}", [*best.items(), *sorted(copies.items()), *text_logs])
+    shown = _Shown(best=best, copies=copies, text_logs=text_logs, revision=revision)
+    return _made_boards.get(track.name, revision, lambda last: _view(session, track, shown, last))
 
 
-def _view(
-    session: Session,
-    track: Track,
-    best: Mapping[str, list[BestEntry]],
-    text_logs: Sequence[UUID],
-    revision: str,
-    last: LogBoardsView | None,
-) -> LogBoardsView:
+@dataclass(frozen=True, kw_only=True)
+class _Shown:
+    """What is on the boards of a revision: the best logs by task, which of them are copies, and text logs."""
+
+    best: Mapping[str, list[BestEntry]]
+    copies: Mapping[UUID, LogCopyView]
+    text_logs: Sequence[UUID]
+    revision: str
+
+
+def _view(session: Session, track: Track, shown: _Shown, last: LogBoardsView | None) -> LogBoardsView:
     entries_before = {board.task: board.entries for board in last.boards} if last else {}
     return LogBoardsView(
         track=track.name,
@@ -63,17 +72,20 @@ def _view(
         label=SubmissionKind.LOG.form.worth,
         ranking_rule=RANKING_RULE,
         evaluator_version=evaluator_version(),
-        revision=revision,
+        revision=shown.revision,
         generated_at=datetime.now(UTC),
         boards=[
             LogBoardView(
                 task=name,
                 title=task.title,
-                entries=made_entries(session, best[name], entries_before.get(name, ()), _entry),
+                entries=[
+                    view.model_copy(update={"copy_of": shown.copies.get(view.evaluation_id)})
+                    for view in made_entries(session, shown.best[name], entries_before.get(name, ()), _entry)
+                ],
             )
             for name, task in track.tasks.items()
         ],
-        text_logs=_text_logs(session, text_logs, last.text_logs if last else ()),
+        text_logs=_text_logs(session, shown.text_logs, last.text_logs if last else ()),
     )
 
 
@@ -106,12 +118,13 @@ def _entry(entry: BestEntry, evaluation: Evaluation) -> LogEntryView:
     claim = LogClaim.model_validate(submission.manifest)
     return LogEntryView(
         rank=entry.rank,
-        stale=entry.rank is None,
+        stale=evaluation.evaluator_version != evaluator_version(),
         team=submission.team.name,
         evaluation_id=evaluation.id,
         submission_id=submission.id,
         submission_name=submission.name,
         verdict=verification_of(claim, evaluation),
+        copy_of=None,
         submitted_at=evaluation.created_at,
         episodes=score.episodes,
         successes=score.successes,

@@ -90,7 +90,7 @@ def made_entries(
 
 
 def _with_rank(view: EntryT, rank: int | None) -> EntryT:
-    return view if view.rank == rank else view.model_copy(update={"rank": rank, "stale": rank is None})
+    return view if view.rank == rank else view.model_copy(update={"rank": rank})
 
 
 def completed_evaluations(session: Session, ids: Collection[UUID]) -> Mapping[UUID, Evaluation]:
@@ -115,7 +115,7 @@ def _entry(entry: BestEntry, evaluation: Evaluation, *, task: str | None) -> Lea
         raise ValueError(f"Evaluation {evaluation.id} is on a board but has no scores.")
     return LeaderboardEntryView(
         rank=entry.rank,
-        stale=entry.rank is None,
+        stale=evaluation.evaluator_version != evaluator_version(),
         team=submission.team.name,
         evaluation_id=evaluation.id,
         submission_id=submission.id,

@@ -11,11 +11,20 @@ from vitac.server.db.models import Evaluation, Shard, Submission
 from vitac.server.db.states import EvaluationState
 from vitac.server.evaluations.verdicts import REFUTING_RESULTS
 from vitac.server.logs.claims import LogClaim
-from vitac.server.views.logs import DivergenceView, LogView
+from vitac.server.views.logs import DivergenceView, LogCopyView, LogView
 
 
-def log_view(submission: Submission, evaluation: Evaluation, finding: LogFinding | None) -> LogView:
-    """Return the claims and verdict of a log, by its newest evaluation and what that found against it."""
+def log_view(
+    submission: Submission, evaluation: Evaluation, finding: LogFinding | None, copy: LogCopyView | None
+) -> LogView:
+    """Return the claims and verdict of a log, by its newest evaluation and what that found against it.
+
+    Args:
+        submission: the log.
+        evaluation: its newest one.
+        finding: why it is not true.
+        copy: whose it may be.
+    """
     claim = LogClaim.model_validate(submission.manifest)
     holds = submission.kind.form.is_verified and evaluation.state is EvaluationState.COMPLETED
     held = verification_of(claim, evaluation) if holds else None
@@ -34,6 +43,7 @@ def log_view(submission: Submission, evaluation: Evaluation, finding: LogFinding
         team_named=claim.team,
         submission_digest_named=claim.submission_digest,
         made_on=claim.manifest.platform_class if claim.manifest else None,
+        copy_of=copy,
         problems=list(claim.problems),
     )
 

@@ -12,6 +12,7 @@ from vitac.server.db.states import EvaluationState
 
 from ..accounts.teams import team_view
 from ..db.models import Evaluation, Submission
+from ..evaluations.copies import copies_among
 from ..evaluations.history import histories
 from ..evaluations.view import EvaluationRows, evaluation_view, summary_view
 from ..leaderboards.best_entries import PlacesOfBoards, places
@@ -19,6 +20,7 @@ from ..logs.view import findings_of
 from ..queue.workers import WorkersAlive, workers_alive
 from ..settings import Settings
 from ..uploads.kinds import SERVED_KINDS
+from ..views.logs import LogCopyView
 from ..views.submissions import RankView, SubmissionView
 from ..views.workers import WorkersView
 
@@ -47,6 +49,7 @@ def submission_views(
     shown = _Shown(
         evaluations=EvaluationRows.read(session, newest, for_organizer=for_organizer, with_output=with_output),
         findings=findings_of(session, newest),
+        copies=copies_among(session, [found.id for found in newest]),
         workers=cache(partial(workers_alive, session, settings)),
         places=cache(lambda track: places(session, track, runs)),
     )
@@ -60,12 +63,14 @@ class _Shown:
     Attributes:
         evaluations: of their newest evaluations.
         findings: against logs, by evaluation.
+        copies: among logs, by evaluation.
         workers: those alive of an evaluator version.
         places: of these submissions on the boards of a track.
     """
 
     evaluations: EvaluationRows
     findings: Mapping[UUID, LogFinding]
+    copies: Mapping[UUID, LogCopyView]
     workers: Callable[[str], WorkersAlive]
     places: PlacesOf
 
@@ -74,6 +79,7 @@ def _view(submission: Submission, runs: Sequence[Evaluation], shown: _Shown) -> 
     newest = runs[0]
     workers = shown.workers(newest.evaluator_version)
     log_view = SERVED_KINDS[submission.kind].log_view
+    finding, copy = shown.findings.get(newest.id), shown.copies.get(newest.id)
     ranks = _ranks(submission, newest, shown.places)
     return SubmissionView(
         id=submission.id,
@@ -92,7 +98,7 @@ def _view(submission: Submission, runs: Sequence[Evaluation], shown: _Shown) -> 
         workers=WorkersView(alive=workers.alive, last_heartbeat_at=workers.last_heartbeat_at),
         rank=ranks.get(None),
         task_ranks={task: place for task, place in ranks.items() if task is not None},
-        log=log_view(submission, newest, shown.findings.get(newest.id)) if log_view else None,
+        log=log_view(submission, newest, finding, copy) if log_view else None,
     )
 
 

@@ -14,12 +14,14 @@ from ..db.models import Evaluation, Submission
 from ..errors import ProblemCode
 from ..logs.view import log_view
 from ..settings import Settings
-from ..views.logs import LogView
+from ..views.logs import LogCopyView, LogView
 from .checked_upload import CheckedUpload
 from .intake import ReceivedFile
 from .logs import check_log
 from .models import check_model
 from .text_logs import check_text_log
+
+ShowLog = Callable[[Submission, Evaluation, LogFinding | None, LogCopyView | None], LogView]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,7 +31,7 @@ class ServedKind:
     max_bytes: Callable[[Settings], int]  #: largest body
     check: Callable[[ReceivedFile, str, Settings], CheckedUpload]  #: all rules, given the owner's name
     names_track: tuple[ProblemCode, str]  #: refusal of a body for another track, and where the body names it
-    log_view: Callable[[Submission, Evaluation, LogFinding | None], LogView] | None = None  #: shows a log's claims
+    log_view: ShowLog | None = None  #: shows what a log claims and what was found about it
 
 
 SERVED_KINDS: Mapping[SubmissionKind, ServedKind] = MappingProxyType(

@@ -102,6 +102,9 @@ class EvaluationRowView(EvaluationSummaryView):
     platform_class: str | None
     started_at: datetime | None
     differing_episodes: int = Field(description="How many episodes were played again with another record.")
+    copied_episodes: int = Field(
+        description="Of a log: how many episodes have the states of an earlier submission of another team."
+    )
 
 
 class ShardView(View):

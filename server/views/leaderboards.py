@@ -8,6 +8,7 @@ from vitac.evaluator.logs.findings import VerificationResult
 from vitac.evaluator.submission_kinds import SubmissionKind
 
 from .base import View
+from .logs import LogCopyView
 from .scores import TaskScoreView
 
 
@@ -53,13 +54,14 @@ class LeaderboardView(View):
 class LogEntryView(View):
     """Best verified log of one team for one task."""
 
-    rank: int | None = Field(description="Null for an entry that another evaluator version made: it is not comparable.")
-    stale: bool
+    rank: int | None = Field(description="Null for a copy, and where another evaluator version made it.")
+    stale: bool = Field(description="Another evaluator version made it: it is not comparable.")
     team: str
     evaluation_id: UUID
     submission_id: UUID
     submission_name: str
     verdict: VerificationResult
+    copy_of: LogCopyView | None = Field(description="Null where no other team reached its states before.")
     submitted_at: datetime
     episodes: int
     successes: int

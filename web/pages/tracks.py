@@ -89,7 +89,9 @@ async def logs(request: Request) -> Response:
         tabs=tabs(track, None, logs=True),
         found=found,
         rows={
-            board.task: _rows(request, viewer, "log_row.html", board.entries, of=lambda entry: entry.rank)
+            board.task: _rows(
+                request, viewer, "log_row.html", board.entries, of=lambda entry: (entry.rank, entry.copy_of)
+            )
             for board in found.boards
         },
         text_log_rows=_rows(request, viewer, "text_log_row.html", found.text_logs),

@@ -35,7 +35,7 @@ from vitac.server.views.leaderboards import (
     LogEntryView,
     TextLogEntryView,
 )
-from vitac.server.views.logs import ActionMatchView, DivergenceView, LogView, MatchedEpisodeView
+from vitac.server.views.logs import ActionMatchView, DivergenceView, LogCopyView, LogView, MatchedEpisodeView
 from vitac.server.views.operations import CountsView, MachineWorkerView, OperationsView, QueueView, StorageView
 from vitac.server.views.scores import ShapeScoreView, TaskScoreView
 from vitac.server.views.submissions import EpisodeView, RankView, SubmissionListView, SubmissionView
@@ -274,6 +274,7 @@ def a_log(
         "team_named": "Gelbots",
         "submission_digest_named": None,
         "made_on": None if text_log else "x86_64-linux",
+        "copy_of": None,
         "problems": [],
     }
     log = LogView(**(values | changes))
@@ -363,6 +364,7 @@ def a_log_entry(place: int, team: str, successes: int, verdict: VerificationResu
         submission_id=an_id(f"log of {team}"),
         submission_name="log 0a1b2c3d",
         verdict=verdict,
+        copy_of=LogCopyView(team="Gelbots", episodes=200, ranked=True) if team == "Bears" else None,
         submitted_at=NOW,
         episodes=270,
         successes=successes,

@@ -27,8 +27,7 @@ from vitac.server.db.states import EvaluationState, ShardState
 from vitac.server.evaluations.episode_store import EpisodeKey, records_of
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.evaluations.lifecycle import EpisodesMissing
-from vitac.server.evaluations.result_hashes import combine_hashes
-from vitac.server.evaluations.scores import combined_score, scores_of
+from vitac.server.evaluations.scores import combine_hashes, combined_score, scores_of
 from vitac.server.queue.leases import LeaseLost
 from vitac.server.submissions import listing, runs
 

@@ -2,7 +2,7 @@ import hashlib
 
 import pytest
 from vitac.evaluator.agent.verdicts import VerdictCode
-from vitac.server.evaluations.result_hashes import combine_hashes
+from vitac.server.evaluations.scores import combine_hashes
 from vitac.server.evaluations.verdicts import ServiceVerdict, sentence_of
 
 

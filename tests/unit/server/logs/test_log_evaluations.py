@@ -73,6 +73,11 @@ def resimulated(
     return submission
 
 
+def elsewhere(record: EpisodeRecord) -> EpisodeRecord:
+    """The same episode as another team plays it: with other states."""
+    return record.model_copy(update={"state_hashes": tuple(sha256(f"B {state}") for state in record.state_hashes)})
+
+
 def diverged_at(episode: int, env_step: int = 2) -> LogFinding:
     return LogFinding.diverged(
         Divergence(
@@ -234,7 +239,11 @@ def worse(episode: int, *, task: str = TASK) -> EpisodeRecord:
 def test_verified_logs_rank_apart_from_models_and_the_best_of_each_team_counts(service: Service) -> None:
     resimulated(service, a_log([worse(n) for n in range(1, 271)]), worse)
     better = resimulated(service, a_log())
-    resimulated(service, a_log([worse(n) for n in range(1, 271)], "Team B"), worse, service.other_token)
+    theirs = [elsewhere(worse(n)) for n in range(1, 271)]
+    others = resimulated(
+        service, a_log(theirs, "Team B"), lambda n, task: elsewhere(worse(n, task=task)), service.other_token
+    )
+    assert shown(service, others, service.other_token)["log"]["copy_of"] is None
     boards = service.client.get("/api/v1/leaderboards/track_1/logs").json()
     assert boards["label"] == "actions verified, policy not seen"
     peg, lock = boards["boards"]

@@ -1,0 +1,172 @@
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+from database_work import database_work
+from service_factories import (
+    TASK,
+    RecordOf,
+    make_principal,
+    make_record,
+    make_upload,
+    play_all,
+    sha256,
+)
+from sqlalchemy import text
+from vitac.evaluator.episodes.records import ActionSequence, EpisodeRecord
+from vitac.evaluator.submission_kinds import SubmissionKind
+from vitac.server.accounts.principals import Principal
+from vitac.server.db.engine import Database
+from vitac.server.db.models import Submission
+from vitac.server.db.schema import downgrade, upgrade
+from vitac.server.evaluations import listing
+from vitac.server.evaluations.copies import copies_among, flag_copies
+from vitac.server.evaluations.history import newest_evaluation
+from vitac.server.leaderboards.log_boards import log_boards
+from vitac.server.logs.claims import LogClaim
+from vitac.server.submissions import creation
+from vitac.server.views.logs import LogCopyView
+
+CLAIM = LogClaim(team=None, episodes=270, successes=270, success_rate=1.0, mean_steps=3.0)
+
+
+@pytest.fixture
+def principal(database: Database) -> Principal:
+    with database.transaction() as session:
+        return make_principal(session)
+
+
+@pytest.fixture
+def other(database: Database) -> Principal:
+    with database.transaction() as session:
+        return make_principal(session, "Team B")
+
+
+def add(database: Database, by: Principal, content: str, kind: SubmissionKind = SubmissionKind.LOG) -> Submission:
+    manifest = {"track": "track_1"} if kind is SubmissionKind.MODEL else CLAIM.stored()
+    with database.transaction() as session:
+        return creation.create(session, by, make_upload(content, kind=kind, manifest=manifest, name=content))[0]
+
+
+def elsewhere_from(first: int) -> RecordOf:
+    """Records with other states from an episode on."""
+
+    def record(episode: int, *, task: str = TASK) -> EpisodeRecord:
+        if episode < first:
+            return make_record(episode, task=task)
+        return make_record(episode, task=task, state_hashes=tuple(sha256(f"B {episode} {n}") for n in range(4)))
+
+    return record
+
+
+def with_negative_zeros(episode: int, *, task: str = TASK) -> EpisodeRecord:
+    return make_record(episode, task=task, actions=ActionSequence.from_array(np.full((3, 3), -0.0, np.float32)))
+
+
+def found(database: Database, *submissions: Submission) -> list[LogCopyView | None]:
+    with database.transaction() as session:
+        ids = [newest_evaluation(session, submission).id for submission in submissions]
+        copies = copies_among(session, ids)
+    return [copies.get(evaluation_id) for evaluation_id in ids]
+
+
+def ranks(database: Database) -> Mapping[str, int | None]:
+    with database.transaction() as session:
+        return {entry.team: entry.rank for entry in log_boards(session, "track_1").view.boards[0].entries}
+
+
+@pytest.mark.parametrize("theirs", [SubmissionKind.LOG, SubmissionKind.MODEL, SubmissionKind.TEXT_LOG])
+def test_a_log_with_the_states_of_another_teams_submission_is_not_ranked(
+    database: Database, principal: Principal, other: Principal, theirs: SubmissionKind
+) -> None:
+    """Whatever its header and its digest say, and with actions of other bytes."""
+    first = add(database, principal, "first", theirs)
+    stolen = add(database, other, "stolen")
+    play_all(database, first)
+    play_all(database, stolen, with_negative_zeros)
+    assert found(database, first, stolen) == [None, LogCopyView(team="Team A", episodes=270, ranked=False)]
+    assert ranks(database) == ({"Team A": 1} if theirs is SubmissionKind.LOG else {}) | {"Team B": None}
+    with database.transaction() as session:
+        copied = {row.team: row.copied_episodes for row in listing.list_evaluations(session, limit=10)}
+    assert copied == {"Team A": 0, "Team B": 270}
+
+
+def test_the_earlier_submission_stands_even_if_it_is_evaluated_later(
+    database: Database, principal: Principal, other: Principal
+) -> None:
+    first, stolen = add(database, principal, "first"), add(database, other, "stolen")
+    play_all(database, stolen)
+    assert ranks(database) == {"Team B": 1}
+    play_all(database, first)
+    assert found(database, first, stolen) == [None, LogCopyView(team="Team A", episodes=270, ranked=False)]
+    assert ranks(database) == {"Team A": 1, "Team B": None}
+
+
+def test_the_same_file_from_two_teams_is_found_although_its_episodes_are_stored_once(
+    database: Database, principal: Principal, other: Principal
+) -> None:
+    first, same = add(database, principal, "one"), add(database, other, "one")
+    play_all(database, first)
+    play_all(database, same)
+    assert found(database, first, same) == [None, LogCopyView(team="Team A", episodes=270, ranked=False)]
+
+
+@pytest.mark.parametrize(("equal", "ranked"), [(1, True), (134, True), (135, False)])
+def test_fewer_than_half_of_the_episodes_are_told_but_ranked(
+    database: Database, principal: Principal, other: Principal, equal: int, ranked: bool
+) -> None:
+    first, later = add(database, principal, "first"), add(database, other, "later")
+    play_all(database, first)
+    play_all(database, later, elsewhere_from(equal + 1))
+    assert found(database, later) == [LogCopyView(team="Team A", episodes=equal, ranked=ranked)]
+    assert ranks(database)["Team B"] == (2 if ranked else None)
+
+
+def test_own_logs_models_and_episodes_without_an_env_step_are_no_copies(
+    database: Database, principal: Principal, other: Principal
+) -> None:
+    def unmoved(episode: int, *, task: str = TASK) -> EpisodeRecord:
+        none = ActionSequence.from_array(np.zeros((0, 3), np.float32))
+        return make_record(
+            episode, task=task, env_steps=0, actions=none, infos=(), state_hashes=(sha256(f"reset {episode}"),)
+        )
+
+    own = [add(database, principal, "first"), add(database, principal, "again")]
+    model = add(database, other, "model", SubmissionKind.MODEL)
+    for submission in (*own, model):
+        play_all(database, submission)
+    still = [add(database, principal, "still"), add(database, other, "still, too")]
+    for submission in still:
+        play_all(database, submission, unmoved)
+    assert found(database, *own, model, *still) == [None] * 5
+
+
+def test_a_copy_is_found_by_indexes_and_comparing_again_changes_nothing(
+    database: Database, principal: Principal, other: Principal
+) -> None:
+    for number in range(3):
+        play_all(database, add(database, principal, f"other {number}"), elsewhere_from(number))
+    first, stolen = add(database, principal, "first"), add(database, other, "stolen")
+    play_all(database, first)
+    play_all(database, stolen)
+    before = found(database, stolen)
+    with database.transaction() as session:
+        session.execute(text("ANALYZE"))
+    with database.transaction() as session:
+        evaluation = newest_evaluation(session, session.get_one(Submission, stolen.id))
+        with database_work(session) as work:
+            flag_copies(session, evaluation)
+    assert work.statements <= 6
+    assert found(database, stolen) == before
+
+
+def test_migration_derives_the_digests_that_python_does(database: Database, principal: Principal) -> None:
+    play_all(database, add(database, principal, "first"))
+    query = text("SELECT episode, states_digest, shape FROM episode_results ORDER BY id")
+    with database.transaction() as session:
+        stored = session.execute(query).all()
+    downgrade(database, "0009")
+    upgrade(database)
+    with database.transaction() as session:
+        assert session.execute(query).all() == stored
+        assert len({row.states_digest for row in stored}) == 270 == len(stored)
