@@ -30,6 +30,7 @@ NOUNS = (
     Noun(name="resimulate", module="resimulate", summary="Run recorded actions through the physics."),
     Noun(name="log", module="log", summary="Show, verify, compare, match and import evaluation logs."),
     Noun(name="show", module="show", summary="Draw an episode: gels, parts and marker flow."),
+    Noun(name="sensor", module="sensor", summary="Check, mesh and draw a sensor of your own."),
     Noun(name="submit", module="client.submit", summary="Upload a submission to a service."),
     Noun(name="status", module="client.status", summary="Show your submissions on a service."),
     Noun(name="serve", module="service.serve", summary="Run the service: database, API and pages."),

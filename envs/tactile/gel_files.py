@@ -37,9 +37,17 @@ def read_gel(directory: Path) -> GelMesh:
     )
 
 
-def read_gmsh(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Node positions, shape [n, 3], and tetrahedra, shape [t, 4], of a Gmsh 4.1 ASCII file, without other elements."""
-    sections = _sections(_text(path), path)
+def read_gmsh(path: Path, *, max_bytes: int = _LARGEST_FILE_BYTES) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Node positions, shape [n, 3], and tetrahedra, shape [t, 4], of a Gmsh 4.1 ASCII file, without other elements.
+
+    Args:
+        path: untrusted file.
+        max_bytes: larger files are refused before they are read.
+
+    Raises:
+        GelFilesError: it is missing, too large, truncated, of another version, or holds no tetrahedra.
+    """
+    sections = _sections(_text(path, max_bytes), path)
     version = " ".join(sections.get("MeshFormat", ())[:2])
     if version != "4.1 0":
         raise GelFilesError(f"{path} is not Gmsh 4.1 ASCII: its format line begins '{version}', expected '4.1 0'.")
@@ -65,11 +73,13 @@ def read_gmsh(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     return np.array(positions, dtype=np.float64).reshape(-1, 3), np.array(corners, dtype=np.int64)
 
 
-def _text(path: Path) -> str:
+def _text(path: Path, max_bytes: int = _LARGEST_FILE_BYTES) -> str:
     try:
-        if (size := path.stat().st_size) > _LARGEST_FILE_BYTES:
-            raise GelFilesError(f"{path} has {size} bytes, expected at most {_LARGEST_FILE_BYTES}.")
-        return path.read_text(encoding="ascii")
+        with path.open("rb") as file:
+            content = file.read(max_bytes + 1)
+        if len(content) > max_bytes:
+            raise GelFilesError(f"{path} is too large, expected at most {max_bytes} bytes.")
+        return content.decode("ascii")
     except OSError as error:
         raise GelFilesError(f"Expected a gel file at {path}, but it cannot be read: {error.strerror}.") from error
     except UnicodeDecodeError as error:

@@ -30,8 +30,8 @@ IndexArray = NDArray[np.int64]
 _GRID_HALF_X_MM = 8.0
 _GRID_HALF_Y_MM = 6.0
 # A marker is seen where its reference is inside this part of the picture.
-_U_RANGE_PX = (5.0, 320.0)
-_V_RANGE_PX = (5.0, 240.0)
+U_RANGE_PX = (5.0, 320.0)
+V_RANGE_PX = (5.0, 240.0)
 _CANDIDATE_TRIANGLES = 4
 
 
@@ -145,7 +145,7 @@ def _grid_line_mm(half: float, interval: float, translation: float) -> FloatArra
 
 def _in_picture(pixels: FloatArray) -> NDArray[np.bool_]:
     u, v = pixels[:, 0], pixels[:, 1]
-    inside = (u > _U_RANGE_PX[0]) & (u < _U_RANGE_PX[1]) & (v > _V_RANGE_PX[0]) & (v < _V_RANGE_PX[1])
+    inside = (u > U_RANGE_PX[0]) & (u < U_RANGE_PX[1]) & (v > V_RANGE_PX[0]) & (v < V_RANGE_PX[1])
     return np.asarray(inside)
 
 

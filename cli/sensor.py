@@ -1,0 +1,104 @@
+"""`vitac sensor`: meshes, checks and draws a team's own sensor (Track 3)."""
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from vitac.envs.errors import VitacError
+
+from .terminal.output import AsJson, print_json, print_pairs, print_table
+
+if TYPE_CHECKING:
+    from vitac.evaluator.sensors.check import SensorCheck
+
+app = typer.Typer(no_args_is_help=True)
+
+Folder = Annotated[Path, typer.Argument(help="Folder with sensor.yaml and gel.stl.", exists=True, file_okay=False)]
+FolderOrStl = Annotated[Path, typer.Argument(help="Folder with sensor.yaml and gel.stl, or an STL file.", exists=True)]
+
+
+class SensorRefused(VitacError):
+    """A sensor breaks a rule; `vitac sensor check` lists all rules with their values."""
+
+
+@app.command("check")
+def check(sensor: FolderOrStl, as_json: AsJson = False) -> None:
+    """Check a sensor against every rule; a bare STL gets the default camera and markers."""
+    from vitac.evaluator.sensors.check import check_sensor
+
+    found = check_sensor(sensor)
+    if as_json:
+        print_json({"ok": found.ok, "digest": _digest(found), "findings": [asdict(it) for it in found.findings]})
+    else:
+        _print_findings(found)
+    if not found.ok:
+        raise typer.Exit(1)
+
+
+@app.command("mesh")
+def mesh(sensor: Folder, as_json: AsJson = False) -> None:
+    """Mesh the gel of a sensor as the service does, and print what comes of it."""
+    found = _accepted(sensor)
+    assert found.meshed is not None  # noqa: S101 - of every accepted sensor
+    meshed = found.meshed
+    facts = {
+        "digest": meshed.digest,
+        "mesh": "tet.msh" if meshed.is_own else "generated",
+        "nodes": len(meshed.mesh.nodes_mm),
+        "tetrahedra": len(meshed.mesh.corners),
+        "volume_mm3": round(meshed.mesh.volume_mm3, 3),
+        "volume_error": round(meshed.volume_error, 6),
+        "distance_mm": round(meshed.distance_mm, 4),
+        "worst_quality": round(float(meshed.mesh.qualities.min()), 4),
+    }
+    if as_json:
+        print_json(facts)
+    else:
+        print_pairs(facts)
+
+
+@app.command("show")
+def show(
+    sensor: Folder,
+    out: Annotated[Path, typer.Option(help="FILE.png.")],
+    width: Annotated[int, typer.Option(min=600, max=4000, help="Width in pixels.")] = 1600,
+) -> None:
+    """Draw a sensor: its gel with driven and sensing faces, its markers, and what its camera sees."""
+    from .show import require_extra
+
+    require_extra()
+    from vitac.envs.drawing.design import draw_design
+    from vitac.envs.drawing.files import Destination
+
+    destination = Destination.at(out)
+    if destination.kind is not destination.kind.PNG:
+        raise typer.BadParameter("expected FILE.png.", param_hint="--out")
+    found = _accepted(sensor)
+    assert found.design is not None  # noqa: S101 - of every accepted sensor
+    picture = draw_design(found.design, title=sensor.resolve().name, width_px=width)
+    for path in destination.write([picture], names=["sensor"], durations_ms=[0]):
+        print(path)
+
+
+def _accepted(sensor: Path) -> "SensorCheck":
+    from vitac.evaluator.sensors.check import check_sensor
+
+    found = check_sensor(sensor)
+    if not found.ok:
+        broken = next(finding for finding in found.findings if not finding.ok)
+        raise SensorRefused(f"{broken.rule}: {broken.value}, expected {broken.limit}. {broken.problem}")
+    return found
+
+
+def _digest(found: "SensorCheck") -> str | None:
+    return None if found.meshed is None else found.meshed.digest
+
+
+def _print_findings(found: "SensorCheck") -> None:
+    rows = [("ok" if it.ok else "refused", str(it.rule), it.value, it.limit) for it in found.findings]
+    print_table(("", "rule", "value", "limit"), rows, none="")
+    for finding in found.findings:
+        if not finding.ok:
+            print(f"{finding.rule}: {finding.problem}")
+    print(f"All rules are kept. Mesh digest {_digest(found)}" if found.ok else "This sensor would be refused.")

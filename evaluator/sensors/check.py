@@ -1,0 +1,92 @@
+"""Checks a sensor against every rule; called by `vitac sensor` and by what takes sensors in."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from .findings import Finding, Rule
+from .limits import SensorLimits, sensor_limits
+from .manifest import SENSOR_NAME, SensorManifest, SensorRejected, read_sensor
+
+if TYPE_CHECKING:
+    from vitac.envs.tactile.design import SensorDesign
+
+    from .meshing import MeshedGel
+
+GEL_NAME: Final = "gel.stl"
+MESH_NAME: Final = "tet.msh"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SensorCheck:
+    """What was found about a sensor.
+
+    Attributes:
+        findings: in the order of the checks; what rests on a broken rule is not checked.
+        meshed: the mesh; None where it or the shape breaks a rule.
+        design: what is simulated; None where any rule is broken.
+    """
+
+    findings: tuple[Finding, ...]
+    meshed: "MeshedGel | None" = None
+    design: "SensorDesign | None" = None
+
+    @property
+    def ok(self) -> bool:
+        """Every rule is kept."""
+        return self.design is not None
+
+
+def check_sensor(path: Path, limits: SensorLimits | None = None) -> SensorCheck:
+    """Check a folder with sensor.yaml and gel.stl, or a bare STL with the default camera and markers.
+
+    Args:
+        path: folder or STL file, untrusted.
+        limits: those of `limits.yaml` by default.
+
+    Raises:
+        SensorRejected: sensor.yaml cannot be used.
+    """
+    from .meshing import MeshCheck
+    from .shape import ShapeCheck
+
+    limits = limits or sensor_limits()
+    manifest, stl, own = _files(path)
+    shape = ShapeCheck(stl, limits)
+    if shape.surface is None:
+        return SensorCheck(findings=tuple(shape.findings))
+    mesh = MeshCheck(shape.surface, own, limits)
+    findings = [*shape.findings, *mesh.findings]
+    if mesh.meshed is None:
+        return SensorCheck(findings=tuple(findings))
+    design = mesh.meshed.design(manifest)
+    findings.append(_markers(design))
+    return SensorCheck(findings=tuple(findings), meshed=mesh.meshed, design=design if findings[-1].ok else None)
+
+
+def _files(path: Path) -> tuple[SensorManifest, Path, Path | None]:
+    if not path.is_dir():
+        return SensorManifest(), path, None
+    own = path / MESH_NAME
+    return read_sensor(path), path / GEL_NAME, own if own.exists() else None
+
+
+def _markers(design: "SensorDesign") -> Finding:
+    from vitac.envs.tactile.attachment import Fault
+
+    faults = [Fault(code) for code in design.attachment.faults.tolist()]
+    bad = [
+        f"{number} at ({x:.2f}, {y:.2f}) mm is {fault.name.lower().replace('_', ' ')}"
+        for number, (fault, (x, y)) in enumerate(zip(faults, design.markers_mm.tolist(), strict=True), start=1)
+        if fault is not Fault.NONE
+    ]
+    return Finding(
+        rule=Rule.MARKERS,
+        ok=not bad,
+        value=f"{len(faults) - len(bad)} of {len(faults)} attached",
+        limit="all",
+        problem=f"Move or remove these markers in {SENSOR_NAME}: {'; '.join(bad)}.",
+    )
+
+
+__all__ = ["GEL_NAME", "MESH_NAME", "SensorCheck", "SensorRejected", "check_sensor"]

@@ -1,0 +1,78 @@
+"""What is found about a sensor: one finding for each rule, with its value and its limit."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+
+class Rule(StrEnum):
+    """A rule that a sensor has to keep to; where it does not, the name is the reason of the refusal."""
+
+    READABLE = "readable"
+    """gel.stl is a binary or ASCII STL file."""
+    TRIANGLES = "triangles"
+    """It has few enough triangles, which few enough others lie near to."""
+    FINITE = "finite"
+    """All coordinates are finite numbers."""
+    UNIT = "unit"
+    """Its size is that of a gel in millimetres."""
+    FLAT = "flat"
+    """It has an extent in all directions."""
+    CLOSED = "closed"
+    """Every edge has a triangle on both sides."""
+    ORIENTATION = "orientation"
+    """Neighbouring triangles look to the same side of the surface."""
+    EDGES = "edges"
+    """No more than two triangles meet at an edge."""
+    INVERTED = "inverted"
+    """The triangles look outwards."""
+    BODIES = "bodies"
+    """It is one body."""
+    SELF_INTERSECTION = "self_intersection"
+    """No triangles cross or lie on each other."""
+    BASE_LENGTH = "base_length"
+    """Along x it fits the case."""
+    BASE_WIDTH = "base_width"
+    """Along y it fits the case."""
+    BASE_FLAT = "base_flat"
+    """The base is a flat rectangle."""
+    BEYOND_BASE = "beyond_base"
+    """Nothing stands beyond the base."""
+    THICKNESS = "thickness"
+    """From the base to the highest point."""
+    TET_MSH = "tet_msh"
+    """tet.msh, where there is one, holds tetrahedra that can be simulated."""
+    HEIGHT_FIELD = "height_field"
+    """Without a tet.msh there is one height over every point of the base."""
+    RESOLUTION = "resolution"
+    """Its features are large enough for the nodes that a mesh may have."""
+    NODES = "nodes"
+    """Of the mesh."""
+    QUALITY = "quality"
+    """Of the worst tetrahedron: 6 sqrt(2) volume / (longest edge)^3."""
+    VOLUME = "volume"
+    """Of the mesh against the STL."""
+    DISTANCE = "distance"
+    """Between the surfaces of the mesh and of the STL."""
+    BASE_NODES = "base_nodes"
+    """The base of the mesh is exactly the case's."""
+    MARKERS = "markers"
+    """All markers are on the sensing face and in the picture."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """What was found about one rule.
+
+    Attributes:
+        rule: the rule.
+        ok: it is kept.
+        value: what was measured.
+        limit: what it may be.
+        problem: what to do where it is not kept.
+    """
+
+    rule: Rule
+    ok: bool
+    value: str
+    limit: str
+    problem: str = ""

@@ -1,0 +1,52 @@
+"""Limits of a team's own sensor, from `limits.yaml`."""
+
+from functools import cache
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field
+
+from ..strict_model import StrictModel, parse_yaml
+
+Millimetres = Annotated[float, Field(gt=0)]
+Count = Annotated[int, Field(gt=0)]
+
+
+class SensorLimits(StrictModel):
+    """What every sensor has to keep to."""
+
+    max_stl_bytes: Count
+    """Of gel.stl and of tet.msh."""
+    max_triangles: Count
+    """Of gel.stl."""
+    base_length_mm: Millimetres
+    """Extent of the base along x."""
+    base_width_mm: Millimetres
+    """Extent of the base along y."""
+    base_tolerance_mm: Millimetres
+    """For both, and for how far the base may be from flat."""
+    min_thickness_mm: Millimetres
+    """From the base to the highest point."""
+    max_thickness_mm: Millimetres
+    """From the base to the highest point."""
+    min_nodes: Count
+    """Of the mesh."""
+    max_nodes: Count
+    """Of the mesh."""
+    wanted_nodes: Count
+    """The mesher takes the coarsest of its meshes with at least so many."""
+    min_quality: Annotated[float, Field(gt=0, lt=1)]
+    """Of a tetrahedron, 6 sqrt(2) V / (longest edge)^3."""
+    max_volume_error: Annotated[float, Field(gt=0, lt=1)]
+    """Of the mesh against the STL, relative."""
+    max_distance_mm: Millimetres
+    """Between the surfaces of the mesh and of the STL."""
+    max_markers: Count
+    """Drawn in sensor.yaml."""
+
+
+@cache
+def sensor_limits() -> SensorLimits:
+    """Return the limits."""
+    path = Path(__file__).with_name("limits.yaml")
+    return parse_yaml(SensorLimits, path.read_text(encoding="utf-8"), path.name)

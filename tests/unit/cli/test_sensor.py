@@ -1,0 +1,92 @@
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import drawn_gels
+import pytest
+from PIL import Image
+from vitac.cli import main as cli
+
+Run = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str]) -> Run:
+    """Runs `vitac sensor`; exit code, output, errors."""
+
+    def run_sensor(*arguments: object) -> tuple[int, str, str]:
+        with pytest.raises(SystemExit) as exit_:
+            cli.main(["sensor", *map(str, arguments)])
+        assert isinstance(exit_.value.code, int)
+        return exit_.value.code, *capsys.readouterr()
+
+    return run_sensor
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A sensor that keeps to all rules."""
+    (tmp_path / "gel.stl").write_bytes(drawn_gels.stl_bytes(drawn_gels.ridge()))
+    (tmp_path / "sensor.yaml").write_text("markers: {grid: {columns: 8, rows: 6, spacing_mm: [2.5, 2]}}\n")
+    return tmp_path
+
+
+def test_check_prints_every_rule_with_value_and_limit(run: Run, folder: Path) -> None:
+    code, out, _ = run("check", folder)
+    assert code == 0
+    assert "ok  thickness" in out
+    assert "4.000 mm" in out
+    assert "2 to 8 mm" in out
+    assert "48 of 48 attached" in out
+    assert out.splitlines()[-1].startswith("All rules are kept. Mesh digest ")
+
+
+def test_check_of_a_bare_stl_as_json(run: Run, folder: Path) -> None:
+    code, out, _ = run("check", folder / "gel.stl", "--json")
+    found = json.loads(out)
+    assert (code, found["ok"], len(found["digest"])) == (0, True, 64)
+    assert {"rule": "bodies", "ok": True, "value": "1", "limit": "1"}.items() <= found["findings"][9].items()
+
+
+def test_check_of_a_broken_gel_exits_with_1(run: Run, tmp_path: Path) -> None:
+    (tmp_path / "gel.stl").write_bytes(drawn_gels.stl_bytes(drawn_gels.flat(9.0)))
+    code, out, _ = run("check", tmp_path / "gel.stl")
+    assert code == 1
+    assert "thickness: Change the gel's height." in out
+    assert out.splitlines()[-1] == "This sensor would be refused."
+    code, out, _ = run("check", tmp_path / "gel.stl", "--json")
+    assert (code, json.loads(out)["ok"]) == (1, False)
+
+
+def test_mesh_prints_digest_and_figures(run: Run, folder: Path) -> None:
+    code, out, _ = run("mesh", folder, "--json")
+    figures = json.loads(out)
+    assert code == 0
+    assert (figures["nodes"], figures["mesh"]) == (280, "generated")
+    assert figures["volume_mm3"] == pytest.approx(1351.844)
+    assert figures["worst_quality"] > 0.1
+    assert figures["digest"] in run("check", folder)[1]
+    assert f"digest         {figures['digest']}" in run("mesh", folder)[1]
+
+
+def test_mesh_of_a_broken_gel_names_the_rule(run: Run, folder: Path) -> None:
+    (folder / "gel.stl").write_bytes(drawn_gels.stl_bytes(drawn_gels.flat(1.0)))
+    code, _, err = run("mesh", folder)
+    assert code == 1
+    assert err == "vitac: thickness: 1.000 mm, expected 2 to 8 mm. Change the gel's height.\n"
+
+
+def test_unknown_key_is_refused(run: Run, folder: Path) -> None:
+    (folder / "sensor.yaml").write_text("friction: 3\n")
+    code, _, err = run("check", folder)
+    assert code == 1
+    assert "Unknown key 'friction'" in err
+
+
+def test_show_draws_a_picture(run: Run, folder: Path) -> None:
+    code, out, _ = run("show", folder, "--out", folder / "sensor.png", "--width", 900)
+    assert (code, out) == (0, f"{folder / 'sensor.png'}\n")
+    with Image.open(folder / "sensor.png") as image:
+        assert image.size == (900, 300)
+        assert len(image.getcolors(2**20) or ()) > 100
+    assert run("show", folder, "--out", folder / "sensor.gif")[0] == 2

@@ -1,0 +1,59 @@
+import drawn_gels
+import numpy as np
+import pytest
+from vitac.envs.sensor_design.surface import DrawnSurface
+
+
+def without(surface: DrawnSurface, triangle: int) -> DrawnSurface:
+    return DrawnSurface(vertices_mm=surface.vertices_mm, triangles=np.delete(surface.triangles, triangle, axis=0))
+
+
+def test_sample_of_the_challenge_has_its_volume_and_no_fault() -> None:
+    surface = drawn_gels.bevelled()
+    assert surface.volume_mm3 == pytest.approx(2051.0833, abs=1e-4)
+    assert (surface.n_open_edges, surface.n_mixed_edges, surface.n_branching_edges) == (0, 0, 0)
+    assert surface.extent_mm == pytest.approx([25.25, 20.75, 4.0])
+    assert len(surface.edges) == 30
+
+
+def test_volume_does_not_depend_on_the_place() -> None:
+    surface = drawn_gels.moved(drawn_gels.dome(), by=(1e4, -3e4, 2e4))
+    assert surface.volume_mm3 == pytest.approx(drawn_gels.dome().volume_mm3, rel=1e-7)
+
+
+def test_missing_triangle_opens_three_edges() -> None:
+    assert without(drawn_gels.flat(), 0).n_open_edges == 3
+
+
+def test_turned_triangle_disagrees_at_three_edges() -> None:
+    surface = drawn_gels.flat()
+    surface.triangles[0] = surface.triangles[0][::-1]
+    assert surface.n_mixed_edges == 3
+
+
+def test_third_triangle_at_an_edge_is_counted() -> None:
+    surface = drawn_gels.flat()
+    fin = np.array([[surface.triangles[0, 0], surface.triangles[0, 1], len(surface.vertices_mm)]])
+    vertices = np.concatenate([surface.vertices_mm, [[0.0, 0.0, 30.0]]])
+    branching = DrawnSurface(vertices_mm=vertices, triangles=np.concatenate([surface.triangles, fin]))
+    assert (branching.n_branching_edges, branching.n_open_edges) == (1, 2)
+
+
+def test_shells_are_told_apart() -> None:
+    two = drawn_gels.together(drawn_gels.flat(), drawn_gels.moved(drawn_gels.flat(2.0), by=(0, 0, 10)))
+    assert len(np.unique(two.shells)) == 2
+    assert sorted(two.shell_volumes_mm3()) == pytest.approx([1047.875, 2095.75])
+    assert len(drawn_gels.dome(cells=30).shells) == len(drawn_gels.dome(cells=30).triangles)
+    assert (drawn_gels.dome(cells=30).shells == 0).all()
+
+
+def test_edges_know_their_two_triangles() -> None:
+    surface = drawn_gels.pyramids()
+    for edge, pair in zip(surface.edges, surface.triangles_of_edges, strict=True):
+        for triangle in pair:
+            assert set(edge) <= set(surface.triangles[triangle])
+
+
+def test_triangles_without_area_from_equal_corners_are_left_away() -> None:
+    corners = np.concatenate([drawn_gels.flat().corners_mm, np.zeros((1, 3, 3))])
+    assert len(DrawnSurface.of_corners(corners).triangles) == 12
