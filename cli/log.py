@@ -129,6 +129,8 @@ def import_(
         print_json(summary.model_dump())
         return
     print(f"{kind.name}, team {summary.team}: {summary.successes} of {summary.episodes} successes")
+    if summary.era:
+        print(f"era: {summary.era}")
     claimed = "no totals" if summary.claimed_success_rate is None else f"{summary.claimed_success_rate:.2%}"
     print(f"success rate {summary.success_rate:.2%}, claimed {claimed}")
     print(f"claimed average of env steps {summary.claimed_average_steps or '-'}")

@@ -98,6 +98,7 @@ class GraspedScene:
         self._reports: list[StepReport] = []
         self.ipc_steps = 0
         self.solved = True
+        self._last_flow = (-1, np.zeros((0,), np.float32))
 
     @property
     def pose(self) -> GripperPose:
@@ -126,7 +127,14 @@ class GraspedScene:
         """Return the marker flow of the left, then the right sensor [pixel], shape [2, 2, 128, 2]."""
         with self._clocks.markers:
             pairs = zip(self._sensors, self._views_m(), strict=True)
-            return np.stack([sensor.marker_flow(view_m, random) for sensor, view_m in pairs]).astype(np.float32)
+            flow = np.stack([sensor.marker_flow(view_m, random) for sensor, view_m in pairs]).astype(np.float32)
+        self._last_flow = (self.ipc_steps, flow)
+        return flow
+
+    def last_marker_flow(self, random: np.random.Generator) -> NDArray[np.float32]:
+        """Return the marker flow that was drawn last, or a new one if something has moved since."""
+        at, flow = self._last_flow
+        return flow if at == self.ipc_steps else self.marker_flow(random)
 
     def held_vertices_m(self, vertices: NDArray[np.int64]) -> FloatArray:
         """Return the world positions of chosen vertices of the held part [m], shape [n, 3]."""

@@ -3,10 +3,20 @@
 from typing import TYPE_CHECKING, Protocol
 
 from ..observable import BackProjection, Observable
-from .optics import COLOUR_INTRINSICS, HEIGHT_PX, POINTS_PER_OBJECT, WIDTH_PX
+from .optics import COLOUR_INTRINSICS, HEIGHT_PX, POINTS_PER_OBJECT, TACTILE_HEIGHT_PX, TACTILE_WIDTH_PX, WIDTH_PX
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from ..scene.grasped_scene import GraspedScene
     from .camera import Sight
+
+
+class HasGrasp(Protocol):
+    """A task's scene in which a gripper with two tactile sensors holds a part."""
+
+    grasped: "GraspedScene"
 
 
 class HasSight(Protocol):
@@ -56,3 +66,26 @@ SEGMENTATION: Observable[HasSight] = Observable(
     privileged=True,
 )
 """For training: no task lists it, it is given to an environment's `observables`."""
+
+
+def _tactile_pictures(scene: HasGrasp, random: "np.random.Generator") -> "NDArray[np.uint8]":
+    from .tactile_picture import pictures_of
+
+    return pictures_of(scene.grasped, random)
+
+
+RGB_IMAGES: Observable[HasGrasp] = Observable(
+    name="rgb_images",
+    shape=(2, TACTILE_HEIGHT_PX, TACTILE_WIDTH_PX, 3),
+    dtype="uint8",
+    unit="1",
+    meaning=(
+        "[sensor left, right] blue, green, red: the gel from inside under three lights, with the markers of "
+        "`marker_flow` as dots."
+    ),
+    read=_tactile_pictures,
+)
+"""For training in any task with two tactile sensors: given to an environment's `observables`, in no evaluation.
+
+In the 2025 code the dots are another grid than that of `marker_flow` (challenge-facts D17); here they are the same.
+"""

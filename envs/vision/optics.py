@@ -1,10 +1,12 @@
-"""Sizes and intrinsics of the rig's cameras (challenge-facts 4.5, 15); light to import, for lists of observables."""
+"""Sizes of pictures, intrinsics of the rig's cameras (challenge-facts 4.5, 15); light to import, for observables."""
 
 from typing import NamedTuple
 
 HEIGHT_PX = 480
 WIDTH_PX = 640
 POINTS_PER_OBJECT = 128
+TACTILE_HEIGHT_PX = 240
+TACTILE_WIDTH_PX = 320
 
 
 class Intrinsics(NamedTuple):

@@ -5,11 +5,16 @@ nearer to the camera than the body that it touches, against the undeformed gel, 
 sees the markers. Channels are blue, green, red, as in the challenge's `rgb_images`.
 """
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
 from ..fem.model.mesh import GelMesh
+from ..scene.grasped_scene import GraspedScene
 from ..tactile.camera import CENTRE_U_PX, CENTRE_V_PX, FOCAL_U_PX, FOCAL_V_PX, camera_frame
+from .optics import TACTILE_HEIGHT_PX as HEIGHT_PX
+from .optics import TACTILE_WIDTH_PX as WIDTH_PX
 from .optics import Intrinsics
 from .rasterizer import rasterize
 
@@ -17,8 +22,6 @@ FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 TactilePicture = NDArray[np.uint8]
 
-HEIGHT_PX = 240
-WIDTH_PX = 320
 _INTRINSICS = Intrinsics(FOCAL_U_PX, FOCAL_V_PX, CENTRE_U_PX, CENTRE_V_PX)
 _NEAR_M = 1e-4
 # Where a gel does not reach the picture's edge: its undeformed sensing face.
@@ -92,6 +95,31 @@ class TactileCamera:
         triangles = np.concatenate([self._triangles, body_triangles + len(gel_m)])
         view = rasterize(vertices_m, triangles, _INTRINSICS, height_px=HEIGHT_PX, width_px=WIDTH_PX, near_m=_NEAR_M)
         return np.where(view.depth_m > 0.0, view.depth_m, _BEYOND_GEL_M)
+
+
+def pictures_of(scene: GraspedScene, random: np.random.Generator) -> TactilePicture:
+    """Return the pictures of the left and the right sensor, shape [2, 240, 320, 3], blue, green, red.
+
+    Args:
+        scene: what they hold.
+        random: the episode's generator; markers are drawn from it where none have been since the last motion.
+    """
+    camera = _camera(scene.gel)
+    flow = scene.last_marker_flow(random)
+    held, pictures = scene.held.mesh, []
+    held_m = scene.held_vertices_m(np.arange(len(held.vertices_m)))
+    for index in range(len(flow)):
+        pose = scene.sensor_pose(index)
+        gel_m, body_m = (
+            camera_frame(points_m, pose.rotation, pose.centre_m) for points_m in (scene.gel_nodes_m(index), held_m)
+        )
+        pictures.append(camera.picture(gel_m, body_m, held.triangles, flow[index, 1].astype(np.float64)))
+    return np.stack(pictures)
+
+
+@lru_cache(maxsize=4)
+def _camera(mesh: GelMesh) -> TactileCamera:
+    return TactileCamera(mesh)
 
 
 def _shaded(depth_m: FloatArray) -> FloatArray:

@@ -15,6 +15,7 @@ from ..strict_model import DocumentRejected, validate
 from ..tracks import Episode, Task
 from .log import MAX_LINE_BYTES, LogReader, is_log
 from .packing import open_log
+from .text_2025.scripts import all_scripts
 
 _LARGEST_FLOAT32 = float(np.finfo(np.float32).max)
 
@@ -107,8 +108,14 @@ def _recording_in(line: bytes, number: int, task: Task) -> Recording:
 def _recording_of_2025(content: _EpisodeOf2025, place: str, task: Task) -> Recording:
     if content.task != task.name_2025:
         raise RecordingRejected(f"{place} is of task {content.task!r}, expected {task.name!r}.")
+    shape, offset = content.shape, content.initial_offset
+    start = next(
+        (s.find_start(shape, offset) for s in all_scripts() if s.hole_tops_mm and s.task == content.task), None
+    )
+    if start is not None:  # The log shows it relative to the hole, in the books of its era.
+        shape, offset = start.part, start.true_offset
     return Recording(
-        episode=_episode(task, content.episode, content.shape, content.initial_offset, place),
+        episode=_episode(task, content.episode, shape, offset, place),
         actions=_actions(task, [step.action for step in content.steps], place),
         infos=tuple(step.model_dump(mode="json", exclude={"action"}, exclude_none=True) for step in content.steps),
         success=content.result == "SUCCESS",

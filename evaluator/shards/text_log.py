@@ -33,10 +33,11 @@ def resimulate_text_log(part: LogShard, on_episode: Callable[[EpisodeRecord], No
         text_log = read_text_log(stream)
     env = part.make_env(part.task, None, ())
     manifest = make_manifest(part.track, part.task, env)
-    impossible = why_not_resimulated(text_log, summarize(text_log)[0], part.task)
+    script = summarize(text_log)[0]
+    impossible = why_not_resimulated(text_log, script, part.task)
     if impossible:
         return part.result(manifest, LogFinding.impossible(impossible))
-    for recording in text_log_recordings(text_log, part.task):
+    for recording in text_log_recordings(text_log, script, part.task):
         if recording.episode.number in part.numbers:
             on_episode(_record(part.task, recording, resimulate(env, recording.episode, recording.actions)))
     return part.result(manifest, None)

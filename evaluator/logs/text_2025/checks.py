@@ -4,10 +4,7 @@ from collections.abc import Iterator, Sequence
 from math import cos, hypot, isclose, radians, sin
 
 from .reader import TextEpisode, TextLog, TextStep
-from .scripts import PegRules, Script, Start
-
-PRINTED_MM = 2e-5
-"""Largest difference between printed values and our arithmetic [mm, degrees, reward]."""
+from .scripts import PegRules, Script, Start, is_printed
 
 
 def check(log: TextLog, script: Script) -> list[str]:
@@ -62,7 +59,7 @@ def _check_episode(episode: TextEpisode, start: Start, script: Script, top: floa
     if script.peg and episode.initial_offset is None:
         yield "it has no initial offset"
     elif script.peg and episode.initial_offset is not None:
-        if not _close(episode.initial_offset, start.offset):
+        if not is_printed(episode.initial_offset, start.offset):
             yield f"expected the start {start.offset}, got {episode.initial_offset!s:.80}"
         if len(episode.initial_offset) != len(start.offset):
             return
@@ -117,14 +114,14 @@ def _check_step(
     info, offset = step.info, step.info["gt_offset_mm_deg"]
     if info.get("steps") != step.n:
         yield f"expected {step.n} in info steps, got {info.get('steps')!r:.40}"
-    if not _close(offset, _moved(before, step.action, rules)):
+    if not is_printed(offset, _moved(before, step.action, rules)):
         yield f"the action does not lead to offset {offset}"
-    if not _close(step.offset or (), offset):
+    if not is_printed(step.offset or (), offset):
         yield f"expected the offset of the info, {offset}, got {step.offset}"
     motion = [now - then for now, then in zip(offset, start, strict=True)]
     if len(motion) == 3:
         motion.append(-step.n * rules.descent_per_step_mm)
-    if not _close(info["relative_motion_mm_deg"], motion):
+    if not is_printed(info["relative_motion_mm_deg"], motion):
         yield f"relative motion {info['relative_motion_mm_deg']} does not follow from the offset"
     yield from _check_flags(step, script, rules, top)
     if not isclose(step.reward or 0.0, _reward(step, before, script, rules), abs_tol=1e-4):
@@ -187,10 +184,6 @@ def _check_totals(log: TextLog) -> Iterator[str]:
 
 def _flagged(step: TextStep) -> bool:
     return any(step.info[key] for key in ("tactile_movement_too_large", "too_many_steps", "error_too_large"))
-
-
-def _close(one: Sequence[float], other: Sequence[float]) -> bool:
-    return len(one) == len(other) and all(isclose(a, b, abs_tol=PRINTED_MM) for a, b in zip(one, other, strict=True))
 
 
 def _is_number(value: object) -> bool:

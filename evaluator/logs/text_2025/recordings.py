@@ -5,17 +5,18 @@ for the lock, the position of the key between the sensors.
 """
 
 from collections.abc import Iterator
-from math import isclose
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...tracks import Episode, Task, list_tracks, load_track
+from ...tracks import Task, list_tracks, load_track
 from ..checks import out_of_bounds
 from ..findings import Impossibility, ImpossibleReason
 from ..recordings import Recording
 from . import Script, TextEpisode, TextLog
-from .checks import PRINTED_MM
+from .checks import hole_top
+from .scripts import is_printed
 
 
 def track_and_task_names(script: Script) -> tuple[str, str]:
@@ -29,12 +30,14 @@ def track_and_task_names(script: Script) -> tuple[str, str]:
 
 def why_not_resimulated(log: TextLog, script: Script, task: Task) -> Impossibility | None:
     """Return why a text log cannot be re-simulated as a whole evaluation of our task; None if it can."""
-    if [(start.shape, start.offset) for start in script.starts()] != [(e.shape, e.offset) for e in task.episodes]:
+    starts = script.starts(hole_top(log, script))
+    if [(start.part, start.listed_offset) for start in starts] != [(e.shape, e.offset) for e in task.episodes]:
         return Impossibility(
             reason=ImpossibleReason.OTHER_EVALUATION, message=f"The list of {task.name} is not the one of 2025."
         )
     for number, episode in enumerate(log.episodes, start=1):
-        found = _why_episode_not_resimulated(number, episode, task, script)
+        shown = starts[number - 1].offset if number <= len(starts) else ()
+        found = _why_episode_not_resimulated(number, episode, task, shown, must_show=script.logs_offsets)
         if found:
             return found
     if len(log.episodes) < len(task.episodes):
@@ -44,13 +47,17 @@ def why_not_resimulated(log: TextLog, script: Script, task: Task) -> Impossibili
     return None
 
 
-def text_log_recordings(log: TextLog, task: Task) -> Iterator[Recording]:
-    """Yield the recordings of a text log that can be re-simulated, in the order of the list."""
-    for episode, listed in zip(log.episodes, task.episodes, strict=True):
-        yield Recording(episode=listed, actions=_actions(episode, task), infos=(), success=episode.success is True)
+def text_log_recordings(log: TextLog, script: Script, task: Task) -> Iterator[Recording]:
+    """Yield the recordings of a text log that can be re-simulated, in the order of the list, from where it started."""
+    starts = script.starts(hole_top(log, script))
+    for episode, listed, start in zip(log.episodes, task.episodes, starts, strict=True):
+        played = replace(listed, offset=start.true_offset)
+        yield Recording(episode=played, actions=_actions(episode, task), infos=(), success=episode.success is True)
 
 
-def _why_episode_not_resimulated(number: int, episode: TextEpisode, task: Task, script: Script) -> Impossibility | None:
+def _why_episode_not_resimulated(
+    number: int, episode: TextEpisode, task: Task, shown: tuple[float, ...], *, must_show: bool
+) -> Impossibility | None:
     place = f"Test {number}"
 
     def found(reason: ImpossibleReason, message: str) -> Impossibility:
@@ -62,11 +69,10 @@ def _why_episode_not_resimulated(number: int, episode: TextEpisode, task: Task, 
         return found(
             ImpossibleReason.EPISODE_MISSING, f"{place}: expected its number in the log, got {episode.number}."
         )
-    listed = task.episodes[number - 1]
-    if episode.initial_offset is None and script.logs_offsets:
-        return found(ImpossibleReason.OTHER_START, f"{place}: expected the start {listed.offset}, got none.")
-    if episode.initial_offset is not None and not _starts_at(episode.initial_offset, listed):
-        message = f"{place}: expected the start {listed.offset}, got {episode.initial_offset!s:.80}."
+    if episode.initial_offset is None and must_show:
+        return found(ImpossibleReason.OTHER_START, f"{place}: expected the start {shown}, got none.")
+    if episode.initial_offset is not None and not is_printed(episode.initial_offset, shown):
+        message = f"{place}: expected the start {shown}, got {episode.initial_offset!s:.80}."
         return found(ImpossibleReason.OTHER_START, message)
     if len(episode.steps) > task.max_steps:
         message = f"{place} has {len(episode.steps)} env steps, expected at most {task.max_steps}."
@@ -78,12 +84,6 @@ def _why_episode_not_resimulated(number: int, episode: TextEpisode, task: Task, 
         )
     outside = out_of_bounds(task, _actions(episode, task))
     return found(ImpossibleReason.WRONG_ACTION, f"{place} {outside}") if outside else None
-
-
-def _starts_at(offset: tuple[float, ...], listed: Episode) -> bool:
-    return len(offset) == len(listed.offset) and all(
-        isclose(value, expected, abs_tol=PRINTED_MM) for value, expected in zip(offset, listed.offset, strict=True)
-    )
 
 
 def _actions(episode: TextEpisode, task: Task) -> NDArray[np.float32]:

@@ -1,13 +1,25 @@
 """The four evaluation scripts of 2025: their episode lists, limits and rules (challenge-facts 5 to 7)."""
 
+from collections.abc import Sequence
 from functools import cache
 from importlib.resources import files
 from itertools import product
+from math import isclose
 from typing import Any
 
 from pydantic import PositiveFloat, PositiveInt
 
 from ...strict_model import StrictModel, parse_yaml
+
+PRINTED_MM = 2e-5
+"""Largest difference between printed values and our arithmetic [mm, degrees, reward]."""
+
+
+def is_printed(shown: Sequence[float], expected: Sequence[float]) -> bool:
+    """Return whether a log may print these numbers so."""
+    return len(shown) == len(expected) and all(
+        isclose(a, b, abs_tol=PRINTED_MM) for a, b in zip(shown, expected, strict=True)
+    )
 
 
 class PegRules(StrictModel):
@@ -34,6 +46,16 @@ class Start(StrictModel):
     repeat_index: int
     offset_index: int
     offset: tuple[float, ...]
+    listed_offset: tuple[float, ...]
+    """The start as the script's own list has it."""
+    true_offset: tuple[float, ...]
+    """The start as our environment counts it: with a hole's top too high in the books, the peg began higher above the
+    real one."""
+
+    @property
+    def part(self) -> str:
+        """Return the held part; in the vision track the log adds the side of its hole."""
+        return self.shape.partition("(")[0]
 
 
 class Script(StrictModel):
@@ -58,7 +80,8 @@ class Script(StrictModel):
     """Whether start, offset, info and reward are logged."""
     peg: PegRules | None = None
     hole_tops_mm: tuple[PositiveFloat, ...] = ()
-    """Vision track only: heights of the hole's top in use; the published logs have the first (challenge-facts D20)."""
+    """Vision track only: heights of the hole's top in the books; the published logs have the first, whose geometry had
+    the last all the same (challenge-facts D20)."""
 
     def starts(self, hole_top_mm: float | None = None) -> list[Start]:
         """Return the list, in the order of the script's loops.
@@ -79,9 +102,33 @@ class Script(StrictModel):
                     repeat_index=index["repeat"],
                     offset_index=index["offset"],
                     offset=self._shown(offset, hole_top_mm),
+                    listed_offset=offset,
+                    true_offset=self._true(offset, hole_top_mm),
                 )
             )
         return found
+
+    def era(self, hole_top_mm: float | None) -> str | None:
+        """Return in which books the hole's top had this height; None where there is one era only."""
+        if hole_top_mm is None:
+            return None
+        real_mm = self.hole_tops_mm[-1]
+        since = "since" if hole_top_mm == real_mm else "before"
+        return f"{since} 2025-03-14: rim {hole_top_mm:g} mm in the books, {real_mm:g} mm in the geometry"
+
+    def find_start(self, shape: str, shown_offset: tuple[float, ...]) -> Start | None:
+        """Return the start of the list that a log shows so, in whichever era; None where there is none."""
+        for top_mm in self.hole_tops_mm or (None,):
+            for start in self.starts(top_mm):
+                if start.shape == shape and is_printed(shown_offset, start.offset):
+                    return start
+        return None
+
+    def _true(self, offset: tuple[float, ...], hole_top_mm: float | None) -> tuple[float, ...]:
+        if not self.hole_tops_mm:
+            return offset
+        x, y, theta, z, left = offset
+        return x, y, theta, z + (hole_top_mm or self.hole_tops_mm[0]) - self.hole_tops_mm[-1], left
 
     def _shown(self, offset: tuple[float, ...], hole_top_mm: float | None) -> tuple[float, ...]:
         """Return the start as the log shows it; in the vision track relative to the target (challenge-facts 2.3, 6)."""

@@ -1,7 +1,7 @@
 """Summarises a 2025 text log in a few numbers and its problems: the JSON of `vitac log import`."""
 
 from ...strict_model import StrictModel
-from .checks import check
+from .checks import check, hole_top
 from .messages import TextLogRejected
 from .reader import TextLog
 from .scripts import Script, script_of
@@ -14,6 +14,8 @@ class TextLogSummary(StrictModel):
     track: str
     team: str
     script_md5: str | None
+    era: str | None = None
+    """Which books it was made with, where there have been several, recognised from its numbers."""
     episodes: int
     successes: int
     success_rate: float
@@ -37,6 +39,7 @@ def summarize(log: TextLog) -> tuple[Script, TextLogSummary]:
         track=script.track,
         team=log.team or "",
         script_md5=log.script_md5,
+        era=script.era(hole_top(log, script)),
         episodes=len(log.episodes),
         successes=successes,
         success_rate=successes / len(log.episodes) if log.episodes else 0.0,

@@ -7,7 +7,10 @@ import pytest
 from fake_scene import FakeScene
 from vitac.envs.observable import Observable
 from vitac.envs.tactile.gel import GelCells, structured_gel
+from vitac.envs.tasks.fusion_insertion.env import FusionInsertionEnv
+from vitac.envs.tasks.lock_opening.env import LockOpeningEnv
 from vitac.envs.tasks.peg_insertion.env import PegInsertionEnv
+from vitac.envs.vision.observables import RGB_IMAGES
 
 START = {"shape": "cuboid", "offset_mm_deg": (1.0, 0.0, 0.0), "rng_seed": (0, 1)}
 
@@ -63,3 +66,32 @@ def test_another_gel_is_added_without_touching_the_task(physics: list[FakeScene]
     env.reset(options=START)
     assert [body.mesh for body in physics[0].gels] == [gel, gel]
     assert env.mesh_hash() != PegInsertionEnv().mesh_hash()
+
+
+@pytest.mark.parametrize("env_type", [PegInsertionEnv, LockOpeningEnv, FusionInsertionEnv])
+def test_tactile_pictures_are_added_to_any_task_with_dots_on_the_markers_of_the_flow(env_type: Any) -> None:
+    env = env_type(observables=(RGB_IMAGES,), observation_keys=("marker_flow",))
+    observation, _ = env.reset(options={"rng_seed": (0, 1)})
+    pictures, flow = observation["rgb_images"], observation["marker_flow"]
+    assert observation in env.observation_space
+    assert (pictures.shape, pictures.dtype) == ((2, 240, 320, 3), np.uint8)
+    for picture, markers in zip(pictures, flow[:, 1], strict=True):
+        u, v = np.floor(markers).astype(int).T
+        inside = (u >= 0) & (u < 320) & (v >= 0) & (v < 240)
+        assert (picture[v[inside], u[inside]] == 0).all()
+
+
+def test_tactile_pictures_change_no_markers() -> None:
+    seen = PegInsertionEnv(observables=(RGB_IMAGES,))
+    plain = PegInsertionEnv()
+    for env in (seen, plain):
+        env.reset(options=START)
+    one, other = (env.step(np.zeros(3, dtype=np.float32))[0] for env in (seen, plain))
+    np.testing.assert_array_equal(one["marker_flow"], other["marker_flow"])
+
+
+def test_tactile_pictures_without_the_flow_are_the_same() -> None:
+    alone = PegInsertionEnv(observables=(RGB_IMAGES,), observation_keys=())
+    both = PegInsertionEnv(observables=(RGB_IMAGES,), observation_keys=("marker_flow",))
+    one, other = (env.reset(options=START)[0]["rgb_images"] for env in (alone, both))
+    np.testing.assert_array_equal(one, other)

@@ -9,8 +9,8 @@ from evaluation_fakes import FakeEnvironment
 from text_log_writer import text_log
 from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord
 from vitac.evaluator.logs.findings import ImpossibleReason
-from vitac.evaluator.logs.text_2025 import read_text_log
-from vitac.evaluator.logs.text_2025.recordings import why_not_resimulated
+from vitac.evaluator.logs.text_2025 import read_text_log, summarize
+from vitac.evaluator.logs.text_2025.recordings import text_log_recordings, why_not_resimulated
 from vitac.evaluator.logs.text_2025.scripts import all_scripts
 from vitac.evaluator.shards.log import LogShard
 from vitac.evaluator.shards.result import ShardEnd, ShardResult
@@ -21,22 +21,52 @@ from vitac.evaluator.tracks.cut import cut
 TRACK = load_track("track_1")
 SCRIPTS = {script.name: script for script in all_scripts()}
 PEG, LOCK = SCRIPTS["track 1 peg insertion"], SCRIPTS["track 1 lock opening"]
-TASKS = {PEG.name: TRACK.tasks["peg-insertion"], LOCK.name: TRACK.tasks["lock-opening"]}
+FUSION = SCRIPTS["track 2 peg insertion"]
+TASKS = {
+    PEG.name: TRACK.tasks["peg-insertion"],
+    LOCK.name: TRACK.tasks["lock-opening"],
+    FUSION.name: load_track("track_2").tasks["fusion-insertion"],
+}
 
 
 def test_lists_of_2025_are_ours() -> None:
-    for script in (PEG, LOCK):
-        starts = [(start.shape, start.offset) for start in script.starts()]
+    for script in (PEG, LOCK, FUSION):
+        starts = [(start.part, start.listed_offset) for start in script.starts()]
         assert starts == [(episode.shape, episode.offset) for episode in TASKS[script.name].episodes]
 
 
-def whole_list(script: Any, actions: list[tuple[float, ...]]) -> list[dict[str, Any]]:
+def whole_list(script: Any, actions: list[tuple[float, ...]], rim_mm: float | None = None) -> list[dict[str, Any]]:
     """Every test of the list with the same actions and, where the script logs it, its start."""
     steps = [{"n": n, "action": action} for n, action in enumerate(actions, start=1)]
     return [
         {"episode": n, "steps": steps, "result": "FAIL"} | ({"initial_offset": s.offset} if script.logs_offsets else {})
-        for n, s in enumerate(script.starts(), start=1)
+        for n, s in enumerate(script.starts(rim_mm), start=1)
     ]
+
+
+@pytest.mark.parametrize("rim_mm", [19.9, 17.4])
+def test_a_log_of_the_vision_track_is_ours_in_the_books_of_either_era(rim_mm: float) -> None:
+    """With a rim that is too high in the books the peg began that much higher above the real one."""
+    task = TASKS[FUSION.name]
+    tests = whole_list(FUSION, [(0.0, 1.0, 0.0, 0.0)], rim_mm)
+    log = read_text_log(io.BytesIO(text_log(tests, FUSION.environment, FUSION.md5[0]).encode()))
+    assert why_not_resimulated(log, FUSION, task) is None
+    era = summarize(log)[1].era or ""
+    assert era.startswith("since" if rim_mm == 17.4 else "before")
+    assert era.endswith(f"2025-03-14: rim {rim_mm} mm in the books, 17.4 mm in the geometry")
+    for recording, listed in zip(text_log_recordings(log, FUSION, task), task.episodes, strict=True):
+        higher = [got - expected for got, expected in zip(recording.episode.offset, listed.offset, strict=True)]
+        assert higher == pytest.approx([0, 0, 0, rim_mm - 17.4, 0])
+        assert recording.episode.shape == listed.shape
+
+
+def test_a_log_of_the_vision_track_that_mixes_eras_is_refused() -> None:
+    old, new = (whole_list(FUSION, [(0.0, 1.0, 0.0, 0.0)], rim_mm) for rim_mm in (19.9, 17.4))
+    mixed = [*old[:7], *new[7:]]
+    log = read_text_log(io.BytesIO(text_log(mixed, FUSION.environment, FUSION.md5[0]).encode()))
+    found = why_not_resimulated(log, FUSION, TASKS[FUSION.name])
+    assert found is not None
+    assert (found.reason, found.episode) == (ImpossibleReason.OTHER_START, 8)
 
 
 def written(path: Path, episodes: list[dict[str, Any]], script: Any = PEG) -> Path:

@@ -36,6 +36,7 @@ def test_hand_edited_peg_log_is_read_whole_and_only_its_end_is_missing(reference
     assert summary.model_dump(exclude={"script_md5", "track"}) == {
         "task": "peg_insertion",
         "team": "deg",
+        "era": None,
         "episodes": 90,
         "successes": 13,
         "success_rate": 13 / 90,
