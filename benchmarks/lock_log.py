@@ -90,7 +90,7 @@ def summary(played: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def agreement(episodes: list[dict[str, Any]]) -> dict[str, Any]:
-    """Parts of the draws that succeed, at the logged env step and within one; and the same for two guesses."""
+    """Return the parts of the draws that succeed, at the logged env step and within one, and those of two guesses."""
     logged = [episode["logged"]["env_steps"] for episode in episodes]
     usual = Counter(logged).most_common(1)[0][0]
     ours = [

@@ -46,7 +46,7 @@ def measured(reference: Reference, episodes: int) -> Figures:
 
 
 def in_parts_mm(reference: Reference, miss: Figures) -> list[float]:
-    """How far a missed env step ends from the reference when every driven motion is divided into 2, 4, 8, 16 parts."""
+    """Return how far a missed env step ends from the reference with every driven motion in 2, 4, 8, 16 parts."""
     key, found = (miss["episode"], miss["env_step"]), []
     for level in (1, 2, 3, 4):
         replay = Replay(reference.assets_dir, replace(SolverSettings(), first_division_level=level))

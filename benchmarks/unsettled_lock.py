@@ -86,7 +86,7 @@ def main() -> None:
 
 
 def trails(episode: dict[str, Any], meshes: Meshes) -> list[dict[str, float]]:
-    """After each env step: lift of the gripper, and of the lowest tooth corner in both solutions [mm]."""
+    """Return the lift of the gripper after each env step, and of the lowest tooth corner in both solutions [mm]."""
     shape, settings = KeyShape(episode["shape"]), LockOpeningSettings()
     x_mm, y_mm, z_mm = episode["initial_offset"]
     start = LockStart(

@@ -63,7 +63,7 @@ class Meshes:
 
 
 def mesh_hash(gel: GelMesh, solids: Iterable[SurfaceMesh], settings: object) -> str:
-    """SHA-256 [hex] over meshes and settings, so that results on other geometry or materials cannot be mistaken.
+    """Return the SHA-256 [hex] of meshes and settings, so that results on others cannot be mistaken for these.
 
     Args:
         gel: the sensors' elastomer.

@@ -25,7 +25,7 @@ _HASHED_DISTRIBUTIONS = ("llvmlite", "numba", "numpy")
 
 @cache
 def evaluator_hash() -> str:
-    """SHA-256 [hex] over all that can move a score: our sources and the versions of NumPy, Numba and llvmlite.
+    """Return the SHA-256 [hex] of all that moves a score: our sources, and which NumPy, Numba and llvmlite.
 
     The sources of packages that add tasks (`vitac.envs.tasks.registry`) and the track files of the folder that
     VITAC_TRACKS_DIR names count too, where there are any. The same for a wheel and an editable installation of one
@@ -41,7 +41,7 @@ def evaluator_hash() -> str:
 
 
 def evaluator_version() -> str:
-    """Name of this evaluator, `<release>+<start of its hash>`; results of different versions are never mixed."""
+    """Return this evaluator's name, `<release>+<start of its hash>`; results of different ones are never mixed."""
     return f"{EVALUATOR_RELEASE}+{evaluator_hash()[:12]}"
 
 

@@ -13,7 +13,7 @@ SYSTEM_STATE = Path("/var/lib/vitac-arena")
 
 
 def default_state_directory() -> Path:
-    """`.state` of the checkout, else the user's state folder; for root one in /var/lib where that is out of reach."""
+    """Return `.state` of the checkout, else the user's state folder; for root, one in /var/lib where that is needed."""
     return choose_state_directory(
         checkout=checkout_directory(), user_state=_user_state(), is_root=os.geteuid() == 0, system_state=SYSTEM_STATE
     )
@@ -30,7 +30,7 @@ def choose_state_directory(*, checkout: Path | None, user_state: Path, is_root: 
 
 
 def others_can_enter(folder: Path) -> bool:
-    """Whether a user who owns nothing can reach this folder: all that exist above have their x bit for others."""
+    """Return whether a user who owns nothing can reach this folder: all above have their x bit for others."""
     existing = [path for path in (folder, *folder.parents) if path.exists()]
     return all(path.stat().st_mode & stat.S_IXOTH for path in existing)
 

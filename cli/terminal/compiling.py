@@ -28,7 +28,7 @@ class Display(Protocol):
         """Show how far compiling is."""
 
     def end(self) -> None:
-        """Compiling is over; called after `show` only."""
+        """Show that compiling is over; called after `show` only."""
 
 
 @contextmanager

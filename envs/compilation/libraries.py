@@ -23,7 +23,7 @@ class EntryLibrary(JITCodeLibrary):
 
 
 def _callers_first(libraries: list[Any]) -> list[Any]:
-    """Libraries and the parts that they call, each once; LLVM links only functions that are called from what it has."""
+    """Return libraries and the parts that they call, each once, callers first, for LLVM links only what is called."""
     found: dict[Any, None] = {}
 
     def visit(library: Any) -> None:

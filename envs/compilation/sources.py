@@ -50,7 +50,7 @@ def _compiler() -> str:
 
 @cache
 def read_source(path: Path) -> bytes:
-    """Contents of a file as first read: a kernel is compiled later, and the file may have changed by then."""
+    """Return a file as first read: a kernel is compiled later, and the file may have changed by then."""
     return path.read_bytes()
 
 

@@ -51,7 +51,7 @@ def colouring(playback: Playback, quantity: Quantity) -> Colouring:
 
 
 def round_limits(low: float, high: float) -> tuple[float, float]:
-    """Limits around a range that are whole multiples of a step of 1, 2 or 5 times a power of ten, about a tenth."""
+    """Return limits around a range that are multiples of a step: 1, 2 or 5 times a power of ten, about a tenth."""
     if not high > low:
         return low, low + 1.0
     power = 10.0 ** floor(log10((high - low) / 10.0))
@@ -60,7 +60,7 @@ def round_limits(low: float, high: float) -> tuple[float, float]:
 
 
 def _values(playback: Playback, moment: Moment, gel: int, quantity: Quantity) -> FloatArray:
-    """Nodal values of one gel: stress in kPa (mean of the tetrahedra around a node) or displacement in mm."""
+    """Return nodal values of a gel: stress in kPa (mean of the tetrahedra around a node) or displacement in mm."""
     mesh, nodes_m = playback.gel, moment.gel_nodes_m[gel]
     if quantity is Quantity.DISPLACEMENT:
         pose = moment.sensor_poses[gel]

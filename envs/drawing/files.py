@@ -43,7 +43,7 @@ class Destination:
 
     @classmethod
     def at(cls, path: Path) -> "Destination":
-        """Return the kind is told by the suffix; no suffix means a folder.
+        """Return the kind that the suffix names; no suffix means a folder.
 
         Raises:
             PicturesNotWritable: the suffix is of another kind, or the place is not free or cannot be written to.

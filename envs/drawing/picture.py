@@ -202,7 +202,7 @@ def _write(axes: Axes, name: str, place: FloatArray, anchor: _Anchor) -> None:
 
 
 def _outcome(moment: Moment, last: Moment) -> tuple[str, str]:
-    """In words, with its colour."""
+    """Return the outcome in words, with its colour."""
     words = f"env step {moment.env_step} of {last.env_step}" if moment.env_step else "after the grasp"
     if moment.end_reason is None:
         return words, _RUNNING_COLOUR

@@ -51,7 +51,7 @@ def von_mises_pa(stress_pa: FloatArray) -> FloatArray:
 
 
 def nodal_means(values: FloatArray, rest_m: FloatArray, tetrahedra: IndexArray) -> FloatArray:
-    """Mean at every node of the values of its tetrahedra, weighted by their rest volumes, shape [t] to [n]."""
+    """Return each node's mean of its tetrahedra's values, weighted by their rest volumes, shape [t] to [n]."""
     volumes = np.abs(np.linalg.det(_edges(rest_m, tetrahedra)))
     weights = np.repeat(volumes, 4)
     nodes = tetrahedra.ravel()

@@ -17,7 +17,7 @@ PEG_CENTRE_MM = (17.0 - 2.0 * PEG_APOTHEM_MM / sqrt(3.0), 0.0)
 
 
 def regular_hexagon_mm(centre_mm: tuple[float, float], apothem_mm: float) -> Polygon:
-    """Hexagon with two corners on a line along x through its centre, counter-clockwise from the +x corner [mm].
+    """Return the hexagon with two corners on its centre's line along x, counter-clockwise from the +x corner [mm].
 
     Args:
         centre_mm: x and y of the centre [mm].
@@ -40,7 +40,7 @@ def hexagon_peg_surface() -> SurfaceMesh:
 
 
 def hexagon_bottom_vertices(peg: SurfaceMesh) -> NDArray[np.int64]:
-    """Vertices at the lower corners of a hexagon peg, in the order behind `peg_relative_z_mm` (challenge-facts 1.4).
+    """Return the vertices at a hexagon peg's lower corners, in the order of `peg_relative_z_mm` (challenge-facts 1.4).
 
     Found by position, so the answer also fits a surface read from a file.
     """

@@ -20,7 +20,7 @@ def signed_area(polygon: Polygon) -> float:
 
 
 def mitred_offset(polygon: Polygon, distance: float) -> Polygon:
-    """Counter-clockwise polygon with every edge moved outwards by `distance`, its ends to the mitre joints."""
+    """Return the counter-clockwise polygon with every edge moved out by `distance`, its ends to the mitre joints."""
     edges = np.roll(polygon, -1, axis=0) - polygon
     lengths = np.sqrt(edges[:, 0] * edges[:, 0] + edges[:, 1] * edges[:, 1])
     normals = np.stack([edges[:, 1], -edges[:, 0]], axis=1) / lengths[:, None]
@@ -59,7 +59,7 @@ def boundaries_touch(first: Polygon, second: Polygon) -> bool:
 
 
 def contains(polygon: Polygon, point: Point) -> bool:
-    """Whether a point lies strictly inside a polygon; unspecified for points on the outline (crossing number)."""
+    """Return whether a point lies strictly inside a polygon; unspecified on the outline (crossing number)."""
     inside = False
     for i in range(len(polygon)):
         a, b = polygon[i - 1], polygon[i]

@@ -86,7 +86,7 @@ def _content(path: Path, max_bytes: int) -> bytes:
 
 
 def _binary_corners(content: bytes) -> NDArray[np.float32] | None:
-    """Triangle corners, shape [f, 3, 3], or None where the length is not the one that a binary file's count demands."""
+    """Return triangle corners, shape [f, 3, 3], or None where the length does not fit a binary file's count."""
     if len(content) < _HEADER_BYTES + 4:
         return None
     count = int.from_bytes(content[_HEADER_BYTES : _HEADER_BYTES + 4], "little")

@@ -17,12 +17,12 @@ _USE_NOTED_S = 86400.0
 
 @cache
 def cache_directory() -> Path:
-    """Folder of compiled kernels: the one that processes share, else a private temporary one."""
+    """Return the folder of compiled kernels: the one that processes share, else a private temporary one."""
     return shared_directory() or _private_directory()
 
 
 def shared_directory() -> Path | None:
-    """Folder in `VITAC_CACHE_DIR` or the user's cache folder; None where it cannot be written to."""
+    """Return the folder in `VITAC_CACHE_DIR` or the user's cache folder; None where it cannot be written to."""
     directory = _candidate_root() / _NAME
     try:
         directory.mkdir(parents=True, exist_ok=True)

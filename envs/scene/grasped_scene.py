@@ -60,7 +60,7 @@ def fixed_at_origin(mesh: SurfaceMesh, *, friction: float) -> RigidBody:
 class GraspedScene:
     """Two gels on a gripper, the part they hold (body 0) and the part it goes into (body 1, fixed).
 
-    After an IPC step that did not converge nothing moves any more: `solved` is False and stays so.
+    After an IPC step that did not converge nothing moves: `solved` is False and stays so.
 
     Attributes:
         gel: mesh of both gels.
@@ -145,7 +145,7 @@ class GraspedScene:
         return self._scene.gel_positions_m(index)
 
     def sensor_pose(self, index: int) -> SensorPose:
-        """Present pose of the left (0) or right (1) sensor."""
+        """Return the present pose of the left (0) or right (1) sensor."""
         return self._gripper.sensor_pose(index)
 
     def take_reports(self) -> tuple[StepReport, ...]:

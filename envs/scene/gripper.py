@@ -113,7 +113,7 @@ class Gripper:
         self.pose = pose
 
     def sensor_pose(self, index: int) -> SensorPose:
-        """Present pose of the left (0) or right (1) sensor."""
+        """Return the present pose of the left (0) or right (1) sensor."""
         mount, pose = self._mounts[index], self.pose
         sine, cosine = sine_cosine(pose.angle_rad)
         about_z = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
@@ -141,6 +141,6 @@ def _placed(driven_m: FloatArray, sine: float, cosine: float, pose: GripperPose,
 
 
 def _turned(rotation: FloatArray, points: FloatArray) -> FloatArray:
-    """Rotated points, shape [n, 3], by explicit sums of products (no BLAS, whose bits differ between kernels)."""
+    """Return rotated points, shape [n, 3], by explicit sums of products (BLAS kernels differ in their bits)."""
     x, y, z = points[:, 0], points[:, 1], points[:, 2]
     return np.column_stack([row[0] * x + row[1] * y + row[2] * z for row in rotation])

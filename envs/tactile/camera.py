@@ -18,7 +18,7 @@ DISTANCE_M = 0.02
 def camera_frame(
     positions_m: NDArray[np.float64], rotation: NDArray[np.float64], centre_m: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """World positions in the camera frame of a sensor (OpenCV axes: x = -x_gel, y = -y_gel, z = z_gel + 20 mm).
+    """Return world positions in a sensor's camera frame (OpenCV axes: x = -x_gel, y = -y_gel, z = z_gel + 20 mm).
 
     Args:
         positions_m: world positions [m], shape [n, 3].

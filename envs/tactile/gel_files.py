@@ -38,7 +38,7 @@ def read_gel(directory: Path) -> GelMesh:
 
 
 def read_gmsh(path: Path, *, max_bytes: int = _LARGEST_FILE_BYTES) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Node positions, shape [n, 3], and tetrahedra, shape [t, 4], of a Gmsh 4.1 ASCII file, without other elements.
+    """Return nodes, shape [n, 3], and tetrahedra, shape [t, 4], of a Gmsh 4.1 ASCII file; skip other elements.
 
     Args:
         path: untrusted file.

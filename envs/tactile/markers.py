@@ -160,7 +160,7 @@ def _of_fixed_count(flow: FloatArray, random: np.random.Generator) -> FloatArray
 
 
 def convex_hull(points: FloatArray) -> FloatArray:
-    """Corners of the convex hull of points in the plane, counter-clockwise, without collinear ones (Andrew 1979)."""
+    """Return the corners of the convex hull of points in the plane, counter-clockwise (Andrew 1979), none collinear."""
     ordered = points[np.lexsort((points[:, 1], points[:, 0]))]
     return np.array(_half_hull(ordered)[:-1] + _half_hull(ordered[::-1])[:-1])
 
@@ -182,7 +182,7 @@ def _turns_left(a: FloatArray, b: FloatArray, c: FloatArray) -> bool:
 def _attach(
     grid: FloatArray, vertices: FloatArray, triangles: IndexArray, centroids: FloatArray, hull: FloatArray
 ) -> tuple[IndexArray, FloatArray]:
-    """Triangle and barycentric weights, shapes [m] and [m, 3], of the grid points inside the hull, in their order.
+    """Return triangle and barycentric weights, shapes [m] and [m, 3], of the grid points inside the hull, in order.
 
     Of the four triangles nearest by centroid the first that contains the point; if none does, the nearest, whose
     weights then extrapolate.

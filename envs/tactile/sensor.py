@@ -43,7 +43,7 @@ class TactileSensor:
         self._reference_m = view_m
 
     def surface_diff_m(self, view_m: FloatArray) -> float:
-        """Mean distance [m] of the sensing nodes from where they were in the reference, in the camera frame."""
+        """Return the mean distance [m] of the sensing nodes from the reference, in the camera frame."""
         return mean_distance_m(self._reference(), view_m)
 
     def marker_flow(self, view_m: FloatArray, random: np.random.Generator) -> FloatArray:

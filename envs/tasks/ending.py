@@ -13,7 +13,7 @@ LARGEST_SURFACE_DIFF_M = 1.5e-3
 class EndReason(StrEnum):
     """Why an episode ended; where several hold, the first of them in this order is given."""
 
-    NOT_CONVERGED = "not_converged"  # the physics found no solution; nothing moves any more
+    NOT_CONVERGED = "not_converged"  # the physics found no solution; nothing moves from then on
     SUCCESS = "success"  # the goal is reached
     TACTILE = "tactile"  # a sensing surface moved too far
     ERROR = "error"  # the gripper or the part left its range
@@ -40,5 +40,5 @@ class Flags:
 
 
 def surface_moved_too_far(surface_diff_m: NDArray[np.float64]) -> bool:
-    """Whether the mean motion of a sensing surface since the grasp [m], shape [2], is more than any task allows."""
+    """Return whether the mean motion of a sensing surface since the grasp [m], shape [2], is more than allowed."""
     return bool((surface_diff_m > LARGEST_SURFACE_DIFF_M).any())

@@ -38,7 +38,7 @@ def draw_points(random: np.random.Generator) -> Draws:
 
 
 def object_clouds(colours: ColourPicture, depth_m: DepthPicture, intrinsics: Intrinsics, draws: Draws) -> ObjectClouds:
-    """Points drawn with replacement among the pixels that the challenge's colour rule finds and that have a depth.
+    """Return points drawn with replacement among the pixels that the colour rule finds and that have a depth.
 
     The reference draws among all pixels of the colour, also those without depth, and fails where there is none; here
     the cloud is zeros then.

@@ -142,7 +142,7 @@ def _shaded(depth_m: FloatArray) -> FloatArray:
 
 
 def _blurred(picture: FloatArray, radius_px: int) -> FloatArray:
-    """Picture of shape [height, width, c] under a Gaussian of 2 px, cut off at a radius; its edges go on beyond it."""
+    """Return a picture of shape [height, width, c] under a Gaussian of 2 px, cut off; its edges go on beyond it."""
     weights = np.array([_GAUSSIAN[abs(k)] for k in range(-radius_px, radius_px + 1)])
     weights = weights / weights.sum()
     height, width, _ = picture.shape
@@ -169,7 +169,7 @@ def _without_dots(markers_px: FloatArray) -> FloatArray:
 
 
 def _background() -> FloatArray:
-    """Picture of an untouched gel, interpolated between its known places, shape [240, 320, 3], blue, green, red."""
+    """Return the picture of an untouched gel between its known places, shape [240, 320, 3], blue, green, red."""
     known = np.array(_BACKGROUND_RGB, dtype=np.float64)[:, :, ::-1]
     across = _interpolated(known.transpose(1, 0, 2), np.array(_BACKGROUND_COLUMNS), WIDTH_PX)
     return _interpolated(across.transpose(1, 0, 2), np.array(_BACKGROUND_ROWS), HEIGHT_PX)

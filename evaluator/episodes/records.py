@@ -140,7 +140,7 @@ class EpisodeRecord(StrictModel):
         return self
 
     def record_digest(self) -> str:
-        """SHA-256 [hex] over everything but the timings; equal records of a repeated episode have equal digests."""
+        """Return the SHA-256 [hex] of all but the timings; equal records of a repeated episode have equal digests."""
         return hashlib.sha256(canonical_json(self.model_dump(mode="json", exclude={"timings"}))).hexdigest()
 
 
@@ -162,7 +162,7 @@ _HASHED_MANIFEST_KEYS = {"track", "task", "list_seed", "evaluator_version", "sol
 
 
 def result_hash(manifest: Manifest, records: Iterable[EpisodeRecord]) -> str:
-    """SHA-256 [hex] of a whole evaluation: what it was made with, and the actions, states and outcome of each episode.
+    """Return the SHA-256 [hex] of an evaluation: what it was made with, and its actions, states and outcomes.
 
     It depends neither on the order of the records nor on times, so one and many workers, the command line and the
     server, and a resumed evaluation agree. It is the hash of JSON lines (sorted keys, no blanks): first the manifest,

@@ -36,7 +36,7 @@ class Score(Rate):
 
 
 def wilson_interval(successes: int, episodes: int, confidence: float = 0.95) -> Interval:
-    """Score interval of a binomial rate, which unlike p +- z s stays inside [0, 1] and is not empty at 0 or 1.
+    """Return Wilson's score interval of a binomial rate: inside [0, 1] and never empty, unlike p +- z s.
 
     With p = successes / n and z the normal quantile:
     (p + z^2 / 2n +- z sqrt(p (1 - p) / n + z^2 / 4n^2)) / (1 + z^2 / n).

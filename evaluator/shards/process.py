@@ -112,7 +112,7 @@ class _Host:
                 raise ShardProcessFailed(f"The simulation could not be started: {error.strerror}.") from error
 
     def is_alive(self) -> bool:
-        """Whether it can still be asked."""
+        """Return whether it can still be asked."""
         return self._process.poll() is None
 
     def start_shard(self, order: ShardOrder) -> "ShardProcess":

@@ -100,7 +100,7 @@ def list_submissions(
 
 @router.get("/{submission_id}")
 def get_submission(services: ServicesOf, principal: PrincipalOf, submission_id: UUID) -> SubmissionView:
-    """One submission: state, place in the queue, progress, verdict, score. Another team's is answered with 404."""
+    """Return a submission: state, place in the queue, progress, verdict, score. Another team's is answered with 404."""
     with services.database.transaction() as session:
         return listing.get(session, services.settings, principal, submission_id)
 
@@ -114,7 +114,7 @@ def get_episodes(services: ServicesOf, principal: PrincipalOf, submission_id: UU
 
 @router.get("/{submission_id}/action-matches")
 def get_action_matches(services: ServicesOf, principal: PrincipalOf, submission_id: UUID) -> list[ActionMatchView]:
-    """How many of a verified log's actions each later model of the team gives; empty for everything but a log."""
+    """Return how many of a verified log's actions each later model of the team gives; none for all but a log."""
     with services.database.transaction() as session:
         return action_matches.action_matches(session, principal, submission_id)
 

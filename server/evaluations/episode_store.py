@@ -105,7 +105,7 @@ def row_values(lease: Lease, record: EpisodeRecord) -> dict[str, Any]:
 
 
 def states_digest(record: EpisodeRecord) -> str:
-    """SHA-256 [hex] over all states of an episode, by which those of different submissions are compared."""
+    """Return the SHA-256 [hex] over all states of an episode, by which those of different submissions are compared."""
     return hashlib.sha256("\n".join(record.state_hashes).encode()).hexdigest()
 
 
@@ -118,7 +118,7 @@ def storable(record: EpisodeRecord) -> EpisodeRecord:
 
 
 def stored_episodes(session: Session, lease: Lease) -> StoredEpisodes:
-    """Which episodes of the shard need not be played, and how the policy failed in them."""
+    """Return which episodes of the shard need not be played, and how the policy failed in them."""
     rows = session.scalars(
         select(EpisodeResult).where(
             *EpisodeKey.of_lease(lease).conditions(),

@@ -77,7 +77,7 @@ def places(session: Session, track: str, submissions: Collection[UUID]) -> Place
 
 
 def ranking_order(result: type[BoardResult]) -> tuple[ColumnElement[Any], ...]:
-    """High success rate first, then few mean env steps, none of them last, then the earlier one, then the id."""
+    """Return the order: high success rate, few mean env steps (none of them last), the earlier one, the id."""
     return (result.success_rate.desc(), result.mean_steps.asc(), result.submitted_at.asc(), result.evaluation_id.asc())
 
 
@@ -86,7 +86,7 @@ def ranking_order(result: type[BoardResult]) -> tuple[ColumnElement[Any], ...]:
 
 @cache
 def _best_of_teams() -> Select[UUID, UUID]:
-    """Ids of evaluation and submission of each team's best entry of a version, best first."""
+    """Return the ids of evaluation and submission of each team's best entry of a version, best first."""
     best = _best_result(bindparam("board"), _of_version(BoardResult), ~BoardResult.is_copy)
     return _ids(best).select_from(Team).join(best, true()).order_by(*ranking_order(best))
 
@@ -105,7 +105,7 @@ def _best_of_other_versions() -> Select[UUID, UUID]:
 
 @cache
 def _places_of_submissions() -> Select[str, UUID, int, int]:
-    """Board, submission, rank and number of ranked teams, for each best entry among the given submissions."""
+    """Return board, submission, rank and number of ranked teams of each best entry among some submissions."""
     board = (
         func.unnest(bindparam("boards", type_=ARRAY(Text)))
         .table_valued("board", name="boards")
@@ -132,7 +132,7 @@ def _places_of_submissions() -> Select[str, UUID, int, int]:
 
 
 def _best_result(board: ColumnElement[str], *conditions: ColumnElement[bool]) -> type[BoardResult]:
-    """Best result of the team at hand on a board, for a join: one look into an index for each team."""
+    """Return the best result of the team at hand on a board, for a join: one look into an index for each team."""
     return aliased(
         BoardResult,
         lateral(

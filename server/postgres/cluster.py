@@ -173,7 +173,7 @@ class Cluster:
         return True
 
     def stop(self, process: "subprocess.Popen[bytes]") -> None:
-        """Fast shutdown, then immediate, then kill; returns when the process is gone."""
+        """Shut down fast, then at once, then kill; return when the process is gone."""
         for signal_number in (signal.SIGINT, signal.SIGQUIT, signal.SIGKILL):
             if process.poll() is None:
                 process.send_signal(signal_number)
@@ -193,7 +193,7 @@ class Cluster:
             _write_private(self.dsn_file, self.dsn())
 
     def dsn(self, database: str = DATABASE) -> str:
-        """Address of a database of this cluster, with the password."""
+        """Return the address of a database of this cluster, with the password."""
         password = (self.folder / "password").read_text()
         return f"postgresql://{SUPERUSER}:{password}@/{database}?host={quote(str(self.socket_dir), safe='')}"
 

@@ -1,5 +1,6 @@
 """Words that `docs/glossary.md` replaces do not come back: in names, messages, docstrings, pages and documents."""
 
+import ast
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,7 +10,7 @@ import pytest
 SUFFIXES = {".py", ".html", ".js", ".sh", ".md", ".yaml", ".yml"}
 PLACES = (
     *("cli", "web", "worker", "server", "evaluator", "examples"),
-    *("envs/compilation", "envs/fem", "tests/physics"),
+    *("envs", "tests/physics"),
     *("docs", "README.md", "CONTRIBUTING.md", "CHANGELOG.md"),
     *("vitac", "setup", "docker", "docker-compose.yml"),
 )
@@ -27,6 +28,16 @@ REPLACED = {
     r"\bis told\b|\btold by\b": "is given, is notified",
     r"\blog audit\b|\baudits\b": "action match (an audit log records changes by people)",
 }
+
+# What docstrings of functions began with that said what they return, in place of what they do. Properties are nouns.
+NO_VERBS = re.compile(
+    "The|An?|All|One|Each|Whether|How|Which|Why|What|Where|When|After|Under|For|In|Out|Later|Present|Fast|High|"
+    "First|Best|Largest|Smallest|Closest|Mean|Nodal|Consistent|Sliding|Rotated|Counter-clockwise|Commanded|Compiling|"
+    "SHA-256|Addresse?s?|Ids?|Folders?|Contents|Limits|Masks?|Motion|Heights?|Depths?|Distances?|Pictures?|Rewards?|"
+    "Pairs?|Parts?|Places|Points?|Nodes?|Edges?|Corners?|Vertices|Triangles?|Volumes?|Centroids|Blocks|Rows|Pixels?|"
+    "Indices|Libraries|Elimination|Boundary|Hexagon|Board|Unit"
+)
+CODE = ("benchmarks", "cli", "envs", "evaluator", "examples", "migrations", "server", "web", "worker")
 
 
 def texts(repository: Path) -> Iterator[Path]:
@@ -47,6 +58,25 @@ def test_replaced_words_are_not_used(repository: Path, pattern: str) -> None:
     assert len(files) > 200
     found = [use for file in files for use in uses(pattern, file)]
     assert not found, f"write {REPLACED[pattern]!r} instead in\n" + "\n".join(found)
+
+
+def first_words(file: Path) -> Iterator[tuple[str, str]]:
+    """Yield the first word of each function's docstring, and where it stands."""
+    for node in ast.walk(ast.parse(file.read_bytes())):
+        if not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            continue
+        is_property = any(getattr(decorator, "id", "").endswith("property") for decorator in node.decorator_list)
+        docstring = ast.get_docstring(node)
+        if docstring and not is_property:
+            yield docstring.split()[0].rstrip(",.;"), f"{file}:{node.lineno} {node.name}"
+
+
+def test_docstrings_of_functions_begin_with_a_verb(repository: Path) -> None:
+    files = [file for folder in CODE for file in (repository / folder).rglob("*.py")]
+    words = [found for file in files for found in first_words(file)]
+    assert len(words) > 1500
+    nouns = [f"{place}: {word}" for word, place in words if NO_VERBS.fullmatch(word)]
+    assert not nouns, "expected a verb in the imperative first in\n" + "\n".join(nouns)
 
 
 def test_every_term_is_defined_once(repository: Path) -> None:

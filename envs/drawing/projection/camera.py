@@ -42,7 +42,7 @@ class ParallelCamera:
         return np.array([right, up, away])
 
     def project(self, points_m: FloatArray) -> FloatArray:
-        """Picture coordinates of points: x to the right and y downwards [pixel], depth [m], shape [..., 3]."""
+        """Return picture coordinates of points: x to the right, y downwards [pixel], depth [m], shape [..., 3]."""
         seen = (points_m - np.array(self.centre_m)) @ self.axes.T
         scale = self.height_px / self.height_m
         x = 0.5 * self.width_px + scale * seen[..., 0]
@@ -50,7 +50,7 @@ class ParallelCamera:
         return np.stack([x, y, seen[..., 2]], axis=-1)
 
     def plane_depths_m(self, plane: Plane) -> FloatArray:
-        """Depth of a plane behind every pixel's centre [m], shape [height, width]; the plane must not be edge-on."""
+        """Return a plane's depth behind every pixel's centre [m], shape [height, width]; it must not be edge-on."""
         right, up, away = self.axes @ np.array(plane.normal)
         start = float(plane.heights_m(np.array(self.centre_m)))
         metre = self.height_m / self.height_px

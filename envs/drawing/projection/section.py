@@ -32,7 +32,7 @@ Edge = tuple[int, int]
 
 
 def _crossings(triangles: IndexArray, above: NDArray[np.bool_]) -> list[tuple[Edge, Edge]]:
-    """For every triangle that the plane cuts, the edge by which its outline enters and the one by which it leaves."""
+    """Return the edges by which the outline enters and leaves each triangle that the plane cuts."""
     cut = above[triangles].any(axis=1) & ~above[triangles].all(axis=1)
     return [_entry_and_exit(triangle, above) for triangle in triangles[cut].tolist()]
 

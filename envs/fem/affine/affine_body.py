@@ -29,7 +29,7 @@ def frame_mass(
     frame_length_m: float,
     density_kg_m3: float,
 ) -> FloatArray:
-    """Consistent mass matrix rho * integral of w w^T over the solid [kg], shape [4, 4], same for each coordinate."""
+    """Return the consistent mass matrix rho * integral of w w^T over the solid [kg], shape [4, 4], per coordinate."""
     volume, _, second = mesh.moments
     about_centroid = second - volume * centroid_m[:, None] * centroid_m[None, :]
     local = about_centroid / frame_length_m**2

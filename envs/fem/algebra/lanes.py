@@ -18,7 +18,7 @@ _ROWS = 3
 
 @numba.extending.intrinsic
 def subtract_products(typing_context, front, places, factors):  # type: ignore[no-untyped-def]  # noqa: ARG001 - numba's intrinsic protocol
-    """Three rows less their multiples of three pivot rows, in eight columns but the first few; rows are `stride` apart.
+    """Return three rows less their multiples of three pivot rows, in eight columns but the first few, `stride` apart.
 
     `places` are (row, pivot, stride, skipped), `factors` (f_0, f_1, f_2):
 

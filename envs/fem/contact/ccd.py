@@ -106,7 +106,7 @@ def _vertex_pair_time(xa: Vec3, xb: Vec3, va: Vec3, vb: Vec3, r: Vec3, floor: fl
 
 @kernel
 def inversion_free_fraction(elastic: Elastic, x: FloatArray, move: FloatArray, allowed: float) -> float:
-    """Largest part, at most `allowed`, of a node move [m], shape [n, 3], leaving tetrahedra a tenth of their volume.
+    """Return the largest part, up to `allowed`, of a node move [m], shape [n, 3], that leaves a tenth of each volume.
 
     Along the move a volume is a cubic in time; dropping its growing terms gives a falling lower bound, which is
     bisected.

@@ -92,7 +92,7 @@ def contact_geometry(x: Quad, moves: Quad, c: Coefficients, sliding: Sliding, r:
 
 @kernel
 def sliding_directions(sliding: Sliding, x: Quad, moves: Quad) -> tuple[SlidingDirection, SlidingDirection]:
-    """Sliding directions of a pair, made orthonormal (Gram-Schmidt); moves are the displacements in the step."""
+    """Return the sliding directions of a pair, orthonormal (Gram-Schmidt); moves are the displacements in the step."""
     first = _direction(sliding[0], sliding[1], x, moves)
     second = _direction(sliding[2], sliding[3], x, moves)
     size = np.sqrt(dot(first.tangent, first.tangent))

@@ -36,7 +36,7 @@ def closest_points(pair_type: int, x0: Vec3, x1: Vec3, x2: Vec3, x3: Vec3) -> tu
 
 @kernel
 def point_triangle(p: Vec3, t0: Vec3, t1: Vec3, t2: Vec3) -> tuple[Coefficients, Sliding]:
-    """Closest point of triangle (t0, t1, t2) to p, by the regions of Ericson, Real-Time Collision Detection, 5.1.5."""
+    """Return the closest point of triangle (t0, t1, t2) to p (Ericson, Real-Time Collision Detection, 5.1.5)."""
     ab, ac, ap = subtract(t1, t0), subtract(t2, t0), subtract(p, t0)
     d1, d2 = dot(ab, ap), dot(ac, ap)
     if d1 <= 0.0 and d2 <= 0.0:
@@ -68,7 +68,7 @@ def point_triangle(p: Vec3, t0: Vec3, t1: Vec3, t2: Vec3) -> tuple[Coefficients,
 
 @kernel
 def edge_edge(a0: Vec3, a1: Vec3, b0: Vec3, b1: Vec3) -> tuple[Coefficients, Sliding]:
-    """Closest points of segments (a0, a1) and (b0, b1), clamped as in Ericson, Real-Time Collision Detection, 5.1.9.
+    """Return the closest points of segments (a0, a1) and (b0, b1), clamped (Ericson, as above, 5.1.9).
 
     For parallel segments any of the closest point pairs may be returned; their distance is the same.
     """

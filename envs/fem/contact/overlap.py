@@ -83,7 +83,7 @@ def segment_crosses_triangle(p: Vec3, q: Vec3, a: Vec3, b: Vec3, c: Vec3) -> boo
 
 @kernel
 def _encloses(surfaces: Surfaces, y: FloatArray, outer: int, inner: int) -> bool:
-    """Whether the first point of one body lies inside the other: a ray crosses the surface an odd number of times."""
+    """Return whether a body holds the first point of another: a ray crosses its surface an odd number of times."""
     start = load(y, surfaces.point_start[inner])
     far = (start[0] + 0.8191, start[1] + 1.3147, start[2] + 1.0773)
     inside = False

@@ -32,7 +32,7 @@ class Elimination(NamedTuple):
 
 
 def plan_elimination(free: IndexArray, edges: IndexArray, positions_m: FloatArray) -> Elimination:
-    """Elimination of the mesh nodes `free` [n] at `positions_m` [n, 3], of which `edges` [e, 2] couple the numbers."""
+    """Plan the elimination of the mesh nodes `free` [n] at `positions_m` [n, 3], coupled by `edges` [e, 2]."""
     order = elimination_order(edges, positions_m)
     pivots, below = _fronts(_places(order)[edges], len(order))
     final = np.concatenate([np.array(group, dtype=np.int64) for group in pivots])
@@ -77,7 +77,7 @@ def _fronts(edges: IndexArray, count: int) -> tuple[list[list[int]], list[set[in
 
 
 def _reached(edges: IndexArray, count: int) -> list[set[int]]:
-    """Later nodes that each node is coupled to when it is eliminated, fill included."""
+    """Return the later nodes that each node is coupled to when it is eliminated, fill included."""
     below: list[set[int]] = [set() for _ in range(count)]
     for a, b in edges.tolist():
         below[min(a, b)].add(max(a, b))

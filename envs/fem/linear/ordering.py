@@ -73,7 +73,7 @@ def _dissect(
 def _best_separator(
     nodes: IndexArray, edges: IndexArray, positions_m: FloatArray
 ) -> tuple[MaskArray, MaskArray] | None:
-    """Masks of the nodes below a plane and of its separator: few nodes between two parts of about equal size."""
+    """Return masks of the nodes below a plane and of its separator: few nodes between parts of about equal size."""
     best = None
     smallest = len(nodes) ** 2
     for axis in range(3):

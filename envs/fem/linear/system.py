@@ -101,7 +101,7 @@ def system_layout(eliminations: Sequence[Elimination], border: int) -> SystemLay
 def _joined_fronts(
     eliminations: Sequence[Elimination], starts: IndexArray, border: int
 ) -> tuple[IndexArray, list[IndexArray]]:
-    """First pivots and rows of the fronts of all gels, which all reach the border, and of the border itself."""
+    """Return first pivots and rows of the fronts of all gels, which all reach the border, and of the border."""
     total = int(starts[-1]) + border
     frame_points = np.arange(starts[-1], total)
     first, rows = [], []
@@ -172,7 +172,7 @@ def _neighbour_numbers(
 
 
 def gel_block_places(neighbours: Neighbours, rows: IndexArray, columns: IndexArray) -> IndexArray:
-    """Places of blocks of coupled gel nodes; NO_PLACE where one of the two numbers is negative (no unknown)."""
+    """Return the places of blocks of coupled gel nodes; NO_PLACE where a number is negative (no unknown)."""
     count = len(neighbours.start) - 1
     node = np.repeat(np.arange(count), np.diff(neighbours.start))
     numbers = np.searchsorted(node * count + neighbours.node, rows * count + columns)
@@ -182,7 +182,7 @@ def gel_block_places(neighbours: Neighbours, rows: IndexArray, columns: IndexArr
 
 @kernel
 def block_place(layout: BlockLayout, a: int, b: int) -> tuple[int, int]:
-    """Place and row stride of the block of unknowns a and b, of which one is a frame point or which are the same.
+    """Return place and row stride of the block of unknowns a and b, which are the same or one of them a frame point.
 
     The blocks of one row and of the frame points of one body adjoin.
     """

@@ -140,7 +140,7 @@ def _build_surfaces(gels: tuple[GelBody, ...], bodies: tuple[RigidBody, ...]) ->
 
 
 def _touching_pairs(gels: tuple[GelBody, ...], bodies: tuple[RigidBody, ...]) -> tuple[IndexArray, FloatArray]:
-    """Pairs of different bodies of which at least one can move, and the mean of their friction coefficients."""
+    """Return pairs of different bodies of which one at least can move, and the means of their friction coefficients."""
     members: list[GelBody | RigidBody] = [*gels, *bodies]
     pairs, friction = [], []
     for a, first in enumerate(members):

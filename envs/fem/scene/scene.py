@@ -236,7 +236,7 @@ class Scene:
         return solve_step(self._model, self._x, step, tolerances, self._workspace, attempt.record)
 
     def _net_load(self, gradient: FloatArray) -> tuple[float, float]:
-        """Largest net force [N] and torque [N m] left on a movable body; frame point forces act at the frame points."""
+        """Return the largest net force [N] and torque [N m] left on a movable body, summed over its frame points."""
         force, torque = 0.0, 0.0
         for body, rows in zip(self._bodies, self._layout.body_slices, strict=True):
             if not body.fixed:

@@ -145,7 +145,7 @@ def solve_step(
 
 @kernel
 def _is_cautious(iteration: int, length: int) -> bool:
-    """Free and cautious iterations take turns; each cautious turn is twice as long as the one before."""
+    """Return whether an iteration is cautious: turns alternate, and each cautious one is twice as long as the last."""
     cautious = length
     while iteration >= length + cautious:
         iteration -= length + cautious

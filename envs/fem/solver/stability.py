@@ -18,7 +18,7 @@ from .workspace import Workspace
 
 @large_kernel
 def is_stable(model: Model, candidates: Candidates, s: Solve, workspace: Workspace, matrix: int) -> bool:
-    """Whether the exact Jacobian has no negative determinant; the projected one cannot tell, so it is made anew."""
+    """Return whether the exact Jacobian has no negative determinant; the projected one cannot tell and is replaced."""
     if matrix == PROJECTED_MATRIX:
         assemble(model, candidates, s.iterate, s.start, workspace, EXACT_MATRIX)
         if not factorise(model.system, workspace.system.entries, workspace.factor, False):

@@ -36,7 +36,7 @@ def falling_fraction(model: Model, candidates: Candidates, s: Solve, workspace: 
 def fraction_without_overshoot(
     model: Model, candidates: Candidates, s: Solve, workspace: Workspace, fraction: float
 ) -> float:
-    """Part of the step at whose end the forces along it have not turned round by more than half; by regula falsi."""
+    """Return the part of a step at whose end the forces along it are turned round by half at most; by regula falsi."""
     here = force_along(model, s.step.solution, workspace.system.gradient)
     _bound_motion(s)
     for _ in range(_SHORTENINGS):

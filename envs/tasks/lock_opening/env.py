@@ -21,7 +21,7 @@ class LockOpeningEnv(TactileTaskEnv[LockScene, LockOpeningSettings]):
     """Pull a key outwards until its teeth stand below the slots of its lock, then lift it, by touch alone.
 
     The key starts up to 6.5 mm too deep in its lock, and the sensors grip its handle up to 2 mm off along the key and
-    in height; the policy is told neither. World frame: z up, the lock's entrance towards +x. Actions outside -1 to 1
+    in height; the policy knows neither. World frame: z up, the lock's entrance towards +x. Actions outside -1 to 1
     are clipped (the 2025 code does not clip [D4]).
 
     The grid of `marker_flow` is drawn anew at every observation.

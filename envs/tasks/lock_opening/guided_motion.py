@@ -12,7 +12,7 @@ _LIFT_MARGIN_MM = 0.5
 
 
 def out_and_up(_: Observation, info: Info) -> ActionArray:
-    """Out until the rear tooth is below its slot, and up into it, at once: the teeth rub along the ceiling."""
+    """Go out until the rear tooth is below its slot, and up into it, at once: the teeth rub along the ceiling."""
     tooth_m, slot_m = info["key1_pts_m"], info["lock1_pts_m"]
     inwards_mm = 1e3 * (tooth_m[:, 0].mean() - slot_m[:, 0].mean())
     down_mm = 1e3 * (tooth_m[:, 2].min() - SUCCESS_Z_RANGE_M[0]) - _LIFT_MARGIN_MM

@@ -172,7 +172,7 @@ def _open_pose(start: LockStart) -> GripperPose:
 
 
 def _tooth_from_slot(tooth_m: FloatArray, slot_m: FloatArray) -> FloatArray:
-    """Mean tooth corner relative to its slot: x from the slot's middle, y, z from the ceiling, times 200 per metre."""
+    """Return the mean tooth corner from its slot [5 mm]: x from the slot's middle, y, z from the ceiling."""
     tooth = tooth_m.sum(axis=0) / len(tooth_m)
     slot_x_m = slot_m[:, 0].sum() / len(slot_m)
     return np.asarray(_POINT_SCALE_PER_M * (tooth - np.array([slot_x_m, 0.0, CEILING_Z_M])))

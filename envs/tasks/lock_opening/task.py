@@ -77,7 +77,7 @@ def reward(
     final_reward: float,
     failure_penalty: float,
 ) -> float:
-    """Reward of an env step: progress, less the penalty and both surfaces' motion, plus what the end brings [D11]."""
+    """Return the reward of an env step: progress, less penalty and both surfaces' motion, plus the end's part [D11]."""
     final = 0.0
     if flags.is_success:
         final = final_reward

@@ -51,7 +51,7 @@ class PegScene(InsertionScene[PegOffset, PegInsertionSettings]):
         self._descend(self._settings.z_step_mm, TRAVEL_SPEED_M_S)
 
     def relative_motion_mm_deg(self) -> NDArray[np.float64]:
-        """Commanded x, y, theta, z since the reset [mm, mm, deg, mm]; the descent of the reset is not counted."""
+        """Return the commanded x, y, theta, z since the reset [mm, mm, deg, mm], without the reset's own descent."""
         return np.append(super().relative_motion_mm_deg(), -self.env_steps * self._settings.z_step_mm)
 
     def _lower_end_mm(self, offset: PegOffset) -> tuple[float, float, float]:

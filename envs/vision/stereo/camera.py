@@ -98,7 +98,7 @@ def _with_margin(places: NDArray[np.int64], end: int) -> slice:
 
 
 def _right_part(picture: Picture, rows: slice, columns: slice) -> Picture:
-    """Part of the right picture that the columns of the left can match; what lies beyond the picture is dark."""
+    """Return what the columns of the left picture can match in the right one; beyond the picture it is dark."""
     first = columns.start - LARGEST_DISPARITY
     wanted = np.arange(first, first + (columns.stop - columns.start) + MATCHES - 1)
     inside = wanted >= 0

@@ -108,7 +108,7 @@ def _expose(
 
 @kernel
 def _is_lit(projector: Projector, a: float, b: float, z: float, triangle: int) -> bool:
-    """Whether the dots reach a point of a triangle in direction (a, b) at depth z; beyond the maps they always do."""
+    """Return whether the dots reach a point of a triangle in direction (a, b) at depth z; beyond the maps always."""
     column = int(np.floor(projector.intrinsics.focal_u_px * a + projector.intrinsics.centre_u_px))
     row = int(np.floor(projector.intrinsics.focal_v_px * b + projector.intrinsics.centre_v_px))
     if row < 0 or column < 0 or row >= projector.triangle.shape[0] or column >= projector.triangle.shape[1]:

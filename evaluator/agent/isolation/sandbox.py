@@ -122,7 +122,7 @@ class Sandbox:
     # Starting and stopping
 
     def _check_readable(self) -> None:
-        """Under root the policy runs as another user, who must be able to read the submission."""
+        """Refuse a submission that the policy's user cannot read: under root the policy runs as another user."""
         mode = self._submission.stat().st_mode
         if bubblewrap.current_user_isolation() is UserIsolation.ROOT and mode & 0o005 != 0o005:
             raise SandboxFailed(
