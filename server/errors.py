@@ -34,6 +34,7 @@ class ProblemCode(StrEnum):
     NOT_FOUND = "not_found"
     NOT_REQUEUABLE = "not_requeuable"
     NO_LOG = "no_log"
+    QUOTA_EXCEEDED = "quota_exceeded"
     REGISTRATION_CLOSED = "registration_closed"
     STORAGE_FULL = "storage_full"
     STORAGE_UNAVAILABLE = "storage_unavailable"
@@ -75,6 +76,7 @@ STATUS_OF_CODE: Mapping[ProblemCode, HTTPStatus] = MappingProxyType(
         ProblemCode.NOT_FOUND: HTTPStatus.NOT_FOUND,
         ProblemCode.NOT_REQUEUABLE: HTTPStatus.CONFLICT,
         ProblemCode.NO_LOG: HTTPStatus.CONFLICT,
+        ProblemCode.QUOTA_EXCEEDED: HTTPStatus.TOO_MANY_REQUESTS,
         ProblemCode.REGISTRATION_CLOSED: HTTPStatus.FORBIDDEN,
         ProblemCode.STORAGE_FULL: HTTPStatus.INSUFFICIENT_STORAGE,
         ProblemCode.STORAGE_UNAVAILABLE: HTTPStatus.SERVICE_UNAVAILABLE,

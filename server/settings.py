@@ -4,9 +4,19 @@ from enum import StrEnum
 from functools import cached_property
 from ipaddress import ip_network
 from pathlib import Path
-from typing import Any, Self
+from typing import Annotated, Any, Self
 
-from pydantic import Field, PositiveFloat, PositiveInt, SecretStr, ValidationError, field_validator, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    PositiveFloat,
+    PositiveInt,
+    SecretStr,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
 from pydantic_settings import BaseSettings, SettingsConfigDict
 from vitac.evaluator.agent.limits import Limits
 
@@ -26,6 +36,23 @@ class LogFormat(StrEnum):
 
     TEXT = "text"  # key='value' pairs, for people
     JSON = "json"  # JSON objects, for programs
+
+
+Limit = Annotated[int, Field(ge=0)] | None
+
+
+class Quotas(BaseModel):
+    """What each team may have, unless `vitac admin quota set` gives it a limit of its own; null: any number."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    scored_runs_per_day: Limit = Field(
+        default=None, description="Evaluations of a day (UTC) that end with a score or may still do so."
+    )
+    attempts_per_day: Limit = Field(default=None, description="Evaluations of a day (UTC), however they end.")
+    queued_at_once: Limit = Field(default=None, description="Evaluations that wait or run.")
+    tokens: Limit = Field(default=20, description="Tokens that are good.")
+    event_streams: Limit = Field(default=20, description="Open event streams, of API and pages together.")
 
 
 class Settings(BaseSettings):
@@ -91,6 +118,10 @@ class Settings(BaseSettings):
     limits: Limits = Field(
         default_factory=Limits,
         description="On archives and policies; one by one (VITAC_LIMITS__MEMORY_BYTES) or as JSON (VITAC_LIMITS).",
+    )
+    quotas: Quotas = Field(
+        default_factory=Quotas,
+        description="Of each team; one by one (VITAC_QUOTAS__ATTEMPTS_PER_DAY) or as JSON (VITAC_QUOTAS).",
     )
     log_bytes: PositiveInt = Field(
         default=32 << 20,

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from vitac.evaluator.tracks import list_tracks
 from vitac.server.api.app import create_app
+from vitac.server.api.streams import OpenStreams
 
 from .data.service import ServiceData
 from .pages import routes
@@ -25,8 +26,9 @@ def create(services: Services) -> FastAPI:
     """Return the application on open services; the caller closes them."""
     settings = services.settings
     app = create_app(settings, services=services)
+    streams = OpenStreams(services=services, limiter=app.state.stream_limiter)
     site = Site(
-        data=ServiceData(database=services.database, settings=settings),
+        data=ServiceData(database=services.database, settings=settings, streams=streams),
         signer=SessionSigner(key=signing_key(settings)),
         version=version("vitac-arena"),
         tracks=list_tracks(),

@@ -4,7 +4,7 @@ import sys
 
 import typer
 
-from . import backup, evaluation, submission, team, token, worker
+from . import backup, evaluation, quota, submission, team, token, worker
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
@@ -19,6 +19,7 @@ def log_beside_the_output() -> None:
 
 
 app.add_typer(team.app, name="team", help="Teams: add, list, show.")
+app.add_typer(quota.app, name="quota", help="Quotas of teams: list, set.")
 app.add_typer(token.app, name="token", help="API tokens: add, list, revoke.")
 app.add_typer(submission.app, name="submission", help="Submissions: list, show, requeue, cancel.")
 app.add_typer(evaluation.app, name="evaluation", help="Evaluations: list, show, requeue, cancel.")

@@ -26,6 +26,7 @@ HINTS = {
     "too_many_requests": "Wait a moment and retry.",
     "too_many_uploads": "Finish or wait; `vitac submit` goes on with an upload of the same content.",
     "database_unavailable": "The database is starting or down; retry in a minute.",
+    "quota_exceeded": "`vitac whoami` shows your quotas; an upload in pieces waits for a day.",
     "storage_full": "Tell the organizers that the disk of the service is full.",
     "storage_unavailable": "The service cannot store files now; retry in a minute.",
 }

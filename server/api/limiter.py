@@ -19,6 +19,8 @@ from vitac.server.errors import ProblemCode, ServiceError
 
 _LOCK = struct.Struct("hhqqi0q")  # struct flock: kind, whence, start, length, process id
 _KEY_BYTES = 5
+_PLACES = 1 << 20
+"""So many bytes of the file belong to a key."""
 
 
 class WindowLimiter:
@@ -90,13 +92,19 @@ class ConcurrencyLimiter:
         Raises:
             ServiceError: as many as possible are running.
         """
-        first = int.from_bytes(_digest(key)[:_KEY_BYTES]) * self._limit
-        with _open(self._path) as file:
-            if not any(_lock_byte(file, place) for place in range(first, first + self._limit)):
+        with self.place(key, self._limit) as is_free:
+            if not is_free:
                 raise ServiceError(
                     ProblemCode.TOO_MANY_REQUESTS, f"At most {self._limit} {what} are possible; wait for one to end."
                 )
             yield
+
+    @contextmanager
+    def place(self, key: str, limit: int) -> Iterator[bool]:
+        """Count one thing while the block runs if there is a place among `limit`; yield whether there is."""
+        first = int.from_bytes(_digest(key)[:_KEY_BYTES]) * _PLACES
+        with _open(self._path) as file:
+            yield any(_lock_byte(file, place) for place in range(first, first + min(limit, _PLACES)))
 
 
 def _digest(key: str) -> bytes:

@@ -32,6 +32,7 @@ from vitac.server.views.submissions import EpisodeView, SubmissionListView, Subm
 
 from .access import PrincipalOf, ServicesOf
 from .problems import RESPONSES
+from .streams import OpenStreams
 
 router = APIRouter(prefix="/submissions", tags=["submissions"], responses=RESPONSES)
 
@@ -71,7 +72,7 @@ async def post_submission(
     verified. The same content from the same team is the same submission: 200 with it while it is evaluated or done.
     """
     _check_head(request, services, track, kind)
-    owner = await run_in_threadpool(_owner_name, services, principal, team)
+    owner = await run_in_threadpool(_expect, services, principal, team, _claimed_sha256(request))
     with request.app.state.upload_limiter.one(principal.actor, "uploads at the same time"):
         upload = await _receive(request, services, kind, track, owner)
     view, is_new = await run_in_threadpool(_create, services, principal, upload, team, again)
@@ -166,13 +167,14 @@ async def follow_submission(
     """Return the submission as server-sent events: now, after each change, and `end` when its evaluation has ended."""
     # Before the stream begins, so that a foreign id is answered with 404 and not with an empty stream.
     await run_in_threadpool(get_submission, services, principal, submission_id)
-    return EventSourceResponse(_events(request, services, principal, submission_id), ping=PING_S)
+    streams = OpenStreams(services=services, limiter=request.app.state.stream_limiter)
+    await streams.require_place(principal)
+    return EventSourceResponse(_events(streams, principal, submission_id), ping=PING_S)
 
 
-async def _events(
-    request: Request, services: Services, principal: Principal, submission_id: UUID
-) -> AsyncIterator[ServerSentEvent]:
-    with request.app.state.stream_limiter.one("all", "event streams"):
+async def _events(streams: OpenStreams, principal: Principal, submission_id: UUID) -> AsyncIterator[ServerSentEvent]:
+    services = streams.services
+    async with streams.one(principal):
         watching = watch(services.database, services.settings, principal, submission_id)
         async with aclosing(watching) as views:
             async for view in views:
@@ -195,9 +197,9 @@ def _check_head(request: Request, services: Services, track: str | None, kind: S
         check_kind(kind, load_known_track(track))
 
 
-def _owner_name(services: Services, principal: Principal, team: str | None) -> str:
+def _expect(services: Services, principal: Principal, team: str | None, sha256: str | None) -> str:
     with services.database.transaction() as session:
-        return creation.owner_name(session, principal, team)
+        return creation.expect_upload(session, services.settings.quotas, principal, team, sha256).name
 
 
 async def _receive(
@@ -223,7 +225,9 @@ def _create(
     services: Services, principal: Principal, upload: CheckedUpload, team: str | None, again: bool
 ) -> tuple[SubmissionView, bool]:
     with services.database.transaction() as session:
-        submission, is_new = creation.create(session, principal, upload, team=team, again=again)
+        submission, is_new = creation.create(
+            session, principal, upload, team=team, again=again, quotas=services.settings.quotas
+        )
     with services.database.transaction() as session:
         return listing.get(session, services.settings, principal, submission.id), is_new
 

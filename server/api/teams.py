@@ -10,12 +10,13 @@ from pydantic import BaseModel, ConfigDict, Field
 from sqlalchemy.orm import Session
 from vitac.server.accounts import teams, tokens
 from vitac.server.accounts.principals import CONSOLE, Principal
+from vitac.server.accounts.quotas import charge, uses
 from vitac.server.db.models import ApiToken, Team
-from vitac.server.db.states import Role
+from vitac.server.db.states import Quota, Role
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.services import Services
 from vitac.server.settings import Registration
-from vitac.server.views.accounts import MeView, NewTokenView, RegisteredTeamView, TokenListView
+from vitac.server.views.accounts import MeView, NewTokenView, QuotaView, RegisteredTeamView, TokenListView
 
 from .access import OptionalPrincipalOf, PrincipalOf, ServicesOf
 from .problems import RESPONSES
@@ -68,6 +69,8 @@ def post_token(services: ServicesOf, principal: PrincipalOf, new: NewToken) -> N
     """Make a further token of the own team; an organizer's without `team` is an organizer's token."""
     with services.database.transaction() as session:
         owner = _owner_of_new_token(session, principal, new)
+        if owner is not None:
+            charge(session, services.settings.quotas, principal, owner, Quota.TOKENS)
         issued = tokens.issue(
             session,
             principal,
@@ -102,6 +105,7 @@ def get_me(services: ServicesOf, principal: PrincipalOf) -> MeView:
             role=principal.role,
             team=teams.team_view(teams.own(session, principal)) if principal.team_id is not None else None,
             token=tokens.token_view(token) if token is not None else None,
+            quotas=_quotas(session, services, principal),
         )
 
 
@@ -110,6 +114,12 @@ def _owner_of_new_token(session: Session, principal: Principal, new: NewToken) -
         principal.require_organizer()
         return teams.find(session, new.team)
     return None if principal.is_organizer else teams.own(session, principal)
+
+
+def _quotas(session: Session, services: Services, principal: Principal) -> list[QuotaView]:
+    if principal.team_id is None:
+        return []
+    return [QuotaView(**vars(use)) for use in uses(session, services.settings.quotas, principal.team_id)]
 
 
 def _lifetime(services: Services, days: int | None) -> timedelta:

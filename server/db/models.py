@@ -30,7 +30,7 @@ from sqlalchemy import (
 from sqlalchemy.dialects.postgresql import ARRAY, JSONB
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column, relationship
 from vitac.evaluator.submission_kinds import SubmissionKind
-from vitac.server.db.states import EvaluationState, Role, ShardState, WorkerState
+from vitac.server.db.states import EvaluationState, Quota, Role, ShardState, WorkerState
 
 NAMING = {
     "ix": "ix_%(table_name)s_%(column_0_N_name)s",
@@ -64,14 +64,14 @@ class Base(DeclarativeBase):
     }
 
 
-def _closed_set(kind: type[StrEnum], name: str) -> Enum:
+def _closed_set(kind: type[StrEnum], name: str, length: int = 16) -> Enum:
     """Return the text column that takes the members of an enum only."""
     return Enum(
         kind,
         name=name,
         native_enum=False,
         create_constraint=True,
-        length=16,
+        length=length,
         values_callable=lambda members: [member.value for member in members],
     )
 
@@ -89,6 +89,16 @@ class Team(Base):
     name_key: Mapped[str] = mapped_column(String(64), unique=True)
     contact: Mapped[str | None] = mapped_column(String(254))
     created_at: Mapped[datetime] = mapped_column(server_default=func.now())
+
+
+class TeamQuota(Base):
+    """A limit of a team's own, in place of the settings'. `most` is NULL where any number is possible."""
+
+    __tablename__ = "team_quotas"
+    __table_args__ = (CheckConstraint("most >= 0", name="is_a_number"),)
+    team_id: Mapped[UUID] = mapped_column(ForeignKey("teams.id", ondelete="CASCADE"), primary_key=True)
+    quota: Mapped[Quota] = mapped_column(_closed_set(Quota, "quota", length=32), primary_key=True)
+    most: Mapped[int | None]
 
 
 class ApiToken(Base):
@@ -177,7 +187,8 @@ class UploadPart(Base):
 class Evaluation(Base):
     """One run of the evaluator over a submission. Run 1 uses stored episodes; a higher run has records of its own.
 
-    `turn` orders those that wait, see `server.queue.turns`.
+    `turn` orders those that wait, see `server.queue.turns`. `charged_at` says when the team's quotas counted it; NULL
+    where it costs nothing.
     """
 
     __tablename__ = "evaluations"
@@ -208,6 +219,7 @@ class Evaluation(Base):
             postgresql_where=text("state IN ('queued', 'running', 'completed')"),
         ),
         Index("ix_evaluations_state_created_at", "state", "created_at"),
+        Index("ix_evaluations_charged_at", "charged_at", postgresql_where=text("charged_at IS NOT NULL")),
     )
     id: Mapped[UUID] = mapped_column(primary_key=True, default=uuid4)
     submission_id: Mapped[UUID] = mapped_column(ForeignKey("submissions.id", ondelete="RESTRICT"), index=True)
@@ -218,6 +230,7 @@ class Evaluation(Base):
     state: Mapped[EvaluationState] = mapped_column(_closed_set(EvaluationState, "state"))
     episodes_reused: Mapped[int] = mapped_column(default=0)
     turn: Mapped[int] = mapped_column(default=0, server_default=text("0"))
+    charged_at: Mapped[datetime | None]
     created_at: Mapped[datetime] = mapped_column(server_default=func.now())
     started_at: Mapped[datetime | None]
     finished_at: Mapped[datetime | None]

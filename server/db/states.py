@@ -12,6 +12,16 @@ class Role(StrEnum):
     ORGANIZER = "organizer"  # everything
 
 
+class Quota(StrEnum):
+    """What a team may have so much of."""
+
+    SCORED_RUNS_PER_DAY = "scored_runs_per_day"  # evaluations of a day that end, or may still end, with a score
+    ATTEMPTS_PER_DAY = "attempts_per_day"  # evaluations of a day, however they end
+    QUEUED_AT_ONCE = "queued_at_once"  # evaluations that wait or run
+    TOKENS = "tokens"  # tokens that are good
+    EVENT_STREAMS = "event_streams"  # open event streams, of API and pages together
+
+
 class EvaluationState(StrEnum):
     """Life of one evaluation."""
 

@@ -40,8 +40,15 @@ class WrongEvaluator(VitacError):
     """A worker of another evaluator version took a shard: restart it with the version of the server."""
 
 
-def start(session: Session, submission: Submission, run: int) -> Evaluation:
-    """Make an evaluation with its shards and their jobs, all in the caller's transaction."""
+def start(session: Session, submission: Submission, run: int, *, charged_at: datetime | None = None) -> Evaluation:
+    """Make an evaluation with its shards and their jobs, all in the caller's transaction.
+
+    Args:
+        session: of the transaction.
+        submission: what is evaluated.
+        run: number of the run.
+        charged_at: when the team's quotas counted it; None: it costs nothing.
+    """
     evaluation = Evaluation(
         submission=submission,
         run=run,
@@ -51,6 +58,7 @@ def start(session: Session, submission: Submission, run: int) -> Evaluation:
         episodes_reused=0,
         turn=next_turn(session, submission.team_id),
         log_tail="",
+        charged_at=charged_at,
         created_at=datetime.now(UTC),
     )
     track = load_track(submission.track)
@@ -131,7 +139,8 @@ def report_broken_machine(session: Session, settings: Settings, lease: Lease, me
 
 
 def fail_by_machines(session: Session, evaluation: Evaluation, message: str) -> None:
-    """End an evaluation whose shard could not be run in all its attempts."""
+    """End an evaluation whose shard could not be run in all its attempts; it costs the team nothing."""
+    evaluation.charged_at = None
     _cancel_shards(session, evaluation)
     _fail(evaluation, ServiceVerdict.MACHINE_FAILED, message)
 

@@ -64,6 +64,7 @@ def _begin_again(session: Session, evaluation_id: UUID, current: str) -> bool:
             Evaluation.submission_id == evaluation.submission_id, Evaluation.evaluator_version == current
         )
     )
-    lifecycle.start(session, evaluation.submission, 1 + (done_before or 0))
+    charged_at, evaluation.charged_at = evaluation.charged_at, None
+    lifecycle.start(session, evaluation.submission, 1 + (done_before or 0), charged_at=charged_at)
     logger.warning("evaluation_superseded", evaluation=str(evaluation_id), version=evaluation.evaluator_version)
     return True

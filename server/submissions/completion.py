@@ -12,6 +12,7 @@ from vitac.server.uploads.acceptance import accept
 
 _TRANSIENT = frozenset(
     {
+        ProblemCode.QUOTA_EXCEEDED,
         ProblemCode.STORAGE_FULL,
         ProblemCode.STORAGE_UNAVAILABLE,
         ProblemCode.TOO_MANY_REQUESTS,
@@ -50,7 +51,9 @@ def _make(services: Services, by: Principal, upload: PartialUpload) -> tuple[UUI
         intake.check_digest(received, upload.sha256)
         checked = accept(services, received, kind=upload.kind, track=upload.track, owner=upload.team.name)
     with services.database.transaction() as session:
-        submission, is_new = creation.create(session, by, checked, team=str(upload.team_id), again=upload.again)
+        submission, is_new = creation.create(
+            session, by, checked, team=str(upload.team_id), again=upload.again, quotas=services.settings.quotas
+        )
     partial.finish(services, upload.id, submission.id)
     return submission.id, is_new
 

@@ -7,15 +7,27 @@ from sqlalchemy.orm import Session
 from ..accounts import teams
 from ..accounts.audit import record
 from ..accounts.principals import Principal
+from ..accounts.quotas import charge, check
 from ..db.models import Submission, Team
+from ..db.states import Quota
 from ..errors import ProblemCode, ServiceError
 from ..evaluations import lifecycle
+from ..settings import Quotas
 from ..uploads.checked_upload import CheckedUpload
 from .runs import next_run
 
+EVALUATION_QUOTAS = (Quota.QUEUED_AT_ONCE, Quota.ATTEMPTS_PER_DAY, Quota.SCORED_RUNS_PER_DAY)
+DEFAULT_QUOTAS = Quotas()
+
 
 def create(
-    session: Session, by: Principal, upload: CheckedUpload, *, team: str | None = None, again: bool = False
+    session: Session,
+    by: Principal,
+    upload: CheckedUpload,
+    *,
+    team: str | None = None,
+    again: bool = False,
+    quotas: Quotas = DEFAULT_QUOTAS,
 ) -> tuple[Submission, bool]:
     """Make the submission and its evaluation, or find the one that exists; whether a new evaluation was started.
 
@@ -23,26 +35,46 @@ def create(
     started, unless `again` asks for a run that uses no stored episodes; after a cancel the run is taken up where it
     ended, after a failure a new run begins.
 
+    Args:
+        session: of the transaction.
+        by: who asks.
+        upload: the checked body.
+        team: for an organizer: whose submission it becomes.
+        again: play all episodes anew.
+        quotas: of teams without limits of their own.
+
     Raises:
-        ServiceError: an organizer named no team.
+        ServiceError: an organizer named no team, or the team has used one of its quotas.
     """
     team_row = owner(session, by, team)
     submission = _find_or_add(session, team_row, upload)
     run = next_run(session, submission, again=again)
     if run is None:
         return submission, False
-    lifecycle.start(session, submission, run)
+    charged_at = charge(session, quotas, by, team_row, *EVALUATION_QUOTAS)
+    lifecycle.start(session, submission, run, charged_at=charged_at)
     record(session, by, "submission.evaluate", f"submission:{submission.id}", {"run": run, "digest": upload.digest})
     return submission, True
 
 
-def owner_name(session: Session, by: Principal, team: str | None) -> str:
-    """Return the name of the team whose submission an upload becomes.
+def expect_upload(session: Session, quotas: Quotas, by: Principal, team: str | None, sha256: str | None) -> Team:
+    """Return the team whose submission an upload becomes, before any of it is sent.
+
+    Args:
+        session: of the transaction.
+        quotas: of teams without limits of their own.
+        by: who asks.
+        team: for an organizer: whose submission it becomes.
+        sha256: digest of the body, hex, where the client says it: what the team has submitted before may cost nothing.
 
     Raises:
-        ServiceError: an organizer named no team, or none that exists.
+        ServiceError: an organizer named no team, or none that exists, or the team has used one of its quotas.
     """
-    return owner(session, by, team).name
+    found = owner(session, by, team)
+    known = select(Submission.id).where(Submission.team_id == found.id, Submission.archive_sha256 == sha256).limit(1)
+    if sha256 is None or session.scalar(known) is None:
+        check(session, quotas, by, found, *EVALUATION_QUOTAS)
+    return found
 
 
 def owner(session: Session, by: Principal, team: str | None) -> Team:

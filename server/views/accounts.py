@@ -5,7 +5,7 @@ from uuid import UUID
 
 from pydantic import Field
 
-from ..db.states import Role
+from ..db.states import Quota, Role
 from .base import View
 
 
@@ -49,12 +49,22 @@ class RegisteredTeamView(View):
     token: NewTokenView
 
 
+class QuotaView(View):
+    """How much of a quota a team has used."""
+
+    quota: Quota
+    limit: int | None = Field(description="Null: any number.")
+    used: int | None = Field(description="Null where it is not counted in one place.")
+    opens_at: datetime | None = Field(description="When a daily quota counts from zero again.")
+
+
 class MeView(View):
     """Who the token belongs to."""
 
     role: Role
     team: TeamView | None
     token: TokenView | None
+    quotas: list[QuotaView] = Field(description="Of the team; empty for an organizer.")
 
 
 class TokenListView(View):

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from contextlib import AbstractAsyncContextManager
     from uuid import UUID
 
     from vitac.server.accounts.principals import Principal
@@ -96,6 +97,9 @@ class PageData(Protocol):
 
     def server_disk(self) -> Disk:
         """Return the disk of this server's state directory."""
+
+    def event_stream(self, visitor: Visitor) -> AbstractAsyncContextManager[None]:
+        """Count an event stream while the block runs; one too many raises the service's refusal."""
 
     def log_size(self) -> str:
         """Return the largest size of a log, as text."""

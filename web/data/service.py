@@ -23,10 +23,12 @@ from .protocol import SubmissionDetail, Visitor
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
+    from contextlib import AbstractAsyncContextManager
     from uuid import UUID
 
     from sqlalchemy.orm import Session
     from vitac.server.accounts.principals import Principal
+    from vitac.server.api.streams import OpenStreams
     from vitac.server.db.engine import Database
     from vitac.server.queue.workers import Disk
     from vitac.server.settings import Settings
@@ -45,6 +47,7 @@ class ServiceData:
 
     database: Database
     settings: Settings
+    streams: OpenStreams
 
     async def visitor_with_token(self, token: str) -> Visitor | None:
         """Return the holder of an API token."""
@@ -90,6 +93,10 @@ class ServiceData:
     def server_disk(self) -> Disk:
         """Return the disk of this server's state directory."""
         return disk_of(self.settings.state_dir)
+
+    def event_stream(self, visitor: Visitor) -> AbstractAsyncContextManager[None]:
+        """Count an event stream while the block runs."""
+        return self.streams.one(visitor.principal)
 
     def log_size(self) -> str:
         """Return the largest size of a log."""

@@ -75,7 +75,11 @@ async def events(request: Request) -> Response:
     if viewer is None:
         return Response(status_code=204)  # stops EventSource from reconnecting
     await _values(request, viewer)  # refuses a submission of another team before the stream starts
-    return EventSourceResponse(_changes(request), headers={"Cache-Control": "no-store", "X-Accel-Buffering": "no"})
+    async with site_of(request).data.event_stream(viewer.visitor):
+        pass  # refuses one stream too many before it starts
+    return EventSourceResponse(
+        _changes(request, viewer), headers={"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
+    )
 
 
 async def cancel(request: Request) -> Response:
@@ -89,7 +93,13 @@ async def cancel(request: Request) -> Response:
     return RedirectResponse(f"/submissions/{submission_id}", status_code=303)
 
 
-async def _changes(request: Request) -> AsyncIterator[ServerSentEvent]:
+async def _changes(request: Request, viewer: Viewer) -> AsyncIterator[ServerSentEvent]:
+    async with site_of(request).data.event_stream(viewer.visitor):
+        async for event in _views(request):
+            yield event
+
+
+async def _views(request: Request) -> AsyncIterator[ServerSentEvent]:
     shown = ""
     while (viewer := await viewer_of(request)) is not None:
         values = await _values(request, viewer)

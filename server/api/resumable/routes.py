@@ -71,7 +71,7 @@ def post_upload(
     metadata = protocol.read_metadata(request)
     plan = _plan(metadata, protocol.read_number(request, "Upload-Length"))
     with services.database.transaction() as session:
-        owner = creation.owner(session, principal, metadata.get("team"))
+        owner = creation.expect_upload(session, services.settings.quotas, principal, metadata.get("team"), plan.sha256)
         upload = partial.begin(session, services.settings, owner, plan)
     response.headers["Location"] = f"{request.url.path.rstrip('/')}/{upload.id}"
     _tell(response, upload.received_bytes, upload.expires_at)

@@ -2,6 +2,7 @@
 
 import random
 from collections.abc import Sequence
+from contextlib import AbstractAsyncContextManager, nullcontext
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from hashlib import sha256
@@ -487,6 +488,9 @@ class FixedData:
 
     def server_disk(self) -> Disk:
         return Disk(total_bytes=200 << 30, free_bytes=50 << 30)
+
+    def event_stream(self, visitor: Visitor) -> AbstractAsyncContextManager[None]:
+        return nullcontext()
 
     def log_size(self) -> str:
         return "32 MiB"

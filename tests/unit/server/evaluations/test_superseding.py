@@ -1,6 +1,8 @@
+from datetime import datetime
+
 import pytest
 from service_factories import make_principal, make_settings, play, play_all, shard_ids, submit
-from sqlalchemy import text
+from sqlalchemy import select, text
 from vitac.evaluator.version import evaluator_version
 from vitac.server.accounts.principals import Principal
 from vitac.server.db.advisory_locks import AdvisoryLock
@@ -32,6 +34,20 @@ def outdated(database: Database, principal: Principal) -> Submission:
     with database.transaction() as session:
         session.execute(text("UPDATE evaluations SET evaluator_version = 'yesterday'"))
     return submission
+
+
+def test_the_new_evaluation_is_charged_in_place_of_the_old_one(database: Database, outdated: Submission) -> None:
+    def charges() -> list[datetime]:
+        with database.transaction() as session:
+            query = select(Evaluation.charged_at).where(Evaluation.charged_at.is_not(None))
+            return [charge for charge in session.scalars(query) if charge]
+
+    before = charges()
+    add_worker(database, evaluator_version())
+    with database.transaction() as session:
+        assert supersede_outdated(session, SETTINGS) == 1
+    assert charges() == before
+    assert len(before) == 1
 
 
 def add_worker(database: Database, version: str) -> None:

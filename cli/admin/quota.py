@@ -1,0 +1,50 @@
+"""`vitac admin quota`: what teams may have, and how much of it they use."""
+
+from typing import Annotated
+
+import typer
+
+from ..service.database import load_settings, open_service, transaction
+from ..terminal.output import AsJson, print_records
+
+app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
+
+UNLIMITED, DEFAULT = "unlimited", "default"
+
+TeamName = Annotated[str, typer.Argument(help="Name or id of the team.")]
+
+
+@app.command("list")
+def list_quotas(team: TeamName, as_json: AsJson = False) -> None:
+    """List the quotas of a team and how much of each is used."""
+    from vitac.server.accounts import teams
+    from vitac.server.accounts.quotas import uses
+
+    settings = load_settings()
+    with open_service(settings) as services, services.database.transaction() as session:
+        found = [vars(use) for use in uses(session, settings.quotas, teams.find(session, team).id)]
+    print_records(found, ("quota", "limit", "used", "opens_at"), none="No quota.", as_json=as_json)
+
+
+@app.command("set")
+def set_quota(
+    team: TeamName,
+    quota: Annotated[str, typer.Argument(help="Name of the quota, as `list` shows it.")],
+    limit: Annotated[str, typer.Argument(help=f"A number, {UNLIMITED}, or {DEFAULT} for the setting's.")],
+) -> None:
+    """Give a team a limit of its own."""
+    from vitac.server.accounts import quotas, teams
+    from vitac.server.accounts.principals import CONSOLE
+    from vitac.server.db.states import Quota
+
+    if quota not in set(Quota):
+        raise typer.BadParameter(f"{quota!r} is no quota; they are {', '.join(Quota)}")
+    if limit not in {UNLIMITED, DEFAULT} and not (limit.isascii() and limit.isdigit() and len(limit) < 10):
+        raise typer.BadParameter(f"{limit!r} is neither a number nor {UNLIMITED} nor {DEFAULT}")
+    with transaction() as session:
+        found = teams.find(session, team)
+        if limit == DEFAULT:
+            quotas.reset_quota(session, CONSOLE, found, Quota(quota))
+        else:
+            quotas.set_quota(session, CONSOLE, found, Quota(quota), None if limit == UNLIMITED else int(limit))
+    print(f"{quota} of {found.name}: {limit}")

@@ -1,0 +1,28 @@
+import json
+
+import pytest
+from cli_service import CliService
+
+
+def limit_of(service: CliService, quota: str) -> object:
+    listed = json.loads(service.run("admin", "quota", "list", "Team A", "--json").stdout)
+    return next(entry["limit"] for entry in listed if entry["quota"] == quota)
+
+
+def test_a_limit_is_set_and_reset(service: CliService) -> None:
+    before = limit_of(service, "tokens")
+    for given, shown in (("7", 7), ("unlimited", None), ("default", before)):
+        done = service.run("admin", "quota", "set", "team a", "tokens", given)
+        assert done.exit_code == 0, done.output
+        assert limit_of(service, "tokens") == shown
+
+
+@pytest.mark.parametrize("arguments", [("nothing", "1"), ("tokens", "-1"), ("tokens", "many"), ("tokens", "9" * 10)])
+def test_an_unknown_quota_or_limit_is_wrong_usage(service: CliService, arguments: tuple[str, str]) -> None:
+    assert service.run("admin", "quota", "set", "Team A", "--", *arguments).exit_code == 2
+
+
+def test_the_table_names_all_quotas(service: CliService) -> None:
+    shown = service.run("admin", "quota", "list", "Team A").stdout
+    for name in ("scored_runs_per_day", "attempts_per_day", "queued_at_once", "tokens", "event_streams"):
+        assert name in shown

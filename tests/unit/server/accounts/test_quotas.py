@@ -1,0 +1,147 @@
+from datetime import UTC, datetime, timedelta
+from typing import Any
+
+import pytest
+from service_factories import make_principal, play_all
+from sqlalchemy import select, update
+from submission_steps import break_policy, create, refused
+from vitac.server.accounts import quotas, teams
+from vitac.server.accounts.principals import CONSOLE, Principal
+from vitac.server.db.engine import Database
+from vitac.server.db.models import AuditEntry, Evaluation, Submission
+from vitac.server.db.states import Quota
+from vitac.server.errors import ProblemCode, ServiceError
+from vitac.server.evaluations.history import newest_evaluation
+from vitac.server.evaluations.lifecycle import fail_by_machines
+from vitac.server.settings import Quotas
+from vitac.server.submissions import runs
+
+
+@pytest.fixture
+def principal(database: Database) -> Principal:
+    with database.transaction() as session:
+        return make_principal(session)
+
+
+def submit(database: Database, principal: Principal, content: str, **limits: int) -> Submission:
+    return create(database, principal, content, quotas=Quotas(**limits))[0]
+
+
+def used(database: Database, principal: Principal) -> dict[str, Any]:
+    assert principal.team_id is not None
+    with database.transaction() as session:
+        return {use.quota.value: use.used for use in quotas.uses(session, Quotas(), principal.team_id)}
+
+
+def fail_machines(database: Database, submission: Submission) -> None:
+    with database.transaction() as session:
+        fail_by_machines(session, newest_evaluation(session, submission), "They were lost.")
+
+
+@pytest.mark.parametrize("quota", ["scored_runs_per_day", "attempts_per_day", "queued_at_once"])
+def test_one_evaluation_more_than_a_quota_is_refused_by_its_name(
+    database: Database, principal: Principal, quota: str
+) -> None:
+    submit(database, principal, "one", **{quota: 1})
+    with pytest.raises(ServiceError) as caught:
+        submit(database, principal, "two", **{quota: 1})
+    error = caught.value
+    assert error.code is ProblemCode.QUOTA_EXCEEDED
+    assert (error.extras["quota"], error.extras["limit"]) == (quota, 1)
+    assert quota in error.detail
+    with database.transaction() as session:
+        assert len(session.scalars(select(Submission)).all()) == 1
+
+
+def test_a_daily_quota_says_when_it_opens_and_opens_then(database: Database, principal: Principal) -> None:
+    first = submit(database, principal, "one", attempts_per_day=1)
+    with pytest.raises(ServiceError) as caught:
+        submit(database, principal, "two", attempts_per_day=1)
+    midnight = datetime.now(UTC).replace(hour=0, minute=0, second=0, microsecond=0) + timedelta(days=1)
+    assert caught.value.extras["opens_at"] == midnight.isoformat()
+    assert f"{midnight:%F} 00:00 UTC" in caught.value.detail
+    with database.transaction() as session:
+        last_moment_of_yesterday = midnight - timedelta(days=1, microseconds=1)
+        session.execute(update(Evaluation).values(charged_at=last_moment_of_yesterday))
+    assert submit(database, principal, "two", attempts_per_day=1).id != first.id
+
+
+def test_the_first_moment_of_a_day_counts_for_it(database: Database, principal: Principal) -> None:
+    submit(database, principal, "one")
+    with database.transaction() as session:
+        session.execute(update(Evaluation).values(charged_at=quotas._day_start(datetime.now(UTC))))
+    assert used(database, principal)["attempts_per_day"] == 1
+
+
+def test_scored_runs_and_attempts_are_counted_apart(database: Database, principal: Principal) -> None:
+    broken, done, cancelled = (submit(database, principal, name) for name in ("broken", "done", "cancelled"))
+    assert used(database, principal) == {
+        "scored_runs_per_day": 3,
+        "attempts_per_day": 3,
+        "queued_at_once": 3,
+        "tokens": 0,
+        "event_streams": None,
+    }
+    break_policy(database, broken)
+    play_all(database, done)
+    with database.transaction() as session:
+        runs.cancel(session, principal, cancelled.id)
+    counts = used(database, principal)
+    assert (counts["scored_runs_per_day"], counts["attempts_per_day"], counts["queued_at_once"]) == (1, 3, 0)
+
+
+def test_what_machines_failed_costs_nothing(database: Database, principal: Principal) -> None:
+    submission = submit(database, principal, "one", scored_runs_per_day=1, attempts_per_day=1, queued_at_once=1)
+    fail_machines(database, submission)
+    assert used(database, principal)["attempts_per_day"] == 0
+    again = submit(database, principal, "one", scored_runs_per_day=1, attempts_per_day=1, queued_at_once=1)
+    assert again.id == submission.id
+    assert used(database, principal)["attempts_per_day"] == 1
+
+
+def test_what_organizers_start_costs_nothing(database: Database, principal: Principal) -> None:
+    submission = submit(database, principal, "one", attempts_per_day=1)
+    play_all(database, submission)
+    with database.transaction() as session:
+        runs.run_again(session, CONSOLE, submission.id)
+    create(database, CONSOLE, "two", team="Team A", quotas=Quotas(attempts_per_day=1))
+    assert used(database, principal)["attempts_per_day"] == 1
+
+
+def test_content_that_is_evaluated_already_is_answered_whatever_the_quota(
+    database: Database, principal: Principal
+) -> None:
+    first = submit(database, principal, "one", attempts_per_day=1)
+    assert submit(database, principal, "one", attempts_per_day=1).id == first.id
+
+
+def test_quotas_of_one_team_are_not_those_of_another(database: Database, principal: Principal) -> None:
+    submit(database, principal, "one", attempts_per_day=1)
+    with database.transaction() as session:
+        other = make_principal(session, "Team B")
+    submit(database, other, "one", attempts_per_day=1)
+
+
+def test_a_team_may_have_a_limit_of_its_own_until_it_is_reset(database: Database, principal: Principal) -> None:
+    def set_own(limit: int | None) -> None:
+        with database.transaction() as session:
+            quotas.set_quota(session, CONSOLE, teams.own(session, principal), Quota.ATTEMPTS_PER_DAY, limit)
+
+    set_own(0)
+    with refused(ProblemCode.QUOTA_EXCEEDED):
+        submit(database, principal, "one")
+    set_own(None)
+    for content in ("one", "two"):
+        submit(database, principal, content, attempts_per_day=1)
+    with database.transaction() as session:
+        quotas.reset_quota(session, CONSOLE, teams.own(session, principal), Quota.ATTEMPTS_PER_DAY)
+    with refused(ProblemCode.QUOTA_EXCEEDED):
+        submit(database, principal, "three", attempts_per_day=1)
+    with database.transaction() as session:
+        noted = session.scalars(select(AuditEntry.detail).where(AuditEntry.action == "team.quota")).all()
+    assert [entry["limit"] for entry in noted] == [0, None, "default"]
+
+
+def test_a_team_cannot_change_its_quotas(database: Database, principal: Principal) -> None:
+    with database.transaction() as session, refused(ProblemCode.FORBIDDEN):
+        quotas.set_quota(session, principal, teams.own(session, principal), Quota.TOKENS, None)
