@@ -1,10 +1,14 @@
 """Loads the code of example submissions, and makes what they see."""
 
 import importlib.util
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 
@@ -16,6 +20,19 @@ def load(path: Path) -> ModuleType:
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+@contextmanager
+def imported(folder: Path) -> Iterator[SimpleNamespace]:
+    """All modules of a submission by their names, imported as in the sandbox: its folder is on the path."""
+    names = [path.stem for path in folder.glob("*.py")]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(folder))
+        try:
+            yield SimpleNamespace(**{name: importlib.import_module(name) for name in names})
+        finally:
+            for name in names:
+                sys.modules.pop(name, None)
 
 
 def flow(motion: NDArray[np.float64], noise: float = 0.0, seed: int = 0) -> NDArray[np.float32]:
