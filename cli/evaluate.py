@@ -37,6 +37,9 @@ def command(
     assets: Annotated[
         Path | None, typer.Option(help="Folder with the challenge's own meshes [env: VITAC_ASSETS_DIR]; unranked.")
     ] = None,
+    secret: Annotated[
+        Path | None, typer.Option(help="Play the sealed list of this secret (vitac seeds) instead of the public one.")
+    ] = None,
     json: Annotated[Path | None, typer.Option(help="Write score, result hash and all records to this file.")] = None,
     log: Annotated[Path | None, typer.Option(help="Write a log that can be verified and uploaded.")] = None,
 ) -> None:
@@ -46,15 +49,19 @@ def command(
     from vitac.evaluator.submission.manifest import load_manifest, submission_digest
     from vitac.evaluator.submission.staging import staged
     from vitac.evaluator.tracks import load_track
+    from vitac.evaluator.tracks.sealed import read_secret, sealed_track
 
     from .terminal.compiling import compiling_shown
 
     numbers = parse_episodes(episodes)
     _check_outputs(json, log, team)
+    _check_secret(secret, submission)
     with staged(submission) as folder:
         manifest = load_manifest(folder)
         digest = submission_digest(submission)
         track = load_track(manifest.track)
+        if secret is not None:
+            track = sealed_track(track, read_secret(secret))
         definition = track.tasks[_chosen_task(manifest, task)]
         with _Progress(len(numbers or definition.episodes)) as progress, compiling_shown(progress.bar):
             evaluation = evaluate(
@@ -64,6 +71,7 @@ def command(
                 episodes=numbers,
                 workers=workers or len(os.sched_getaffinity(0)),
                 assets_dir=assets or assets_dir_from_environment(),
+                secret=secret,
                 on_episode=progress.advance,
             )
     if json:
@@ -84,6 +92,12 @@ def _check_outputs(json: Path | None, log: Path | None, team: str | None) -> Non
             raise typer.BadParameter(f"expected a file in an existing folder, got {path}.", param_hint=option)
     if team is not None and not is_team_name(team):
         raise typer.BadParameter(f"expected one line of at most 200 characters, got {team!r:.80}.", param_hint="--team")
+
+
+def _check_secret(secret: Path | None, submission: Path) -> None:
+    """Refuse a secret that the policy could read."""
+    if secret is not None and secret.resolve().is_relative_to(submission.resolve()):
+        raise typer.BadParameter("the secret lies in the submission; move it elsewhere.", param_hint="--secret")
 
 
 def _chosen_task(manifest: "SubmissionManifest", task: str | None) -> str:

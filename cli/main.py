@@ -29,6 +29,7 @@ NOUNS = (
     Noun(name="evaluate", module="evaluate", summary="Evaluate a submission here, as the service does."),
     Noun(name="resimulate", module="resimulate", summary="Run recorded actions through the physics."),
     Noun(name="log", module="log", summary="Show, verify, compare, match and import evaluation logs."),
+    Noun(name="seeds", module="seeds", summary="Make and verify the secrets of sealed episode lists."),
     Noun(name="show", module="show", summary="Draw an episode: gels, parts and marker flow."),
     Noun(name="sensor", module="sensor", summary="Check, mesh and draw a sensor of your own."),
     Noun(name="submit", module="client.submit", summary="Upload a submission to a service."),

@@ -63,6 +63,8 @@ class TaskDefinition:
         methods: settings of what measures for an observation, as dataclasses; part of a track's digest.
         perspective: place of the `Perspective` it is drawn from; None where it is not drawn.
         guided_motion: place of the `NextAction` that goes to its target; None where there is none.
+        accepts_start: place of a function that says of a shape and a drawn offset whether an episode may start there;
+            None where it may anywhere.
     """
 
     env_id: str
@@ -73,6 +75,7 @@ class TaskDefinition:
     methods: tuple["DataclassInstance", ...] = ()
     perspective: str | None = None
     guided_motion: str | None = None
+    accepts_start: str | None = None
 
     @property
     def action_scale(self) -> tuple[float, ...]:

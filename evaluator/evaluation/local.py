@@ -57,6 +57,7 @@ def evaluate(
     workers: int = 1,
     limits: Limits | None = None,
     assets_dir: Path | None = None,
+    secret: Path | None = None,
     on_episode: Callable[[EpisodeRecord], None] = lambda _: None,
 ) -> Evaluation:
     """Evaluate a submission in processes of its own, one shard at a time in each.
@@ -64,11 +65,12 @@ def evaluate(
     Args:
         submission_dir: folder of the unpacked submission.
         track: the track of the task.
-        task: what is played.
+        task: what is played; of a sealed list as `sealed_track` has it.
         episodes: numbers to play; all by default.
         workers: processes at once.
         limits: of the policy; the default ones if None.
         assets_dir: folder with the challenge's own meshes; our own generated ones by default.
+        secret: file with the secret of a sealed list.
         on_episode: gets each record, in the order in which episodes end.
 
     Raises:
@@ -82,6 +84,7 @@ def evaluate(
             submission=submission_dir.resolve(),
             track=track.name,
             task=task.name,
+            secret=secret.resolve() if secret else None,
             shard=shard.index,
             episodes=tuple(sorted(shard.numbers)),
             limits=limits or Limits(),

@@ -12,6 +12,7 @@ from ..submission.manifest import load_manifest
 from ..submission_kinds import SubmissionKind
 from ..tracks import Task, Track, load_track
 from ..tracks.cut import Shard, cut
+from ..tracks.sealed import read_secret, sealed_track
 from .log import LogShard, resimulate_log
 from .order import ShardMessage, ShardOrder
 from .policy import run_shard
@@ -40,6 +41,8 @@ def execute(order: ShardOrder, answer: IO[str]) -> None:
 
 def _result_of(order: ShardOrder, on_episode: OnEpisode) -> ShardResult:
     track = load_track(order.track)
+    if order.secret is not None:
+        track = sealed_track(track, read_secret(order.secret))
     task = track.tasks[order.task]
     shard = next(shard for shard in cut(task, order.episodes) if shard.index == order.shard)
     return RUNNERS[order.kind](order, track, task, shard, on_episode)

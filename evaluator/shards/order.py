@@ -17,12 +17,17 @@ PROCESS_ID: Final = struct.Struct("<q")
 
 
 class ShardOrder(StrictModel):
-    """What a shard's process has to do. `submission` is the folder of an unpacked archive, or the file of a log."""
+    """What a shard's process has to do.
+
+    `submission` is the folder of an unpacked archive, or the file of a log; `secret` the file with the secret of a
+    sealed list, without which the public one is played.
+    """
 
     kind: SubmissionKind
     submission: Path
     track: str
     task: str
+    secret: Path | None = None
     shard: NonNegativeInt
     episodes: tuple[int, ...] | None = None
     slot: NonNegativeInt = 0

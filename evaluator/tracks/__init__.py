@@ -1,10 +1,11 @@
 """Tracks, their tasks and fixed episode lists, read from YAML files."""
 
-from .definition import Episode, Task, Track
+from .definition import Episode, ListKind, Task, Track
 from .registry import UnknownTask, UnknownTrack, archive_folders, find_task, list_tracks, load_track
 
 __all__ = [
     "Episode",
+    "ListKind",
     "Task",
     "Track",
     "UnknownTask",

@@ -4,6 +4,7 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from enum import StrEnum
 from functools import cached_property
 from typing import Any, Self
 
@@ -14,6 +15,15 @@ from vitac.envs.tasks.registry import task_definitions
 
 from ..strict_model import StrictModel, Word
 from ..submission_kinds import SubmissionKind
+
+
+class ListKind(StrEnum):
+    """Who can know an episode list."""
+
+    PUBLIC = "public"
+    """Everybody; a policy can recognise its episodes by their first observation."""
+    SEALED = "sealed"
+    """Whoever has its secret."""
 
 
 class Start(StrictModel):
@@ -36,6 +46,12 @@ class EpisodeList(StrictModel):
     list_seed: int = Field(ge=0)
     offset_option: Word
     blocks: tuple[EpisodeBlock, ...] = Field(min_length=1)
+    commitment: Word | None = Field(default=None, description="Of the secret of a sealed list (`tracks.sealed`).")
+
+    @property
+    def kind(self) -> ListKind:
+        """Return who can know the list."""
+        return ListKind.PUBLIC if self.commitment is None else ListKind.SEALED
 
     @property
     def starts(self) -> tuple[Start, ...]:
@@ -137,9 +153,11 @@ class Task(StrictModel):
         observed = [(row.name, row.shape, row.dtype, row.unit, row.meaning) for row in self.observables]
         done = [(row.name, row.scale, row.unit, row.meaning) for row in self.actions]
         measured = [asdict(method) for method in self.definition.methods]
-        # A task without settings or methods keeps the digest that it had before there were any.
+        # A task without settings, methods or a sealed list keeps the digest that it had before there were any.
         tables = [observed, done, *([measured] if measured else [])]
-        own = self.model_dump_json(exclude=None if self.settings else {"settings"})
+        absent: dict[str, Any] = {} if self.settings else {"settings": True}
+        absent |= {"episode_list": {"commitment"}} if self.episode_list.commitment is None else {}
+        own = self.model_dump_json(exclude=absent)
         return hashlib.sha256((own + json.dumps(tables)).encode()).hexdigest()
 
 

@@ -19,7 +19,7 @@ from vitac.server.evaluations.copies import copies_among
 from vitac.server.evaluations.scores import score_views
 from vitac.server.leaderboards.best_entries import BestEntry, Board, best_entries
 from vitac.server.leaderboards.made_boards import MadeBoard, MadeBoards, revision_of
-from vitac.server.leaderboards.standings import completed_evaluations, made_entries
+from vitac.server.leaderboards.standings import completed_evaluations, list_kind, made_entries
 from vitac.server.logs.claims import LogClaim
 from vitac.server.logs.view import verification_of
 from vitac.server.tracks import load_known_track
@@ -133,6 +133,7 @@ def _entry(entry: BestEntry, evaluation: Evaluation) -> LogEntryView:
         mean_steps=score.mean_steps,
         result_hash=score.result_hash,
         evaluator_version=evaluation.evaluator_version,
+        list_kind=list_kind(submission.track, score.task),
     )
 
 

@@ -8,7 +8,7 @@ from uuid import UUID
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session, defer, selectinload
-from vitac.evaluator.tracks import Track
+from vitac.evaluator.tracks import ListKind, Track, load_track
 from vitac.evaluator.version import evaluator_version
 from vitac.server.db.models import Evaluation, Submission
 from vitac.server.evaluations.scores import bounds, combination_of, scores_of, task_views
@@ -131,4 +131,10 @@ def _entry(entry: BestEntry, evaluation: Evaluation, *, task: str | None) -> Lea
         scores=scores,
         result_hash=evaluation.result_hash or "",
         evaluator_version=evaluation.evaluator_version,
+        list_kind=list_kind(submission.track, scores[0].task),
     )
+
+
+def list_kind(track: str, task: str) -> ListKind:
+    """Return the kind of list that the service plays of a task: the one in the track's file."""
+    return load_track(track).tasks[task].episode_list.kind

@@ -6,6 +6,7 @@ from uuid import UUID
 from pydantic import Field
 from vitac.evaluator.logs.findings import VerificationResult
 from vitac.evaluator.submission_kinds import SubmissionKind
+from vitac.evaluator.tracks import ListKind
 
 from .base import View
 from .logs import LogCopyView
@@ -34,6 +35,7 @@ class LeaderboardEntryView(View):
     scores: list[TaskScoreView] = Field(description="Of the tasks that it plays and this leaderboard ranks.")
     result_hash: str
     evaluator_version: str
+    list_kind: ListKind = Field(description="Who could know the episodes that it was scored on.")
 
 
 class LeaderboardView(View):
@@ -70,6 +72,7 @@ class LogEntryView(View):
     mean_steps: float | None
     result_hash: str
     evaluator_version: str
+    list_kind: ListKind = Field(description="Who could know the episodes that it was scored on.")
 
 
 class LogBoardView(View):

@@ -169,7 +169,7 @@ async def _leaderboard(request: Request, name: str) -> Response:
     site, task = site_of(request), request.query_params.get("task")
     board = await site.data.leaderboard(name, task)
     viewer = await viewer_of(request)
-    counted = track.tasks.values() if task is None else [track.tasks[task]]
+    counted = list(track.tasks.values()) if task is None else [track.tasks[task]]
     return page(
         request,
         "leaderboard.html",
@@ -179,6 +179,7 @@ async def _leaderboard(request: Request, name: str) -> Response:
         table=_table(request, board, track, viewer),
         track=track,
         tabs=tabs(track, task),
+        list_kind=counted[0].episode_list.kind.value,
         ranked=sum(entry.rank is not None for entry in board.entries),
         episodes=sum(len(definition.episodes) for definition in counted),
     )

@@ -16,4 +16,5 @@ TASK = TaskDefinition(
     measures=(SURFACE_DIFF, PEG_HEIGHT),
     perspective="vitac.envs.tasks.peg_insertion.perspective:PERSPECTIVE",
     guided_motion="vitac.envs.tasks.peg_insertion.guided_motion:to_the_hole",
+    accepts_start="vitac.envs.tasks.peg_insertion.variation:accepts_start",
 )

@@ -61,6 +61,12 @@ def random_blocked_offset(shape: PegShape, random: np.random.Generator, *, xy_mm
             return offset
 
 
+def accepts_start(shape: str, offset_mm_deg: tuple[float, float, float]) -> bool:
+    """Return whether an episode may start there: the peg must not just fall into the hole."""
+    x_mm, y_mm, theta_deg = offset_mm_deg
+    return is_blocked(PegShape(shape), PegOffset(x_mm=x_mm, y_mm=y_mm, theta_deg=theta_deg))
+
+
 def is_blocked(shape: PegShape, offset: PegOffset) -> bool:
     """Return whether the peg's profile at this offset meets the plate's material."""
     sine, cosine = sine_cosine(radians(offset.theta_deg))

@@ -16,6 +16,7 @@ from vitac.evaluator.shards.order import ShardOrder
 from vitac.evaluator.shards.process import ShardProcesses
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import find_task
+from vitac.evaluator.tracks.sealed import new_secret, sealed_track
 
 TRACK, TASK = find_task("peg-insertion")
 
@@ -35,6 +36,20 @@ class Policy:
         flow = observation["marker_flow"]
         push = np.float32(0.1) * np.sign(flow[0, 1, :, 1].mean() - flow[0, 0, :, 1].mean())
         return np.array([push, -push, 0.05 * self.step], np.float32)
+"""
+
+LOOKS_FOR_THE_FILE = """
+import os, sys
+import numpy as np
+class Policy:
+    def reset(self, task): pass
+    def act(self, observation):
+        for folder in ("/", "/tmp", os.getcwd(), os.path.dirname("SEALED")):
+            if os.path.isdir(folder) and "secret" in os.listdir(folder):
+                raise RuntimeError("found")
+        if os.path.exists("SEALED") or any("SEALED" in text for text in (*sys.argv, *os.environ.values())):
+            raise RuntimeError("found")
+        return np.zeros(3, np.float32)
 """
 
 COUNTS_RESETS = DRIFT.replace(
@@ -77,6 +92,21 @@ def test_hash_is_the_same_for_workers_order_and_resume(submission: Path) -> None
     with ShardProcesses() as processes, processes.running_shard(order) as process:
         resumed = [one.records[0], *process.records(), one.records[2]]
         assert result_hash(process.result.manifest, resumed) == one.result_hash
+
+
+def test_a_sealed_list_is_played_from_its_secret_which_no_policy_can_find(submission: Path, tmp_path: Path) -> None:
+    path = tmp_path / "secret"
+    secret = new_secret(path)
+    (submission / "policy.py").write_text(LOOKS_FOR_THE_FILE.replace("SEALED", str(path)))
+    sealed = sealed_track(TRACK, secret)
+    task = sealed.tasks[TASK.name]
+    found = evaluate(submission_dir=submission, track=sealed, task=task, secret=path, episodes=(1, 2))
+    assert found.failure is None
+    assert [record.initial_offset for record in found.records] == [episode.offset for episode in task.episodes[:2]]
+    assert found.manifest.list_seed == task.episode_list.list_seed
+    assert found.manifest.task_hash == task.digest()
+    first = {record.state_hashes[0] for record in found.records}
+    assert first.isdisjoint(record.state_hashes[0] for record in run(submission, episodes=(1, 2)).records)
 
 
 def test_policy_that_counts_resets_scores_like_its_honest_twin(submission: Path) -> None:

@@ -14,7 +14,7 @@ from vitac.evaluator.logs.findings import VerificationResult
 from vitac.evaluator.scoring.ranking import CombinedScore, combine
 from vitac.evaluator.scoring.score import Score, rate
 from vitac.evaluator.submission_kinds import SubmissionKind
-from vitac.evaluator.tracks import load_track
+from vitac.evaluator.tracks import ListKind, load_track
 from vitac.server.accounts.principals import Principal
 from vitac.server.db.states import EvaluationState, Role, WorkerState
 from vitac.server.errors import ProblemCode, ServiceError, not_found
@@ -132,6 +132,7 @@ def an_entry(
         scores=ranked,
         result_hash="9f3b" * 16,
         evaluator_version="1+0123456789ab" if rank else "1+ba9876543210",
+        list_kind=ListKind.PUBLIC,
     )
 
 
@@ -374,6 +375,7 @@ def a_log_entry(place: int, team: str, successes: int, verdict: VerificationResu
         mean_steps=4.5,
         result_hash="9f3b" * 16,
         evaluator_version="1+0123456789ab",
+        list_kind=ListKind.PUBLIC,
     )
 
 

@@ -42,6 +42,7 @@ def test_leaderboard_shows_the_best_completed_entry_of_each_team(service: Servic
     board = service.client.get(f"/api/v1/leaderboards/{TRACK}?task={TASK}").json()
     assert [(entry["rank"], entry["submission_id"]) for entry in board["entries"]] == [(1, winner), (2, best)]
     first = board["entries"][0]
+    assert first["list_kind"] == "public"
     assert (first["team"], first["episodes"], first["successes"], first["mean_steps"]) == ("Team B", 270, 200, 3.0)
     low, high = first["success_rate_interval"]
     assert low < first["success_rate"] < high

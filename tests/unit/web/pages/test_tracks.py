@@ -113,6 +113,12 @@ def test_logs_of_a_track_rank_apart_and_text_logs_stand_beside_their_claims(brow
     assert 'href="/tracks/track_1/logs" aria-current="page"' in html
 
 
+def test_leaderboard_says_that_episodes_of_a_public_list_can_be_recognised(browser: AsgiBrowser) -> None:
+    html = browser.get("/").text
+    assert "<dt>Episode list</dt><dd>public</dd>" in html
+    assert "can recognise its episodes by their first observation" in html
+
+
 def test_leaderboard_leads_to_the_logs(browser: AsgiBrowser) -> None:
     assert '<a href="/tracks/track_1/logs">Logs</a>' in browser.get("/").text
 

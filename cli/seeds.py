@@ -1,0 +1,46 @@
+"""`vitac seeds`: makes and verifies the secrets of sealed episode lists."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .terminal.output import AsJson, print_json, print_pairs
+
+app = typer.Typer(no_args_is_help=True)
+
+SecretFile = Annotated[Path, typer.Argument(help="File with the secret.")]
+
+
+@app.command()
+def new(secret: Annotated[Path, typer.Argument(help="New file for the secret; keep it out of submissions.")]) -> None:
+    """Make a secret, and print the commitment to publish before its list is used."""
+    from vitac.evaluator.tracks.sealed import commitment_of, new_secret
+
+    print(f"commitment {commitment_of(new_secret(secret))}")
+
+
+@app.command()
+def verify(
+    secret: SecretFile,
+    commitment: Annotated[str, typer.Option(help="What was published before.")],
+    track: Annotated[str, typer.Option(help="Whose lists are derived.")] = "track_1",
+    as_json: AsJson = False,
+) -> None:
+    """Check a published secret against its commitment, and print the digests of the tasks with its lists.
+
+    The exit code is 0 if they agree. `vitac evaluate --secret` plays the list.
+    """
+    from vitac.evaluator.tracks import load_track
+    from vitac.evaluator.tracks.sealed import commitment_of, read_secret, sealed_track
+
+    found = read_secret(secret)
+    agrees = commitment_of(found) == commitment.strip().lower()
+    tasks = sealed_track(load_track(track), found).tasks
+    digests = {name: task.digest() for name, task in tasks.items()}
+    if as_json:
+        print_json({"agrees": agrees, "commitment": commitment_of(found), "track": track, "task_hashes": digests})
+    else:
+        print_pairs({"commitment": commitment_of(found), "agrees": "yes" if agrees else "no", **digests})
+    if not agrees:
+        raise typer.Exit(1)
