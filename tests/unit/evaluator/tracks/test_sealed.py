@@ -69,7 +69,7 @@ def test_no_drawn_peg_just_falls_into_its_hole(secret: bytes) -> None:
 
 
 def test_the_commitment_can_be_computed_with_any_tool() -> None:
-    expected = hashlib.sha256(b"vitac sealed list 1\n" + SECRET).hexdigest()
+    expected = hashlib.sha256(b"vitac-sealed-list-1\n" + SECRET).hexdigest()
     assert commitment_of(SECRET) == expected
 
 
