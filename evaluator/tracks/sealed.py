@@ -66,7 +66,7 @@ def read_secret(path: Path) -> bytes:
 
 
 def commitment_of(secret: bytes) -> str:
-    """SHA-256 [hex] that is published before a list is used: it fixes the list and tells nothing of it."""
+    """Return the SHA-256 [hex] that is published before a list is used: it fixes the list and tells nothing of it."""
     return hashlib.sha256(_COMMITTED + secret).hexdigest()
 
 
