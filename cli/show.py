@@ -98,6 +98,10 @@ def command(
     assets: Annotated[
         Path | None, typer.Option(help="Folder with the challenge's own meshes [env: VITAC_ASSETS_DIR].")
     ] = None,
+    view: Annotated[
+        Literal["episode", "cameras"],
+        typer.Option(help="Scene and sensors, or what the camera rig sees: colour, depth, infrared pair, cloud."),
+    ] = "episode",
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
     """Draw an episode: gels by stress or displacement, the held part, the fixed part cut open, and both marker flows.
@@ -124,7 +128,10 @@ def command(
     caption = Caption(title=title, actions=played.actions)
     width_px = width or (_ANIMATION_WIDTH_PX if destination.kind.is_animated else _PICTURE_WIDTH_PX)
     moments = _chosen(playback, destination.kind, step)
-    pictures = _draw(playback, caption, Quantity(colour), width_px=width_px, moments=moments)
+    if view == "cameras":
+        pictures = _draw_cameras(playback, title, width_px=width_px, moments=moments)
+    else:
+        pictures = _draw(playback, caption, Quantity(colour), width_px=width_px, moments=moments)
     names, durations_ms = zip(*_names_and_durations(playback), strict=True)
     written = destination.write(pictures, names=names[moments], durations_ms=durations_ms[moments])
     _report(caption, playback, written, as_json=as_json)
@@ -293,6 +300,21 @@ def _draw(
     pictures = draw(playback, caption, quantity=quantity, width_px=width_px, moments=moments)
     total = len(playback.moments[moments])
     return list(track(pictures, description="drawing", total=total, console=Console(stderr=True), transient=True))
+
+
+def _draw_cameras(playback: "Playback", title: str, *, width_px: int, moments: slice) -> "list[NDArray[np.uint8]]":
+    """Return what the camera rig saw at these moments.
+
+    Raises:
+        NothingToShow: the task has no camera rig.
+    """
+    from vitac.envs.drawing.camera_view import camera_sheet
+
+    chosen = playback.moments[moments]
+    seen = [(moment.env_step, moment.sight) for moment in chosen if moment.sight is not None]
+    if not seen:
+        raise NothingToShow(f"{playback.env_id} has no cameras beside the gripper: expected --view episode.")
+    return [camera_sheet(sight, f"{title}, env step {step}", width_px=width_px) for step, sight in seen]
 
 
 def _report(caption: "Caption", playback: "Playback", written: list[Path], *, as_json: bool) -> None:

@@ -1,4 +1,4 @@
-"""Whole pictures of an episode: the scene, a section, the heights that decide, both sensors and a caption."""
+"""Whole pictures of an episode: scene, section, deciding heights, sensors, camera pictures where there are any."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -17,6 +17,7 @@ from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from ..scene.perspective import Beside, Perspective
+from .camera_view import Frame, camera_strip
 from .colouring import Quantity, colouring
 from .drawable import perspective_of
 from .playback import Moment, Playback
@@ -108,12 +109,18 @@ class Painter:
             height_px=round(self._size_px[1] * _SCENE_AREA[3]),
         )
         self._sensors = SensorPanels(playback)
+        sights = [moment.sight for moment in playback.moments if moment.sight is not None]
+        self._frame = Frame.around(sights) if sights else None
 
     def picture(self, index: int) -> NDArray[np.uint8]:
         """Return the picture of one moment, RGB of shape [height, width, 3]."""
         canvas = FigureCanvasAgg(self.figure(index))
         canvas.draw()  # type: ignore[no-untyped-call]
-        return np.asarray(canvas.buffer_rgba())[..., :3].copy()  # type: ignore[no-untyped-call]
+        scene = np.asarray(canvas.buffer_rgba())[..., :3]  # type: ignore[no-untyped-call]
+        sight = self._playback.moments[index].sight
+        if sight is None or self._frame is None:
+            return scene.copy()
+        return np.concatenate([scene, camera_strip(sight, self._frame, width_px=self._size_px[0])])
 
     def figure(self, index: int) -> Figure:
         """Return the drawing of one moment."""

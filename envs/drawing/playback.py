@@ -13,6 +13,7 @@ from ..fem.model.mesh import GelMesh, SurfaceMesh
 from ..scene.grasped_scene import GraspedScene, PhysicsSettings
 from ..scene.gripper import SensorPose
 from ..tasks.task_env import Info, Observation, TactileTaskEnv
+from ..vision.camera import Sight
 
 FloatArray = NDArray[np.float64]
 NextAction = Callable[[Observation, Info], NDArray[np.float32] | None]
@@ -36,6 +37,7 @@ class Moment:
         held_m: vertices of the held part in the world [m], shape [v, 3].
         marker_flow: what the policy was given [pixel], shape [2, 2, 128, 2].
         info: of the last reset or env step that has ended.
+        sight: what the camera rig saw then; None where there is none.
     """
 
     env_step: int
@@ -44,6 +46,7 @@ class Moment:
     held_m: FloatArray
     marker_flow: NDArray[np.float32]
     info: Mapping[str, Any]
+    sight: Sight | None = None
 
     @property
     def end_reason(self) -> str | None:
@@ -93,7 +96,7 @@ def record(
         pace: how often a moment is kept.
     """
     observation, info = env.reset(options=dict(options))
-    moments = [_moment(env.scene, 0, observation, info)]
+    moments = [_moment(env.scene, 0, observation, info, _sight(env))]
     while info["end_reason"] is None:
         action = next_action(observation, info)
         if action is None:
@@ -103,7 +106,7 @@ def record(
             env.scene.after_ipc_step = partial(_keep, moments, env.scene, number, observation, info)
         observation, _, _, _, info = env.step(action)
         env.scene.after_ipc_step = None
-        ended = _moment(env.scene, number, observation, info)
+        ended = _moment(env.scene, number, observation, info, _sight(env))
         if pace is Pace.IPC_STEP:
             moments[-1] = ended  # The last IPC step ends the env step.
         else:
@@ -112,10 +115,16 @@ def record(
 
 
 def _keep(moments: list[Moment], scene: GraspedScene, env_step: int, observation: Observation, info: Info) -> None:
-    moments.append(_moment(scene, env_step, observation, info))
+    moments.append(_moment(scene, env_step, observation, info, moments[-1].sight))
 
 
-def _moment(scene: GraspedScene, env_step: int, observation: Observation, info: Info) -> Moment:
+def _sight(env: TactileTaskEnv[Any, Any]) -> Sight | None:
+    """Return what the rig of the scene sees now; None where the task has none."""
+    look = getattr(env.task_scene, "sight", None)
+    return None if look is None else look()
+
+
+def _moment(scene: GraspedScene, env_step: int, observation: Observation, info: Info, sight: Sight | None) -> Moment:
     return Moment(
         env_step=env_step,
         gel_nodes_m=(scene.gel_nodes_m(0), scene.gel_nodes_m(1)),
@@ -123,6 +132,7 @@ def _moment(scene: GraspedScene, env_step: int, observation: Observation, info: 
         held_m=scene.held_vertices_m(np.arange(len(scene.held.mesh.vertices_m))),
         marker_flow=observation["marker_flow"],
         info=info,
+        sight=sight,
     )
 
 

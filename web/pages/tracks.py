@@ -9,7 +9,7 @@ from markupsafe import Markup
 from starlette.exceptions import HTTPException
 from vitac.evaluator.tracks import UnknownTrack, load_track
 
-from ..rendering import render, steps, words
+from ..rendering import STATIC, render, steps, words
 from ..site import page, site_of, viewer_of
 
 if TYPE_CHECKING:
@@ -110,6 +110,7 @@ async def rules(request: Request) -> Response:
         limits=site_of(request).data.limits(),
         accepts_logs=accepts_logs(track),
         log_size=site_of(request).data.log_size(),
+        pictures={name: f"{name}.png" for name in track.tasks if (STATIC / f"{name}.png").is_file()},
     )
 
 

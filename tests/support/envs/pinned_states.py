@@ -46,6 +46,16 @@ EPISODES: dict[str, dict[str, Any]] = {
         "options": {"shape": "key4", "offset_mm": (2.5, 0, 0), "sensor_jitter_mm": (0.5, 0.5), "rng_seed": (0, 7)},
         "actions": [(0.5, -1.0), (-0.25, -0.5)],
     },
+    "fusion hexagon": {
+        "env_id": "ViTac/FusionInsertion-v1",
+        "options": {"start": (3, 4, -7, 0.5, 1), "rng_seed": (0, 8)},
+        "actions": [(0.2, 1.0, 0.5, -1.0), (1.0, -0.3, 1.0, -1.0)],
+    },
+    "fusion cuboid": {
+        "env_id": "ViTac/FusionInsertion-v1",
+        "options": {"start": (-1, -2, 5, 0.25, 0), "rng_seed": (0, 9)},
+        "actions": [(-0.5, -0.5, -1.0, -1.0), (0.0, -1.0, 0.0, -0.6)],
+    },
 }
 
 

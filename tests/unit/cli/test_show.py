@@ -211,3 +211,26 @@ def test_every_task_that_is_scored_can_be_drawn() -> None:
         env_id = find_task(name)[1].env_id
         assert perspective_of(env_id).held_name
         assert callable(straight_to_target(env_id))
+
+
+def test_cameras_of_an_env_step_are_drawn(run: Run, tmp_path: Path) -> None:
+    arguments = ("fusion-insertion", "--episode", 2, "--step", 1, "--view", "cameras", "--width", 600)
+    code, out, _ = run(*arguments, "--out", "cameras.png")
+    assert code == 0
+    assert out.splitlines()[-1] == "cameras.png"
+    with Image.open(tmp_path / "cameras.png") as image:
+        assert image.size == (600, 384)
+
+
+def test_depth_is_that_of_the_tracks_task(run: Run, tmp_path: Path) -> None:
+    for task in ("fusion-insertion", "fusion-insertion-gt"):
+        arguments = (task, "--episode", 2, "--step", 0, "--view", "cameras", "--width", 600)
+        assert run(*arguments, "--out", f"{task}.png")[0] == 0
+    measured, exact = ((tmp_path / f"{task}.png").read_bytes() for task in ("fusion-insertion", "fusion-insertion-gt"))
+    assert measured != exact
+
+
+def test_a_task_without_cameras_is_refused(run: Run) -> None:
+    code, _, err = run("peg-insertion", "--episode", 5, "--view", "cameras", "--width", 600)
+    assert code == 1
+    assert "has no cameras beside the gripper: expected --view episode" in err

@@ -1,6 +1,9 @@
+import re
+
 from asgi_browser import AsgiBrowser
 from page_fixtures import LOCK, TASK, FixedData, a_leaderboard, a_score, an_entry, an_id
 from visits import sign_in
+from vitac.evaluator.tracks import load_track
 
 BEARS_PEG, BEARS_LOCK = a_score((84, 80, 77), 4.31), a_score((40, 38, 2, 0), 11.5, LOCK)
 GELBOTS_PEG = a_score((20, 11, 9), 6.02)
@@ -121,6 +124,24 @@ def test_leaderboard_says_that_episodes_of_a_public_list_can_be_recognised(brows
 
 def test_leaderboard_leads_to_the_logs(browser: AsgiBrowser) -> None:
     assert '<a href="/tracks/track_1/logs">Logs</a>' in browser.get("/").text
+
+
+def test_rules_of_track_2_show_keys_shapes_actions_limits_and_a_picture_of_the_camera(browser: AsgiBrowser) -> None:
+    html = browser.get("/tracks/track_2/rules").text
+    task = load_track("track_2").tasks["fusion-insertion"]
+    for row in task.observables:
+        assert f"<code>{row.name}</code></th>" in html
+        assert f"({', '.join(map(str, row.shape))}) {row.dtype}" in html
+    for action in task.actions:
+        assert f"<code>{action.name}</code></th>" in html
+    assert "<code>gt_direction</code></th>" not in html
+    assert "<code>observation_keys</code>" in html
+    (picture,) = re.findall(r'<img class="wide" src="(/static/fusion-insertion\.png\?v=\w+)"', html)
+    assert browser.get(picture).headers["content-type"] == "image/png"
+
+
+def test_rules_without_cameras_have_no_picture(browser: AsgiBrowser) -> None:
+    assert "camera sees" not in browser.get("/tracks/track_1/rules").text
 
 
 def test_rules_say_what_a_log_is_worth(browser: AsgiBrowser) -> None:

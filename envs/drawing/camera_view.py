@@ -1,0 +1,162 @@
+"""What a camera rig sees, as pictures with scales: beside the scene of an episode, or alone and in full."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Colormap, Normalize
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from ..vision.camera import Sight
+from ..vision.optics import HEIGHT_PX, WIDTH_PX
+from .plots import INK, TICK_PT, style
+
+Picture = NDArray[np.uint8]
+
+_WIDTH_IN, _STRIP_HEIGHT_IN, _SHEET_HEIGHT_IN = 10.0, 3.0, 6.4
+_MARGIN_PX = 10
+_DEPTHS = "viridis"
+_UNKNOWN = "white"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Frame:
+    """The part of a picture that is shown, and the depths that colours stand for.
+
+    Attributes:
+        rows: from the first to behind the last.
+        columns: the same across.
+        nearest_mm: smallest depth of the scale.
+        farthest_mm: largest depth of the scale.
+    """
+
+    rows: slice
+    columns: slice
+    nearest_mm: float
+    farthest_mm: float
+
+    @classmethod
+    def around(cls, sights: Sequence[Sight]) -> "Frame":
+        """Return the frame around all that is ever seen, with a scale for the first and the last depth picture."""
+        shown = np.any([sight.segmentation > 0 for sight in sights], axis=0)
+        depths_mm = 1e3 * np.concatenate([sight.depth_m[sight.depth_m > 0] for sight in (sights[0], sights[-1])])
+        low, high = np.quantile(depths_mm, (0.01, 0.99)) if len(depths_mm) else (0.0, 1000.0)
+        return cls(
+            rows=_widened(np.flatnonzero(shown.any(axis=1)), HEIGHT_PX),
+            columns=_widened(np.flatnonzero(shown.any(axis=0)), WIDTH_PX),
+            nearest_mm=float(low),
+            farthest_mm=float(high),
+        )
+
+
+def camera_strip(sight: Sight, frame: Frame, *, width_px: int) -> Picture:
+    """Return the colour and the depth picture side by side, RGB of shape [height, width_px, 3].
+
+    Args:
+        sight: what the rig saw.
+        frame: what is shown of it; the same for all pictures of an episode.
+        width_px: pixels across.
+    """
+    figure = Figure(figsize=(_WIDTH_IN, _STRIP_HEIGHT_IN), dpi=width_px / _WIDTH_IN, facecolor="white")
+    colour, depth = figure.subplots(1, 2)
+    figure.subplots_adjust(left=0.05, right=0.9, bottom=0.14, top=0.9, wspace=0.12)
+    _show(colour, sight.colours, frame, "camera, colour")
+    _show_depth(depth, sight, frame)
+    return _drawn(figure)
+
+
+def camera_sheet(sight: Sight, title: str, *, width_px: int) -> Picture:
+    """Return colour, depth, infrared pair and point cloud in one picture, RGB of shape [height, width_px, 3].
+
+    Args:
+        sight: what the rig saw.
+        title: names episode and env step.
+        width_px: pixels across.
+    """
+    frame = Frame.around([sight])
+    figure = Figure(figsize=(_WIDTH_IN, _SHEET_HEIGHT_IN), dpi=width_px / _WIDTH_IN, facecolor="white")
+    figure.text(0.02, 0.965, title, size=13, weight="bold", color=INK, va="center")
+    grid = figure.add_gridspec(2, 3, left=0.05, right=0.93, bottom=0.07, top=0.89, wspace=0.3, hspace=0.28)
+    _show(figure.add_subplot(grid[0, 0]), sight.colours, frame, "colour")
+    _show_depth(figure.add_subplot(grid[0, 1]), sight, frame)
+    for place, (name, picture) in enumerate((("left", sight.infrared.left), ("right", sight.infrared.right))):
+        rows, columns = np.nonzero(picture)
+        around = Frame(
+            rows=_widened(rows, HEIGHT_PX),
+            columns=_widened(columns, WIDTH_PX),
+            nearest_mm=frame.nearest_mm,
+            farthest_mm=frame.farthest_mm,
+        )
+        _show(figure.add_subplot(grid[1, place]), picture, around, f"{name} infrared, brightened", cmap="gray")
+    _show_cloud(figure.add_subplot(grid[:, 2], projection="3d"), sight, frame)
+    return _drawn(figure)
+
+
+def _show(axes: Axes, picture: Picture, frame: Frame, title: str, cmap: str | None = None) -> None:
+    part = picture[frame.rows, frame.columns]
+    axes.imshow(part, cmap=cmap, extent=_extent(frame), interpolation="nearest")
+    _label(axes, title)
+
+
+def _show_depth(axes: Axes, sight: Sight, frame: Frame) -> None:
+    colours, norm = _depth_colours(), Normalize(frame.nearest_mm, frame.farthest_mm)
+    depth_mm = 1e3 * sight.depth_m[frame.rows, frame.columns]
+    axes.imshow(
+        np.ma.masked_equal(depth_mm, 0.0), cmap=colours, norm=norm, extent=_extent(frame), interpolation="nearest"
+    )
+    _label(axes, "depth, white where unknown")
+    bar = axes.figure.colorbar(ScalarMappable(norm, colours), ax=axes, extend="both", pad=0.03, fraction=0.05)
+    bar.ax.tick_params(labelsize=TICK_PT - 1, color=INK, labelcolor=INK)
+    bar.set_label("mm", size=TICK_PT, color=INK, labelpad=2)
+
+
+def _show_cloud(axes: Any, sight: Sight, frame: Frame) -> None:
+    """Draw the points in the camera's frame, y and z turned so that up is up."""
+    points_mm = 1e3 * sight.point_cloud_m[sight.depth_m > 0].astype(np.float64)
+    x, y, z = points_mm.T
+    axes.scatter(-x, z, y, c=z, s=1, cmap=_depth_colours(), vmin=frame.nearest_mm, vmax=frame.farthest_mm)
+    axes.set_xlim(*_reach(-x))
+    axes.set_ylim(frame.nearest_mm - 20.0, frame.farthest_mm + 20.0)
+    axes.set_zlim(*_reach(y))
+    axes.view_init(elev=18, azim=-70)
+    axes.tick_params(labelsize=TICK_PT - 2)
+    axes.set_xlabel("-x [mm]", size=TICK_PT)
+    axes.set_ylabel("z, depth [mm]", size=TICK_PT)
+    axes.set_zlabel("y [mm]", size=TICK_PT)
+    axes.set_title("point cloud in the camera's frame", size=TICK_PT + 1, color=INK)
+
+
+def _reach(values_mm: NDArray[np.float64]) -> tuple[float, float]:
+    return (float(values_mm.min()), float(values_mm.max())) if len(values_mm) else (-100.0, 100.0)
+
+
+def _label(axes: Axes, title: str) -> None:
+    axes.set_xlabel("column [px]", size=TICK_PT, color=INK, labelpad=1)
+    axes.set_ylabel("row [px]", size=TICK_PT, color=INK, labelpad=1)
+    style(axes, title)
+
+
+def _extent(frame: Frame) -> tuple[float, float, float, float]:
+    return frame.columns.start, frame.columns.stop, frame.rows.stop, frame.rows.start
+
+
+def _depth_colours() -> Colormap:
+    return colormaps[_DEPTHS].with_extremes(bad=_UNKNOWN)
+
+
+def _widened(places: NDArray[np.int64], end: int) -> slice:
+    if len(places) == 0:
+        return slice(0, end)
+    return slice(max(0, int(places.min()) - _MARGIN_PX), min(end, int(places.max()) + 1 + _MARGIN_PX))
+
+
+def _drawn(figure: Figure) -> Picture:
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()  # type: ignore[no-untyped-call]
+    return np.asarray(canvas.buffer_rgba())[..., :3].copy()  # type: ignore[no-untyped-call]

@@ -1,0 +1,86 @@
+"""Pictures of what the camera rig sees."""
+
+import numpy as np
+import pytest
+from fake_scene import FakeScene
+from vitac.envs.drawing.camera_view import Frame, camera_sheet, camera_strip
+from vitac.envs.drawing.colouring import Quantity
+from vitac.envs.drawing.drawable import straight_to_target
+from vitac.envs.drawing.picture import Caption, draw
+from vitac.envs.drawing.playback import Pace, Playback, record
+from vitac.envs.tasks.fusion_insertion.env import FusionInsertionEnv
+from vitac.envs.tasks.task_env import Info, Observation
+from vitac.envs.vision.camera import Sight
+
+OPTIONS = {"start": (0.0, 0.0, 0.0, 3.0, 1), "rng_seed": (0, 1)}
+
+
+@pytest.fixture
+def playback(fake_scenes: list[FakeScene]) -> Playback:
+    env = FusionInsertionEnv(max_steps=2)
+    return record(env, options=OPTIONS, next_action=straight_to_target(env.env_id), pace=Pace.IPC_STEP)
+
+
+def sights_of(playback: Playback) -> list[Sight]:
+    sights = [moment.sight for moment in playback.moments]
+    assert all(sight is not None for sight in sights)
+    return [sight for sight in sights if sight is not None]
+
+
+def test_between_env_steps_the_pictures_of_the_last_one_stay(playback: Playback) -> None:
+    sights, ends = sights_of(playback), playback.last_moments
+    assert len(sights) > len(ends)
+    assert len({id(sight) for sight in sights}) == len(ends)
+    assert sights[ends[0] + 1] is sights[ends[0]]
+
+
+def test_keeping_sights_changes_no_observation(fake_scenes: list[FakeScene]) -> None:
+    env, seen = FusionInsertionEnv(max_steps=2), []
+    move = straight_to_target(env.env_id)
+
+    def look_and_move(observation: Observation, info: Info) -> np.ndarray | None:
+        seen.append(observation["depth_picture"])
+        return move(observation, info)
+
+    playback = record(env, options=OPTIONS, next_action=look_and_move, pace=Pace.IPC_STEP)
+    sights = [sights_of(playback)[index] for index in playback.last_moments]
+    for observed, sight in zip(seen, sights, strict=False):
+        np.testing.assert_array_equal(observed, sight.depth_m)
+
+
+def test_a_frame_holds_all_that_is_ever_seen_and_nothing_far_from_it(playback: Playback) -> None:
+    sights = sights_of(playback)
+    frame = Frame.around(sights)
+    for sight in sights:
+        shown = sight.segmentation > 0
+        assert shown[frame.rows, frame.columns].sum() == shown.sum()
+    assert frame.rows.stop - frame.rows.start < 200
+    assert 300 < frame.nearest_mm < frame.farthest_mm < 600
+
+
+def test_the_camera_stands_below_the_scene_in_the_same_width(playback: Playback) -> None:
+    caption = Caption(title="title", actions="actions")
+    *_, picture = draw(playback, caption, quantity=Quantity.STRESS, width_px=600, moments=slice(0, 1))
+    sight = sights_of(playback)[0]
+    strip = camera_strip(sight, Frame.around(sights_of(playback)), width_px=600)
+    assert picture.shape == (342 + len(strip), 600, 3)
+    np.testing.assert_array_equal(picture[342:], strip)
+    reds = (strip[..., 0] > 200) & (strip[..., 1] < 100) & (strip[..., 2] < 100)
+    assert reds.sum() > 500
+
+
+def test_the_sheet_shows_every_picture_and_looks_the_same_twice(playback: Playback) -> None:
+    sight = sights_of(playback)[0]
+    sheet = camera_sheet(sight, "title", width_px=600)
+    assert (sheet.shape, sheet.dtype) == ((384, 600, 3), np.uint8)
+    np.testing.assert_array_equal(sheet, camera_sheet(sight, "title", width_px=600))
+    assert (sheet[200:, :380] < 30).all(axis=2).mean() > 0.2  # The infrared pictures are dark.
+
+
+def test_a_camera_that_sees_nothing_is_drawn(playback: Playback) -> None:
+    sight = sights_of(playback)[0]
+    sight.__dict__["segmentation"] = np.zeros((480, 640), np.uint8)
+    sight.__dict__["depth_m"] = np.zeros((480, 640), np.float32)
+    frame = Frame.around([sight])
+    assert (frame.rows, frame.columns) == (slice(0, 480), slice(0, 640))
+    assert camera_sheet(sight, "title", width_px=600).shape == (384, 600, 3)
