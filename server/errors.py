@@ -22,6 +22,7 @@ class ProblemCode(StrEnum):
     FORBIDDEN = "forbidden"
     INTERNAL_ERROR = "internal_error"
     INVALID_CREDENTIALS = "invalid_credentials"
+    INVITE_REQUIRED = "invite_required"
     INVALID_REQUEST = "invalid_request"
     LENGTH_INVALID = "length_invalid"
     LOG_IMPOSSIBLE = "log_impossible"
@@ -64,6 +65,7 @@ STATUS_OF_CODE: Mapping[ProblemCode, HTTPStatus] = MappingProxyType(
         ProblemCode.FORBIDDEN: HTTPStatus.FORBIDDEN,
         ProblemCode.INTERNAL_ERROR: HTTPStatus.INTERNAL_SERVER_ERROR,
         ProblemCode.INVALID_CREDENTIALS: HTTPStatus.UNAUTHORIZED,
+        ProblemCode.INVITE_REQUIRED: HTTPStatus.FORBIDDEN,
         ProblemCode.INVALID_REQUEST: HTTPStatus.UNPROCESSABLE_ENTITY,
         ProblemCode.LENGTH_INVALID: HTTPStatus.BAD_REQUEST,
         ProblemCode.LOG_IMPOSSIBLE: HTTPStatus.UNPROCESSABLE_ENTITY,

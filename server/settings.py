@@ -28,6 +28,7 @@ class Registration(StrEnum):
     """Who may register a team."""
 
     OPEN = "open"  # anybody who reaches the server
+    INVITE = "invite"  # whoever has the invite code
     CLOSED = "closed"  # organizers only
 
 
@@ -111,6 +112,9 @@ class Settings(BaseSettings):
     )
 
     registration: Registration = Registration.OPEN
+    invite_code: SecretStr | None = Field(
+        default=None, min_length=8, description="What a team has to know to register, with VITAC_REGISTRATION=invite."
+    )
     registrations_per_hour: PositiveInt = Field(
         default=20, description="Most teams that one client address may register in an hour."
     )
@@ -167,6 +171,12 @@ class Settings(BaseSettings):
                 f"VITAC_LEASE_S is {self.lease_s} and VITAC_LEASE_RENEWAL_S {self.lease_renewal_s}; "
                 "make the lease at least three renewals long, or one late renewal loses the shard"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _invite_has_a_code(self) -> Self:
+        if self.registration is Registration.INVITE and self.invite_code is None:
+            raise ValueError("VITAC_REGISTRATION is invite, so set VITAC_INVITE_CODE, too")
         return self
 
     @field_validator("trusted_proxies")

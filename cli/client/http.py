@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 import ssl
 from collections.abc import Callable, Iterable, Mapping
@@ -16,6 +17,7 @@ import httpx
 from vitac.envs.errors import VitacError
 from vitac.evaluator.submission_kinds import SubmissionKind
 
+from .account import credentials
 from .pieces import PieceSender
 from .refusals import ServiceUnreachable, refusal
 
@@ -42,6 +44,17 @@ class Client:
     def me(self) -> Json:
         """Return the owner of the token."""
         return self._json("GET", "/api/v1/me")
+
+    def register(self, name: str, *, contact: str | None, invite: str | None) -> Json:
+        """Register a team and return it with its first token."""
+        new = {"name": name, "contact": contact, "invite": invite}
+        content = json.dumps({key: value for key, value in new.items() if value is not None}).encode()
+        headers = {"Content-Type": "application/json"}
+        return self._json("POST", "/api/v1/teams", headers=headers, content=[content])
+
+    def revoke(self, token_id: str) -> None:
+        """End a token for good."""
+        self.send("DELETE", f"/api/v1/tokens/{token_id}")
 
     def submission(self, submission_id: str) -> Json:
         """Return one submission."""
@@ -138,21 +151,36 @@ def _tls() -> ssl.SSLContext:
     return httpx.create_ssl_context(trust_env=False)
 
 
-def client_from(server: str | None, token_file: Path | None) -> Client:
-    """Return a client configured by options and environment (VITAC_SERVER, VITAC_TOKEN).
+def client_from(server: str | None, token_file: Path | None, *, with_token: bool = True) -> Client:
+    """Return a client configured by options, environment (VITAC_SERVER, VITAC_TOKEN) and what `vitac login` keeps.
+
+    Args:
+        server: address; None: that of the environment, else that of the last login.
+        token_file: file with the token; None: that of the environment, else the kept one of that service.
+        with_token: whether a token is used at all.
 
     Raises:
         VitacError: the address is invalid, or the token's file cannot be read.
     """
-    address = server or os.environ.get("VITAC_SERVER") or DEFAULT_SERVER
+    address = server or os.environ.get("VITAC_SERVER") or credentials.last_server() or DEFAULT_SERVER
     if not address.startswith(("http://", "https://")):
         raise VitacError(f"Expected a service address like {DEFAULT_SERVER}, got {address!r}.")
-    return Client(server=address.rstrip("/"), token=_token(token_file))
+    address = address.rstrip("/")
+    return Client(server=address, token=_token(address, token_file) if with_token else None)
 
 
-def _token(token_file: Path | None) -> str | None:
-    if token_file is None:
-        return os.environ.get("VITAC_TOKEN") or None
+def _token(server: str, token_file: Path | None) -> str | None:
+    if token_file is not None:
+        return read_token(token_file)
+    return os.environ.get("VITAC_TOKEN") or credentials.token_for(server)
+
+
+def read_token(token_file: Path) -> str:
+    """Return the token in a file.
+
+    Raises:
+        VitacError: the file cannot be read.
+    """
     try:
         return token_file.read_text().strip()
     except OSError as error:

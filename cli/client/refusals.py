@@ -10,8 +10,9 @@ if TYPE_CHECKING:
     import httpx
 
 HINTS = {
-    "missing_credentials": "Set VITAC_TOKEN to your team's API token, or give --token-file.",
-    "invalid_credentials": "Check VITAC_TOKEN; ask an organizer for a new token if it was revoked or has expired.",
+    "missing_credentials": "Get a token with `vitac register TEAM`, or give yours to `vitac login`.",
+    "invalid_credentials": "Give a good token to `vitac login`; ask an organizer for one if yours was revoked or has "
+    "expired.",
     "forbidden": "This token has no permission for that; use the right team's token, or an organizer's.",
     "not_found": "Check the id (`vitac status` lists yours) and the token.",
     "unknown_track": "Check the track's name in submission.yaml and with --track.",
@@ -27,6 +28,8 @@ HINTS = {
     "too_many_uploads": "Finish or wait; `vitac submit` goes on with an upload of the same content.",
     "database_unavailable": "The database is starting or down; retry in a minute.",
     "quota_exceeded": "`vitac whoami` shows your quotas; an upload in pieces waits for a day.",
+    "registration_closed": "Ask the organizers for a token and give it to `vitac login`.",
+    "invite_required": "Ask the organizers for the invite code and give it with --invite.",
     "storage_full": "Tell the organizers that the disk of the service is full.",
     "storage_unavailable": "The service cannot store files now; retry in a minute.",
 }

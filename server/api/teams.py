@@ -8,14 +8,12 @@ from uuid import UUID
 from fastapi import APIRouter, Request, Response
 from pydantic import BaseModel, ConfigDict, Field
 from sqlalchemy.orm import Session
-from vitac.server.accounts import teams, tokens
-from vitac.server.accounts.principals import CONSOLE, Principal
+from vitac.server.accounts import registration, teams, tokens
+from vitac.server.accounts.principals import Principal
 from vitac.server.accounts.quotas import charge, uses
 from vitac.server.db.models import ApiToken, Team
 from vitac.server.db.states import Quota, Role
-from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.services import Services
-from vitac.server.settings import Registration
 from vitac.server.views.accounts import MeView, NewTokenView, QuotaView, RegisteredTeamView, TokenListView
 
 from .access import OptionalPrincipalOf, PrincipalOf, ServicesOf
@@ -35,6 +33,7 @@ class NewTeam(BaseModel):
     contact: str | None = Field(
         default=None, max_length=teams.CONTACT_LENGTH, pattern=_ONE_LINE, description="For the organizers."
     )
+    invite: str | None = Field(default=None, max_length=200, description="The invite code, where one is needed.")
 
 
 class NewToken(BaseModel):
@@ -51,15 +50,11 @@ def post_team(
     request: Request, services: ServicesOf, principal: OptionalPrincipalOf, new: NewTeam
 ) -> RegisteredTeamView:
     """Register a team and give it its first token. The secret is shown this once."""
-    by_organizer = principal is not None and principal.is_organizer
-    if services.settings.registration is Registration.CLOSED and not by_organizer:
-        raise ServiceError(ProblemCode.REGISTRATION_CLOSED, "Only organizers register teams here; ask them.")
-    if not by_organizer:
+    if principal is None or not principal.is_organizer:
         request.app.state.registration_limiter.note(_address(request), "registrations from one address")
     with services.database.transaction() as session:
-        team = teams.register(session, principal, name=new.name, contact=new.contact)
-        issued = tokens.issue(
-            session, CONSOLE, role=Role.TEAM, label="first", team=team, lifetime=_lifetime(services, None)
+        team, issued = registration.register(
+            session, services.settings, principal, registration.NewTeam(**new.model_dump())
         )
         return RegisteredTeamView(team=teams.team_view(team), token=tokens.new_token_view(issued))
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from vitac.cli.main import NOUNS
-from vitac.server.settings import Settings
+from vitac.server.settings import Quotas, Settings
 
 READERS = ("cli/**/*.py", "evaluator/**/*.py", "envs/**/*.py", "setup/*.sh", "tests/conftest.py", "docker-compose.yml")
 
@@ -47,6 +47,7 @@ def test_commands_shown_exist(repository: Path) -> None:
 
 def test_settings_named_exist(repository: Path) -> None:
     known = {f"VITAC_{name.upper()}" for name in Settings.model_fields}
+    known |= {f"VITAC_QUOTAS__{name.upper()}" for name in Quotas.model_fields}
     for pattern in READERS:
         for file in repository.glob(pattern):
             known |= set(re.findall(r"\bVITAC_[A-Z_]+\b", file.read_text()))

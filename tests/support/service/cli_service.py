@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import quick_worker
 from databases import fresh_database
@@ -52,15 +53,20 @@ class CliService:
 
     def run(self, *arguments: str) -> Result:
         """Runs a command of `vitac` with this service in its environment."""
-        return CliRunner().invoke(build_app(arguments), list(arguments), env=self.environment)
+        return self.run_with_input("", *arguments)
+
+    def run_with_input(self, text: str, *arguments: str, token: str | None = "") -> Result:
+        """Runs a command with a standard input; with another or no (None) token in its environment."""
+        environment = self.environment if token == "" else self.environment | {"VITAC_TOKEN": token or ""}
+        return CliRunner().invoke(build_app(arguments), list(arguments), input=text, env=environment)
 
 
 @contextmanager
-def cli_service(state_dir: Path, team: str = "Team A") -> Iterator[CliService]:
+def cli_service(state_dir: Path, team: str = "Team A", **values: Any) -> Iterator[CliService]:
     """A service with one team, whose token the environment holds."""
     with fresh_database() as database_address:
         database = Database(database_address)
-        settings = make_settings(state_dir=state_dir)
+        settings = make_settings(state_dir=state_dir, **values)
         settings.scratch_dir.mkdir(parents=True)
         services = Services(
             settings=settings, database=database, blobs=BlobStore.from_settings(settings), postgres=None
@@ -76,6 +82,7 @@ def cli_service(state_dir: Path, team: str = "Team A") -> Iterator[CliService]:
             "VITAC_DATABASE_URL": database_address,
             "VITAC_STATE_DIR": str(state_dir),
             "COLUMNS": "200",
+            "XDG_CONFIG_HOME": str(state_dir / "config"),
         }
         try:
             yield CliService(address=address_of(listener), database=database, environment=environment)

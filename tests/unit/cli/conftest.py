@@ -5,6 +5,11 @@ import pytest
 from cli_service import CliService, cli_service
 
 
+@pytest.fixture(autouse=True)
+def _nobody_is_logged_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
+
+
 @pytest.fixture
 def service(tmp_path: Path) -> Iterator[CliService]:
     """A service with the team `Team A`, and commands that reach it."""

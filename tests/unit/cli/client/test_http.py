@@ -41,7 +41,7 @@ def test_a_refusal_tells_status_code_sentence_and_request_id(status: int) -> Non
 
 
 def test_a_known_code_comes_with_a_hint() -> None:
-    with pytest.raises(RequestRefused, match="hint: Set VITAC_TOKEN"):
+    with pytest.raises(RequestRefused, match="hint: Get a token with `vitac register TEAM`"):
         client(refusing(401, code="missing_credentials", detail="No token.")).me()
 
 

@@ -1,0 +1,1 @@
+"""Who this user is on a service: `vitac register`, `login`, `logout` and `whoami`."""

@@ -1,0 +1,44 @@
+"""`vitac whoami`: whose token the commands use, and what the team may have."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ...terminal.output import AsJson, print_json, print_pairs, print_records
+from ..http import client_from
+
+if TYPE_CHECKING:
+    from ..http import Json
+
+
+def command(
+    server: Annotated[str | None, typer.Option(help="Address of the service; default: VITAC_SERVER.")] = None,
+    token_file: Annotated[Path | None, typer.Option(help="File with the API token; default: VITAC_TOKEN.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Show team, token and quotas."""
+    client = client_from(server, token_file)
+    me = client.me()
+    if as_json:
+        print_json(me)
+        return
+    token = me["token"]
+    print_pairs(
+        {
+            "server": client.server,
+            "as": owner_of(me),
+            "token": token["label"],
+            "expires": token["expires_at"] or "never",
+        }
+    )
+    if me["quotas"]:
+        print()
+        print_records(me["quotas"], ("quota", "limit", "used", "opens_at"), none="", as_json=False)
+
+
+def owner_of(me: Json) -> str:
+    """Return the team's name, or that it is an organizer."""
+    return str(me["team"]["name"]) if me["team"] is not None else "organizer"
