@@ -18,6 +18,7 @@ from vitac.evaluator.logs.log import (
     LogProblem,
     LogReader,
     LogRejected,
+    count_values,
     is_log,
     write_log,
 )
@@ -217,6 +218,27 @@ def test_endless_line_is_refused_after_a_megabyte() -> None:
 def test_long_line_inside_is_refused() -> None:
     rejection = refused(LINES[0] + b" " * (MAX_LINE_BYTES + 1) + b"\n")
     assert (rejection.problem, rejection.line) == (LogProblem.LINE_TOO_LONG, 2)
+
+
+@pytest.mark.parametrize(("bytes_over", "problem"), [(0, LogProblem.ALTERED), (1, LogProblem.LINE_TOO_LONG)])
+def test_line_up_to_the_limit_is_read(bytes_over: int, problem: LogProblem) -> None:
+    """A line of just a megabyte is refused for its digest only, its line end counted."""
+    end = json.dumps({"episodes": 3, "digest": "0" * 64}).encode()
+    line = end + b" " * (MAX_LINE_BYTES - len(end) - 1 + bytes_over) + b"\n"
+    assert len(line) == (1 << 20) + bytes_over
+    rejection = refused(b"".join([*LINES[:4], line]))
+    assert (rejection.problem, rejection.line) == (problem, 5)
+
+
+def test_values_are_counted_up_to_just_above_the_limit() -> None:
+    assert count_values(7, 10) == 1
+    assert count_values({}, 10) == 1
+    assert count_values([], 10) == 1
+    assert count_values({"a": [1, {"b": 2}], "c": None}, 10) == 6
+    assert count_values([0] * 9, 10) == 10
+    assert count_values([0] * 10, 10) == 11
+    assert count_values([0] * 1_000_000, 10) == 11
+    assert count_values([[[]] * 5] * 5, 10) == 11
 
 
 def with_info(info: Any) -> bytes:
