@@ -132,7 +132,7 @@ def node_count(cells: GelCells) -> int:
 
 
 def draw(families: dict[str, list[Figures]], path: Path) -> None:
-    """Return the curves of the families, on logarithmic axes."""
+    """Draw the curves of the families, on logarithmic axes."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(5.0, 3.2), layout="constrained")

@@ -20,7 +20,7 @@ TITLE_PT, TICK_PT = 9.0, 8.0
 
 
 def draw_section(axes: Axes, perspective: Perspective, playback: Playback, moment: Moment) -> None:
-    """Return both parts, cut, in their places."""
+    """Draw both parts, cut, in their places."""
     view = perspective.section
     fixed = _outline(playback.fixed_m, playback.fixed.triangles, view.fixed_cut, view)
     held = _outline(moment.held_m, playback.held.triangles, view.held_cut, view)
@@ -34,7 +34,7 @@ def draw_section(axes: Axes, perspective: Perspective, playback: Playback, momen
 
 
 def draw_progress(axes: Axes, progress: Progress, playback: Playback, index: int) -> None:
-    """Return the heights that decide, over the env steps of the whole episode, with the present moment marked."""
+    """Draw the heights that decide, over the env steps of the episode up to the present moment."""
     ends = [playback.moments[last] for last in playback.last_moments]
     steps = np.array([moment.env_step for moment in ends])
     heights = np.array([progress.heights_mm(moment.info) for moment in ends])
@@ -62,7 +62,7 @@ def draw_progress(axes: Axes, progress: Progress, playback: Playback, index: int
 
 
 def style(axes: Axes, title: str) -> None:
-    """Return the look that all plots share."""
+    """Give a plot the look that all share."""
     axes.set_title(title, size=TITLE_PT, color=INK, pad=4)
     axes.tick_params(labelsize=TICK_PT, length=2.5, color=INK, labelcolor=INK, pad=2)
     for spine in axes.spines.values():

@@ -44,7 +44,7 @@ class SensorPanels:
     def draw(
         self, axes: Axes, side: Side, moment: Moment, values: FloatArray, *, cmap: Colormap, norm: Normalize
     ) -> None:
-        """Return one sensor's picture; values at all nodes of its gel, and their colours."""
+        """Draw one sensor's picture; values at all nodes of its gel, and their colours."""
         face = self._face_px(moment, side)
         axes.tripcolor(face, values[self._mesh.sensing_nodes], shading="gouraud", cmap=cmap, norm=norm)
         start, flow = arrows(moment.marker_flow[side.index])

@@ -258,7 +258,7 @@ class LoadedCopy:
         ]
 
     def _wipe(self) -> None:
-        """Return the empty the writeable folders after loading."""
+        """Empty the writeable folders after loading."""
         for folder in self._writeable_folders():
             folder.chmod(_FOLDER_MODE)
             if _open_up(folder, _WIPED_DEPTH_MAX) > _WIPED_ENTRIES_MAX:

@@ -269,7 +269,7 @@ class _Fork:
                 signal.pidfd_send_signal(self._pidfd, signal.SIGKILL)
 
     def wait(self) -> None:
-        """Return when it has ended."""
+        """Wait until it has ended."""
         if self._pidfd is not None:
             ended = select.poll()
             ended.register(self._pidfd, select.POLLIN)

@@ -19,7 +19,7 @@ _PROGRAM = "postgres"
 
 
 def wait_for_leftovers(data_dir: Path) -> None:
-    """Return when no process works in the data directory; nobody else may start a server there meanwhile.
+    """Wait until no process works in the data directory; nobody else may start a server there meanwhile.
 
     A server that still runs is asked to shut down and waited for, however long it takes: one that is killed while it
     writes its last checkpoint or recovers has to do it all again. Backends whose server was killed are ended.

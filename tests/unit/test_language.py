@@ -4,6 +4,7 @@ import ast
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
@@ -60,23 +61,32 @@ def test_replaced_words_are_not_used(repository: Path, pattern: str) -> None:
     assert not found, f"write {REPLACED[pattern]!r} instead in\n" + "\n".join(found)
 
 
-def first_words(file: Path) -> Iterator[tuple[str, str]]:
-    """Yield the first word of each function's docstring, and where it stands."""
+class Docstring(NamedTuple):
+    place: str
+    first_word: str
+    returns_nothing: bool
+
+
+def docstrings(file: Path) -> Iterator[Docstring]:
+    """Yield what a file's functions begin their docstrings with."""
     for node in ast.walk(ast.parse(file.read_bytes())):
         if not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
             continue
         is_property = any(getattr(decorator, "id", "").endswith("property") for decorator in node.decorator_list)
         docstring = ast.get_docstring(node)
         if docstring and not is_property:
-            yield docstring.split()[0].rstrip(",.;"), f"{file}:{node.lineno} {node.name}"
+            returns_nothing = isinstance(node.returns, ast.Constant) and node.returns.value is None
+            yield Docstring(f"{file}:{node.lineno} {node.name}", docstring.split()[0].rstrip(",.;"), returns_nothing)
 
 
-def test_docstrings_of_functions_begin_with_a_verb(repository: Path) -> None:
+def test_docstrings_of_functions_begin_with_what_they_do(repository: Path) -> None:
     files = [file for folder in CODE for file in (repository / folder).rglob("*.py")]
-    words = [found for file in files for found in first_words(file)]
-    assert len(words) > 1500
-    nouns = [f"{place}: {word}" for word, place in words if NO_VERBS.fullmatch(word)]
+    found = [docstring for file in files for docstring in docstrings(file)]
+    assert len(found) > 1500
+    nouns = [f"{each.place}: {each.first_word}" for each in found if NO_VERBS.fullmatch(each.first_word)]
     assert not nouns, "expected a verb in the imperative first in\n" + "\n".join(nouns)
+    returning = [each.place for each in found if each.returns_nothing and each.first_word == "Return"]
+    assert not returning, "expected what the function does, it returns nothing, in\n" + "\n".join(returning)
 
 
 def test_every_term_is_defined_once(repository: Path) -> None:
