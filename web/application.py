@@ -28,7 +28,9 @@ def create(services: Services) -> FastAPI:
     app = create_app(settings, services=services)
     streams = OpenStreams(services=services, limiter=app.state.stream_limiter)
     site = Site(
-        data=ServiceData(database=services.database, settings=settings, streams=streams),
+        data=ServiceData(
+            database=services.database, settings=settings, streams=streams, registrations=app.state.registration_limiter
+        ),
         signer=SessionSigner(key=signing_key(settings)),
         version=version("vitac-arena"),
         tracks=list_tracks(),

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 
     from vitac.server.accounts.principals import Principal
     from vitac.server.queue.workers import Disk
+    from vitac.server.settings import Registration
     from vitac.server.views.leaderboards import LeaderboardView, LogBoardsView
     from vitac.server.views.logs import ActionMatchView
     from vitac.server.views.operations import OperationsView
@@ -68,6 +69,15 @@ class SubmissionDetail:
     action_matches: Sequence[ActionMatchView]
 
 
+@dataclass(frozen=True, kw_only=True)
+class RegisteredTeam:
+    """A team that has just registered, with the token that is shown this once."""
+
+    team: str
+    token: str
+    token_id: UUID
+
+
 class PageData(Protocol):
     """The pages' reads and their only write. What a visitor may not see raises the service's "not found"."""
 
@@ -76,6 +86,12 @@ class PageData(Protocol):
 
     async def visitor_with_token_id(self, token_id: UUID) -> Visitor | None:
         """Return the holder of a token that signed in before, or None if it is no longer valid."""
+
+    def registration(self) -> Registration:
+        """Return who may register a team."""
+
+    async def register(self, *, name: str, contact: str, invite: str, address: str) -> RegisteredTeam:
+        """Register a team from a client's address; what cannot be accepted raises the service's refusal."""
 
     async def leaderboard(self, track: str, task: str | None) -> LeaderboardView:
         """Return the leaderboard of a track, or of one of its tasks."""

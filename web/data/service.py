@@ -9,7 +9,9 @@ import asyncio
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
-from vitac.server.accounts import tokens
+from pydantic import ValidationError
+from vitac.server.accounts import registration, tokens
+from vitac.server.api.teams import NewTeam
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.leaderboards import log_boards, standings
 from vitac.server.logs import action_matches
@@ -19,7 +21,7 @@ from vitac.server.queue.workers import disk_of
 from vitac.server.submissions import listing, runs
 
 from .limits import limit_rows, size
-from .protocol import SubmissionDetail, Visitor
+from .protocol import RegisteredTeam, SubmissionDetail, Visitor
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -28,10 +30,11 @@ if TYPE_CHECKING:
 
     from sqlalchemy.orm import Session
     from vitac.server.accounts.principals import Principal
+    from vitac.server.api.limiter import WindowLimiter
     from vitac.server.api.streams import OpenStreams
     from vitac.server.db.engine import Database
     from vitac.server.queue.workers import Disk
-    from vitac.server.settings import Settings
+    from vitac.server.settings import Registration, Settings
     from vitac.server.views.leaderboards import LeaderboardView, LogBoardsView
     from vitac.server.views.operations import OperationsView
     from vitac.server.views.submissions import SubmissionListView
@@ -48,6 +51,7 @@ class ServiceData:
     database: Database
     settings: Settings
     streams: OpenStreams
+    registrations: WindowLimiter
 
     async def visitor_with_token(self, token: str) -> Visitor | None:
         """Return the holder of an API token."""
@@ -56,6 +60,26 @@ class ServiceData:
     async def visitor_with_token_id(self, token_id: UUID) -> Visitor | None:
         """Return the holder of a token that signed in before."""
         return await self._visitor(lambda session: tokens.principal_of_token_id(session, token_id))
+
+    def registration(self) -> Registration:
+        """Return who may register a team."""
+        return self.settings.registration
+
+    async def register(self, *, name: str, contact: str, invite: str, address: str) -> RegisteredTeam:
+        """Register a team."""
+        try:
+            new = NewTeam(name=name, contact=contact or None, invite=invite or None)
+        except ValidationError as error:
+            problems = " ".join(f"{problem['loc'][0]}: {problem['msg']}." for problem in error.errors())
+            raise ServiceError(ProblemCode.INVALID_REQUEST, problems) from error
+        await asyncio.to_thread(self.registrations.note, address, "registrations from one address")
+
+        def made(session: Session) -> RegisteredTeam:
+            asked = registration.NewTeam(**new.model_dump())
+            team, issued = registration.register(session, self.settings, None, asked)
+            return RegisteredTeam(team=team.name, token=issued.secret, token_id=issued.token.id)
+
+        return await self._run(made)
 
     async def leaderboard(self, track: str, task: str | None) -> LeaderboardView:
         """Return the leaderboard of a track, or of one of its tasks."""

@@ -9,7 +9,7 @@ from starlette.staticfiles import StaticFiles
 
 from ..headers import SecurityHeaders
 from ..rendering import STATIC
-from . import errors, operations, sign_in, submissions, tracks
+from . import errors, operations, register, sign_in, submissions, tracks
 
 if TYPE_CHECKING:
     from fastapi import FastAPI
@@ -53,6 +53,8 @@ def _router() -> APIRouter:
         ("/submissions/{submission_id}/events", submissions.events, "GET"),
         ("/submissions/{submission_id}/cancel", submissions.cancel, "POST"),
         ("/operations", operations.operations, "GET"),
+        ("/register", register.register_form, "GET"),
+        ("/register", register.register, "POST"),
         ("/sign-in", sign_in.sign_in_form, "GET"),
         ("/sign-in", sign_in.sign_in, "POST"),
         ("/sign-out", sign_in.sign_out, "POST"),

@@ -12,6 +12,8 @@ from ..session.forms import local_target, read_form
 from ..site import page, require_form_token, site_of, viewer_of
 
 if TYPE_CHECKING:
+    from uuid import UUID
+
     from starlette.requests import Request
     from starlette.responses import Response
 
@@ -35,15 +37,20 @@ async def sign_in(request: Request) -> Response:
             request, "sign_in.html", viewer=None, section="/sign-in", status=401, next=target, wrong=WRONG_TOKEN
         )
     answer = RedirectResponse(target, status_code=303)
+    begin_session(request, answer, visitor.token_id)
+    return answer
+
+
+def begin_session(request: Request, answer: Response, token_id: UUID) -> None:
+    """Let the browser be signed in with a token from this answer on."""
     answer.set_cookie(
         signer.COOKIE,
-        site.signer.sign(signer.begin(visitor.token_id, now=datetime.now(UTC))),
+        site_of(request).signer.sign(signer.begin(token_id, now=datetime.now(UTC))),
         max_age=int(signer.LIFETIME.total_seconds()),
         httponly=True,
         samesite="strict",
         secure=request.url.scheme == "https",
     )
-    return answer
 
 
 async def sign_out(request: Request) -> Response:

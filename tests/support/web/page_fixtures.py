@@ -19,7 +19,7 @@ from vitac.server.accounts.principals import Principal
 from vitac.server.db.states import EvaluationState, Role, WorkerState
 from vitac.server.errors import ProblemCode, ServiceError, not_found
 from vitac.server.queue.workers import Disk
-from vitac.server.settings import load_settings
+from vitac.server.settings import Registration, load_settings
 from vitac.server.views.accounts import TeamView
 from vitac.server.views.evaluations import (
     EvaluationSummaryView,
@@ -41,7 +41,7 @@ from vitac.server.views.operations import CountsView, MachineWorkerView, Operati
 from vitac.server.views.scores import ShapeScoreView, TaskScoreView
 from vitac.server.views.submissions import EpisodeView, RankView, SubmissionListView, SubmissionView
 from vitac.server.views.workers import WorkersView, WorkerView
-from vitac.web.data.protocol import LimitRow, SubmissionDetail, Visitor
+from vitac.web.data.protocol import LimitRow, RegisteredTeam, SubmissionDetail, Visitor
 from vitac.web.pages import routes
 from vitac.web.session.signer import SessionSigner
 from vitac.web.site import Site
@@ -448,6 +448,7 @@ class FixedData:
     logs: LogBoardsView = field(default_factory=some_log_boards)
     matches: list[ActionMatchView] = field(default_factory=list)
     cancelled: list[UUID] = field(default_factory=list)
+    registration_rule: Registration = Registration.OPEN
     service: OperationsView = field(default_factory=an_operations_view)
 
     async def visitor_with_token(self, token: str) -> Visitor | None:
@@ -455,6 +456,17 @@ class FixedData:
 
     async def visitor_with_token_id(self, token_id: UUID) -> Visitor | None:
         return next((visitor for visitor in self.visitors if visitor.token_id == token_id), None)
+
+    def registration(self) -> Registration:
+        return self.registration_rule
+
+    async def register(self, *, name: str, contact: str, invite: str, address: str) -> RegisteredTeam:
+        if name == "Bears":
+            raise ServiceError(ProblemCode.TEAM_EXISTS, "There is a team named 'Bears' already.")
+        if self.registration_rule is Registration.INVITE and invite != "let me in":
+            raise ServiceError(ProblemCode.INVITE_REQUIRED, "Registration needs the invite code.")
+        visitor = self.visitors[0]
+        return RegisteredTeam(team=name, token="vitac_made", token_id=visitor.token_id)  # noqa: S106 - made up
 
     async def leaderboard(self, track: str, task: str | None) -> LeaderboardView:
         if task is not None and task not in TASKS:

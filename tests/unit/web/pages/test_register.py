@@ -1,0 +1,67 @@
+from collections.abc import Iterator
+
+import pytest
+from asgi_browser import AsgiBrowser
+from cli_service import CliService, cli_service
+from httpx import Client
+from page_fixtures import FixedData
+from vitac.server.settings import Registration
+from vitac.web.session import signer
+
+FOREIGN = {"sec-fetch-site": "cross-site"}
+
+
+def test_registers_shows_the_token_once_and_signs_in(browser: AsgiBrowser) -> None:
+    assert 'action="/register"' in browser.get("/register").text
+    answer = browser.post("/register", data={"name": "Newcomers", "contact": ""})
+    assert answer.status_code == 201
+    assert answer.headers["cache-control"] == "no-store"
+    assert "vitac_made" in answer.text
+    assert signer.COOKIE in browser.cookies
+    assert "vitac_made" not in browser.get("/register").text
+    assert browser.get("/submissions").status_code == 200
+
+
+def test_a_name_that_is_taken_can_be_corrected_in_the_form(browser: AsgiBrowser) -> None:
+    answer = browser.post("/register", data={"name": "Bears", "contact": '"><script>'})
+    assert answer.status_code == 409
+    assert "already" in answer.text
+    assert 'value="Bears"' in answer.text
+    assert "<script>" not in answer.text.replace('<script src="', "")
+    assert signer.COOKIE not in browser.cookies
+
+
+def test_an_invite_is_asked_for_where_one_is_needed(data: FixedData, browser: AsgiBrowser) -> None:
+    assert "Invite code" not in browser.get("/register").text
+    data.registration_rule = Registration.INVITE
+    assert "Invite code" in browser.get("/register").text
+    assert browser.post("/register", data={"name": "New", "invite": "guess"}).status_code == 403
+    assert browser.post("/register", data={"name": "New", "invite": "let me in"}).status_code == 201
+
+
+def test_closed_registration_shows_no_form(data: FixedData, browser: AsgiBrowser) -> None:
+    data.registration_rule = Registration.CLOSED
+    html = browser.get("/register").text
+    assert 'action="/register"' not in html
+    assert "ask them for a token" in html
+
+
+def test_another_site_cannot_register(browser: AsgiBrowser) -> None:
+    assert browser.post("/register", data={"name": "Newcomers"}, headers=FOREIGN).status_code == 403
+
+
+@pytest.fixture
+def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[CliService]:
+    with cli_service(tmp_path_factory.mktemp("service") / "state", registrations_per_hour=3) as service:
+        yield service
+
+
+def test_the_service_registers_a_team_and_bounds_how_often(service: CliService) -> None:
+    with Client(base_url=service.address, headers={"accept": "text/html"}, trust_env=False) as client:
+        answer = client.post("/register", data={"name": "Newcomers", "contact": "a@example.org"})
+        assert answer.status_code == 201, answer.text
+        assert client.get("/submissions").status_code == 200
+        assert client.post("/register", data={"name": "New\u0000"}).status_code == 422
+        assert client.post("/register", data={"name": "Newcomers"}).status_code == 409
+        flooded = client.post("/register", data={"name": "Others"})
+        assert (flooded.status_code, "wait" in flooded.text) == (429, True)
