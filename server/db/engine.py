@@ -16,6 +16,9 @@ logger = structlog.get_logger(__name__)
 INSUFFICIENT_RESOURCES = "53"
 """Class of the SQL states that say so."""
 
+ENCODING = {"client_encoding": "utf8"}
+"""Of connections: without it the driver gives bytes instead of text where the database has no encoding."""
+
 RETRY_PAUSES_S = (0.05, 0.1, 0.2, 0.5, 1.0)
 
 
@@ -30,7 +33,7 @@ class Database:
             pool_size=pool_size,
             max_overflow=20,
             pool_pre_ping=True,
-            connect_args={"connect_timeout": 15, "application_name": "vitac"},
+            connect_args={"connect_timeout": 15, "application_name": "vitac", **ENCODING},
         )
         self._sessions = sessionmaker(self.engine, expire_on_commit=False)
 

@@ -11,9 +11,15 @@ from alembic.runtime.migration import MigrationContext
 from alembic.script import ScriptDirectory
 from alembic.util import CommandError
 from sqlalchemy import Connection, NullPool, create_engine
+from vitac.envs.errors import VitacError
 
 from .advisory_locks import AdvisoryLock, wait_for_lock
-from .engine import Database, sqlalchemy_url
+from .engine import ENCODING, Database, sqlalchemy_url
+
+
+class WrongEncoding(VitacError):
+    """The database does not hold text as UTF-8; make another one."""
+
 
 LOCK_TIMEOUT_S = 5.0
 """A migration that cannot get its table lock fails instead of stopping all other work behind it."""
@@ -30,13 +36,24 @@ def upgrade(
     """Run all migrations that are missing, each in a transaction of its own; do nothing on a current database.
 
     Raises:
+        WrongEncoding: the database does not hold text as UTF-8.
         sqlalchemy.exc.OperationalError: another transaction held a table for longer than `lock_timeout_s`, or a
             statement took longer than `statement_timeout_s`.
     """
     with _migrating(database, lock_timeout_s, statement_timeout_s) as (connection, configuration):
+        _require_utf8(connection)
         if installed_revision(connection) != newest_revision():
             connection.rollback()
             command.upgrade(configuration, "head")
+
+
+def _require_utf8(connection: Connection) -> None:
+    encoding = connection.exec_driver_sql("SHOW server_encoding").scalar_one()
+    if encoding != "UTF8":
+        raise WrongEncoding(
+            f"Expected a database with the encoding UTF8, got {encoding}. Make one with "
+            "`CREATE DATABASE ... ENCODING 'UTF8' TEMPLATE template0` and name it in VITAC_DATABASE_URL."
+        )
 
 
 def downgrade(database: Database, revision: str) -> None:
@@ -50,7 +67,7 @@ def _migrating(
     database: Database, lock_timeout_s: float, statement_timeout_s: float
 ) -> Iterator[tuple[Connection, Config]]:
     """Return a connection of its own, closed afterwards, that alone may change the schema."""
-    engine = create_engine(sqlalchemy_url(database.address), poolclass=NullPool)
+    engine = create_engine(sqlalchemy_url(database.address), poolclass=NullPool, connect_args=ENCODING)
     with engine.connect() as connection:
         # For the session, not for a transaction: the migrations have one each. The limits hold from here on only, for
         # waiting for another process that migrates is no fault.

@@ -9,7 +9,7 @@ import psycopg
 import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
-from databases import FAST, fresh_database, state_directory
+from databases import FAST, fresh_database, shared_cluster, state_directory
 from procrastinate.schema import SchemaManager
 from service_factories import LOCK, TASK, make_principal, make_score, submit_scored
 from sqlalchemy import text
@@ -18,7 +18,7 @@ from vitac.migrations.versions import v0002_state_machines as state_machines
 from vitac.migrations.versions import v0003_queue as queue_migration
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Base
-from vitac.server.db.schema import downgrade, installed_revision, is_current, newest_revision, upgrade
+from vitac.server.db.schema import WrongEncoding, downgrade, installed_revision, is_current, newest_revision, upgrade
 from vitac.server.db.states import EVALUATION_TRANSITIONS, SHARD_TRANSITIONS
 from vitac.server.postgres.binaries import DEBIAN_ROOT, OLDEST_MAJOR, inspect_bin_dir
 from vitac.server.postgres.embedded import EmbeddedPostgres
@@ -224,3 +224,13 @@ def test_schema_works_on_the_oldest_supported_postgres() -> None:
         downgrade(database, "base")
         database.dispose()
     shutil.rmtree(folder)
+
+
+def test_database_without_unicode_is_a_named_refusal() -> None:
+    postgres = shared_cluster()
+    with psycopg.connect(postgres.cluster.dsn("postgres"), autocommit=True) as connection:
+        connection.execute("CREATE DATABASE bytes ENCODING 'SQL_ASCII' LOCALE 'C' TEMPLATE template0")
+    database = Database(postgres.cluster.dsn("bytes"))
+    with pytest.raises(WrongEncoding, match="Expected a database with the encoding UTF8, got SQL_ASCII"):
+        upgrade(database)
+    database.dispose()

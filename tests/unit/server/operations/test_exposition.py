@@ -4,7 +4,10 @@ from pathlib import Path
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 from service_factories import make_principal, make_settings, submit
+from sqlalchemy import event, update
 from vitac.server.db.engine import Database
+from vitac.server.db.models import Worker
+from vitac.server.db.states import WorkerState
 from vitac.server.metrics.totals import TotalsWriter
 from vitac.server.operations.exposition import KEPT_S, Exposition
 from vitac.server.services import Services
@@ -79,3 +82,40 @@ def test_database_that_is_away_is_shown_as_such(services: Services) -> None:
     text = Exposition(services).text()
     assert value(text, "vitac_database_up") == 0
     assert not [name for name, _ in parsed(text) if name.startswith("vitac_shards")]
+
+
+def test_scrape_asks_the_database_as_often_for_many_rows_as_for_none(services: Services) -> None:
+    asked: list[str] = []
+    event.listen(
+        services.database.engine, "before_cursor_execute", lambda _c, _cur, statement, *_: asked.append(statement)
+    )
+    Exposition(services).text()
+    for_none = len(asked)
+    with services.database.transaction() as session:
+        principal = make_principal(session)
+        for number in range(30):
+            submit(session, principal, f"{number}")
+        for pid in range(30):
+            session.add(a_worker(pid))
+    asked.clear()
+    Exposition(services).text()
+    assert len(asked) == for_none < 10
+
+
+def a_worker(pid: int) -> Worker:
+    return Worker(
+        host=f"machine-{pid}", pid=pid, slots=1, state=WorkerState.READY, evaluator_version="1",
+        platform_class="x86_64-linux", isolation="", disk_bytes=100, disk_free_bytes=pid,
+    )  # fmt: skip
+
+
+def test_disks_are_shown_by_host_for_workers_that_run(services: Services) -> None:
+    with services.database.transaction() as session:
+        session.add_all([a_worker(3), a_worker(4)])
+    with services.database.transaction() as session:
+        session.execute(update(Worker).where(Worker.pid == 4).values(state=WorkerState.STOPPED))
+    text = Exposition(services).text()
+    free = {labels for name, labels in parsed(text) if name == "vitac_worker_disk_free_bytes"}
+    assert free == {frozenset({("host", "machine-3")})}
+    assert value(text, "vitac_worker_disk_free_bytes", host="machine-3") == 3
+    assert value(text, "vitac_worker_slots") == 1
