@@ -1,0 +1,69 @@
+"""The lists of the four scripts of 2025, without any log."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from vitac.evaluator.logs.text_2025.scripts import PRINTED_MM, Script, all_scripts, is_printed, script_of
+
+SCRIPTS = {script.name: script for script in all_scripts()}
+PEG, LOCK = SCRIPTS["track 1 peg insertion"], SCRIPTS["track 1 lock opening"]
+VISION = SCRIPTS["track 2 peg insertion"]
+
+
+@pytest.mark.parametrize("script", all_scripts(), ids=lambda script: script.name)
+def test_every_start_of_a_list_is_found_by_what_a_log_prints(script: Script) -> None:
+    for start in script.starts():
+        found = script.find_start(start.shape, start.offset)
+        assert found is not None
+        assert (found.shape, found.offset) == (start.shape, start.offset)
+
+
+def test_a_start_that_is_in_no_list_is_not_found() -> None:
+    assert PEG.find_start("cuboid", (-4.0, -4.0, -7.0)) is None
+    assert PEG.find_start("hexagon", (-4.0, -4.0, -8.0)) is None
+    assert PEG.find_start("cuboid", (-4.0, -4.0)) is None
+
+
+def test_shapes_change_fastest_then_offsets_then_repeats() -> None:
+    starts = PEG.starts()
+    assert [start.shape for start in starts[:4]] == ["cuboid", "trapezoid", "concave1", "cuboid"]
+    assert [start.offset_index for start in starts[:6]] == [0, 0, 0, 1, 1, 1]
+    assert [start.repeat_index for start in starts[89:91]] == [0, 1]
+
+
+def test_vision_starts_are_shown_from_the_hole_and_counted_from_the_real_rim() -> None:
+    first_top_mm, real_top_mm = VISION.hole_tops_mm[0], VISION.hole_tops_mm[-1]
+    early, late = VISION.starts(first_top_mm)[0], VISION.starts(real_top_mm)[0]
+    x, y, theta, z, left = early.listed_offset
+    assert early.offset == pytest.approx((x, y + 22.625 - (45.25 if left else 0.0), theta, z + first_top_mm - 6.9))
+    assert early.true_offset == pytest.approx((x, y, theta, z + first_top_mm - real_top_mm, left))
+    assert late.true_offset == late.listed_offset
+    assert VISION.starts() == VISION.starts(first_top_mm)
+
+
+def test_eras_are_told_apart_by_the_rim_in_the_books() -> None:
+    before, since = VISION.era(VISION.hole_tops_mm[0]), VISION.era(VISION.hole_tops_mm[-1])
+    assert before is not None
+    assert since is not None
+    assert (before.partition(" ")[0], since.partition(" ")[0]) == ("before", "since")
+    assert PEG.era(None) is None
+
+
+def test_a_part_is_named_without_its_side() -> None:
+    assert {start.part for start in VISION.starts()} == {start.shape.split("(")[0] for start in VISION.starts()}
+    assert all("(" not in start.part for script in all_scripts() for start in script.starts())
+
+
+def test_a_script_is_recognised_by_a_key_that_only_it_prints() -> None:
+    for script in all_scripts():
+        assert script_of(script.environment) == script
+    assert script_of({}) is None
+    assert script_of({"max_steps": 8}) is None
+
+
+@given(st.lists(st.floats(-100.0, 100.0), max_size=5), st.floats(-0.99, 0.99))
+def test_printing_may_round(numbers: list[float], part: float) -> None:
+    assert is_printed([number + part * PRINTED_MM for number in numbers], numbers)
+    assert not is_printed([*numbers, 0.0], numbers)
+    if numbers:
+        assert not is_printed([*numbers[:-1], numbers[-1] + 2 * PRINTED_MM + 1e-6], numbers)
