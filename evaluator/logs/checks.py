@@ -127,6 +127,7 @@ def _broken(task: Task, failed: Collection[EpisodeRecord]) -> Impossibility | No
     failure: PolicyFailure | None = breaking_failure(cut(task), failed)
     if failure is None:
         return None
-    episode = next(record.episode for record in failed if record.failure == failure)
+    # Failures of other episodes may be equal, down to the message.
+    episode = next(record.episode for record in failed if record.failure is failure)
     message = f"The policy failed too often, starting at episode {episode}; such an evaluation ends without a score."
     return Impossibility(reason=ImpossibleReason.BROKEN_POLICY, message=message, episode=episode)

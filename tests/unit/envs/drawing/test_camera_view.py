@@ -72,7 +72,8 @@ def test_the_camera_stands_below_the_scene_in_the_same_width(playback: Playback)
 def test_the_sheet_shows_every_picture_and_looks_the_same_twice(playback: Playback) -> None:
     sight = sights_of(playback)[0]
     sheet = camera_sheet(sight, "title", width_px=600)
-    assert (sheet.shape, sheet.dtype) == ((384, 600, 3), np.uint8)
+    assert sheet.shape == (384, 600, 3)
+    assert sheet.dtype == np.uint8
     np.testing.assert_array_equal(sheet, camera_sheet(sight, "title", width_px=600))
     assert (sheet[200:, :380] < 30).all(axis=2).mean() > 0.2  # The infrared pictures are dark.
 

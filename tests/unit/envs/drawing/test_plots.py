@@ -38,8 +38,8 @@ def test_section_beyond_a_part_shows_nothing_of_it(axes: Axes, peg_playback: Pla
     above = replace(PERSPECTIVE.section, fixed_cut=Plane(normal=(0.0, 0.0, 1.0), offset_m=1.0))
     draw_section(axes, replace(PERSPECTIVE, section=above), peg_playback, peg_playback.moments[0])
     plate, peg = axes.patches
-    assert len(plate.get_path().vertices) == 0
-    assert len(peg.get_path().vertices) > 4
+    assert np.size(plate.get_path().vertices) == 0
+    assert np.size(peg.get_path().vertices) > 8
 
 
 @pytest.mark.parametrize("index", [0, 1, -1])

@@ -1,9 +1,12 @@
+from typing import Any
+
 import numpy as np
 import pytest
-from evaluation_records import make_record
-from vitac.evaluator.episodes.records import ActionSequence, EpisodeRecord
-from vitac.evaluator.logs.checks import out_of_bounds, why_record_impossible
-from vitac.evaluator.logs.findings import ImpossibleReason
+from evaluation_records import make_failure, make_manifest, make_record
+from vitac.evaluator.episodes.records import ActionSequence, EpisodeOutcome, EpisodeRecord
+from vitac.evaluator.logs.checks import must_agree, out_of_bounds, why_impossible, why_record_impossible
+from vitac.evaluator.logs.findings import Impossibility, ImpossibleReason
+from vitac.evaluator.logs.log import LogHeader
 from vitac.evaluator.tracks import load_track
 
 TASK = load_track("track_1").tasks["peg-insertion"]
@@ -59,3 +62,91 @@ def test_the_next_number_beyond_a_bound_is_outside(value: float) -> None:
     actions = np.zeros((2, 3), np.float32)
     actions[1, 2] = np.nextafter(np.float32(value), np.float32(2 * value))
     assert "env step 2" in (out_of_bounds(TASK, actions) or "")
+
+
+def listed(number: int, **changes: Any) -> EpisodeRecord:
+    start = TASK.episodes[number - 1]
+    return make_record(number, **{"shape": start.shape, "initial_offset": start.offset, **changes})
+
+
+def crashed(number: int) -> EpisodeRecord:
+    return listed(number, outcome=EpisodeOutcome.POLICY_FAILED, env_steps=0, failure=make_failure())
+
+
+def problem_of(*records: EpisodeRecord, episodes: set[int] | None = None, **manifest: Any) -> Impossibility | None:
+    """Why a log with these records and changes of its manifest is impossible."""
+    header = LogHeader(manifest=make_manifest(**manifest))
+    wanted = {record.episode for record in records} if episodes is None else episodes
+    return why_impossible(must_agree(make_manifest()), TASK, header, records, wanted)
+
+
+def test_a_log_of_our_own_evaluation_is_possible() -> None:
+    assert problem_of(listed(1), listed(2)) is None
+
+
+@pytest.mark.parametrize(
+    "key", ["track", "task", "list_seed", "task_hash", "evaluator_version", "solver_version", "mesh_hash"]
+)
+def test_a_log_of_another_evaluation_is_impossible_and_the_difference_named(key: str) -> None:
+    other: Any = 7 if key == "list_seed" else "other"
+    problem = problem_of(listed(1), **{key: other})
+    assert problem is not None
+    assert (problem.reason, problem.episode) == (ImpossibleReason.OTHER_EVALUATION, None)
+    ours = getattr(make_manifest(), key)
+    assert problem.message == f"Expected a log made with {key} {ours!r}, got {other!r}; evaluate again."
+
+
+@pytest.mark.parametrize("key", ["evaluator_hash", "platform_class"])
+def test_a_log_may_come_from_another_machine(key: str) -> None:
+    changes: dict[str, Any] = {key: "other"}
+    assert problem_of(listed(1), **changes) is None
+
+
+def test_what_is_not_known_yet_is_not_compared() -> None:
+    header = LogHeader(manifest=make_manifest(mesh_hash="other"))
+    assert why_impossible({"task": "peg-insertion"}, TASK, header, [listed(1)], {1}) is None
+
+
+def test_missing_episodes_are_counted_and_the_first_is_named() -> None:
+    problem = problem_of(listed(1), listed(4), episodes={1, 2, 3, 4, 5})
+    assert problem is not None
+    assert (problem.reason, problem.episode) == (ImpossibleReason.EPISODE_MISSING, 2)
+    assert problem.message == "Expected 5 episodes, got 2; the first missing one is 2."
+
+
+def test_the_whole_list_is_required_by_default() -> None:
+    header = LogHeader(manifest=make_manifest())
+    problem = why_impossible(must_agree(make_manifest()), TASK, header, [listed(1)])
+    assert problem is not None
+    assert problem.message == f"Expected {len(TASK.episodes)} episodes, got 1; the first missing one is 2."
+
+
+def test_episodes_beyond_the_required_ones_are_allowed() -> None:
+    assert problem_of(listed(1), listed(2), episodes={2}) is None
+
+
+def test_the_first_impossible_record_goes_before_what_is_missing() -> None:
+    problem = problem_of(listed(1), listed(2, shape="sphere"), episodes={1, 2, 3})
+    assert problem is not None
+    assert (problem.reason, problem.episode) == (ImpossibleReason.OTHER_START, 2)
+
+
+def test_single_failures_in_several_shards_are_possible() -> None:
+    size = TASK.shard_size
+    assert problem_of(crashed(1), crashed(2), crashed(size + 1), crashed(size + 2)) is None
+
+
+def test_a_policy_that_failed_too_often_is_named_by_the_first_failure_of_its_shard() -> None:
+    """A failure of an earlier shard may say just the same."""
+    size = TASK.shard_size
+    problem = problem_of(crashed(1), *(crashed(size + number) for number in (3, 4, 5)))
+    assert problem is not None
+    assert (problem.reason, problem.episode) == (ImpossibleReason.BROKEN_POLICY, size + 3)
+    assert f"starting at episode {size + 3};" in problem.message
+
+
+def test_actions_of_another_task_are_impossible() -> None:
+    actions = ActionSequence.from_array(np.zeros((3, 2), np.float32))
+    problem = problem_of(listed(1, actions=actions))
+    assert problem is not None
+    assert (problem.reason, problem.episode) == (ImpossibleReason.WRONG_ACTION, 1)

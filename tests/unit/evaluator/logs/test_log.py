@@ -3,6 +3,7 @@ import io
 import json
 import random
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -239,6 +240,13 @@ def test_values_are_counted_up_to_just_above_the_limit() -> None:
     assert count_values([0] * 10, 10) == 11
     assert count_values([0] * 1_000_000, 10) == 11
     assert count_values([[[]] * 5] * 5, 10) == 11
+
+
+def test_limits_are_those_that_participants_read(repository: Path) -> None:
+    text = (repository / "docs" / "logs.md").read_text()
+    assert f"one object and at most {MAX_LINE_BYTES >> 20} MiB a line" in text
+    assert f"at most {MAX_INFO_BYTES >> 10} KiB and {MAX_INFO_VALUES} values each" in text
+    assert (MAX_LINE_BYTES % (1 << 20), MAX_INFO_BYTES % (1 << 10)) == (0, 0)
 
 
 def with_info(info: Any) -> bytes:
