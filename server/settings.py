@@ -145,7 +145,7 @@ class Settings(BaseSettings):
     event_streams: PositiveInt = Field(default=200, description="Event streams that a server keeps open.")
 
     lease_s: PositiveFloat = Field(
-        default=10.0, description="A shard whose worker does not renew its lease for so long is given to another one."
+        default=6.0, description="A shard whose worker does not renew its lease for so long is given to another one."
     )
     lease_renewal_s: PositiveFloat = Field(
         default=1.0, description="How often a worker renews its shard; bounds the time a cancel takes."

@@ -4,6 +4,7 @@ Each probe is a small hostile policy. It answers with the number of things it re
 """
 
 import os
+import shutil
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -202,9 +203,13 @@ return seen""",
 )
 
 
+_PREFIX = "vitac-doctor-"
+
+
 def run(probes: tuple[Probe, ...] = PROBES) -> Iterator[Outcome]:
     """Run each probe and yield its check result."""
-    with tempfile.TemporaryDirectory(prefix="vitac-doctor-") as name:
+    _remove_leftovers()
+    with tempfile.TemporaryDirectory(prefix=f"{_PREFIX}{os.getpid()}-") as name:
         folder = Path(name)
         folder.chmod(0o755)
         canary = folder / "secret" / CANARY
@@ -215,6 +220,14 @@ def run(probes: tuple[Probe, ...] = PROBES) -> Iterator[Outcome]:
             submission.mkdir(mode=0o755)
             (submission / "policy.py").write_text(_policy(probe, canary))
             yield _with_canary(probe, submission)
+
+
+def _remove_leftovers() -> None:
+    """Remove the folders of self-tests that were killed."""
+    for folder in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*"):
+        pid = folder.name.removeprefix(_PREFIX).partition("-")[0]
+        if pid.isdigit() and not Path("/proc", pid).exists():
+            shutil.rmtree(folder, ignore_errors=True)
 
 
 def is_safe(outcomes: list[Outcome]) -> bool:

@@ -1,5 +1,10 @@
 """The self-test holds on this machine, and would tell if it did not."""
 
+import os
+import subprocess
+import tempfile
+from pathlib import Path
+
 import pytest
 from vitac.evaluator.agent.limits import Limits
 from vitac.evaluator.agent.self_test import PROBES, Outcome, Probe, ProbeState, is_safe, run
@@ -46,3 +51,16 @@ def test_probes_can_reach_what_is_open() -> None:
     memory = next(probe for probe in PROBES if probe.verdict is VerdictCode.OUT_OF_MEMORY)
     outcome = outcome_of(Probe(name=memory.name, code="return 0 * len([bytearray(1 << 20)])", limits=Limits()))
     assert outcome.state is ProbeState.HELD
+
+
+def test_folders_of_killed_self_tests_are_removed_and_those_of_others_at_work_are_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    with subprocess.Popen(["true"]) as ended:
+        ended.wait()
+    killed, living = (tmp_path / f"vitac-doctor-{pid}-x" for pid in (ended.pid, os.getppid()))
+    (killed / "probe-0").mkdir(parents=True)
+    living.mkdir()
+    assert list(run(())) == []
+    assert list(tmp_path.iterdir()) == [living]
