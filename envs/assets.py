@@ -13,8 +13,11 @@ from pathlib import Path
 from .errors import VitacError
 from .fem.model.mesh import GelMesh, SurfaceMesh
 from .geometry.stl import read_stl
+from .tactile.design import SensorDesign
 from .tactile.gel import gelsight_mini_mesh
 from .tactile.gel_files import read_gel
+from .tactile.markers import MarkerSettings
+from .tactile.sensor import DesignedSensor, TactileSensor
 
 ENVIRONMENT_VARIABLE = "VITAC_ASSETS_DIR"
 _GEL_FOLDER = "gelsight_mini_e430"
@@ -40,17 +43,41 @@ class Meshes:
     Args:
         assets_dir: folder with the challenge's own meshes; all are generated where there is none.
         gel: elastomer of both sensors in place of the challenge's.
+        sensor: design of both sensors in place of the challenge's, with a gel of its own.
     """
 
-    def __init__(self, assets_dir: str | Path | None = None, *, gel: GelMesh | None = None) -> None:
+    def __init__(
+        self,
+        assets_dir: str | Path | None = None,
+        *,
+        gel: GelMesh | None = None,
+        sensor: SensorDesign | None = None,
+    ) -> None:
         self._folder = None if assets_dir is None else _existing_folder(Path(assets_dir))
-        self._gel = gel
+        self._gel = gel if sensor is None else sensor.gel
+        self._design = sensor
 
     def gel(self) -> GelMesh:
         """Return the elastomer of both sensors."""
         if self._gel is not None:
             return self._gel
         return gelsight_mini_mesh() if self._folder is None else _read_gel(self._folder / _GEL_FOLDER)
+
+    def sensors(self, settings: MarkerSettings) -> tuple[TactileSensor, TactileSensor]:
+        """Return the two sensors of a gripper, left and right."""
+        design = self._design
+        if design is not None:
+            return DesignedSensor(design, settings), DesignedSensor(design, settings)
+        return TactileSensor(self.gel(), settings), TactileSensor(self.gel(), settings)
+
+    def hash(self, solids: Iterable[SurfaceMesh], settings: object) -> str:
+        """Return the SHA-256 [hex] of meshes, settings and a design, so that results on others are told apart.
+
+        Args:
+            solids: rigid parts, in a fixed order.
+            settings: a frozen dataclass of numbers; its `repr` enters the hash.
+        """
+        return mesh_hash(self.gel(), solids, settings, self._design)
 
     def part(self, generate: Callable[[], SurfaceMesh], file: str) -> SurfaceMesh:
         """Return the rigid part of a task.
@@ -62,17 +89,19 @@ class Meshes:
         return generate() if self._folder is None else _read_solid(self._folder / file)
 
 
-def mesh_hash(gel: GelMesh, solids: Iterable[SurfaceMesh], settings: object) -> str:
+def mesh_hash(gel: GelMesh, solids: Iterable[SurfaceMesh], settings: object, design: SensorDesign | None = None) -> str:
     """Return the SHA-256 [hex] of meshes and settings, so that results on others cannot be mistaken for these.
 
     Args:
         gel: the sensors' elastomer.
         solids: rigid parts, in a fixed order.
         settings: a frozen dataclass of numbers; its `repr` enters the hash.
+        design: of the sensors, where it is a team's own.
     """
     digest = hashlib.sha256(repr(settings).encode())
     digest.update(gel.rest_position_m.astype("<f8").tobytes() + gel.tetrahedra.astype("<i8").tobytes())
     digest.update(gel.driven.tobytes() + gel.sensing.tobytes())
+    digest.update(b"" if design is None else design.as_bytes())
     for solid in solids:
         digest.update(solid.vertices_m.astype("<f8").tobytes() + solid.triangles.astype("<i8").tobytes())
     return digest.hexdigest()

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ..fem.model.mesh import GelMesh, SurfaceMesh
 from ..scene.grasped_scene import GraspedScene, PhysicsSettings
 from ..scene.gripper import SensorPose
+from ..tactile.camera import CameraIntrinsics
 from ..tasks.task_env import Info, Observation, TactileTaskEnv
 from ..vision.camera import Sight
 
@@ -62,6 +63,7 @@ class Playback:
     Attributes:
         env_id: registered id of the environment.
         gel: mesh of both gels, in their own frame.
+        camera: intrinsics of both sensors.
         physics: materials of the gels.
         held: the part in the grasp, in its own frame.
         fixed: the part it goes into.
@@ -71,6 +73,7 @@ class Playback:
 
     env_id: str
     gel: GelMesh
+    camera: CameraIntrinsics
     physics: PhysicsSettings
     held: SurfaceMesh
     fixed: SurfaceMesh
@@ -142,6 +145,7 @@ def _playback(env: TactileTaskEnv[Any, Any], moments: tuple[Moment, ...]) -> Pla
     return Playback(
         env_id=env.env_id,
         gel=scene.gel,
+        camera=scene.camera,
         physics=scene.physics,
         held=scene.held.mesh,
         fixed=fixed.mesh,

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ..tactile.camera import camera_frame, project
 from ..tactile.markers import SensingSurface
+from ..tactile.thickness import eye_distance_m
 from .playback import Moment, Playback
 from .plots import INK, TICK_PT, style
 
@@ -38,6 +39,7 @@ class SensorPanels:
 
     def __init__(self, playback: Playback) -> None:
         self._mesh = playback.gel
+        self._camera, self._eye_distance_m = playback.camera, eye_distance_m(playback.gel)
         self._triangles = SensingSurface.of_gel(playback.gel).triangles
         self._magnification = magnification(playback)
 
@@ -75,7 +77,7 @@ class SensorPanels:
         """Return the sensing surface as its camera sees it."""
         pose = moment.sensor_poses[side.index]
         nodes_m = moment.gel_nodes_m[side.index][self._mesh.sensing_nodes]
-        pixels = project(camera_frame(nodes_m, pose.rotation, pose.centre_m))
+        pixels = project(camera_frame(nodes_m, pose.rotation, pose.centre_m, self._eye_distance_m), self._camera)
         return Triangulation(pixels[:, 0], pixels[:, 1], self._triangles)
 
 

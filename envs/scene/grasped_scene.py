@@ -11,7 +11,7 @@ from ..fem.model.bodies import GelBody, RigidBody
 from ..fem.model.mesh import SurfaceMesh
 from ..fem.model.settings import ContactSettings, SolverSettings
 from ..fem.scene.scene import Scene, StepReport, StepStatus
-from ..tactile.markers import MarkerSettings
+from ..tactile.camera import CameraIntrinsics
 from ..tactile.sensor import TactileSensor
 from .gripper import SENSOR_COUNT, Gripper, GripperPose, SensorPose
 from .stopwatch import Stopwatch
@@ -79,14 +79,14 @@ class GraspedScene:
         held: RigidBody,
         fixed: RigidBody,
         physics: PhysicsSettings,
-        markers: MarkerSettings,
+        sensors: tuple[TactileSensor, TactileSensor],
         clocks: Clocks,
     ) -> None:
         self.gel, self.held, self.fixed, self.physics = gripper.gel, held, fixed, physics
         self.after_ipc_step: Callable[[], None] | None = None
         self._clocks = clocks
         self._gripper = gripper
-        self._sensors = tuple(TactileSensor(gripper.gel, markers) for _ in range(SENSOR_COUNT))
+        self._sensors = sensors
         with clocks.physics:
             self._scene = Scene(
                 gels=[self._placed_gel(index) for index in range(SENSOR_COUNT)],
@@ -99,6 +99,11 @@ class GraspedScene:
         self.ipc_steps = 0
         self.solved = True
         self._last_flow = (-1, np.zeros((0,), np.float32))
+
+    @property
+    def camera(self) -> CameraIntrinsics:
+        """Intrinsics of both sensors' cameras."""
+        return self._sensors[0].camera
 
     @property
     def pose(self) -> GripperPose:

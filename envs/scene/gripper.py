@@ -16,8 +16,6 @@ FloatArray = NDArray[np.float64]
 
 # One on each jaw.
 SENSOR_COUNT = 2
-# Distance of a gel's centre from its sensing face.
-GEL_HALF_THICKNESS_MM = 2.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -1,29 +1,48 @@
 """The sensor's inner camera: its pose on the gel and its pinhole projection (challenge-facts 4.2)."""
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from ..compilation import allocating_kernel, kernel
 
-# Pinhole without distortion, for a picture of 320 x 240 pixels.
-FOCAL_U_PX = 340.0
-FOCAL_V_PX = 325.0
-CENTRE_U_PX = 160.0
-CENTRE_V_PX = 125.0
-# The camera sits on the gel's axis, 20 mm behind the gel's centre, and looks out of the sensing face.
-DISTANCE_M = 0.02
+
+class CameraIntrinsics(NamedTuple):
+    """A pinhole without distortion, for a picture of 320 x 240 pixels; the defaults are the challenge's.
+
+    Attributes:
+        focal_u_px: focal length along the picture's rows.
+        focal_v_px: along its columns.
+        centre_u_px: where the camera's axis meets the picture.
+        centre_v_px: the same, downwards.
+    """
+
+    focal_u_px: float = 340.0
+    focal_v_px: float = 325.0
+    centre_u_px: float = 160.0
+    centre_v_px: float = 125.0
+
+
+CHALLENGE_CAMERA = CameraIntrinsics()
 
 
 @allocating_kernel
 def camera_frame(
-    positions_m: NDArray[np.float64], rotation: NDArray[np.float64], centre_m: NDArray[np.float64]
+    positions_m: NDArray[np.float64],
+    rotation: NDArray[np.float64],
+    centre_m: NDArray[np.float64],
+    distance_m: float,
 ) -> NDArray[np.float64]:
-    """Return world positions in a sensor's camera frame (OpenCV axes: x = -x_gel, y = -y_gel, z = z_gel + 20 mm).
+    """Return world positions in a sensor's camera frame (OpenCV axes: x = -x_gel, y = -y_gel, z = z_gel + distance).
+
+    The camera sits on the gel's axis and looks out of the sensing face.
 
     Args:
         positions_m: world positions [m], shape [n, 3].
         rotation: world from gel, shape [3, 3].
-        centre_m: gel centre in the world [m], shape [3].
+        centre_m: origin of the gel's frame in the world [m], shape [3].
+        distance_m: of the camera behind that origin [m]; `thickness.eye_distance_m`.
     """
     out = np.empty_like(positions_m)
     for i in range(positions_m.shape[0]):
@@ -32,18 +51,32 @@ def camera_frame(
         z = positions_m[i, 2] - centre_m[2]
         out[i, 0] = -(rotation[0, 0] * x + rotation[1, 0] * y + rotation[2, 0] * z)
         out[i, 1] = -(rotation[0, 1] * x + rotation[1, 1] * y + rotation[2, 1] * z)
-        out[i, 2] = rotation[0, 2] * x + rotation[1, 2] * y + rotation[2, 2] * z + DISTANCE_M
+        out[i, 2] = rotation[0, 2] * x + rotation[1, 2] * y + rotation[2, 2] * z + distance_m
     return out
 
 
 @allocating_kernel
-def project(points_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def project(points_m: NDArray[np.float64], camera: CameraIntrinsics) -> NDArray[np.float64]:
     """Return the pixel coordinates (u, v), shape [n, 2], of camera-frame points [m], shape [n, 3]."""
     out = np.empty((points_m.shape[0], 2))
     for i in range(points_m.shape[0]):
-        out[i, 0] = FOCAL_U_PX * points_m[i, 0] / points_m[i, 2] + CENTRE_U_PX
-        out[i, 1] = FOCAL_V_PX * points_m[i, 1] / points_m[i, 2] + CENTRE_V_PX
+        out[i, 0] = camera.focal_u_px * points_m[i, 0] / points_m[i, 2] + camera.centre_u_px
+        out[i, 1] = camera.focal_v_px * points_m[i, 1] / points_m[i, 2] + camera.centre_v_px
     return out
+
+
+@kernel
+def weighted_distance_m(
+    first_m: NDArray[np.float64], second_m: NDArray[np.float64], weights: NDArray[np.float64]
+) -> float:
+    """Return the weighted sum of the Euclidean distances [m] between corresponding points, shapes [n, 3] and [n]."""
+    total: float = 0.0
+    for i in range(first_m.shape[0]):
+        x = first_m[i, 0] - second_m[i, 0]
+        y = first_m[i, 1] - second_m[i, 1]
+        z = first_m[i, 2] - second_m[i, 2]
+        total += weights[i] * np.sqrt(x * x + y * y + z * z)
+    return total
 
 
 @kernel

@@ -8,32 +8,14 @@ from numpy.typing import NDArray
 
 from ..fem.model.mesh import GelMesh
 from .attachment import Attachment, Fault, attach_along_rays
-from .camera import CENTRE_U_PX, CENTRE_V_PX, FOCAL_U_PX, FOCAL_V_PX
-from .markers import U_RANGE_PX, V_RANGE_PX
+from .camera import CameraIntrinsics, camera_frame, project
+from .markers import in_picture
+from .thickness import eye_distance_m
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 
 MILLIMETRE_M = 1e-3
-# From the camera's optical centre to the back face of the gel, for every sensor (challenge-facts 9).
-EYE_TO_BACK_MM = 18.0
-
-
-@dataclass(frozen=True, kw_only=True)
-class CameraIntrinsics:
-    """A pinhole without distortion, for a picture of 320 x 240 pixels; the defaults are the challenge's.
-
-    Attributes:
-        focal_u_px: focal length along the picture's rows.
-        focal_v_px: along its columns.
-        centre_u_px: where the camera's axis meets the picture.
-        centre_v_px: the same, downwards.
-    """
-
-    focal_u_px: float = FOCAL_U_PX
-    focal_v_px: float = FOCAL_V_PX
-    centre_u_px: float = CENTRE_U_PX
-    centre_v_px: float = CENTRE_V_PX
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -59,39 +41,39 @@ class SensorDesign:
     def attachment(self) -> Attachment:
         """Where the markers are; `triangles` index the gel's `surface_triangles`."""
         triangles = self.gel.surface_triangles
-        through = self._drawn_m
-        found = attach_along_rays(
-            (0.0, 0.0, self._eye_z_m), through, self.gel.rest_position_m, triangles, self._senses()
-        )
-        outside = (found.faults == Fault.NONE) & ~self._in_picture(through)
+        eye = (0.0, 0.0, -eye_distance_m(self.gel))
+        found = attach_along_rays(eye, self._drawn_m, self.gel.rest_position_m, triangles, self._senses())
+        outside = (found.faults == Fault.NONE) & ~in_picture(self.rest_pixels)
         found.faults[outside] = Fault.OUT_OF_PICTURE
         return found
 
     @property
     def rest_pixels(self) -> FloatArray:
         """Where the camera sees the markers as drawn [pixel], shape [m, 2]."""
-        return self._pixels(self._drawn_m)
+        in_camera_m = camera_frame(self._drawn_m, np.eye(3), np.zeros(3), eye_distance_m(self.gel))
+        return np.asarray(project(in_camera_m, self.camera))
+
+    @cached_property
+    def area_weights(self) -> FloatArray:
+        """Share of the undeformed sensing faces' area that belongs to every sensing node, ascending, shape [s]."""
+        corners_m = self.gel.rest_position_m[self.sensing_triangles]
+        normals = np.cross(corners_m[:, 1] - corners_m[:, 0], corners_m[:, 2] - corners_m[:, 0])
+        areas = np.sqrt((normals * normals).sum(axis=1))
+        of_node = np.zeros(len(self.gel.rest_position_m))
+        for k in range(3):
+            np.add.at(of_node, self.sensing_triangles[:, k], areas)
+        return np.asarray(of_node[self.gel.sensing_nodes] / (3.0 * areas.sum()))
+
+    def as_bytes(self) -> bytes:
+        """Return what a hash of results has to cover besides the gel: sensing faces, camera and markers."""
+        numbers = np.array([*self.camera, *self.markers_mm.reshape(-1)], dtype="<f8")
+        return self.sensing_triangles.astype("<i8").tobytes() + numbers.tobytes()
 
     @property
     def _drawn_m(self) -> FloatArray:
         top_m = float(self.gel.rest_position_m[:, 2].max())
         return np.column_stack([self.markers_mm * MILLIMETRE_M, np.full(len(self.markers_mm), top_m)])
 
-    @property
-    def _eye_z_m(self) -> float:
-        return float(self.gel.rest_position_m[:, 2].min()) - EYE_TO_BACK_MM * MILLIMETRE_M
-
     def _senses(self) -> NDArray[np.bool_]:
         rows = {tuple(sorted(row)) for row in self.sensing_triangles.tolist()}
         return np.array([tuple(sorted(row)) in rows for row in self.gel.surface_triangles.tolist()], dtype=np.bool_)
-
-    def _pixels(self, points_m: FloatArray) -> FloatArray:
-        """Return pixels of points in the frame of the gel; camera x and y are the negated gel axes."""
-        depth = points_m[:, 2] - self._eye_z_m
-        u = self.camera.focal_u_px * -points_m[:, 0] / depth + self.camera.centre_u_px
-        v = self.camera.focal_v_px * -points_m[:, 1] / depth + self.camera.centre_v_px
-        return np.column_stack([u, v])
-
-    def _in_picture(self, points_m: FloatArray) -> NDArray[np.bool_]:
-        u, v = self._pixels(points_m).T
-        return np.asarray((u > U_RANGE_PX[0]) & (u < U_RANGE_PX[1]) & (v > V_RANGE_PX[0]) & (v < V_RANGE_PX[1]))

@@ -12,7 +12,7 @@ from ..fem.model.mesh import GelMesh
 FloatArray = NDArray[np.float64]
 
 MILLIMETRE_M = 1e-3
-# Height of the sensing face's highest point in a gel's frame; grippers rely on it (`gripper.GEL_HALF_THICKNESS_MM`).
+# Height of the sensing face's highest point in the frame of a gel made here.
 SENSING_HEIGHT_MM = 2.0
 
 

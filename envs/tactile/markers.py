@@ -20,7 +20,7 @@ from ..compilation import allocating_kernel, kernel
 from ..deterministic_math import normal_pairs, sine_cosine
 from ..errors import VitacError
 from ..fem.model.mesh import GelMesh
-from .camera import project
+from .camera import CHALLENGE_CAMERA, project
 from .sizes import MARKER_COUNT
 
 FloatArray = NDArray[np.float64]
@@ -30,8 +30,8 @@ IndexArray = NDArray[np.int64]
 _GRID_HALF_X_MM = 8.0
 _GRID_HALF_Y_MM = 6.0
 # A marker is seen where its reference is inside this part of the picture.
-U_RANGE_PX = (5.0, 320.0)
-V_RANGE_PX = (5.0, 240.0)
+_U_RANGE_PX = (5.0, 320.0)
+_V_RANGE_PX = (5.0, 240.0)
 _CANDIDATE_TRIANGLES = 4
 
 
@@ -116,10 +116,20 @@ def marker_flow(
     grid_m = _draw_grid_m(settings, random)
     triangle, weights = _attach(grid_m, surface.vertices_m, surface.triangles, surface.centroids_m, surface.hull_m)
     corners = surface.triangles[triangle]
-    reference = project(_interpolated(reference_m, corners, weights))
-    current = project(_interpolated(current_m, corners, weights))
-    flow = np.stack([reference, current])[:, _in_picture(reference)]
-    flow = flow[:, random.random(flow.shape[1]) >= settings.loss_probability]
+    reference = project(interpolated(reference_m, corners, weights), CHALLENGE_CAMERA)
+    current = project(interpolated(current_m, corners, weights), CHALLENGE_CAMERA)
+    flow = np.stack([reference, current])[:, in_picture(reference)]
+    return tracked(flow[:, random.random(flow.shape[1]) >= settings.loss_probability], settings, random)
+
+
+def tracked(flow: FloatArray, settings: MarkerSettings, random: np.random.Generator) -> FloatArray:
+    """Return exactly 128 markers with noise, shape [2, 128, 2] [pixel].
+
+    Args:
+        flow: reference and current pixel positions of those that are not lost, shape [2, k, 2]; changed.
+        settings: amount of noise.
+        random: the episode's generator.
+    """
     flow += settings.noise_px * normal_pairs(random.random((flow.size // 2, 2))).reshape(flow.shape)
     return _of_fixed_count(flow, random)
 
@@ -143,9 +153,10 @@ def _grid_line_mm(half: float, interval: float, translation: float) -> FloatArra
     return np.arange(first, last + 1.0) * interval + translation
 
 
-def _in_picture(pixels: FloatArray) -> NDArray[np.bool_]:
+def in_picture(pixels: FloatArray) -> NDArray[np.bool_]:
+    """Return which pixel positions, shape [n, 2], are where markers are tracked."""
     u, v = pixels[:, 0], pixels[:, 1]
-    inside = (u > U_RANGE_PX[0]) & (u < U_RANGE_PX[1]) & (v > V_RANGE_PX[0]) & (v < V_RANGE_PX[1])
+    inside = (u > _U_RANGE_PX[0]) & (u < _U_RANGE_PX[1]) & (v > _V_RANGE_PX[0]) & (v < _V_RANGE_PX[1])
     return np.asarray(inside)
 
 
@@ -248,7 +259,7 @@ def _barycentric(x: float, y: float, vertices: FloatArray, triangle: IndexArray)
 
 
 @allocating_kernel
-def _interpolated(points: FloatArray, corners: IndexArray, weights: FloatArray) -> FloatArray:
+def interpolated(points: FloatArray, corners: IndexArray, weights: FloatArray) -> FloatArray:
     """Return the weighted sums of the corners' positions, shape [m, 3]."""
     out = np.empty((corners.shape[0], 3))
     for i in range(corners.shape[0]):

@@ -1,12 +1,16 @@
 """One tactile sensor: its reference after the grasp, how far its surface has moved since, and its marker flow."""
 
+from functools import cached_property
+
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import VitacError
 from ..fem.model.mesh import GelMesh
-from .camera import camera_frame, mean_distance_m
-from .markers import MarkerSettings, SensingSurface, marker_flow
+from .camera import CHALLENGE_CAMERA, CameraIntrinsics, camera_frame, mean_distance_m, project, weighted_distance_m
+from .design import SensorDesign
+from .markers import MarkerSettings, SensingSurface, interpolated, marker_flow, tracked
+from .thickness import eye_distance_m
 
 FloatArray = NDArray[np.float64]
 
@@ -20,11 +24,16 @@ class TactileSensor:
 
     The camera's pose is not fitted to boundary nodes: the driven nodes reach their targets exactly, so the pose that
     made the targets is the sensor's pose (challenge-facts 2.4 fits six of them instead, with the same result).
+
+    Attributes:
+        gel: the elastomer.
+        camera: intrinsics.
     """
 
     def __init__(self, mesh: GelMesh, settings: MarkerSettings) -> None:
-        self._sensing_nodes = mesh.sensing_nodes
-        self._surface = SensingSurface.of_gel(mesh)
+        self.gel = mesh
+        self.camera: CameraIntrinsics = CHALLENGE_CAMERA
+        self._eye_distance_m = eye_distance_m(mesh)
         self._settings = settings
         self._reference_m: FloatArray | None = None
 
@@ -36,7 +45,7 @@ class TactileSensor:
             rotation: world from gel, shape [3, 3].
             centre_m: gel centre in the world [m], shape [3].
         """
-        return camera_frame(nodes_m[self._sensing_nodes], rotation, centre_m)
+        return camera_frame(nodes_m[self.gel.sensing_nodes], rotation, centre_m, self._eye_distance_m)
 
     def capture_reference(self, view_m: FloatArray) -> None:
         """Take this view as the undisturbed one."""
@@ -48,9 +57,53 @@ class TactileSensor:
 
     def marker_flow(self, view_m: FloatArray, random: np.random.Generator) -> FloatArray:
         """Return the reference and current marker positions, shape [2, 128, 2] [pixel]."""
-        return marker_flow(self._surface, self._reference(), view_m, settings=self._settings, random=random)
+        surface = self._surface
+        return marker_flow(surface, self._reference(), view_m, settings=self._settings, random=random)
+
+    @cached_property
+    def _surface(self) -> SensingSurface:
+        return SensingSurface.of_gel(self.gel)
 
     def _reference(self) -> FloatArray:
         if self._reference_m is None:
             raise NoReferenceCaptured("Expected a captured reference; call capture_reference after the grasp.")
         return self._reference_m
+
+
+class MarkersNotAttached(VitacError):
+    """Markers of a design are not on its sensing faces; `vitac sensor check` names them."""
+
+
+class DesignedSensor(TactileSensor):
+    """A sensor of a team's own: its markers stay where they are printed, and the area of its faces counts.
+
+    The motion of its surface is the mean over the undeformed area, so that it does not depend on how the gel is meshed.
+    Every observation loses markers and adds noise as for all sensors, but never loses the last marker.
+    """
+
+    def __init__(self, design: SensorDesign, settings: MarkerSettings) -> None:
+        super().__init__(design.gel, settings)
+        found = design.attachment
+        if found.faults.any():
+            raise MarkersNotAttached(
+                f"{int((found.faults != 0).sum())} of {len(found.faults)} markers are not on a sensing face of the gel."
+            )
+        self.camera = design.camera
+        self._area_weights = design.area_weights
+        corners = design.gel.surface_triangles[found.triangles]
+        self._corners = np.searchsorted(design.gel.sensing_nodes, corners)
+        self._weights = found.weights
+
+    def surface_diff_m(self, view_m: FloatArray) -> float:
+        """Return the mean distance [m] of the sensing faces' area from where it was in the reference."""
+        return weighted_distance_m(self._reference(), view_m, self._area_weights)
+
+    def marker_flow(self, view_m: FloatArray, random: np.random.Generator) -> FloatArray:
+        """Return the reference and current marker positions, shape [2, 128, 2] [pixel]."""
+        seen = [
+            project(interpolated(side_m, self._corners, self._weights), self.camera)
+            for side_m in (self._reference(), view_m)
+        ]
+        kept = random.random(len(self._corners)) >= self._settings.loss_probability
+        kept[0] |= not kept.any()
+        return tracked(np.stack(seen)[:, kept], self._settings, random)

@@ -13,13 +13,14 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from ..assets import Meshes, mesh_hash
+from ..assets import Meshes
 from ..errors import VitacError
 from ..fem import SOLVER_VERSION
 from ..fem.model.mesh import GelMesh, SurfaceMesh
 from ..observable import Observable
 from ..scene.grasped_scene import Clocks, GraspedScene
 from ..scene.stopwatch import Stopwatch
+from ..tactile.design import SensorDesign
 from .definition import TaskDefinition, chosen_observables, with_tables
 from .ending import EndReason, Flags
 from .options import RNG_SEED, refuse_unknown, seeded_generator
@@ -70,6 +71,7 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
         privileged: add the privileged entries to the observation, for training.
         assets_dir: folder with the challenge's own meshes, to be used in place of the generated ones.
         gel: elastomer of both sensors; the challenge's by default.
+        sensor: a design of both sensors with gel, camera and markers of its own; the challenge's by default.
         observables: what is to be observed besides, such as a camera's pictures.
         observation_keys: which of the task's own observables are observed; all that are not privileged by default.
             Others are not computed.
@@ -99,6 +101,7 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
         privileged: bool = False,
         assets_dir: str | Path | None = None,
         gel: GelMesh | None = None,
+        sensor: SensorDesign | None = None,
         observables: Sequence[Observable[Any]] = (),
         observation_keys: Sequence[str] | None = None,
         **overrides: Any,
@@ -108,7 +111,7 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
         if observation_keys is not None:
             own = chosen_observables(own, observation_keys)
         self._observables: tuple[Observable[SceneT], ...] = (*own, *observables)
-        self._meshes = Meshes(assets_dir, gel=gel)
+        self._meshes = Meshes(assets_dir, gel=gel, sensor=sensor)
         self._clocks = Clocks(physics=Stopwatch(), markers=Stopwatch())
         self._scene: SceneT | None = None
         self._error_before = 0.0
@@ -155,7 +158,7 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
 
     def mesh_hash(self) -> str:
         """Return the SHA-256 [hex] of the meshes, materials and settings in use."""
-        return mesh_hash(self._meshes.gel(), self._solids(), self.settings)
+        return self._meshes.hash(self._solids(), self.settings)
 
     def reset(self, *, seed: int | None = None, options: Mapping[str, Any] | None = None) -> tuple[Observation, Info]:
         """Start an episode; see the class for the options.

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from ..fem.model.mesh import GelMesh
 from ..scene.grasped_scene import GraspedScene
-from ..tactile.camera import CENTRE_U_PX, CENTRE_V_PX, FOCAL_U_PX, FOCAL_V_PX, camera_frame
+from ..tactile.camera import CHALLENGE_CAMERA, CameraIntrinsics, camera_frame
+from ..tactile.thickness import eye_distance_m, highest_mm
 from .optics import TACTILE_HEIGHT_PX as HEIGHT_PX
 from .optics import TACTILE_WIDTH_PX as WIDTH_PX
 from .optics import Intrinsics
@@ -22,10 +23,7 @@ FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 TactilePicture = NDArray[np.uint8]
 
-_INTRINSICS = Intrinsics(FOCAL_U_PX, FOCAL_V_PX, CENTRE_U_PX, CENTRE_V_PX)
 _NEAR_M = 1e-4
-# Where a gel does not reach the picture's edge: its undeformed sensing face.
-_BEYOND_GEL_M = 0.022
 # Depth that one pixel is wide, for slopes.
 _PIXEL_M = 6e-5
 
@@ -65,11 +63,14 @@ _BACKGROUND_RGB = (
 class TactileCamera:
     """Takes pictures of a gel from inside; knows how the undeformed gel looks."""
 
-    def __init__(self, mesh: GelMesh) -> None:
+    def __init__(self, mesh: GelMesh, camera: CameraIntrinsics = CHALLENGE_CAMERA) -> None:
+        self._intrinsics = Intrinsics(*camera)
         # The back face stands between the camera and the sensing face.
         is_back = mesh.driven[mesh.surface_triangles].all(axis=1)
         self._triangles: IndexArray = np.ascontiguousarray(mesh.surface_triangles[~is_back])
-        at_rest_m = camera_frame(mesh.rest_position_m, np.eye(3), np.zeros(3))
+        # Where a gel does not reach the picture's edge: its undeformed sensing face.
+        self._beyond_gel_m = eye_distance_m(mesh) + highest_mm(mesh) * 1e-3
+        at_rest_m = camera_frame(mesh.rest_position_m, np.eye(3), np.zeros(3), eye_distance_m(mesh))
         self._at_rest = _shaded(self._depth_m(at_rest_m, np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)))
         self._background = _background()
 
@@ -93,8 +94,10 @@ class TactileCamera:
         """Return the depth of whatever is nearer to the camera, gel or body [m], shape [240, 320]."""
         vertices_m = np.concatenate([gel_m, body_m])
         triangles = np.concatenate([self._triangles, body_triangles + len(gel_m)])
-        view = rasterize(vertices_m, triangles, _INTRINSICS, height_px=HEIGHT_PX, width_px=WIDTH_PX, near_m=_NEAR_M)
-        return np.where(view.depth_m > 0.0, view.depth_m, _BEYOND_GEL_M)
+        view = rasterize(
+            vertices_m, triangles, self._intrinsics, height_px=HEIGHT_PX, width_px=WIDTH_PX, near_m=_NEAR_M
+        )
+        return np.where(view.depth_m > 0.0, view.depth_m, self._beyond_gel_m)
 
 
 def pictures_of(scene: GraspedScene, random: np.random.Generator) -> TactilePicture:
@@ -104,22 +107,23 @@ def pictures_of(scene: GraspedScene, random: np.random.Generator) -> TactilePict
         scene: what they hold.
         random: the episode's generator; markers are drawn from it where none have been since the last motion.
     """
-    camera = _camera(scene.gel)
+    camera, distance_m = _camera(scene.gel, scene.camera), eye_distance_m(scene.gel)
     flow = scene.last_marker_flow(random)
     held, pictures = scene.held.mesh, []
     held_m = scene.held_vertices_m(np.arange(len(held.vertices_m)))
     for index in range(len(flow)):
         pose = scene.sensor_pose(index)
         gel_m, body_m = (
-            camera_frame(points_m, pose.rotation, pose.centre_m) for points_m in (scene.gel_nodes_m(index), held_m)
+            camera_frame(points_m, pose.rotation, pose.centre_m, distance_m)
+            for points_m in (scene.gel_nodes_m(index), held_m)
         )
         pictures.append(camera.picture(gel_m, body_m, held.triangles, flow[index, 1].astype(np.float64)))
     return np.stack(pictures)
 
 
 @lru_cache(maxsize=4)
-def _camera(mesh: GelMesh) -> TactileCamera:
-    return TactileCamera(mesh)
+def _camera(mesh: GelMesh, camera: CameraIntrinsics) -> TactileCamera:
+    return TactileCamera(mesh, camera)
 
 
 def _shaded(depth_m: FloatArray) -> FloatArray:

@@ -13,7 +13,7 @@ from .limits import sensor_limits
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
-    from vitac.envs.tactile.design import CameraIntrinsics
+    from vitac.envs.tactile.camera import CameraIntrinsics
 
 SENSOR_NAME: Final = "sensor.yaml"
 _MAX_BYTES: Final = 16 * 1024
@@ -37,7 +37,7 @@ class Camera(StrictModel):
 
     def intrinsics(self) -> "CameraIntrinsics":
         """Return the camera of the simulation."""
-        from vitac.envs.tactile.design import CameraIntrinsics
+        from vitac.envs.tactile.camera import CameraIntrinsics
 
         (focal_u, focal_v), (centre_u, centre_v) = self.focal_px, self.centre_px
         return CameraIntrinsics(focal_u_px=focal_u, focal_v_px=focal_v, centre_u_px=centre_u, centre_v_px=centre_v)

@@ -35,7 +35,7 @@ class FusionScene(InsertionScene[FusionOffset, FusionInsertionSettings]):
         self.target: Target = start.target
         peg = peg_mesh(meshes, start.target)
         parts = Parts(
-            gel=meshes.gel(),
+            sensors=meshes.sensors(settings.markers),
             peg=peg,
             peg_bottom=peg_bottom(peg, start.target),
             fixed=fixed_at_origin(base_mesh(meshes, settings.clearance_mm), friction=settings.base_friction),

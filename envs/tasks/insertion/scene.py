@@ -13,8 +13,10 @@ from ...fem.model.bodies import RigidBody
 from ...fem.model.mesh import GelMesh, SurfaceMesh
 from ...geometry.pegs import GRIPPED_WIDTH_MM, PEG_HEIGHT_MM
 from ...scene.grasped_scene import Clocks, GraspedScene
-from ...scene.gripper import GEL_HALF_THICKNESS_MM, UPRIGHT_MOUNTS, Gripper, GripperPose
+from ...scene.gripper import UPRIGHT_MOUNTS, Gripper, GripperPose
 from ...scene.motion import ipc_steps
+from ...tactile.sensor import TactileSensor
+from ...tactile.thickness import highest_mm
 from .settings import InsertionSettings
 from .state import InsertionState, OffsetT
 
@@ -33,18 +35,23 @@ class Parts:
     """What a scene is made of.
 
     Attributes:
-        gel: of both sensors.
+        sensors: left and right, with the same gel.
         peg: its surface.
         peg_bottom: vertices of the peg at its lower corners, in the order of the logs, shape [n].
         fixed: the part with the hole.
         rim_mm: height of the hole's rim [mm].
     """
 
-    gel: GelMesh
+    sensors: tuple[TactileSensor, TactileSensor]
     peg: SurfaceMesh
     peg_bottom: NDArray[np.int64]
     fixed: RigidBody
     rim_mm: float
+
+    @property
+    def gel(self) -> GelMesh:
+        """Gel of both sensors."""
+        return self.sensors[0].gel
 
 
 class InsertionScene(ABC, Generic[OffsetT, SettingsT]):
@@ -66,7 +73,7 @@ class InsertionScene(ABC, Generic[OffsetT, SettingsT]):
             held=self._placed_peg(),
             fixed=parts.fixed,
             physics=settings.physics,
-            markers=settings.markers,
+            sensors=parts.sensors,
             clocks=clocks,
         )
 
@@ -119,7 +126,7 @@ class InsertionScene(ABC, Generic[OffsetT, SettingsT]):
         """
         turn_rad = radians(goal.theta_deg - self.offset.theta_deg)
         steps = max(self._ipc_steps(distance_mm * 1e-3, TRAVEL_SPEED_M_S), self._ipc_steps(turn_rad, TURN_SPEED_RAD_S))
-        closing_m = _open_half_m() - self.grasped.pose.half_opening_m
+        closing_m = self._open_half_m() - self.grasped.pose.half_opening_m
         self.offset = goal
         pose = self._open_pose(goal).moved(z_m=raised_mm * 1e-3, closing_m=closing_m)
         self.grasped.move_to(pose, ipc_steps=steps)
@@ -149,10 +156,9 @@ class InsertionScene(ABC, Generic[OffsetT, SettingsT]):
             y_m=(y_mm + sine * along_mm) * 1e-3,
             z_m=(z_mm + PEG_HEIGHT_MM + self._settings.gripper_z_mm) * 1e-3,
             angle_rad=angle_rad,
-            half_opening_m=_open_half_m(),
+            half_opening_m=self._open_half_m(),
         )
 
-
-def _open_half_m() -> float:
-    """Return the distance of the gels' centres from the gripper's before the grasp [m]."""
-    return (0.5 * GRIPPED_WIDTH_MM + GEL_HALF_THICKNESS_MM + GRASP_GAP_MM) * 1e-3
+    def _open_half_m(self) -> float:
+        """Return the distance of the gels' origins from the gripper's before the grasp [m]."""
+        return (0.5 * GRIPPED_WIDTH_MM + highest_mm(self._parts.gel) + GRASP_GAP_MM) * 1e-3

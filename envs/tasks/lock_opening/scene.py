@@ -7,12 +7,14 @@ from numpy.typing import NDArray
 
 from ...assets import Meshes
 from ...fem.model.bodies import RigidBody
+from ...fem.model.mesh import GelMesh
 from ...geometry.keys import KEY_HALF_THICKNESS_MM, KeyShape, key_control_points
 from ...geometry.locks import lock_control_points
 from ...geometry.solid import nearest_vertices
 from ...scene.grasped_scene import Clocks, GraspedScene, fixed_at_origin
-from ...scene.gripper import GEL_HALF_THICKNESS_MM, Gripper, GripperPose, SensorMount
+from ...scene.gripper import Gripper, GripperPose, SensorMount
 from ...scene.motion import ipc_steps
+from ...tactile.thickness import highest_mm
 from .meshes import key_mesh, lock_mesh
 from .settings import LockOpeningSettings
 from .task import CEILING_Z_M, LockState
@@ -68,7 +70,7 @@ class LockScene:
             tip=nearest_vertices(key, points.tip_m),
         )
         self._lock_points = lock_control_points(start.shape)
-        self._grasp_pose = _open_pose(start)
+        self._grasp_pose = _open_pose(start, meshes.gel())
         self.grasped = GraspedScene(
             gripper=Gripper(mounts=MOUNTS, gel=meshes.gel(), pose=self._grasp_pose),
             held=RigidBody(
@@ -80,7 +82,7 @@ class LockScene:
             ),
             fixed=fixed_at_origin(lock_mesh(meshes, start.shape), friction=settings.lock_friction),
             physics=settings.physics,
-            markers=settings.markers,
+            sensors=meshes.sensors(settings.markers),
             clocks=clocks,
         )
 
@@ -159,7 +161,7 @@ def _key_position_m(start: LockStart) -> FloatArray:
     return np.array([START_X_MM + offset.x_mm, offset.y_mm, offset.z_mm]) * 1e-3
 
 
-def _open_pose(start: LockStart) -> GripperPose:
+def _open_pose(start: LockStart, gel: GelMesh) -> GripperPose:
     """Return the pose of the open gripper around the key's handle, off by the jitter."""
     x_m, y_m, z_m = _key_position_m(start).tolist()
     return GripperPose(
@@ -167,7 +169,7 @@ def _open_pose(start: LockStart) -> GripperPose:
         y_m=y_m,
         z_m=z_m + (GRASP_HEIGHT_MM + start.jitter.z_mm) * 1e-3,
         angle_rad=0.0,
-        half_opening_m=(KEY_HALF_THICKNESS_MM + GEL_HALF_THICKNESS_MM + START_GAP_MM) * 1e-3,
+        half_opening_m=(KEY_HALF_THICKNESS_MM + highest_mm(gel) + START_GAP_MM) * 1e-3,
     )
 
 

@@ -25,7 +25,7 @@ class PegScene(InsertionScene[PegOffset, PegInsertionSettings]):
         self._z_mm = 0.0
         peg = peg_mesh(meshes, start.shape)
         parts = Parts(
-            gel=meshes.gel(),
+            sensors=meshes.sensors(settings.markers),
             peg=peg,
             peg_bottom=bottom_vertices(start.shape, peg),
             fixed=fixed_at_origin(hole_mesh(meshes, start.shape), friction=settings.hole_friction),

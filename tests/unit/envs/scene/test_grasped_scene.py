@@ -26,7 +26,7 @@ def scene() -> GraspedScene:
         held=placed(False),
         fixed=placed(True),
         physics=PhysicsSettings(),
-        markers=MarkerSettings(),
+        sensors=meshes.sensors(MarkerSettings()),
         clocks=Clocks(physics=Stopwatch(), markers=Stopwatch()),
     )
 

@@ -4,9 +4,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from vitac.envs.fem.model.mesh import GelMesh, signed_volumes_m3
-from vitac.envs.scene.gripper import GEL_HALF_THICKNESS_MM
 from vitac.envs.tactile.gel import GelCells, GelDimensions, gelsight_mini_mesh, structured_gel
 from vitac.envs.tactile.gel_files import read_gel
+from vitac.envs.tactile.thickness import eye_distance_m, highest_mm
 
 CUBIC_MILLIMETRE_M3 = 1e-9
 
@@ -116,10 +116,16 @@ def test_other_cells_fill_the_same_shape(cells: GelCells) -> None:
 
 
 @pytest.mark.parametrize("thickness_mm", [2.5, 4.0, 8.0])
-def test_sensing_face_is_where_grippers_expect_it_at_any_thickness(thickness_mm: float) -> None:
+def test_gripper_and_camera_find_both_faces_at_any_thickness(thickness_mm: float) -> None:
     mesh = structured_gel(name="gel", size=GelDimensions(thickness_mm=thickness_mm))
-    np.testing.assert_allclose(mesh.rest_position_m[mesh.sensing, 2] * 1e3, GEL_HALF_THICKNESS_MM, rtol=1e-15)
-    np.testing.assert_allclose(mesh.rest_position_m[mesh.driven, 2] * 1e3, GEL_HALF_THICKNESS_MM - thickness_mm)
+    np.testing.assert_allclose(mesh.rest_position_m[mesh.sensing, 2] * 1e3, 2.0, rtol=1e-15)
+    np.testing.assert_allclose(mesh.rest_position_m[mesh.driven, 2] * 1e3, 2.0 - thickness_mm)
+    assert highest_mm(mesh) == 2.0
+    assert eye_distance_m(mesh) == pytest.approx(0.018 + 1e-3 * thickness_mm - 0.002)
+
+
+def test_camera_is_20_mm_behind_the_origin_of_the_challenges_gel() -> None:
+    assert eye_distance_m(gelsight_mini_mesh()) == 0.02
 
 
 def test_a_domed_face_falls_from_its_centre_to_its_rim() -> None:

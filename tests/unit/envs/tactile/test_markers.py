@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from vitac.envs.deterministic_math import normal_pairs
 from vitac.envs.fem.model.mesh import GelMesh
 from vitac.envs.tactile import markers
-from vitac.envs.tactile.camera import camera_frame, project
+from vitac.envs.tactile.camera import CHALLENGE_CAMERA, camera_frame, project
 from vitac.envs.tactile.gel import gelsight_mini_mesh
 from vitac.envs.tactile.markers import MarkerSettings, NoMarkerVisible, SensingSurface, convex_hull, marker_flow
 
@@ -33,7 +33,7 @@ GOLDEN_FLOW = [
 
 def rest_view() -> np.ndarray:
     mesh = gelsight_mini_mesh()
-    return np.asarray(camera_frame(mesh.rest_position_m[mesh.sensing], np.eye(3), np.zeros(3)))
+    return np.asarray(camera_frame(mesh.rest_position_m[mesh.sensing], np.eye(3), np.zeros(3), 0.02))
 
 
 def flow(current: np.ndarray | None = None, settings: MarkerSettings | None = None, seed: int = 0) -> np.ndarray:
@@ -238,6 +238,6 @@ def test_projection_of_the_interpolated_point_is_not_interpolated_pixels() -> No
     view = rest_view()
     tilted = view + np.array([0.0, 0.0, 1.0]) * (view[:, :1] * 0.05)
     pixels = flow(tilted, STILL)
-    edge, centre = project(tilted)[:, 0], pixels[1, 31, 0]
+    edge, centre = project(tilted, CHALLENGE_CAMERA)[:, 0], pixels[1, 31, 0]
     assert centre == pytest.approx(160.0)
     assert edge.max() - 160.0 < 160.0 - edge.min()

@@ -9,7 +9,7 @@ from vitac.envs.vision.tactile_picture import TactileCamera, TactilePicture
 
 GEL = gelsight_mini_mesh()
 CAMERA = TactileCamera(GEL)
-AT_REST_M = camera_frame(GEL.rest_position_m, np.eye(3), np.zeros(3))
+AT_REST_M = camera_frame(GEL.rest_position_m, np.eye(3), np.zeros(3), 0.02)
 NO_BODY = (np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64))
 NO_MARKERS = np.zeros((0, 2))
 BLUE, GREEN, RED = 0, 1, 2

@@ -10,9 +10,10 @@ from vitac.envs.fem.model.bodies import RigidBody
 from vitac.envs.fem.model.mesh import SurfaceMesh
 from vitac.envs.geometry.solid import prism_faces, rectangle, solid_from_faces
 from vitac.envs.scene.grasped_scene import Clocks, GraspedScene, PhysicsSettings, fixed_at_origin
-from vitac.envs.scene.gripper import GEL_HALF_THICKNESS_MM, Gripper, GripperPose, SensorMount
+from vitac.envs.scene.gripper import Gripper, GripperPose, SensorMount
 from vitac.envs.scene.motion import ipc_steps
 from vitac.envs.tactile.markers import MarkerSettings
+from vitac.envs.tactile.thickness import highest_mm
 
 from .definition import TASK
 
@@ -65,7 +66,7 @@ class LiftScene:
             y_m=0.0,
             z_m=(TABLE_MM + 25.0) * 1e-3,
             angle_rad=0.0,
-            half_opening_m=(0.5 * WIDTH_MM + GEL_HALF_THICKNESS_MM + GAP_MM) * 1e-3,
+            half_opening_m=(0.5 * WIDTH_MM + highest_mm(meshes.gel()) + GAP_MM) * 1e-3,
         )
         self.grasped = GraspedScene(
             gripper=Gripper(mounts=MOUNTS, gel=meshes.gel(), pose=pose),
@@ -78,7 +79,7 @@ class LiftScene:
             ),
             fixed=fixed_at_origin(table_mesh(), friction=0.5),
             physics=settings.physics,
-            markers=settings.markers,
+            sensors=meshes.sensors(settings.markers),
             clocks=clocks,
         )
 
