@@ -1,4 +1,6 @@
-"""How long the cameras' pictures take on one core, and how good the stereo depth is; prints one line per figure.
+"""How long the cameras' pictures take on one core, and how good the stereo depth is, beside OpenCV's matcher.
+
+Prints one line per figure.
 
 Usage: python benchmarks/vision.py [--pictures N]
 
@@ -11,6 +13,7 @@ import statistics
 import sys
 import time
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "support" / "envs"))
@@ -20,6 +23,9 @@ from visible_scenes import STARTS, SeenScene, fusion_scene
 from vitac.envs.vision.pictures import colour_picture, depth_picture, segmentation_picture
 from vitac.envs.vision.rasterizer import View
 from vitac.envs.vision.stereo.camera import depth_of_pair, draw_noise_keys, infrared_pair
+from vitac.envs.vision.stereo.matching import LARGEST_DISPARITY, NO_DISPARITY, PARTS, SMALLEST_DISPARITY
+from vitac.envs.vision.stereo.method import METHOD
+from vitac.envs.vision.stereo.registration import registered_depth_m
 from vitac.envs.vision.surfaces import Label
 
 
@@ -44,14 +50,49 @@ def stereo_depth_m(scene: SeenScene, view: View, seed: int) -> np.ndarray:
     return depth_of_pair(pair, view)
 
 
-def stereo_quality() -> None:
-    """Print how much of peg and base the stereo camera measures at all starts, and how well."""
+def depth_by_opencv_m(scene: SeenScene, view: View, seed: int) -> np.ndarray:
+    """Return the depth that OpenCV's semi-global block matching finds in the same infrared pair [m].
+
+    Its settings are those of our matcher where it has the same ones (blocks of 7 x 7, penalties, uniqueness, left-right
+    check, disparities); it is moved into the colour picture in the same way.
+    """
+    import cv2
+
+    block = (2 * METHOD.block_radius_px + 1) ** 2
+    matcher = cv2.StereoSGBM_create(
+        minDisparity=METHOD.smallest_disparity_px,
+        numDisparities=LARGEST_DISPARITY - SMALLEST_DISPARITY + 1,
+        blockSize=2 * METHOD.block_radius_px + 1,
+        P1=METHOD.small_jump * block,
+        P2=METHOD.large_jump * block,
+        disp12MaxDiff=METHOD.largest_left_right_difference_px,
+        uniquenessRatio=METHOD.uniqueness_percent,
+        mode=cv2.STEREO_SGBM_MODE_SGBM_3WAY,
+    )
+    keys = draw_noise_keys(np.random.default_rng(seed))
+    pair = infrared_pair(scene.surfaces, scene.vertices_m, pose=scene.pose, colour_view=view, noise_keys=keys)
+    sixteenths = matcher.compute(pair.left, pair.right).astype(np.int32)
+    # Where it finds nothing it says one less than the smallest disparity.
+    sixteenths[sixteenths < 16 * SMALLEST_DISPARITY] = NO_DISPARITY
+    sixteenths[pair.left == 0] = NO_DISPARITY
+    return registered_depth_m(sixteenths * (PARTS // 16), 0, 0, view.triangle)
+
+
+def colour_and_opencv_depth(scene: SeenScene) -> None:
+    """Render the two pictures of an observation with OpenCV's matcher in place of ours."""
+    view = scene.view()
+    colour_picture(view, scene.surfaces, scene.vertices_m)
+    depth_by_opencv_m(scene, view, 0)
+
+
+def stereo_quality(name: str, depth_of: Callable[[SeenScene, View, int], np.ndarray]) -> None:
+    """Print how much of peg and base a matcher measures at all starts, and how well."""
     errors_mm: dict[Label, list[np.ndarray]] = {Label.BASE: [], Label.PEG: []}
     pixels = dict.fromkeys(errors_mm, 0)
     for seed, start in enumerate(STARTS):
         scene = fusion_scene(start)
         view = scene.view()
-        depth_m = stereo_depth_m(scene, view, seed)
+        depth_m = depth_of(scene, view, seed)
         shown = segmentation_picture(view, scene.surfaces)
         for label, found in errors_mm.items():
             measured = (shown == label) & (depth_m > 0)
@@ -60,7 +101,8 @@ def stereo_quality() -> None:
     for label, found in errors_mm.items():
         error = np.concatenate(found)
         print(
-            f"{label.name.lower()}: {len(error) / pixels[label]:.1%} valid, median {np.median(np.abs(error)):.2f} mm, "
+            f"{name}, {label.name.lower()}: {len(error) / pixels[label]:.1%} valid, "
+            f"median {np.median(np.abs(error)):.2f} mm, "
             f"p95 {np.quantile(np.abs(error), 0.95):.2f} mm, bias {np.median(error):+.2f} mm"
         )
 
@@ -82,11 +124,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--pictures", type=int, default=200)
     count = parser.parse_args().pictures
-    modes = (("rgb and exact depth", colour_and_exact_depth), ("rgb and stereo depth", colour_and_stereo_depth))
+    modes = [("rgb and exact depth", colour_and_exact_depth), ("rgb and stereo depth", colour_and_stereo_depth)]
+    matchers = [("census and semi-global matching", stereo_depth_m)]
+    if find_spec("cv2"):
+        modes.append(("rgb and depth by OpenCV", colour_and_opencv_depth))
+        matchers.append(("OpenCV SGBM, 3 ways", depth_by_opencv_m))
+    else:
+        print("OpenCV is not installed: pip install opencv-python-headless to compare with its matcher")
     for name, observe in modes:
         times = sorted(cpu_ms(observe, count))
         print(f"{name}: median {statistics.median(times):.2f} ms, p95 {times[int(0.95 * count)]:.2f} ms")
-    stereo_quality()
+    for name, depth_of in matchers:
+        stereo_quality(name, depth_of)
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ from .meshes import base_mesh, peg_mesh
 from .scene import FusionScene
 from .settings import FusionInsertionSettings
 from .task import judge_flags
-from .variation import SHAPE, START, Target, choose_rig, choose_start
+from .variation import SHAPE, START, Target, choose_physics, choose_rig, choose_start
 
 
 class FusionInsertionEnv(InsertionEnv[FusionScene, FusionInsertionSettings]):
@@ -80,10 +80,11 @@ class FusionInsertionEnv(InsertionEnv[FusionScene, FusionInsertionSettings]):
             theta_deg=settings.random_theta_deg,
             z_mm=settings.random_z_mm,
         )
+        physics = choose_physics(settings, random) if settings.random_physics else settings
         return FusionScene(
             start=start,
             meshes=self._meshes,
-            settings=settings,
+            settings=physics,
             clocks=self._clocks,
             rig=choose_rig(random, turn_rad=settings.random_camera_turn_rad, offset_m=settings.random_camera_offset_m),
         )

@@ -1,7 +1,7 @@
 """Which episode is played: a given start, or a random one (challenge-facts 2.3, 7)."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any
 
@@ -12,6 +12,7 @@ from ...vision.rig import RigShift
 from ..insertion.offset import PegOffset
 from ..options import choice, numbers, refusal
 from .definition import TASK
+from .settings import FusionInsertionSettings
 
 ENV_ID = TASK.env_id
 START = "start"
@@ -27,6 +28,8 @@ START_GAP_MM = 1.0
 _START_Y_MM = HEXAGON_HOLE_Y_MM / 2.0
 # What the challenge takes off every height to get an offset [D20].
 Z_TARGET_MM = 6.9
+# Friction of gel, peg and base, indentation [mm], grasp along the peg and above its upper end [mm].
+_TRAINING_RANGES = ((50.0, 125.0), (4.0, 15.0), (0.0, 1.0), (0.5, 1.25), (-1.0, 1.0), (-10.0, -6.0))
 # A start may lie so far from the middle between the holes that its offset is still allowed.
 _LARGEST_START_Y_MM = LARGEST_Y_MM - _START_Y_MM
 _LARGEST_START_Z_MM = LARGEST_Z_MM + Z_TARGET_MM
@@ -96,6 +99,22 @@ class RigVariation:
 
     shift: RigShift
     noise_seed: int
+
+
+def choose_physics(settings: FusionInsertionSettings, random: np.random.Generator) -> FusionInsertionSettings:
+    """Return the settings with friction, indentation and grip drawn over the training ranges (challenge-facts 3)."""
+    gel_friction, peg_friction, base_friction, indentation_mm, gripper_x_mm, gripper_z_mm = (
+        float(random.uniform(low, high)) for low, high in _TRAINING_RANGES
+    )
+    return replace(
+        settings,
+        peg_friction=peg_friction,
+        base_friction=base_friction,
+        indentation_mm=indentation_mm,
+        gripper_x_mm=gripper_x_mm,
+        gripper_z_mm=gripper_z_mm,
+        physics=replace(settings.physics, gel_friction=gel_friction),
+    )
 
 
 def choose_rig(random: np.random.Generator, *, turn_rad: float, offset_m: float) -> RigVariation:

@@ -227,3 +227,25 @@ def test_noise_differs_between_env_steps() -> None:
 def test_unknown_and_privileged_keys_are_refused_with_the_list_of_valid_ones(key: str) -> None:
     with pytest.raises(UnknownObservationKey, match=f"no observation key '{key}'; expected {', '.join(PUBLIC)}"):
         FusionInsertionEnv(observation_keys=("marker_flow", key))
+
+
+def test_random_physics_differs_between_episodes_and_stays_in_the_training_ranges(physics: list[FakeScene]) -> None:
+    env = FusionInsertionEnv(random_physics=True, observation_keys=())
+    drawn = set()
+    for seed in range(30):
+        env.reset(options=LEFT | {"rng_seed": (0, seed)})
+        (peg, base), (gel, _) = physics[-1].bodies, physics[-1].gels
+        assert 50 <= gel.friction <= 125
+        assert 4 <= peg.friction <= 15
+        assert 0 <= base.friction <= 1
+        drawn.add((gel.friction, peg.friction, base.friction))
+    assert len(drawn) == 30
+    assert env.settings == FusionInsertionEnv(random_physics=True).settings
+
+
+def test_random_physics_is_off_and_repeats_with_the_seed(physics: list[FakeScene]) -> None:
+    for settings in ({}, {"random_physics": True}, {"random_physics": True}):
+        played(**settings, observation_keys=())
+    official, first, second = ([body.friction for body in scene.bodies] for scene in physics)
+    assert official == [9.5, 0.5]
+    assert first == second != official
