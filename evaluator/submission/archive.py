@@ -10,7 +10,7 @@ import stat
 import struct
 import zipfile
 import zlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +19,7 @@ from typing import IO, BinaryIO, Final
 from ..agent.limits import Limits
 from ..tracks import archive_folders
 from .names import (
+    MANIFEST_NAME,
     ArchiveFault,
     ArchiveRejected,
     NamedEntry,
@@ -40,6 +41,7 @@ _ZIP64_LOCATOR: Final = b"PK\x06\x07"
 _ZIP64_LOCATOR_BYTES: Final = 20
 _DIRECTORY_BYTES_PER_FILE: Final = 1536
 _START_SIGNATURES: Final = (b"PK\x03\x04", _END_SIGNATURE)
+_SHOWN_CHARACTERS: Final = 80
 _METHODS: Final = frozenset({zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED})
 _ENCRYPTED_FLAGS: Final = 0x1 | 0x40 | 0x2000
 
@@ -144,7 +146,7 @@ class _Opened:
         names = (NamedEntry(path=info.orig_filename.removesuffix("/"), is_folder=_is_folder(info)) for info in kept)
         check_names(names, self._limits)
         files = [info for info in kept if not _is_folder(info)]
-        top = _top_folder({info.orig_filename.partition("/")[0] for info in kept})
+        top = _top_folder({info.orig_filename.removesuffix("/") for info in kept})
         self._check_sizes(files)
         return top, [self._entry(info, top) for info in files]
 
@@ -215,14 +217,30 @@ def _check_kind(info: zipfile.ZipInfo) -> None:
         )
 
 
-def _top_folder(names: set[str]) -> str:
+def _top_folder(paths: set[str]) -> str:
+    """Return the one folder that all paths are in, which has to be a track's."""
     allowed = archive_folders()
+    names = {path.partition("/")[0] for path in paths}
     if len(names) == 1 and (name := names.copy().pop()) in allowed:
         return name
-    found = ", ".join(sorted(names)[:5]) or "nothing"
+    found = ", ".join(repr(name)[:_SHOWN_CHARACTERS] for name in sorted(names)[:5]) or "nothing"
     raise ArchiveRejected(
-        ArchiveFault.WRONG_TOP_FOLDER, f"The archive holds {found}, expected one folder {' or '.join(allowed)}."
+        ArchiveFault.WRONG_TOP_FOLDER,
+        f"The archive holds {found}, expected one folder {' or '.join(allowed)}{_mend(paths, names, allowed)}.",
     )
+
+
+def _mend(paths: set[str], names: set[str], allowed: Collection[str]) -> str:
+    """Return what to do about the two usual mistakes: no folder, or one too many."""
+    if MANIFEST_NAME in paths:
+        return f"; its files lie at the top: put them into a folder {' or '.join(allowed)} and pack that folder"
+    top = next(iter(names), "")
+    if len(names) != 1 or "/" in top:
+        return ""
+    inner = {path.split("/")[1] for path in paths if "/" in path}
+    if MANIFEST_NAME in inner:
+        return "; rename that folder"
+    return f"; pack {min(inner & set(allowed))} itself, without the folder around it" if inner & set(allowed) else ""
 
 
 def _write_entry(entry: Entry, folder: Path, left: int, limits: Limits) -> int:

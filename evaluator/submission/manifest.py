@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import re
 from collections.abc import Iterator
 from contextlib import ExitStack
 from functools import partial
@@ -16,11 +17,10 @@ from ..agent.verdicts import VerdictCode
 from ..strict_model import DocumentRejected, StrictModel, parse_untrusted_yaml
 from ..tracks import UnknownTrack, archive_folders, load_track
 from .archive import ArchiveFault, ArchiveRejected, Entry, packed_entries, unpack, write
-from .names import NamedEntry, check_names, is_ignored, link, special_file
+from .names import MANIFEST_NAME, NamedEntry, check_names, is_ignored, link, special_file
 
-MANIFEST_NAME: Final = "submission.yaml"
 _MANIFEST_MAX_BYTES: Final = 16 * 1024
-_ENTRY_POINT: Final = r"^[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*$"
+_ENTRY_POINT: Final = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*")
 
 
 class ManifestRejected(VitacError):
@@ -39,6 +39,17 @@ def _printable(text: str) -> str:
     return text
 
 
+def _entry_point(text: str) -> str:
+    if _ENTRY_POINT.fullmatch(text):
+        return text
+    module, _, name = text.rpartition(".")
+    nearest = f"{module}:{name}"
+    hint = f"; did you mean {nearest!r}?" if _ENTRY_POINT.fullmatch(nearest) else ""
+    raise ValueError(
+        f"expected a module, a colon and a class, such as 'policy:Policy' for class Policy in policy.py{hint}"
+    )
+
+
 Name = Annotated[str, Field(min_length=1, max_length=80), AfterValidator(_printable)]
 
 
@@ -51,7 +62,7 @@ class SubmissionManifest(StrictModel):
     ]
     name: Annotated[Name, Field(description="Shown on the leaderboard.")]
     entry_point: Annotated[
-        str, Field(pattern=_ENTRY_POINT, max_length=200, description="module:Class of the policy.")
+        str, Field(max_length=200, description="module:Class of the policy."), AfterValidator(_entry_point)
     ] = "policy:Policy"
     observation_keys: Annotated[
         tuple[Name, ...] | None,

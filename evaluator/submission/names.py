@@ -10,6 +10,7 @@ from vitac.envs.errors import VitacError
 
 from ..agent.limits import Limits
 
+MANIFEST_NAME: Final = "submission.yaml"
 IGNORED_FOLDERS: Final = frozenset(
     {"__MACOSX", "__pycache__", ".git", ".mypy_cache", ".pytest_cache", ".ruff_cache", ".venv"}
 )

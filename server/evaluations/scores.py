@@ -78,7 +78,7 @@ def _board_result(evaluation: Evaluation, board: str, score: Score | CombinedSco
         evaluator_version=evaluation.evaluator_version,
         success_rate=score.success_rate,
         mean_steps=score.mean_steps,
-        submitted_at=evaluation.created_at,
+        submitted_at=submission.submitted_at,
     )
 
 

@@ -100,9 +100,10 @@ def _newest_text_logs(session: Session, track: str) -> Sequence[UUID]:
     """Return the newest completed evaluation of each text log; the newest ones, which are shown."""
     newest_of_each = (
         select(BoardResult.evaluation_id, BoardResult.submitted_at)
+        .join(BoardResult.evaluation)
         .where(BoardResult.track == track, BoardResult.kind == SubmissionKind.TEXT_LOG)
         .ext(distinct_on(BoardResult.submission_id))
-        .order_by(BoardResult.submission_id, BoardResult.submitted_at.desc(), BoardResult.evaluation_id)
+        .order_by(BoardResult.submission_id, Evaluation.created_at.desc(), BoardResult.evaluation_id)
         .subquery()
     )
     return session.scalars(
@@ -125,7 +126,7 @@ def _entry(entry: BestEntry, evaluation: Evaluation) -> LogEntryView:
         submission_name=submission.name,
         verdict=verification_of(claim, evaluation),
         copy_of=None,
-        submitted_at=evaluation.created_at,
+        submitted_at=submission.submitted_at,
         episodes=score.episodes,
         successes=score.successes,
         success_rate=score.success_rate,

@@ -121,7 +121,7 @@ def _entry(entry: BestEntry, evaluation: Evaluation, *, task: str | None) -> Lea
         submission_id=submission.id,
         submission_name=submission.name,
         kind=submission.kind,
-        submitted_at=evaluation.created_at,
+        submitted_at=submission.submitted_at,
         evaluated_at=evaluation.finished_at or evaluation.created_at,
         episodes=sum(score.episodes for score in scores),
         successes=sum(score.successes for score in scores),

@@ -104,14 +104,19 @@ def submit_scored(
     """A submission whose evaluation is complete with these scores, without the episodes behind them."""
     upload = make_upload(name, name=name, tasks=tuple(scores), **changes)
     submission = creation.create(session, principal, upload)[0]
+    complete_scored(session, submission, scores)
+    return submission
+
+
+def complete_scored(session: Session, submission: Submission, scores: Mapping[str, Score]) -> None:
+    """Completes the newest evaluation of a submission with these scores."""
     evaluation = newest_evaluation(session, submission)
     evaluation.state = EvaluationState.RUNNING
     session.flush()
-    store_scores(evaluation, scores, {task: sha256(f"{name} {task}") for task in scores})
-    evaluation.result_hash = sha256(name)
+    store_scores(evaluation, scores, {task: sha256(f"{submission.name} {task}") for task in scores})
+    evaluation.result_hash = sha256(submission.name)
     evaluation.finished_at = datetime.now(UTC)
     evaluation.state = EvaluationState.COMPLETED
-    return submission
 
 
 def submit_refuted_log(session: Session, principal: Principal, name: str) -> Submission:

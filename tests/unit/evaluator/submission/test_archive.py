@@ -285,3 +285,24 @@ def test_damaged_archives_never_raise_anything_else(noise: bytes, position: int)
     damaged = data[:position] + noise + data[position + len(noise) :]
     with tempfile.TemporaryDirectory() as folder, contextlib.suppress(ArchiveRejected):
         unpack(io.BytesIO(damaged), Path(folder, "out"))
+
+
+@pytest.mark.parametrize(
+    ("paths", "mend"),
+    [
+        (["submission.yaml", "policy.py"], "put them into a folder Track_1"),
+        (["mine/submission.yaml", "mine/policy.py"], "rename that folder"),
+        (["mine/Track_1/submission.yaml", "mine/Track_1/policy.py"], "pack Track_1 itself"),
+    ],
+)
+def test_usual_mistakes_about_the_top_folder_are_refused_with_their_mend(
+    tmp_path: Path, paths: list[str], mend: str
+) -> None:
+    caught = rejected(zip_bytes(dict.fromkeys(paths, b"x")), tmp_path)
+    assert caught.code is ArchiveFault.WRONG_TOP_FOLDER
+    assert mend in caught.message
+
+
+def test_a_top_folder_with_any_name_is_shown_harmlessly(tmp_path: Path) -> None:
+    caught = rejected(zip_bytes({f"{'x' * 200}/{'y' * 10}": b"x"}), tmp_path)
+    assert caught.message.count("x") < 100

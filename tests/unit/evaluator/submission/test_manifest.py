@@ -90,6 +90,12 @@ def test_missing_key_is_named(key: str) -> None:
     assert f"Missing key '{key}'" in manifest_error(text)
 
 
+def test_an_entry_point_with_a_dot_is_told_the_colon() -> None:
+    told = manifest_error(MANIFEST.replace("policy:Policy", "policy.Policy"))
+    assert "did you mean 'policy:Policy'?" in told
+    assert "^" not in told
+
+
 @pytest.mark.parametrize("entry_point", ["policy", "policy.py:Policy()", "os:system('x')", "../evil:P", ":P", "a:b:c"])
 def test_entry_point_must_be_module_and_class(entry_point: str) -> None:
     assert "entry_point" in manifest_error(MANIFEST.replace("policy:Policy", f'"{entry_point}"'))

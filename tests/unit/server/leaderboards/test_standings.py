@@ -1,11 +1,21 @@
 import pytest
-from service_factories import LOCK, TASK, TRACK, make_principal, make_score, make_settings, submit_scored
+from service_factories import (
+    LOCK,
+    TASK,
+    TRACK,
+    complete_scored,
+    make_principal,
+    make_score,
+    make_settings,
+    outdate,
+    submit_scored,
+)
 from vitac.evaluator.scoring.score import interval_of_mean
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.accounts.principals import CONSOLE
 from vitac.server.db.engine import Database
 from vitac.server.leaderboards.standings import leaderboard
-from vitac.server.submissions import listing
+from vitac.server.submissions import listing, runs
 from vitac.server.views.leaderboards import LeaderboardView
 from vitac.server.views.submissions import RankView
 
@@ -48,6 +58,27 @@ def test_a_task_has_a_board_of_all_that_play_it_with_each_teams_best_entry_there
     assert (board.entries[0].success_rate, board.entries[0].mean_steps) == (100 / 160, 4.0)
     assert standings(board_of(two_teams, TASK)) == [(1, "Team B", "peg"), (2, "Team A", "both")]
     assert [score.task for score in board_of(two_teams, TASK).entries[1].scores] == [TASK]
+
+
+def test_ties_go_to_the_earlier_submission_also_when_it_is_evaluated_again_later(database: Database) -> None:
+    scores = {TASK: make_score(80)}
+    submissions = []
+    for team in ("earlier", "later"):
+        with database.transaction() as session:
+            submissions.append(submit_scored(session, make_principal(session, team), team, scores))
+    before = {entry.team: entry.submitted_at for entry in board_of(database, TASK).entries}
+    with database.transaction() as session:
+        outdate(session)
+    for submission in reversed(submissions):
+        with database.transaction() as session:
+            complete_scored(session, runs.run_again(session, CONSOLE, submission.id), scores)
+    board = board_of(database, TASK)
+    assert [(entry.rank, entry.team, entry.stale) for entry in board.entries] == [
+        (1, "earlier", False),
+        (2, "later", False),
+    ]
+    assert {entry.team: entry.submitted_at for entry in board.entries} == before
+    assert before == {submission.name: submission.submitted_at for submission in submissions}
 
 
 def test_missing_steps_come_after_all_others_of_the_same_rate(database: Database) -> None:
