@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from vitac.evaluator.tracks import Track
     from vitac.server.views.leaderboards import LeaderboardEntryView, LeaderboardView
 
-    from ..site import Viewer
+    from ..site import Site, Viewer
 
 
 class Entry(Protocol):
@@ -110,7 +110,19 @@ async def rules(request: Request) -> Response:
         limits=site_of(request).data.limits(),
         accepts_logs=accepts_logs(track),
         log_size=site_of(request).data.log_size(),
+        track_tabs=track_tabs(site_of(request), track, "/rules"),
         pictures={name: f"{name}.png" for name in track.tasks if (STATIC / f"{name}.png").is_file()},
+    )
+
+
+def track_tabs(site: Site, shown: Track, page_of_track: str = "") -> tuple[Tab, ...]:
+    """Return the same page of every track; empty if there is only one."""
+    if len(site.tracks) == 1:
+        return ()
+    tracks = [_track(name) for name in site.tracks]
+    return tuple(
+        Tab(title=track.title, target=f"/tracks/{track.name}{page_of_track}", current=track.name == shown.name)
+        for track in tracks
     )
 
 
@@ -180,6 +192,7 @@ async def _leaderboard(request: Request, name: str) -> Response:
         table=_table(request, board, track, viewer),
         track=track,
         tabs=tabs(track, task),
+        track_tabs=track_tabs(site, track),
         list_kind=counted[0].episode_list.kind.value,
         ranked=sum(entry.rank is not None for entry in board.entries),
         episodes=sum(len(definition.episodes) for definition in counted),

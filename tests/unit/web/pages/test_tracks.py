@@ -1,9 +1,11 @@
 import re
 
 from asgi_browser import AsgiBrowser
-from page_fixtures import LOCK, TASK, FixedData, a_leaderboard, a_score, an_entry, an_id
+from page_fixtures import LOCK, SIGNER, TASK, FixedData, a_leaderboard, a_score, an_entry, an_id
 from visits import sign_in
-from vitac.evaluator.tracks import load_track
+from vitac.evaluator.tracks import list_tracks, load_track
+from vitac.web.pages.tracks import track_tabs
+from vitac.web.site import Site
 
 BEARS_PEG, BEARS_LOCK = a_score((84, 80, 77), 4.31), a_score((40, 38, 2, 0), 11.5, LOCK)
 GELBOTS_PEG = a_score((20, 11, 9), 6.02)
@@ -148,3 +150,17 @@ def test_rules_say_what_a_log_is_worth(browser: AsgiBrowser) -> None:
     html = browser.get("/tracks/track_1/rules").text
     assert "not that a policy chose them" in html
     assert "at most 32 MiB" in html
+
+
+def test_every_track_is_reached_from_the_leaderboard_and_the_rules_of_another() -> None:
+    names = list_tracks()
+    site = Site(data=FixedData(), signer=SIGNER, version="0.1.0", tracks=names)
+    for page_of_track in ("", "/rules"):
+        shown = track_tabs(site, load_track("track_1"), page_of_track)
+        assert [tab.target for tab in shown] == [f"/tracks/{name}{page_of_track}" for name in names]
+        assert [tab.current for tab in shown] == [name == "track_1" for name in names]
+        assert [tab.title for tab in shown] == [load_track(name).title for name in names]
+
+
+def test_a_single_track_needs_no_links_to_tracks(browser: AsgiBrowser) -> None:
+    assert 'aria-label="Tracks"' not in browser.get("/").text
