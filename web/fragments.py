@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
+from collections.abc import Hashable
 from typing import TYPE_CHECKING
 
 from markupsafe import Markup
+from vitac.server.kept import Kept
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable
+    from collections.abc import Callable
 
 MAX_KEPT = 8192
 """Rows of boards are about 1 kB each."""
@@ -18,14 +19,8 @@ class Fragments:
     """The parts of pages that were asked for last."""
 
     def __init__(self) -> None:
-        self._kept: OrderedDict[Hashable, Markup] = OrderedDict()
+        self._kept: Kept[Hashable, Markup] = Kept(at_most=MAX_KEPT)
 
     def get(self, key: Hashable, make: Callable[[], str]) -> Markup:
         """Return the part under a key, which names all that it depends on; rendered only where it is not kept."""
-        found = self._kept.pop(key, None)
-        if found is None:
-            found = Markup(make())  # noqa: S704 - a rendered template, whose values are escaped
-        self._kept[key] = found
-        while len(self._kept) > MAX_KEPT:
-            self._kept.popitem(last=False)
-        return found
+        return self._kept.get(key, lambda: Markup(make()))  # noqa: S704 - a rendered template, whose values are escaped

@@ -12,11 +12,12 @@ IDS_AT_ONCE = 50_000
 """Records are large: one statement over all of them could run into the time limit of migrations."""
 
 FILL = """
-    UPDATE episode_results SET states_digest = (
+    UPDATE episode_results SET states_digest = coalesce((
         SELECT encode(sha256(convert_to(string_agg(hash, E'\\n' ORDER BY number), 'UTF8')), 'hex')
         FROM jsonb_array_elements_text(record -> 'state_hashes') WITH ORDINALITY AS states (hash, number)
-    ) WHERE id > :after AND id <= :up_to
+    ), record_digest) WHERE id > :after AND id <= :up_to
 """
+"""A record without states, which the evaluator never writes, is like no other one."""
 
 
 def upgrade() -> None:

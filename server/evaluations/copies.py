@@ -49,6 +49,8 @@ def flag_copies(session: Session, evaluation: Evaluation) -> None:
 
 def copies_among(session: Session, evaluations: Collection[UUID]) -> dict[UUID, LogCopyView]:
     """Return what was found of these evaluations."""
+    if not evaluations:
+        return {}
     rows = session.execute(
         select(LogCopy.evaluation_id, Team.name, LogCopy.episodes, BoardResult.is_copy)
         .join(Submission, Submission.id == LogCopy.earlier_submission_id)

@@ -8,7 +8,9 @@ from uuid import UUID
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session
-from vitac.server.db.states import ACTIVE_EVALUATION_STATES, TERMINAL_EVALUATION_STATES
+from vitac.evaluator.scoring.ranking import CombinedScore
+from vitac.server.db.states import ACTIVE_EVALUATION_STATES, TERMINAL_EVALUATION_STATES, EvaluationState
+from vitac.server.kept import Kept
 
 from ..db.models import EpisodeResult, Evaluation
 from ..queue.workers import WorkersAlive
@@ -19,6 +21,7 @@ from ..views.evaluations import (
     ProgressView,
     VerdictView,
 )
+from ..views.scores import TaskScoreView
 from .differences import differing_episodes
 from .episode_store import EpisodeKey
 from .lifecycle import LOG_TAIL_CHARACTERS
@@ -81,6 +84,29 @@ class EvaluationRows:
         )
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Outcome:
+    """What an evaluation has reached: finished episodes, and the scores of a completed one."""
+
+    progress: ProgressView
+    combined: CombinedScore | None
+    scores: list[TaskScoreView]
+
+    @classmethod
+    def of(cls, evaluation: Evaluation, counts: EpisodeCounts) -> Self:
+        """Return what its row says, and until it is scored the counts of its episodes."""
+        scores = scores_of(evaluation)
+        return cls(
+            progress=progress_of(evaluation, evaluation.submission, counts),
+            combined=combination_of(evaluation.submission, scores),
+            scores=task_views(evaluation, scores),
+        )
+
+
+_outcomes: Kept[UUID, _Outcome] = Kept(at_most=5000)
+"""Of completed evaluations, which do not change any more."""
+
+
 def evaluation_view(evaluation: Evaluation, workers: WorkersAlive, rows: EvaluationRows) -> EvaluationView:
     """Return an evaluation as it is shown.
 
@@ -89,9 +115,11 @@ def evaluation_view(evaluation: Evaluation, workers: WorkersAlive, rows: Evaluat
         workers: those alive of its evaluator version.
         rows: of this evaluation among others.
     """
-    progress = progress_of(evaluation, evaluation.submission, rows.counts.get(evaluation.id, {}))
-    scores = scores_of(evaluation)
-    combined = combination_of(evaluation.submission, scores)
+    if evaluation.state is EvaluationState.COMPLETED:
+        outcome = _outcomes.get(evaluation.id, lambda: _Outcome.of(evaluation, {}))
+    else:
+        outcome = _Outcome.of(evaluation, rows.counts.get(evaluation.id, {}))
+    progress, combined = outcome.progress, outcome.combined
     return EvaluationView(
         **dict(summary_view(evaluation)),
         started_at=evaluation.started_at,
@@ -103,7 +131,7 @@ def evaluation_view(evaluation: Evaluation, workers: WorkersAlive, rows: Evaluat
         success_rate=combined.success_rate if combined else None,
         success_rate_interval=bounds(combined.interval) if combined else None,
         mean_steps=combined.mean_steps if combined else None,
-        scores=task_views(evaluation, scores),
+        scores=outcome.scores,
         evaluator_hash=evaluation.evaluator_hash,
         platform_class=evaluation.platform_class,
         isolation=rows.isolation[evaluation.id],

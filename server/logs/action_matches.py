@@ -5,9 +5,8 @@ the same observations to the last bit; the first other action says that this mod
 match` goes further: it shows the model the log's states also after that.
 """
 
-from collections import OrderedDict
-from collections.abc import Iterable, Sequence
-from threading import Lock
+from collections.abc import Callable, Sequence
+from functools import cache, partial
 from uuid import UUID
 
 from sqlalchemy import select
@@ -21,18 +20,17 @@ from vitac.server.db.models import EpisodeResult, Evaluation, Submission
 from vitac.server.db.states import EvaluationState
 from vitac.server.evaluations.episode_store import EpisodeKey
 from vitac.server.evaluations.history import newest_evaluation
+from vitac.server.kept import Kept
 from vitac.server.views.logs import ActionMatchView, MatchedEpisodeView
 
 MAX_MODELS = 20
 """So many models are compared, the ones evaluated last."""
 
 
-MAX_KEPT = 2000
-"""So many matches are kept by this process; reading the actions of two evaluations takes many milliseconds."""
-
 ActionsByEpisode = dict[int, ActionSequence]
-Pair = tuple[UUID, UUID]
-"""Evaluations of a log and of a model."""
+
+_matches: Kept[tuple[UUID, UUID], ActionMatchView] = Kept(at_most=2000)
+"""By the evaluations of log and model. They do not change: a completed evaluation has all its episodes."""
 
 
 def action_matches(session: Session, by: Principal, submission_id: UUID) -> list[ActionMatchView]:
@@ -45,57 +43,18 @@ def action_matches(session: Session, by: Principal, submission_id: UUID) -> list
     evaluation = newest_evaluation(session, log)
     if not log.kind.form.is_verified or evaluation.state is not EvaluationState.COMPLETED:
         return []
-    models = _models(session, log, evaluation.evaluator_version)
-    known = _known.get_all((evaluation.id, model) for model in models)
-    if len(known) < len(models):
-        new = [model for model in models if (evaluation.id, model) not in known]
-        known |= _known.keep_all(_compared(session, log, evaluation, new))
-    return [known[evaluation.id, model] for model in models]
+    of_log = cache(lambda: _actions(session, EpisodeKey.of(evaluation, log), log.tasks[0]))
+    return [
+        _matches.get((evaluation.id, model), partial(_compared, session, model, log.tasks[0], of_log))
+        for model in _models(session, log, evaluation.evaluator_version)
+    ]
 
 
-class _KnownMatches:
-    """The matches that were asked for last. They do not change: a completed evaluation has all its episodes."""
-
-    def __init__(self) -> None:
-        self._lock = Lock()
-        self._kept: OrderedDict[Pair, ActionMatchView] = OrderedDict()
-
-    def get_all(self, pairs: Iterable[Pair]) -> dict[Pair, ActionMatchView]:
-        """Return those that are kept."""
-        with self._lock:
-            found = {pair: self._kept[pair] for pair in pairs if pair in self._kept}
-            for pair in found:
-                self._kept.move_to_end(pair)
-            return found
-
-    def keep_all(self, matches: dict[Pair, ActionMatchView]) -> dict[Pair, ActionMatchView]:
-        """Return what is kept from now on; what was not asked for longest is dropped."""
-        with self._lock:
-            self._kept |= matches
-            while len(self._kept) > MAX_KEPT:
-                self._kept.popitem(last=False)
-        return matches
-
-
-_known = _KnownMatches()
-
-
-def _compared(
-    session: Session, log: Submission, evaluation: Evaluation, models: Sequence[UUID]
-) -> dict[Pair, ActionMatchView]:
-    task = log.tasks[0]
-    of_log = _actions(session, EpisodeKey.of(evaluation, log), task)
-    loaded = session.scalars(
-        select(Evaluation)
-        .where(Evaluation.id.in_(models))
-        .options(defer(Evaluation.log_tail), joinedload(Evaluation.submission))
+def _compared(session: Session, model_id: UUID, task: str, of_log: Callable[[], ActionsByEpisode]) -> ActionMatchView:
+    model = session.get_one(
+        Evaluation, model_id, options=[defer(Evaluation.log_tail), joinedload(Evaluation.submission)]
     )
-    return {
-        (evaluation.id, model.id): _compare(
-            model, of_log, _actions(session, EpisodeKey.of(model, model.submission), task)
-        )
-        for model in loaded
-    }
+    return _compare(model, of_log(), _actions(session, EpisodeKey.of(model, model.submission), task))
 
 
 def _models(session: Session, log: Submission, version: str) -> Sequence[UUID]:

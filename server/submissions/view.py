@@ -7,6 +7,7 @@ from uuid import UUID
 
 from sqlalchemy.orm import Session
 from vitac.evaluator.logs.findings import LogFinding
+from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import load_track
 from vitac.server.db.states import EvaluationState
 
@@ -49,7 +50,7 @@ def submission_views(
     shown = _Shown(
         evaluations=EvaluationRows.read(session, newest, for_organizer=for_organizer, with_output=with_output),
         findings=findings_of(session, newest),
-        copies=copies_among(session, [found.id for found in newest]),
+        copies=copies_among(session, [found.id for found in newest if found.submission.kind is SubmissionKind.LOG]),
         workers=cache(partial(workers_alive, session, settings)),
         places=cache(lambda track: places(session, track, runs)),
     )
