@@ -104,7 +104,7 @@ class _Outcome:
 
 
 _outcomes: Kept[UUID, _Outcome] = Kept(at_most=5000)
-"""Of completed evaluations, which do not change any more."""
+"""Of completed evaluations; they do not change."""
 
 
 def evaluation_view(evaluation: Evaluation, workers: WorkersAlive, rows: EvaluationRows) -> EvaluationView:

@@ -74,9 +74,10 @@ def test_episodes_are_listed_in_order(database: Database, principal: Principal) 
 
 def test_a_long_list_takes_no_more_statements_than_a_short_one(database: Database, principal: Principal) -> None:
     """Whatever its submissions are: scored, running, queued, logs that were refuted."""
-    with database.transaction() as session:
-        for number in range(4):
+    for number in range(4):
+        with database.transaction() as session:
             submit_scored(session, principal, f"model {number}", {TASK: make_score(number)})
+        with database.transaction() as session:
             submit_refuted_log(session, principal, f"log {number}")
     make_worker(database)
     for number in range(4):
@@ -84,15 +85,15 @@ def test_a_long_list_takes_no_more_statements_than_a_short_one(database: Databas
         store(database, claim(database, ids_of(database, submission)[0]), [make_record(1)])
         create(database, principal, f"waits {number}")
     statements = []
-    for limit in (4, 16):
+    for limit in (10, 16):
         with database.transaction() as session, database_work(session) as work:
             found = listing.list_submissions(session, SETTINGS, CONSOLE, limit=limit).items
-        assert len({item.evaluation.state for item in found}) == (2 if limit == 4 else 4)
+        assert len({item.evaluation.state for item in found}) == 4
         statements.append(work.statements)
     assert [item.evaluation.queue_position for item in found[:8]] == [4, None, 3, None, 2, None, 1, None]
     assert [item.evaluation.progress.episodes_done for item in found[:2]] == [0, 1]
     assert [item.log.verdict for item in found if item.log] == [VerificationResult.DIVERGED] * 4
-    assert statements[1] <= statements[0] + 2 < 20  # the findings against logs, and the places of models
+    assert statements[0] == statements[1] < 20
 
 
 def test_a_teams_list_reads_no_other_teams_rows_and_no_output(database: Database, principal: Principal) -> None:
