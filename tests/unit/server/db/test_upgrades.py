@@ -1,0 +1,120 @@
+"""Databases that were made at an older revision and hold data show the same after an upgrade."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import psycopg
+import pytest
+from alembic import command
+from alembic.script import ScriptDirectory
+from databases import fresh_database
+from psycopg import sql
+from psycopg.conninfo import conninfo_to_dict
+from service_factories import LOCK, TASK, TRACK, make_principal, make_score, make_settings, play, shard_ids, submit
+from service_factories import submit_scored as scored
+from vitac.server.accounts.principals import CONSOLE
+from vitac.server.db import schema
+from vitac.server.db.engine import Database
+from vitac.server.db.schema import downgrade, is_current, newest_revision, upgrade
+from vitac.server.leaderboards import standings
+from vitac.server.leaderboards.made_boards import MadeBoards
+from vitac.server.submissions import listing
+
+OLDER = sorted(
+    script.revision
+    for script in ScriptDirectory.from_config(schema._configuration()).walk_revisions()
+    if script.revision != newest_revision()
+)
+TABLES = """
+    SELECT table_name, array_agg(column_name::text ORDER BY column_name) FROM information_schema.columns
+    WHERE table_schema = 'public' AND is_generated = 'NEVER' AND table_name !~ '^(procrastinate|alembic)'
+    GROUP BY table_name ORDER BY table_name
+"""
+COUNTERS = """
+    SELECT table_name, column_name FROM information_schema.columns
+    WHERE table_schema = 'public' AND is_identity = 'YES' AND table_name !~ '^(procrastinate|alembic)'
+"""
+
+
+@pytest.fixture(scope="module")
+def filled() -> Iterator[str]:
+    """A database of today with boards, and submissions in several states."""
+    with fresh_database() as address:
+        database = Database(address)
+        with database.transaction() as session:
+            teams = [make_principal(session, f"Team {letter}") for letter in "ABC"]
+            scored(session, teams[0], "one task", {TASK: make_score(50)})
+            scored(session, teams[0], "both tasks", {TASK: make_score(50), LOCK: make_score(100)})
+            scored(session, teams[1], "nothing met", {TASK: make_score(0, mean_steps=None)})
+            running = submit(session, teams[1], "half played")
+            submit(session, teams[2], "waits")
+            shards = shard_ids(session, running)
+        play(database, shards[0])
+        database.dispose()
+        yield address
+
+
+@pytest.mark.parametrize("revision", OLDER)
+def test_boards_and_submissions_are_the_same_after_an_upgrade(filled: str, revision: str) -> None:
+    with a_copy(filled) as old, fresh_database("template0") as born_address:
+        shown_before = shown(old)
+        downgrade(old, revision)
+        born = Database(born_address)
+        make_at(born, revision)
+        copy_rows(old.address, born.address)
+        upgrade(born)
+        assert is_current(born)
+        assert shown(born) == shown_before
+        with born.transaction() as session:
+            submit(session, make_principal(session, "Team D"), "new")
+        born.dispose()
+
+
+@contextmanager
+def a_copy(address: str) -> Iterator[Database]:
+    with fresh_database(str(conninfo_to_dict(address)["dbname"])) as copied:
+        database = Database(copied)
+        yield database
+        database.dispose()
+
+
+def make_at(database: Database, revision: str) -> None:
+    """Makes the tables as that revision had them."""
+    with schema._migrating(database, 5.0, 60.0) as (_, configuration):
+        command.upgrade(configuration, revision)
+
+
+def copy_rows(source: str, target: str) -> None:
+    """Copies all rows but those of the queue, which are made again; to the columns as the target has them."""
+    with psycopg.connect(source) as old, psycopg.connect(target) as born:
+        tables = born.execute(TABLES).fetchall()
+        assert tables == old.execute(TABLES).fetchall()
+        born.execute("SET session_replication_role = replica")  # no foreign keys and triggers meanwhile
+        for table, columns in tables:
+            names = sql.SQL(", ").join(map(sql.Identifier, columns))
+            rows = sql.SQL("COPY {} ({}) {}").format(sql.Identifier(table), names, sql.SQL("TO STDOUT"))
+            place = sql.SQL("COPY {} ({}) {}").format(sql.Identifier(table), names, sql.SQL("FROM STDIN"))
+            with old.cursor().copy(rows) as read, born.cursor().copy(place) as write:
+                for data in read:
+                    write.write(data)
+        for table, column in born.execute(COUNTERS).fetchall():
+            numbers = sql.SQL("SELECT setval(pg_get_serial_sequence(%s, %s), max({}) + 1) FROM {}")
+            born.execute(numbers.format(sql.Identifier(column), sql.Identifier(table)), [table, column])
+
+
+def shown(database: Database) -> dict[str, Any]:
+    """What people see: all boards and submissions, without times that pass."""
+    standings._made_boards = MadeBoards()  # else boards of another database of equal content would be shown
+    with database.transaction() as session:
+        boards = [standings.leaderboard(session, TRACK, task=task).view for task in (None, TASK, LOCK)]
+        found = listing.list_submissions(session, make_settings(), CONSOLE).items
+        episodes = [listing.episodes(session, CONSOLE, submission.id) for submission in found]
+    assert [board.teams for board in boards] == [2, 2, 1]
+    assert len(found) == 5
+    assert sum(map(len, episodes)) > 0
+    return {
+        "boards": [board.model_dump(mode="json", exclude={"generated_at"}) for board in boards],
+        "submissions": [submission.model_dump(mode="json", exclude={"workers": ...}) for submission in found],
+        "episodes": [[episode.model_dump(mode="json") for episode in of_one] for of_one in episodes],
+    }
