@@ -1,5 +1,6 @@
-"""Bounds the bodies of all requests but uploads, which have a limit of their own."""
+"""Bounds size and time of the bodies of all requests but uploads, which have limits of their own."""
 
+import asyncio
 from collections.abc import Collection
 
 from starlette.exceptions import HTTPException
@@ -7,10 +8,13 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 LIMIT_BYTES = 64 * 1024
 TOO_LARGE = 413
+TOO_SLOW = 408
+BODY_TIMEOUT_S = 30.0
+"""A body that is not there after so long is given up, however steadily it trickles."""
 
 
 class BodyLimit:
-    """ASGI middleware. A body that is too large is never held in memory: the request ends with 413 as it shows.
+    """ASGI middleware. A body that is too large is never held in memory: it ends with 413, a slow one with 408.
 
     `unlimited` names methods and paths, or paths up to their last slash, that count for themselves.
     """
@@ -25,12 +29,14 @@ class BodyLimit:
         if scope["type"] != "http" or self._is_unlimited(scope):
             await self._app(scope, receive, send)
             return
-        received = 0
+        received, is_complete = 0, False
+        deadline = asyncio.get_running_loop().time() + BODY_TIMEOUT_S
 
         async def counted() -> Message:
-            nonlocal received
-            message = await receive()
+            nonlocal received, is_complete
+            message = await receive() if is_complete else await _received_by(deadline, receive)
             received += len(message.get("body", b""))
+            is_complete = not message.get("more_body", False)
             if received > self._limit_bytes:
                 raise HTTPException(TOO_LARGE, f"A body may have at most {self._limit_bytes} bytes here; it has more.")
             return message
@@ -40,3 +46,12 @@ class BodyLimit:
     def _is_unlimited(self, scope: Scope) -> bool:
         path: str = scope["path"]
         return not self._unlimited.isdisjoint({(scope["method"], path), (scope["method"], path[: path.rfind("/") + 1])})
+
+
+async def _received_by(deadline: float, receive: Receive) -> Message:
+    try:
+        async with asyncio.timeout_at(deadline):
+            return await receive()
+    except TimeoutError:
+        explanation = f"The body was not complete after {BODY_TIMEOUT_S:g} s; send it at once."
+        raise HTTPException(TOO_SLOW, explanation, {"Connection": "close"}) from None

@@ -2,14 +2,18 @@
 
 import os
 import subprocess
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from tempfile import NamedTemporaryFile
 from typing import Any
 
 from psycopg.conninfo import conninfo_to_dict, make_conninfo
 from vitac.envs.errors import VitacError
 
 from .binaries import find_binaries
+
+_SERVICE = "vitac"
 
 
 class DatabaseToolFailed(VitacError):
@@ -56,15 +60,35 @@ def _run(program: str, arguments: list[str], address: str, bin_dir: Path | None)
     if not path.is_file():
         raise DatabaseToolFailed(f"{path} is missing; install PostgreSQL's client programs beside its server.")
     parameters: dict[str, Any] = conninfo_to_dict(address)
-    # The password stays out of the arguments, which everybody on the machine can list.
-    password = parameters.pop("password", None)
-    environment = os.environ if password is None else os.environ | {"PGPASSWORD": str(password)}
-    done = subprocess.run(  # noqa: S603 - our own choice of program
-        [path, f"--dbname={make_conninfo(**parameters)}", *arguments],
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    with _secrets_apart(parameters) as environment:
+        done = subprocess.run(  # noqa: S603 - our own choice of program
+            [path, f"--dbname={make_conninfo(**parameters)}", *arguments],
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
     if done.returncode != 0:
         raise DatabaseToolFailed(f"{program} failed with exit code {done.returncode}: {done.stderr.strip()[-1000:]}")
+
+
+@contextmanager
+def _secrets_apart(parameters: dict[str, Any]) -> Iterator[dict[str, str]]:
+    """Take the secrets out of the parameters, since everybody on the machine can list arguments; hand them over apart.
+
+    libpq has a variable for the password, but the passphrase of a client key can only stand in a service file.
+    """
+    environment = dict(os.environ)
+    password, passphrase = parameters.pop("password", None), parameters.pop("sslpassword", None)
+    if password is not None:
+        environment["PGPASSWORD"] = str(password)
+    if passphrase is None:
+        yield environment
+        return
+    if "service" in parameters:
+        raise DatabaseToolFailed("An address with sslpassword and service cannot be used here; leave one of them out.")
+    with NamedTemporaryFile("w", prefix="vitac-service-") as file:  # readable by us only
+        file.write(f"[{_SERVICE}]\nsslpassword={passphrase}\n")
+        file.flush()
+        parameters["service"] = _SERVICE
+        yield environment | {"PGSERVICEFILE": file.name}

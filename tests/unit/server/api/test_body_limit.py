@@ -1,8 +1,12 @@
 import os
+import socket
+import time
 from collections.abc import Iterator
+from contextlib import suppress
 
 import pytest
 from service_client import Service, bearer, make_archive, problem_of
+from vitac.server.api import body_limit
 from vitac.server.api.body_limit import LIMIT_BYTES
 
 
@@ -30,3 +34,36 @@ def test_body_at_the_limit_is_read(service: Service) -> None:
 def test_uploads_have_their_own_limit(service: Service) -> None:
     archive = make_archive({"Track_1/weights": os.urandom(2 * LIMIT_BYTES)})
     problem_of(service.upload(archive), 422, "manifest_rejected")
+
+
+def test_a_body_that_trickles_is_given_up_though_it_never_stops(
+    service: Service, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(body_limit, "BODY_TIMEOUT_S", 0.3)
+    with socket.create_connection(service.address, timeout=0.02) as connection:
+        connection.sendall(b"POST /api/v1/teams HTTP/1.1\r\nHost: a\r\nContent-Length: 60000\r\n\r\n{")
+        answer = b""
+        for _ in range(1000):
+            with suppress(TimeoutError):
+                answer += connection.recv(4096)
+            if answer:
+                break
+            connection.sendall(b" ")
+    assert answer.startswith(b"HTTP/1.1 408 ")
+    assert b"connection: close" in answer.lower()
+    assert service.client.get("/health").status_code == 200
+
+
+def test_an_answer_may_take_longer_than_the_body(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(body_limit, "BODY_TIMEOUT_S", 0.2)
+    submission = service.upload(make_archive()).json()["id"]
+    events = []
+    with service.client.stream(
+        "GET", f"/api/v1/submissions/{submission}/events", headers=bearer(service.token)
+    ) as all_:
+        for line in all_.iter_lines():
+            events.append(line)
+            if len(events) == 1:
+                time.sleep(0.5)
+                service.post(f"/submissions/{submission}/cancel")
+    assert "event: end" in events

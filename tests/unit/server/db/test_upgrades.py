@@ -115,6 +115,6 @@ def shown(database: Database) -> dict[str, Any]:
     assert sum(map(len, episodes)) > 0
     return {
         "boards": [board.model_dump(mode="json", exclude={"generated_at"}) for board in boards],
-        "submissions": [submission.model_dump(mode="json", exclude={"workers": ...}) for submission in found],
+        "submissions": [submission.model_dump(mode="json", exclude={"workers"}) for submission in found],
         "episodes": [[episode.model_dump(mode="json") for episode in of_one] for of_one in episodes],
     }

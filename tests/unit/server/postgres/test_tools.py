@@ -1,3 +1,4 @@
+import stat
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
@@ -65,4 +66,27 @@ def test_password_is_in_the_environment_and_not_among_the_arguments(
     assert not others
     assert password == conninfo_to_dict(target)["password"]
     assert password not in arguments
+    assert kept(target) == [(7,)]
+
+
+def test_passphrase_of_a_client_key_is_in_a_private_file_and_not_among_the_arguments(
+    dump_file: Path, target: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls = []
+    run = subprocess.run
+
+    def note_and_run(arguments: list[Any], **options: Any) -> Any:
+        if Path(arguments[0]).name == "pg_restore":
+            file = Path(options["env"]["PGSERVICEFILE"])
+            calls.append((" ".join(map(str, arguments)), file.read_text(), stat.S_IMODE(file.stat().st_mode), file))
+        return run(arguments, **options)
+
+    monkeypatch.setattr(tools.subprocess, "run", note_and_run)  # type: ignore[attr-defined]
+    restore(make_conninfo(target, sslpassword="open sesame"), dump_file)
+    (arguments, content, mode, file), *others = calls
+    assert not others
+    assert "sesame" not in arguments
+    assert "sslpassword=open sesame\n" in content
+    assert mode == 0o600
+    assert not file.exists()
     assert kept(target) == [(7,)]
