@@ -49,7 +49,7 @@ def problem(
     status = status or int(error.status)
     content = {
         "type": f"urn:vitac:problem:{error.code}",
-        "title": error.status.phrase,
+        "title": _phrase(status) or error.status.phrase,
         "status": status,
         "detail": error.detail,
         "code": str(error.code),
@@ -57,6 +57,11 @@ def problem(
         **error.extras,
     }
     return JSONResponse(content, status, {**_headers(error), **(headers or {})}, media_type=MEDIA_TYPE)
+
+
+def _phrase(status: int) -> str | None:
+    """Return the name of a status; None where a protocol of its own has added it."""
+    return next((known.phrase for known in HTTPStatus if known == status), None)
 
 
 def _headers(error: ServiceError) -> dict[str, str]:
@@ -103,9 +108,7 @@ def _on_http_error(request: Request, error: Exception) -> JSONResponse:
         too_large = ServiceError(ProblemCode.BODY_TOO_LARGE, str(error.detail))
         return problem(request, too_large, {"Connection": "close"})
     fallback = ServiceError(ProblemCode.INVALID_REQUEST, str(error.detail))
-    answer = problem(request, fallback, error.headers)
-    answer.status_code = error.status_code
-    return answer
+    return problem(request, fallback, error.headers, status=error.status_code)
 
 
 def _on_failure(request: Request, error: Exception) -> JSONResponse:
