@@ -1,9 +1,11 @@
 """Plays the example policy of Track 2 from random starts: how often it succeeds, how well it sees, how long it takes.
 
 Usage: python benchmarks/fusion_policy.py [--starts N] [--seed N] [--depth-mode stereo|gt] [--hole-mm MM]
+    [--camera-mm MM] [--camera-deg DEG]
 
 The policy was made with seeds below 1000. `--hole-mm` has it believe that the holes lie elsewhere, by so much in any
-direction, so that the search by touch can be seen at work.
+direction, so that the search by touch can be seen at work. `--camera-mm` and `--camera-deg` displace the camera by up
+to so much along each axis, and turn it by up to so much, which the policy does not know.
 """
 
 import argparse
@@ -11,7 +13,7 @@ import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import import_module
-from math import cos, pi, sin
+from math import cos, pi, radians, sin
 from pathlib import Path
 from statistics import fmean
 from time import process_time
@@ -56,10 +58,17 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1000)
     parser.add_argument("--depth-mode", choices=("stereo", "gt"), default="stereo")
     parser.add_argument("--hole-mm", type=float, default=0.0)
+    parser.add_argument("--camera-mm", type=float, default=0.0)
+    parser.add_argument("--camera-deg", type=float, default=0.0)
     arguments = parser.parse_args()
     sys.path.insert(0, str(EXAMPLE))
     modules = SimpleNamespace(**{name: import_module(name) for name in ("policy", "picture")})
-    env = FusionInsertionEnv(depth_mode=arguments.depth_mode, observation_keys=KEYS)
+    env = FusionInsertionEnv(
+        depth_mode=arguments.depth_mode,
+        observation_keys=KEYS,
+        random_camera_offset_m=arguments.camera_mm * 1e-3,
+        random_camera_turn_rad=radians(arguments.camera_deg),
+    )
     holes = dict(modules.policy.HOLES)
     episodes = []
     for number in range(arguments.starts):
