@@ -40,7 +40,9 @@ class WrongEvaluator(VitacError):
     """A worker of another evaluator version took a shard: restart it with the version of the server."""
 
 
-def start(session: Session, submission: Submission, run: int, *, charged_at: datetime | None = None) -> Evaluation:
+def start(
+    session: Session, submission: Submission, run: int, *, charged_at: datetime | None = None, turn: int | None = None
+) -> Evaluation:
     """Make an evaluation with its shards and their jobs, all in the caller's transaction.
 
     Args:
@@ -48,6 +50,7 @@ def start(session: Session, submission: Submission, run: int, *, charged_at: dat
         submission: what is evaluated.
         run: number of the run.
         charged_at: when the team's quotas counted it; None: it costs nothing.
+        turn: its turn; None: the team's next one.
     """
     evaluation = Evaluation(
         submission=submission,
@@ -56,7 +59,7 @@ def start(session: Session, submission: Submission, run: int, *, charged_at: dat
         evaluator_hash=evaluator_hash(),
         state=EvaluationState.QUEUED,
         episodes_reused=0,
-        turn=next_turn(session, submission.team_id),
+        turn=next_turn(session, submission.team_id) if turn is None else turn,
         log_tail="",
         charged_at=charged_at,
         created_at=datetime.now(UTC),

@@ -20,7 +20,7 @@ from ..settings import Settings
 logger = structlog.get_logger(__name__)
 
 BEGUN_AGAIN_AT_ONCE = 200
-"""Each one reads all active evaluations for its turn and stays locked to the end: the next sweep takes the rest."""
+"""Each one stays locked to the end: the next sweep takes the rest. They keep their turns."""
 
 
 def supersede_outdated(session: Session, settings: Settings) -> int:
@@ -65,6 +65,7 @@ def _begin_again(session: Session, evaluation_id: UUID, current: str) -> bool:
         )
     )
     charged_at, evaluation.charged_at = evaluation.charged_at, None
-    lifecycle.start(session, evaluation.submission, 1 + (done_before or 0), charged_at=charged_at)
+    run = 1 + (done_before or 0)
+    lifecycle.start(session, evaluation.submission, run, charged_at=charged_at, turn=evaluation.turn)
     logger.warning("evaluation_superseded", evaluation=str(evaluation_id), version=evaluation.evaluator_version)
     return True

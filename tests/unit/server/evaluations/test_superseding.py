@@ -50,6 +50,25 @@ def test_the_new_evaluation_is_charged_in_place_of_the_old_one(database: Databas
     assert len(before) == 1
 
 
+def test_evaluations_keep_their_turns(database: Database, principal: Principal) -> None:
+    def turns(state: EvaluationState) -> list[tuple[str, int]]:
+        query = select(Submission.digest, Evaluation.turn).join(Evaluation.submission).where(Evaluation.state == state)
+        with database.transaction() as session:
+            return [(digest, turn) for digest, turn in session.execute(query.order_by(Submission.digest))]
+
+    with database.transaction() as session:
+        for content in ("first", "second", "third"):
+            submit(session, principal, content)
+        session.execute(text("UPDATE evaluations SET evaluator_version = 'yesterday'"))
+    before = turns(EvaluationState.QUEUED)
+    add_worker(database, evaluator_version())
+    with database.transaction() as session:
+        assert supersede_outdated(session, SETTINGS) == 3
+    assert turns(EvaluationState.CANCELLED) == before
+    assert turns(EvaluationState.QUEUED) == before
+    assert sorted(turn for _, turn in before) == [0, 1, 2]
+
+
 def add_worker(database: Database, version: str) -> None:
     worker = Worker(
         host="h",
