@@ -40,12 +40,16 @@ def command(
     secret: Annotated[
         Path | None, typer.Option(help="Play the sealed list of this secret (vitac seeds) instead of the public one.")
     ] = None,
+    sensor: Annotated[
+        Path | None, typer.Option(help="Folder with a sensor of your own (vitac sensor); unranked.")
+    ] = None,
     json: Annotated[Path | None, typer.Option(help="Write score, result hash and all records to this file.")] = None,
     log: Annotated[Path | None, typer.Option(help="Write a log that can be verified and uploaded.")] = None,
 ) -> None:
     """Evaluate a submission here, with the same records, score and result hash as the service."""
     from vitac.envs.assets import assets_dir_from_environment
     from vitac.evaluator.evaluation.local import evaluate
+    from vitac.evaluator.sensors.check import accepted_sensor
     from vitac.evaluator.submission.manifest import load_manifest, submission_digest
     from vitac.evaluator.submission.staging import staged
     from vitac.evaluator.tracks import load_track
@@ -56,6 +60,8 @@ def command(
     numbers = parse_episodes(episodes)
     _check_outputs(json, log, team)
     _check_secret(secret, submission)
+    if sensor is not None:
+        accepted_sensor(sensor)
     with staged(submission) as folder:
         manifest = load_manifest(folder)
         digest = submission_digest(submission)
@@ -72,6 +78,7 @@ def command(
                 workers=workers or len(os.sched_getaffinity(0)),
                 assets_dir=assets or assets_dir_from_environment(),
                 secret=secret,
+                sensor=sensor,
                 on_episode=progress.advance,
             )
     if json:

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from vitac.envs.errors import VitacError
 
 from .terminal.output import AsJson, print_json, print_pairs, print_table
 
@@ -14,12 +13,10 @@ if TYPE_CHECKING:
 
 app = typer.Typer(no_args_is_help=True)
 
+_TASK = "peg-insertion"
+
 Folder = Annotated[Path, typer.Argument(help="Folder with sensor.yaml and gel.stl.", exists=True, file_okay=False)]
 FolderOrStl = Annotated[Path, typer.Argument(help="Folder with sensor.yaml and gel.stl, or an STL file.", exists=True)]
-
-
-class SensorRefused(VitacError):
-    """A sensor breaks a rule; `vitac sensor check` lists all rules with their values."""
 
 
 @app.command("check")
@@ -39,7 +36,9 @@ def check(sensor: FolderOrStl, as_json: AsJson = False) -> None:
 @app.command("mesh")
 def mesh(sensor: Folder, as_json: AsJson = False) -> None:
     """Mesh the gel of a sensor as the service does, and print what comes of it."""
-    found = _accepted(sensor)
+    from vitac.evaluator.sensors.check import accepted_sensor
+
+    found = accepted_sensor(sensor)
     assert found.meshed is not None  # noqa: S101 - of every accepted sensor
     meshed = found.meshed
     facts = {
@@ -70,25 +69,30 @@ def show(
     require_extra()
     from vitac.envs.drawing.design import draw_design
     from vitac.envs.drawing.files import Destination
+    from vitac.evaluator.sensors.check import accepted_sensor
 
     destination = Destination.at(out)
     if destination.kind is not destination.kind.PNG:
         raise typer.BadParameter("expected FILE.png.", param_hint="--out")
-    found = _accepted(sensor)
+    found = accepted_sensor(sensor)
     assert found.design is not None  # noqa: S101 - of every accepted sensor
     picture = draw_design(found.design, title=sensor.resolve().name, width_px=width)
     for path in destination.write([picture], names=["sensor"], durations_ms=[0]):
         print(path)
 
 
-def _accepted(sensor: Path) -> "SensorCheck":
-    from vitac.evaluator.sensors.check import check_sensor
+@app.command("evaluate")
+def evaluate(
+    sensor: Folder,
+    policy: Annotated[Path, typer.Option(help="Zip or folder of a submission whose policy acts.", exists=True)],
+    episodes: Annotated[str | None, typer.Option(help="Numbers and ranges, such as 1:12,20; all by default.")] = None,
+    workers: Annotated[int | None, typer.Option(min=1, help="Number of processes; one per core by default.")] = None,
+    json: Annotated[Path | None, typer.Option(help="Write score, result hash and all records to this file.")] = None,
+) -> None:
+    """Play the peg task with a sensor and a policy, in the sandbox; the mesh hash of the result is the sensor's."""
+    from .evaluate import command
 
-    found = check_sensor(sensor)
-    if not found.ok:
-        broken = next(finding for finding in found.findings if not finding.ok)
-        raise SensorRefused(f"{broken.rule}: {broken.value}, expected {broken.limit}. {broken.problem}")
-    return found
+    command(policy, task=_TASK, sensor=sensor, episodes=episodes, workers=workers, json=json)
 
 
 def _digest(found: "SensorCheck") -> str | None:

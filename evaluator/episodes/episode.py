@@ -5,7 +5,7 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter
-from typing import Any, Protocol, cast
+from typing import TYPE_CHECKING, Any, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,9 @@ from ..agent.verdicts import PolicyFailed
 from ..tracks import Episode, Task
 from .reading import Observation, Reading, reading_of
 from .records import ActionSequence, EpisodeOutcome, EpisodeRecord, FailureStage, PolicyFailure, Timings
+
+if TYPE_CHECKING:
+    from vitac.envs.tactile.design import SensorDesign
 
 _INFO_KEYS_NOT_RECORDED = frozenset({"step_reports"})
 
@@ -91,7 +94,11 @@ MakeEnvironment = Callable[["Task", Path | None, Sequence[str] | None], Environm
 
 
 def make_environment(
-    task: Task, assets_dir: Path | None = None, observation_keys: Sequence[str] | None = None
+    task: Task,
+    assets_dir: Path | None = None,
+    observation_keys: Sequence[str] | None = None,
+    *,
+    sensor: "SensorDesign | None" = None,
 ) -> Environment:
     """Return the environment of a task, as policies are scored in it (nothing privileged).
 
@@ -99,11 +106,14 @@ def make_environment(
         task: whose environment.
         assets_dir: folder with the challenge's own meshes; our own generated ones by default.
         observation_keys: what is observed; all that the track lists by default.
+        sensor: design of both sensors; the challenge's by default.
     """
     import gymnasium
     import vitac.envs  # noqa: F401 - registers the environment ids
 
     arguments: dict[str, Any] = {"assets_dir": assets_dir, "observation_keys": observation_keys, **task.settings}
+    if sensor is not None:
+        arguments["sensor"] = sensor
     env = gymnasium.make(task.env_id, disable_env_checker=True, privileged=False, **arguments)
     return cast(Environment, env.unwrapped)
 

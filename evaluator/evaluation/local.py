@@ -58,6 +58,7 @@ def evaluate(
     limits: Limits | None = None,
     assets_dir: Path | None = None,
     secret: Path | None = None,
+    sensor: Path | None = None,
     on_episode: Callable[[EpisodeRecord], None] = lambda _: None,
 ) -> Evaluation:
     """Evaluate a submission in processes of its own, one shard at a time in each.
@@ -71,6 +72,7 @@ def evaluate(
         limits: of the policy; the default ones if None.
         assets_dir: folder with the challenge's own meshes; our own generated ones by default.
         secret: file with the secret of a sealed list.
+        sensor: folder with a sensor of a team's own, in place of the challenge's.
         on_episode: gets each record, in the order in which episodes end.
 
     Raises:
@@ -89,6 +91,7 @@ def evaluate(
             episodes=tuple(sorted(shard.numbers)),
             limits=limits or Limits(),
             assets_dir=assets_dir.resolve() if assets_dir else None,
+            sensor=sensor.resolve() if sensor else None,
         )
         for shard in shards
     ]

@@ -1,12 +1,15 @@
 """Checks a sensor against every rule; called by `vitac sensor` and by what takes sensors in."""
 
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from vitac.envs.errors import VitacError
+
 from .findings import Finding, Rule
 from .limits import SensorLimits, sensor_limits
-from .manifest import SENSOR_NAME, SensorManifest, SensorRejected, read_sensor
+from .manifest import SENSOR_NAME, SensorManifest, read_sensor
 
 if TYPE_CHECKING:
     from vitac.envs.tactile.design import SensorDesign
@@ -15,6 +18,10 @@ if TYPE_CHECKING:
 
 GEL_NAME: Final = "gel.stl"
 MESH_NAME: Final = "tet.msh"
+
+
+class SensorRefused(VitacError):
+    """A sensor breaks a rule; `vitac sensor check` lists all rules with their values."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -64,6 +71,36 @@ def check_sensor(path: Path, limits: SensorLimits | None = None) -> SensorCheck:
     return SensorCheck(findings=tuple(findings), meshed=mesh.meshed, design=design if findings[-1].ok else None)
 
 
+def accepted_sensor(path: Path) -> SensorCheck:
+    """Check a sensor that has to keep to every rule.
+
+    Args:
+        path: as for `check_sensor`.
+
+    Raises:
+        SensorRefused: it breaks one.
+        SensorRejected: sensor.yaml cannot be used.
+    """
+    found = check_sensor(path)
+    if not found.ok:
+        broken = next(finding for finding in found.findings if not finding.ok)
+        raise SensorRefused(f"{broken.rule}: {broken.value}, expected {broken.limit}. {broken.problem}")
+    return found
+
+
+@cache
+def design_in(folder: Path) -> "SensorDesign":
+    """Return the design of a folder, which is read and meshed once in a process and its copies.
+
+    Raises:
+        SensorRefused: it breaks a rule.
+        SensorRejected: sensor.yaml cannot be used.
+    """
+    design = accepted_sensor(folder).design
+    assert design is not None  # noqa: S101 - of every accepted sensor
+    return design
+
+
 def _files(path: Path) -> tuple[SensorManifest, Path, Path | None]:
     if not path.is_dir():
         return SensorManifest(), path, None
@@ -87,6 +124,3 @@ def _markers(design: "SensorDesign") -> Finding:
         limit="all",
         problem=f"Move or remove these markers in {SENSOR_NAME}: {'; '.join(bad)}.",
     )
-
-
-__all__ = ["GEL_NAME", "MESH_NAME", "SensorCheck", "SensorRejected", "check_sensor"]

@@ -1,13 +1,16 @@
 """Carries out the order for one shard, in the shard's own process; called by `host`."""
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from types import MappingProxyType
 from typing import IO
 
 from vitac.envs.errors import VitacError
 
+from ..episodes.episode import make_environment
 from ..episodes.reading import reading_of
 from ..episodes.records import EpisodeRecord
+from ..sensors.check import design_in
 from ..submission.manifest import load_manifest
 from ..submission_kinds import SubmissionKind
 from ..tracks import Task, Track, load_track
@@ -59,6 +62,7 @@ def _run_policy(order: ShardOrder, track: Track, task: Task, shard: Shard, on_ep
         limits=order.limits,
         slot=order.slot,
         assets_dir=order.assets_dir,
+        make_env=partial(make_environment, sensor=design_in(order.sensor) if order.sensor else None),
         skip=order.skip,
         earlier_failures=order.earlier_failures,
     )

@@ -19,6 +19,7 @@ from typing import NoReturn
 import numpy as np
 
 from ..episodes.episode import make_environment
+from ..sensors.check import design_in
 from ..tracks import load_track
 from ..version import evaluator_hash
 from .execution import execute
@@ -35,7 +36,7 @@ class SimulationHost:
         self._control = control
         self._selector = selectors.DefaultSelector()
         self._selector.register(control, selectors.EVENT_READ)
-        self._loaded: set[tuple[str, str, Path | None]] = set()
+        self._loaded: set[tuple[str, str, Path | None, Path | None]] = set()
 
     def serve(self) -> None:
         """Start shards and report their ends."""
@@ -81,13 +82,13 @@ class SimulationHost:
 
     def _load(self, order: ShardOrder) -> None:
         """Play one env step of the order's task, so that its copies have all kernels and know the evaluator's hash."""
-        what = (order.track, order.task, order.assets_dir)
+        what = (order.track, order.task, order.assets_dir, order.sensor)
         if what in self._loaded:
             return
         # The shard meets the same error and reports it with its result.
         with suppress(Exception):
             task = load_track(order.track).tasks[order.task]
-            env = make_environment(task, order.assets_dir)
+            env = make_environment(task, order.assets_dir, sensor=design_in(order.sensor) if order.sensor else None)
             env.reset(options=task.episodes[0].options)
             env.step(np.zeros(len(task.actions), dtype=np.float32))
             evaluator_hash()

@@ -20,7 +20,7 @@ class ShardOrder(StrictModel):
     """What a shard's process has to do.
 
     `submission` is the folder of an unpacked archive, or the file of a log; `secret` the file with the secret of a
-    sealed list, without which the public one is played.
+    sealed list, without which the public one is played; `sensor` a folder with a sensor of a team's own.
     """
 
     kind: SubmissionKind
@@ -33,6 +33,7 @@ class ShardOrder(StrictModel):
     slot: NonNegativeInt = 0
     limits: Limits = Limits()
     assets_dir: Path | None = None
+    sensor: Path | None = None
     skip: tuple[int, ...] = ()
     earlier_failures: tuple[PolicyFailure, ...] = ()
 

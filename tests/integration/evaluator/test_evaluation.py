@@ -12,6 +12,7 @@ from vitac.evaluator.evaluation.local import Evaluation, evaluate
 from vitac.evaluator.logs.findings import VerificationResult
 from vitac.evaluator.logs.log import LogHeader
 from vitac.evaluator.logs.verification import verify
+from vitac.evaluator.sensors.check import design_in
 from vitac.evaluator.shards.order import ShardOrder
 from vitac.evaluator.shards.process import ShardProcesses
 from vitac.evaluator.submission_kinds import SubmissionKind
@@ -200,3 +201,14 @@ def test_lock_opening_is_evaluated_and_its_log_verified(submission: Path, reposi
         episodes=(1, 160),
     )
     assert (verification.verdict, verification.score) == (VerificationResult.VERIFIED, evaluation.score)
+
+
+def test_sensor_of_a_team_is_played_in_every_shard_with_its_own_mesh_hash(submission: Path, repository: Path) -> None:
+    dome = repository / "examples" / "track_3_dome" / "Track_3"
+    first = run(submission, episodes=(1, 28), sensor=dome)
+    again = run(submission, episodes=(1, 28), sensor=dome, workers=2)
+    assert first.failure is None
+    assert [record.episode for record in first.records] == [1, 28]
+    assert first.result_hash == again.result_hash
+    assert first.manifest.mesh_hash != run(submission, episodes=(1,)).manifest.mesh_hash
+    assert first.manifest.mesh_hash == make_environment(TASK, sensor=design_in(dome)).mesh_hash()

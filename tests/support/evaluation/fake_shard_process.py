@@ -75,11 +75,10 @@ def load_policy(submission_dir: Path, limits: Limits, slot: int) -> Any:
 
 
 if __name__ == "__main__":
-    execution.run_shard = partial(  # type: ignore[attr-defined]
-        run_shard, load_policy=load_policy, make_env=lambda *_: FakeEnvironment()
-    )
+    execution.run_shard = partial(run_shard, load_policy=load_policy)  # type: ignore[attr-defined]
+    for module in (execution, host):
+        module.make_environment = lambda *_, **__: FakeEnvironment()  # type: ignore[attr-defined]
     execution.load_manifest = lambda _: SubmissionManifest(  # type: ignore[attr-defined, assignment]
         track="track_1", tasks=("peg-insertion",), name="fake"
     )
-    host.make_environment = lambda *_: FakeEnvironment()  # type: ignore[attr-defined]
     host.main()

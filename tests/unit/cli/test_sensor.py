@@ -90,3 +90,11 @@ def test_show_draws_a_picture(run: Run, folder: Path) -> None:
         assert image.size == (900, 300)
         assert len(image.getcolors(2**20) or ()) > 100
     assert run("show", folder, "--out", folder / "sensor.gif")[0] == 2
+
+
+def test_evaluate_refuses_a_broken_sensor_before_it_plays(run: Run, folder: Path, repository: Path) -> None:
+    (folder / "gel.stl").write_bytes(drawn_gels.stl_bytes(drawn_gels.flat(1.0)))
+    policy = repository / "examples" / "peg_insertion_heuristic" / "Track_1"
+    code, out, err = run("evaluate", folder, "--policy", policy, "--episodes", "1")
+    assert (code, out) == (1, "")
+    assert err.startswith("vitac: thickness: 1.000 mm, expected 2 to 8 mm.")
