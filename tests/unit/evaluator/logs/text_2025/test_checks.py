@@ -2,16 +2,28 @@
 
 import io
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from datetime import datetime
 from typing import Any
 
 import pytest
 from text_log_writer import text_log
-from vitac.evaluator.logs.text_2025 import TextLogRejected, TextLogSummary, check, read_text_log, scripts, summarize
+from vitac.evaluator.logs.text_2025 import (
+    TextEpisode,
+    TextLog,
+    TextLogRejected,
+    TextLogSummary,
+    check,
+    read_text_log,
+    scripts,
+    summarize,
+)
+from vitac.evaluator.logs.text_2025.checks import hole_top
 
 OFFICIAL_SCRIPTS = scripts.all_scripts()
 OFFICIAL = next(script for script in OFFICIAL_SCRIPTS if script.name == "track 1 peg insertion")
 PEG = OFFICIAL.model_copy(update={"repeats": 1, "offsets": OFFICIAL.offsets[:5]})
+VISION = next(script for script in OFFICIAL_SCRIPTS if script.hole_tops_mm)
 
 
 @pytest.fixture(autouse=True)
@@ -19,8 +31,12 @@ def short_list(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(scripts, "all_scripts", lambda: (PEG,))
 
 
+def read(text: str) -> TextLog:
+    return read_text_log(io.BytesIO(text.encode()))
+
+
 def summary_of(text: str) -> TextLogSummary:
-    return summarize(read_text_log(io.BytesIO(text.encode())))[1]
+    return summarize(read(text))[1]
 
 
 def solved_episode(number: int, start: tuple[float, ...], shape: str) -> dict[str, Any]:
@@ -220,9 +236,8 @@ def test_a_long_value_makes_no_long_problem() -> None:
 
 
 def test_vision_log_with_a_short_start_is_checked() -> None:
-    script = next(script for script in OFFICIAL_SCRIPTS if script.hole_tops_mm)
-    log = read_text_log(io.BytesIO(own_log(lambda episodes: episodes[0].update(initial_offset=[1.0])).encode()))
-    assert any(problem.startswith("test 1: expected the start (") for problem in check(log, script))
+    log = read(own_log(lambda episodes: episodes[0].update(initial_offset=[1.0])))
+    assert any(problem.startswith("test 1: expected the start (") for problem in check(log, VISION))
 
 
 @pytest.mark.parametrize(
@@ -245,3 +260,191 @@ def test_unknown_message_is_told_by_line() -> None:
     lines = own_log().splitlines(keepends=True)
     lines.insert(20, lines[20].split(" - ")[0] + " - trust me\n")
     assert "line 21: unknown message 'trust me'" in problems("".join(lines))
+
+
+def turned_episode(turns: Sequence[float], rewards: Sequence[float], **last: Any) -> dict[str, Any]:
+    """Test 1, in which the policy only turns the peg; `last` is what the info of the last env step says otherwise."""
+    start = PEG.starts()[0].offset
+    angle, steps = start[2], []
+    for n, (turn, reward) in enumerate(zip(turns, rewards, strict=True), start=1):
+        angle += 4 * turn
+        offset = [start[0], start[1], angle]
+        steps.append(
+            {
+                "n": n,
+                "action": [0.0, 0.0, turn],
+                "offset_obs": offset,
+                "info_steps": n,
+                "surface_diff_m": [0.0005, 0.0006],
+                "tactile_movement_too_large": False,
+                "too_many_steps": False,
+                "error_too_large": False,
+                "peg_relative_z_mm": [0.1, 0.1, 0.1, 0.1],
+                "is_success": False,
+                "relative_motion_mm_deg": [0.0, 0.0, angle - start[2], -0.125 * n],
+                "gt_offset_mm_deg": offset,
+                "reward": reward,
+            }
+        )
+    steps[-1] |= last
+    return {"episode": 1, "initial_offset": list(start), "steps": steps, "result": "FAIL"}
+
+
+def problems_of_first(episode: dict[str, Any]) -> tuple[str, ...]:
+    """Problems of a log whose first test failed so, and all others succeeded."""
+    totals = ("#SUCCESS_RATE: 93.33%", "#AVG_STEP: 3.00")
+    return problems(own_log(lambda episodes: episodes.__setitem__(0, episode), totals=totals))
+
+
+def test_a_test_may_use_all_its_env_steps() -> None:
+    assert problems_of_first(turned_episode([0] * 8, [-1] * 8, too_many_steps=True)) == ()
+
+
+def test_one_env_step_more_than_allowed_is_found() -> None:
+    idle = turned_episode([0] * 9, [-1] * 9, too_many_steps=True)
+    idle["steps"][7]["too_many_steps"] = True
+    assert problems_of_first(idle) == (
+        "test 1: expected at most 8 env steps, got 9",
+        "test 1: env step 8 ended the test, but is not the last",
+    )
+
+
+@pytest.mark.parametrize("surface_diff_m", [[0.0016, 0.0005], [0.0005, 0.0016]])
+def test_a_slipped_gel_of_either_sensor_ends_a_test_and_costs_the_steps_that_are_left(
+    surface_diff_m: list[float],
+) -> None:
+    slipped = {"surface_diff_m": surface_diff_m, "tactile_movement_too_large": True}
+    assert problems_of_first(turned_episode([0, 0], [-1, -12], **slipped)) == ()
+    assert problems_of_first(turned_episode([0, 0], [-1, -13], **slipped)) == (
+        "test 1: env step 2: reward -13.0 does not follow from the rules",
+    )
+
+
+def test_a_gel_may_move_as_far_as_the_limit() -> None:
+    assert problems_of_first(turned_episode([0] * 8, [-1] * 8, too_many_steps=True, surface_diff_m=[0.0015] * 2)) == ()
+
+
+def test_an_angle_beyond_its_limit_ends_a_test() -> None:
+    first = math.hypot(4, 4, 8) - math.hypot(4, 4, 12) - 1
+    second = math.hypot(4, 4, 12) - math.hypot(4, 4, 16) - 12
+    assert problems_of_first(turned_episode([-1, -1], [first, second], error_too_large=True)) == ()
+
+
+def test_an_angle_may_reach_its_limit() -> None:
+    first = math.hypot(4, 4, 8) - math.hypot(4, 4, 12) - 1
+    second = math.hypot(4, 4, 12) - math.hypot(4, 4, 15) - 1
+    rewards = [first, second, *[-1.0] * 6]
+    assert problems_of_first(turned_episode([-1, -0.75, *[0.0] * 6], rewards, too_many_steps=True)) == ()
+
+
+def test_a_peg_exactly_as_deep_as_the_limit_is_no_success() -> None:
+    found = problems(own_log(lambda episodes: episodes[0]["steps"][2].update(peg_relative_z_mm=[-0.3, -0.4])))
+    assert found == ("test 1: env step 3: is_success: expected False by the rules, got True",)
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        (lambda log: setattr(log, "script_md5", None), "the header has no MD5 of the script"),
+        (lambda log: log.parameters.clear(), "the header has no parameters"),
+        (
+            lambda log: log.environment.pop("max_steps"),
+            "environment: expected the official max_steps = 8, got None",
+        ),
+        (lambda log: setattr(log.episodes[1], "initial_offset", None), "test 2: it has no initial offset"),
+        (
+            lambda log: setattr(log.episodes[-1].steps[0], "reward", None),
+            "test 15: env step 1 lacks action, offset or reward",
+        ),
+        (
+            lambda log: setattr(log.episodes[-1].steps[0], "offset", None),
+            "test 15: env step 1 lacks action, offset or reward",
+        ),
+        (
+            lambda log: setattr(log.episodes[-1].steps[0], "offset", (1.0,)),
+            "test 15: env step 1 lacks action, offset or reward",
+        ),
+    ],
+)
+def test_what_a_log_lacks_is_its_only_problem(change: Callable[[TextLog], object], expected: str) -> None:
+    log = read(own_log())
+    change(log)
+    assert check(log, PEG) == [expected]
+
+
+def test_a_test_without_result_or_env_steps_is_told_once_for_each() -> None:
+    log = read(own_log())
+    log.episodes[4].success, log.episodes[4].steps = None, []
+    assert check(log, PEG)[:2] == ["test 5: it has no RESULT", "test 5: it has no env steps"]
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "lacking"),
+    [
+        ("surface_diff_m", (True, 0.1), "info surface_diff_m of 2 numbers"),
+        ("surface_diff_m", "ab", "info surface_diff_m of 2 numbers"),
+        ("relative_motion_mm_deg", (0.0, 0.0, 0.0), "info relative_motion_mm_deg of 4 numbers"),
+        ("gt_offset_mm_deg", (0.0, 0.0), "info gt_offset_mm_deg of 3 numbers"),
+        ("peg_relative_z_mm", ("deep",), "info peg_relative_z_mm"),
+        ("peg_relative_z_mm", 0.5, "info peg_relative_z_mm"),
+        ("tactile_movement_too_large", 0, "info tactile_movement_too_large"),
+        ("too_many_steps", 0, "info too_many_steps"),
+        ("error_too_large", None, "info error_too_large"),
+        ("is_success", "no", "info is_success"),
+    ],
+)
+def test_an_info_without_a_value_of_the_right_form_is_not_judged_further(key: str, value: object, lacking: str) -> None:
+    log = read(own_log())
+    log.episodes[2].steps[1].info[key] = value
+    assert check(log, PEG) == [f"test 3: env step 2 lacks {lacking}"]
+
+
+def test_the_settings_of_the_camera_are_free() -> None:
+    assert problems(own_log(environment=PEG.environment | {"vision_params": {"render_mode": "rast"}})) == ()
+
+
+@pytest.mark.parametrize("rate", [0.99996, 1.0])
+@pytest.mark.parametrize("steps", [2.995, 3.005])
+def test_totals_may_be_rounded_to_two_decimals(rate: float, steps: float) -> None:
+    log = read(own_log())
+    log.claimed_success_rate, log.claimed_average_steps = rate, steps
+    assert check(log, PEG) == []
+
+
+@pytest.mark.parametrize(("key", "value"), [("claimed_success_rate", 0.9999), ("claimed_average_steps", 3.0052)])
+def test_totals_may_not_differ_by_more_than_rounding(key: str, value: float) -> None:
+    log = read(own_log())
+    setattr(log, key, value)
+    assert len(check(log, PEG)) == 1
+
+
+def test_without_any_success_there_is_no_average() -> None:
+    log = read(own_log())
+    for episode in log.episodes:
+        episode.success = False
+    log.claimed_success_rate, log.claimed_average_steps = 0.0, None
+    assert not any("average" in problem or "rate" in problem for problem in check(log, PEG))
+    log.claimed_average_steps = 3.0
+    assert "the average of env steps is None, the log claims 3.0" in check(log, PEG)
+
+
+def test_a_log_without_tests_claims_nothing() -> None:
+    log = read(own_log())
+    log.episodes, log.claimed_success_rate, log.claimed_average_steps = [], 0.0, None
+    assert check(log, PEG) == ["expected the 15 tests of the list, got 0"]
+
+
+def shown(*offset: float) -> TextLog:
+    """A vision log whose first test starts there."""
+    return TextLog(episodes=[TextEpisode(line=1, number=1, started=datetime(2025, 1, 1), initial_offset=offset)])
+
+
+@pytest.mark.parametrize("top_mm", VISION.hole_tops_mm)
+def test_the_holes_top_is_recognised_from_the_first_start(top_mm: float) -> None:
+    assert hole_top(shown(*VISION.starts(top_mm)[0].offset), VISION) == top_mm
+
+
+def test_without_a_start_in_four_numbers_the_holes_top_is_unknown() -> None:
+    assert hole_top(shown(1.0, 2.0, 3.0), VISION) is None
+    assert hole_top(TextLog(), VISION) is None
+    assert hole_top(shown(*VISION.starts()[0].offset), PEG) is None
