@@ -138,10 +138,11 @@ return len(found) + sum("{CANARY}" in value for value in os.environ.values())"""
     ),
     Probe(
         name="fork bomb capped",
-        code="while True:\n    reached(os.fork)",
+        # Each process sleeps once it was refused: it would else use up the CPU time before the others are refused.
+        code="while reached(os.fork):\n    pass\ntime.sleep(60)",
         verdict=VerdictCode.TOO_MANY_PROCESSES,
-        # Memory for all processes that the limit allows: on a busy machine they would else run out of it first.
-        limits=replace(_LIMITS, memory_bytes=1024 * MIB, action_cpu_s=4.0, episode_cpu_s=10.0),
+        # CPU time and memory for all processes that the limit allows, also on a busy machine.
+        limits=replace(_LIMITS, memory_bytes=1024 * MIB, action_cpu_s=20.0, episode_cpu_s=30.0, action_wall_s=5.0),
     ),
     Probe(
         name="memory of one process capped",

@@ -235,6 +235,10 @@ class Sandbox:
         """
         with contextlib.suppress(ProcessLookupError, AttributeError):
             os.kill(self.first_pid, signal.SIGKILL)
+            # bubblewrap waits for the first process and then ends. Killed before, it would leave a zombie to whoever
+            # collects orphans here, and RLIMIT_NPROC counts zombies of the policy's user.
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(_STOP_DEADLINE_S)
         self._process.kill()
         self._process.wait()
         deadline = time.monotonic() + _STOP_DEADLINE_S

@@ -1,5 +1,6 @@
 """What a session promises to those who play episodes with it, on this machine's own isolation."""
 
+import ctypes
 import os
 import signal
 import subprocess
@@ -372,6 +373,17 @@ def test_nothing_stays_when_a_session_ends(make: Make) -> None:
     assert children_of(os.getpid()) == before
 
 
+def test_no_zombie_is_left_to_whoever_collects_orphans(make: Make) -> None:
+    """As process 1 of a container, or below a subreaper, that may be nobody; RLIMIT_NPROC counts zombies."""
+    before = children_of(os.getpid())
+    collect_orphans(True)
+    try:
+        play_one(make("return [0, 0, 0]"))
+        assert children_of(os.getpid()) == before
+    finally:
+        collect_orphans(False)
+
+
 def test_nothing_stays_when_the_evaluator_is_killed(make: Make) -> None:
     folder = make("return [0, 0, 0]", "import subprocess\nsubprocess.Popen(['sleep', '1234.5'])")
     code = (
@@ -405,6 +417,11 @@ def test_two_hundred_seventy_episodes_lose_little(make: Make, record_property: C
 def play_steps(policy: EpisodePolicy, observation: dict[str, NDArray[np.float32]]) -> None:
     for _ in range(8):
         policy.act(observation)
+
+
+def collect_orphans(wanted: bool) -> None:
+    """Make this process the parent of orphans below it, or no longer so."""
+    assert ctypes.CDLL(None).prctl(36, int(wanted), 0, 0, 0) == 0
 
 
 def children_of(pid: int) -> set[str]:
