@@ -7,13 +7,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from .terminal.existing import existing_file
+
 if TYPE_CHECKING:
     from vitac.evaluator.episodes.records import EpisodeRecord
     from vitac.evaluator.logs.log import LogHeader
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, pretty_exceptions_enable=False)
 
-LogFile = Annotated[Path, typer.Argument(exists=True, dir_okay=False, help="A log written by `vitac evaluate --log`.")]
+LogFile = Annotated[Path, typer.Argument(callback=existing_file, help="A log written by `vitac evaluate --log`.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
 
@@ -109,7 +111,7 @@ def diff(first: LogFile, second: LogFile, json: AsJson = False) -> None:
 
 @app.command("import")
 def import_(
-    file: Annotated[Path, typer.Argument(exists=True, dir_okay=False, help="A 2025 text log.")],
+    file: Annotated[Path, typer.Argument(callback=existing_file, help="A 2025 text log.")],
     output: Annotated[Path | None, typer.Option(help="Write the episodes to this file as JSON lines.")] = None,
     json: AsJson = False,
 ) -> None:

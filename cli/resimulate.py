@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from .terminal.existing import existing_file
+
 if TYPE_CHECKING:
     from vitac.evaluator.logs.recordings import Recording
     from vitac.evaluator.logs.resimulation import ReportedEpisode, ReportedStep
@@ -15,7 +17,7 @@ if TYPE_CHECKING:
 def command(
     file: Annotated[
         Path,
-        typer.Argument(exists=True, dir_okay=False, help="Our own log or records, or a 2025 text log as JSON lines."),
+        typer.Argument(callback=existing_file, help="Our own log or records, or a 2025 text log as JSON lines."),
     ],
     task: Annotated[str, typer.Option(help="Task of the recording.")],
     assets: Annotated[

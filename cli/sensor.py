@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from .terminal.existing import existing
 from .terminal.output import AsJson, print_json, print_pairs, print_table
 
 if TYPE_CHECKING:
@@ -84,7 +85,7 @@ def show(
 @app.command("evaluate")
 def evaluate(
     sensor: Folder,
-    policy: Annotated[Path, typer.Option(help="Zip or folder of a submission whose policy acts.", exists=True)],
+    policy: Annotated[Path, typer.Option(help="Zip or folder of a submission whose policy acts.", callback=existing)],
     episodes: Annotated[str | None, typer.Option(help="Numbers and ranges, such as 1:12,20; all by default.")] = None,
     workers: Annotated[int | None, typer.Option(min=1, help="Number of processes; one per core by default.")] = None,
     json: Annotated[Path | None, typer.Option(help="Write score, result hash and all records to this file.")] = None,

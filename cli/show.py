@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 import typer
 from vitac.envs.errors import VitacError
 
+from .terminal.existing import existing_file
+
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
@@ -74,7 +76,7 @@ def command(
     policy: Annotated[Path | None, typer.Option(help="Submission whose policy acts, in its sandbox.")] = None,
     actions: Annotated[
         Path | None,
-        typer.Option(exists=True, dir_okay=False, help="Log with the actions: ours, or a 2025 text log as JSON lines."),
+        typer.Option(callback=existing_file, help="Log with the actions: ours, or a 2025 text log as JSON lines."),
     ] = None,
     out: Annotated[
         Path | None,

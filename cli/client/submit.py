@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from vitac.evaluator.submission_kinds import SubmissionKind
 
+from ..terminal.existing import existing
 from ..terminal.output import print_json
 from .http import client_from
 from .packing import pack
@@ -26,7 +27,7 @@ TRACK_OF_TEXT_LOGS = "track_1"
 
 def command(
     submission: Annotated[
-        Path, typer.Argument(exists=True, help="Folder or zip of a model, FILE.jsonl or FILE.log (.gz).")
+        Path, typer.Argument(callback=existing, help="Folder or zip of a model, FILE.jsonl or FILE.log (.gz).")
     ],
     track: Annotated[
         str | None, typer.Option(help="Track to submit to; by default the one named in the submission.")

@@ -54,7 +54,7 @@ _SENTENCES = {
     ),
     VerdictCode.OUTPUT_FLOOD: "The policy printed more than allowed; print less.",
     VerdictCode.TOO_MANY_PROCESSES: "The policy started more processes and threads than allowed; start fewer.",
-    VerdictCode.BAD_ACTION_TYPE: "The action is not an array of real numbers; return a float32 NumPy array.",
+    VerdictCode.BAD_ACTION_TYPE: "The action is not made of real numbers; return a NumPy array, list or tuple of them.",
     VerdictCode.BAD_ACTION_SHAPE: "The action has the wrong shape; return the shape in the task's action table.",
     VerdictCode.NON_FINITE_ACTION: "The action holds NaN or infinity, or overflows float32; return finite numbers.",
     VerdictCode.PROTOCOL_VIOLATION: (

@@ -17,7 +17,7 @@ from ..agent.verdicts import VerdictCode
 from ..strict_model import DocumentRejected, StrictModel, parse_untrusted_yaml
 from ..tracks import UnknownTrack, archive_folders, load_track
 from .archive import ArchiveFault, ArchiveRejected, Entry, packed_entries, unpack, write
-from .names import MANIFEST_NAME, NamedEntry, check_names, is_ignored, link, special_file
+from .names import MANIFEST_NAME, NamedEntry, check_names, contents_of, is_ignored, link, listed, special_file
 
 _MANIFEST_MAX_BYTES: Final = 16 * 1024
 _ENTRY_POINT: Final = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*")
@@ -81,7 +81,10 @@ def load_manifest(submission_dir: Path) -> SubmissionManifest:
         with path.open("rb") as file:
             data = file.read(_MANIFEST_MAX_BYTES + 1)
     except FileNotFoundError as error:
-        raise ManifestRejected(f"{MANIFEST_NAME} is missing; put it directly into the submission's folder.") from error
+        found = listed(path.name for path in submission_dir.glob("*"))
+        raise ManifestRejected(
+            f"{MANIFEST_NAME} is missing, the submission's folder holds {found}; put it directly into that folder."
+        ) from error
     except IsADirectoryError as error:
         raise ManifestRejected(f"{MANIFEST_NAME} is a folder, expected a file.") from error
     except NotADirectoryError as error:
@@ -129,10 +132,14 @@ def find_submission(path: Path) -> Path:
     Raises:
         NoSubmission: there is none.
     """
+    if not path.exists():
+        raise NoSubmission(f"{path} does not exist; {contents_of(path.parent)}.")
     for folder in (path, *(path / top for top in archive_folders())):
         if (folder / MANIFEST_NAME).is_file():
             return folder
-    raise NoSubmission(f"{path} holds no {MANIFEST_NAME}; name the submission's folder or its zip.")
+    raise NoSubmission(
+        f"Expected {MANIFEST_NAME} or a zip, {contents_of(path)}; name the submission's folder or its zip."
+    )
 
 
 def manifest_of(source: Path, limits: Limits | None = None) -> SubmissionManifest:
@@ -154,7 +161,7 @@ def manifest_of(source: Path, limits: Limits | None = None) -> SubmissionManifes
                 return manifest
     raise ManifestRejected(
         f"{MANIFEST_NAME} is missing or larger than {_MANIFEST_MAX_BYTES} bytes; put it directly into the "
-        "submission's folder."
+        f"submission's folder. The archive holds {listed(entry.path for entry in entries)}."
     )
 
 

@@ -4,6 +4,7 @@ import unicodedata
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from enum import StrEnum
+from pathlib import Path
 from typing import Final
 
 from vitac.envs.errors import VitacError
@@ -17,6 +18,8 @@ IGNORED_FOLDERS: Final = frozenset(
 IGNORED_FILES: Final = frozenset({".DS_Store", "Thumbs.db"})
 IGNORED_SUFFIXES: Final = (".pyc",)
 """Caches and desktop files; never unpacked, never part of a digest."""
+_NAMES_SHOWN: Final = 20
+_SHOWN_CHARACTERS: Final = 80
 _NAME_MAX_BYTES: Final = 255
 _PATH_MAX_BYTES: Final = 1024
 _BAD_CATEGORIES: Final = frozenset({"Cc", "Cf", "Cs", "Zl", "Zp"})
@@ -74,6 +77,20 @@ def is_ignored(path: str) -> bool:
     parts = path.split("/")
     name = parts[-1]
     return bool(IGNORED_FOLDERS.intersection(parts)) or name in IGNORED_FILES or name.endswith(IGNORED_SUFFIXES)
+
+
+def contents_of(folder: Path) -> str:
+    """Return the end of a sentence that says what a folder holds, for someone who named something else."""
+    if not folder.is_dir():
+        return f"folder {folder} does not exist"
+    return f"folder {folder} holds {listed(item.name for item in folder.iterdir() if not is_ignored(item.name))}"
+
+
+def listed(names: Iterable[str]) -> str:
+    """Return the first of some names in order, as text that fits a message."""
+    ordered = sorted(names)
+    shown = ", ".join(repr(name)[:_SHOWN_CHARACTERS] for name in ordered[:_NAMES_SHOWN]) or "nothing"
+    return shown if len(ordered) <= _NAMES_SHOWN else f"{shown} and {len(ordered) - _NAMES_SHOWN} more"
 
 
 def check_names(entries: Iterable[NamedEntry], limits: Limits) -> None:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from vitac.evaluator.agent.protocol.action import ACTION_TYPES
 from vitac.evaluator.agent.verdicts import VerdictCode
 from vitac.evaluator.submission.manifest import parse_manifest
 from vitac.evaluator.tracks import Task, load_track
@@ -31,6 +32,10 @@ def block(manual: str, language: str) -> str:
     found = re.search(rf"```{language}\n(.*?)```", manual, re.DOTALL)
     assert found is not None
     return found[1]
+
+
+def test_the_types_of_an_action_are_those_that_are_accepted(manual: str) -> None:
+    assert ACTION_TYPES in " ".join(section(manual, "The policy").split())
 
 
 def test_the_manifest_shown_is_accepted(manual: str) -> None:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Protocol, TypeVar
 
 from markupsafe import Markup
 from starlette.exceptions import HTTPException
+from vitac.evaluator.agent.protocol.action import ACTION_TYPES
 from vitac.evaluator.tracks import UnknownTrack, load_track
 
 from ..rendering import STATIC, render, steps, words
@@ -107,6 +108,7 @@ async def rules(request: Request) -> Response:
         viewer=await viewer_of(request),
         section=f"/tracks/{track.name}/rules",
         track=track,
+        action_types=ACTION_TYPES,
         limits=site_of(request).data.limits(),
         accepts_logs=accepts_logs(track),
         log_size=site_of(request).data.log_size(),

@@ -1,12 +1,19 @@
 """What counts as an action: checked outside the sandbox, on the arrays of an answer."""
 
 from collections.abc import Mapping
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..verdicts import PolicyFailed, VerdictCode
 from .frames import Array
+
+ACTION_TYPES: Final = (
+    "An action is a NumPy array, list or tuple of integers or floating-point numbers, which are converted to float32; "
+    "truth values, complex numbers, text and objects fail the episode."
+)
+"""What `act` may return, as documents and the rules page say it."""
 
 
 def checked_action(arrays: Mapping[str, Array], shape: tuple[int, ...]) -> NDArray[np.float32]:
@@ -21,7 +28,10 @@ def checked_action(arrays: Mapping[str, Array], shape: tuple[int, ...]) -> NDArr
         )
     action = arrays["action"]
     if action.dtype.kind not in "fiu":
-        raise PolicyFailed(VerdictCode.BAD_ACTION_TYPE, f"Action has dtype {action.dtype}, expected float32.")
+        raise PolicyFailed(
+            VerdictCode.BAD_ACTION_TYPE,
+            f"Action has dtype {action.dtype}, expected real numbers.",
+        )
     if action.shape != shape:
         raise PolicyFailed(VerdictCode.BAD_ACTION_SHAPE, f"Action has shape {action.shape}, expected {shape}.")
     with np.errstate(over="ignore", invalid="ignore"):

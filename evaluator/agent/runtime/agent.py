@@ -15,6 +15,7 @@ import contextlib
 import faulthandler
 import functools
 import importlib
+import importlib.metadata
 import json
 import os
 import resource
@@ -36,6 +37,7 @@ STATUS = struct.Struct("<ii")
 MESSAGE_MAX_CHARS = 2000
 DTYPES = {"u1": "u1", "u2": "<u2", "i4": "<i4", "i8": "<i8", "f4": "<f4", "f8": "<f8", "b1": "b1"}
 BACK_PROJECTION = Path(__file__).with_name("back_projection.py")
+NAMES_SHOWN = 20
 FORK_ERRORS = ("can't start new thread", "Resource temporarily unavailable")
 
 
@@ -128,7 +130,7 @@ def as_action(value: Any) -> Any:
         raise Refused(
             "bad_action_type", f"act() returned what NumPy cannot make an array of: {error!r:.500}"
         ) from error
-    if array.dtype.kind not in "fiub":
+    if array.dtype.kind not in "fiu":
         raise Refused("bad_action_type", f"act() returned an array of dtype {array.dtype}, expected real numbers.")
     if array.size > 4096:
         raise Refused(
@@ -146,16 +148,30 @@ def code_of(error: BaseException, otherwise: str) -> str:
     return otherwise
 
 
-def guarded(otherwise: str, what: str, call: Callable[[], Any]) -> Any:
-    """Run a piece of the policy; whatever it raises, SystemExit included, becomes a named refusal."""
+def no_hint(_: BaseException) -> str:
+    """Add nothing to what an exception says."""
+    return ""
+
+
+def guarded(otherwise: str, what: str, call: Callable[[], Any], hint: Callable[[BaseException], str] = no_hint) -> Any:
+    """Run a piece of the policy; whatever it raises, SystemExit included, becomes a named refusal.
+
+    Args:
+        otherwise: verdict of an exception that has none of its own.
+        what: names the piece.
+        call: the piece.
+        hint: what to say after the exception, from a space on.
+    """
     try:
         return call()
     except Refused:
         raise
     except BaseException as error:  # noqa: BLE001 - a policy may raise anything
         print_traceback()
-        summary = f"{what} raised {type(error).__name__}: {error}"[:MESSAGE_MAX_CHARS]
-        raise Refused(code_of(error, otherwise), summary) from None
+        summary = f"{what} raised {type(error).__name__}: {error}"
+        with contextlib.suppress(Exception):
+            summary += hint(error)
+        raise Refused(code_of(error, otherwise), summary[:MESSAGE_MAX_CHARS]) from None
 
 
 def print_traceback() -> None:
@@ -164,14 +180,33 @@ def print_traceback() -> None:
         traceback.print_exc(limit=-30)
 
 
+def what_is_there(error: BaseException, submission: str, module_name: str) -> str:
+    """Return the files and packages that there are, for a policy that asks for one that is not there."""
+    if not isinstance(error, (ModuleNotFoundError, FileNotFoundError)):
+        return ""
+    files = sorted(str(file.relative_to(submission)) for file in Path(submission).rglob("*") if file.is_file())
+    hint = f". Files in the submission: {', '.join(files[:NAMES_SHOWN])}"
+    hint += f" and {len(files) - NAMES_SHOWN} more" if len(files) > NAMES_SHOWN else ""
+    if isinstance(error, FileNotFoundError) or error.name == module_name.partition(".")[0]:
+        return hint + "."
+    return f"{hint}. Installed packages: {', '.join(installed_packages())}."
+
+
+def installed_packages() -> list[str]:
+    """Return name and version of the packages that a policy can import."""
+    found = {(each.metadata["Name"] or "").lower(): each.version for each in importlib.metadata.distributions()}
+    return [f"{name} {found[name]}" for name in sorted(found.keys() - {"", "vitac-arena"})]
+
+
 def load(entry_point: str, submission: str) -> Any:
     """Import `module:Class` from the submission and call it."""
     sys.path.insert(0, submission)
     os.chdir(submission)
     module_name, _, class_name = entry_point.partition(":")
-    module = guarded("import_error", f"Importing {module_name}", lambda: importlib.import_module(module_name))
+    hint = partial(what_is_there, submission=submission, module_name=module_name)
+    module = guarded("import_error", f"Importing {module_name}", lambda: importlib.import_module(module_name), hint)
     make = guarded("import_error", f"Looking up {class_name} in {module_name}", lambda: getattr(module, class_name))
-    return guarded("load_failed", f"{class_name}()", make)
+    return guarded("load_failed", f"{class_name}()", make, hint)
 
 
 def answer_episode(policy: Any, connection: Connection) -> None:

@@ -361,3 +361,22 @@ def test_a_staged_folder_has_the_name_of_its_track(tmp_path: Path) -> None:
     mine = {**FILES, "submission.yaml": "track: mine\ntasks: [my-peg]\nname: x\n"}
     assert stage(submission_folder(tmp_path / "1"), tmp_path / "out_1").name == "Track_1"
     assert stage(submission_folder(tmp_path / "2", mine), tmp_path / "out_2").name == "Mine"
+
+
+def test_wrong_name_of_the_manifest_lists_the_files_that_are_there(tmp_path: Path) -> None:
+    folder = submission_folder(tmp_path)
+    (folder / "submission.yaml").rename(folder / "submission.yml")
+    with pytest.raises(NoSubmission, match=r"holds 'policy\.py', .*'submission\.yml'"):
+        find_submission(folder)
+    with pytest.raises(ManifestRejected, match=r"submission's folder holds 'policy\.py', .*'submission\.yml'"):
+        load_manifest(folder)
+    archive = tmp_path / "packed.zip"
+    archive.write_bytes(zip_bytes({"Track_1/submission.yml": MANIFEST, "Track_1/policy.py": ""}))
+    with pytest.raises(ManifestRejected, match=r"The archive holds 'policy\.py', 'submission\.yml'\."):
+        manifest_of(archive)
+
+
+def test_wrong_name_of_a_submission_lists_what_lies_beside_it(tmp_path: Path) -> None:
+    (tmp_path / "heuristic").mkdir()
+    with pytest.raises(NoSubmission, match=r"huristic does not exist; folder .* holds 'heuristic'\."):
+        find_submission(tmp_path / "huristic")

@@ -1,10 +1,35 @@
 """Rules about the names in a submission, on names alone."""
 
+from pathlib import Path
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from vitac.evaluator.agent.limits import Limits
-from vitac.evaluator.submission.names import ArchiveFault, ArchiveRejected, NamedEntry, check_names, is_ignored
+from vitac.evaluator.submission.names import (
+    ArchiveFault,
+    ArchiveRejected,
+    NamedEntry,
+    check_names,
+    contents_of,
+    is_ignored,
+    listed,
+)
+
+
+def test_names_are_listed_in_order_and_the_rest_counted() -> None:
+    assert listed(["b", "a"]) == "'a', 'b'"
+    assert listed([]) == "nothing"
+    assert listed(f"{number:02}" for number in range(23)).endswith("'19' and 3 more")
+    assert len(listed(["x" * 500])) == 80
+
+
+def test_contents_of_a_folder_are_what_a_submission_takes_from_it(tmp_path: Path) -> None:
+    assert contents_of(tmp_path / "gone") == f"folder {tmp_path / 'gone'} does not exist"
+    for name in ("submission.yml", ".DS_Store", "\n"):
+        (tmp_path / name).touch()
+    assert contents_of(tmp_path) == f"folder {tmp_path} holds '\\n', 'submission.yml'"
+
 
 LIMITS = Limits(archive_files=6, archive_depth=3)
 
