@@ -49,11 +49,14 @@ def show(log: LogFile, json: AsJson = False) -> None:
 def verify(
     log: LogFile,
     episodes: Annotated[
-        str | None, typer.Option(help="Numbers of the required episodes, such as 1:12; all by default.")
+        str | None, typer.Option(help="Required episodes, such as 1:12; those in the log by default.")
     ] = None,
     json: AsJson = False,
 ) -> None:
-    """Re-simulate a log's actions; exit code 0 if it is verified, 1 if it diverges or is impossible."""
+    """Re-simulate a log's actions; exit code 0 if it is verified, 1 if it diverges or is impossible.
+
+    A log of a part of the list is verified as far as it goes, and the output says what is missing.
+    """
     from vitac.evaluator.episodes.episode import make_environment
     from vitac.evaluator.logs.verification import verify as verify_log
     from vitac.evaluator.tracks import find_task
@@ -64,6 +67,7 @@ def verify(
 
     header, records = _read(log)
     track, task = find_task(header.manifest.task)
+    missing = sorted({episode.number for episode in task.episodes} - {record.episode for record in records})
     with compiling_shown():
         verification = verify_log(
             env=make_environment(task, None, ()),
@@ -71,13 +75,14 @@ def verify(
             task=task,
             header=header,
             records=records,
-            episodes=parse_episodes(episodes),
+            episodes=parse_episodes(episodes) or [record.episode for record in records] or None,
             on_episode=lambda record: _progress(f"re-simulated {record.episode}"),
         )
     _progress("")
     if json:
         content = verification.model_dump(mode="json", exclude={"records"})
         earned = verification.score
+        content["missing_episodes"] = missing
         print_json(content | {"score": earned.model_dump(mode="json") if earned else None})
     else:
         print(f"{verification.verdict}: {verification.reason}")
@@ -85,6 +90,11 @@ def verify(
             print(verification.divergence.model_dump_json(indent=1))
         if verification.score:
             print(f"{verification.score.successes} of {verification.score.episodes} successes")
+        if verification.score and missing:
+            print(
+                f"only a part: {len(records)} of {len(task.episodes)} episodes, the first missing one is {missing[0]}; "
+                "a service takes whole logs only"
+            )
     if not verification.records:
         raise typer.Exit(1)
 

@@ -88,7 +88,7 @@ def test_show_as_json(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_verify_true_log(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
     code, out, _ = run(capsys, "verify", log, "--episodes", "1:3")
-    assert (code, out.splitlines()) == (0, ["verified: all states are equal", "3 of 3 successes"])
+    assert (code, out.splitlines()) == (0, ["verified: all states are equal", "3 of 3 successes", PART])
 
 
 def test_verify_false_log_shows_both_states(false_log: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -101,10 +101,34 @@ def test_verify_false_log_shows_both_states(false_log: Path, capsys: pytest.Capt
     assert len(content["divergence"]["resimulated_state"]) == 64
 
 
-def test_verify_log_that_lacks_episodes(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+PART = "only a part: 3 of 270 episodes, the first missing one is 4; a service takes whole logs only"
+
+
+def test_verify_log_of_a_part_of_the_list_says_what_is_missing(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
     code, out, _ = run(capsys, "verify", log)
+    assert (code, out.splitlines()) == (0, ["verified: all states are equal", "3 of 3 successes", PART])
+    content = json.loads(run(capsys, "verify", log, "--json")[1])
+    assert (content["verdict"], content["missing_episodes"]) == ("verified", list(range(4, 271)))
+
+
+def test_verify_false_log_of_a_part_of_the_list_diverges(false_log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, _ = run(capsys, "verify", false_log)
+    assert (code, out.splitlines()[0]) == (1, "diverged: diverged at episode 2, env step 2")
+    assert PART not in out
+
+
+def test_verify_log_that_lacks_required_episodes(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, _ = run(capsys, "verify", log, "--episodes", "2:5")
     assert code == 1
-    assert out.startswith("impossible: Expected 270 episodes, got 3; the first missing one is 4")
+    assert out.startswith("impossible: Expected 4 episodes, got 2; the first missing one is 4")
+
+
+def test_verify_log_without_episodes(
+    tmp_path: Path, manifest_and_records: tuple[Manifest, list[EpisodeRecord]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, out, _ = run(capsys, "verify", write(tmp_path / "empty.jsonl", manifest_and_records[0], []))
+    assert code == 1
+    assert out.startswith("impossible: Expected 270 episodes, got 0; the first missing one is 1")
 
 
 def test_verify_log_of_another_version(
