@@ -35,6 +35,43 @@ def test_writes_a_length_of_time(seconds: float | None, text: str) -> None:
     assert rendering.duration(seconds) == text
 
 
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [(59.4, "59 s"), (60, "1 min 00 s"), (3599.4, "59 min 59 s"), (3599.6, "1 h 00 min"), (90_000, "25 h 00 min")],
+)
+def test_a_length_of_time_changes_its_unit_after_rounding(seconds: float, text: str) -> None:
+    assert rendering.duration(seconds) == text
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [
+        (0.05, "within 50 ms"),
+        (0.999, "within 999 ms"),
+        (1, "within 1 s"),
+        (120, "within 2 min 00 s"),
+        (float("inf"), "beyond what is counted"),
+        (None, "–"),
+    ],
+)
+def test_writes_a_bound_on_times(seconds: float | None, text: str) -> None:
+    assert rendering.within(seconds) == text
+
+
+@pytest.mark.parametrize(("count", "text"), [(0, "0"), (999, "999"), (1000, "1 000"), (1_234_567, "1 234 567")])
+def test_thousands_stand_apart(count: int, text: str) -> None:
+    assert rendering.number(count) == text.replace(" ", "\N{NARROW NO-BREAK SPACE}")
+
+
+def test_no_time_is_a_dash() -> None:
+    assert rendering.timestamp(None) == "–"
+
+
+def test_a_value_from_a_submission_is_escaped_in_a_page() -> None:
+    template = environment().from_string("{{ value }} {{ value|quantity }} {{ value|words }} {{ value|short }}")
+    assert template.render(value="<i>") == "&lt;i&gt; &lt;i&gt; &lt;i&gt; &lt;i&gt;"
+
+
 @pytest.mark.parametrize(("fraction", "text"), [(0.5, "50.00%"), (-1.0, "0.00%"), (2.0, "100.00%"), (None, "0.00%")])
 def test_positions_stay_inside_the_drawing(fraction: float | None, text: str) -> None:
     assert rendering.across(fraction) == text
