@@ -56,9 +56,10 @@ def refusal(answer: httpx.Response) -> RequestRefused:
     """Return what an answer that is no success says."""
     request_id = answer.headers.get("x-request-id")
     try:
-        problem = dict(answer.json())
+        content = answer.json()
     except ValueError:
-        problem = {}
+        content = None
+    problem = content if isinstance(content, dict) else {}
     return RequestRefused(
         status=answer.status_code,
         code=str(problem.get("code", "no_code")),
