@@ -15,6 +15,7 @@ from vitac.evaluator.episodes.records import (
     ActionSequence,
     EpisodeOutcome,
     EpisodeRecord,
+    FailureStage,
     RecordsDisagree,
     Timings,
     canonical_json,
@@ -174,6 +175,15 @@ def test_result_hash_changes_with_what_happened(changes: dict[str, Any]) -> None
     assert result_hash(make_manifest(), changed) != result_hash(make_manifest(), RECORDS)
 
 
+def test_result_hash_changes_with_the_reason_of_a_failure_but_not_with_its_message() -> None:
+    def hash_of(**changes: Any) -> str:
+        failed = make_record(1, EpisodeOutcome.POLICY_FAILED, failure=make_failure(**changes))
+        return result_hash(make_manifest(), [failed])
+
+    assert hash_of(code=VerdictCode.CRASHED) != hash_of(code=VerdictCode.CPU_TIME)
+    assert hash_of(message="It ended with signal 11.") == hash_of(message="It ended with signal 9.")
+
+
 @pytest.mark.parametrize("key", ["track", "evaluator_version", "solver_version", "mesh_hash"])
 def test_result_hash_changes_with_the_evaluator(key: str) -> None:
     assert result_hash(make_manifest(**{key: "other"}), RECORDS) != result_hash(make_manifest(), RECORDS)
@@ -212,3 +222,10 @@ def test_result_hash_follows_the_documented_recipe() -> None:
         lines.append(json.dumps(content, separators=(",", ":")))
     recipe = hashlib.sha256("".join(f"{line}\n" for line in lines).encode()).hexdigest()
     assert result_hash(manifest, reversed(RECORDS)) == recipe
+
+
+def test_words_that_stored_records_and_hashes_hold_stay() -> None:
+    assert [outcome.value for outcome in EpisodeOutcome] == [
+        "success", "tactile", "error", "steps", "not_converged", "policy_failed", "actions_ended",
+    ]  # fmt: skip
+    assert [stage.value for stage in FailureStage] == ["load", "episode"]

@@ -92,6 +92,44 @@ def test_other_state_is_named_by_episode_and_env_step_with_both_states(step: int
     assert (verification.score, verification.records) == (None, ())
 
 
+def test_at_a_divergence_the_claims_of_the_log_stand_beside_ours_in_our_form() -> None:
+    hashes, infos = list(RECORDS[1].state_hashes), list(RECORDS[1].infos)
+    hashes[2] = "f" * 64
+    infos[1] = {**infos[1], "steps": 99, "is_success": "yes", "surface_diff_m": [0.1], "note": "<script>"}
+    found = check(with_record(2, state_hashes=tuple(hashes), infos=tuple(infos))).divergence
+    assert found is not None
+    assert found.resimulated_info == RECORDS[1].infos[1]
+    assert found.recorded_info == {**RECORDS[1].infos[1], "steps": 99, "is_success": None, "surface_diff_m": None}
+
+
+def test_an_impossible_log_is_not_re_simulated() -> None:
+    env = FakeEnvironment()
+    told: list[EpisodeRecord] = []
+    verification = verify(env=env, track=TRACK, task=TASK, header=HEADER, records=RECORDS[:2], on_episode=told.append)
+    assert verification.verdict is VerificationResult.IMPOSSIBLE
+    assert (env.ipc_steps, told, verification.divergence, verification.records) == (0, [], None, ())
+
+
+def test_verification_stops_at_the_first_divergence() -> None:
+    told: list[EpisodeRecord] = []
+    lie = with_record(2, outcome=EpisodeOutcome.SUCCESS)
+    assert check(lie, on_episode=told.append).verdict is VerificationResult.DIVERGED
+    assert [record.episode for record in told] == [1]
+
+
+def test_of_several_tolerated_differences_the_first_is_told() -> None:
+    platform = next(iter(PLATFORM_CLASSES - {platform_class()}))
+    records = [
+        record.model_copy(update={"state_hashes": (*record.state_hashes[:-1], "f" * 64)})
+        if record.episode > 1
+        else record
+        for record in RECORDS
+    ]
+    found = check(records, made_elsewhere(platform_class=platform)).divergence
+    assert found is not None
+    assert (found.episode, found.env_step) == (2, RECORDS[1].env_steps)
+
+
 def test_other_action_diverges_where_it_was_taken() -> None:
     actions = RECORDS[1].actions.to_array()
     actions[1, 2] = 0.125

@@ -1,5 +1,6 @@
 import random
 from collections.abc import Mapping
+from dataclasses import replace
 
 import pytest
 from evaluation_fakes import small_track
@@ -81,3 +82,12 @@ def test_the_same_failure_decides_in_any_order_of_records(failed: set[int], shuf
     shuffled = list(played)
     shuffler.shuffle(shuffled)
     assert breaking_failure(SHARDS, shuffled) == breaking_failure(SHARDS, played)
+
+
+def test_the_lowest_number_decides_and_not_the_order_of_a_set() -> None:
+    numbers = [1, 8, 16, 33]
+    assert list(set(numbers)) != numbers
+    episodes = [replace(episode, number=number) for episode, number in zip(SHARDS[0].episodes, numbers, strict=False)]
+    failures = numbered(numbers)
+    played = [make_record(number, EpisodeOutcome.POLICY_FAILED, 0, failure=failures[number]) for number in numbers]
+    assert breaking_failure([replace(SHARDS[0], episodes=tuple(episodes))], played) == failures[1]
