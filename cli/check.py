@@ -93,7 +93,9 @@ def _add_result(record: "EpisodeRecord", findings: Findings) -> None:
     where = f"{record.task}, episode {record.episode}"
     failure = record.failure
     if failure is None:
-        findings.passed.append(f"{where}: {record.env_steps} env steps, outcome {record.outcome}")
+        findings.passed.append(
+            f"{where}: {record.env_steps} env steps, outcome {record.outcome}. {record.outcome.sentence}"
+        )
         return
     findings.refused.append(f"{where}: {failure.code}. {failure.message} {failure.code.sentence}")
     findings.output_tail = failure.output_tail or findings.output_tail

@@ -145,7 +145,8 @@ def _print_summary(evaluation: "Evaluation", manifest: "SubmissionManifest") -> 
         rows = [(name, rate.episodes, rate.successes, *_percentages(rate)) for name, rate in rates.items()]
         print_table(("shape", "episodes", "successes", "rate", "95 % interval"), rows, none="")
         print(f"mean env steps of the successes: {'none' if score.mean_steps is None else f'{score.mean_steps:.2f}'}")
-        print("outcomes: " + ", ".join(f"{outcome} {count}" for outcome, count in score.outcomes.items()))
+        outcomes = [(outcome, count, outcome.sentence) for outcome, count in score.outcomes.items()]
+        print_table(("outcome", "episodes", "meaning"), outcomes, none="")
         print("seconds: " + ", ".join(f"{name} {seconds:.1f}" for name, seconds in _seconds(evaluation).items()))
         print(f"result hash {evaluation.result_hash}")
 

@@ -41,6 +41,8 @@ def show(log: LogFile, json: AsJson = False) -> None:
         for record in records
     ]
     print_table(("episode", "shape", "offset", "outcome", "env steps", "reward"), rows, none="no episodes")
+    for outcome in dict.fromkeys(record.outcome for record in records):
+        print(f"{outcome}: {outcome.sentence}")
     if claimed:
         print(f"claimed: {claimed.successes} of {claimed.episodes} successes, {claimed.success_rate:.1%}")
 

@@ -330,6 +330,10 @@ def _report(caption: "Caption", playback: "Playback", written: list[Path], *, as
         print_json(found | {"files": files})
         return
     print(f"{caption.title}: {outcome} after {last.env_step} env steps")
+    if last.end_reason:
+        from vitac.evaluator.episodes.records import EpisodeOutcome
+
+        print(EpisodeOutcome(last.end_reason).sentence)
     print(f"actions: {caption.actions}")
     for path in written:
         print(path)

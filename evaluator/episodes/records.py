@@ -30,19 +30,28 @@ class EpisodeOutcome(StrEnum):
     """How an episode ended."""
 
     SUCCESS = "success"
-    """The task was solved."""
     TACTILE = "tactile"
-    """The gel surface of a sensor moved too far."""
     ERROR = "error"
-    """The commanded offset left its limits."""
     STEPS = "steps"
-    """All env steps were used up."""
     NOT_CONVERGED = "not_converged"
-    """The physics found no solution for an IPC step, even in smaller pieces."""
     POLICY_FAILED = "policy_failed"
-    """The policy crashed, broke a limit or answered wrongly."""
     ACTIONS_ENDED = "actions_ended"
-    """The recorded actions of a 2025 text log ended before the episode did."""
+
+    @property
+    def sentence(self) -> str:
+        """What the word means, for whoever reads it on a page or in a terminal."""
+        return _SENTENCES[self]
+
+
+_SENTENCES = {
+    EpisodeOutcome.SUCCESS: "The task was solved.",
+    EpisodeOutcome.TACTILE: "The gel surface of a sensor moved too far.",
+    EpisodeOutcome.ERROR: "The gripper or the part left its range.",
+    EpisodeOutcome.STEPS: "All env steps were used up.",
+    EpisodeOutcome.NOT_CONVERGED: "The physics found no solution for an IPC step, even in smaller pieces.",
+    EpisodeOutcome.POLICY_FAILED: "The policy crashed, broke a limit or answered wrongly.",
+    EpisodeOutcome.ACTIONS_ENDED: "The recorded actions of a 2025 text log ended before the episode did.",
+}
 
 
 class ActionSequence(StrictModel):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from vitac.evaluator.agent.protocol.action import ACTION_TYPES
 from vitac.evaluator.agent.verdicts import VerdictCode
+from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.evaluator.submission.manifest import parse_manifest
 from vitac.evaluator.tracks import Task, load_track
 
@@ -46,6 +47,11 @@ def test_the_manifest_shown_is_accepted(manual: str) -> None:
 def test_names_every_verdict_with_its_sentence(manual: str) -> None:
     shown = dict(re.findall(r"^\| `(\w+)` \| (.+) \|$", manual.split("## When it fails")[1], re.MULTILINE))
     assert shown == {str(code): code.sentence for code in VerdictCode}
+
+
+def test_names_every_outcome_with_its_sentence(manual: str) -> None:
+    shown = dict(re.findall(r"^\| `(\w+)` \| (.+) \|$", section(manual, "How an episode ends"), re.MULTILINE))
+    assert shown == {str(outcome): outcome.sentence for outcome in EpisodeOutcome}
 
 
 @pytest.mark.parametrize("task", TASKS, ids=lambda task: task.name)

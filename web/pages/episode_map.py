@@ -11,7 +11,10 @@ from functools import cache
 from typing import TYPE_CHECKING, Literal
 
 from markupsafe import Markup, escape
+from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.evaluator.tracks import load_track
+
+from ..rendering import words
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -86,7 +89,7 @@ class EpisodeMap:
     task: str
     title: str
     shapes: tuple[ShapeMap, ...]
-    outcomes: Mapping[str, int]
+    outcomes: Mapping[EpisodeOutcome, int]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,7 +117,7 @@ def episode_map(track: str, task: str, ends: Mapping[int, EpisodeView]) -> Episo
             ShapeMap(name=shape, cells=tuple(_cell(place, ends.get(place.number)) for place in places))
             for shape, places in _layout(track, task).items()
         ),
-        outcomes=dict(Counter(end.outcome for end in ends.values()).most_common()),
+        outcomes=dict(Counter(EpisodeOutcome(end.outcome) for end in ends.values()).most_common()),
     )
 
 
@@ -143,5 +146,5 @@ def _cell(place: Place, end: EpisodeView | None) -> Cell:
     if end is None:
         return Cell(column=place.column, row=place.row, state="waiting", label=f"{place.label}not run yet")
     state: CellState = "success" if end.success else "other"
-    how = f"{end.outcome.replace('_', ' ')} at env step {end.env_steps}"
+    how = f"{words(end.outcome)} at env step {end.env_steps}. {EpisodeOutcome(end.outcome).sentence}"
     return Cell(column=place.column, row=place.row, state=state, label=place.label + how)

@@ -23,6 +23,7 @@ def test_a_good_submission_passes(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert code == 0
     assert "All checks passed. Digest" in text
     assert text.count(", outcome ") == 2
+    assert "outcome steps. All env steps were used up." in text
 
 
 def test_a_submission_of_two_tasks_is_tried_in_both(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

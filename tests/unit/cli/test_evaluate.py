@@ -59,6 +59,7 @@ def test_prints_score_and_result_hash(submission: Path, tmp_path: Path, capsys: 
     assert code == 0
     assert "all               4          4  100.0%  51.0% to 100.0%" in out
     assert "mean env steps of the successes: 3.00" in out
+    assert "The task was solved." in out
     assert f"result hash {content.result_hash}" in out
     assert "4/4" in err
 
@@ -152,4 +153,4 @@ def test_impossible_request_is_refused(
 def test_what_is_no_submission_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     code, _, err = run(capsys, tmp_path / "nothing")
     assert code == 1
-    assert "submission.yaml" in err
+    assert "nothing does not exist; folder" in err

@@ -76,6 +76,7 @@ def test_show_prints_a_table_of_episodes(log: Path, capsys: pytest.CaptureFixtur
     assert code == 0
     assert out.startswith("team Touch, track_1, peg-insertion, evaluator 1+")
     assert "      2  trapezoid  -4 -4 -8  success          3    2.00" in out.splitlines()
+    assert "success: The task was solved." in out.splitlines()
     assert out.endswith("claimed: 3 of 3 successes, 100.0%\n")
 
 

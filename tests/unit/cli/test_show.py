@@ -49,6 +49,7 @@ def test_draws_the_end_of_an_episode(run: Run, tmp_path: Path) -> None:
     assert code == 0
     assert out.splitlines() == [
         "Peg insertion, episode 5: trapezoid: success after 3 env steps",
+        "The task was solved.",
         "actions: straight to the target, which no policy sees",
         "peg-insertion-5.png",
     ]
@@ -66,7 +67,7 @@ def test_folder_gets_a_picture_for_the_reset_and_every_env_step(run: Run, tmp_pa
     code, out, _ = run("peg-insertion", "--episode", 5, "--out", "frames", "--width", 600)
     assert code == 0
     names = ["step-00.png", "step-01.png", "step-02.png", "step-03.png"]
-    assert out.splitlines()[2:] == [f"frames/{name}" for name in names]
+    assert out.splitlines()[3:] == [f"frames/{name}" for name in names]
     assert sorted(path.name for path in (tmp_path / "frames").iterdir()) == names
 
 
