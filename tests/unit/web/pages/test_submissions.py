@@ -1,7 +1,10 @@
+import re
+
 import pytest
 from asgi_browser import AsgiBrowser
 from page_fixtures import DIVERGENCE, LOCK, TASK, FixedData, a_log, a_submission, an_action_match, an_id
 from visits import BOTH, COMPLETED, FAILED, QUEUED, RUNNING, form_token, page_of, sign_in
+from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.evaluator.logs.findings import VerificationResult
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.db.states import EvaluationState
@@ -72,6 +75,14 @@ def test_completed_submission_shows_its_score_and_stands_still(browser: AsgiBrow
         assert shown in html
     for gone in ("data-events", "http-equiv", "Cancel this evaluation", "live.js"):
         assert gone not in html
+
+
+def test_completed_submission_explains_its_outcomes(browser: AsgiBrowser) -> None:
+    sign_in(browser, "Gelbots")
+    html = browser.get(f"/submissions/{COMPLETED.id}").text
+    shown = re.findall(r"<li>(\w+) \d+: ([^<]+)</li>", html)
+    assert {"success", "tactile"} <= {outcome for outcome, _ in shown}
+    assert all(sentence == EpisodeOutcome(outcome).sentence for outcome, sentence in shown)
 
 
 def test_a_submission_of_one_task_says_which_it_lacks(browser: AsgiBrowser) -> None:
