@@ -25,6 +25,8 @@ PROTOCOL = {"Tus-Resumable": "1.0.0"}
 CHUNK_BYTES = 1 << 18
 PAUSES_S = (0.2, 0.5, 1.0, 2.0, 4.0, 8.0, 15.0, 15.0, 15.0)
 """Waits after failures with no byte of progress between them; after the last one the upload is given up."""
+FIRST_PAUSES = 3
+"""So many of these waits where nobody has answered yet: the address is probably wrong."""
 TRANSIENT = frozenset(
     {"database_unavailable", "not_found", "storage_unavailable", "too_many_requests", "upload_conflict"}
     | {"upload_incomplete", "upload_truncated"}
@@ -60,19 +62,22 @@ class PieceSender:
 
         Raises:
             RequestRefused: the service refuses it for good.
-            ServiceUnreachable: there was no progress for about a minute.
+            ServiceUnreachable: nobody answered at the start, or there was no progress for about a minute.
         """
-        failures, furthest = 0, -1
+        failures, furthest, is_begun = 0, -1, False
         while True:
             try:
                 place, offset = self._begin()
+                is_begun = True
                 if offset > furthest:
                     failures, furthest = 0, offset
                 self._send_rest(place, offset)
                 return dict(self.send("POST", f"{place}/submission", timeout_s=CHECKING_TIMEOUT_S).json())
-            except (ServiceUnreachable, RequestRefused) as error:
-                given_up = failures == len(PAUSES_S)
-                if given_up or (isinstance(error, RequestRefused) and error.code not in TRANSIENT):
+            except ServiceUnreachable:
+                if failures == (len(PAUSES_S) if is_begun else FIRST_PAUSES):
+                    raise
+            except RequestRefused as error:
+                if error.code not in TRANSIENT or failures == len(PAUSES_S):
                     raise
             self.pause(PAUSES_S[failures])
             failures += 1

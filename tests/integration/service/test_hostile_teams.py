@@ -25,12 +25,12 @@ class Policy:
         return np.zeros(3, np.float32)
 """
 
-FORK_FOR_EVER = """
-        while True:
-            try:
+FORK_UNTIL_REFUSED = """
+        try:
+            while True:
                 os.fork()
-            except OSError:
-                pass
+        except OSError:
+            time.sleep(600)
 """
 EAT_MEMORY = "kept = [b'x' * (1 << 26) for _ in range(99)]"
 
@@ -39,7 +39,7 @@ HOSTILE = {
     "import_error": FRAME.format(at_import="import no_such_module", in_act="pass"),
     "wall_time": FRAME.format(at_import="", in_act="time.sleep(600)"),
     "output_flood": FRAME.format(at_import="", in_act="\n        while True: os.write(1, b'x' * 65536)"),
-    "too_many_processes": FRAME.format(at_import="", in_act=FORK_FOR_EVER),
+    "too_many_processes": FRAME.format(at_import="", in_act=FORK_UNTIL_REFUSED),
     "out_of_memory": FRAME.format(at_import="", in_act=EAT_MEMORY),
     "non_finite_action": FRAME.format(at_import="", in_act="return np.full(3, np.nan, np.float32)"),
     "bad_action_shape": FRAME.format(at_import="", in_act="return np.zeros(4, np.float32)"),

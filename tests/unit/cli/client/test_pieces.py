@@ -14,7 +14,7 @@ from databases import fresh_database
 from service_client import MANIFEST, POLICY, Service, running_service, serving
 from vitac.cli.client import pieces
 from vitac.cli.client.http import Client
-from vitac.cli.client.pieces import PAUSES_S, PieceSender
+from vitac.cli.client.pieces import FIRST_PAUSES, PAUSES_S, PieceSender
 from vitac.cli.client.refusals import RequestRefused, ServiceUnreachable
 from vitac.server.api.app import create_app
 from vitac.server.db.engine import Database
@@ -130,13 +130,25 @@ def sender_to(answers: Callable[[str], httpx.Response], tmp_path: Path, pauses: 
 
 
 def test_gives_up_after_so_many_failures_without_progress(tmp_path: Path) -> None:
+    def answer(method: str) -> httpx.Response:
+        if method == "POST":
+            return httpx.Response(201, headers={"Location": "/u", "Upload-Offset": "0"})
+        raise ServiceUnreachable("cut")
+
+    pauses: list[float] = []
+    with pytest.raises(ServiceUnreachable):
+        sender_to(answer, tmp_path, pauses).run()
+    assert len(pauses) == len(PAUSES_S)
+
+
+def test_gives_up_soon_where_nobody_has_answered(tmp_path: Path) -> None:
     def answer(_: str) -> httpx.Response:
         raise ServiceUnreachable("no")
 
     pauses: list[float] = []
     with pytest.raises(ServiceUnreachable):
         sender_to(answer, tmp_path, pauses).run()
-    assert len(pauses) == len(PAUSES_S)
+    assert len(pauses) == FIRST_PAUSES < len(PAUSES_S)
 
 
 def test_progress_starts_the_count_of_failures_anew(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 from vitac.evaluator.agent.isolation.process_ids import ProcessIds
+from worker_fakes import eventually
 
 TELLS_ITS_CHILDRENS_IDS = """while read -r line; do sh -c 'echo "$$"'; done"""
 
@@ -45,10 +46,12 @@ def test_processes_are_numbered_from_the_same_id_again_and_again(namespace: "sub
 
 
 def test_a_namespace_that_has_ended_is_told(namespace: "subprocess.Popen[bytes]") -> None:
-    with ProcessIds(first_pid(namespace)) as counter:
+    first = first_pid(namespace)
+    with ProcessIds(first) as counter:
         assert counter.continue_after(500)
         namespace.kill()
         namespace.wait()
+        eventually(lambda: not Path(f"/proc/{first}").exists())
         assert not counter.continue_after(500)
         assert not counter.continue_after(500)
 
