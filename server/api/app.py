@@ -12,10 +12,10 @@ from vitac.server.services import Services, open_services
 from vitac.server.settings import Settings
 
 from . import health, metrics, problems, submissions, teams, tracks
-from .body_limit import BodyLimit
 from .limiter import ConcurrencyLimiter, WindowLimiter
-from .request_head import RequestHead
-from .request_times import RequestTimes
+from .middleware.body_limit import BodyLimit
+from .middleware.request_head import RequestHead
+from .middleware.request_times import RequestTimes
 from .resumable import routes as uploads
 from .resumable.protocol import ProtocolVersion
 

@@ -19,7 +19,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-sys.path += [str(Path(__file__).resolve().parents[1] / "support" / "service")]
+sys.path += [str(Path(__file__).resolve().parents[1] / "support" / name) for name in ("infrastructure", "service")]
 
 import httpx
 import psycopg

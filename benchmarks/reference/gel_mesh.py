@@ -1,6 +1,6 @@
 """How the generated gel mesh answers a grasp compared with the challenge's mesh; prints the table of docs/gel-mesh.md.
 
-Usage: python benchmarks/gel_mesh.py REFERENCE_DIR [--episodes N] [--json FILE]
+Usage: python benchmarks/reference/gel_mesh.py REFERENCE_DIR [--episodes N] [--json FILE]
 
 REFERENCE_DIR holds assets/track1 and logs/track1_peg_insertion.repeat0.jsonl. No GPU, about a minute for 30 episodes.
 """

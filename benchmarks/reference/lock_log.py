@@ -1,6 +1,7 @@
 """The organizers' lock episodes in our physics: do logged successes succeed, and at the logged env step? As JSON.
 
-Usage: python benchmarks/lock_log.py REFERENCE_DIR [--draws N] [--episodes N] [--generated-meshes] [--json FILE]
+Usage: python benchmarks/reference/lock_log.py REFERENCE_DIR [--draws N] [--episodes N] [--generated-meshes]
+       [--json FILE]
 
 REFERENCE_DIR holds assets/track1 and logs/track1_open_lock.repeat0.jsonl. That log has the actions and results of 80
 episodes, but not where the sensors gripped the key: every episode is played with several draws of that. One thread, no

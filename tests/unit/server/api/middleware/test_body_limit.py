@@ -6,8 +6,8 @@ from contextlib import suppress
 
 import pytest
 from service_client import Service, bearer, make_archive, problem_of
-from vitac.server.api import body_limit
-from vitac.server.api.body_limit import LIMIT_BYTES
+from vitac.server.api.middleware import body_limit
+from vitac.server.api.middleware.body_limit import LIMIT_BYTES
 
 
 @pytest.mark.parametrize("path", ["/api/v1/teams", "/api/v1/tokens"])

@@ -1,6 +1,6 @@
 """A key trails its gripper where IPC steps are cut off as the 2025 simulator cuts them off; solved ones leave no trail.
 
-Usage: python benchmarks/unsettled_lock.py REFERENCE_DIR [--episodes N ...] [--json FILE]
+Usage: python benchmarks/reference/unsettled_lock.py REFERENCE_DIR [--episodes N ...] [--json FILE]
 
 Plays logged lock episodes twice, sensors without jitter: in our physics, and in the slow oracle of the tests, cut off
 after 5 Newton iterations of 50 conjugate-gradient iterations each. Half a minute of CPU for an episode.
@@ -24,7 +24,7 @@ from vitac.envs.tasks.lock_opening.scene import LockScene
 from vitac.envs.tasks.lock_opening.settings import LockOpeningSettings
 from vitac.envs.tasks.lock_opening.variation import KeyOffset, LockStart, SensorJitter
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support" / "physics"))
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "support" / "physics"))
 from slow_oracle import SlowOracle
 
 FloatArray = NDArray[np.float64]

@@ -8,7 +8,7 @@ from starlette.requests import Request
 from starlette.types import ASGIApp, Receive, Scope, Send
 from vitac.server.errors import ProblemCode, ServiceError
 
-from .problems import problem
+from ..problems import problem
 
 
 class RequestHead:
