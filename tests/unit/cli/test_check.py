@@ -44,8 +44,8 @@ def test_what_is_in_order_is_listed_with_the_digest(tmp_path: Path) -> None:
     assert lines[:4] == [
         "ok       the files follow the archive rules",
         "ok       submission.yaml is complete: test policy, peg-insertion",
-        "ok       peg-insertion, episode 1: 4 env steps, outcome success",
-        f"ok       peg-insertion, episode {LAST}: 8 env steps, outcome steps",
+        f"ok       peg-insertion, episode 1: 4 env steps, outcome success. {EpisodeOutcome.SUCCESS.sentence}",
+        f"ok       peg-insertion, episode {LAST}: 8 env steps, outcome steps. {EpisodeOutcome.STEPS.sentence}",
     ]
     assert lines[4].startswith("All checks passed. Digest ")
 

@@ -27,7 +27,9 @@ def first_pid(outside: "subprocess.Popen[bytes]") -> int:
     while not children.read_text():
         if outside.poll() is not None or time.monotonic() > deadline:
             pytest.skip("This machine does not let this user make pid namespaces.")
-    return int(children.read_text())
+    first = int(children.read_text())
+    eventually(lambda: Path(f"/proc/{first}/uid_map").read_text() != "")  # before, nobody has rights in there
+    return first
 
 
 def next_id(outside: "subprocess.Popen[bytes]") -> int:
