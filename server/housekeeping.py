@@ -7,7 +7,7 @@ from datetime import timedelta
 
 import structlog
 from sqlalchemy import select
-from sqlalchemy.exc import DBAPIError
+from sqlalchemy.exc import SQLAlchemyError
 from vitac.envs.errors import VitacError
 
 from .db.models import Submission
@@ -46,7 +46,7 @@ class Housekeeping:
         self._thread.join()
         try:
             self._totals.write(self._services.database)
-        except DBAPIError as error:
+        except SQLAlchemyError as error:
             _postpone(error)
 
     def _run(self) -> None:
@@ -58,7 +58,7 @@ class Housekeeping:
                 if time.monotonic() - pruned_at > PRUNE_EVERY_S:
                     prune(self._services)
                     pruned_at = time.monotonic()
-            except (DBAPIError, VitacError, OSError) as error:
+            except (SQLAlchemyError, VitacError, OSError) as error:
                 _postpone(error)
             self._stopping.wait(self._services.settings.sweep_interval_s)
 

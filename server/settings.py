@@ -215,5 +215,8 @@ def load_settings(**overrides: Any) -> Settings:
 
 def _sentence(problem: Any) -> str:
     name = "__".join(str(part) for part in problem["loc"]).upper()
-    place = f"VITAC_{name} is {problem['input']!r:.80}: " if name else ""
+    field = Settings.model_fields.get(str(problem["loc"][0])) if problem["loc"] else None
+    is_secret = field is not None and field.annotation == SecretStr | None
+    given = "set" if is_secret else f"{problem['input']!r:.80}"
+    place = f"VITAC_{name} is {given}: " if name else ""
     return f"{place}{problem['msg'].removeprefix('Value error, ')}. Correct or unset it."

@@ -6,7 +6,7 @@ import threading
 from uuid import UUID, uuid4
 
 import structlog
-from sqlalchemy.exc import DBAPIError
+from sqlalchemy.exc import SQLAlchemyError
 from vitac.evaluator.version import evaluator_version, platform_class
 from vitac.server.db.models import Worker
 from vitac.server.db.states import WorkerState
@@ -52,7 +52,7 @@ class Heartbeat:
             with self._services.database.transaction() as session:
                 disk = workers.disk_of(self._services.settings.scratch_dir)
                 workers.heartbeat(session, self.worker_id, state, disk, self._message)
-        except (DBAPIError, OSError) as error:
+        except (SQLAlchemyError, OSError) as error:
             logger.warning("heartbeat_failed", error=" ".join(str(error).split())[:200])
 
     def _row(self) -> Worker:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .refusals import RequestRefused, ServiceUnreachable
+from .refusals import NO_CODE, RequestRefused, ServiceUnreachable
 
 if TYPE_CHECKING:
     import httpx
@@ -32,6 +32,8 @@ TRANSIENT = frozenset(
     | {"upload_incomplete", "upload_truncated"}
 )
 """Refusals that may go away. An upload that is not found has expired, and a new one is begun."""
+PROXY_STATUSES = frozenset({408, 502, 503, 504})
+"""What a reverse proxy answers while the service behind it restarts or takes long."""
 CHECKING_TIMEOUT_S = 600.0
 """The service unpacks and hashes the whole upload before it answers."""
 
@@ -77,7 +79,8 @@ class PieceSender:
                 if failures == (len(PAUSES_S) if is_begun else FIRST_PAUSES):
                     raise
             except RequestRefused as error:
-                if error.code not in TRANSIENT or failures == len(PAUSES_S):
+                is_transient = error.code in TRANSIENT or (error.code == NO_CODE and error.status in PROXY_STATUSES)
+                if not is_transient or failures == len(PAUSES_S):
                     raise
             self.pause(PAUSES_S[failures])
             failures += 1

@@ -35,6 +35,10 @@ HINTS = {
 }
 
 
+NO_CODE = "no_code"
+"""Stands for the code of an answer that is no problem of ours."""
+
+
 class RequestRefused(VitacError):
     """The service refused a request; the message has status, code, detail, hint and request id."""
 
@@ -62,7 +66,7 @@ def refusal(answer: httpx.Response) -> RequestRefused:
     problem = content if isinstance(content, dict) else {}
     return RequestRefused(
         status=answer.status_code,
-        code=str(problem.get("code", "no_code")),
+        code=str(problem.get("code", NO_CODE)),
         detail=str(problem.get("detail", f"{answer.reason_phrase}; this may not be a ViTac Arena service")),
         request_id=request_id,
     )

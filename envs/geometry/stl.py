@@ -108,7 +108,7 @@ def _ascii_corners(content: bytes, path: Path, max_triangles: int | None) -> NDA
     try:
         values = [[float(word) for word in found.groups()] for found in _VERTEX.finditer(content)]
     except ValueError as error:
-        raise StlError(f"{path}: a 'vertex' must be followed by three numbers ({error}).") from error
+        raise StlError(f"{path}: a 'vertex' must be followed by three numbers ({error!s:.120}).") from error
     if not values or len(values) % 3 or len(values) != announced:
         raise StlError(f"{path}: expected a multiple of three vertices of three numbers, got {len(values)} vertices.")
     return np.array(values, dtype=np.float64).reshape(-1, 3, 3)

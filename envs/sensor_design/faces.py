@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from ..fem.model.mesh import GelMesh
+from ..fem.model.mesh import GelMesh, MeshError
 from .tetrahedra import BASE_PLANE_MM, Tetrahedra
 
 IndexArray = NDArray[np.int64]
@@ -27,6 +27,8 @@ def gel_of(mesh: Tetrahedra, *, name: str) -> tuple[GelMesh, IndexArray]:
         MeshError: it cannot be simulated.
     """
     surface = mesh.surface
+    if len(surface.triangles) == 0:
+        raise MeshError(f"{name} has no outer surface: expected each tetrahedron once.")
     heights_mm = surface.corners_mm[:, :, 2]
     slope = surface.area_vectors_mm2[:, 2] / surface.areas_mm2
     is_base = (heights_mm <= BASE_PLANE_MM).all(axis=1) & (slope < 0.0)

@@ -26,12 +26,13 @@ class DrawnSurface:
     def of_corners(cls, corners_mm: FloatArray) -> "DrawnSurface":
         """Return the surface of triangles with corners of shape [f, 3, 3]; equal positions become one vertex.
 
-        Triangles two of whose corners are one vertex are left away.
+        Triangles two of whose corners are one vertex are left away, and vertices that no other triangle has.
         """
         vertices, index = np.unique(corners_mm.reshape(-1, 3), axis=0, return_inverse=True)
         triangles = index.reshape(-1, 3).astype(np.int64)
         a, b, c = triangles.T
-        return cls(vertices_mm=vertices, triangles=triangles[(a != b) & (b != c) & (c != a)])
+        used, kept = np.unique(triangles[(a != b) & (b != c) & (c != a)], return_inverse=True)
+        return cls(vertices_mm=vertices[used], triangles=kept.reshape(-1, 3).astype(np.int64))
 
     @cached_property
     def corners_mm(self) -> FloatArray:

@@ -48,7 +48,7 @@ class Tetrahedra:
         points = self.nodes_mm[self.corners]
         sides = np.stack([points[:, i] - points[:, j] for i, j in _EDGES], axis=1)
         longest = np.sqrt((sides * sides).sum(axis=2).max(axis=1))
-        return np.asarray(6.0 * np.sqrt(2.0) * self.volumes_mm3 / longest**3)
+        return np.asarray(6.0 * np.sqrt(2.0) * self.volumes_mm3 / (longest * longest * longest))
 
     @cached_property
     def n_shared_faces(self) -> int:

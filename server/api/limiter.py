@@ -12,6 +12,7 @@ import time
 from array import array
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from ipaddress import IPv4Address, IPv6Network, ip_address
 from pathlib import Path
 from typing import BinaryIO
 
@@ -128,3 +129,16 @@ def _lock_byte(file: BinaryIO, place: int) -> bool:
     except BlockingIOError:
         return False
     return True
+
+
+def client_key(host: str | None) -> str:
+    """Return whom a limit counts for: an address, or of IPv6 the network of 64 bits that one client has to itself."""
+    try:
+        address = ip_address(host or "")
+    except ValueError:
+        return host or "unknown"
+    if isinstance(address, IPv4Address):
+        return str(address)
+    if address.ipv4_mapped is not None:
+        return str(address.ipv4_mapped)
+    return str(IPv6Network((address, 64), strict=False))

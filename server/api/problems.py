@@ -8,7 +8,8 @@ import structlog
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
-from sqlalchemy.exc import DBAPIError
+from sqlalchemy.exc import DBAPIError, SQLAlchemyError
+from sqlalchemy.exc import TimeoutError as PoolTimeout
 from starlette.exceptions import HTTPException
 from vitac.server.db.engine import is_connection_loss
 from vitac.server.errors import ProblemCode, ServiceError, storage_full
@@ -37,7 +38,7 @@ def install(app: FastAPI) -> None:
     app.add_exception_handler(ServiceError, _on_service_error)
     app.add_exception_handler(RequestValidationError, _on_invalid_request)
     app.add_exception_handler(HTTPException, _on_http_error)
-    app.add_exception_handler(DBAPIError, _on_failure)
+    app.add_exception_handler(SQLAlchemyError, _on_failure)
     app.add_exception_handler(OSError, _on_failure)
     app.add_exception_handler(Exception, _on_bug)
 
@@ -120,7 +121,8 @@ def refusal_of_failure(request: Request, error: Exception) -> ServiceError | Non
     """Return why disk or database cannot be used now, or None if the error says something else."""
     if is_disk_full(error):
         return storage_full()
-    if not isinstance(error, DBAPIError) or not is_connection_loss(error):
+    is_lost = isinstance(error, DBAPIError) and is_connection_loss(error)
+    if not is_lost and not isinstance(error, PoolTimeout):
         return None
     # The embedded database ends when it cannot write its own log, and comes back when there is room.
     settings: Settings = request.app.state.settings

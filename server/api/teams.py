@@ -17,6 +17,7 @@ from vitac.server.services import Services
 from vitac.server.views.accounts import MeView, NewTokenView, QuotaView, RegisteredTeamView, TokenListView
 
 from .access import OptionalPrincipalOf, PrincipalOf, ServicesOf
+from .limiter import client_key
 from .problems import RESPONSES
 
 router = APIRouter(tags=["teams"], responses=RESPONSES)
@@ -122,4 +123,4 @@ def _lifetime(services: Services, days: int | None) -> timedelta:
 
 
 def _address(request: Request) -> str:
-    return request.client.host if request.client is not None else "unknown"
+    return client_key(request.client.host if request.client is not None else None)

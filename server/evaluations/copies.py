@@ -77,10 +77,8 @@ def _twins(session: Session, evaluation: Evaluation) -> list[_Twin]:
         select(theirs.submission_digest, func.count(distinct(ours.episode)).label("episodes"))
         .join(
             theirs,
-            (theirs.states_digest == ours.states_digest)
-            & (theirs.task == ours.task)
-            & (theirs.episode == ours.episode)
-            & (theirs.track == ours.track),
+            # Under any number and track: repeats of a start, and tracks that differ in cameras only, have equal states.
+            theirs.states_digest == ours.states_digest,
         )
         # Without an env step there are only the states of the reset, which are everybody's.
         .where(*EpisodeKey.of(evaluation, submission).conditions(ours), ours.env_steps > 0)
@@ -90,7 +88,7 @@ def _twins(session: Session, evaluation: Evaluation) -> list[_Twin]:
     rows = session.execute(
         select(Submission.id, Submission.kind, Submission.submitted_at, shared.c.episodes)
         .join(shared, shared.c.submission_digest == Submission.digest)
-        .where(Submission.track == submission.track, Submission.team_id != submission.team_id)
+        .where(Submission.team_id != submission.team_id)
         .order_by(Submission.submitted_at, Submission.id)
     )
     return [

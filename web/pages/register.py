@@ -5,6 +5,7 @@ from __future__ import annotations
 from http import HTTPStatus
 from typing import TYPE_CHECKING
 
+from vitac.server.api.limiter import client_key
 from vitac.server.errors import ProblemCode, ServiceError
 
 from ..session.forms import read_form
@@ -32,7 +33,7 @@ async def register(request: Request) -> Response:
     """Register the team, show its token and begin a session."""
     fields = await read_form(request)
     given = {name: fields.get(name, "").strip() for name in FIELDS}
-    address = request.client.host if request.client is not None else "unknown"
+    address = client_key(request.client.host if request.client is not None else None)
     try:
         made = await site_of(request).data.register(**given, address=address)
     except ServiceError as error:

@@ -29,11 +29,14 @@ def command(
         raise LoggedIn(f"You are logged in at {client.server}; `vitac whoami` shows as whom, `vitac logout` ends it.")
     answer = client.register(name, contact=contact, invite=invite)
     secret = answer["token"]["secret"]
-    credentials.keep(client.server, secret)
+    # Before the token is kept, which may fail: it is shown only now.
     if as_json:
         print_json(answer)
+    else:
+        print_pairs({"team": answer["team"]["name"], "server": client.server, "token": secret})
+    credentials.keep(client.server, secret)
+    if as_json:
         return
-    print_pairs({"team": answer["team"]["name"], "server": client.server, "token": secret})
     print(
         f"\nThe token is kept in {credentials.path()}, for `vitac submit` and the others. Sign in to the pages with it."
     )

@@ -3,6 +3,7 @@
 import contextlib
 import itertools
 import os
+import signal
 import time
 from dataclasses import dataclass
 from enum import StrEnum
@@ -88,11 +89,22 @@ def create(limits: Limits, *, root: Path = _ROOT, membership: Path = _MEMBERSHIP
 
 
 def sweep(parent: Path) -> None:
-    """Remove the groups that evaluators which are no longer alive left behind."""
+    """Remove the groups that evaluators which are no longer alive left behind, with what still runs in them.
+
+    bubblewrap's first process waits for ever if its parent is killed before it has asked to die with it.
+    """
     for folder in parent.glob(f"{_PREFIX}*"):
         owner = folder.name.removeprefix(_PREFIX).partition("-")[0]
-        if owner.isdigit() and not Path("/proc", owner).exists():
-            _remove(folder)
+        if owner.isdigit() and not Path("/proc", owner).exists() and not _remove(folder):
+            _kill_processes_in(folder)
+
+
+def _kill_processes_in(folder: Path) -> None:
+    """Kill the processes of a group; those of another pid namespace have the number 0 here and are left alone."""
+    with contextlib.suppress(OSError):
+        for pid in map(int, _content(folder / "cgroup.procs").split()):
+            if pid > 0:
+                os.kill(pid, signal.SIGKILL)
 
 
 def _own_groups(membership: Path) -> dict[str, str]:

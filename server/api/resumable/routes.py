@@ -154,10 +154,11 @@ def delete_upload(
     },
 )
 def post_submission_of_upload(
-    response: Response, services: ServicesOf, principal: PrincipalOf, upload_id: UUID
+    request: Request, response: Response, services: ServicesOf, principal: PrincipalOf, upload_id: UUID
 ) -> SubmissionView:
     """Check a complete upload, as a body sent at once is checked, and start its evaluation. May be repeated."""
-    submission_id, is_new = completion.complete(services, principal, upload_id)
+    with request.app.state.upload_limiter.one(principal.actor, "uploads at the same time"):
+        submission_id, is_new = completion.complete(services, principal, upload_id)
     with services.database.transaction() as session:
         view = listing.get(session, services.settings, principal, submission_id)
     response.status_code = HTTPStatus.ACCEPTED if is_new else HTTPStatus.OK

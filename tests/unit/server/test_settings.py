@@ -81,3 +81,10 @@ def test_server_imports_no_simulation_and_no_learning_library() -> None:
     )
     answer = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert answer.stdout.strip() == "[]"
+
+
+def test_a_secret_that_cannot_be_used_is_not_shown(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("VITAC_METRICS_TOKEN", "hunter2")
+    with pytest.raises(SettingsError, match=r"VITAC_METRICS_TOKEN is set: .*16") as refused:
+        load_settings()
+    assert "hunter2" not in str(refused.value)

@@ -174,3 +174,18 @@ def test_a_refusal_for_good_is_not_tried_again(tmp_path: Path, code: str) -> Non
     with pytest.raises(RequestRefused):
         sender_to(answer, tmp_path, pauses).run()
     assert pauses == []
+
+
+@pytest.mark.parametrize("status", [408, 502, 503, 504])
+def test_what_a_proxy_answers_for_a_service_that_restarts_is_tried_again(tmp_path: Path, status: int) -> None:
+    answers = iter([RequestRefused(status=status, code="no_code", detail="Bad Gateway", request_id=None)])
+
+    def answer(method: str) -> httpx.Response:
+        for error in answers:
+            raise error
+        headers = {"Location": "/u", "Upload-Offset": "5"}
+        return httpx.Response(201, headers=headers, json={"id": "1"})
+
+    pauses: list[float] = []
+    assert sender_to(answer, tmp_path, pauses).run() == {"id": "1"}
+    assert len(pauses) == 1

@@ -69,3 +69,10 @@ def test_the_floor_of_a_closed_hollow_does_not_sense() -> None:
     _, sensing = gel_of(mesh, name="hollow")
     assert (mesh.nodes_mm[sensing][:, :, 2] == 3.0).all()
     assert len(sensing) == 2 * 9
+
+
+def test_tetrahedra_that_are_all_there_twice_have_no_outer_surface() -> None:
+    once = block()
+    twice = Tetrahedra(nodes_mm=once.nodes_mm, corners=np.concatenate([once.corners, once.corners]))
+    with pytest.raises(MeshError, match="twice has no outer surface"):
+        gel_of(twice, name="twice")

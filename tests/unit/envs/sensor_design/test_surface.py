@@ -57,3 +57,11 @@ def test_edges_know_their_two_triangles() -> None:
 def test_triangles_without_area_from_equal_corners_are_left_away() -> None:
     corners = np.concatenate([drawn_gels.flat().corners_mm, np.zeros((1, 3, 3))])
     assert len(DrawnSurface.of_corners(corners).triangles) == 12
+
+
+def test_a_point_of_a_triangle_without_area_does_not_count_towards_the_extent() -> None:
+    corners = DrawnSurface.of_corners(np.eye(3)[np.newaxis]).corners_mm
+    stray = np.array([[[0.0, 0.0, 9.0], [0.0, 0.0, 9.0], [1.0, 0.0, 0.0]]])
+    surface = DrawnSurface.of_corners(np.concatenate([corners, stray]))
+    assert surface.vertices_mm.max() == 1.0
+    assert np.array_equal(surface.corners_mm, corners)

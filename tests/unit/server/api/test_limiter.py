@@ -6,7 +6,7 @@ import threading
 from pathlib import Path
 
 import pytest
-from vitac.server.api.limiter import ConcurrencyLimiter, WindowLimiter
+from vitac.server.api.limiter import ConcurrencyLimiter, WindowLimiter, client_key
 from vitac.server.errors import ProblemCode, ServiceError
 
 HOLDER = (
@@ -109,3 +109,18 @@ def test_concurrency_counts_other_processes_until_they_are_killed(tmp_path: Path
         os.kill(holder.pid, signal.SIGKILL)
     with limiter.one("a", "things"):
         pass
+
+
+@pytest.mark.parametrize(
+    ("host", "key"),
+    [
+        ("192.0.2.7", "192.0.2.7"),
+        ("2001:db8:1:2:3:4:5:6", "2001:db8:1:2::/64"),
+        ("2001:db8:1:2::1", "2001:db8:1:2::/64"),
+        ("::ffff:192.0.2.7", "192.0.2.7"),
+        ("testclient", "testclient"),
+        (None, "unknown"),
+    ],
+)
+def test_a_client_cannot_change_its_key_within_its_own_network(host: str | None, key: str) -> None:
+    assert client_key(host) == key

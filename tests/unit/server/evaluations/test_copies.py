@@ -111,6 +111,21 @@ def test_the_same_file_from_two_teams_is_found_although_its_episodes_are_stored_
     assert found(database, first, same) == [None, LogCopyView(team="Team A", episodes=270, ranked=False)]
 
 
+def test_repeats_under_each_others_numbers_are_found(
+    database: Database, principal: Principal, other: Principal
+) -> None:
+    """Repeats of a start have equal states and differ in their noise only."""
+
+    def shifted(episode: int, *, task: str = TASK) -> EpisodeRecord:
+        hashes = make_record((episode + 89) % 270 + 1, task=task).state_hashes
+        return make_record(episode, task=task, state_hashes=hashes)
+
+    first, later = add(database, principal, "first"), add(database, other, "later")
+    play_all(database, first)
+    play_all(database, later, shifted)
+    assert found(database, later) == [LogCopyView(team="Team A", episodes=270, ranked=False)]
+
+
 @pytest.mark.parametrize(("equal", "ranked"), [(1, True), (134, True), (135, False)])
 def test_fewer_than_half_of_the_episodes_are_told_but_ranked(
     database: Database, principal: Principal, other: Principal, equal: int, ranked: bool

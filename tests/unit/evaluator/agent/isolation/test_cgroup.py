@@ -1,3 +1,5 @@
+import signal
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -117,3 +119,12 @@ def test_a_group_in_use_cannot_be_removed(tmp_path: Path, monkeypatch: pytest.Mo
     folder = tmp_path / "busy"
     with pytest.raises(SandboxFailed, match="still runs"):
         ControlGroup(kind=MemoryIsolation.CGROUP_V2, memory=folder, pids=folder, cpu=folder).remove()
+
+
+def test_what_still_runs_in_a_dead_evaluators_group_is_killed(tmp_path: Path) -> None:
+    group = tmp_path / "vitac-4194305-1"
+    group.mkdir()
+    with subprocess.Popen(["sleep", "600"]) as left:
+        (group / "cgroup.procs").write_text(f"0\n{left.pid}\n")
+        cgroup.sweep(tmp_path)
+        assert left.wait(timeout=20) == -signal.SIGKILL

@@ -124,8 +124,13 @@ def test_the_same_submission_asked_for_twice_at_once_is_made_once(service: Servi
         thread.start()
     for thread in threads:
         thread.join()
-    assert sorted(answer.status_code for answer in answers) == [200, 200, 200, 202], [one.text for one in answers]
-    assert len({answer.json()["id"] for answer in answers}) == 1
+    codes = [answer.status_code for answer in answers]
+    # A team has so many uploads checked at the same time; the others may ask again.
+    assert codes.count(202) == 1, [one.text for one in answers]
+    assert set(codes) <= {200, 202, 429}, [one.text for one in answers]
+    answers.append(service.post(f"{place.removeprefix(API)}/submission"))
+    assert answers[-1].status_code == 200
+    assert len({answer.json()["id"] for answer in answers if answer.status_code != 429}) == 1
 
 
 def test_what_came_before_a_cut_counts(service: Service) -> None:
