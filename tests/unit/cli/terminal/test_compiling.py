@@ -12,6 +12,7 @@ from vitac.cli.terminal.compiling import compiling_shown
 from vitac.envs.kernel_cache import folders
 from vitac.envs.kernel_cache.progress import CompileProgress
 from vitac.envs.kernel_cache.turns import CompilingTurn
+from worker_fakes import eventually
 
 STARTED = "vitac: compiling the physics, once for each version (about half a minute)\n"
 DONE = "vitac: compiled the physics\n"
@@ -25,7 +26,7 @@ def kernels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     monkeypatch.setattr(compiling, "_POLL_S", 0.001)
     before = set(threading.enumerate())
     yield tmp_path / "kernels"
-    assert set(threading.enumerate()) <= before
+    eventually(lambda: set(threading.enumerate()) <= before)
 
 
 def progress(compiled: int) -> CompileProgress:
