@@ -9,6 +9,7 @@ import argparse
 import asyncio
 import json
 import shutil
+import sys
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -17,13 +18,15 @@ from hashlib import sha256
 from pathlib import Path
 from statistics import quantiles
 from time import perf_counter, process_time
+from types import ModuleType
+from typing import cast
 from uuid import UUID, uuid4
 
 import httpx
 import numpy as np
 from sqlalchemy import select, text
 from sqlalchemy.orm import Session
-from vitac.cli.service.web_server import spare_loaded_objects
+from vitac.cli.service.web_server import collect_garbage_rarely
 from vitac.evaluator.episodes.records import ActionSequence, EpisodeOutcome
 from vitac.evaluator.scoring.score import Rate, Score, rate
 from vitac.evaluator.submission_kinds import SubmissionKind
@@ -182,8 +185,10 @@ async def measure(services: Services, n_requests: int) -> dict[str, dict[str, fl
     addresses, headers, cookies = addresses_of(services)
     app = application.create(services)
     app.state.services = services
-    spare_loaded_objects()
+    collect_garbage_rarely()
     transport = httpx.ASGITransport(app)
+    # The transport tries this import for each request; where the package is missing, that takes a millisecond.
+    sys.modules.setdefault("sniffio", cast(ModuleType, None))
     async with httpx.AsyncClient(transport=transport, base_url="http://benchmark", headers=headers) as client:
         client.cookies.update(cookies)
         return {name: await times_of(client, address, n_requests) for name, address in addresses.items()}

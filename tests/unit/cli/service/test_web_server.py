@@ -1,3 +1,4 @@
+import gc
 import socket
 import time
 from collections.abc import AsyncIterator, Iterator
@@ -8,7 +9,16 @@ import httpx
 import pytest
 from fastapi import FastAPI, Request
 from vitac.cli.service import http_protocol
-from vitac.cli.service.web_server import PortTaken, ServerDidNotStart, WebServer, address_of, bind, bind_or_any
+from vitac.cli.service.web_server import (
+    COLLECTIONS_OF_ALL,
+    PortTaken,
+    ServerDidNotStart,
+    WebServer,
+    address_of,
+    bind,
+    bind_or_any,
+    collect_garbage_rarely,
+)
 
 
 def test_a_taken_port_is_refused_with_the_way_out() -> None:
@@ -137,3 +147,15 @@ def test_an_application_that_fails_at_its_start_is_told() -> None:
     with pytest.raises(ServerDidNotStart):
         server.start()
     server.stop()
+
+
+def test_collections_of_all_objects_become_rare_and_spare_what_is_loaded() -> None:
+    before, n_frozen = gc.get_threshold(), gc.get_freeze_count()
+    try:
+        collect_garbage_rarely()
+        assert gc.get_freeze_count() > n_frozen
+        assert gc.get_threshold() == (*before[:2], COLLECTIONS_OF_ALL)
+        assert before[2] < COLLECTIONS_OF_ALL
+    finally:
+        gc.unfreeze()
+        gc.set_threshold(*before)
