@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from ..errors import VitacError
 from ..fem.model.mesh import SurfaceMesh
+from ..untrusted_file import read_start
 
 _HEADER_BYTES = 80
 _RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
@@ -76,8 +77,7 @@ def _check_count(path: Path, triangles: int, max_triangles: int | None) -> None:
 
 def _content(path: Path, max_bytes: int) -> bytes:
     try:
-        with path.open("rb") as file:
-            content = file.read(max_bytes + 1)
+        content = read_start(path, max_bytes)
     except OSError as error:
         raise StlError(f"Expected an STL file at {path}, but it cannot be read: {error.strerror}.") from error
     if len(content) > max_bytes:

@@ -16,7 +16,7 @@ from .crossings import farthest
 from .height_field import HeightField, Line, heights_of_faces_mm
 from .outlines import add_outlines, in_mm, on_grid
 from .plane_mesh import GRID_PER_MM, PlaneMesh, TooManyPoints
-from .sampling import pulled_corners, samples_mm
+from .sampling import pulled_corners
 from .surface import DrawnSurface
 from .tetrahedra import Tetrahedra
 
@@ -137,8 +137,8 @@ class _Deviation:
 
 def max_distance_mm(first: DrawnSurface, second: DrawnSurface) -> float:
     """Return the largest distance of a point of either surface from the other [mm], at points about 0.5 mm apart."""
-    there = farthest(samples_mm(first), second.vertices_mm, second.triangles)[1]
-    back = farthest(samples_mm(second), first.vertices_mm, first.triangles)[1]
+    there = farthest(first.samples_mm, second.vertices_mm, second.triangles)[1]
+    back = farthest(second.samples_mm, first.vertices_mm, first.triangles)[1]
     return max(float(there), float(back))
 
 

@@ -3,28 +3,36 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from .surface import DrawnSurface
-
 FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
 
 _SPACING_MM = 0.5
 _MAX_CUTS = 64
+# Where a surface would get more points, they lie further apart; its corners are always among them.
+MAX_SAMPLES = 200_000
 
 
-def samples_mm(surface: DrawnSurface) -> FloatArray:
-    """Return points of all triangles, corners included, about 0.5 mm apart, shape [n, 3] [mm]."""
-    corners = surface.corners_mm
-    sides = corners - corners[:, [1, 2, 0]]
-    longest = np.sqrt((sides * sides).sum(axis=2).max(axis=1))
-    cuts = np.clip(np.ceil(longest / _SPACING_MM), 1, _MAX_CUTS).astype(np.int64)
-    points = []
-    for count in np.unique(cuts).tolist():
-        weights = np.array(
-            [(i, j, count - i - j) for i in range(count + 1) for j in range(count + 1 - i)], dtype=np.float64
-        )
-        held = corners[cuts == count]
-        points.append(_combined(held, weights / count).reshape(-1, 3))
-    return np.concatenate(points)
+def samples_mm(corners: FloatArray) -> FloatArray:
+    """Return points of all triangles, corners included, about 0.5 mm apart, shape [n, 3] [mm].
+
+    Args:
+        corners: of the triangles [mm], shape [f, 3, 3].
+    """
+    turned = _longest_side_first(corners)
+    along_mm, across_mm = _extents_mm(turned)
+    spacing_mm = _SPACING_MM
+    cuts = _cuts(along_mm, across_mm, spacing_mm)
+    while _most_samples(cuts) > MAX_SAMPLES and cuts.max() > 1:
+        spacing_mm *= 2.0
+        cuts = _cuts(along_mm, across_mm, spacing_mm)
+    kinds, kind = np.unique(cuts, axis=0, return_inverse=True)
+    order, ends = np.argsort(kind, kind="stable"), np.cumsum(np.bincount(kind))
+    return np.concatenate(
+        [
+            _combined(turned[held], _weights(along, across)).reshape(-1, 3)
+            for (along, across), held in zip(kinds.tolist(), np.split(order, ends[:-1]), strict=True)
+        ]
+    )
 
 
 def pulled_corners(corners: FloatArray, distance: float) -> FloatArray:
@@ -41,6 +49,42 @@ def pulled_corners(corners: FloatArray, distance: float) -> FloatArray:
     way = middle - corners
     length = np.sqrt((way * way).sum(axis=2, keepdims=True))
     return np.asarray(corners + way * np.minimum(1.0, distance / np.maximum(length, 1e-300)))
+
+
+def _longest_side_first(corners: FloatArray) -> FloatArray:
+    """Return the triangles' corners turned so that the first two are the ends of the longest side."""
+    sides = corners - corners[:, [1, 2, 0]]
+    first = (sides * sides).sum(axis=2).argmax(axis=1)
+    return np.asarray(corners[np.arange(len(corners))[:, None], (first[:, None] + np.arange(3)) % 3])
+
+
+def _extents_mm(turned: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the length of the first side and the distance of the third corner from it [mm], each of shape [f]."""
+    side, other = turned[:, 1] - turned[:, 0], turned[:, 2] - turned[:, 0]
+    normal = np.cross(side, other)
+    length = np.sqrt((side * side).sum(axis=1))
+    return length, np.sqrt((normal * normal).sum(axis=1)) / np.maximum(length, 1e-300)
+
+
+def _cuts(along_mm: FloatArray, across_mm: FloatArray, spacing_mm: float) -> IndexArray:
+    """Return in how many pieces triangles are cut along their longest side and across it, shape [f, 2]."""
+    pieces = np.ceil(np.column_stack([along_mm, across_mm]) / spacing_mm)
+    return np.asarray(np.clip(pieces, 1, _MAX_CUTS).astype(np.int64))
+
+
+def _most_samples(cuts: IndexArray) -> int:
+    return int(((cuts[:, 0] + 2) * (cuts[:, 1] + 1)).sum())
+
+
+def _weights(along: int, across: int) -> FloatArray:
+    """Return weights of the corners at points in rows parallel to the first side, shape [w, 3]."""
+    rows = []
+    for row in range(across + 1):
+        third = row / across
+        pieces = int(np.ceil(along * (1.0 - third)))
+        second = (1.0 - third) * np.arange(pieces + 1) / max(pieces, 1)
+        rows.append(np.column_stack([1.0 - third - second, second, np.full(pieces + 1, third)]))
+    return np.concatenate(rows)
 
 
 def _combined(corners: FloatArray, weights: FloatArray) -> FloatArray:

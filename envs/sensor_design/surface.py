@@ -6,6 +6,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from .sampling import samples_mm
+
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 
@@ -38,6 +40,11 @@ class DrawnSurface:
     def corners_mm(self) -> FloatArray:
         """Corners of the triangles [mm], shape [f, 3, 3]."""
         return self.vertices_mm[self.triangles]
+
+    @cached_property
+    def samples_mm(self) -> FloatArray:
+        """Points of the surface, corners included, about 0.5 mm apart [mm], shape [n, 3]."""
+        return samples_mm(self.corners_mm)
 
     @cached_property
     def area_vectors_mm2(self) -> FloatArray:

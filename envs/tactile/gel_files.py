@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ..errors import VitacError
 from ..fem.model.mesh import GelMesh
+from ..untrusted_file import read_start
 
 _TETRAHEDRON_TYPE = 4
 _LARGEST_FILE_BYTES = 64 * 2**20
@@ -75,8 +76,7 @@ def read_gmsh(path: Path, *, max_bytes: int = _LARGEST_FILE_BYTES) -> tuple[NDAr
 
 def _text(path: Path, max_bytes: int = _LARGEST_FILE_BYTES) -> str:
     try:
-        with path.open("rb") as file:
-            content = file.read(max_bytes + 1)
+        content = read_start(path, max_bytes)
         if len(content) > max_bytes:
             raise GelFilesError(f"{path} is too large, expected at most {max_bytes} bytes.")
         return content.decode("ascii")

@@ -72,7 +72,9 @@ class GelMesh:
             [np.sqrt(((corners[:, i] - corners[:, j]) ** 2).sum(axis=1)) for i, j in _EDGES],
             axis=1,
         )
-        quality = 6.0 * np.sqrt(2.0) * volumes / lengths.max(axis=1) ** 3
+        longest = lengths.max(axis=1)
+        # Products rather than a power: the C library's pow may give other bits on another machine.
+        quality = 6.0 * np.sqrt(2.0) * volumes / (longest * longest * longest)
         worst = int(quality.argmin())
         if quality[worst] < SMALLEST_TETRAHEDRON_QUALITY:
             fault = "inverted" if volumes[worst] < 0 else "degenerate"

@@ -78,9 +78,10 @@ def dome(height_mm: float = 1.0, *, rim_mm: float = 3.0, cells: int = 40) -> Dra
     )
 
 
-def smooth(height_mm: Callable[[float, float], float], cells: int) -> DrawnSurface:
-    """A box whose top is cut into 2 x cells x cells triangles."""
-    xs, ys = np.linspace(-0.5, 0.5, cells + 1) * LENGTH_MM, np.linspace(-0.5, 0.5, cells + 1) * WIDTH_MM
+def smooth(height_mm: Callable[[float, float], float], cells: int, rows: int | None = None) -> DrawnSurface:
+    """A box whose top is cut into 2 x cells x rows triangles, cells x cells by default."""
+    rows = cells if rows is None else rows
+    xs, ys = np.linspace(-0.5, 0.5, cells + 1) * LENGTH_MM, np.linspace(-0.5, 0.5, rows + 1) * WIDTH_MM
     top = np.array([[(x, y, height_mm(x, y)) for y in ys] for x in xs])
     low = top * [1.0, 1.0, 0.0]
     corners = [*_grid(top), *_grid(low[::-1])]
@@ -90,7 +91,7 @@ def smooth(height_mm: Callable[[float, float], float], cells: int) -> DrawnSurfa
         (top[::-1, -1], low[::-1, -1]),
         (top[0][::-1], low[0][::-1]),
     ):
-        for i in range(cells):
+        for i in range(len(upper) - 1):
             corners += [(lower[i], lower[i + 1], upper[i + 1]), (lower[i], upper[i + 1], upper[i])]
     return DrawnSurface.of_corners(np.array(corners))
 

@@ -2,6 +2,7 @@ import hashlib
 import os
 import subprocess
 import sys
+import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
 
@@ -128,3 +129,13 @@ def test_bytes_do_not_depend_on_threads_blas_or_cpu() -> None:
 
 def digest() -> str:
     return hashlib.sha256(b"".join(meshed(name).as_bytes() for name in ("sample", "wedge", "dome"))).hexdigest()
+
+
+def test_distance_from_slivers_takes_little_memory() -> None:
+    slivers = drawn_gels.smooth(lambda x, _: 4.0 + 0.01 * (int(x * 80.0) % 2), 2000, rows=1)
+    tracemalloc.start()
+    try:
+        assert max_distance_mm(drawn_gels.flat(), slivers) == pytest.approx(0.01, abs=1e-6)
+        assert tracemalloc.get_traced_memory()[1] < 2**27
+    finally:
+        tracemalloc.stop()

@@ -1,3 +1,4 @@
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -172,3 +173,11 @@ def test_overhang_needs_a_mesh_of_its_own(tmp_path: Path) -> None:
 def test_features_below_the_resolution_are_named(tmp_path: Path) -> None:
     comb = [[(x, -8.0), (x + 0.2, -8.0), (x + 0.2, 8.0), (x, 8.0)] for x in np.arange(-8.0, 8.0, 2.0)]
     assert broken(check_sensor(sensor(tmp_path, drawn_gels.pillars(comb)))) == [Rule.RESOLUTION]
+
+
+def test_pipe_in_place_of_the_mesh_is_refused_without_waiting_for_it(tmp_path: Path) -> None:
+    folder = sensor(tmp_path, drawn_gels.flat())
+    os.mkfifo(folder / "tet.msh")
+    check = check_sensor(folder)
+    assert broken(check) == [Rule.TET_MSH]
+    assert "no regular file" in problem(check)

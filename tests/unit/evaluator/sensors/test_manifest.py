@@ -1,3 +1,4 @@
+import os
 from pathlib import Path
 
 import numpy as np
@@ -61,4 +62,10 @@ def test_anything_but_design_is_refused(text: str | bytes, message: str, tmp_pat
 
 def test_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(SensorRejected, match=r"Expected sensor\.yaml in .*No such file"):
+        read_sensor(tmp_path)
+
+
+def test_pipe_is_refused_without_waiting_for_it(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "sensor.yaml")
+    with pytest.raises(SensorRejected, match="no regular file"):
         read_sensor(tmp_path)

@@ -1,3 +1,4 @@
+import os
 import re
 import tracemalloc
 from collections.abc import Callable
@@ -164,6 +165,13 @@ def test_missing_file_is_unreadable(tmp_path: Path) -> None:
     assert broken(ShapeCheck(tmp_path / "gel.stl", LIMITS)) == [Rule.READABLE]
     (tmp_path / "gel.stl").mkdir()
     assert broken(ShapeCheck(tmp_path / "gel.stl", LIMITS)) == [Rule.READABLE]
+
+
+def test_pipe_is_unreadable_and_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "gel.stl")
+    check = ShapeCheck(tmp_path / "gel.stl", LIMITS)
+    assert broken(check) == [Rule.READABLE]
+    assert "no regular file" in check.findings[0].problem
 
 
 def test_long_text_with_few_vertices_takes_little_memory(tmp_path: Path) -> None:
