@@ -100,8 +100,9 @@ class ManySubmissions:
             self._note(type(error).__name__)
             return False
         if answer.status_code not in (200, 202):
-            self._note(f"{answer.status_code} {_code_of(answer)}")
-            if answer.status_code not in (429, 503, 507):
+            code = _code_of(answer)
+            self._note(f"{answer.status_code} {code}")
+            if code is None or answer.status_code not in (429, 503, 507):
                 self.unexpected.append(f"{answer.status_code} {answer.text[:300]}")
             return False
         with self._lock:
@@ -113,9 +114,9 @@ class ManySubmissions:
             self.refusals[what] = self.refusals.get(what, 0) + 1
 
 
-def _code_of(answer: httpx.Response) -> str:
-    """The code of a problem, or the text of what is none."""
+def _code_of(answer: httpx.Response) -> str | None:
+    """The code of a problem; None of an answer that is none."""
     try:
         return str(answer.json()["code"])
     except (ValueError, KeyError, TypeError):
-        return f"without a code: {answer.text[:100]!r}"
+        return None

@@ -6,7 +6,7 @@ import inspect
 from http import HTTPStatus
 from typing import TYPE_CHECKING, cast
 
-from sqlalchemy.exc import DBAPIError
+from sqlalchemy.exc import SQLAlchemyError
 from starlette.exceptions import HTTPException
 from vitac.server.api.problems import refusal_of_failure
 from vitac.server.errors import ProblemCode, ServiceError
@@ -45,8 +45,8 @@ MISSING = "This page does not exist or belongs to another team. Check the addres
 
 def install(app: FastAPI) -> None:
     """Add HTML answers to the error handlers that the application already has."""
-    for kind in (ServiceError, HTTPException, DBAPIError, OSError, Exception):
-        app.add_exception_handler(kind, _handler_with_page(app.exception_handlers.get(kind)))
+    for kind in (ServiceError, HTTPException, SQLAlchemyError, OSError, Exception):
+        app.add_exception_handler(kind, _handler_with_page(app.exception_handlers[kind]))
 
 
 def wants_page(request: Request) -> bool:
@@ -56,7 +56,7 @@ def wants_page(request: Request) -> bool:
 
 def _handler_with_page(api_handler: object) -> Handler:
     async def handler(request: Request, error: Exception) -> Response:
-        if wants_page(request) or api_handler is None:
+        if wants_page(request):
             return _page(request, error)
         answer = cast("Handler", api_handler)(request, error)
         return await answer if inspect.isawaitable(answer) else answer

@@ -16,6 +16,7 @@ from vitac.evaluator.scoring.score import Score, rate
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import ListKind, load_track
 from vitac.server.accounts.principals import Principal
+from vitac.server.api import problems
 from vitac.server.db.states import EvaluationState, Role, WorkerState
 from vitac.server.errors import ProblemCode, ServiceError, not_found
 from vitac.server.queue.workers import Disk
@@ -517,5 +518,6 @@ def an_application(data: FixedData) -> FastAPI:
     """Pages over fixed content, as `vitac serve` mounts them."""
     app = FastAPI(docs_url=None, redoc_url=None)
     app.state.settings = load_settings(database_url="postgresql:///elsewhere")
+    problems.install(app)
     routes.install(app, Site(data=data, signer=SIGNER, version="0.1.0", tracks=("track_1",)))
     return app

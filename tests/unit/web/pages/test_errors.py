@@ -13,8 +13,10 @@ def test_browsers_get_a_page_and_programs_their_json(browser: AsgiBrowser) -> No
     page = browser.get("/nothing-here")
     assert page.status_code == 404
     assert "<h1>Page not found</h1>" in page.text
-    assert browser.get("/nothing-here", headers={"accept": "application/json"}).json() == {"detail": "Not Found"}
-    assert browser.get("/api/v1/nothing-here").headers["content-type"] == "application/json"
+    for path, accepted in (("/nothing-here", "application/json"), ("/api/v1/nothing-here", "text/html")):
+        answer = browser.get(path, headers={"accept": accepted})
+        assert answer.headers["content-type"] == "application/problem+json"
+        assert answer.json()["code"] == "not_found"
 
 
 def test_a_crash_is_a_page_that_tells_nothing_of_the_inside(data: FixedData, browser: AsgiBrowser) -> None:
@@ -35,6 +37,8 @@ def test_database_that_is_away_is_a_page_that_says_when_to_come_back(data: Fixed
     assert answer.status_code == 503
     assert answer.headers["retry-after"] == "2"
     assert "Nothing is lost" in answer.text
+    program = browser.get("/", headers={"accept": "*/*"})
+    assert (program.status_code, program.json()["code"]) == (503, "database_unavailable")
 
 
 @pytest.mark.parametrize(
