@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from vitac.evaluator.episodes.records import EpisodeRecord
     from vitac.evaluator.evaluation.local import Evaluation
     from vitac.evaluator.scoring.score import Rate
@@ -45,6 +47,9 @@ def command(
     ] = None,
     json: Annotated[Path | None, typer.Option(help="Write score, result hash and all records to this file.")] = None,
     log: Annotated[Path | None, typer.Option(help="Write a log that can be verified and uploaded.")] = None,
+    output: Annotated[
+        Path | None, typer.Option(help="Write what the policy printed in each episode to this file.")
+    ] = None,
 ) -> None:
     """Evaluate a submission here, with the same records, score and result hash as the service."""
     from vitac.envs.assets import assets_dir_from_environment
@@ -58,7 +63,7 @@ def command(
     from .terminal.compiling import compiling_shown
 
     numbers = parse_episodes(episodes)
-    _check_outputs(json, log, team)
+    _check_outputs({"--json": json, "--log": log, "--output": output}, team)
     _check_secret(secret, submission)
     if sensor is not None:
         accepted_sensor(sensor)
@@ -85,16 +90,18 @@ def command(
         json.write_text(_report(evaluation, manifest, digest), encoding="utf-8")
     if log:
         _write_log(log, evaluation, team, digest)
+    if output:
+        output.write_text("".join(map(_printed, evaluation.records)), encoding="utf-8")
     _print_summary(evaluation, manifest)
     if evaluation.failure:
         raise typer.Exit(1)
 
 
-def _check_outputs(json: Path | None, log: Path | None, team: str | None) -> None:
+def _check_outputs(files: "Mapping[str, Path | None]", team: str | None) -> None:
     """Refuse unusable outputs before the evaluation rather than after it."""
     from vitac.evaluator.logs.log import is_team_name
 
-    for option, path in (("--json", json), ("--log", log)):
+    for option, path in files.items():
         if path is not None and (path.is_dir() or not path.absolute().parent.is_dir()):
             raise typer.BadParameter(f"expected a file in an existing folder, got {path}.", param_hint=option)
     if team is not None and not is_team_name(team):
@@ -129,6 +136,14 @@ def _write_log(path: Path, evaluation: "Evaluation", team: str | None, digest: s
     header = LogHeader(team=team, submission_digest=digest, manifest=evaluation.manifest)
     with path.open("wb") as stream:
         write_log(stream, header, evaluation.records)
+
+
+def _printed(record: "EpisodeRecord") -> str:
+    """Return what the policy printed in an episode, under a line that names it; nothing if it printed nothing."""
+    if not record.output:
+        return ""
+    end = "" if record.output.endswith("\n") else "\n"
+    return f"[{record.task}, episode {record.episode}: {record.outcome}]\n{record.output}{end}"
 
 
 def _print_summary(evaluation: "Evaluation", manifest: "SubmissionManifest") -> None:

@@ -22,6 +22,7 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 @app.command()
 def show(log: LogFile, json: AsJson = False) -> None:
     """Print the header, a table of the episodes and the claimed score."""
+    from vitac.evaluator.episodes.records import NOT_HASHED
     from vitac.evaluator.scoring.score import score
 
     from .terminal.output import print_json, print_table
@@ -29,7 +30,7 @@ def show(log: LogFile, json: AsJson = False) -> None:
     header, records = _read(log)
     claimed = score(records) if records else None
     if json:
-        episodes = [record.model_dump(mode="json", exclude={"timings", "infos"}) for record in records]
+        episodes = [record.model_dump(mode="json", exclude={*NOT_HASHED, "infos"}) for record in records]
         content = {"header": header.model_dump(mode="json"), "episodes": episodes}
         print_json(content | {"claimed_score": claimed.model_dump(mode="json") if claimed else None})
         return

@@ -75,6 +75,15 @@ class Viewer:
         return self.visitor.may_see(team)
 
 
+@dataclass(frozen=True, kw_only=True)
+class Tab:
+    """A link to one of several pages that belong together."""
+
+    title: str
+    target: str
+    current: bool
+
+
 def site_of(request: Request) -> Site:
     """Return the site that `routes.install` stored in the application."""
     return cast("Site", request.app.state.site)

@@ -282,6 +282,12 @@ class EpisodePolicy:
         except PolicyFailed as failure:
             raise self._exchange.failure(failure.verdict, failure.message) from None
 
+    @property
+    def output(self) -> str:
+        """The end of what the policy has printed in the episode, safe to print."""
+        self._sandbox.output.read_available()
+        return self._sandbox.output.text()
+
     def check_silent(self) -> None:
         """Make sure that the policy has sent nothing after its last answer.
 

@@ -64,6 +64,10 @@ class Policy(Protocol):
     def channel_s(self) -> float:
         """Time between question and answer that the policy did not compute."""
 
+    @property
+    def output(self) -> str:
+        """The end of what it has printed in the episode."""
+
     def act(self, observation: Observation) -> NDArray[np.float32]:
         """Return the action for an observation.
 
@@ -130,6 +134,7 @@ class _Trace:
     failure: PolicyFailure | None = None
     policy_s: float = 0.0
     channel_s: float = 0.0
+    output: str = ""
 
 
 def run_episode(
@@ -178,7 +183,7 @@ def _play_or_fail(
             try:
                 _play(env, task, policy, observation, trace, reading)
             finally:
-                trace.policy_s, trace.channel_s = policy.cpu_s, policy.channel_s
+                trace.policy_s, trace.channel_s, trace.output = policy.cpu_s, policy.channel_s, policy.output
     except PolicyFailed as failed:
         if trace.outcome is not None:
             return  # It failed after its last action; what it did in the episode stands.
@@ -241,6 +246,7 @@ def _record(task: Task, episode: Episode, trace: _Trace, timings: Timings) -> Ep
         infos=tuple(trace.infos),
         failure=trace.failure,
         timings=timings,
+        output=trace.output,
     )
 
 

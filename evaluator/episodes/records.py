@@ -9,7 +9,7 @@ import hashlib
 import json
 from collections.abc import Iterable, Mapping
 from enum import StrEnum
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,8 @@ from vitac.envs.errors import VitacError
 from ..agent.verdicts import VerdictCode
 from ..strict_model import StrictModel, Word
 
+NOT_HASHED: Final = frozenset({"timings", "output"})
+"""Fields of a record that may differ when its episode is played again; never part of a digest or of a log."""
 StateHash = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 
 
@@ -115,7 +117,8 @@ class EpisodeRecord(StrictModel):
     """One finished episode.
 
     `state_hashes` has one entry after the reset and one after each env step; `infos` one entry per env step.
-    `initial_offset` is in the units of the task's `offset_option` (mm and degrees).
+    `initial_offset` is in the units of the task's `offset_option` (mm and degrees). `output` is the end of what the
+    policy printed meanwhile, for its team only.
     """
 
     episode: PositiveInt
@@ -130,6 +133,7 @@ class EpisodeRecord(StrictModel):
     infos: tuple[dict[str, JsonValue], ...]
     failure: PolicyFailure | None = None
     timings: Timings = Timings()
+    output: str = ""
 
     @property
     def success(self) -> bool:
@@ -149,8 +153,8 @@ class EpisodeRecord(StrictModel):
         return self
 
     def record_digest(self) -> str:
-        """Return the SHA-256 [hex] of all but the timings; equal records of a repeated episode have equal digests."""
-        return hashlib.sha256(canonical_json(self.model_dump(mode="json", exclude={"timings"}))).hexdigest()
+        """Return the SHA-256 [hex] of all but `NOT_HASHED`; equal records of a repeated episode have equal digests."""
+        return hashlib.sha256(canonical_json(self.model_dump(mode="json", exclude=set(NOT_HASHED)))).hexdigest()
 
 
 class Manifest(StrictModel):

@@ -17,7 +17,7 @@ from typing import Any, BinaryIO, Literal, TypeVar
 from pydantic import NonNegativeInt, ValidationError, field_validator
 from vitac.envs.errors import VitacError
 
-from ..episodes.records import EpisodeRecord, Manifest, canonical_json
+from ..episodes.records import NOT_HASHED, EpisodeRecord, Manifest, canonical_json
 from ..strict_model import StrictModel, Word, explain
 from .packing import open_log
 
@@ -108,7 +108,7 @@ class _EndLine(StrictModel):
 
 
 def write_log(stream: BinaryIO, header: LogHeader, records: Iterable[EpisodeRecord]) -> None:
-    """Write a whole log, without the timings of its records; the same evaluation gives the same bytes.
+    """Write a whole log, without timings and output of its records; the same evaluation gives the same bytes.
 
     Args:
         stream: where the log is written.
@@ -118,7 +118,7 @@ def write_log(stream: BinaryIO, header: LogHeader, records: Iterable[EpisodeReco
     digest = _write_line(stream, "", header.model_dump(mode="json"))
     episodes = 0
     for record in records:
-        digest = _write_line(stream, digest, {"record": record.model_dump(mode="json", exclude={"timings"})})
+        digest = _write_line(stream, digest, {"record": record.model_dump(mode="json", exclude=set(NOT_HASHED))})
         episodes += 1
     _write_line(stream, digest, {"episodes": episodes})
 

@@ -171,5 +171,6 @@ def _with_our_states(record: EpisodeRecord, played: Resimulated) -> EpisodeRecor
             "total_reward": played.total_reward,
             "failure": failure,
             "timings": played.timings,
+            "output": "",
         }
     )

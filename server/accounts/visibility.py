@@ -1,8 +1,9 @@
-"""Which submissions exist for whom: another team's is answered as if there were none."""
+"""Which submissions exist for whom, and what of them is shown: another team's is answered as if there were none."""
 
 from uuid import UUID
 
 from sqlalchemy.orm import Session, joinedload
+from vitac.evaluator.tracks import ListKind, load_track
 
 from ..db.models import Submission
 from ..errors import not_found
@@ -19,3 +20,15 @@ def visible(session: Session, by: Principal, submission_id: UUID) -> Submission:
     if submission is None or not by.may_see(submission.team_id):
         raise not_found("submission", submission_id)
     return submission
+
+
+def may_see_output(by: Principal, submission: Submission) -> bool:
+    """Return whether what the submission's policy prints is shown to somebody.
+
+    Only its team and the organizers see it. Of a sealed list only the organizers do, because a policy can print what it
+    observes, and so tell its team the episodes. A log ran no policy here: the output that it names could be anything.
+    """
+    if not submission.kind.form.runs_policy or not by.may_see(submission.team_id):
+        return False
+    tasks = load_track(submission.track).tasks
+    return by.is_organizer or all(tasks[task].episode_list.kind is ListKind.PUBLIC for task in submission.tasks)

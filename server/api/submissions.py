@@ -20,7 +20,7 @@ from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.logs import action_matches
 from vitac.server.logs.export import export_log
 from vitac.server.services import Services
-from vitac.server.submissions import creation, listing, runs
+from vitac.server.submissions import creation, listing, output, runs
 from vitac.server.submissions.watch import watch
 from vitac.server.tracks import load_known_track
 from vitac.server.uploads import intake
@@ -28,7 +28,7 @@ from vitac.server.uploads.acceptance import accept, check_kind
 from vitac.server.uploads.checked_upload import CheckedUpload
 from vitac.server.uploads.kinds import SERVED_KINDS
 from vitac.server.views.logs import ActionMatchView
-from vitac.server.views.submissions import EpisodeView, SubmissionListView, SubmissionView
+from vitac.server.views.submissions import EpisodeView, OutputView, SubmissionListView, SubmissionView
 
 from .access import PrincipalOf, ServicesOf
 from .problems import RESPONSES
@@ -111,6 +111,21 @@ def get_episodes(services: ServicesOf, principal: PrincipalOf, submission_id: UU
     """Return how each finished episode ended."""
     with services.database.transaction() as session:
         return listing.episodes(session, principal, submission_id)
+
+
+@router.get("/{submission_id}/output")
+def get_output(
+    services: ServicesOf,
+    principal: PrincipalOf,
+    submission_id: UUID,
+    *,
+    task: Annotated[str | None, Query(description="One of the submission's tasks; the first by default.")] = None,
+    after: Annotated[int, Query(ge=0, description="`next_after` of the page before.")] = 0,
+    limit: Annotated[int, Query(ge=1, le=100)] = output.PAGE_EPISODES,
+) -> OutputView:
+    """Return the end of what the policy printed in each episode: for its team and organizers, not of sealed lists."""
+    with services.database.transaction() as session:
+        return output.episode_outputs(session, principal, submission_id, task, after=after, limit=limit)
 
 
 @router.get("/{submission_id}/action-matches")

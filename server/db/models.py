@@ -312,7 +312,10 @@ class Shard(Base):
 
 
 class EpisodeResult(Base):
-    """One finished episode. The unique key makes every repeat of the same work write the same row."""
+    """One finished episode. The unique key makes every repeat of the same work write the same row.
+
+    `output` is the end of what the policy printed (`accounts.visibility` says who may see it), no part of the record.
+    """
 
     __tablename__ = "episode_results"
     __table_args__ = (
@@ -341,6 +344,7 @@ class EpisodeResult(Base):
     record_digest: Mapped[str] = mapped_column(String(64))
     states_digest: Mapped[str] = mapped_column(String(64))
     wall_s: Mapped[float] = mapped_column(Float)
+    output: Mapped[str] = mapped_column(default="", server_default="", deferred=True)
     evaluation_id: Mapped[UUID | None] = mapped_column(ForeignKey("evaluations.id", ondelete="SET NULL"), index=True)
     created_at: Mapped[datetime] = mapped_column(server_default=func.now())
 

@@ -13,6 +13,9 @@ from ..db.models import EpisodeResult, Evaluation, Submission
 from ..queue.leases import Lease, lock_held, reset_attempts
 from .differences import report_difference
 
+OUTPUT_CHARACTERS = 4096
+"""So much of the end of what a policy prints in one episode is kept for its team."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class EpisodeKey:
@@ -96,10 +99,11 @@ def row_values(lease: Lease, record: EpisodeRecord) -> dict[str, Any]:
         "outcome": record.outcome.value,
         "success": record.success,
         "env_steps": record.env_steps,
-        "record": record.model_dump(mode="json"),
+        "record": record.model_dump(mode="json", exclude={"output"}),
         "record_digest": record.record_digest(),
         "states_digest": states_digest(record),
         "wall_s": record.timings.wall_s,
+        "output": record.output[-OUTPUT_CHARACTERS:],
         "evaluation_id": lease.evaluation_id,
     }
 
@@ -111,10 +115,10 @@ def states_digest(record: EpisodeRecord) -> str:
 
 def storable(record: EpisodeRecord) -> EpisodeRecord:
     """Return the record without characters that the database cannot hold; a policy may print whatever it likes."""
-    if record.failure is None:
-        return record
-    cleaned = {name: _without_nul(getattr(record.failure, name)) for name in ("message", "output_tail")}
-    return record.model_copy(update={"failure": record.failure.model_copy(update=cleaned)})
+    failure = record.failure and record.failure.model_copy(
+        update={name: _without_nul(getattr(record.failure, name)) for name in ("message", "output_tail")}
+    )
+    return record.model_copy(update={"failure": failure, "output": _without_nul(record.output)})
 
 
 def stored_episodes(session: Session, lease: Lease) -> StoredEpisodes:

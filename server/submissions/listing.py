@@ -7,7 +7,7 @@ from sqlalchemy.orm import Session, joinedload
 
 from ..accounts import teams
 from ..accounts.principals import Principal
-from ..accounts.visibility import visible
+from ..accounts.visibility import may_see_output, visible
 from ..db.models import EpisodeResult, Submission
 from ..db.states import EvaluationState
 from ..evaluations.episode_store import EpisodeKey
@@ -24,7 +24,8 @@ def get(session: Session, settings: Settings, by: Principal, submission_id: UUID
         ServiceError: there is none that the principal may see.
     """
     found = visible(session, by, submission_id)
-    return submission_views(session, settings, [found], for_organizer=by.is_organizer, with_output=True)[0]
+    with_output = may_see_output(by, found)
+    return submission_views(session, settings, [found], for_organizer=by.is_organizer, with_output=with_output)[0]
 
 
 def list_submissions(

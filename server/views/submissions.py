@@ -58,3 +58,19 @@ class EpisodeView(View):
     outcome: str
     success: bool
     env_steps: int
+
+
+class EpisodeOutputView(View):
+    """What a policy printed in one episode."""
+
+    task: str
+    episode: int
+    outcome: str
+    output: str = Field(description="The end of it.")
+
+
+class OutputView(View):
+    """What a policy printed, by episode; episodes without output are left out."""
+
+    items: list[EpisodeOutputView]
+    next_after: int | None = Field(description="Give this as `after` for the next page; null on the last one.")

@@ -27,6 +27,7 @@ from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.db.states import EvaluationState, Role
 from vitac.server.views.evaluations import VerdictView
 from vitac.server.views.leaderboards import LeaderboardView
+from vitac.server.views.submissions import EpisodeOutputView
 
 ARGUMENTS = (
     "--disable-background-networking",
@@ -83,6 +84,10 @@ def site() -> Iterator[SiteUnderTest]:
         board=boards()[None],
         task_boards={TASK: boards()[TASK]},
         matches=[an_action_match()],
+        printed=[
+            EpisodeOutputView(task=TASK, episode=number, outcome="success", output="markers " * 60)
+            for number in (1, 4, 9)
+        ],
         found=[
             a_log(EvaluationState.COMPLETED, VerificationResult.VERIFIED, reason="all states are equal"),
             a_log(EvaluationState.FAILED, VerificationResult.DIVERGED, divergence=DIVERGENCE),

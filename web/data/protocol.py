@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from vitac.server.views.leaderboards import LeaderboardView, LogBoardsView
     from vitac.server.views.logs import ActionMatchView
     from vitac.server.views.operations import OperationsView
-    from vitac.server.views.submissions import EpisodeView, SubmissionListView, SubmissionView
+    from vitac.server.views.submissions import EpisodeView, OutputView, SubmissionListView, SubmissionView
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,11 +62,13 @@ class SubmissionDetail:
         submission: with its newest evaluation.
         episodes: outcomes of the finished episodes of that evaluation.
         action_matches: how far the team's models go along with a log; nothing for other submissions.
+        episodes_with_output: number of episodes whose output the visitor may see.
     """
 
     submission: SubmissionView
     episodes: Sequence[EpisodeView]
     action_matches: Sequence[ActionMatchView]
+    episodes_with_output: int
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,6 +106,9 @@ class PageData(Protocol):
 
     async def submissions(self, visitor: Visitor, before: UUID | None) -> SubmissionListView:
         """Return the visitor's submissions (all teams' for an organizer) that are older than a cursor."""
+
+    async def output(self, visitor: Visitor, submission_id: UUID, task: str | None, after: int) -> OutputView:
+        """Return what a submission's policy printed in the episodes after one; what is not shown is refused."""
 
     async def cancel(self, visitor: Visitor, submission_id: UUID) -> None:
         """Cancel the queued or running evaluation of a submission."""

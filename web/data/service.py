@@ -18,7 +18,7 @@ from vitac.server.logs import action_matches
 from vitac.server.metrics.totals import totals
 from vitac.server.operations.state import operations
 from vitac.server.queue.workers import disk_of
-from vitac.server.submissions import listing, runs
+from vitac.server.submissions import listing, output, runs
 
 from .limits import limit_rows, size
 from .protocol import RegisteredTeam, SubmissionDetail, Visitor
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from vitac.server.settings import Registration, Settings
     from vitac.server.views.leaderboards import LeaderboardView, LogBoardsView
     from vitac.server.views.operations import OperationsView
-    from vitac.server.views.submissions import SubmissionListView
+    from vitac.server.views.submissions import OutputView, SubmissionListView
 
     from .protocol import LimitRow
 
@@ -97,6 +97,7 @@ class ServiceData:
                 submission=listing.get(session, self.settings, by, submission_id),
                 episodes=listing.episodes(session, by, submission_id),
                 action_matches=action_matches.action_matches(session, by, submission_id),
+                episodes_with_output=output.episodes_with_output(session, by, submission_id),
             )
         )
 
@@ -105,6 +106,11 @@ class ServiceData:
         return await self._run(
             lambda session: listing.list_submissions(session, self.settings, visitor.principal, before=before)
         )
+
+    async def output(self, visitor: Visitor, submission_id: UUID, task: str | None, after: int) -> OutputView:
+        """Return a page of what a policy printed."""
+        by = visitor.principal
+        return await self._run(lambda session: output.episode_outputs(session, by, submission_id, task, after=after))
 
     async def cancel(self, visitor: Visitor, submission_id: UUID) -> None:
         """Cancel an evaluation."""

@@ -9,7 +9,7 @@ from starlette.staticfiles import StaticFiles
 
 from ..headers import SecurityHeaders
 from ..rendering import STATIC
-from . import errors, operations, register, sign_in, submissions, tracks
+from . import errors, operations, output, register, sign_in, submissions, tracks
 
 if TYPE_CHECKING:
     from fastapi import FastAPI
@@ -50,6 +50,7 @@ def _router() -> APIRouter:
         ("/tracks/{track}/rules", tracks.rules, "GET"),
         ("/submissions", submissions.submissions, "GET"),
         ("/submissions/{submission_id}", submissions.submission, "GET"),
+        ("/submissions/{submission_id}/output", output.output, "GET"),
         ("/submissions/{submission_id}/events", submissions.events, "GET"),
         ("/submissions/{submission_id}/cancel", submissions.cancel, "POST"),
         ("/operations", operations.operations, "GET"),

@@ -126,6 +126,7 @@ async def _values(request: Request, viewer: Viewer) -> dict[str, Any]:
         "parts": [task_part(found, name, detail.episodes) for name in found.tasks],
         "several": len(found.tasks) + len(found.missing_tasks) > 1,
         "action_matches": detail.action_matches,
+        "episodes_with_output": detail.episodes_with_output,
         "missing": [track.tasks[name].title for name in found.missing_tasks],
     }
 

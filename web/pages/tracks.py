@@ -11,7 +11,7 @@ from vitac.evaluator.agent.protocol.action import ACTION_TYPES
 from vitac.evaluator.tracks import UnknownTrack, load_track
 
 from ..rendering import STATIC, render, steps, words
-from ..site import page, site_of, viewer_of
+from ..site import Tab, page, site_of, viewer_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Mapping, Sequence
@@ -38,15 +38,6 @@ class Entry(Protocol):
 
 
 EntryT = TypeVar("EntryT", bound=Entry)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Tab:
-    """A link to one of the leaderboards of a track."""
-
-    title: str
-    target: str
-    current: bool
 
 
 @dataclass(frozen=True, kw_only=True)

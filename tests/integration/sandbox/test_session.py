@@ -251,6 +251,15 @@ def test_failure_tells_the_team_what_was_printed(make: Make) -> None:
     assert "policy.py" in caught.value.output_tail
 
 
+def test_output_of_an_episode_is_there_while_it_runs_and_safe_to_print(make: Make) -> None:
+    folder = make("print('seen', observation['x'].shape, '\\x1b[2J')\nreturn [0, 0, 0]")
+    with PolicySession(folder) as session:
+        for _ in range(2):
+            with session.episode(task="peg-insertion", action_shape=(3,)) as policy:
+                policy.act(OBSERVATION)
+                assert policy.output == "seen (3,) \N{REPLACEMENT CHARACTER}[2J\n"
+
+
 def test_output_of_one_episode_is_not_shown_for_the_next(make: Make) -> None:
     act = "if self.again: raise ValueError\nprint('secret of the first')\nreturn [0, 0, 0]"
     folder = make(act, reset="self.again = task == 'again'")

@@ -85,6 +85,7 @@ class FakePolicy:
 
     cpu_s = 0.0625
     channel_s = 0.03125
+    output = "I am thinking.\n"
 
     def __init__(self, answer: Answer, started: int) -> None:
         self._answer, self._started, self._step = answer, started, 0

@@ -40,7 +40,14 @@ from vitac.server.views.leaderboards import (
 from vitac.server.views.logs import ActionMatchView, DivergenceView, LogCopyView, LogView, MatchedEpisodeView
 from vitac.server.views.operations import CountsView, MachineWorkerView, OperationsView, QueueView, StorageView
 from vitac.server.views.scores import ShapeScoreView, TaskScoreView
-from vitac.server.views.submissions import EpisodeView, RankView, SubmissionListView, SubmissionView
+from vitac.server.views.submissions import (
+    EpisodeOutputView,
+    EpisodeView,
+    OutputView,
+    RankView,
+    SubmissionListView,
+    SubmissionView,
+)
 from vitac.server.views.workers import WorkersView, WorkerView
 from vitac.web.data.protocol import LimitRow, RegisteredTeam, SubmissionDetail, Visitor
 from vitac.web.pages import routes
@@ -451,6 +458,7 @@ class FixedData:
     cancelled: list[UUID] = field(default_factory=list)
     registration_rule: Registration = Registration.OPEN
     service: OperationsView = field(default_factory=an_operations_view)
+    printed: list[EpisodeOutputView] = field(default_factory=list)
 
     async def visitor_with_token(self, token: str) -> Visitor | None:
         return next((visitor for visitor in self.visitors if token == f"token-of-{visitor.name}"), None)
@@ -485,12 +493,18 @@ class FixedData:
                     submission=submission,
                     episodes=[end for task in progress.tasks for end in some_episodes(task.task, task.episodes_done)],
                     action_matches=self.matches if submission.log else [],
+                    episodes_with_output=len(self.printed),
                 )
         raise not_found("submission", submission_id)
 
     async def submissions(self, visitor: Visitor, before: UUID | None) -> SubmissionListView:
         seen = [submission for submission in self.found if visitor.may_see(submission.team.name)]
         return SubmissionListView(items=seen, next_before=self.next_before)
+
+    async def output(self, visitor: Visitor, submission_id: UUID, task: str | None, after: int) -> OutputView:
+        tasks = (await self.submission(visitor, submission_id)).submission.tasks
+        later = [item for item in self.printed if item.task == (task or tasks[0]) and item.episode > after]
+        return OutputView(items=later[:2], next_after=later[1].episode if len(later) > 2 else None)
 
     async def cancel(self, visitor: Visitor, submission_id: UUID) -> None:
         submission = (await self.submission(visitor, submission_id)).submission

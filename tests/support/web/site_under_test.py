@@ -30,6 +30,7 @@ class SiteUnderTest:
             "/submissions",
             "/nothing-here",
             *submissions,
+            f"{self.path_of('both')}/output",
         ]
 
     def sign_in(self, page: Page, name: str = "Gelbots") -> None:

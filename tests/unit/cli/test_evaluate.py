@@ -52,6 +52,20 @@ def test_other_episodes_are_wrong_usage(text: str) -> None:
         parse_episodes(text)
 
 
+def test_output_of_the_policy_is_written_by_episode(
+    submission: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    output, report = tmp_path / "output.txt", tmp_path / "report.json"
+    code, _, _ = run(capsys, submission, "--episodes", "1,3", "--output", output, "--json", report)
+    assert code == 0
+    assert output.read_text() == (
+        "[peg-insertion, episode 1: success]\nI am thinking.\n[peg-insertion, episode 3: success]\nI am thinking.\n"
+    )
+    content = EvaluationReport.model_validate_json(report.read_text())
+    silent = [record.model_copy(update={"output": ""}) for record in content.episodes]
+    assert content.result_hash == result_hash(content.manifest, silent)
+
+
 def test_prints_score_and_result_hash(submission: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     report = tmp_path / "report.json"
     code, out, err = run(capsys, submission, "--episodes", "1:3,31", "--json", report)
@@ -79,6 +93,7 @@ def test_report_holds_the_records_that_the_hash_is_of(
     [
         (("--log", "nowhere/run.jsonl"), "in an existing folder"),
         (("--json", "."), "in an existing folder"),
+        (("--output", "nowhere/output.txt"), "in an existing folder"),
         (("--log", "run.jsonl", "--team", "a\tb"), "expected one line"),
     ],
 )

@@ -61,6 +61,11 @@ def test_failing_policy_is_recorded_with_verdict_and_output() -> None:
     assert record.timings.policy_s == 0.0625
 
 
+def test_output_of_a_policy_that_plays_well_is_kept() -> None:
+    record = play(lambda *_: action(1.0))
+    assert (record.outcome, record.output) == (EpisodeOutcome.SUCCESS, "I am thinking.\n")
+
+
 def test_policy_that_cannot_be_loaded_is_recorded_as_such() -> None:
     def open_session() -> FakeSession:
         raise PolicyFailed(VerdictCode.IMPORT_ERROR, "No module named 'torch'.")

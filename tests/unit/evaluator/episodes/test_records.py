@@ -30,6 +30,14 @@ def test_record_survives_json() -> None:
     assert EpisodeRecord.model_validate_json(record.model_dump_json()) == record
 
 
+def test_output_and_timings_change_no_digest() -> None:
+    quiet = make_record(5)
+    loud = quiet.model_copy(update={"output": "I am thinking.", "timings": Timings(wall_s=3.0)})
+    assert loud.record_digest() == quiet.record_digest()
+    assert result_hash(make_manifest(), [loud]) == result_hash(make_manifest(), [quiet])
+    assert make_record(6).record_digest() != quiet.record_digest()
+
+
 @given(st.lists(st.lists(st.floats(width=32, allow_nan=False, allow_infinity=False), min_size=3, max_size=3)))
 def test_actions_survive_to_the_last_bit(rows: list[list[float]]) -> None:
     actions = np.array(rows, dtype=np.float32).reshape(len(rows), 3)

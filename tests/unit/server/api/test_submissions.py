@@ -10,7 +10,7 @@ from uuid import uuid4
 
 import pytest
 from service_client import MANIFEST, POLICY, Service, bearer, make_archive, problem_of, running_service
-from service_factories import TASK, TRACK, play_all
+from service_factories import TASK, TRACK, make_record, play_all
 from sqlalchemy import text
 from structlog.testing import capture_logs
 from vitac.evaluator.agent.limits import Limits
@@ -394,3 +394,19 @@ def test_bug_is_a_problem_without_details(service: Service, monkeypatch: pytest.
     assert [event["event"] for event in events if isinstance(event.get("exc_info"), ZeroDivisionError)] == [
         "request_failed"
     ]
+
+
+def test_output_of_the_policy_is_read_page_by_page(service: Service) -> None:
+    identity = service.upload(ARCHIVE).json()["id"]
+    play_all(
+        service.database,
+        submission_of(service, identity),
+        lambda episode, *, task: make_record(episode, task=task, output=f"in {episode}"),
+    )
+    path = f"/submissions/{identity}/output"
+    assert [item["episode"] for item in service.get(path).json()["items"]] == list(range(1, 21))
+    page = service.get(path, params={"task": TASK, "after": 3, "limit": 2}).json()
+    assert [(item["episode"], item["output"]) for item in page["items"]] == [(4, "in 4"), (5, "in 5")]
+    assert page["next_after"] == 5
+    problem_of(service.get(path, params={"task": "none"}), 404, "unknown_task")
+    assert service.get(path, service.other_token).status_code == 404

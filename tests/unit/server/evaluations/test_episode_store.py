@@ -6,7 +6,7 @@ from vitac.server.db.engine import Database
 from vitac.server.db.models import EpisodeResult
 from vitac.server.db.row_locks import lock_evaluation
 from vitac.server.db.states import ShardState
-from vitac.server.evaluations.episode_store import store_episode, stored_episodes
+from vitac.server.evaluations.episode_store import OUTPUT_CHARACTERS, store_episode, stored_episodes
 
 
 @pytest.fixture
@@ -31,6 +31,15 @@ def test_stored_episodes_are_known_to_the_next_claim(database: Database, shard_i
         stored = stored_episodes(session, lease)
     assert stored.numbers == {2, 7}
     assert stored.failures == ()
+
+
+def test_the_end_of_the_output_is_kept_beside_the_record(database: Database, shard_id: int) -> None:
+    lease = claim(database, shard_id)
+    store(database, lease, [make_record(1, output="first\0" + "x" * OUTPUT_CHARACTERS), make_record(2, output="a\0b")])
+    with database.transaction() as session:
+        rows = session.scalars(select(EpisodeResult).order_by(EpisodeResult.episode)).all()
+        assert [row.output for row in rows] == ["x" * OUTPUT_CHARACTERS, "a\N{REPLACEMENT CHARACTER}b"]
+        assert all("output" not in row.record for row in rows)
 
 
 def test_storing_and_cancelling_at_once_do_not_wait_for_each_other(database: Database, shard_id: int) -> None:

@@ -1,0 +1,80 @@
+"""What the policy of a submission printed in its episodes; called by API and pages."""
+
+from typing import Any
+from uuid import UUID
+
+from sqlalchemy import func, select
+from sqlalchemy.orm import Session
+
+from ..accounts.principals import Principal
+from ..accounts.visibility import may_see_output, visible
+from ..db.models import EpisodeResult, Submission
+from ..errors import ProblemCode, ServiceError
+from ..evaluations.episode_store import EpisodeKey
+from ..evaluations.history import newest_evaluation
+from ..views.submissions import EpisodeOutputView, OutputView
+
+PAGE_EPISODES = 20
+_PRINTED = func.octet_length(EpisodeResult.output) > 0
+
+
+def episode_outputs(
+    session: Session,
+    by: Principal,
+    submission_id: UUID,
+    task: str | None = None,
+    *,
+    after: int = 0,
+    limit: int = PAGE_EPISODES,
+) -> OutputView:
+    """Return what the policy printed in the episodes of the newest evaluation, a page of them.
+
+    Args:
+        session: of the transaction.
+        by: who asks.
+        submission_id: of the submission.
+        task: one of its tasks; by default the first.
+        after: number of the last episode of the page before.
+        limit: most episodes of a page.
+
+    Raises:
+        ServiceError: there is no such submission, its output is not shown, or it does not play that task.
+    """
+    submission = visible(session, by, submission_id)
+    if not may_see_output(by, submission):
+        raise ServiceError(
+            ProblemCode.FORBIDDEN,
+            "The output of a log, or on a sealed list, is not shown: ask the organizers if you need it.",
+        )
+    task = submission.tasks[0] if task is None else task
+    if task not in submission.tasks:
+        raise ServiceError(
+            ProblemCode.UNKNOWN_TASK, f"Expected one of the tasks {', '.join(submission.tasks)}, got {task!r:.80}."
+        )
+    rows = session.execute(
+        select(EpisodeResult.task, EpisodeResult.episode, EpisodeResult.outcome, EpisodeResult.output)
+        .where(*_key(session, submission), EpisodeResult.task == task, EpisodeResult.episode > after, _PRINTED)
+        .order_by(EpisodeResult.episode)
+        .limit(limit + 1)
+    ).all()
+    return OutputView(
+        items=[EpisodeOutputView.model_validate(row, from_attributes=True) for row in rows[:limit]],
+        next_after=rows[limit - 1].episode if len(rows) > limit else None,
+    )
+
+
+def episodes_with_output(session: Session, by: Principal, submission_id: UUID) -> int:
+    """Return in how many episodes of the newest evaluation the policy printed something; 0 where it is not shown.
+
+    Raises:
+        ServiceError: there is no such submission.
+    """
+    submission = visible(session, by, submission_id)
+    if not may_see_output(by, submission):
+        return 0
+    query = select(func.count()).select_from(EpisodeResult).where(*_key(session, submission), _PRINTED)
+    return session.scalar(query) or 0
+
+
+def _key(session: Session, submission: Submission) -> tuple[Any, ...]:
+    return EpisodeKey.of(newest_evaluation(session, submission), submission).conditions()

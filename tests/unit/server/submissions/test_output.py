@@ -1,0 +1,114 @@
+from uuid import uuid4
+
+import pytest
+from service_factories import LOCK, TASK, TRACK, claim, make_principal, make_record, shard_ids, store, submit
+from submission_steps import SETTINGS, refused
+from vitac.evaluator.episodes.records import EpisodeRecord
+from vitac.evaluator.submission_kinds import SubmissionKind
+from vitac.evaluator.tracks import load_track
+from vitac.server.accounts import visibility
+from vitac.server.accounts.principals import CONSOLE, Principal
+from vitac.server.accounts.visibility import may_see_output
+from vitac.server.db.engine import Database
+from vitac.server.db.models import Submission
+from vitac.server.errors import ProblemCode
+from vitac.server.evaluations import lifecycle
+from vitac.server.evaluations.history import newest_evaluation
+from vitac.server.submissions import listing
+from vitac.server.submissions.output import episode_outputs, episodes_with_output
+from vitac.server.views.submissions import OutputView
+
+
+@pytest.fixture
+def submission(database: Database, principal: Principal) -> Submission:
+    """A submission of two tasks whose policy printed in episodes 2, 3 and 5 of the first."""
+    with database.transaction() as session:
+        made = submit(session, principal, tasks=(TASK, LOCK))
+        shard = shard_ids(session, made)[0]
+    store(database, claim(database, shard), [told(number) for number in (1, 2, 3, 4, 5)])
+    return made
+
+
+def told(number: int) -> EpisodeRecord:
+    return make_record(number, output=f"in {number}" if number in {2, 3, 5} else "")
+
+
+def output_for(database: Database, by: Principal, submission: Submission, **options: int) -> OutputView:
+    with database.transaction() as session:
+        return episode_outputs(session, by, submission.id, **options)  # type: ignore[arg-type]
+
+
+def seal(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Seals the list of the lock task."""
+    track = load_track(TRACK)
+    sealed = track.tasks[LOCK].episode_list.model_copy(update={"commitment": "c0ffee"})
+    tasks = track.tasks | {LOCK: track.tasks[LOCK].model_copy(update={"episode_list": sealed})}
+    monkeypatch.setattr(visibility, "load_track", lambda _: track.model_copy(update={"tasks": tasks}))
+
+
+def test_team_and_organizers_read_what_was_printed_page_by_page(
+    database: Database, principal: Principal, submission: Submission
+) -> None:
+    for by in (principal, CONSOLE):
+        first = output_for(database, by, submission, limit=2)
+        rest = output_for(database, by, submission, limit=2, after=first.next_after or 0)
+        shown = [(item.episode, item.outcome, item.output) for item in (*first.items, *rest.items)]
+        assert shown == [(number, "success", f"in {number}") for number in (2, 3, 5)]
+        assert (first.next_after, rest.next_after) == (3, None)
+        with database.transaction() as session:
+            assert episode_outputs(session, by, submission.id, LOCK).items == []
+            assert episodes_with_output(session, by, submission.id) == 3
+
+
+def test_to_other_teams_there_is_no_such_submission(database: Database, submission: Submission) -> None:
+    with database.transaction() as session:
+        other = make_principal(session, "Team B")
+    for identity in (submission.id, uuid4()):
+        for call in (episode_outputs, episodes_with_output):
+            with refused(ProblemCode.NOT_FOUND), database.transaction() as session:
+                call(session, other, identity)
+
+
+def test_a_task_that_it_does_not_play_is_refused(
+    database: Database, principal: Principal, submission: Submission
+) -> None:
+    with refused(ProblemCode.UNKNOWN_TASK), database.transaction() as session:
+        episode_outputs(session, principal, submission.id, "fusion-insertion")
+
+
+def test_output_on_a_sealed_list_is_for_organizers_only(
+    database: Database, principal: Principal, submission: Submission, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seal(monkeypatch)
+    with refused(ProblemCode.FORBIDDEN):
+        output_for(database, principal, submission)
+    with database.transaction() as session:
+        assert episodes_with_output(session, principal, submission.id) == 0
+        assert episodes_with_output(session, CONSOLE, submission.id) == 3
+
+
+def test_output_of_a_failure_on_a_sealed_list_is_for_organizers_only(
+    database: Database, principal: Principal, submission: Submission, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with database.transaction() as session:
+        evaluation = newest_evaluation(session, session.get_one(Submission, submission.id))
+        lifecycle.cancel(session, evaluation)
+        evaluation.log_tail = "it failed"
+    tails = []
+    for sealed in (False, True):
+        if sealed:
+            seal(monkeypatch)
+        for by in (principal, CONSOLE):
+            with database.transaction() as session:
+                tails.append(listing.get(session, SETTINGS, by, submission.id).evaluation.log_tail)
+    assert tails == ["it failed", "it failed", "", "it failed"]
+
+
+def test_a_log_has_no_output(database: Database, principal: Principal, submission: Submission) -> None:
+    with database.transaction() as session:
+        found = session.get_one(Submission, submission.id)
+        assert may_see_output(principal, found)
+        session.expunge(found)
+        found.kind = SubmissionKind.LOG
+        assert not may_see_output(principal, found)
+        assert not may_see_output(CONSOLE, found)

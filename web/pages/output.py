@@ -1,0 +1,47 @@
+"""The page with what a submission's policy printed, episode by episode."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from starlette.exceptions import HTTPException
+from starlette.responses import Response
+from vitac.evaluator.tracks import load_track
+
+from ..site import Tab, page, require_viewer, site_of
+from .submissions import as_id
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+
+
+async def output(request: Request) -> Response:
+    """Show the output of a task's episodes, a page of them."""
+    viewer = await require_viewer(request)
+    if isinstance(viewer, Response):
+        return viewer
+    submission_id = as_id(request.path_params["submission_id"])
+    task, after = request.query_params.get("task"), _number(request.query_params.get("after", "0"))
+    data = site_of(request).data
+    found = (await data.submission(viewer.visitor, submission_id)).submission
+    shown = await data.output(viewer.visitor, submission_id, task, after)
+    tasks, address = load_track(found.track).tasks, f"/submissions/{submission_id}/output"
+    return page(
+        request,
+        "output.html",
+        viewer=viewer,
+        section="/submissions",
+        submission=found,
+        shown=shown,
+        tabs=[
+            Tab(title=tasks[name].title, target=f"{address}?task={name}", current=name == (task or found.tasks[0]))
+            for name in found.tasks
+        ],
+        older=f"{address}?task={task or found.tasks[0]}&after={shown.next_after}",
+    )
+
+
+def _number(text: str) -> int:
+    if not (text.isascii() and text.isdigit() and len(text) < 10):
+        raise HTTPException(400, f"Expected the number of an episode, got {text!r:.40}.")
+    return int(text)
