@@ -4,7 +4,7 @@ import sys
 
 import typer
 
-from . import backup, evaluation, quota, submission, team, token, worker
+from . import audit, backup, evaluation, quota, submission, team, token, worker
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
@@ -24,5 +24,6 @@ app.add_typer(token.app, name="token", help="API tokens: add, list, revoke.")
 app.add_typer(submission.app, name="submission", help="Submissions: list, show, requeue, cancel.")
 app.add_typer(evaluation.app, name="evaluation", help="Evaluations: list, show, requeue, cancel.")
 app.add_typer(worker.app, name="worker", help="Workers: list, show.")
+app.add_typer(audit.app, name="audit", help="The audit log: list.")
 app.command("backup")(backup.back_up)
 app.command("restore")(backup.restore)

@@ -1,4 +1,4 @@
-"""`vitac admin token`: API tokens of teams and organizers."""
+"""`vitac admin token`: API tokens of teams, organizers and judges."""
 
 from datetime import timedelta
 from typing import Annotated
@@ -15,8 +15,11 @@ app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
 @app.command()
 def add(
-    team: Annotated[str | None, typer.Argument(help="Name or id of the team; none with --organizer.")] = None,
+    team: Annotated[
+        str | None, typer.Argument(help="Name or id of the team; none with --organizer or --judge.")
+    ] = None,
     organizer: Annotated[bool, typer.Option("--organizer", help="A token that may do everything.")] = False,
+    judge: Annotated[bool, typer.Option("--judge", help="A token that reads all teams' submissions.")] = False,
     label: Annotated[str, typer.Option(help="What the token is for.")] = "added by an organizer",
     days: Annotated[
         int | None, typer.Option(min=1, help="Days until it expires; default: VITAC_TOKEN_LIFETIME_DAYS.")
@@ -28,14 +31,15 @@ def add(
     from vitac.server.accounts.principals import CONSOLE
     from vitac.server.db.states import Role
 
-    if (team is None) != organizer:
-        raise typer.BadParameter("give either a TEAM or --organizer")
+    if (team is not None) + organizer + judge != 1:
+        raise typer.BadParameter("give one of TEAM, --organizer and --judge")
+    role = Role.ORGANIZER if organizer else Role.JUDGE if judge else Role.TEAM
     settings = load_settings()
     with open_service(settings) as services, services.database.transaction() as session:
         issued = tokens.issue(
             session,
             CONSOLE,
-            role=Role.ORGANIZER if organizer else Role.TEAM,
+            role=role,
             label=label,
             team=None if team is None else teams.find(session, team),
             lifetime=timedelta(days=days or settings.token_lifetime_days),

@@ -9,7 +9,7 @@ from vitac.server.errors import ProblemCode, ServiceError
 
 @dataclass(frozen=True, kw_only=True)
 class Principal:
-    """A team or an organizer. `token_id` is None for the organizer's own command line on the server machine."""
+    """A team, a judge or an organizer. `token_id` is None for the organizer's command line on the server machine."""
 
     role: Role
     team_id: UUID | None = None
@@ -22,12 +22,21 @@ class Principal:
         return self.role is Role.ORGANIZER
 
     @property
+    def reads_all_teams(self) -> bool:
+        """Whether all teams' submissions may be read."""
+        return self.role in {Role.ORGANIZER, Role.JUDGE}
+
+    @property
     def actor(self) -> str:
         """Name in the audit log."""
         return f"{self.role.value}:{self.team_name or self.token_id or 'console'}"
 
     def may_see(self, team_id: UUID) -> bool:
         """Return whether a thing of that team exists for this principal."""
+        return self.reads_all_teams or self.team_id == team_id
+
+    def may_change(self, team_id: UUID) -> bool:
+        """Return whether this principal may change a thing of that team."""
         return self.is_organizer or self.team_id == team_id
 
     def require_organizer(self) -> None:

@@ -132,10 +132,12 @@ def set_quota(session: Session, by: Principal, team: Team, quota: Quota, limit: 
         ServiceError: not an organizer.
     """
     by.require_organizer()
+    before = _noted(session, team, quota)
     values = {"team_id": team.id, "quota": quota, "most": limit}
     added = insert(TeamQuota).values(**values)
     session.execute(added.on_conflict_do_update(constraint="pk_team_quotas", set_={"most": limit}))
-    record(session, by, "team.quota", f"team:{team.id}", {"quota": quota.value, "limit": limit})
+    after = {"quota": quota.value, "limit": limit}
+    record(session, by, "team.quota", f"team:{team.id}", after, before=before)
 
 
 def reset_quota(session: Session, by: Principal, team: Team, quota: Quota) -> None:
@@ -145,8 +147,16 @@ def reset_quota(session: Session, by: Principal, team: Team, quota: Quota) -> No
         ServiceError: not an organizer.
     """
     by.require_organizer()
+    before = _noted(session, team, quota)
     session.execute(delete(TeamQuota).where(TeamQuota.team_id == team.id, TeamQuota.quota == quota))
-    record(session, by, "team.quota", f"team:{team.id}", {"quota": quota.value, "limit": "default"})
+    after = {"quota": quota.value, "limit": "default"}
+    record(session, by, "team.quota", f"team:{team.id}", after, before=before)
+
+
+def _noted(session: Session, team: Team, quota: Quota) -> dict[str, object]:
+    """Return a team's own limit as the audit log has it."""
+    own = session.get(TeamQuota, (team.id, quota), populate_existing=True)
+    return {"quota": quota.value, "limit": "default" if own is None else own.most}
 
 
 def _used(session: Session, team_id: UUID, quota: Quota) -> int | None:

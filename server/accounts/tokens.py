@@ -42,13 +42,13 @@ def issue(
     team: Team | None = None,
     lifetime: timedelta | None,
 ) -> IssuedToken:
-    """Make a token for a team, or for an organizer (no team).
+    """Make a token for a team, or for an organizer or judge (no team).
 
     Raises:
         ServiceError: the principal may not give such a token, or the label cannot be shown.
     """
     label = names.clean(label, what="A token's label", min_length=1, max_length=LABEL_LENGTH)
-    if not by.is_organizer and (role is Role.ORGANIZER or team is None or by.team_id != team.id):
+    if not by.is_organizer and (role is not Role.TEAM or team is None or by.team_id != team.id):
         raise ServiceError(ProblemCode.FORBIDDEN, "A team may make tokens for itself only; ask an organizer.")
     secret = PREFIX + secrets.token_urlsafe(SECRET_BYTES)
     token = ApiToken(
@@ -89,10 +89,11 @@ def principal_of_token_id(session: Session, token_id: UUID) -> Principal:
 
 
 def list_tokens(session: Session, by: Principal) -> list[ApiToken]:
-    """Return the tokens of the principal's team, or all for an organizer; newest first."""
+    """Return the tokens of the principal's team, all for an organizer, a judge's own one; newest first."""
     query = select(ApiToken).options(joinedload(ApiToken.team)).order_by(ApiToken.created_at.desc(), ApiToken.id)
     if not by.is_organizer:
-        query = query.where(ApiToken.team_id == by.team_id)
+        own = ApiToken.id == by.token_id if by.team_id is None else ApiToken.team_id == by.team_id
+        query = query.where(own)
     return list(session.scalars(query))
 
 

@@ -1,4 +1,7 @@
-"""Which submissions exist for whom, and what of them is shown: another team's is answered as if there were none."""
+"""Which submissions exist for whom, who may change them, and what of them is shown.
+
+Another team's is answered as if there were none.
+"""
 
 from uuid import UUID
 
@@ -6,7 +9,7 @@ from sqlalchemy.orm import Session, joinedload
 from vitac.evaluator.tracks import ListKind, load_track
 
 from ..db.models import Submission
-from ..errors import not_found
+from ..errors import ProblemCode, ServiceError, not_found
 from .principals import Principal
 
 
@@ -32,3 +35,15 @@ def may_see_output(by: Principal, submission: Submission) -> bool:
         return False
     tasks = load_track(submission.track).tasks
     return by.is_organizer or all(tasks[task].episode_list.kind is ListKind.PUBLIC for task in submission.tasks)
+
+
+def changeable(session: Session, by: Principal, submission_id: UUID) -> Submission:
+    """Return the submission of that id for somebody who changes it: its team or an organizer.
+
+    Raises:
+        ServiceError: there is none that the principal may see, or it may only be read.
+    """
+    submission = visible(session, by, submission_id)
+    if not by.may_change(submission.team_id):
+        raise ServiceError(ProblemCode.FORBIDDEN, "A judge reads submissions only; ask an organizer.")
+    return submission

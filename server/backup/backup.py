@@ -11,6 +11,8 @@ from pathlib import Path
 
 from sqlalchemy import Connection, select, text
 from vitac.envs.errors import VitacError
+from vitac.server.accounts.audit import record
+from vitac.server.accounts.principals import CONSOLE
 from vitac.server.db.models import PartialUpload, Submission, UploadPart
 from vitac.server.db.schema import installed_revision
 from vitac.server.postgres import tools
@@ -49,6 +51,8 @@ def back_up(
             _put_in_place(unfinished, destination)
     except OSError as error:
         raise BackupNotMade(f"{destination} cannot be written: {error.strerror}.") from error
+    with services.database.transaction() as session:
+        record(session, CONSOLE, "service.backup", f"file:{destination.name}", {"uploads": len(description.blobs)})
     return description
 
 

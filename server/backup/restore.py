@@ -7,6 +7,8 @@ from pathlib import Path
 from sqlalchemy import func, select, text
 from sqlalchemy.orm import Session
 from vitac.envs.errors import VitacError
+from vitac.server.accounts.audit import record
+from vitac.server.accounts.principals import CONSOLE
 from vitac.server.db.advisory_locks import AdvisoryLock, wait_for_lock
 from vitac.server.db.models import ApiToken, Submission, Team, Worker
 from vitac.server.db.schema import knows_revision, upgrade
@@ -53,6 +55,9 @@ def restore(
             dump = Path(folder) / "database.dump"
             reader.extract_dump(dump)
             _restore_database(services, dump)
+        with services.database.transaction() as session:
+            made_at = reader.description.made_at.isoformat()
+            record(session, CONSOLE, "service.restore", f"file:{source.name}", {"made_at": made_at})
         return reader.description
 
 

@@ -9,6 +9,7 @@ class Role(StrEnum):
     """What a token may do."""
 
     TEAM = "team"  # its team's submissions
+    JUDGE = "judge"  # reads all teams' submissions, changes nothing of theirs
     ORGANIZER = "organizer"  # everything
 
 

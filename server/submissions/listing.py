@@ -39,13 +39,13 @@ def list_submissions(
     before: UUID | None = None,
     limit: int = 50,
 ) -> SubmissionListView:
-    """Return a page of the team's submissions, or of all teams' for an organizer; newest first.
+    """Return a page of the team's submissions, or of all teams' for organizers and judges; newest first.
 
     Raises:
         ServiceError: `before` or `team` names nothing that the principal may see.
     """
     query = select(Submission).options(joinedload(Submission.team))
-    if not by.is_organizer:
+    if not by.reads_all_teams:
         query = query.where(Submission.team_id == by.team_id)
     elif team is not None:
         query = query.where(Submission.team_id == teams.find(session, team).id)

@@ -8,7 +8,7 @@ from vitac.evaluator.version import evaluator_version
 
 from ..accounts.audit import record
 from ..accounts.principals import Principal
-from ..accounts.visibility import visible
+from ..accounts.visibility import changeable, visible
 from ..db.models import Evaluation, Submission
 from ..db.row_locks import lock_evaluation
 from ..db.states import ACTIVE_EVALUATION_STATES, TERMINAL_EVALUATION_STATES, EvaluationState
@@ -24,7 +24,7 @@ def cancel(session: Session, by: Principal, submission_id: UUID) -> None:
     Raises:
         ServiceError: there is no such submission, or its evaluation has ended.
     """
-    submission = visible(session, by, submission_id)
+    submission = changeable(session, by, submission_id)
     evaluation = lock_evaluation(session, newest_evaluation(session, submission).id)
     if evaluation.state in TERMINAL_EVALUATION_STATES:
         raise ServiceError(

@@ -94,7 +94,7 @@ def find(session: Session, by: Principal, upload_id: UUID) -> PartialUpload:
         ServiceError: there is none that the principal may see; one that has expired is gone.
     """
     upload = session.get(PartialUpload, upload_id, options=[joinedload(PartialUpload.team)])
-    if upload is None or not by.may_see(upload.team_id) or upload.expires_at <= datetime.now(UTC):
+    if upload is None or not by.may_change(upload.team_id) or upload.expires_at <= datetime.now(UTC):
         raise not_found("upload", upload_id)
     return upload
 

@@ -1,6 +1,7 @@
 """Teams and tokens as they are shown."""
 
 from datetime import datetime
+from typing import Any
 from uuid import UUID
 
 from pydantic import Field
@@ -64,10 +65,22 @@ class MeView(View):
     role: Role
     team: TeamView | None
     token: TokenView | None
-    quotas: list[QuotaView] = Field(description="Of the team; empty for an organizer.")
+    quotas: list[QuotaView] = Field(description="Of the team; empty for organizers and judges.")
 
 
 class TokenListView(View):
     """Tokens of a team, or all for an organizer."""
 
     items: list[TokenView]
+
+
+class AuditEntryView(View):
+    """A line of the audit log."""
+
+    id: int
+    at: datetime
+    actor: str = Field(description="Who: a team, organizer or judge.")
+    action: str = Field(description="What was done, `noun.verb`.")
+    subject: str = Field(description="To which thing, `noun:id`.")
+    before: dict[str, Any] | None = Field(description="Null where there was nothing before.")
+    after: dict[str, Any]

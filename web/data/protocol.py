@@ -33,8 +33,8 @@ class Visitor:
 
     @property
     def name(self) -> str:
-        """The team's name, or "organizers"."""
-        return self.principal.team_name or "organizers"
+        """The team's name, or the role in the plural."""
+        return self.principal.team_name or f"{self.principal.role}s"
 
     @property
     def is_organizer(self) -> bool:
@@ -43,7 +43,7 @@ class Visitor:
 
     def may_see(self, team: str) -> bool:
         """Return whether the submissions of a team are shown."""
-        return self.is_organizer or self.name == team
+        return self.principal.reads_all_teams or self.name == team
 
 
 @dataclass(frozen=True, kw_only=True)

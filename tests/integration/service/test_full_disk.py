@@ -67,7 +67,7 @@ def test_rows_that_do_not_fit_are_refused_and_none_is_half_there(live: Service, 
     make_room(disk)
     assert register(live, "once more").status_code == 201
     assert count(live, "teams WHERE starts_with(name, 'Number')") == made
-    assert count(live, "audit_log WHERE action = 'team.register' AND starts_with(detail ->> 'name', 'Number')") == made
+    assert count(live, "audit_log WHERE action = 'team.register' AND starts_with(after ->> 'name', 'Number')") == made
 
 
 @pytest.mark.usefixtures("full")

@@ -138,8 +138,9 @@ def test_a_team_may_have_a_limit_of_its_own_until_it_is_reset(database: Database
     with refused(ProblemCode.QUOTA_EXCEEDED):
         submit(database, principal, "three", attempts_per_day=1)
     with database.transaction() as session:
-        noted = session.scalars(select(AuditEntry.detail).where(AuditEntry.action == "team.quota")).all()
-    assert [entry["limit"] for entry in noted] == [0, None, "default"]
+        noted = session.scalars(select(AuditEntry).where(AuditEntry.action == "team.quota").order_by(AuditEntry.id))
+        limits = [((entry.before or {})["limit"], entry.after["limit"]) for entry in noted]
+    assert limits == [("default", 0), (0, None), (None, "default")]
 
 
 def test_a_team_cannot_change_its_quotas(database: Database, principal: Principal) -> None:

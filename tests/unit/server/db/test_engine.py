@@ -26,7 +26,7 @@ def test_work_is_repeated_until_the_database_is_back(database: Database) -> None
 
 def test_work_of_a_lost_transaction_is_not_half_done(database: Database) -> None:
     def work(session: Session) -> None:
-        session.execute(text("INSERT INTO audit_log (actor, action, subject, detail) VALUES ('a', 'b', 'c', '{}')"))
+        session.execute(text("INSERT INTO audit_log (actor, action, subject, after) VALUES ('a', 'b', 'c', '{}')"))
         if len(tries) == 0:
             tries.append(1)
             lose_connection(session)

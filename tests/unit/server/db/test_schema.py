@@ -186,10 +186,10 @@ def test_sql_allows_exactly_the_transitions_of_the_table(
 
 
 def test_audit_log_refuses_change_and_deletion(migrated: Database) -> None:
-    insert = "INSERT INTO audit_log (actor, action, subject, detail) VALUES ('a', 'b', 'c', '{}')"
+    insert = "INSERT INTO audit_log (actor, action, subject, after) VALUES ('a', 'b', 'c', '{}')"
     with migrated.engine.begin() as connection:
         connection.execute(text(insert))
-    for change in ("UPDATE audit_log SET actor = 'x'", "DELETE FROM audit_log"):
+    for change in ("UPDATE audit_log SET actor = 'x'", "DELETE FROM audit_log", "TRUNCATE audit_log"):
         with pytest.raises(IntegrityError, match="append-only"), migrated.engine.begin() as connection:
             connection.execute(text(change))
 

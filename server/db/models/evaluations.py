@@ -1,187 +1,35 @@
-"""Tables of the service. The migrations make them; a test holds both together.
-
-Ids that people see are random UUIDs, times are UTC with zone, states are text under a CHECK with a transition trigger.
-"""
+"""Evaluations: their shards, episodes, places on boards, and what was found about them."""
 
 from datetime import datetime
-from enum import StrEnum
 from typing import Any
 from uuid import UUID, uuid4
 
 from sqlalchemy import (
     BigInteger,
     CheckConstraint,
-    DateTime,
-    Enum,
     Float,
     ForeignKey,
     Identity,
     Index,
-    Integer,
-    MetaData,
     String,
-    Text,
     UniqueConstraint,
-    Uuid,
     false,
     func,
     text,
 )
-from sqlalchemy.dialects.postgresql import ARRAY, JSONB
-from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column, relationship
+from sqlalchemy.dialects.postgresql import JSONB
+from sqlalchemy.orm import Mapped, mapped_column, relationship
 from vitac.evaluator.submission_kinds import SubmissionKind
-from vitac.server.db.states import EvaluationState, Quota, Role, ShardState, WorkerState
+from vitac.server.db.states import EvaluationState, ShardState
 
-NAMING = {
-    "ix": "ix_%(table_name)s_%(column_0_N_name)s",
-    "uq": "uq_%(table_name)s_%(column_0_N_name)s",
-    "ck": "ck_%(table_name)s_%(constraint_name)s",
-    "fk": "fk_%(table_name)s_%(column_0_name)s",
-    "pk": "pk_%(table_name)s",
-}
-
-SHA256_PATTERN = "^[0-9a-f]{64}$"
+from .base import Base, closed_set, sha256_check
+from .submissions import Submission
 
 ALL_TASKS = "*"
 """Name of the board that ranks all tasks of a track together; those of single tasks have the tasks' names."""
 
 _RANKING = (text("success_rate DESC"), text("mean_steps"), text("submitted_at"), text("evaluation_id"))
 """The order of `evaluator.scoring.ranking`; a missing mean comes last, as NULL does."""
-
-
-class Base(DeclarativeBase):
-    """Root of the tables; maps Python types to columns."""
-
-    metadata = MetaData(naming_convention=NAMING)
-    type_annotation_map = {  # noqa: RUF012 - SQLAlchemy reads it from the class
-        datetime: DateTime(timezone=True),
-        dict[str, Any]: JSONB,
-        list[dict[str, Any]]: JSONB,
-        list[str]: ARRAY(Text),
-        list[int]: ARRAY(Integer),
-        str: Text,
-        UUID: Uuid,
-    }
-
-
-def _closed_set(kind: type[StrEnum], name: str, length: int = 16) -> Enum:
-    """Return the text column that takes the members of an enum only."""
-    return Enum(
-        kind,
-        name=name,
-        native_enum=False,
-        create_constraint=True,
-        length=length,
-        values_callable=lambda members: [member.value for member in members],
-    )
-
-
-def _sha256_check(column: str) -> CheckConstraint:
-    return CheckConstraint(f"{column} ~ '{SHA256_PATTERN}'", name=f"{column}_is_sha256")
-
-
-class Team(Base):
-    """Who submits; the unit of privacy and of limits. `name_key` is the name without case and spacing."""
-
-    __tablename__ = "teams"
-    id: Mapped[UUID] = mapped_column(primary_key=True, default=uuid4)
-    name: Mapped[str] = mapped_column(String(64))
-    name_key: Mapped[str] = mapped_column(String(64), unique=True)
-    contact: Mapped[str | None] = mapped_column(String(254))
-    created_at: Mapped[datetime] = mapped_column(server_default=func.now())
-
-
-class TeamQuota(Base):
-    """A limit of a team's own, in place of the settings'. `most` is NULL where any number is possible."""
-
-    __tablename__ = "team_quotas"
-    __table_args__ = (CheckConstraint("most >= 0", name="is_a_number"),)
-    team_id: Mapped[UUID] = mapped_column(ForeignKey("teams.id", ondelete="CASCADE"), primary_key=True)
-    quota: Mapped[Quota] = mapped_column(_closed_set(Quota, "quota", length=32), primary_key=True)
-    most: Mapped[int | None]
-
-
-class ApiToken(Base):
-    """A secret by which a client proves who it is; only its SHA-256 is kept."""
-
-    __tablename__ = "api_tokens"
-    __table_args__ = (
-        CheckConstraint("(role = 'organizer') = (team_id IS NULL)", name="team_tokens_have_a_team"),
-        CheckConstraint("length(secret_sha256) = 64", name="secret_is_hashed"),
-    )
-    id: Mapped[UUID] = mapped_column(primary_key=True, default=uuid4)
-    role: Mapped[Role] = mapped_column(_closed_set(Role, "role"))
-    team_id: Mapped[UUID | None] = mapped_column(ForeignKey("teams.id", ondelete="CASCADE"), index=True)
-    label: Mapped[str] = mapped_column(String(64))
-    secret_sha256: Mapped[str] = mapped_column(String(64), unique=True)
-    created_at: Mapped[datetime] = mapped_column(server_default=func.now())
-    expires_at: Mapped[datetime | None]
-    revoked_at: Mapped[datetime | None]
-    last_used_at: Mapped[datetime | None]
-    team: Mapped[Team | None] = relationship()
-
-
-class Submission(Base):
-    """One upload. The same content from the same team for the same track is the same submission."""
-
-    __tablename__ = "submissions"
-    __table_args__ = (
-        UniqueConstraint("team_id", "track", "kind", "digest"),
-        _sha256_check("digest"),
-        _sha256_check("archive_sha256"),
-        CheckConstraint("archive_bytes > 0", name="archive_is_not_empty"),
-        Index("ix_submissions_submitted_at_id", text("submitted_at DESC"), text("id DESC")),
-        Index("ix_submissions_of_team", "team_id", text("submitted_at DESC"), text("id DESC")),
-    )
-    id: Mapped[UUID] = mapped_column(primary_key=True, default=uuid4)
-    team_id: Mapped[UUID] = mapped_column(ForeignKey("teams.id", ondelete="RESTRICT"))
-    kind: Mapped[SubmissionKind] = mapped_column(_closed_set(SubmissionKind, "kind"))
-    track: Mapped[str]
-    tasks: Mapped[list[str]]
-    name: Mapped[str] = mapped_column(String(128))
-    digest: Mapped[str] = mapped_column(String(64))
-    archive_sha256: Mapped[str] = mapped_column(String(64))
-    archive_bytes: Mapped[int] = mapped_column(BigInteger)
-    manifest: Mapped[dict[str, Any]]
-    submitted_at: Mapped[datetime] = mapped_column(server_default=func.now())
-    team: Mapped[Team] = relationship()
-
-
-class PartialUpload(Base):
-    """A body that arrives in pieces, whose parts wait in the file store until all are there.
-
-    A finished one names the submission that it became, for a client that did not get the answer.
-    """
-
-    __tablename__ = "partial_uploads"
-    __table_args__ = (
-        CheckConstraint("received_bytes >= 0 AND received_bytes <= total_bytes", name="received_is_a_part"),
-        CheckConstraint("total_bytes > 0", name="is_not_empty"),
-        _sha256_check("sha256"),
-    )
-    id: Mapped[UUID] = mapped_column(primary_key=True, default=uuid4)
-    team_id: Mapped[UUID] = mapped_column(ForeignKey("teams.id", ondelete="CASCADE"), index=True)
-    kind: Mapped[SubmissionKind] = mapped_column(_closed_set(SubmissionKind, "kind"))
-    track: Mapped[str | None]
-    again: Mapped[bool]
-    total_bytes: Mapped[int] = mapped_column(BigInteger)
-    received_bytes: Mapped[int] = mapped_column(BigInteger, default=0)
-    sha256: Mapped[str | None] = mapped_column(String(64))
-    created_at: Mapped[datetime] = mapped_column(server_default=func.now())
-    expires_at: Mapped[datetime] = mapped_column(index=True)
-    submission_id: Mapped[UUID | None] = mapped_column(ForeignKey("submissions.id", ondelete="CASCADE"))
-    team: Mapped[Team] = relationship()
-
-
-class UploadPart(Base):
-    """One stored part of a partial upload: where in the body it begins, and under which key it waits."""
-
-    __tablename__ = "upload_parts"
-    __table_args__ = (CheckConstraint("n_bytes > 0", name="is_not_empty"),)
-    upload_id: Mapped[UUID] = mapped_column(ForeignKey("partial_uploads.id", ondelete="CASCADE"), primary_key=True)
-    first_byte: Mapped[int] = mapped_column(BigInteger, primary_key=True, autoincrement=False)
-    n_bytes: Mapped[int]
-    key: Mapped[str]
 
 
 class Evaluation(Base):
@@ -202,8 +50,8 @@ class Evaluation(Base):
             name="only_completed_has_a_score",
         ),
         CheckConstraint("(state = 'failed') = (verdict_code IS NOT NULL)", name="only_failed_has_a_verdict"),
-        _sha256_check("result_hash"),
-        _sha256_check("evaluator_hash"),
+        sha256_check("result_hash"),
+        sha256_check("evaluator_hash"),
         Index(
             "uq_evaluations_active",
             "submission_id",
@@ -227,7 +75,7 @@ class Evaluation(Base):
     evaluator_version: Mapped[str]
     evaluator_hash: Mapped[str] = mapped_column(String(64))
     platform_class: Mapped[str | None]
-    state: Mapped[EvaluationState] = mapped_column(_closed_set(EvaluationState, "state"))
+    state: Mapped[EvaluationState] = mapped_column(closed_set(EvaluationState, "state"))
     episodes_reused: Mapped[int] = mapped_column(default=0)
     turn: Mapped[int] = mapped_column(default=0, server_default=text("0"))
     charged_at: Mapped[datetime | None]
@@ -263,7 +111,7 @@ class BoardResult(Base):
     evaluation_id: Mapped[UUID] = mapped_column(ForeignKey("evaluations.id", ondelete="CASCADE"), primary_key=True)
     board: Mapped[str] = mapped_column(primary_key=True)
     track: Mapped[str]
-    kind: Mapped[SubmissionKind] = mapped_column(_closed_set(SubmissionKind, "kind"))
+    kind: Mapped[SubmissionKind] = mapped_column(closed_set(SubmissionKind, "kind"))
     team_id: Mapped[UUID] = mapped_column(ForeignKey("teams.id", ondelete="RESTRICT"))
     submission_id: Mapped[UUID] = mapped_column(ForeignKey("submissions.id", ondelete="RESTRICT"))
     evaluator_version: Mapped[str]
@@ -297,7 +145,7 @@ class Shard(Base):
     task: Mapped[str]
     number: Mapped[int]
     episodes: Mapped[list[int]]
-    state: Mapped[ShardState] = mapped_column(_closed_set(ShardState, "state"))
+    state: Mapped[ShardState] = mapped_column(closed_set(ShardState, "state"))
     token: Mapped[int] = mapped_column(BigInteger, default=0)
     attempts: Mapped[int] = mapped_column(default=0)
     worker_id: Mapped[UUID | None]
@@ -324,8 +172,8 @@ class EpisodeResult(Base):
         ),
         CheckConstraint("success = (outcome = 'success')", name="success_is_the_outcome"),
         CheckConstraint("episode >= 1 AND run >= 1 AND env_steps >= 0", name="counts_from_one"),
-        _sha256_check("submission_digest"),
-        _sha256_check("record_digest"),
+        sha256_check("submission_digest"),
+        sha256_check("record_digest"),
         Index("ix_episode_results_task_created_at", "task", text("created_at DESC")),
         Index("ix_episode_results_states", "states_digest", "task", "episode"),
     )
@@ -367,8 +215,8 @@ class EpisodeDifference(Base):
     __table_args__ = (
         UniqueConstraint("evaluation_id", "task", "episode", "differing_digest", name="uq_episode_differences_key"),
         CheckConstraint("stored_digest <> differing_digest", name="records_differ"),
-        _sha256_check("stored_digest"),
-        _sha256_check("differing_digest"),
+        sha256_check("stored_digest"),
+        sha256_check("differing_digest"),
     )
     id: Mapped[int] = mapped_column(BigInteger, Identity(always=True), primary_key=True)
     evaluation_id: Mapped[UUID] = mapped_column(ForeignKey("evaluations.id", ondelete="CASCADE"))
@@ -378,43 +226,3 @@ class EpisodeDifference(Base):
     differing_digest: Mapped[str] = mapped_column(String(64))
     worker_id: Mapped[UUID | None]
     seen_at: Mapped[datetime] = mapped_column(server_default=func.now())
-
-
-class Worker(Base):
-    """A worker process, its last heartbeat and the space on its disk at that time."""
-
-    __tablename__ = "workers"
-    id: Mapped[UUID] = mapped_column(primary_key=True, default=uuid4)
-    host: Mapped[str]
-    pid: Mapped[int]
-    slots: Mapped[int]
-    state: Mapped[WorkerState] = mapped_column(_closed_set(WorkerState, "state"))
-    evaluator_version: Mapped[str]
-    platform_class: Mapped[str]
-    isolation: Mapped[str]
-    message: Mapped[str] = mapped_column(default="")
-    started_at: Mapped[datetime] = mapped_column(server_default=func.now())
-    heartbeat_at: Mapped[datetime] = mapped_column(server_default=func.now(), index=True)
-    disk_bytes: Mapped[int | None] = mapped_column(BigInteger)
-    disk_free_bytes: Mapped[int | None] = mapped_column(BigInteger)
-
-
-class MetricTotal(Base):
-    """Sum over all processes of one sample of `server.metrics.instruments`; `labels` is JSON with sorted keys."""
-
-    __tablename__ = "metric_totals"
-    name: Mapped[str] = mapped_column(primary_key=True)
-    labels: Mapped[str] = mapped_column(primary_key=True)
-    value: Mapped[float] = mapped_column(Float)
-
-
-class AuditEntry(Base):
-    """Who changed what; rows are only ever added (a trigger refuses the rest)."""
-
-    __tablename__ = "audit_log"
-    id: Mapped[int] = mapped_column(BigInteger, Identity(always=True), primary_key=True)
-    at: Mapped[datetime] = mapped_column(server_default=func.now(), index=True)
-    actor: Mapped[str]
-    action: Mapped[str]
-    subject: Mapped[str]
-    detail: Mapped[dict[str, Any]]

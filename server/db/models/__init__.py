@@ -1,0 +1,30 @@
+"""Tables of the service, in groups. The migrations make them; a test holds both together.
+
+Ids that people see are random UUIDs, times are UTC with zone, states are text under a CHECK with a transition trigger.
+"""
+
+from .accounts import ApiToken, AuditEntry, Team, TeamQuota
+from .base import Base
+from .evaluations import ALL_TASKS, BoardResult, EpisodeDifference, EpisodeResult, Evaluation, LogCopy, Shard
+from .operations import MetricTotal, Worker
+from .submissions import PartialUpload, Submission, UploadPart
+
+__all__ = [
+    "ALL_TASKS",
+    "ApiToken",
+    "AuditEntry",
+    "Base",
+    "BoardResult",
+    "EpisodeDifference",
+    "EpisodeResult",
+    "Evaluation",
+    "LogCopy",
+    "MetricTotal",
+    "PartialUpload",
+    "Shard",
+    "Submission",
+    "Team",
+    "TeamQuota",
+    "UploadPart",
+    "Worker",
+]

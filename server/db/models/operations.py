@@ -1,0 +1,38 @@
+"""Workers, and what all processes have counted."""
+
+from datetime import datetime
+from uuid import UUID, uuid4
+
+from sqlalchemy import BigInteger, Float, func
+from sqlalchemy.orm import Mapped, mapped_column
+from vitac.server.db.states import WorkerState
+
+from .base import Base, closed_set
+
+
+class Worker(Base):
+    """A worker process, its last heartbeat and the space on its disk at that time."""
+
+    __tablename__ = "workers"
+    id: Mapped[UUID] = mapped_column(primary_key=True, default=uuid4)
+    host: Mapped[str]
+    pid: Mapped[int]
+    slots: Mapped[int]
+    state: Mapped[WorkerState] = mapped_column(closed_set(WorkerState, "state"))
+    evaluator_version: Mapped[str]
+    platform_class: Mapped[str]
+    isolation: Mapped[str]
+    message: Mapped[str] = mapped_column(default="")
+    started_at: Mapped[datetime] = mapped_column(server_default=func.now())
+    heartbeat_at: Mapped[datetime] = mapped_column(server_default=func.now(), index=True)
+    disk_bytes: Mapped[int | None] = mapped_column(BigInteger)
+    disk_free_bytes: Mapped[int | None] = mapped_column(BigInteger)
+
+
+class MetricTotal(Base):
+    """Sum over all processes of one sample of `server.metrics.instruments`; `labels` is JSON with sorted keys."""
+
+    __tablename__ = "metric_totals"
+    name: Mapped[str] = mapped_column(primary_key=True)
+    labels: Mapped[str] = mapped_column(primary_key=True)
+    value: Mapped[float] = mapped_column(Float)

@@ -1,0 +1,75 @@
+"""Submissions and uploads that are not complete."""
+
+from datetime import datetime
+from typing import Any
+from uuid import UUID, uuid4
+
+from sqlalchemy import BigInteger, CheckConstraint, ForeignKey, Index, String, UniqueConstraint, func, text
+from sqlalchemy.orm import Mapped, mapped_column, relationship
+from vitac.evaluator.submission_kinds import SubmissionKind
+
+from .accounts import Team
+from .base import Base, closed_set, sha256_check
+
+
+class Submission(Base):
+    """One upload. The same content from the same team for the same track is the same submission."""
+
+    __tablename__ = "submissions"
+    __table_args__ = (
+        UniqueConstraint("team_id", "track", "kind", "digest"),
+        sha256_check("digest"),
+        sha256_check("archive_sha256"),
+        CheckConstraint("archive_bytes > 0", name="archive_is_not_empty"),
+        Index("ix_submissions_submitted_at_id", text("submitted_at DESC"), text("id DESC")),
+        Index("ix_submissions_of_team", "team_id", text("submitted_at DESC"), text("id DESC")),
+    )
+    id: Mapped[UUID] = mapped_column(primary_key=True, default=uuid4)
+    team_id: Mapped[UUID] = mapped_column(ForeignKey("teams.id", ondelete="RESTRICT"))
+    kind: Mapped[SubmissionKind] = mapped_column(closed_set(SubmissionKind, "kind"))
+    track: Mapped[str]
+    tasks: Mapped[list[str]]
+    name: Mapped[str] = mapped_column(String(128))
+    digest: Mapped[str] = mapped_column(String(64))
+    archive_sha256: Mapped[str] = mapped_column(String(64))
+    archive_bytes: Mapped[int] = mapped_column(BigInteger)
+    manifest: Mapped[dict[str, Any]]
+    submitted_at: Mapped[datetime] = mapped_column(server_default=func.now())
+    team: Mapped[Team] = relationship()
+
+
+class PartialUpload(Base):
+    """A body that arrives in pieces, whose parts wait in the file store until all are there.
+
+    A finished one names the submission that it became, for a client that did not get the answer.
+    """
+
+    __tablename__ = "partial_uploads"
+    __table_args__ = (
+        CheckConstraint("received_bytes >= 0 AND received_bytes <= total_bytes", name="received_is_a_part"),
+        CheckConstraint("total_bytes > 0", name="is_not_empty"),
+        sha256_check("sha256"),
+    )
+    id: Mapped[UUID] = mapped_column(primary_key=True, default=uuid4)
+    team_id: Mapped[UUID] = mapped_column(ForeignKey("teams.id", ondelete="CASCADE"), index=True)
+    kind: Mapped[SubmissionKind] = mapped_column(closed_set(SubmissionKind, "kind"))
+    track: Mapped[str | None]
+    again: Mapped[bool]
+    total_bytes: Mapped[int] = mapped_column(BigInteger)
+    received_bytes: Mapped[int] = mapped_column(BigInteger, default=0)
+    sha256: Mapped[str | None] = mapped_column(String(64))
+    created_at: Mapped[datetime] = mapped_column(server_default=func.now())
+    expires_at: Mapped[datetime] = mapped_column(index=True)
+    submission_id: Mapped[UUID | None] = mapped_column(ForeignKey("submissions.id", ondelete="CASCADE"))
+    team: Mapped[Team] = relationship()
+
+
+class UploadPart(Base):
+    """One stored part of a partial upload: where in the body it begins, and under which key it waits."""
+
+    __tablename__ = "upload_parts"
+    __table_args__ = (CheckConstraint("n_bytes > 0", name="is_not_empty"),)
+    upload_id: Mapped[UUID] = mapped_column(ForeignKey("partial_uploads.id", ondelete="CASCADE"), primary_key=True)
+    first_byte: Mapped[int] = mapped_column(BigInteger, primary_key=True, autoincrement=False)
+    n_bytes: Mapped[int]
+    key: Mapped[str]

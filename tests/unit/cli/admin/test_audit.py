@@ -1,0 +1,119 @@
+"""Every admin command that changes something writes the audit log; a new command has to be listed here."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import typer
+from cli_service import CliService, submission_folder
+from typer.core import TyperGroup
+from vitac.cli.admin.app import app
+from vitac.server.accounts.audit import newest_entries
+from vitac.server.accounts.principals import CONSOLE
+from vitac.server.accounts.tokens import list_tokens
+from vitac.server.db.models import Team
+
+READS = {
+    "audit list",
+    "evaluation list",
+    "evaluation show",
+    "quota list",
+    "submission list",
+    "submission show",
+    "team list",
+    "team show",
+    "token list",
+    "worker list",
+    "worker show",
+}
+CHANGES = {
+    "backup": (["FILE"], "service.backup"),
+    "team add": (["Bears"], "token.issue"),
+    "token add": (["--judge"], "token.issue"),
+    "token revoke": (["TOKEN", "--yes"], "token.revoke"),
+    "quota set": (["Team A", "tokens", "7"], "team.quota"),
+    "submission cancel": (["SUBMISSION", "--yes"], "submission.cancel"),
+    "submission requeue": (["CANCELLED", "--yes"], "submission.requeue"),
+    "evaluation cancel": (["EVALUATION", "--yes"], "submission.cancel"),
+    "evaluation requeue": (["CANCELLED_EVALUATION", "--yes"], "submission.requeue"),
+}
+"""Arguments of a command, capitals standing for what there is, and the action of its line."""
+TRIED_ELSEWHERE = {"restore"}
+"""It needs an empty service: tests/unit/server/backup/test_backup.py."""
+
+
+def commands(group: TyperGroup, path: str = "") -> Iterator[str]:
+    for name, command in group.commands.items():
+        if isinstance(command, TyperGroup):
+            yield from commands(command, f"{path}{name} ")
+        else:
+            yield f"{path}{name}"
+
+
+def test_every_command_is_a_read_or_a_change() -> None:
+    group = typer.main.get_command(app)
+    assert isinstance(group, TyperGroup)
+    assert set(commands(group)) == READS | set(CHANGES) | TRIED_ELSEWHERE
+
+
+def there_is(service: CliService, name: str, tmp_path: Path) -> str:
+    """What a placeholder stands for."""
+    if name == "FILE":
+        return str(tmp_path / "file.tar")
+    if name == "TOKEN":
+        with service.database.transaction() as session:
+            return str(list_tokens(session, CONSOLE)[0].id)
+    submission = json.loads(service.run("submit", str(submission_folder(tmp_path / "mine")), "--json").stdout)["id"]
+    if name.startswith("CANCELLED"):
+        service.run("admin", "submission", "cancel", submission, "--yes")
+    if name.endswith("EVALUATION"):
+        return str(json.loads(service.run("admin", "evaluation", "list", "--json").stdout)[0]["id"])
+    return str(submission)
+
+
+@pytest.mark.parametrize("command", CHANGES)
+def test_a_change_is_written_to_the_audit_log(service: CliService, command: str, tmp_path: Path) -> None:
+    arguments, action = CHANGES[command]
+    given = [there_is(service, name, tmp_path) if name.isupper() else name for name in arguments]
+    with service.database.transaction() as session:
+        last = newest_entries(session, 1)[0].id
+    done = service.run("admin", *command.split(), *given)
+    assert done.exit_code == 0, (done.output, done.exception)
+    with service.database.transaction() as session:
+        newest = newest_entries(session, 1)[0]
+    assert newest.id > last
+    assert (newest.action, newest.actor) == (action, "organizer:console")
+
+
+def test_reads_write_nothing(service: CliService) -> None:
+    with service.database.transaction() as session:
+        last = newest_entries(session, 1)[0].id
+    for command in READS:
+        service.run("admin", *command.split(), *(["Team A"] if command in {"quota list", "team show"} else []))
+    with service.database.transaction() as session:
+        assert newest_entries(session, 1)[0].id == last
+
+
+def test_lists_who_when_what_before_and_after(service: CliService) -> None:
+    for limit in ("7", "unlimited"):
+        service.run("admin", "quota", "set", "Team A", "tokens", limit)
+    listed = json.loads(service.run("admin", "audit", "list", "--action", "team.quota", "--json").stdout)
+    assert [(line["before"]["limit"], line["after"]["limit"]) for line in listed] == [(7, None), ("default", 7)]
+    assert all(line["actor"] == "organizer:console" and line["at"] for line in listed)
+    shown = service.run("admin", "audit", "list", "--action", "team.quota", "--limit", "1").stdout
+    assert "who" in shown.splitlines()[0]
+    assert '"limit": 7' in shown
+    assert "No such change." in service.run("admin", "audit", "list", "--subject", "team:none").stdout
+
+
+def test_a_long_change_is_cut_in_the_table_only(service: CliService) -> None:
+    name = "x" * 64
+    service.run("admin", "team", "add", name, "--contact", "y" * 200)
+    with service.database.transaction() as session:
+        team = session.query(Team).filter_by(name=name).one()
+    subject = f"team:{team.id}"
+    shown = service.run("admin", "audit", "list", "--subject", subject).stdout
+    assert name in shown
+    (line,) = json.loads(service.run("admin", "audit", "list", "--subject", subject, "--json").stdout)
+    assert line["after"]["name"] == name

@@ -1,0 +1,182 @@
+"""Who may call which route: one table over all routes of the API's description, tried whole."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+from uuid import UUID, uuid4
+
+import pytest
+from service_client import Service, bearer, make_archive
+from service_factories import play_all
+from vitac.server.accounts import tokens
+from vitac.server.accounts.principals import CONSOLE
+from vitac.server.db.models import Submission
+from vitac.server.db.states import Role
+
+
+class Who(StrEnum):
+    VISITOR = "visitor"  # without a token
+    OWNER = "owner"  # the team whose thing it is
+    OTHER = "other"  # another team
+    JUDGE = "judge"
+    ORGANIZER = "organizer"
+
+
+EVERYBODY = frozenset(Who)
+SIGNED_IN = EVERYBODY - {Who.VISITOR}
+READERS = frozenset({Who.OWNER, Who.JUDGE, Who.ORGANIZER})
+CHANGERS = frozenset({Who.OWNER, Who.ORGANIZER})
+TEAMS = frozenset({Who.OWNER, Who.OTHER})
+
+SUBMISSION = "/api/v1/submissions/{submission_id}"
+UPLOAD = "/api/v1/uploads/{upload_id}"
+MATRIX: dict[tuple[str, str], frozenset[Who]] = {
+    ("get", "/health"): EVERYBODY,
+    ("get", "/ready"): EVERYBODY,
+    ("get", "/metrics"): frozenset({Who.ORGANIZER}),
+    ("get", "/api/v1/tracks"): EVERYBODY,
+    ("get", "/api/v1/tracks/{track}"): EVERYBODY,
+    ("get", "/api/v1/leaderboards/{track}"): EVERYBODY,
+    ("get", "/api/v1/leaderboards/{track}/logs"): EVERYBODY,
+    ("post", "/api/v1/teams"): EVERYBODY,
+    ("get", "/api/v1/me"): SIGNED_IN,
+    ("get", "/api/v1/tokens"): SIGNED_IN,
+    ("post", "/api/v1/tokens"): TEAMS | {Who.ORGANIZER},
+    ("delete", "/api/v1/tokens/{token_id}"): CHANGERS,
+    ("get", "/api/v1/submissions"): SIGNED_IN,
+    ("post", "/api/v1/submissions"): TEAMS | {Who.ORGANIZER},
+    ("get", SUBMISSION): READERS,
+    ("get", f"{SUBMISSION}/episodes"): READERS,
+    ("get", f"{SUBMISSION}/action-matches"): READERS,
+    ("get", f"{SUBMISSION}/output"): READERS,
+    ("get", f"{SUBMISSION}/log"): READERS,
+    ("get", f"{SUBMISSION}/events"): READERS,
+    ("post", f"{SUBMISSION}/cancel"): CHANGERS,
+    ("post", f"{SUBMISSION}/requeue"): frozenset({Who.ORGANIZER}),
+    ("options", "/api/v1/uploads"): EVERYBODY,
+    ("post", "/api/v1/uploads"): TEAMS | {Who.ORGANIZER},
+    ("head", UPLOAD): CHANGERS,
+    ("patch", UPLOAD): CHANGERS,
+    ("delete", UPLOAD): CHANGERS,
+    ("post", f"{UPLOAD}/submission"): CHANGERS,
+}
+"""Who gets an answer of the route about a thing of the team OWNER. All others: 401 without a token, else 403 or 404."""
+
+REFUSED = {401, 403, 404}
+UPLOAD_HEADERS = {"Tus-Resumable": "1.0.0"}
+KIND = "kind bW9kZWw="  # "model", as the protocol writes it
+
+
+@dataclass(frozen=True, kw_only=True)
+class Setting:
+    """A service with a finished submission of the team OWNER, and everybody's token."""
+
+    service: Service
+    submission_id: str
+    tokens: dict[Who, str | None]
+
+    def ask(self, method: str, path: str, who: Who) -> int:
+        """Status of a request that would succeed for whoever may make it."""
+        headers: dict[str, str] = dict(UPLOAD_HEADERS) if "/uploads" in path else {}
+        token = self.tokens[who]
+        if token is not None:
+            headers |= bearer(token)
+        options = BODIES[method, path](self, who) if (method, path) in BODIES else {}
+        headers |= options.pop("headers", {})
+        ids = {"submission_id": self.submission_id, "upload_id": "", "token_id": "", "track": "track_1"}
+        if "{upload_id}" in path:
+            ids["upload_id"] = self.new_upload()
+        if "{token_id}" in path:
+            ids["token_id"] = self.new_token()
+        return self.service.client.request(method, path.format(**ids), headers=headers, **options).status_code
+
+    def new_upload(self) -> str:
+        """A begun upload of the team OWNER."""
+        token = self.tokens[Who.OWNER]
+        assert token is not None
+        headers = UPLOAD_HEADERS | bearer(token) | {"Upload-Length": "7", "Upload-Metadata": KIND}
+        made = self.service.client.post("/api/v1/uploads", headers=headers)
+        assert made.status_code == 201, made.text
+        return made.headers["Location"].rpartition("/")[2]
+
+    def new_token(self) -> str:
+        """Id of a further token of the team OWNER."""
+        answer = self.service.post("/tokens", json={"label": "further"})
+        assert answer.status_code == 201, answer.text
+        return str(answer.json()["id"])
+
+
+def _as_organizer(who: Who) -> dict[str, str]:
+    return {"team": "Team A"} if who is Who.ORGANIZER else {}
+
+
+Options = Callable[[Setting, Who], dict[str, Any]]
+BODIES: dict[tuple[str, str], Options] = {
+    ("post", "/api/v1/teams"): lambda *_: {"json": {"name": f"Team {uuid4().hex[:12]}"}},
+    ("post", "/api/v1/tokens"): lambda *_: {"json": {"label": "new"}},
+    ("post", "/api/v1/submissions"): lambda _, who: {
+        "content": make_archive(),
+        "headers": {"Content-Type": "application/zip"},
+        "params": _as_organizer(who),
+    },
+    ("post", "/api/v1/uploads"): lambda _, who: {
+        "headers": {"Upload-Length": "7", "Upload-Metadata": KIND},
+        "params": _as_organizer(who),
+    },
+    ("patch", UPLOAD): lambda *_: {
+        "content": b"a",
+        "headers": {"Upload-Offset": "0", "Content-Type": "application/offset+octet-stream"},
+    },
+}
+
+
+@pytest.fixture
+def setting(service: Service) -> Setting:
+    submission_id = service.upload(make_archive()).json()["id"]
+    with service.services.database.transaction() as session:
+        submission = session.get_one(Submission, UUID(submission_id))
+        judge = tokens.issue(session, CONSOLE, role=Role.JUDGE, label="judge", lifetime=None).secret
+    play_all(service.services.database, submission)
+    return Setting(
+        service=service,
+        submission_id=submission_id,
+        tokens={
+            Who.VISITOR: None,
+            Who.OWNER: service.token,
+            Who.OTHER: service.other_token,
+            Who.JUDGE: judge,
+            Who.ORGANIZER: service.organizer_token,
+        },
+    )
+
+
+def test_every_route_has_an_entry_and_every_entry_a_route(service: Service) -> None:
+    document = service.client.get("/openapi.json").json()
+    routes = {(method, path) for path, methods in document["paths"].items() for method in methods}
+    assert routes == set(MATRIX), "say in MATRIX who may call a new route"
+
+
+@pytest.mark.parametrize("who", Who)
+def test_a_role_gets_exactly_what_the_matrix_gives_it(setting: Setting, who: Who) -> None:
+    wrong = []
+    for (method, path), allowed in MATRIX.items():
+        status = setting.ask(method, path, who)
+        is_refused = status in ({401} if who is Who.VISITOR else REFUSED)
+        is_answered = status not in REFUSED and status < 500
+        if not (is_answered if who in allowed else is_refused):
+            wrong.append(f"{method} {path}: {status}")
+    assert wrong == []
+
+
+def test_a_judge_reads_all_teams_submissions_and_no_tokens(setting: Setting) -> None:
+    judge = bearer(setting.tokens[Who.JUDGE] or "")
+    listed = setting.service.client.get("/api/v1/submissions", headers=judge).json()["items"]
+    assert [item["id"] for item in listed] == [setting.submission_id]
+    tokens_seen = setting.service.client.get("/api/v1/tokens", headers=judge).json()["items"]
+    assert [token["role"] for token in tokens_seen] == ["judge"]
+
+
+def test_a_team_cannot_see_what_another_has(setting: Setting) -> None:
+    other = bearer(setting.tokens[Who.OTHER] or "")
+    assert setting.service.client.get("/api/v1/submissions", headers=other).json()["items"] == []
