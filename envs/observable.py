@@ -37,6 +37,7 @@ class Observable(Generic[SceneT]):
         dtype: of the array; the value is converted to it.
         privileged: it is a truth that only training sees.
         computed_from: how it follows from another observable; None where it does not.
+        picture: it is what a camera sees, read without the episode's generator; a record holds a hash of it.
     """
 
     name: str
@@ -47,3 +48,4 @@ class Observable(Generic[SceneT]):
     dtype: str = "float32"
     privileged: bool = False
     computed_from: BackProjection | None = None
+    picture: bool = False

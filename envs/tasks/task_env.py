@@ -3,6 +3,7 @@
 A task adds its definition, its scene, its goal and its variation.
 """
 
+import hashlib
 from abc import abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -160,6 +161,21 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
         """Return the SHA-256 [hex] of the meshes, materials and settings in use."""
         return self._meshes.hash(self._solids(), self.settings)
 
+    def picture_hash(self) -> str | None:
+        """Return the SHA-256 [hex] of all pictures of the task after the last reset or env step, observed or not.
+
+        None where the task has no cameras.
+        """
+        pictures = [entry for entry in self.task.observables if entry.picture]
+        if not pictures:
+            return None
+        digest = hashlib.sha256()
+        for entry in pictures:
+            values = self._value(entry).astype(np.dtype(entry.dtype).newbyteorder("<"))
+            digest.update(f"{entry.name} {entry.dtype} {values.shape}\n".encode())
+            digest.update(values.tobytes())
+        return digest.hexdigest()
+
     def reset(self, *, seed: int | None = None, options: Mapping[str, Any] | None = None) -> tuple[Observation, Info]:
         """Start an episode; see the class for the options.
 
@@ -223,9 +239,12 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
         """Return the task's own entries of `info`, in the order of the challenge's logs."""
 
     def _observation(self) -> Observation:
-        assert self._episode_random is not None  # noqa: S101 - set by reset
-        scene, random = self.task_scene, self._episode_random
-        return {entry.name: np.asarray(entry.read(scene, random)).astype(entry.dtype) for entry in self._observables}
+        return {entry.name: self._value(entry) for entry in self._observables}
+
+    def _value(self, entry: Observable[Any]) -> NDArray[Any]:
+        scene = self.task_scene
+        assert self._episode_random is not None  # noqa: S101 - set by reset, as the scene is
+        return np.asarray(entry.read(scene, self._episode_random)).astype(entry.dtype)
 
     def _completed(self, info: Info, end_reason: EndReason | None) -> Info:
         return info | {

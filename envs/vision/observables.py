@@ -33,6 +33,7 @@ RGB_PICTURE: Observable[HasSight] = Observable(
     unit="1",
     meaning="Red, green, blue; the base is blue, the peg red, the gels light blue, the background white.",
     read=lambda scene, _: scene.sight().colours,
+    picture=True,
 )
 DEPTH_PICTURE: Observable[HasSight] = Observable(
     name="depth_picture",
@@ -40,6 +41,7 @@ DEPTH_PICTURE: Observable[HasSight] = Observable(
     unit="m",
     meaning="Distance along the colour camera's optical axis, 0 where unknown.",
     read=lambda scene, _: scene.sight().depth_m,
+    picture=True,
 )
 POINT_CLOUD: Observable[HasSight] = Observable(
     name="point_cloud",

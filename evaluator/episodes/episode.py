@@ -16,6 +16,7 @@ from ..agent.protocol.frames import CloudSpec
 from ..agent.session import Isolation
 from ..agent.verdicts import PolicyFailed
 from ..tracks import Episode, Task
+from .picture_sample import PictureSample
 from .reading import Observation, Reading, reading_of
 from .records import ActionSequence, EpisodeOutcome, EpisodeRecord, FailureStage, PolicyFailure, Timings
 
@@ -48,6 +49,9 @@ class Environment(Protocol):
 
     def state_hash(self) -> str:
         """Return the SHA-256 [hex] of the physical state."""
+
+    def picture_hash(self) -> str | None:
+        """Return the SHA-256 [hex] of what the task's cameras see now; None where it has none."""
 
     def mesh_hash(self) -> str:
         """Return the SHA-256 [hex] of the meshes and materials in use."""
@@ -126,6 +130,7 @@ def make_environment(
 class _Trace:
     """What has happened so far in an episode."""
 
+    sample: PictureSample
     actions: list[NDArray[np.float32]] = field(default_factory=list)
     state_hashes: list[str] = field(default_factory=list)
     infos: list[dict[str, JsonValue]] = field(default_factory=list)
@@ -153,9 +158,9 @@ def run_episode(
         EnvironmentBroken: the environment gave keys that the policy does not read, or did not end.
     """
     started, physics_s, markers_s = perf_counter(), env.physics_cpu_s, env.marker_cpu_s
-    trace = _Trace()
+    trace = _Trace(sample=PictureSample(env, episode))
     observation, _ = env.reset(options=episode.options)
-    trace.state_hashes.append(env.state_hash())
+    trace.state_hashes.append(trace.sample.look(env_step=0))
     _play_or_fail(env, task, open_session, observation, trace, reading or reading_of(task))
     timings = Timings(
         physics_s=env.physics_cpu_s - physics_s,
@@ -204,7 +209,7 @@ def _play(
         action = policy.act(public_part(task, reading, observation))
         observation, reward, terminated, truncated, info = env.step(action)
         trace.actions.append(np.array(action, dtype=np.float32))
-        trace.state_hashes.append(env.state_hash())
+        trace.state_hashes.append(trace.sample.look(env_step=len(trace.actions)))
         trace.infos.append(json_info(info))
         trace.total_reward += float(reward)
         if terminated or truncated:
@@ -244,6 +249,7 @@ def _record(task: Task, episode: Episode, trace: _Trace, timings: Timings) -> Ep
         actions=ActionSequence.from_array(actions),
         state_hashes=tuple(trace.state_hashes),
         infos=tuple(trace.infos),
+        picture=trace.sample.picture,
         failure=trace.failure,
         timings=timings,
         output=trace.output,

@@ -13,7 +13,16 @@ from typing import Annotated, Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, JsonValue, NonNegativeFloat, NonNegativeInt, PositiveInt, model_validator
+from pydantic import (
+    Field,
+    JsonValue,
+    NonNegativeFloat,
+    NonNegativeInt,
+    PositiveInt,
+    SerializerFunctionWrapHandler,
+    model_serializer,
+    model_validator,
+)
 from vitac.envs.errors import VitacError
 
 from ..agent.verdicts import VerdictCode
@@ -113,12 +122,21 @@ class Timings(StrictModel):
     wall_s: NonNegativeFloat = 0.0
 
 
+class SampledPicture(StrictModel):
+    """The pictures of one env step, which `picture_sample` selects; env step 0 is the reset."""
+
+    env_step: NonNegativeInt
+    sha256: StateHash
+    """Over all pictures of the task at that env step, observed or not."""
+
+
 class EpisodeRecord(StrictModel):
     """One finished episode.
 
     `state_hashes` has one entry after the reset and one after each env step; `infos` one entry per env step.
     `initial_offset` is in the units of the task's `offset_option` (mm and degrees). `output` is the end of what the
-    policy printed meanwhile, for its team only.
+    policy printed meanwhile, for its team only. `picture` is of a task with cameras only; the record of another task
+    does not have the key.
     """
 
     episode: PositiveInt
@@ -131,6 +149,7 @@ class EpisodeRecord(StrictModel):
     actions: ActionSequence
     state_hashes: tuple[StateHash, ...] = Field(min_length=1)
     infos: tuple[dict[str, JsonValue], ...]
+    picture: SampledPicture | None = None
     failure: PolicyFailure | None = None
     timings: Timings = Timings()
     output: str = ""
@@ -150,7 +169,14 @@ class EpisodeRecord(StrictModel):
             )
         if (self.failure is not None) != (self.outcome is EpisodeOutcome.POLICY_FAILED):
             raise ValueError(f"outcome {self.outcome.value} and failure {self.failure} do not belong together")
+        if self.picture is not None and self.picture.env_step > self.env_steps:
+            raise ValueError(f"picture is of env step {self.picture.env_step}, expected at most {self.env_steps}")
         return self
+
+    @model_serializer(mode="wrap")
+    def _without_absent_picture(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        written: dict[str, Any] = write(self)
+        return {key: value for key, value in written.items() if key != "picture" or value is not None}
 
     def record_digest(self) -> str:
         """Return the SHA-256 [hex] of all but `NOT_HASHED`; equal records of a repeated episode have equal digests."""
@@ -175,7 +201,7 @@ _HASHED_MANIFEST_KEYS = {"track", "task", "list_seed", "evaluator_version", "sol
 
 
 def result_hash(manifest: Manifest, records: Iterable[EpisodeRecord]) -> str:
-    """Return the SHA-256 [hex] of an evaluation: what it was made with, and its actions, states and outcomes.
+    """Return the SHA-256 [hex] of an evaluation: what it was made with, and its actions, states, pictures and outcomes.
 
     It depends neither on the order of the records nor on times, so one and many workers, the command line and the
     server, and a resumed evaluation agree. It is the hash of JSON lines (sorted keys, no blanks): first the manifest,
@@ -213,7 +239,8 @@ def canonical_json(content: Mapping[str, Any]) -> bytes:
 
 
 def _hashed_part(record: EpisodeRecord) -> dict[str, Any]:
-    return {
+    pictures = {"picture": record.picture.model_dump(mode="json")} if record.picture else {}
+    return pictures | {
         "episode": record.episode,
         "actions": record.actions.model_dump(mode="json"),
         "state_hashes": list(record.state_hashes),

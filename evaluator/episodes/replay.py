@@ -9,7 +9,8 @@ from pydantic import JsonValue
 
 from ..tracks import Episode
 from .episode import Environment, json_info
-from .records import EpisodeOutcome, Timings
+from .picture_sample import PictureSample
+from .records import EpisodeOutcome, SampledPicture, Timings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -17,6 +18,7 @@ class Resimulated:
     """An episode played again.
 
     `state_hashes` starts with the reset's. `end_step` counts from 1; it and `outcome` are None where nothing ended it.
+    `picture` is of an env step up to its end.
     """
 
     state_hashes: tuple[str, ...]
@@ -24,6 +26,7 @@ class Resimulated:
     total_reward: float
     outcome: EpisodeOutcome | None
     end_step: int | None
+    picture: SampledPicture | None
     timings: Timings
 
 
@@ -39,12 +42,13 @@ def resimulate(env: Environment, episode: Episode, actions: NDArray[np.float32])
         What happened; the reward is that up to the end of the episode.
     """
     started, physics_s, markers_s = perf_counter(), env.physics_cpu_s, env.marker_cpu_s
+    sample = PictureSample(env, episode)
     env.reset(options=episode.options)
-    state_hashes, infos = [env.state_hash()], []
+    state_hashes, infos = [sample.look(env_step=0)], []
     total_reward, outcome, end_step = 0.0, None, None
     for step, action in enumerate(actions, start=1):
         _, reward, terminated, truncated, info = env.step(action)
-        state_hashes.append(env.state_hash())
+        state_hashes.append(sample.look(step) if end_step is None else env.state_hash())
         infos.append(json_info(info))
         if end_step is None:
             total_reward += float(reward)
@@ -56,6 +60,7 @@ def resimulate(env: Environment, episode: Episode, actions: NDArray[np.float32])
         total_reward=total_reward,
         outcome=outcome,
         end_step=end_step,
+        picture=sample.picture,
         timings=Timings(
             physics_s=env.physics_cpu_s - physics_s,
             markers_s=env.marker_cpu_s - markers_s,

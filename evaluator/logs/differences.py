@@ -58,7 +58,7 @@ def _difference_in_steps(one: EpisodeRecord, other: EpisodeRecord) -> LogDiffere
 
 
 def _difference_at_the_end(one: EpisodeRecord, other: EpisodeRecord) -> LogDifference | None:
-    for key in ("env_steps", "outcome"):
+    for key in ("env_steps", "outcome", "picture"):
         if getattr(one, key) != getattr(other, key):
             return LogDifference(episode=one.episode, key=key, first=getattr(one, key), second=getattr(other, key))
     return None

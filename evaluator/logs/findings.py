@@ -7,6 +7,7 @@ from enum import StrEnum
 
 from pydantic import JsonValue
 
+from ..episodes.records import SampledPicture
 from ..strict_model import StrictModel
 
 _LONGEST_TEXT = 100
@@ -21,6 +22,8 @@ class VerificationResult(StrEnum):
     """Made on another known platform class; states differ, all outcomes and numbers of env steps are equal."""
     DIVERGED = "diverged"
     """The actions lead to other states than the log says."""
+    OTHER_PICTURE = "other_picture"
+    """All states of an episode are equal, but the pictures of its sampled env step are not."""
     IMPOSSIBLE = "impossible"
     """No evaluation of this list can have made it."""
 
@@ -65,18 +68,27 @@ class Divergence(StrictModel):
     resimulated_info: dict[str, JsonValue] | None
 
 
+class OtherPicture(StrictModel):
+    """An episode whose recorded pictures are not those of its re-simulation; None where there are none."""
+
+    episode: int
+    recorded: SampledPicture | None
+    resimulated: SampledPicture | None
+
+
 class LogFinding(StrictModel):
-    """Why a log earns no score: it diverged, or it is impossible."""
+    """Why a log earns no score: it diverged, its pictures are others, or it is impossible."""
 
     verdict: VerificationResult
     reason: str
     divergence: Divergence | None = None
+    other_picture: OtherPicture | None = None
     impossibility: Impossibility | None = None
 
     @property
     def episode(self) -> int | None:
         """Number of the episode concerned; None for the whole log."""
-        about = self.divergence or self.impossibility
+        about = self.divergence or self.other_picture or self.impossibility
         return about.episode if about else None
 
     @classmethod
@@ -86,9 +98,23 @@ class LogFinding(StrictModel):
         return cls(verdict=VerificationResult.DIVERGED, reason=reason, divergence=divergence)
 
     @classmethod
+    def of_picture(cls, other: OtherPicture) -> "LogFinding":
+        """Return the finding that the camera, or the record, was another one."""
+        reason = (
+            f"episode {other.episode}: expected {_named(other.resimulated)}, got {_named(other.recorded)}. All states "
+            "are equal, so the log was made with another camera or renderer, or its pictures were changed; evaluate "
+            "again with this version of vitac, unchanged, and upload the new log"
+        )
+        return cls(verdict=VerificationResult.OTHER_PICTURE, reason=reason, other_picture=other)
+
+    @classmethod
     def impossible(cls, impossibility: Impossibility) -> "LogFinding":
         """Return the finding that no evaluation can have made a log."""
         return cls(verdict=VerificationResult.IMPOSSIBLE, reason=impossibility.message, impossibility=impossibility)
+
+
+def _named(picture: SampledPicture | None) -> str:
+    return f"the pictures {picture.sha256[:12]}… of env step {picture.env_step}" if picture else "no pictures"
 
 
 def comparable(recorded: JsonValue, ours: JsonValue) -> JsonValue:

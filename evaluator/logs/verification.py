@@ -15,7 +15,7 @@ from ..strict_model import StrictModel
 from ..tracks import Task, Track
 from ..version import PLATFORM_CLASSES
 from .checks import must_agree, why_impossible
-from .findings import Divergence, LogFinding, VerificationResult, comparable
+from .findings import Divergence, LogFinding, OtherPicture, VerificationResult, comparable
 from .log import LogHeader
 from .recordings import recording_of
 
@@ -48,12 +48,13 @@ class CheckedEpisode:
         record: the log's record with the re-simulated states, infos and rewards.
         divergence: the first state that differs; on another platform class, the different end of the episode if there
             is one; None if all states are equal.
-        holds: whether the episode is accepted: all states equal or, on another platform class, the same end.
+        finding: why the episode is not accepted. It is, if all states and the sampled pictures are equal, or if it is
+            of another platform class, where states differ, and ends alike.
     """
 
     record: EpisodeRecord
     divergence: Divergence | None
-    holds: bool
+    finding: LogFinding | None
 
 
 def verify(
@@ -86,8 +87,8 @@ def verify(
     for record in records:
         checked = check_episode(env, task, manifest, header, record)
         first = first or checked.divergence
-        if checked.divergence and not checked.holds:
-            return _without_score(manifest, LogFinding.diverged(checked.divergence))
+        if checked.finding:
+            return _without_score(manifest, checked.finding)
         played.append(checked.record)
         on_episode(played[-1])
     return Verification(
@@ -122,8 +123,17 @@ def check_episode(
     return CheckedEpisode(
         record=_with_our_states(record, played),
         divergence=divergence,
-        holds=divergence is None or (other_platform and ended_as_recorded),
+        finding=None if divergence and other_platform and ended_as_recorded else _finding(divergence, record, played),
     )
+
+
+def _finding(divergence: Divergence | None, record: EpisodeRecord, played: Resimulated) -> LogFinding | None:
+    if divergence:
+        return LogFinding.diverged(divergence)
+    if record.picture != played.picture:
+        other = OtherPicture(episode=record.episode, recorded=record.picture, resimulated=played.picture)
+        return LogFinding.of_picture(other)
+    return None
 
 
 def find_divergence(record: EpisodeRecord, played: Resimulated) -> Divergence | None:
@@ -169,6 +179,7 @@ def _with_our_states(record: EpisodeRecord, played: Resimulated) -> EpisodeRecor
             "state_hashes": played.state_hashes,
             "infos": played.infos,
             "total_reward": played.total_reward,
+            "picture": played.picture,
             "failure": failure,
             "timings": played.timings,
             "output": "",

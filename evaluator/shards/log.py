@@ -84,7 +84,7 @@ def _first_divergence(
             if record.episode not in part.numbers:
                 continue
             checked = check_episode(env, part.task, manifest, reader.header, record)
-            if checked.divergence and not checked.holds:
-                return LogFinding.diverged(checked.divergence)
+            if checked.finding:
+                return checked.finding
             on_episode(checked.record)
     return None

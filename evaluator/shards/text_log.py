@@ -57,5 +57,6 @@ def _record(task: Task, recording: Recording, played: Resimulated) -> EpisodeRec
         actions=ActionSequence.from_array(recording.actions[:steps]),
         state_hashes=played.state_hashes[: steps + 1],
         infos=played.infos[:steps],
+        picture=played.picture,
         timings=played.timings,
     )

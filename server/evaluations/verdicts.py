@@ -10,6 +10,7 @@ class ServiceVerdict(StrEnum):
 
     MACHINE_FAILED = "machine_failed"
     DIVERGED = "diverged"
+    OTHER_PICTURE = "other_picture"
     IMPOSSIBLE = "impossible"
 
     @property
@@ -26,13 +27,17 @@ _SENTENCES = {
     ServiceVerdict.DIVERGED: (
         "The log's actions do not lead where it says; it is not ranked. `vitac log verify` shows the same at home."
     ),
+    ServiceVerdict.OTHER_PICTURE: (
+        "The log's states are right, but a camera picture that it names is not the one seen there; it is not ranked. "
+        "Evaluate again with an unchanged version of vitac and upload the new log."
+    ),
     ServiceVerdict.IMPOSSIBLE: (
         "No evaluation by this evaluator can have made the log; evaluate again with its version and upload the new log."
     ),
 }
 
 
-REFUTING_RESULTS = frozenset({ServiceVerdict.DIVERGED, ServiceVerdict.IMPOSSIBLE})
+REFUTING_RESULTS = frozenset({ServiceVerdict.DIVERGED, ServiceVerdict.OTHER_PICTURE, ServiceVerdict.IMPOSSIBLE})
 
 
 def sentence_of(code: str) -> str:

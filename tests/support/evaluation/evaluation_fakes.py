@@ -29,11 +29,17 @@ def small_track(repeats: int = 1, shard_size: int = 4, offsets: int = 4) -> Trac
 
 
 class FakeEnvironment:
-    """Ends with success at the first action whose x is 1, with too many steps after 8; its state hashes its history."""
+    """Ends with success at the first action whose x is 1, with too many steps after 8; its state hashes its history.
+
+    Args:
+        camera: name of the camera whose pictures show the history; none by default.
+    """
 
     solver_version = "fake"
 
-    def __init__(self) -> None:
+    def __init__(self, camera: str | None = None) -> None:
+        self.camera = camera
+        self.pictures_taken = 0
         self.ipc_steps = 0
         self.physics_cpu_s = 0.0
         self.marker_cpu_s = 0.0
@@ -47,6 +53,10 @@ class FakeEnvironment:
 
     def state_hash(self) -> str:
         return hashlib.sha256(self._history).hexdigest()
+
+    def picture_hash(self) -> str | None:
+        self.pictures_taken += 1
+        return hashlib.sha256(self.camera.encode() + self._history).hexdigest() if self.camera else None
 
     def reset(self, *, options: Mapping[str, object]) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
         self._history, self._steps = repr(sorted(options.items())).encode(), 0

@@ -1,5 +1,6 @@
 """What the base adds to every task: parts that are composed from outside."""
 
+import hashlib
 from typing import Any
 
 import numpy as np
@@ -95,3 +96,52 @@ def test_tactile_pictures_without_the_flow_are_the_same() -> None:
     both = PegInsertionEnv(observables=(RGB_IMAGES,), observation_keys=("marker_flow",))
     one, other = (env.reset(options=START)[0]["rgb_images"] for env in (alone, both))
     np.testing.assert_array_equal(one, other)
+
+
+def fusion(keys: tuple[str, ...] | None = None, **settings: Any) -> FusionInsertionEnv:
+    env = FusionInsertionEnv(observation_keys=keys, **settings)
+    env.reset(options={"start": (2.0, -4.0, 6.0, 5.0, 1), "rng_seed": (0, 1)})
+    return env
+
+
+def test_pictures_have_the_same_hash_whatever_is_observed_and_however_often_they_are_asked_for() -> None:
+    """With noise: it follows from the episode and the env step alone, so verification finds it without a policy."""
+    hashes = set()
+    for keys in (None, (), ("marker_flow",), ("depth_picture",)):
+        env = fusion(keys)
+        env.step(np.full(4, 0.25, np.float32))
+        hashes |= {env.picture_hash(), env.picture_hash()}
+    assert len(hashes) == 1
+
+
+def test_the_hash_of_the_pictures_is_over_colours_and_depth() -> None:
+    env = fusion(depth_mode="gt")
+    observation, *_ = env.step(np.zeros(4, np.float32))
+    digest = hashlib.sha256()
+    for key, shape in (("rgb_picture", "uint8 (480, 640, 3)"), ("depth_picture", "float32 (480, 640)")):
+        digest.update(f"{key} {shape}\n".encode() + observation[key].tobytes())
+    assert env.picture_hash() == digest.hexdigest()
+
+
+def test_the_hash_of_the_pictures_changes_with_the_scene_and_with_the_depth_mode() -> None:
+    hashes = []
+    for mode in ("gt", "stereo"):
+        env = fusion((), depth_mode=mode)
+        hashes.append(env.picture_hash())
+        env.step(np.ones(4, np.float32))
+        hashes.append(env.picture_hash())
+    assert len(set(hashes)) == 4
+
+
+def test_asking_for_the_hash_of_the_pictures_changes_no_later_observation() -> None:
+    asked, left = fusion(), fusion()
+    asked.picture_hash()
+    one, other = (env.step(np.zeros(4, np.float32))[0] for env in (asked, left))
+    assert all(np.array_equal(one[key], other[key]) for key in one)
+
+
+@pytest.mark.parametrize("env_type", [PegInsertionEnv, LockOpeningEnv])
+def test_a_task_without_cameras_has_no_hash_of_pictures(env_type: Any) -> None:
+    env = env_type()
+    env.reset(options={"rng_seed": (0, 1)})
+    assert env.picture_hash() is None

@@ -17,6 +17,7 @@ from vitac.evaluator.episodes.records import (
     EpisodeRecord,
     FailureStage,
     RecordsDisagree,
+    SampledPicture,
     Timings,
     canonical_json,
     result_hash,
@@ -237,3 +238,29 @@ def test_words_that_stored_records_and_hashes_hold_stay() -> None:
         "success", "tactile", "error", "steps", "not_converged", "policy_failed", "actions_ended",
     ]  # fmt: skip
     assert [stage.value for stage in FailureStage] == ["load", "episode"]
+
+
+PICTURE = SampledPicture(env_step=2, sha256="a" * 64)
+
+
+def test_records_without_pictures_keep_the_bytes_and_hashes_that_they_had_before_there_were_any() -> None:
+    records = [make_record(1), make_record(2, EpisodeOutcome.POLICY_FAILED, 2)]
+    assert [record.record_digest()[:12] for record in records] == ["3cd85540f10a", "0191639b72d7"]
+    assert result_hash(make_manifest(), records)[:12] == "3f1c404d8a50"
+    assert all("picture" not in record.model_dump(mode="json") for record in records)
+
+
+def test_a_picture_is_part_of_the_record_its_digest_and_the_result_hash() -> None:
+    plain, seen = make_record(1), make_record(1, picture=PICTURE)
+    other = make_record(1, picture=PICTURE.model_copy(update={"sha256": "b" * 64}))
+    assert EpisodeRecord.model_validate_json(seen.model_dump_json()) == seen
+    assert len({record.record_digest() for record in (plain, seen, other)}) == 3
+    assert len({result_hash(make_manifest(), [record]) for record in (plain, seen, other)}) == 3
+
+
+def test_a_picture_is_of_an_env_step_of_the_episode() -> None:
+    make_record(1, env_steps=2, picture=PICTURE)
+    with pytest.raises(ValidationError, match="picture is of env step 2, expected at most 1"):
+        make_record(1, env_steps=1, picture=PICTURE)
+    with pytest.raises(ValidationError, match="sha256"):
+        make_record(1, picture={"env_step": 1, "sha256": "short"})

@@ -19,6 +19,18 @@ def test_recorded_actions_give_the_recorded_episode_again() -> None:
     played = resimulate(FakeEnvironment(), START, record.actions.to_array())
     assert (played.state_hashes, played.infos) == (record.state_hashes, record.infos)
     assert (played.outcome, played.end_step, played.total_reward) == (record.outcome, 3, record.total_reward)
+    assert (played.picture, record.picture) == (None, None)
+
+
+def test_the_sampled_picture_is_the_recorded_one_and_never_of_an_env_step_after_the_end() -> None:
+    session = FakeSession(succeed)
+    session.open = True
+    for start in TASK.episodes:
+        record = run_episode(env=FakeEnvironment("rig"), task=TASK, episode=start, open_session=lambda: session)
+        recorded = record.actions.to_array()
+        further = resimulate(FakeEnvironment("rig"), start, np.concatenate([recorded, actions(*[0.25] * 20)]))
+        assert record.picture is not None
+        assert resimulate(FakeEnvironment("rig"), start, recorded).picture == further.picture == record.picture
 
 
 def test_actions_after_the_end_are_played_and_change_neither_end_nor_reward() -> None:

@@ -41,6 +41,7 @@ def test_header_is_compared_first() -> None:
         (with_second(shape="cuboid"), (2, None, "shape")),
         (with_second(env_steps=4), (2, 4, "env_steps")),
         (with_second(outcome=EpisodeOutcome.STEPS), (2, None, "outcome")),
+        (with_second(picture={"env_step": 1, "sha256": "a" * 64}), (2, None, "picture")),
         (RECORDS[:2], (3, None, "episode")),
         (RECORDS[1:], (1, None, "episode")),
         ([*RECORDS, make_record(4)], (4, None, "episode")),

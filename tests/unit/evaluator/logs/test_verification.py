@@ -1,3 +1,4 @@
+import re
 from functools import partial
 from typing import Any
 
@@ -17,9 +18,9 @@ TRACK = small_track(offsets=1)
 TASK = TRACK.tasks["peg-insertion"]
 
 
-def evaluated() -> tuple[LogHeader, list[EpisodeRecord]]:
+def evaluated(camera: str | None = None) -> tuple[LogHeader, list[EpisodeRecord]]:
     """A log of a solved episode, one that used up its steps, and one in which the policy crashed at the third step."""
-    env = FakeEnvironment()
+    env = FakeEnvironment(camera)
     answers = (succeed, lambda *_: action(0.25), lambda _, step: action(0.5) if step < 3 else fail())
     records = []
     for episode, answer in zip(TASK.episodes, answers, strict=True):
@@ -33,8 +34,10 @@ def evaluated() -> tuple[LogHeader, list[EpisodeRecord]]:
 HEADER, RECORDS = evaluated()
 
 
-def check(records: list[EpisodeRecord] = RECORDS, header: LogHeader = HEADER, **options: Any) -> Verification:
-    return verify(env=FakeEnvironment(), track=TRACK, task=TASK, header=header, records=records, **options)
+def check(
+    records: list[EpisodeRecord] = RECORDS, header: LogHeader = HEADER, camera: str | None = None, **options: Any
+) -> Verification:
+    return verify(env=FakeEnvironment(camera), track=TRACK, task=TASK, header=header, records=records, **options)
 
 
 def with_record(number: int, **changes: Any) -> list[EpisodeRecord]:
@@ -293,3 +296,60 @@ def test_three_failures_of_the_policy_in_one_shard_are_impossible() -> None:
 )
 def test_of_a_recorded_info_only_what_has_our_form_is_shown(recorded: Any, ours: Any, shown: Any) -> None:
     assert comparable(recorded, ours) == shown
+
+
+def test_a_log_with_the_pictures_of_its_states_is_verified() -> None:
+    _, records = evaluated("rig")
+    verification = check(records, camera="rig")
+    assert verification.verdict is VerificationResult.VERIFIED
+    assert result_hash(verification.manifest, verification.records) == result_hash(HEADER.manifest, records)
+
+
+@pytest.mark.parametrize(
+    ("recorded", "ours", "told"),
+    [
+        ("other rig", "rig", "expected the pictures .+… of env step . got the pictures .+… of env step"),
+        (None, "rig", "expected the pictures .+… of env step .+, got no pictures"),
+        ("rig", None, "expected no pictures, got the pictures .+… of env step"),
+    ],
+)
+def test_other_pictures_of_equal_states_are_a_finding_of_their_own(
+    recorded: str | None, ours: str | None, told: str
+) -> None:
+    _, records = evaluated(recorded)
+    verification = check(records, camera=ours)
+    assert (verification.verdict, verification.divergence) == (VerificationResult.OTHER_PICTURE, None)
+    assert (verification.score, verification.records) == (None, ())
+    assert re.match(f"episode 1: {told.replace('. got', '.+, got')}", verification.reason)
+    assert "evaluate again with this version of vitac, unchanged, and upload the new log" in verification.reason
+
+
+def test_the_picture_of_another_env_step_is_not_the_sampled_one() -> None:
+    """A participant cannot name a step of their own choice, even with its true picture."""
+    _, records = evaluated("rig")
+    sampled = records[1].picture
+    assert sampled is not None
+    chosen = sampled.model_copy(update={"env_step": (sampled.env_step + 1) % 8})
+    lie = [records[0], records[1].model_copy(update={"picture": chosen}), records[2]]
+    verification = check(lie, camera="rig")
+    assert verification.verdict is VerificationResult.OTHER_PICTURE
+    assert verification.reason.startswith("episode 2:")
+
+
+def test_other_states_are_named_before_other_pictures() -> None:
+    _, records = evaluated("other rig")
+    hashes = (*records[0].state_hashes[:-1], "f" * 64)
+    lie = [records[0].model_copy(update={"state_hashes": hashes}), *records[1:]]
+    assert check(lie, camera="rig").verdict is VerificationResult.DIVERGED
+
+
+def test_pictures_of_a_log_of_another_platform_class_are_compared_where_the_states_are_equal() -> None:
+    header = made_elsewhere(platform_class=next(iter(PLATFORM_CLASSES - {platform_class()})))
+    _, theirs = evaluated("other rig")
+    _, ours = evaluated("rig")
+    assert check(theirs, header, camera="rig").verdict is VerificationResult.OTHER_PICTURE
+    assert check(ours, header, camera="rig").verdict is VerificationResult.VERIFIED
+    moved = [record.model_copy(update={"state_hashes": ("f" * 64, *record.state_hashes[1:])}) for record in theirs]
+    tolerated = check(moved, header, camera="rig")
+    assert tolerated.verdict is VerificationResult.WITHIN_TOLERANCE
+    assert [record.picture for record in tolerated.records] == [record.picture for record in ours]

@@ -94,3 +94,15 @@ def test_log_of_another_mesh_or_solver_is_impossible_in_every_shard(tmp_path: Pa
         assert (result.end, records) == (ShardEnd.REFUTED, [])
         assert result.finding is not None
         assert (result.finding.verdict, result.finding.episode) == (VerificationResult.IMPOSSIBLE, None)
+
+
+def test_a_log_with_other_pictures_is_refuted_by_its_own_finding(tmp_path: Path) -> None:
+    picture = {"env_step": 1, "sha256": "a" * 64}
+    seen = EpisodeRecord(**{**dict(RECORDS[1]), "picture": picture})
+    result, records = resimulated(write(tmp_path / "log", [RECORDS[0], seen, *RECORDS[2:]]))
+    assert (result.end, len(records)) == (ShardEnd.REFUTED, 1)
+    assert result.finding is not None
+    assert (result.finding.verdict, result.finding.episode) == (VerificationResult.OTHER_PICTURE, 2)
+    assert result.finding.other_picture is not None
+    assert result.finding.other_picture.recorded == seen.picture
+    assert result.finding.other_picture.resimulated is None

@@ -27,8 +27,8 @@ from service_factories import (
 from sqlalchemy import event, inspect, text
 from sqlalchemy.exc import IntegrityError
 from uploaded_logs import a_log, a_text_log, log_manifest, some_records, upload_log
-from vitac.evaluator.episodes.records import ActionSequence, EpisodeOutcome, EpisodeRecord
-from vitac.evaluator.logs.findings import Divergence, Impossibility, ImpossibleReason, LogFinding
+from vitac.evaluator.episodes.records import ActionSequence, EpisodeOutcome, EpisodeRecord, SampledPicture
+from vitac.evaluator.logs.findings import Divergence, Impossibility, ImpossibleReason, LogFinding, OtherPicture
 from vitac.evaluator.logs.log import LogReader
 from vitac.evaluator.shards.result import ShardEnd, ShardResult
 from vitac.evaluator.version import evaluator_version
@@ -36,6 +36,7 @@ from vitac.server.accounts.principals import CONSOLE
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Evaluation, Submission
 from vitac.server.evaluations import lifecycle
+from vitac.server.evaluations.verdicts import sentence_of
 from vitac.server.leaderboards import log_boards
 from vitac.server.logs import action_matches
 from vitac.server.queue.leases import Lease
@@ -142,6 +143,20 @@ def test_divergence_fails_the_evaluation_and_shows_both_states(service: Service)
     assert (divergence["recorded_info"], divergence["resimulated_info"]) == (
         {"is_success": True}, {"is_success": False},
     )  # fmt: skip
+    assert service.get("/leaderboards/track_1/logs").json()["boards"][0]["entries"] == []
+
+
+def test_other_pictures_fail_the_evaluation_with_a_sentence_that_says_what_to_do(service: Service) -> None:
+    log = uploaded(service, a_log())
+    ours = SampledPicture(env_step=4, sha256=sha256("ours"))
+    finding = LogFinding.of_picture(OtherPicture(episode=3, recorded=None, resimulated=ours))
+    refute(service, leases_of(service, log)[0], finding)
+    found = shown(service, log)
+    verdict = found["evaluation"]["verdict"]
+    assert (verdict["code"], verdict["episode"], verdict["message"]) == ("other_picture", 3, finding.reason)
+    assert (found["log"]["verdict"], found["log"]["divergence"]) == ("other_picture", None)
+    assert f"expected the pictures {sha256('ours')[:12]}… of env step 4, got no pictures" in found["log"]["reason"]
+    assert sentence_of("other_picture").endswith("unchanged version of vitac and upload the new log.")
     assert service.get("/leaderboards/track_1/logs").json()["boards"][0]["entries"] == []
 
 
