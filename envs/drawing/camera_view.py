@@ -1,7 +1,5 @@
 """What a camera rig sees, as pictures with scales: beside the scene of an episode, or alone and in full."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,43 +14,13 @@ from numpy.typing import NDArray
 from ..vision.camera import Sight
 from ..vision.optics import HEIGHT_PX, WIDTH_PX
 from .plots import INK, TICK_PT, style
+from .projection.frame import Frame, widened
 
 Picture = NDArray[np.uint8]
 
 _WIDTH_IN, _STRIP_HEIGHT_IN, _SHEET_HEIGHT_IN = 10.0, 3.0, 6.4
-_MARGIN_PX = 10
 _DEPTHS = "viridis"
 _UNKNOWN = "white"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Frame:
-    """The part of a picture that is shown, and the depths that colours stand for.
-
-    Attributes:
-        rows: from the first to behind the last.
-        columns: the same across.
-        nearest_mm: smallest depth of the scale.
-        farthest_mm: largest depth of the scale.
-    """
-
-    rows: slice
-    columns: slice
-    nearest_mm: float
-    farthest_mm: float
-
-    @classmethod
-    def around(cls, sights: Sequence[Sight]) -> "Frame":
-        """Return the frame around all that is ever seen, with a scale for the first and the last depth picture."""
-        shown = np.any([sight.segmentation > 0 for sight in sights], axis=0)
-        depths_mm = 1e3 * np.concatenate([sight.depth_m[sight.depth_m > 0] for sight in (sights[0], sights[-1])])
-        low, high = np.quantile(depths_mm, (0.01, 0.99)) if len(depths_mm) else (0.0, 1000.0)
-        return cls(
-            rows=_widened(np.flatnonzero(shown.any(axis=1)), HEIGHT_PX),
-            columns=_widened(np.flatnonzero(shown.any(axis=0)), WIDTH_PX),
-            nearest_mm=float(low),
-            farthest_mm=float(high),
-        )
 
 
 def camera_strip(sight: Sight, frame: Frame, *, width_px: int) -> Picture:
@@ -88,8 +56,8 @@ def camera_sheet(sight: Sight, title: str, *, width_px: int) -> Picture:
     for place, (name, picture) in enumerate((("left", sight.infrared.left), ("right", sight.infrared.right))):
         rows, columns = np.nonzero(picture)
         around = Frame(
-            rows=_widened(rows, HEIGHT_PX),
-            columns=_widened(columns, WIDTH_PX),
+            rows=widened(rows, HEIGHT_PX),
+            columns=widened(columns, WIDTH_PX),
             nearest_mm=frame.nearest_mm,
             farthest_mm=frame.farthest_mm,
         )
@@ -148,12 +116,6 @@ def _extent(frame: Frame) -> tuple[float, float, float, float]:
 
 def _depth_colours() -> Colormap:
     return colormaps[_DEPTHS].with_extremes(bad=_UNKNOWN)
-
-
-def _widened(places: NDArray[np.int64], end: int) -> slice:
-    if len(places) == 0:
-        return slice(0, end)
-    return slice(max(0, int(places.min()) - _MARGIN_PX), min(end, int(places.max()) + 1 + _MARGIN_PX))
 
 
 def _drawn(figure: Figure) -> Picture:

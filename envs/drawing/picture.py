@@ -17,11 +17,12 @@ from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from ..scene.perspective import Beside, Perspective
-from .camera_view import Frame, camera_strip
+from .camera_view import camera_strip
 from .colouring import Quantity, colouring
 from .drawable import perspective_of
 from .playback import Moment, Playback
 from .plots import INK, QUIET, draw_progress, draw_section
+from .projection.frame import Frame
 from .scene_view import SceneImage, SceneView
 from .sensor_view import SIDES, SensorPanels
 

@@ -69,6 +69,8 @@ class Playback:
         fixed: the part it goes into.
         fixed_m: vertices of that part in the world [m], shape [v, 3].
         moments: at least one.
+        actions: of the env steps that were played, shape [n, a].
+        rewards: of these env steps, shape [n].
     """
 
     env_id: str
@@ -79,6 +81,8 @@ class Playback:
     fixed: SurfaceMesh
     fixed_m: FloatArray
     moments: tuple[Moment, ...]
+    actions: NDArray[np.float32]
+    rewards: FloatArray
 
     @property
     def last_moments(self) -> tuple[int, ...]:
@@ -100,6 +104,8 @@ def record(
     """
     observation, info = env.reset(options=dict(options))
     moments = [_moment(env.scene, 0, observation, info, _sight(env))]
+    actions: list[NDArray[np.float32]] = []
+    rewards: list[float] = []
     while info["end_reason"] is None:
         action = next_action(observation, info)
         if action is None:
@@ -107,14 +113,16 @@ def record(
         number = moments[-1].env_step + 1
         if pace is Pace.IPC_STEP:
             env.scene.after_ipc_step = partial(_keep, moments, env.scene, number, observation, info)
-        observation, _, _, _, info = env.step(action)
+        observation, reward, _, _, info = env.step(action)
         env.scene.after_ipc_step = None
+        actions.append(action)
+        rewards.append(reward)
         ended = _moment(env.scene, number, observation, info, _sight(env))
         if pace is Pace.IPC_STEP:
             moments[-1] = ended  # The last IPC step ends the env step.
         else:
             moments.append(ended)
-    return _playback(env, tuple(moments))
+    return _playback(env, tuple(moments), actions, rewards)
 
 
 def _keep(moments: list[Moment], scene: GraspedScene, env_step: int, observation: Observation, info: Info) -> None:
@@ -139,7 +147,9 @@ def _moment(scene: GraspedScene, env_step: int, observation: Observation, info: 
     )
 
 
-def _playback(env: TactileTaskEnv[Any, Any], moments: tuple[Moment, ...]) -> Playback:
+def _playback(
+    env: TactileTaskEnv[Any, Any], moments: tuple[Moment, ...], actions: list[NDArray[np.float32]], rewards: list[float]
+) -> Playback:
     scene = env.scene
     fixed = scene.fixed
     return Playback(
@@ -151,4 +161,6 @@ def _playback(env: TactileTaskEnv[Any, Any], moments: tuple[Moment, ...]) -> Pla
         fixed=fixed.mesh,
         fixed_m=fixed.mesh.vertices_m @ fixed.rotation.T + fixed.translation_m,
         moments=moments,
+        actions=np.array(actions, dtype=np.float32).reshape(-1, len(env.task.actions)),
+        rewards=np.array(rewards, dtype=np.float64),
     )

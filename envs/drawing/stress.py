@@ -51,12 +51,29 @@ def von_mises_pa(stress_pa: FloatArray) -> FloatArray:
 
 
 def nodal_means(values: FloatArray, rest_m: FloatArray, tetrahedra: IndexArray) -> FloatArray:
-    """Return each node's mean of its tetrahedra's values, weighted by their rest volumes, shape [t] to [n]."""
-    volumes = np.abs(np.linalg.det(_edges(rest_m, tetrahedra)))
-    weights = np.repeat(volumes, 4)
-    nodes = tetrahedra.ravel()
-    total = np.bincount(nodes, weights, minlength=len(rest_m))
-    return np.asarray(np.bincount(nodes, weights * np.repeat(values, 4), minlength=len(rest_m)) / total)
+    """Return each node's mean of its tetrahedra's values, weighted by their rest volumes, [t, ...] to [n, ...]."""
+    weights = np.repeat(np.abs(np.linalg.det(_edges(rest_m, tetrahedra))), 4)
+    nodes, columns = tetrahedra.ravel(), np.repeat(values.reshape(len(values), -1), 4, axis=0).T
+    totals = [np.bincount(nodes, weights * column, minlength=len(rest_m)) for column in columns]
+    means = np.stack(totals, axis=1) / np.bincount(nodes, weights, minlength=len(rest_m))[:, None]
+    return np.asarray(means.reshape(len(rest_m), *values.shape[1:]))
+
+
+def contact_pressure_pa(stress_pa: FloatArray, positions_m: FloatArray, triangles: IndexArray) -> FloatArray:
+    """Return how hard a surface is pressed at its nodes: -n . sigma n, and 0 where it is pulled [Pa], shape [n].
+
+    Args:
+        stress_pa: true stress at the nodes [Pa], shape [n, 3, 3].
+        positions_m: of the nodes [m], shape [n, 3].
+        triangles: of the surface, indices of the nodes, shape [t, 3], all turning the same way.
+    """
+    corners = positions_m[triangles]
+    area_vectors = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = np.zeros_like(positions_m)
+    np.add.at(normals, triangles, area_vectors[:, None, :])
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0)
+    return np.asarray(np.maximum(0.0, -np.einsum("ni,nij,nj->n", normals, stress_pa, normals)))
 
 
 def displacement_m(

@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 from fake_scene import FakeScene
-from vitac.envs.drawing.camera_view import Frame, camera_sheet, camera_strip
+from vitac.envs.drawing.camera_view import camera_sheet, camera_strip
 from vitac.envs.drawing.colouring import Quantity
 from vitac.envs.drawing.drawable import straight_to_target
 from vitac.envs.drawing.picture import Caption, draw
 from vitac.envs.drawing.playback import Pace, Playback, record
+from vitac.envs.drawing.projection.frame import Frame
 from vitac.envs.tasks.fusion_insertion.env import FusionInsertionEnv
 from vitac.envs.tasks.task_env import Info, Observation
 from vitac.envs.vision.camera import Sight

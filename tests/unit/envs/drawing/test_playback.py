@@ -54,6 +54,22 @@ def test_stops_where_the_actions_end(fake_scenes: list[FakeScene]) -> None:
     assert playback.moments[-1].end_reason is None
 
 
+def test_keeps_actions_and_rewards_of_the_env_steps(fake_scenes: list[FakeScene]) -> None:
+    given = np.array([[0.5, 0.0, -0.25], [0.0, 1.0, 0.0]], dtype=np.float32)
+    remaining = iter(given)
+    env = PegInsertionEnv()
+    playback = record(env, options=OPTIONS, next_action=lambda *_: next(remaining, None))
+    assert np.array_equal(playback.actions, given)
+    env.reset(options=OPTIONS)
+    assert playback.rewards.tolist() == [env.step(action)[1] for action in given]
+
+
+def test_without_an_action_there_is_none_and_no_reward(fake_scenes: list[FakeScene]) -> None:
+    playback = record(PegInsertionEnv(), options=OPTIONS, next_action=lambda *_: None)
+    assert playback.actions.shape == (0, 3)
+    assert playback.rewards.shape == (0,)
+
+
 def test_moments_do_not_change_with_the_scene(peg_playback: Playback) -> None:
     heights_m = [moment.held_m[:, 2].min() for moment in peg_playback.moments]
     assert np.diff(heights_m) == pytest.approx(-0.125e-3)

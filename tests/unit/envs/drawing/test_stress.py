@@ -3,6 +3,7 @@ import pytest
 from numpy.typing import NDArray
 from vitac.envs.drawing.stress import (
     cauchy_stress_pa,
+    contact_pressure_pa,
     deformation_gradients,
     displacement_m,
     nodal_means,
@@ -94,6 +95,43 @@ def test_rotation_turns_the_stress_and_leaves_von_mises_alone() -> None:
 
 def test_von_mises_of_pure_tension_is_the_tension() -> None:
     assert von_mises_pa(np.diag([0.0, -7.0, 0.0])[None])[0] == pytest.approx(7.0)
+
+
+def square_surface() -> tuple[FloatArray, np.ndarray]:
+    """Two triangles in the plane z = 0."""
+    corners = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=np.float64)
+    return corners, np.array([[0, 1, 2], [0, 2, 3]])
+
+
+def test_contact_pressure_is_the_stress_along_the_normal() -> None:
+    corners, triangles = square_surface()
+    stress = np.broadcast_to(np.diag([-7.0, 9.0, -2.5]), (4, 3, 3))
+    assert contact_pressure_pa(stress, corners, triangles) == pytest.approx(np.full(4, 2.5))
+    assert contact_pressure_pa(stress, corners, triangles[:, ::-1]) == pytest.approx(np.full(4, 2.5))
+
+
+def test_contact_pressure_is_none_where_the_surface_is_pulled_or_has_no_triangle() -> None:
+    corners, triangles = square_surface()
+    pulled = np.broadcast_to(np.diag([-7.0, -7.0, 2.5]), (4, 3, 3))
+    assert contact_pressure_pa(pulled, corners, triangles) == pytest.approx(np.zeros(4))
+    pressed = np.broadcast_to(-np.eye(3), (4, 3, 3))
+    assert contact_pressure_pa(pressed, corners, triangles[:1]) == pytest.approx([1.0, 1.0, 1.0, 0.0])
+
+
+def test_contact_pressure_turns_with_the_surface() -> None:
+    corners, triangles = square_surface()
+    Q = rotation_about((0.3, -1.0, 2.0), 1.1)
+    stress = np.diag([1.0, 2.0, -4.0]) + 0.5
+    turned = contact_pressure_pa(np.broadcast_to(Q @ stress @ Q.T, (4, 3, 3)), corners @ Q.T, triangles)
+    assert turned == pytest.approx(np.full(4, 3.5))
+
+
+def test_nodal_means_of_tensors_are_those_of_their_parts() -> None:
+    gel = gelsight_mini_mesh()
+    tensors = np.random.default_rng(4).normal(size=(320, 3, 3))
+    means = nodal_means(tensors, gel.rest_position_m, gel.tetrahedra)
+    assert means.shape == (162, 3, 3)
+    assert means[:, 1, 2] == pytest.approx(nodal_means(tensors[:, 1, 2], gel.rest_position_m, gel.tetrahedra))
 
 
 def test_nodal_means_keep_a_constant_and_weigh_by_volume() -> None:

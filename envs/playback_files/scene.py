@@ -1,0 +1,156 @@
+"""What moves in an episode, and what was measured of it, as one file; lengths in millimetres."""
+
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..drawing.drawable import NotDrawable, perspective_of
+from ..drawing.playback import Moment, Playback
+from ..drawing.stress import cauchy_stress_pa, contact_pressure_pa, deformation_gradients, nodal_means
+from ..scene.perspective import Perspective
+from ..tactile.markers import SensingSurface
+from ..tasks.registry import task_definitions
+from .container import Changes, PlaybackTooLarge, pack, whole_numbers
+
+FloatArray = NDArray[np.float64]
+
+SCENE_BYTES: Final = 200_000
+"""Most that the file may have; about 10 kB is usual."""
+DISPLACEMENT_UNIT_MM: Final = 0.001
+FLOW_UNIT_PX: Final = 1.0 / 64.0
+_PRESSURE_LEVELS = 255
+_EVERY = (1, 2, 4, 8)
+"""Intervals of IPC steps that are tried until the file is small enough; the end of each env step is always kept."""
+_DEFAULT_VIEW = (-38.0, 24.0)
+"""Azimuth and elevation [deg] for a task without a perspective."""
+
+
+def pack_scene(playback: Playback, *, at_most: int = SCENE_BYTES) -> bytes:
+    """Return the file of an episode.
+
+    Args:
+        playback: the episode.
+        at_most: size of the file [bytes].
+
+    Raises:
+        PlaybackTooLarge: even with few moments between env steps it is larger.
+    """
+    ends = set(playback.last_moments)
+    size = 0
+    for every in _EVERY:
+        kept = [index for index in range(len(playback.moments)) if index in ends or index % every == 0]
+        content = _packed(playback, [playback.moments[index] for index in kept])
+        size = len(content)
+        if size <= at_most:
+            return content
+    raise PlaybackTooLarge(f"Expected a playback of at most {at_most} bytes, got {size} for {len(ends) - 1} env steps.")
+
+
+def _packed(playback: Playback, moments: list[Moment]) -> bytes:
+    ends = [playback.moments[index] for index in playback.last_moments]
+    surface = np.unique(playback.gel.surface_triangles)
+    pressures_pa = np.array([_pressures_pa(playback, moment) for moment in moments])
+    pressure_unit_pa = max(float(pressures_pa.max()), 1.0) / _PRESSURE_LEVELS
+    flows = np.stack([moment.marker_flow for moment in ends])
+    perspective = _perspective(playback.env_id)
+    header = {
+        "env_id": playback.env_id,
+        "end_reason": ends[-1].end_reason,
+        "actions": [
+            {"name": component.name, "unit": component.unit, "scale": component.scale}
+            for component in task_definitions()[playback.env_id].actions
+        ],
+        "displacement_unit_mm": DISPLACEMENT_UNIT_MM,
+        "flow_unit_px": FLOW_UNIT_PX,
+        "pressure_unit_kpa": 1e-3 * pressure_unit_pa,
+        **_described(perspective),
+    }
+    arrays: dict[str, NDArray[Any] | Changes] = {
+        "moment_env_steps": np.array([moment.env_step for moment in moments], dtype=np.uint16),
+        "gel_nodes_mm": _mm(playback.gel.rest_position_m[surface]),
+        "gel_triangles": np.searchsorted(surface, playback.gel.surface_triangles).astype(np.uint16),
+        "sensing_nodes": np.searchsorted(surface, playback.gel.sensing_nodes).astype(np.uint16),
+        "sensor_poses": np.array([_sensor_poses_mm(moment) for moment in moments], dtype=np.float32),
+        "displacements": Changes(
+            values=whole_numbers(
+                [_displacements_mm(playback, moment, surface) for moment in moments], DISPLACEMENT_UNIT_MM, np.int16
+            )
+        ),
+        "pressures": Changes(values=whole_numbers(pressures_pa, pressure_unit_pa, np.uint8)),
+        "held_vertices_mm": _mm(playback.held.vertices_m),
+        "held_triangles": playback.held.triangles.astype(np.uint16),
+        "held_poses": np.array([_held_pose_mm(playback, moment) for moment in moments], dtype=np.float32),
+        "fixed_vertices_mm": _mm(playback.fixed_m),
+        "fixed_triangles": playback.fixed.triangles.astype(np.uint16),
+        "flow_references": Changes(values=whole_numbers(flows[:, :, 0], FLOW_UNIT_PX, np.int16)),
+        "flow_positions": Changes(values=whole_numbers(flows[:, :, 1], FLOW_UNIT_PX, np.int16)),
+        "action_values": playback.actions.astype(np.float32),
+        "rewards": playback.rewards.astype(np.float32),
+        "surface_motions_mm": np.array([1e3 * moment.info["surface_diff_m"] for moment in ends], dtype=np.float32),
+    }
+    if perspective is not None:
+        heights = [perspective.progress.heights_mm(moment.info) for moment in ends]
+        arrays["heights_mm"] = np.array(heights, dtype=np.float32)
+    return pack(header, arrays)
+
+
+def _perspective(env_id: str) -> Perspective | None:
+    try:
+        return perspective_of(env_id)
+    except NotDrawable:
+        return None
+
+
+def _described(perspective: Perspective | None) -> dict[str, Any]:
+    if perspective is None:
+        return {"held_name": "held part", "fixed_name": "fixed part", "view_deg": _DEFAULT_VIEW}
+    progress = perspective.progress
+    return {
+        "held_name": perspective.held_name,
+        "fixed_name": perspective.fixed_name.partition(",")[0],
+        "view_deg": (perspective.azimuth_deg, perspective.elevation_deg),
+        "heights_title": progress.title,
+        "heights_goal_mm": progress.goal_mm,
+    }
+
+
+def _mm(lengths_m: FloatArray) -> NDArray[np.float32]:
+    return (1e3 * lengths_m).astype(np.float32)
+
+
+def _sensor_poses_mm(moment: Moment) -> FloatArray:
+    """Return world from gel of both sensors: the rotation's rows, then the place [mm], shape [2, 12]."""
+    return np.array([[*pose.rotation.ravel(), *(1e3 * pose.centre_m)] for pose in moment.sensor_poses])
+
+
+def _displacements_mm(playback: Playback, moment: Moment, surface: NDArray[np.int64]) -> FloatArray:
+    """Return how far each node is from where the undeformed gel has it, in the gel's frame [mm], shape [2, s, 3]."""
+    pairs = zip(moment.gel_nodes_m, moment.sensor_poses, strict=True)
+    rest_m = playback.gel.rest_position_m[surface]
+    return np.array([1e3 * ((nodes_m[surface] - pose.centre_m) @ pose.rotation - rest_m) for nodes_m, pose in pairs])
+
+
+def _pressures_pa(playback: Playback, moment: Moment) -> FloatArray:
+    """Return the contact pressure at the sensing nodes of both gels [Pa], shape [2, s]."""
+    gel = playback.gel
+    triangles = SensingSurface.of_gel(gel).triangles
+    pressures = []
+    for nodes_m in moment.gel_nodes_m:
+        stress_pa = cauchy_stress_pa(
+            deformation_gradients(gel.rest_position_m, nodes_m, gel.tetrahedra),
+            youngs_modulus_pa=playback.physics.youngs_modulus_pa,
+            poisson_ratio=playback.physics.poisson_ratio,
+        )
+        nodal_pa = nodal_means(stress_pa, gel.rest_position_m, gel.tetrahedra)
+        sensing = gel.sensing_nodes
+        pressures.append(contact_pressure_pa(nodal_pa[sensing], nodes_m[sensing], triangles))
+    return np.array(pressures)
+
+
+def _held_pose_mm(playback: Playback, moment: Moment) -> FloatArray:
+    """Return the affine map of the held part from its own frame: its matrix' rows, then the place [mm], shape [12]."""
+    own_mm = 1e3 * playback.held.vertices_m
+    homogeneous = np.column_stack([own_mm, np.ones(len(own_mm))])
+    solution = np.linalg.lstsq(homogeneous, 1e3 * moment.held_m)[0]
+    return np.concatenate([solution[:3].T.ravel(), solution[3]])

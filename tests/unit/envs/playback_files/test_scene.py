@@ -1,0 +1,112 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from unpacked_files import Unpacked, unpack
+from vitac.envs.drawing.drawable import NotDrawable
+from vitac.envs.drawing.playback import Playback
+from vitac.envs.playback_files import scene
+from vitac.envs.playback_files.container import PlaybackTooLarge
+from vitac.envs.playback_files.scene import SCENE_BYTES, pack_scene
+
+
+@pytest.fixture
+def peg_file(peg_playback: Playback) -> Unpacked:
+    return unpack(pack_scene(peg_playback))
+
+
+def test_a_usual_episode_is_a_small_part_of_what_is_possible(peg_playback: Playback) -> None:
+    assert len(pack_scene(peg_playback)) < SCENE_BYTES / 5
+
+
+def test_every_ipc_step_is_in_the_file(peg_playback: Playback, peg_file: Unpacked) -> None:
+    steps = peg_file.arrays["moment_env_steps"]
+    assert steps.tolist() == [moment.env_step for moment in peg_playback.moments]
+    for name in ("sensor_poses", "displacements", "pressures", "held_poses"):
+        assert len(peg_file.arrays[name]) == len(steps), name
+
+
+def test_gels_are_where_they_were_to_a_micrometre(peg_playback: Playback, peg_file: Unpacked) -> None:
+    arrays = peg_file.arrays
+    unit_mm = peg_file.header["displacement_unit_mm"]
+    for index in (0, 3, -1):
+        moment = peg_playback.moments[index]
+        for side in (0, 1):
+            pose = arrays["sensor_poses"][index, side].astype(float)
+            local_mm = arrays["gel_nodes_mm"] + unit_mm * arrays["displacements"][index, side]
+            world_mm = local_mm @ pose[:9].reshape(3, 3).T + pose[9:]
+            np.testing.assert_allclose(world_mm, 1e3 * moment.gel_nodes_m[side], atol=1e-3)
+
+
+def test_the_held_part_is_where_it_was(peg_playback: Playback, peg_file: Unpacked) -> None:
+    for index in (0, -1):
+        pose = peg_file.arrays["held_poses"][index].astype(float)
+        world_mm = peg_file.arrays["held_vertices_mm"] @ pose[:9].reshape(3, 3).T + pose[9:]
+        np.testing.assert_allclose(world_mm, 1e3 * peg_playback.moments[index].held_m, atol=1e-4)
+
+
+def test_the_fixed_part_does_not_move(peg_playback: Playback, peg_file: Unpacked) -> None:
+    np.testing.assert_allclose(peg_file.arrays["fixed_vertices_mm"], 1e3 * peg_playback.fixed_m, atol=1e-4)
+    assert peg_file.arrays["fixed_triangles"].max() < len(peg_playback.fixed_m)
+
+
+def test_marker_flow_has_a_sixty_fourth_of_a_pixel(peg_playback: Playback, peg_file: Unpacked) -> None:
+    ends = [peg_playback.moments[index] for index in peg_playback.last_moments]
+    unit_px = peg_file.header["flow_unit_px"]
+    for name, which in (("flow_references", 0), ("flow_positions", 1)):
+        flows = np.stack([moment.marker_flow[:, which] for moment in ends])
+        np.testing.assert_allclose(unit_px * peg_file.arrays[name], flows, atol=1 / 128)
+
+
+def test_what_is_plotted_has_one_value_for_each_env_step(peg_playback: Playback, peg_file: Unpacked) -> None:
+    arrays, played = peg_file.arrays, len(peg_playback.rewards)
+    assert arrays["action_values"].shape == (played, 3)
+    np.testing.assert_allclose(arrays["rewards"], peg_playback.rewards, rtol=1e-6)
+    assert arrays["surface_motions_mm"].shape == (played + 1, 2)
+    assert arrays["heights_mm"].shape[0] == played + 1
+    assert [action["unit"] for action in peg_file.header["actions"]] == ["mm", "mm", "degree"]
+    assert peg_file.header["end_reason"] == "success"
+
+
+def test_pressed_gels_have_a_contact_pressure(peg_file: Unpacked) -> None:
+    pressures = peg_file.arrays["pressures"]
+    assert pressures.max() == 255
+    assert peg_file.header["pressure_unit_kpa"] > 0
+    assert len(peg_file.arrays["sensing_nodes"]) == pressures.shape[2]
+
+
+def test_moments_between_env_steps_are_left_out_until_the_file_is_small_enough(peg_playback: Playback) -> None:
+    whole = len(pack_scene(peg_playback))
+    found = unpack(pack_scene(peg_playback, at_most=whole - 1)).arrays
+    assert len(found["moment_env_steps"]) < len(peg_playback.moments)
+    assert found["moment_env_steps"][-1] == peg_playback.moments[-1].env_step
+    assert set(found["moment_env_steps"].tolist()) == {moment.env_step for moment in peg_playback.moments}
+
+
+def test_an_episode_that_cannot_be_made_small_is_refused(peg_playback: Playback) -> None:
+    with pytest.raises(PlaybackTooLarge, match="at most 100 bytes, got"):
+        pack_scene(peg_playback, at_most=100)
+
+
+def test_an_episode_that_ended_at_its_start_has_one_moment(peg_playback: Playback) -> None:
+    first = replace(
+        peg_playback,
+        moments=peg_playback.moments[:1],
+        actions=peg_playback.actions[:0],
+        rewards=peg_playback.rewards[:0],
+    )
+    found = unpack(pack_scene(first))
+    assert found.arrays["action_values"].shape == (0, 3)
+    assert found.arrays["moment_env_steps"].tolist() == [0]
+
+
+def test_a_task_that_is_not_drawn_is_played_all_the_same(
+    peg_playback: Playback, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def undrawn(env_id: str) -> None:
+        raise NotDrawable(env_id)
+
+    monkeypatch.setattr(scene, "perspective_of", undrawn)
+    found = unpack(pack_scene(peg_playback))
+    assert found.header["held_name"] == "held part"
+    assert "heights_mm" not in found.arrays
