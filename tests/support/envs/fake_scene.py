@@ -1,9 +1,10 @@
 """Stands in for the physics in tests of what is built on it: gels follow their driven nodes rigidly."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
+import pytest
 from vitac.envs.fem.model.bodies import GelBody, RigidBody
 from vitac.envs.fem.scene.scene import StepReport, StepStatus
 
@@ -57,3 +58,13 @@ def rigid_fit(rest: np.ndarray, world: np.ndarray) -> tuple[np.ndarray, np.ndarr
     turn = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
     rotation = vt.T @ turn @ u.T
     return rotation, world.mean(axis=0) - rotation @ rest.mean(axis=0)
+
+
+def in_place_of_the_physics(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[FakeScene]]:
+    """The body of a fixture: scenes are fakes, without a bulge and converging, while the test runs."""
+    FakeScene.built.clear()
+    monkeypatch.setattr(FakeScene, "bulge_m", 0.0)
+    monkeypatch.setattr(FakeScene, "statuses", ())
+    monkeypatch.setattr("vitac.envs.scene.grasped_scene.Scene", FakeScene)
+    yield FakeScene.built
+    FakeScene.built.clear()

@@ -1,0 +1,1 @@
+"""Playback files of finished episodes, made by re-simulating their records. Workers call `process`."""

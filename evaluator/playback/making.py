@@ -1,0 +1,156 @@
+"""Makes the playback files of an episode, in a process of its own: `python -m vitac.evaluator.playback.making`.
+
+No policy runs: the recorded actions go through the physics again, and every state must be the recorded one.
+"""
+
+import os
+import sys
+from collections.abc import Callable
+from importlib.util import find_spec
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any, cast
+
+from vitac.envs.errors import VitacError
+
+from ..episodes.episode import make_environment
+from ..episodes.records import EpisodeRecord
+from ..tracks import Episode, Task, load_track
+from .order import CAMERAS_FILE, SCENE_FILE, STILL_FILE, PlaybackMessage, PlaybackOrder
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+    from vitac.envs.drawing.playback import Playback
+    from vitac.envs.tasks.task_env import TactileTaskEnv
+
+OnStep = Callable[[int], None]
+"""Gets the number of env steps that are played."""
+
+STILL_WIDTH_PX = 1200
+
+
+class StatesDiffer(VitacError):
+    """A re-simulated state is not the recorded one, so what would be shown is not what was scored."""
+
+
+def make(order: PlaybackOrder, on_step: OnStep) -> None:
+    """Write the files of an episode into the order's folder; the still only where it can be drawn.
+
+    Raises:
+        StatesDiffer: the record is of another evaluator or platform class, or not true.
+        PlaybackTooLarge: the episode does not fit into a file.
+    """
+    from vitac.envs.playback_files.cameras import pack_cameras
+    from vitac.envs.playback_files.scene import pack_scene
+
+    task = load_track(order.track).tasks[order.record.task]
+    playback = replay(task, order.record, on_step)
+    (order.folder / SCENE_FILE).write_bytes(pack_scene(playback))
+    cameras = pack_cameras(playback)
+    if cameras is not None:
+        (order.folder / CAMERAS_FILE).write_bytes(cameras)
+    if can_draw():
+        _draw_still(playback, f"{task.title}, episode {order.record.episode}: {order.record.shape}", order.folder)
+
+
+def replay(task: Task, record: EpisodeRecord, on_step: OnStep) -> "Playback":
+    """Return the re-simulated episode of a record.
+
+    Raises:
+        StatesDiffer: a state is not the recorded one.
+    """
+    from vitac.envs.drawing.playback import Pace
+    from vitac.envs.drawing.playback import record as play
+
+    env = cast("TactileTaskEnv[Any, Any]", make_environment(task))
+    remaining = iter(record.actions.to_array())
+    played = 0
+
+    def next_action(_: object, __: object) -> "NDArray[np.float32] | None":
+        nonlocal played
+        _require_same_state(env.state_hash(), record, played)
+        on_step(played)
+        played += 1
+        return next(remaining, None)
+
+    playback = play(env, options=start_of(task, record).options, next_action=next_action, pace=Pace.IPC_STEP)
+    last = playback.moments[-1].env_step
+    _require_same_state(env.state_hash(), record, last)
+    if last != record.env_steps:
+        raise StatesDiffer(f"Expected {record.env_steps} env steps as recorded, got {last}.")
+    if played <= last:  # It ended with its last env step, so nobody asked for another action.
+        on_step(last)
+    return playback
+
+
+def start_of(task: Task, record: EpisodeRecord) -> Episode:
+    """Return where a recorded episode started."""
+    listed = task.episode_list
+    return Episode(
+        number=record.episode,
+        shape=record.shape,
+        offset=record.initial_offset,
+        offset_option=listed.offset_option,
+        list_seed=listed.list_seed,
+    )
+
+
+def can_draw() -> bool:
+    """Return whether the packages that draw stills are installed (extra `show`)."""
+    return find_spec("matplotlib") is not None and find_spec("PIL") is not None
+
+
+def _require_same_state(found: str, record: EpisodeRecord, env_step: int) -> None:
+    if env_step >= len(record.state_hashes) or found != record.state_hashes[env_step]:
+        raise StatesDiffer(
+            f"The state after env step {env_step} is not the recorded one: the episode was recorded with another "
+            "evaluator or on another platform class, so it cannot be shown here."
+        )
+
+
+def _draw_still(playback: "Playback", title: str, folder: Path) -> None:
+    """Draw the end of the episode as `vitac show` does."""
+    from vitac.envs.drawing.colouring import Quantity
+    from vitac.envs.drawing.drawable import NotDrawable
+    from vitac.envs.drawing.files import Destination
+    from vitac.envs.drawing.picture import Caption, draw
+
+    try:
+        pictures = list(
+            draw(
+                playback,
+                Caption(title=title, actions="as recorded"),
+                quantity=Quantity.STRESS,
+                width_px=STILL_WIDTH_PX,
+                moments=slice(-1, None),
+            )
+        )
+    except NotDrawable:
+        return
+    Destination.at(folder / STILL_FILE).write(pictures, names=["still"], durations_ms=[0])
+
+
+def serve(order: bytes, answers: IO[str]) -> None:
+    """Carry out one order and write its messages."""
+
+    def send(message: PlaybackMessage) -> None:
+        answers.write(message.model_dump_json(exclude_unset=True) + "\n")
+        answers.flush()
+
+    try:
+        make(PlaybackOrder.model_validate_json(order), lambda count: send(PlaybackMessage(env_steps=count)))
+    except VitacError as error:
+        send(PlaybackMessage(error=str(error)))
+    else:
+        send(PlaybackMessage(is_made=True))
+
+
+def main() -> None:
+    """Read the order from standard input and answer on standard output, to which nobody else may write."""
+    with os.fdopen(os.dup(1), "w", encoding="utf-8") as answers:
+        os.dup2(2, 1)
+        serve(sys.stdin.buffer.read(), answers)
+
+
+if __name__ == "__main__":
+    main()

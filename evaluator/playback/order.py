@@ -1,0 +1,30 @@
+"""The protocol with the process that makes a playback: one order to it, one JSON line for each message from it."""
+
+from pathlib import Path
+from typing import Final
+
+from pydantic import NonNegativeInt
+
+from ..episodes.records import EpisodeRecord
+from ..strict_model import StrictModel
+
+FORMAT: Final = 1
+"""Number of the file format; playbacks in an older one are made again."""
+
+SCENE_FILE, CAMERAS_FILE, STILL_FILE = "scene.bin.gz", "cameras.bin.gz", "still.png"
+
+
+class PlaybackOrder(StrictModel):
+    """What is to be made: the files of one finished episode, in a folder."""
+
+    track: str
+    record: EpisodeRecord
+    folder: Path
+
+
+class PlaybackMessage(StrictModel):
+    """One line from the process: how many env steps are played, or why there is no playback, or that it is made."""
+
+    env_steps: NonNegativeInt | None = None
+    error: str | None = None
+    is_made: bool = False

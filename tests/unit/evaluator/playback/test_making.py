@@ -1,0 +1,101 @@
+import io
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from unpacked_files import unpack
+from vitac.evaluator.episodes.records import EpisodeRecord
+from vitac.evaluator.playback import making
+from vitac.evaluator.playback.making import StatesDiffer, make, replay, serve, start_of
+from vitac.evaluator.playback.order import CAMERAS_FILE, SCENE_FILE, STILL_FILE, PlaybackOrder
+from vitac.evaluator.tracks import find_task
+
+Recorded = Callable[..., EpisodeRecord]
+
+
+def an_order(record: EpisodeRecord, folder: Path) -> PlaybackOrder:
+    track, _ = find_task(record.task)
+    return PlaybackOrder(track=track.name, record=record, folder=folder)
+
+
+def ignore(_: int) -> None:
+    """Tells nobody."""
+
+
+def messages(order: PlaybackOrder) -> list[dict[str, Any]]:
+    answers = io.StringIO()
+    serve(order.model_dump_json().encode(), answers)
+    return [json.loads(line) for line in answers.getvalue().splitlines()]
+
+
+def test_the_files_show_the_recorded_actions(recorded: Recorded, tmp_path: Path) -> None:
+    record = recorded(env_steps=2)
+    make(an_order(record, tmp_path), ignore)
+    found = unpack((tmp_path / SCENE_FILE).read_bytes())
+    np.testing.assert_array_equal(found.arrays["action_values"], record.actions.to_array())
+    assert found.header["env_id"] == "ViTac/PegInsertion-v1"
+    assert not (tmp_path / CAMERAS_FILE).exists()
+
+
+def test_an_episode_with_cameras_has_a_file_of_their_pictures(recorded: Recorded, tmp_path: Path) -> None:
+    make(an_order(recorded(env_steps=1, task_name="fusion-insertion"), tmp_path), ignore)
+    assert unpack((tmp_path / CAMERAS_FILE).read_bytes()).arrays["colours"].shape[0] == 2
+
+
+def test_the_still_is_drawn_where_that_is_possible(
+    recorded: Recorded, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    record = recorded(env_steps=1)
+    make(an_order(record, tmp_path), ignore)
+    assert (tmp_path / STILL_FILE).read_bytes().startswith(b"\x89PNG")
+    (tmp_path / "other").mkdir()
+    monkeypatch.setattr(making, "can_draw", lambda: False)
+    make(an_order(record, tmp_path / "other"), ignore)
+    assert not (tmp_path / "other" / STILL_FILE).exists()
+
+
+def test_an_episode_of_no_env_step_is_one_moment(recorded: Recorded) -> None:
+    _, task = find_task("peg-insertion")
+    playback = replay(task, recorded(env_steps=0), ignore)
+    assert [moment.env_step for moment in playback.moments] == [0]
+
+
+@pytest.mark.parametrize("wrong", [0, 1, 2])
+def test_another_state_than_the_recorded_one_is_not_shown(recorded: Recorded, wrong: int) -> None:
+    _, task = find_task("peg-insertion")
+    record = recorded(env_steps=2)
+    hashes = list(record.state_hashes)
+    hashes[wrong] = "f" * 64
+    with pytest.raises(StatesDiffer, match=f"after env step {wrong} is not the recorded one"):
+        replay(task, record.model_copy(update={"state_hashes": tuple(hashes)}), ignore)
+
+
+def test_an_episode_that_ends_before_its_record_is_not_shown(
+    recorded: Recorded, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, task = find_task("peg-insertion")
+    record = recorded(env_steps=2)
+    short = task.model_copy(update={"settings": {"max_steps": 1}})
+    with pytest.raises(StatesDiffer, match="Expected 2 env steps as recorded, got 1"):
+        replay(short, record, ignore)
+
+
+def test_the_start_is_the_recorded_one_with_the_seed_of_the_list(recorded: Recorded) -> None:
+    _, task = find_task("peg-insertion")
+    assert start_of(task, recorded(number=7)) == task.episodes[6]
+
+
+def test_progress_and_end_are_told_line_by_line(recorded: Recorded, tmp_path: Path) -> None:
+    told = messages(an_order(recorded(env_steps=2), tmp_path))
+    assert [message["env_steps"] for message in told[:-1]] == [0, 1, 2]
+    assert told[-1] == {"is_made": True}
+
+
+def test_why_there_is_none_is_told(recorded: Recorded, tmp_path: Path) -> None:
+    record = recorded(env_steps=1).model_copy(update={"state_hashes": ("f" * 64, "f" * 64)})
+    told = messages(an_order(record, tmp_path))
+    assert "not the recorded one" in told[-1]["error"]
+    assert not (tmp_path / SCENE_FILE).exists()

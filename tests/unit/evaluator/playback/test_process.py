@@ -1,0 +1,70 @@
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+from evaluation_records import make_record
+from vitac.evaluator.playback import process
+from vitac.evaluator.playback.order import PlaybackOrder
+from vitac.evaluator.playback.process import MakingBroke, PlaybackFailed, making
+
+ORDER = PlaybackOrder(track="track_1", record=make_record(), folder=Path("/nowhere"))
+
+
+def answering(monkeypatch: pytest.MonkeyPatch, program: str) -> None:
+    """Puts a program in the place of the process."""
+    monkeypatch.setattr(process, "COMMAND", (sys.executable, "-c", program))
+
+
+def test_progress_comes_until_the_playback_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    answering(
+        monkeypatch,
+        'import sys, json; order = json.load(sys.stdin); steps = order["record"]["env_steps"]\n'
+        'for step in range(steps + 1): print(json.dumps({"env_steps": step}))\n'
+        'print(json.dumps({"is_made": True}))',
+    )
+    with making(ORDER) as running:
+        assert list(running.played()) == [0, 1, 2, 3]
+
+
+def test_a_refusal_is_told_in_its_own_words(monkeypatch: pytest.MonkeyPatch) -> None:
+    answering(monkeypatch, 'print(\'{"error": "The state differs."}\')')
+    with making(ORDER) as running, pytest.raises(PlaybackFailed, match=r"^The state differs\.$"):
+        list(running.played())
+
+
+@pytest.mark.parametrize(
+    ("program", "told"),
+    [("raise SystemExit(3)", "exit code 3 and no answer"), ("print('{\"env_st')", "in the middle of an answer")],
+)
+def test_a_process_that_ends_early_is_no_refusal(monkeypatch: pytest.MonkeyPatch, program: str, told: str) -> None:
+    answering(monkeypatch, program)
+    with making(ORDER) as running, pytest.raises(MakingBroke, match=told):
+        list(running.played())
+
+
+def test_a_process_that_cannot_be_started_is_no_refusal(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(process, "COMMAND", ("/nowhere/python",))
+    with pytest.raises(MakingBroke, match="could not be started"), making(ORDER):
+        pytest.fail("it started")
+
+
+def test_another_thread_can_end_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    answering(
+        monkeypatch,
+        "import sys; sys.stdin.read(); print('{\"env_steps\": 0}', flush=True); sys.stdin = None\n"
+        "import signal; signal.pause()",
+    )
+    with making(ORDER) as running:
+        steps = running.played()
+        assert next(steps) == 0
+        threading.Thread(target=running.kill).start()
+        with pytest.raises(MakingBroke, match="exit code -9"):
+            next(steps)
+
+
+def test_it_has_ended_when_the_block_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    answering(monkeypatch, "import signal; signal.pause()")
+    with making(ORDER) as running:
+        pass
+    assert running._process.poll() is not None
