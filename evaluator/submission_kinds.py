@@ -6,6 +6,7 @@ A new kind is a member here, a runner in `shards.execution` and an entry in `ser
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from pathlib import PurePath
 from types import MappingProxyType
 
 GZIP_TYPE = "application/gzip"
@@ -57,3 +58,10 @@ _FORMS: Mapping[SubmissionKind, KindForm] = MappingProxyType(
         ),
     }
 )
+
+
+def kind_of_file(name: str) -> SubmissionKind:
+    """Return what a file to submit is by its name; what no kind names is a model. The service checks the content."""
+    path = PurePath(name.lower())
+    suffix = PurePath(path.stem).suffix if path.suffix == ".gz" else path.suffix
+    return next((kind for kind in SubmissionKind if suffix in kind.form.suffixes), SubmissionKind.MODEL)

@@ -25,11 +25,15 @@ KEY_FILE = "session.key"
 def create(services: Services) -> FastAPI:
     """Return the application on open services; the caller closes them."""
     settings = services.settings
-    app = create_app(settings, services=services)
+    app = create_app(settings, services=services, uploads_at=routes.UPLOADS)
     streams = OpenStreams(services=services, limiter=app.state.stream_limiter)
     site = Site(
         data=ServiceData(
-            database=services.database, settings=settings, streams=streams, registrations=app.state.registration_limiter
+            database=services.database,
+            settings=settings,
+            streams=streams,
+            registrations=app.state.registration_limiter,
+            uploads=app.state.upload_limiter,
         ),
         signer=SessionSigner(key=signing_key(settings)),
         version=version("vitac-arena"),

@@ -5,15 +5,14 @@ Called by `submit`.
 
 from __future__ import annotations
 
-from pathlib import Path
+from typing import TYPE_CHECKING
 
-from vitac.evaluator.submission_kinds import SubmissionKind
+from vitac.evaluator.submission_kinds import SubmissionKind, kind_of_file
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 def kind_of(path: Path) -> SubmissionKind:
     """Return what a file or folder is; the service checks it anyway."""
-    if path.is_dir():
-        return SubmissionKind.MODEL
-    named = path.with_suffix("") if path.suffix == ".gz" else path
-    suffix = named.suffix.lower()
-    return next((kind for kind in SubmissionKind if suffix in kind.form.suffixes), SubmissionKind.MODEL)
+    return SubmissionKind.MODEL if path.is_dir() else kind_of_file(path.name)

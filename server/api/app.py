@@ -33,13 +33,19 @@ UNLIMITED = (
 """Routes that take uploads, which have limits of their own."""
 
 
-def create_app(settings: Settings, routers: Sequence[APIRouter] = (), services: Services | None = None) -> FastAPI:
+def create_app(
+    settings: Settings,
+    routers: Sequence[APIRouter] = (),
+    services: Services | None = None,
+    uploads_at: Sequence[tuple[str, str]] = (),
+) -> FastAPI:
     """Return the application. It opens database and files at its start, unless open `services` are given.
 
     Args:
         settings: of this process.
         routers: further routes, such as the pages.
         services: already open ones; they are left open at the end.
+        uploads_at: methods and paths of further routes that take uploads.
     """
 
     @asynccontextmanager
@@ -73,7 +79,7 @@ def create_app(settings: Settings, routers: Sequence[APIRouter] = (), services: 
         app.include_router(router, prefix=API_PREFIX)
     for router in (health.router, metrics.router, *routers):
         app.include_router(router)
-    app.add_middleware(BodyLimit, unlimited=UNLIMITED)
+    app.add_middleware(BodyLimit, unlimited=(*UNLIMITED, *uploads_at))
     app.add_middleware(ProtocolVersion, prefix=f"{API_PREFIX}{uploads.router.prefix}")
     app.add_middleware(RequestHead)
     app.add_middleware(RequestTimes)

@@ -18,6 +18,8 @@ from typing import BinaryIO
 
 from vitac.server.errors import ProblemCode, ServiceError
 
+UPLOADS = "uploads at the same time"
+"""What is counted at the upload routes, in words."""
 _LOCK = struct.Struct("hhqqi0q")  # struct flock: kind, whence, start, length, process id
 _KEY_BYTES = 5
 _PLACES = 1 << 20

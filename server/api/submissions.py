@@ -12,25 +12,19 @@ from uuid import UUID
 from fastapi import APIRouter, Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
 from sse_starlette import EventSourceResponse, ServerSentEvent
-from starlette.requests import ClientDisconnect
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.accounts.principals import Principal
 from vitac.server.db.states import EvaluationState
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.logs import action_matches
 from vitac.server.logs.export import export_log
-from vitac.server.services import Services
-from vitac.server.submissions import creation, listing, output, runs
+from vitac.server.submissions import listing, output, runs, upload
 from vitac.server.submissions.watch import watch
-from vitac.server.tracks import load_known_track
-from vitac.server.uploads import intake
-from vitac.server.uploads.acceptance import accept, check_kind
-from vitac.server.uploads.checked_upload import CheckedUpload
-from vitac.server.uploads.kinds import SERVED_KINDS
 from vitac.server.views.logs import ActionMatchView
 from vitac.server.views.submissions import EpisodeView, OutputView, SubmissionListView, SubmissionView
 
 from .access import PrincipalOf, ServicesOf
+from .limiter import UPLOADS
 from .problems import RESPONSES
 from .streams import OpenStreams
 
@@ -71,11 +65,18 @@ async def post_submission(
     `Expect: 100-continue` to be told first). `X-Content-SHA256: <hex>` or `Content-Digest: sha-256=:<base64>:` is
     verified. The same content from the same team is the same submission: 200 with it while it is evaluated or done.
     """
-    _check_head(request, services, track, kind)
-    owner = await run_in_threadpool(_expect, services, principal, team, _claimed_sha256(request))
-    with request.app.state.upload_limiter.one(principal.actor, "uploads at the same time"):
-        upload = await _receive(request, services, kind, track, owner)
-    view, is_new = await run_in_threadpool(_create, services, principal, upload, team, again)
+    _check_type(request, kind)
+    announced = upload.AnnouncedUpload(
+        kind=kind,
+        track=track,
+        team=team,
+        again=again,
+        n_bytes=_announced_bytes(request),
+        sha256=_claimed_sha256(request),
+    )
+    upload.check(services, announced)
+    with request.app.state.upload_limiter.one(principal.actor, UPLOADS):
+        view, is_new = await upload.receive(services, principal, announced, request.stream())
     response.status_code = HTTPStatus.ACCEPTED if is_new else HTTPStatus.OK
     response.headers["Location"] = f"{request.url.path}/{view.id}"
     return view
@@ -197,8 +198,8 @@ async def _events(streams: OpenStreams, principal: Principal, submission_id: UUI
         yield ServerSentEvent(json.dumps({"submission": str(submission_id)}), event="end")
 
 
-def _check_head(request: Request, services: Services, track: str | None, kind: SubmissionKind) -> None:
-    """Refuse by headers and query alone, before any of the body is read."""
+def _check_type(request: Request, kind: SubmissionKind) -> None:
+    """Refuse a body that is announced as something else."""
     announced = request.headers.get("content-type", "").partition(";")[0].strip().lower()
     types = kind.form.content_types
     if announced not in types:
@@ -207,44 +208,6 @@ def _check_head(request: Request, services: Services, track: str | None, kind: S
             f"Expected `Content-Type: {'` or `'.join(types)}` for a {kind}, got {announced or 'none'!r}.",
             supported=list(types),
         )
-    intake.check_announced_size(_announced_bytes(request), SERVED_KINDS[kind].max_bytes(services.settings))
-    if track is not None:
-        check_kind(kind, load_known_track(track))
-
-
-def _expect(services: Services, principal: Principal, team: str | None, sha256: str | None) -> str:
-    with services.database.transaction() as session:
-        return creation.expect_upload(session, services.settings.quotas, principal, team, sha256).name
-
-
-async def _receive(
-    request: Request, services: Services, kind: SubmissionKind, track: str | None, owner: str
-) -> CheckedUpload:
-    settings = services.settings
-    with intake.upload_folder(settings) as folder:
-        try:
-            received = await intake.receive(
-                request.stream(),
-                folder,
-                limit_bytes=SERVED_KINDS[kind].max_bytes(settings),
-                idle_timeout_s=settings.upload_idle_timeout_s,
-                announced_bytes=_announced_bytes(request),
-            )
-        except ClientDisconnect as error:
-            raise intake.truncated("the connection was closed") from error
-        intake.check_digest(received, _claimed_sha256(request))
-        return await run_in_threadpool(accept, services, received, kind=kind, track=track, owner=owner)
-
-
-def _create(
-    services: Services, principal: Principal, upload: CheckedUpload, team: str | None, again: bool
-) -> tuple[SubmissionView, bool]:
-    with services.database.transaction() as session:
-        submission, is_new = creation.create(
-            session, principal, upload, team=team, again=again, quotas=services.settings.quotas
-        )
-    with services.database.transaction() as session:
-        return listing.get(session, services.settings, principal, submission.id), is_new
 
 
 def _announced_bytes(request: Request) -> int | None:

@@ -4,7 +4,7 @@ from typing import Any
 import pytest
 from axe_playwright_python.sync_playwright import Axe
 from page_fixtures import FixedData, a_leaderboard, a_submission, a_worker, an_operations_view
-from playwright.sync_api import Browser, ConsoleMessage, Page, expect
+from playwright.sync_api import Browser, ConsoleMessage, Page, Route, expect
 from site_under_test import SiteUnderTest
 from vitac.server.db.states import EvaluationState, WorkerState
 from vitac.server.views.submissions import SubmissionView
@@ -197,6 +197,43 @@ def test_the_session_cookie_is_out_of_reach_for_scripts(page: Page, site: SiteUn
     assert [(cookie["name"], cookie["httpOnly"], cookie["sameSite"]) for cookie in cookies] == [
         ("vitac_session", True, "Strict")
     ]
+
+
+def choose(page: Page, content: bytes) -> None:
+    """Chooses a file to upload and sends the form."""
+    page.get_by_role("link", name="Upload a submission").click()
+    page.get_by_label("File").set_input_files({"name": "mine.zip", "mimeType": "application/zip", "buffer": content})
+    page.get_by_role("button", name="Upload").click()
+
+
+@pytest.mark.parametrize("scripted", [True, False])
+def test_a_submission_is_uploaded_in_the_browser(browser: Browser, site: SiteUnderTest, scripted: bool) -> None:
+    context = browser.new_context(java_script_enabled=scripted)
+    page = context.new_page()
+    site.sign_in(page)
+    choose(page, b"broken" * 50_000)
+    expect(page.get_by_role("alert")).to_have_text("The archive is <broken>. Pack it again.")
+    site.open(page, "/submissions")
+    choose(page, b"PK" * 500_000)
+    page.wait_for_url(re.compile("/submissions/[0-9a-f-]{36}$"))
+    [(announced, content)] = site.data.uploaded
+    assert (announced.kind, len(content)) == ("model", 1_000_000)
+    context.close()
+
+
+def test_the_script_shows_how_far_an_upload_is_and_when_it_was_cut(page: Page, site: SiteUnderTest) -> None:
+    site.sign_in(page)
+    site.open(page, "/submissions/upload")
+    expect(page.get_by_role("progressbar")).to_be_hidden()
+    held: list[Route] = []
+    page.route("**/submissions/upload", lambda route: held.append(route))
+    page.get_by_label("File").set_input_files({"name": "a.zip", "mimeType": "application/zip", "buffer": b"PK"})
+    page.get_by_role("button", name="Upload").click()
+    expect(page.get_by_role("progressbar")).to_be_visible()
+    expect(page.get_by_role("button", name="Upload")).to_be_disabled()
+    held[0].abort()
+    expect(page.get_by_role("alert")).to_contain_text("The connection was cut.")
+    expect(page.get_by_role("button", name="Upload")).to_be_enabled()
 
 
 def replace(data: FixedData, changed: SubmissionView) -> None:

@@ -6,13 +6,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import AsyncIterator, Sequence
     from contextlib import AbstractAsyncContextManager
     from uuid import UUID
 
     from vitac.server.accounts.principals import Principal
     from vitac.server.queue.workers import Disk
     from vitac.server.settings import Registration
+    from vitac.server.submissions.upload import AnnouncedUpload
     from vitac.server.views.leaderboards import LeaderboardView, LogBoardsView
     from vitac.server.views.logs import ActionMatchView
     from vitac.server.views.operations import OperationsView
@@ -81,7 +82,7 @@ class RegisteredTeam:
 
 
 class PageData(Protocol):
-    """The pages' reads and their only write. What a visitor may not see raises the service's "not found"."""
+    """The pages' reads and writes. What a visitor may not see raises the service's "not found"."""
 
     async def visitor_with_token(self, token: str) -> Visitor | None:
         """Return the holder of an API token, or None if it is unknown, revoked or expired."""
@@ -121,6 +122,12 @@ class PageData(Protocol):
 
     def event_stream(self, visitor: Visitor) -> AbstractAsyncContextManager[None]:
         """Count an event stream while the block runs; one too many raises the service's refusal."""
+
+    async def upload(self, visitor: Visitor, announced: AnnouncedUpload, body: AsyncIterator[bytes]) -> UUID:
+        """Make a submission out of a body that arrives; what cannot be accepted raises the service's refusal."""
+
+    def archive_size(self) -> str:
+        """Return the largest size of an archive, as text."""
 
     def log_size(self) -> str:
         """Return the largest size of a log, as text."""

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from pydantic import ValidationError
 from vitac.server.accounts import registration, tokens
+from vitac.server.api.limiter import UPLOADS
 from vitac.server.api.teams import NewTeam
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.leaderboards import log_boards, standings
@@ -18,23 +19,24 @@ from vitac.server.logs import action_matches
 from vitac.server.metrics.totals import totals
 from vitac.server.operations.state import operations
 from vitac.server.queue.workers import disk_of
-from vitac.server.submissions import listing, output, runs
+from vitac.server.submissions import listing, output, runs, upload
 
 from .limits import limit_rows, size
 from .protocol import RegisteredTeam, SubmissionDetail, Visitor
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import AsyncIterator, Callable, Sequence
     from contextlib import AbstractAsyncContextManager
     from uuid import UUID
 
     from sqlalchemy.orm import Session
     from vitac.server.accounts.principals import Principal
-    from vitac.server.api.limiter import WindowLimiter
+    from vitac.server.api.limiter import ConcurrencyLimiter, WindowLimiter
     from vitac.server.api.streams import OpenStreams
     from vitac.server.db.engine import Database
     from vitac.server.queue.workers import Disk
     from vitac.server.settings import Registration, Settings
+    from vitac.server.submissions.upload import AnnouncedUpload
     from vitac.server.views.leaderboards import LeaderboardView, LogBoardsView
     from vitac.server.views.operations import OperationsView
     from vitac.server.views.submissions import OutputView, SubmissionListView
@@ -52,6 +54,7 @@ class ServiceData:
     settings: Settings
     streams: OpenStreams
     registrations: WindowLimiter
+    uploads: ConcurrencyLimiter
 
     async def visitor_with_token(self, token: str) -> Visitor | None:
         """Return the holder of an API token."""
@@ -127,6 +130,18 @@ class ServiceData:
     def event_stream(self, visitor: Visitor) -> AbstractAsyncContextManager[None]:
         """Count an event stream while the block runs."""
         return self.streams.one(visitor.principal)
+
+    async def upload(self, visitor: Visitor, announced: AnnouncedUpload, body: AsyncIterator[bytes]) -> UUID:
+        """Make a submission out of a body that arrives."""
+        by, services = visitor.principal, self.streams.services
+        upload.check(services, announced)
+        with self.uploads.one(by.actor, UPLOADS):
+            made, _ = await upload.receive(services, by, announced, body)
+        return made.id
+
+    def archive_size(self) -> str:
+        """Return the largest size of an archive."""
+        return size(self.settings.limits.archive_packed_bytes)
 
     def log_size(self) -> str:
         """Return the largest size of a log."""

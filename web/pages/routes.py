@@ -9,7 +9,7 @@ from starlette.staticfiles import StaticFiles
 
 from ..headers import SecurityHeaders
 from ..rendering import STATIC
-from . import errors, operations, output, register, sign_in, submissions, tracks
+from . import errors, operations, output, register, sign_in, submissions, tracks, upload
 
 if TYPE_CHECKING:
     from fastapi import FastAPI
@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
     from ..site import Site
 
+UPLOADS = (("POST", upload.ADDRESS),)
+"""Pages that take uploads, which have limits of their own."""
 ONE_YEAR_S = 365 * 24 * 3600
 
 
@@ -49,6 +51,8 @@ def _router() -> APIRouter:
         ("/tracks/{track}/logs", tracks.logs, "GET"),
         ("/tracks/{track}/rules", tracks.rules, "GET"),
         ("/submissions", submissions.submissions, "GET"),
+        (upload.ADDRESS, upload.upload_form, "GET"),
+        (upload.ADDRESS, upload.upload, "POST"),
         ("/submissions/{submission_id}", submissions.submission, "GET"),
         ("/submissions/{submission_id}/output", output.output, "GET"),
         ("/submissions/{submission_id}/events", submissions.events, "GET"),

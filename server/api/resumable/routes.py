@@ -21,6 +21,7 @@ from vitac.server.uploads.partial import UploadPlan
 from vitac.server.views.submissions import SubmissionView
 
 from ..access import PrincipalOf, ServicesOf
+from ..limiter import UPLOADS
 from ..problems import RESPONSES, problem
 from . import protocol
 from .pieces import PieceReceiver
@@ -122,7 +123,7 @@ async def patch_upload(
         checksum=checksum,
         expires_at=upload.expires_at,
     )
-    with request.app.state.upload_limiter.one(principal.actor, "uploads at the same time"):
+    with request.app.state.upload_limiter.one(principal.actor, UPLOADS):
         try:
             await receiver.receive(request.stream())
         except ServiceError as error:
@@ -157,7 +158,7 @@ def post_submission_of_upload(
     request: Request, response: Response, services: ServicesOf, principal: PrincipalOf, upload_id: UUID
 ) -> SubmissionView:
     """Check a complete upload, as a body sent at once is checked, and start its evaluation. May be repeated."""
-    with request.app.state.upload_limiter.one(principal.actor, "uploads at the same time"):
+    with request.app.state.upload_limiter.one(principal.actor, UPLOADS):
         submission_id, is_new = completion.complete(services, principal, upload_id)
     with services.database.transaction() as session:
         view = listing.get(session, services.settings, principal, submission_id)

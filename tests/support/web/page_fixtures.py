@@ -1,7 +1,7 @@
 """Views with made-up but consistent numbers, and a service that answers the pages with them; imported by page tests."""
 
 import random
-from collections.abc import Sequence
+from collections.abc import AsyncIterator, Sequence
 from contextlib import AbstractAsyncContextManager, nullcontext
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
@@ -21,6 +21,7 @@ from vitac.server.db.states import EvaluationState, Role, WorkerState
 from vitac.server.errors import ProblemCode, ServiceError, not_found
 from vitac.server.queue.workers import Disk
 from vitac.server.settings import Registration, load_settings
+from vitac.server.submissions.upload import AnnouncedUpload
 from vitac.server.views.accounts import TeamView
 from vitac.server.views.evaluations import (
     EvaluationSummaryView,
@@ -459,6 +460,7 @@ class FixedData:
     registration_rule: Registration = Registration.OPEN
     service: OperationsView = field(default_factory=an_operations_view)
     printed: list[EpisodeOutputView] = field(default_factory=list)
+    uploaded: list[tuple[AnnouncedUpload, bytes]] = field(default_factory=list)
 
     async def visitor_with_token(self, token: str) -> Visitor | None:
         return next((visitor for visitor in self.visitors if token == f"token-of-{visitor.name}"), None)
@@ -520,6 +522,18 @@ class FixedData:
 
     def event_stream(self, visitor: Visitor) -> AbstractAsyncContextManager[None]:
         return nullcontext()
+
+    async def upload(self, visitor: Visitor, announced: AnnouncedUpload, body: AsyncIterator[bytes]) -> UUID:
+        content = b""
+        async for piece in body:
+            content += piece
+            if content.startswith(b"broken"):
+                raise ServiceError(ProblemCode.ARCHIVE_REJECTED, "The archive is <broken>. Pack it again.")
+        self.uploaded.append((announced, content))
+        return next(found.id for found in self.found if visitor.may_see(found.team.name))
+
+    def archive_size(self) -> str:
+        return "512 MiB"
 
     def log_size(self) -> str:
         return "32 MiB"

@@ -28,6 +28,7 @@ class SiteUnderTest:
             "/register",
             "/sign-in",
             "/submissions",
+            "/submissions/upload",
             "/nothing-here",
             *submissions,
             f"{self.path_of('both')}/output",

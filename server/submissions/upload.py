@@ -1,0 +1,97 @@
+"""Makes a submission out of a body that arrives at once; called by the API's upload route and the upload page."""
+
+import asyncio
+from collections.abc import AsyncIterator
+from dataclasses import dataclass
+
+from starlette.requests import ClientDisconnect
+from vitac.evaluator.submission_kinds import SubmissionKind
+
+from ..accounts.principals import Principal
+from ..services import Services
+from ..tracks import load_known_track
+from ..uploads import intake
+from ..uploads.acceptance import accept, check_kind
+from ..uploads.checked_upload import CheckedUpload
+from ..uploads.kinds import SERVED_KINDS
+from ..views.submissions import SubmissionView
+from . import creation, listing
+
+
+@dataclass(frozen=True, kw_only=True)
+class AnnouncedUpload:
+    """What a client says of a body before it sends it.
+
+    Attributes:
+        kind: what the body is.
+        track: that the body must name; None: whatever it names.
+        team: for an organizer: whose submission it becomes.
+        again: play all episodes anew although results are stored.
+        n_bytes: length of the body; None: not told.
+        sha256: digest of the body, hex; None: not told.
+    """
+
+    kind: SubmissionKind
+    track: str | None = None
+    team: str | None = None
+    again: bool = False
+    n_bytes: int | None = None
+    sha256: str | None = None
+
+
+def check(services: Services, upload: AnnouncedUpload) -> None:
+    """Refuse what cannot be accepted whatever the body holds, before any of it is read.
+
+    Raises:
+        ServiceError: it is too large, or the track does not exist or does not take its kind.
+    """
+    intake.check_announced_size(upload.n_bytes, SERVED_KINDS[upload.kind].max_bytes(services.settings))
+    if upload.track is not None:
+        check_kind(upload.kind, load_known_track(upload.track))
+
+
+async def receive(
+    services: Services, by: Principal, upload: AnnouncedUpload, body: AsyncIterator[bytes]
+) -> tuple[SubmissionView, bool]:
+    """Receive a body, check it and start its evaluation; return the submission, and whether anything was started.
+
+    Args:
+        services: of this process.
+        by: who sends it.
+        upload: what was announced; `check` has accepted it.
+        body: its bytes.
+
+    Raises:
+        ServiceError: a rule is broken, or the team has used one of its quotas, which is told before the body is read.
+    """
+    owner = await asyncio.to_thread(_owner, services, by, upload)
+    with intake.upload_folder(services.settings) as folder:
+        try:
+            received = await intake.receive(
+                body,
+                folder,
+                limit_bytes=SERVED_KINDS[upload.kind].max_bytes(services.settings),
+                idle_timeout_s=services.settings.upload_idle_timeout_s,
+                announced_bytes=upload.n_bytes,
+            )
+        except ClientDisconnect as error:
+            raise intake.truncated("the connection was closed") from error
+        intake.check_digest(received, upload.sha256)
+        checked = await asyncio.to_thread(accept, services, received, kind=upload.kind, track=upload.track, owner=owner)
+    return await asyncio.to_thread(_create, services, by, upload, checked)
+
+
+def _owner(services: Services, by: Principal, upload: AnnouncedUpload) -> str:
+    with services.database.transaction() as session:
+        return creation.expect_upload(session, services.settings.quotas, by, upload.team, upload.sha256).name
+
+
+def _create(
+    services: Services, by: Principal, upload: AnnouncedUpload, checked: CheckedUpload
+) -> tuple[SubmissionView, bool]:
+    with services.database.transaction() as session:
+        submission, is_new = creation.create(
+            session, by, checked, team=upload.team, again=upload.again, quotas=services.settings.quotas
+        )
+    with services.database.transaction() as session:
+        return listing.get(session, services.settings, by, submission.id), is_new

@@ -1,0 +1,66 @@
+"""Upload a submission with a form; a script shows how far it is."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from starlette.responses import RedirectResponse, Response
+from vitac.evaluator.submission_kinds import kind_of_file
+from vitac.server.errors import ServiceError
+from vitac.server.submissions.upload import AnnouncedUpload
+
+from ..session.file_form import read_file_form
+from ..site import page, require_form_token, require_viewer, site_of
+from .errors import wants_page
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+
+    from ..site import Viewer
+
+ADDRESS = "/submissions/upload"
+NO_FILE = "Choose a file first."
+
+
+async def upload_form(request: Request) -> Response:
+    """Show the form."""
+    viewer = await require_viewer(request)
+    return viewer if isinstance(viewer, Response) else _form(request, viewer)
+
+
+async def upload(request: Request) -> Response:
+    """Receive the file and go to its submission; a refusal is shown above the form."""
+    viewer = await require_viewer(request)
+    if isinstance(viewer, Response):
+        return viewer
+    form = await read_file_form(request)
+    require_form_token(request, form.fields, viewer)
+    if not form.file_name:
+        return _form(request, viewer, wrong=NO_FILE, status=422)
+    announced = AnnouncedUpload(
+        kind=kind_of_file(form.file_name),
+        team=form.fields.get("team", "").strip() or None,
+        again="again" in form.fields,
+    )
+    try:
+        submission_id = await site_of(request).data.upload(viewer.visitor, announced, form.pieces)
+    except ServiceError as error:
+        await form.discard()
+        if not wants_page(request):
+            raise
+        return _form(request, viewer, wrong=error.detail, status=error.status)
+    return RedirectResponse(f"/submissions/{submission_id}", status_code=303)
+
+
+def _form(request: Request, viewer: Viewer, *, wrong: str | None = None, status: int = 200) -> Response:
+    data = site_of(request).data
+    return page(
+        request,
+        "upload.html",
+        viewer=viewer,
+        section="/submissions",
+        status=status,
+        wrong=wrong,
+        archive_size=data.archive_size(),
+        log_size=data.log_size(),
+    )

@@ -1,0 +1,54 @@
+// Shows how far an upload is. Without JavaScript the browser sends the same form by itself.
+"use strict";
+
+(() => {
+  const form = document.getElementById("upload");
+  const wrong = document.getElementById("upload-wrong");
+  const progress = document.getElementById("upload-progress");
+  const bar = document.getElementById("upload-bar");
+  const state = document.getElementById("upload-state");
+  const button = form.querySelector("button");
+  const mebibytes = (count) => (count / 1048576).toFixed(1);
+
+  const refuse = (sentence) => {
+    wrong.textContent = sentence;
+    wrong.hidden = false;
+    progress.hidden = true;
+    button.disabled = false;
+  };
+
+  form.addEventListener("submit", (event) => {
+    event.preventDefault();
+    wrong.hidden = true;
+    progress.hidden = false;
+    button.disabled = true;
+    const request = new XMLHttpRequest();
+    let told = -1;
+    request.upload.addEventListener("progress", (sent) => {
+      const percent = Math.floor((100 * sent.loaded) / sent.total);
+      bar.value = percent;
+      if (percent === 100) state.textContent = "Checking the archive";
+      else if (percent >= told + 10) {
+        told = percent;
+        state.textContent = `${mebibytes(sent.loaded)} of ${mebibytes(sent.total)} MiB`;
+      }
+    });
+    request.addEventListener("load", () => {
+      if (request.status === 200) {
+        window.location.assign(request.responseURL);
+        return;
+      }
+      let detail = `The server answered with ${request.status}.`;
+      try {
+        detail = JSON.parse(request.responseText).detail || detail;
+      } catch {
+        // No problem document: the status says it.
+      }
+      refuse(detail);
+    });
+    request.addEventListener("error", () => refuse("The connection was cut. Try again; from a terminal an upload goes on where it was cut."));
+    request.open("POST", form.action);
+    request.setRequestHeader("Accept", "application/json");
+    request.send(new FormData(form));
+  });
+})();
