@@ -62,7 +62,7 @@ async def receive(
         body: its bytes.
 
     Raises:
-        ServiceError: a rule is broken, or the team has used one of its quotas, which is told before the body is read.
+        ServiceError: a rule is broken, or, before the body is read, that the team has used one of its quotas.
     """
     owner = await asyncio.to_thread(_owner, services, by, upload)
     with intake.upload_folder(services.settings) as folder:
