@@ -15,6 +15,7 @@ from .evaluations.lifecycle import fail_by_machines
 from .evaluations.superseding import supersede_outdated
 from .metrics.instruments import RetryReason
 from .metrics.totals import TotalsWriter
+from .playbacks import work as playbacks
 from .queue.jobs import prune_finished_jobs
 from .queue.sweep import sweep
 from .services import Services
@@ -67,6 +68,8 @@ class Housekeeping:
             done = sweep(session, self._services.settings, give_up=fail_by_machines)
         with self._services.database.transaction() as session:
             supersede_outdated(session, self._services.settings)
+        with self._services.database.transaction() as session:
+            playbacks.recover(session, self._services.settings)
         instruments = self._services.instruments
         instruments.shard_retries.labels(RetryReason.LEASE_EXPIRED).inc(done.queued_again)
         instruments.shards_given_up.inc(done.given_up)
@@ -79,15 +82,17 @@ def _postpone(error: Exception) -> None:
 
 
 def prune(services: Services) -> None:
-    """Remove finished jobs, stored files without a submission, and uploads that were given up."""
+    """Remove finished jobs, old playbacks, stored files that no row names, and uploads that were given up."""
     partial.remove_expired(services)
     with services.database.transaction() as session:
         prune_finished_jobs(session, timedelta(hours=services.settings.finished_jobs_kept_h))
-        known = set(session.scalars(select(Submission.archive_sha256)))
+        playbacks.remove_old(session, services.settings)
+        known = set(session.scalars(select(Submission.archive_sha256))) | playbacks.stored_digests(session)
     for digest in services.blobs.list_older_than(ORPHAN_KEPT):
         if digest not in known:
             services.blobs.delete(digest)
     oldest_kept = time.time() - ORPHAN_KEPT.total_seconds()
-    for path in services.settings.scratch_dir.glob("upload-*"):
-        if path.lstat().st_mtime < oldest_kept:
-            shutil.rmtree(path, ignore_errors=True)
+    for pattern in ("upload-*", "playback-*"):
+        for path in services.settings.scratch_dir.glob(pattern):
+            if path.lstat().st_mtime < oldest_kept:
+                shutil.rmtree(path, ignore_errors=True)

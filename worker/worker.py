@@ -1,4 +1,4 @@
-"""Takes shards from the queue and runs several at a time until a request to stop."""
+"""Takes shards and playbacks from the queue and runs several at a time until a request to stop."""
 
 import asyncio
 import contextlib
@@ -10,13 +10,16 @@ from uuid import UUID
 import structlog
 from procrastinate.exceptions import ProcrastinateException
 from sqlalchemy.exc import DBAPIError
+from vitac.evaluator.playback.process import making
 from vitac.evaluator.version import evaluator_version
 from vitac.server.metrics.instruments import RetryReason
+from vitac.server.playbacks import work
 from vitac.server.queue import leases
-from vitac.server.queue.jobs import RUN_SHARD, make_worker_app, queue_name
+from vitac.server.queue.jobs import MAKE_PLAYBACK, RUN_SHARD, make_worker_app, queue_name
 from vitac.server.queue.leases import Lease
 from vitac.server.services import Services
 
+from .playback_run import PlaybackRun, StartPlayback
 from .shard_run import DATABASE_PATIENCE_S, RunEnd, ShardRun, StartShard
 from .staging import SubmissionStage
 
@@ -28,16 +31,24 @@ RECONNECT_PAUSE_S = 0.5
 
 
 class QueueWorker:
-    """Runs shards of the queue. `run` returns after `stop`, which may be called from any thread."""
+    """Runs shards and makes playbacks of the queue. `run` returns after `stop`, which may be called from any thread."""
 
-    def __init__(self, services: Services, stage: SubmissionStage, worker_id: UUID, start: StartShard) -> None:
+    def __init__(
+        self,
+        services: Services,
+        stage: SubmissionStage,
+        worker_id: UUID,
+        start: StartShard,
+        start_playback: StartPlayback = making,
+    ) -> None:
         self._services = services
         self._stage = stage
         self._worker_id = worker_id
         self._start = start
+        self._start_playback = start_playback
         self._slots = services.settings.worker_slots
         self._lock = threading.Lock()
-        self._runs: set[ShardRun] = set()
+        self._runs: set[ShardRun | PlaybackRun] = set()
         self._stopping = False
         self._loop: asyncio.AbstractEventLoop | None = None
         self._stopped: asyncio.Event | None = None
@@ -57,7 +68,7 @@ class QueueWorker:
                     await asyncio.wait_for(self._stopped.wait(), RECONNECT_PAUSE_S)
 
     def stop(self) -> None:
-        """Give all shards back and end."""
+        """Give all shards and playbacks back and end."""
         with self._lock:
             self._stopping = True
             running = list(self._runs)
@@ -72,6 +83,10 @@ class QueueWorker:
         @app.task(name=RUN_SHARD)
         async def run_shard(shard_id: int) -> None:
             await asyncio.get_running_loop().run_in_executor(threads, self._run_shard, shard_id)
+
+        @app.task(name=MAKE_PLAYBACK)
+        async def make_playback(playback_id: int) -> None:
+            await asyncio.get_running_loop().run_in_executor(threads, self._make_playback, playback_id)
 
         async with app.open_async():
             working = asyncio.create_task(
@@ -95,24 +110,38 @@ class QueueWorker:
         lease = self._claim(shard_id)
         if lease is None:
             return
-        run = ShardRun(self._services, self._stage, lease, self._start)
+        end = self._ended(ShardRun(self._services, self._stage, lease, self._start), shard=shard_id)
+        if end is None:
+            return
+        self._count(end)
+        log: Callable[..., object] = logger.info if end is RunEnd.FINISHED else logger.warning
+        log("shard_ended", shard=shard_id, task=lease.task, number=lease.number, attempt=lease.attempt, end=str(end))
+
+    def _make_playback(self, playback_id: int) -> None:
+        """Do the job of a playback, in a thread; its row decides whether there is something to do."""
+        lease_s = self._services.settings.lease_s
+        lease = self._services.database.retrying(
+            lambda session: work.claim(session, playback_id, lease_s), give_up_after_s=DATABASE_PATIENCE_S
+        )
+        if lease is not None:
+            end = self._ended(PlaybackRun(self._services, lease, self._start_playback), playback=playback_id)
+            logger.info("playback_ended", playback=playback_id, attempt=lease.attempt, end=str(end))
+
+    def _ended(self, run: ShardRun | PlaybackRun, **names: int) -> RunEnd | None:
+        """Run to the end; None where the database is away for too long, and the sweep gives the work to another."""
         with self._lock:
             self._runs.add(run)
             stop_at_once = self._stopping
         if stop_at_once:
             run.stop()
         try:
-            end = run.run()
+            return run.run()
         except DBAPIError as error:
-            # The lease runs out and the sweep gives the shard to somebody else.
-            logger.error("shard_left", shard=shard_id, error=" ".join(str(error).split())[:300])
-            return
+            logger.error("lease_left", error=" ".join(str(error).split())[:300], **names)
+            return None
         finally:
             with self._lock:
                 self._runs.discard(run)
-        self._count(end)
-        log: Callable[..., object] = logger.info if end is RunEnd.FINISHED else logger.warning
-        log("shard_ended", shard=shard_id, task=lease.task, number=lease.number, attempt=lease.attempt, end=str(end))
 
     def _claim(self, shard_id: int) -> Lease | None:
         lease_s = self._services.settings.lease_s

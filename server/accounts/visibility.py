@@ -37,6 +37,14 @@ def may_see_output(by: Principal, submission: Submission) -> bool:
     return by.is_organizer or all(tasks[task].episode_list.kind is ListKind.PUBLIC for task in submission.tasks)
 
 
+def may_see_episode(by: Principal, submission: Submission, task: str) -> bool:
+    """Return whether episodes of a task of a submission are shown to somebody who sees the submission.
+
+    Those of a sealed list only to organizers: a playback shows where an episode starts.
+    """
+    return by.is_organizer or load_track(submission.track).tasks[task].episode_list.kind is ListKind.PUBLIC
+
+
 def changeable(session: Session, by: Principal, submission_id: UUID) -> Submission:
     """Return the submission of that id for somebody who changes it: its team or an organizer.
 

@@ -12,6 +12,8 @@ class AdvisoryLock(IntEnum):
     SCHEMA_UPGRADE = 0x7669_7461_6301  # of several processes that start at once, one migrates and the others wait
     SWEEP = 0x7669_7461_6302  # one sweep at a time is enough
     SUPERSEDE = 0x7669_7461_6303  # two processes would begin the same evaluation again twice
+    PLAYBACK_OF_REQUESTER = 0x7669_7461_6304  # two requests at once would exceed the limits
+    PLAYBACK_OF_EPISODE = 0x7669_7461_6305  # two requests at once would make the same playback twice
 
 
 def try_lock(session: Session, lock: AdvisoryLock) -> bool:
@@ -22,3 +24,10 @@ def try_lock(session: Session, lock: AdvisoryLock) -> bool:
 def wait_for_lock(connection: Connection, lock: AdvisoryLock) -> None:
     """Take a lock until the connection is closed, after whoever holds it now."""
     connection.execute(text("SELECT pg_advisory_lock(:key)"), {"key": lock.value})
+
+
+def wait_for_turn(session: Session, lock: AdvisoryLock, name: str) -> None:
+    """Take the lock of a name until the end of the transaction, after whoever holds it now."""
+    session.execute(
+        text("SELECT pg_advisory_xact_lock(hashtextextended(:name, :key))"), {"name": name, "key": lock.value}
+    )

@@ -43,6 +43,15 @@ class ShardState(StrEnum):
     CANCELLED = "cancelled"  # its evaluation ended before it
 
 
+class PlaybackState(StrEnum):
+    """Life of one playback."""
+
+    QUEUED = "queued"  # waits for a worker that has no evaluation to run
+    RUNNING = "running"  # leased to a worker
+    MADE = "made"  # its files are stored
+    FAILED = "failed"  # there is none; its problem says why
+
+
 class WorkerState(StrEnum):
     """What a worker process last said about itself."""
 
@@ -74,7 +83,18 @@ SHARD_TRANSITIONS: Mapping[ShardState, frozenset[ShardState]] = MappingProxyType
     }
 )
 
+PLAYBACK_TRANSITIONS: Mapping[PlaybackState, frozenset[PlaybackState]] = MappingProxyType(
+    {
+        PlaybackState.QUEUED: frozenset({PlaybackState.RUNNING, PlaybackState.FAILED}),
+        # Back to queued: the worker gave it back or did not renew its lease in time.
+        PlaybackState.RUNNING: frozenset({PlaybackState.QUEUED, PlaybackState.MADE, PlaybackState.FAILED}),
+        PlaybackState.MADE: frozenset(),
+        PlaybackState.FAILED: frozenset(),
+    }
+)
+
 TERMINAL_EVALUATION_STATES = frozenset(state for state, following in EVALUATION_TRANSITIONS.items() if not following)
 ACTIVE_EVALUATION_STATES = frozenset(EvaluationState) - TERMINAL_EVALUATION_STATES
 TERMINAL_SHARD_STATES = frozenset(state for state, following in SHARD_TRANSITIONS.items() if not following)
 OPEN_SHARD_STATES = frozenset(ShardState) - TERMINAL_SHARD_STATES
+OPEN_PLAYBACK_STATES = frozenset(state for state, following in PLAYBACK_TRANSITIONS.items() if following)

@@ -1,7 +1,7 @@
 """The job queue (procrastinate): jobs are enqueued in the transaction of the rows that they are about.
 
-A job is a wake-up call that names a shard. The shard's row decides whether there is work and who may do it, so a job
-that is lost or doubled does no harm.
+A job is a wake-up call that names a shard or a playback. The row decides whether there is work and who may do it, so
+a job that is lost or doubled does no harm.
 """
 
 from collections.abc import Iterable
@@ -18,8 +18,13 @@ from sqlalchemy.orm import Session
 
 RUN_SHARD = "run_shard"
 
+MAKE_PLAYBACK = "make_playback"
+
 RETRY_PRIORITY = 1
 """Priority of a shard that comes back: before all that wait for the first time, whose priority is minus their turn."""
+
+PLAYBACK_PRIORITY = -2_000_000_000
+"""Priority of playbacks: after all shards."""
 
 _enqueuer = procrastinate.App(connector=SyncPsycopgConnector())
 """Never opened: each call brings the connection of the caller's transaction."""
@@ -46,6 +51,19 @@ _FORGET = text("""
                       WHERE worker.id = job.worker_id AND worker.last_heartbeat > now() - interval '1 minute')
 """)
 
+_FORGET_PLAYBACKS = text("""
+    DELETE FROM procrastinate_jobs job
+    WHERE job.status = 'doing' AND job.task_name = :task
+      AND NOT EXISTS (SELECT FROM playbacks
+                      WHERE playbacks.id = (job.args ->> 'playback_id')::bigint AND playbacks.state = 'running')
+      AND NOT EXISTS (SELECT FROM procrastinate_workers worker
+                      WHERE worker.id = job.worker_id AND worker.last_heartbeat > now() - interval '1 minute')
+""")
+
+_WAITS_FOR_PLAYBACK = text("""
+    job.status = 'todo' AND job.task_name = :task AND (job.args ->> 'playback_id')::bigint = playbacks.id
+""")
+
 _WAITS_FOR_SHARD = text("""
     job.status = 'todo' AND job.task_name = :task AND (job.args ->> 'shard_id')::bigint = shards.id
 """)
@@ -59,7 +77,7 @@ _WAS_TAKEN_FOR_SHARD = text("""
 
 
 def queue_name(evaluator_version: str) -> str:
-    """Queue of the shards of one evaluator version: only workers of that version take them."""
+    """Queue of the shards and playbacks of one evaluator version: only workers of that version take them."""
     return f"shards {evaluator_version}"
 
 
@@ -85,17 +103,31 @@ def enqueue_shards(
     """
     arguments: list[Any] = [{"shard_id": shard_id} for shard_id in shard_ids]
     if arguments:
-        deferrer = _enqueuer.configure_task(
-            RUN_SHARD,
-            queue=queue_name(evaluator_version),
-            connection=raw_connection(session),
-            priority=priority,
-            schedule_in={"milliseconds": round(1000 * delay_s)} if delay_s else None,
-        )
-        try:
-            deferrer.batch_defer(*arguments)
-        except ConnectorException as error:
-            raise _database_error(error) from error
+        _enqueue(session, RUN_SHARD, arguments, evaluator_version, delay_s=delay_s, priority=priority)
+
+
+def enqueue_playback(session: Session, playback_id: int, evaluator_version: str, *, delay_s: float = 0.0) -> None:
+    """Add the job of a playback, which comes after all shards; visible when the session commits.
+
+    Raises:
+        DBAPIError: the database failed.
+    """
+    arguments = [{"playback_id": playback_id}]
+    _enqueue(session, MAKE_PLAYBACK, arguments, evaluator_version, delay_s=delay_s, priority=PLAYBACK_PRIORITY)
+
+
+def _enqueue(session: Session, task: str, arguments: list[Any], version: str, *, delay_s: float, priority: int) -> None:
+    deferrer = _enqueuer.configure_task(
+        task,
+        queue=queue_name(version),
+        connection=raw_connection(session),
+        priority=priority,
+        schedule_in={"milliseconds": round(1000 * delay_s)} if delay_s else None,
+    )
+    try:
+        deferrer.batch_defer(*arguments)
+    except ConnectorException as error:
+        raise _database_error(error) from error
 
 
 def _database_error(error: ConnectorException) -> Exception:
@@ -122,6 +154,16 @@ def prune_finished_jobs(session: Session, older_than: timedelta) -> int:
 def forget_jobs_of_ended_shards(session: Session) -> None:
     """Remove jobs that a dead worker has left as running, once their shard has no lease."""
     session.execute(_FORGET, {"task": RUN_SHARD})
+
+
+def forget_jobs_of_ended_playbacks(session: Session) -> None:
+    """Remove jobs that a dead worker has left as running, once their playback has no lease."""
+    session.execute(_FORGET_PLAYBACKS, {"task": MAKE_PLAYBACK})
+
+
+def has_waiting_playback_job() -> ColumnElement[bool]:
+    """Return whether a row of `playbacks` has a job that waits."""
+    return _has_job(_WAITS_FOR_PLAYBACK.bindparams(task=MAKE_PLAYBACK))
 
 
 def has_waiting_job() -> ColumnElement[bool]:

@@ -92,7 +92,7 @@ def renew(session: Session, lease: Lease, lease_s: float) -> None:
     Raises:
         LeaseLost: it is no longer ours, for example because the evaluation was cancelled.
     """
-    _change_held(session, lease, lease_expires_at=_lease_end(lease_s))
+    _change_held(session, lease, lease_expires_at=lease_end(lease_s))
 
 
 def lock_held(session: Session, lease: Lease) -> int:
@@ -180,7 +180,8 @@ def _change_held(session: Session, lease: Lease, **values: Any) -> None:
         raise _lost(lease)
 
 
-def _lease_end(lease_s: float) -> Any:
+def lease_end(lease_s: float) -> Any:
+    """Return the time, by the database's clock, at which a lease that is renewed now runs out."""
     return func.clock_timestamp() + cast(timedelta(seconds=lease_s), Interval)
 
 

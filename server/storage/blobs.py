@@ -83,6 +83,23 @@ class BlobStore:
         if digest.hexdigest() != sha256:
             raise StoredFileLost(f"The stored file {sha256} was altered in the store.")
 
+    def read(self, sha256: str) -> bytes:
+        """Return the content of a small stored file.
+
+        Raises:
+            StoredFileLost: it is not there or was altered.
+            ServiceError: the store cannot be read.
+        """
+        try:
+            content = bytes(obstore.get(self._store, key_of(sha256)).bytes())
+        except (NotFoundError, FileNotFoundError) as error:
+            raise StoredFileLost(f"The stored file {sha256} is gone.") from error
+        except (BaseError, OSError) as error:
+            raise _unavailable(error) from error
+        if hashlib.sha256(content).hexdigest() != sha256:
+            raise StoredFileLost(f"The stored file {sha256} was altered in the store.")
+        return content
+
     def holds(self, sha256: str) -> bool:
         """Return whether a file of that digest is stored."""
         try:

@@ -7,6 +7,7 @@ from .accounts import ApiToken, AuditEntry, Team, TeamQuota
 from .base import Base
 from .evaluations import ALL_TASKS, BoardResult, EpisodeDifference, EpisodeResult, Evaluation, LogCopy, Shard
 from .operations import MetricTotal, Worker
+from .playbacks import Playback
 from .submissions import PartialUpload, Submission, UploadPart
 
 __all__ = [
@@ -21,6 +22,7 @@ __all__ = [
     "LogCopy",
     "MetricTotal",
     "PartialUpload",
+    "Playback",
     "Shard",
     "Submission",
     "Team",

@@ -6,12 +6,15 @@ from typing import Any
 from uuid import uuid4
 
 import pytest
+from asked_playbacks import played
 from service_factories import make_principal, make_record, make_upload, shard_ids
 from sqlalchemy import select, text
+from vitac.evaluator.episodes.records import EpisodeRecord
+from vitac.evaluator.playback.order import SCENE_FILE, PlaybackOrder
 from vitac.evaluator.shards.order import ShardOrder
 from vitac.server.accounts.principals import CONSOLE
-from vitac.server.db.models import EpisodeResult, Shard, Submission
-from vitac.server.db.states import EvaluationState, ShardState
+from vitac.server.db.models import EpisodeResult, Playback, Shard, Submission
+from vitac.server.db.states import EvaluationState, PlaybackState, ShardState
 from vitac.server.evaluations.episode_store import store_episode
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.housekeeping import Housekeeping
@@ -43,10 +46,10 @@ def result_hash(services: Services, submission: Submission) -> str | None:
 
 
 @contextmanager
-def working(services: Services, shards: FakeShards) -> Iterator[QueueWorker]:
+def working(services: Services, shards: FakeShards, **options: Any) -> Iterator[QueueWorker]:
     """A worker in a thread, with housekeeping beside it, stopped at the end."""
     stage = SubmissionStage(services.blobs, services.settings.scratch_dir, services.settings.limits)
-    worker = QueueWorker(services, stage, uuid4(), shards)
+    worker = QueueWorker(services, stage, uuid4(), shards, **options)
     thread = threading.Thread(target=lambda: asyncio.run(worker.run()))
     housekeeping = Housekeeping(services)
     housekeeping.start()
@@ -203,3 +206,45 @@ def test_worker_counts_claims_waits_and_episodes_in_the_totals_of_all(services: 
     assert found[SeriesKey("vitac_shards_finished_total")] == n_shards
     assert found[SeriesKey("vitac_shard_wait_seconds_count")] == n_shards
     assert found[SeriesKey("vitac_claim_seconds_count")] >= n_shards
+
+
+def test_worker_makes_playbacks_when_no_shard_waits(services: Services, archive_sha256: str) -> None:
+    team = played(services.database)
+    playback = team.ask(1)
+    order: list[str] = []
+
+    @contextmanager
+    def making(asked: PlaybackOrder) -> Iterator[FakePlayback]:
+        order.append("playback")
+        yield FakePlayback(asked)
+
+    def record_of(number: int, *arguments: Any, **values: Any) -> EpisodeRecord:
+        order.append("shard")
+        return make_record(number, *arguments, **values)
+
+    with services.database.transaction() as session:
+        session.get_one(Submission, team.submission.id).archive_sha256 = archive_sha256
+    with working(services, FakeShards(record_of), start_playback=making):
+        eventually(lambda: state_of_playback(services, playback.id) is PlaybackState.MADE)
+    assert state(services, team.submission) is EvaluationState.COMPLETED
+    assert order[-1] == "playback"
+    assert order.count("playback") == 1
+
+
+def state_of_playback(services: Services, playback_id: int) -> PlaybackState:
+    with services.database.transaction() as session:
+        return session.get_one(Playback, playback_id).state
+
+
+class FakePlayback:
+    """Writes a scene."""
+
+    def __init__(self, order: PlaybackOrder) -> None:
+        self._order = order
+
+    def played(self) -> Iterator[int]:
+        (self._order.folder / SCENE_FILE).write_bytes(b"scene")
+        yield self._order.record.env_steps
+
+    def kill(self) -> None:
+        """It ends by itself."""

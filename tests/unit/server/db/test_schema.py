@@ -1,6 +1,6 @@
 import shutil
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from enum import StrEnum
 from itertools import product
 from pathlib import Path
@@ -16,10 +16,11 @@ from sqlalchemy import text
 from sqlalchemy.exc import IntegrityError, OperationalError
 from vitac.migrations.versions import v0002_state_machines as state_machines
 from vitac.migrations.versions import v0003_queue as queue_migration
+from vitac.migrations.versions import v0018_playbacks as playback_migration
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Base
 from vitac.server.db.schema import WrongEncoding, downgrade, installed_revision, is_current, newest_revision, upgrade
-from vitac.server.db.states import EVALUATION_TRANSITIONS, SHARD_TRANSITIONS
+from vitac.server.db.states import EVALUATION_TRANSITIONS, PLAYBACK_TRANSITIONS, SHARD_TRANSITIONS
 from vitac.server.postgres.binaries import DEBIAN_ROOT, OLDEST_MAJOR, inspect_bin_dir
 from vitac.server.postgres.embedded import EmbeddedPostgres
 
@@ -159,13 +160,18 @@ def _queue_migrations() -> Iterator[Path]:
 
 
 @pytest.mark.parametrize(
-    ("table", "transitions"), [("evaluations", EVALUATION_TRANSITIONS), ("shards", SHARD_TRANSITIONS)]
+    ("table", "transitions", "migrated_pairs"),
+    [
+        ("evaluations", EVALUATION_TRANSITIONS, state_machines.TRANSITIONS["evaluations"]),
+        ("shards", SHARD_TRANSITIONS, state_machines.TRANSITIONS["shards"]),
+        ("playbacks", PLAYBACK_TRANSITIONS, playback_migration.TRANSITIONS),
+    ],
 )
 def test_sql_allows_exactly_the_transitions_of_the_table(
-    table: str, transitions: Mapping[StrEnum, frozenset[StrEnum]]
+    table: str, transitions: Mapping[StrEnum, frozenset[StrEnum]], migrated_pairs: Iterable[tuple[str, str]]
 ) -> None:
     allowed = {(old.value, new.value) for old, following in transitions.items() for new in following}
-    assert set(state_machines.TRANSITIONS[table]) == allowed
+    assert set(migrated_pairs) == allowed
     with fresh_database() as address, psycopg.connect(address, autocommit=True) as connection:
         # The trigger alone, on a bare table of the same name: other constraints would hide what it lets through.
         connection.execute("CREATE SCHEMA bare")

@@ -1,0 +1,141 @@
+"""Asks for the playback of an episode; called by the pages.
+
+A playback is computed once, whoever asks for it, and comes after all evaluations in the queue. What one team may have
+in the queue and ask for in an hour is limited, so that nobody can keep the workers busy with playbacks.
+"""
+
+import hashlib
+from datetime import UTC, datetime, timedelta
+from uuid import UUID
+
+from sqlalchemy import ColumnElement, func, select
+from sqlalchemy.orm import Session
+from vitac.evaluator.episodes.records import canonical_json
+from vitac.evaluator.playback.order import FORMAT
+from vitac.evaluator.version import evaluator_version
+
+from ..accounts.principals import Principal
+from ..accounts.visibility import may_see_episode, visible
+from ..db.advisory_locks import AdvisoryLock, wait_for_turn
+from ..db.models import EpisodeResult, Playback, Shard
+from ..db.states import OPEN_PLAYBACK_STATES, PlaybackState, ShardState
+from ..errors import ProblemCode, ServiceError, not_found
+from ..evaluations.episode_store import EpisodeKey
+from ..evaluations.history import newest_evaluation
+from ..queue.jobs import enqueue_playback
+from ..queue.workers import workers_alive
+from ..settings import Settings
+from ..views.playbacks import PlaybackView
+
+FAILED_KEPT = timedelta(hours=1)
+"""So long a failed playback is not tried again."""
+
+
+def find_episode(session: Session, by: Principal, submission_id: UUID, task: str, number: int) -> EpisodeResult:
+    """Return a finished episode of the newest evaluation of a submission.
+
+    Raises:
+        ServiceError: there is none that the principal may see.
+    """
+    submission = visible(session, by, submission_id)
+    key = EpisodeKey.of(newest_evaluation(session, submission), submission)
+    wanted = (EpisodeResult.task == task, EpisodeResult.episode == number)
+    episode = session.scalar(select(EpisodeResult).where(*key.conditions(), *wanted))
+    if episode is None or not may_see_episode(by, submission, task):
+        raise not_found("episode", f"{number} of {task} of submission {submission_id}")
+    return episode
+
+
+def find_playback(session: Session, episode: EpisodeResult) -> Playback | None:
+    """Return the playback of an episode; None where nobody has asked for it, or in another format."""
+    return session.scalar(select(Playback).where(Playback.key == playback_key(episode)))
+
+
+def ask(session: Session, settings: Settings, by: Principal, episode: EpisodeResult) -> Playback:
+    """Return the playback of an episode; one that is not there is queued, and made when no evaluation waits.
+
+    Raises:
+        ServiceError: too_many_requests, with how many are possible.
+    """
+    asked_by = requester(by)
+    wait_for_turn(session, AdvisoryLock.PLAYBACK_OF_REQUESTER, asked_by)
+    # The second of two who ask at the same time waits here for the first one.
+    wait_for_turn(session, AdvisoryLock.PLAYBACK_OF_EPISODE, playback_key(episode))
+    found = find_playback(session, episode)
+    if found is not None and not _may_be_tried_again(found):
+        return found
+    if not by.is_organizer:
+        _refuse_one_more(session, settings, asked_by)
+    if found is not None:
+        session.delete(found)
+        session.flush()
+    playback = Playback(
+        key=playback_key(episode),
+        episode_id=episode.id,
+        evaluator_version=evaluator_version(),
+        state=PlaybackState.QUEUED,
+        asked_by=asked_by,
+        asked_at=datetime.now(UTC),
+    )
+    session.add(playback)
+    session.flush()
+    enqueue_playback(session, playback.id, playback.evaluator_version)
+    return playback
+
+
+def playback_key(episode: EpisodeResult) -> str:
+    """Return the SHA-256 [hex] of all that a playback is made from."""
+    content = {
+        "format": FORMAT,
+        "evaluator_version": evaluator_version(),
+        "track": episode.track,
+        "record_digest": episode.record_digest,
+    }
+    return hashlib.sha256(canonical_json(content)).hexdigest()
+
+
+def requester(by: Principal) -> str:
+    """Return whose limits count what somebody asks for."""
+    return f"team:{by.team_id}" if by.team_id is not None else by.role.value
+
+
+def playback_view(session: Session, settings: Settings, playback: Playback) -> PlaybackView:
+    """Return a playback as the pages show it."""
+    is_open = playback.state in OPEN_PLAYBACK_STATES
+    return PlaybackView(
+        key=playback.key,
+        state=playback.state,
+        env_steps=playback.episode.env_steps,
+        env_steps_played=playback.env_steps_played,
+        waits_for=_waits_for(session, playback) if playback.state is PlaybackState.QUEUED else 0,
+        workers=workers_alive(session, settings, playback.evaluator_version).alive if is_open else None,
+        problem=playback.problem,
+        has_cameras=playback.cameras_sha256 is not None,
+        has_still=playback.still_sha256 is not None,
+    )
+
+
+def _may_be_tried_again(playback: Playback) -> bool:
+    failed_at = playback.finished_at if playback.state is PlaybackState.FAILED else None
+    return failed_at is not None and failed_at < datetime.now(UTC) - FAILED_KEPT
+
+
+def _refuse_one_more(session: Session, settings: Settings, asked_by: str) -> None:
+    within_hour = Playback.asked_at > datetime.now(UTC) - timedelta(hours=1)
+    limits: tuple[tuple[int, ColumnElement[bool], str], ...] = (
+        (settings.playbacks_at_once, Playback.state.in_(OPEN_PLAYBACK_STATES), "playbacks that wait or are being made"),
+        (settings.playbacks_per_hour, within_hour, "new playbacks in an hour"),
+    )
+    for limit, condition, what in limits:
+        count = session.scalar(select(func.count()).where(Playback.asked_by == asked_by, condition)) or 0
+        if count >= limit:
+            raise ServiceError(
+                ProblemCode.TOO_MANY_REQUESTS, f"At most {limit} {what} are possible, and there are {count}; try later."
+            )
+
+
+def _waits_for(session: Session, playback: Playback) -> int:
+    """Return how many shards and playbacks come before."""
+    shards = select(func.count()).where(Shard.state == ShardState.QUEUED)
+    earlier = select(func.count()).where(Playback.state == PlaybackState.QUEUED, Playback.id < playback.id)
+    return (session.scalar(shards) or 0) + (session.scalar(earlier) or 0)

@@ -1,0 +1,166 @@
+"""The work on playbacks: claim, renewal, and the ways in which it ends. Called by the workers and the housekeeping.
+
+As with shards, each claim raises the token, and every later statement names it: who was paused changes nothing.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from typing import Any
+
+import structlog
+from sqlalchemy import delete, func, select, update
+from sqlalchemy.orm import Session
+from vitac.evaluator.episodes.records import EpisodeRecord
+
+from ..db.models import Playback
+from ..db.states import OPEN_PLAYBACK_STATES, PlaybackState
+from ..queue.jobs import enqueue_playback, forget_jobs_of_ended_playbacks, has_waiting_playback_job
+from ..queue.leases import LeaseLost, lease_end
+from ..settings import Settings
+
+logger = structlog.get_logger(__name__)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlaybackLease:
+    """The right to make one playback, and all that is needed for it."""
+
+    playback_id: int
+    token: int
+    attempt: int
+    evaluator_version: str
+    track: str
+    record: EpisodeRecord
+
+
+def claim(session: Session, playback_id: int, lease_s: float) -> PlaybackLease | None:
+    """Take a queued playback; None where there is nothing to do (taken, made, removed)."""
+    playback = session.get(Playback, playback_id, with_for_update=True, populate_existing=True)
+    if playback is None or playback.state is not PlaybackState.QUEUED:
+        return None
+    playback.state = PlaybackState.RUNNING
+    playback.token += 1
+    playback.attempts += 1
+    playback.env_steps_played = 0
+    playback.lease_expires_at = lease_end(lease_s)
+    return PlaybackLease(
+        playback_id=playback.id,
+        token=playback.token,
+        attempt=playback.attempts,
+        evaluator_version=playback.evaluator_version,
+        track=playback.episode.track,
+        record=EpisodeRecord.model_validate(playback.episode.record),
+    )
+
+
+def renew(session: Session, lease: PlaybackLease, lease_s: float, *, env_steps_played: int) -> None:
+    """Keep the playback for another while and say how far it is.
+
+    Raises:
+        LeaseLost: it is no longer ours.
+    """
+    _change_held(session, lease, lease_expires_at=lease_end(lease_s), env_steps_played=env_steps_played)
+
+
+def end_made(session: Session, lease: PlaybackLease, digests: Mapping[str, str]) -> None:
+    """Mark the playback as made.
+
+    Args:
+        session: of the transaction.
+        lease: on the playback.
+        digests: SHA-256 of the stored files by column.
+
+    Raises:
+        LeaseLost: it is no longer ours.
+    """
+    _end(session, lease, state=PlaybackState.MADE, env_steps_played=lease.record.env_steps, **digests)
+
+
+def end_failed(session: Session, lease: PlaybackLease, problem: str) -> None:
+    """Mark the playback as one that cannot be made.
+
+    Raises:
+        LeaseLost: it is no longer ours.
+    """
+    _end(session, lease, state=PlaybackState.FAILED, problem=problem)
+
+
+def hand_back(session: Session, lease: PlaybackLease, *, counts_as_attempt: bool, delay_s: float = 0.0) -> None:
+    """Queue the playback again for the next free worker, after a while.
+
+    Raises:
+        LeaseLost: it is no longer ours.
+    """
+    _change_held(
+        session,
+        lease,
+        state=PlaybackState.QUEUED,
+        attempts=lease.attempt - (0 if counts_as_attempt else 1),
+        lease_expires_at=None,
+    )
+    enqueue_playback(session, lease.playback_id, lease.evaluator_version, delay_s=delay_s)
+
+
+def recover(session: Session, settings: Settings) -> int:
+    """Queue playbacks again whose worker was lost, give up those lost too often, wake those without a job; how many."""
+    now = datetime.now(UTC)
+    lost = session.scalars(
+        select(Playback)
+        .where(Playback.state == PlaybackState.RUNNING, Playback.lease_expires_at < func.clock_timestamp())
+        .with_for_update(skip_locked=True)
+    ).all()
+    for playback in lost:
+        playback.token += 1
+        playback.lease_expires_at = None
+        if playback.attempts < settings.shard_attempts:
+            playback.state = PlaybackState.QUEUED
+            continue
+        logger.error("playback_given_up", playback=playback.id, attempts=playback.attempts)
+        playback.state, playback.finished_at = PlaybackState.FAILED, now
+        playback.problem = f"It was started {playback.attempts} times, and each time the worker was lost."
+    session.flush()
+    waiting = session.scalars(
+        select(Playback).where(
+            Playback.state == PlaybackState.QUEUED,
+            Playback.asked_at < now - timedelta(seconds=settings.lease_s),
+            ~has_waiting_playback_job(),
+        )
+    ).all()
+    for playback in waiting:
+        enqueue_playback(session, playback.id, playback.evaluator_version)
+    forget_jobs_of_ended_playbacks(session)
+    return len(lost)
+
+
+def remove_old(session: Session, settings: Settings) -> None:
+    """Remove playbacks that were asked for long ago; they are made again when somebody wants to see them."""
+    oldest = datetime.now(UTC) - timedelta(days=settings.playbacks_kept_days)
+    session.execute(delete(Playback).where(Playback.asked_at < oldest, Playback.state.not_in(OPEN_PLAYBACK_STATES)))
+
+
+def stored_digests(session: Session) -> set[str]:
+    """Return the SHA-256 of all files of playbacks."""
+    rows = session.execute(select(Playback.scene_sha256, Playback.cameras_sha256, Playback.still_sha256)).all()
+    return {digest for row in rows for digest in row if digest is not None}
+
+
+def _end(session: Session, lease: PlaybackLease, **values: Any) -> None:
+    _change_held(session, lease, lease_expires_at=None, finished_at=datetime.now(UTC), **values)
+
+
+def _change_held(session: Session, lease: PlaybackLease, **values: Any) -> None:
+    held = (
+        Playback.id == lease.playback_id,
+        Playback.token == lease.token,
+        Playback.state == PlaybackState.RUNNING,
+    )
+    changed = session.scalar(
+        update(Playback)
+        .where(*held)
+        .values(**values)
+        .returning(Playback.id)
+        .execution_options(synchronize_session=False)
+    )
+    if changed is None:
+        raise LeaseLost(f"Playback {lease.playback_id} is no longer held under token {lease.token}.")

@@ -1,0 +1,42 @@
+"""What the pages show of an episode and of its playback."""
+
+from vitac.evaluator.episodes.records import EpisodeOutcome
+
+from ..db.states import PlaybackState
+from .base import View
+
+
+class PlaybackView(View):
+    """A playback that somebody asked for.
+
+    `waits_for` counts the shards and playbacks before it while it is queued; `workers` those that could make it while
+    it is not finished; `problem` says why there is none.
+    """
+
+    key: str
+    state: PlaybackState
+    env_steps: int
+    env_steps_played: int
+    waits_for: int
+    workers: int | None
+    problem: str | None
+    has_cameras: bool
+    has_still: bool
+
+
+class ShownEpisodeView(View):
+    """A finished episode on its page; `playback` is None as long as nobody has asked for it."""
+
+    submission_name: str
+    team: str
+    track: str
+    task: str
+    episode: int
+    shape: str
+    initial_offset: tuple[float, ...]
+    outcome: EpisodeOutcome
+    env_steps: int
+    total_reward: float
+    evaluator_version: str
+    record_digest: str
+    playback: PlaybackView | None

@@ -1,0 +1,197 @@
+import threading
+from datetime import UTC, datetime, timedelta
+from typing import Any
+
+import pytest
+from asked_playbacks import SETTINGS, Played, played
+from service_factories import TASK, make_principal
+from sqlalchemy import text, update
+from vitac.evaluator.tracks import ListKind, load_track
+from vitac.server.accounts import visibility
+from vitac.server.accounts.principals import CONSOLE, Principal
+from vitac.server.db.engine import Database
+from vitac.server.db.models import Playback, Shard
+from vitac.server.db.states import PlaybackState, Role, ShardState
+from vitac.server.errors import ProblemCode, ServiceError
+from vitac.server.playbacks import asking
+from vitac.server.playbacks.asking import find_episode, playback_key, playback_view, requester
+from vitac.server.queue.jobs import MAKE_PLAYBACK, RUN_SHARD
+
+JUDGE = Principal(role=Role.JUDGE)
+
+
+def jobs(database: Database) -> list[tuple[str, int]]:
+    """Waiting jobs in the order in which workers take them."""
+    query = text(
+        "SELECT task_name, (args ->> 'playback_id')::bigint FROM procrastinate_jobs WHERE status = 'todo' "
+        "ORDER BY priority DESC, id"
+    )
+    with database.transaction() as session:
+        return [(str(row[0]), row[1]) for row in session.execute(query)]
+
+
+def refusal(asked: Played, number: int, **settings: Any) -> ServiceError:
+    with pytest.raises(ServiceError) as refused:
+        asked.ask(number, **settings)
+    return refused.value
+
+
+def change(database: Database, playback: Playback, **values: object) -> None:
+    with database.transaction() as session:
+        session.execute(update(Playback).where(Playback.id == playback.id).values(**values))
+
+
+def test_what_is_asked_for_comes_after_all_shards(team_a: Played) -> None:
+    playback = team_a.ask(3)
+    assert playback.state is PlaybackState.QUEUED
+    waiting = jobs(team_a.database)
+    assert len(waiting) > 2
+    assert waiting[-1] == (MAKE_PLAYBACK, playback.id)
+    assert {task for task, _ in waiting[:-1]} == {RUN_SHARD}
+
+
+def test_asking_again_finds_the_same_one(team_a: Played) -> None:
+    assert team_a.found(3) is None
+    first = team_a.ask(3)
+    assert team_a.ask(3).id == first.id
+    assert team_a.ask(4).id != first.id
+    assert len([task for task, _ in jobs(team_a.database) if task == MAKE_PLAYBACK]) == 2
+
+
+def test_those_who_ask_at_the_same_time_get_one(team_a: Played) -> None:
+    found: list[int] = []
+    barrier = threading.Barrier(6)
+
+    def run() -> None:
+        barrier.wait()
+        found.append(team_a.ask(2).id)
+
+    threads = [threading.Thread(target=run) for _ in range(6)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(found) == 6
+    assert len(set(found)) == 1
+
+
+def test_equal_episodes_of_two_teams_share_a_playback(team_a: Played) -> None:
+    other = played(team_a.database, "Team B", "other content")
+    assert other.episode(2).id != team_a.episode(2).id
+    assert other.ask(2).id == team_a.ask(2).id
+
+
+def test_another_evaluator_or_format_makes_another_playback(team_a: Played, monkeypatch: pytest.MonkeyPatch) -> None:
+    episode = team_a.episode()
+    keys = {playback_key(episode)}
+    monkeypatch.setattr(asking, "FORMAT", 2)
+    keys.add(playback_key(episode))
+    monkeypatch.setattr(asking, "evaluator_version", lambda: "2+other")
+    keys.add(playback_key(episode))
+    assert len(keys) == 3
+
+
+def test_a_team_has_only_so_many_in_the_queue(team_a: Played) -> None:
+    for number in (1, 2):
+        team_a.ask(number, playbacks_at_once=2)
+    refused = refusal(team_a, 3, playbacks_at_once=2)
+    assert refused.code is ProblemCode.TOO_MANY_REQUESTS
+    assert "At most 2 playbacks that wait or are being made" in refused.detail
+    assert team_a.ask(1, playbacks_at_once=2).state is PlaybackState.QUEUED
+    other = played(team_a.database, "Team B", "other content")
+    assert other.ask(4, playbacks_at_once=2).state is PlaybackState.QUEUED
+
+
+def test_a_team_asks_for_only_so_many_in_an_hour(team_a: Played) -> None:
+    first = team_a.ask(1, playbacks_per_hour=1)
+    change(team_a.database, first, state=PlaybackState.FAILED, problem="no", finished_at=datetime.now(UTC))
+    refused = refusal(team_a, 2, playbacks_per_hour=1)
+    assert "At most 1 new playbacks in an hour" in refused.detail
+    change(team_a.database, first, asked_at=datetime.now(UTC) - timedelta(minutes=61))
+    assert team_a.ask(2, playbacks_per_hour=1).state is PlaybackState.QUEUED
+
+
+def test_requests_at_the_same_time_do_not_exceed_the_limit(team_a: Played) -> None:
+    refused: list[ServiceError] = []
+    barrier = threading.Barrier(5)
+
+    def run(number: int) -> None:
+        barrier.wait()
+        try:
+            team_a.ask(number, playbacks_at_once=2)
+        except ServiceError as error:
+            refused.append(error)
+
+    threads = [threading.Thread(target=run, args=(number,)) for number in range(1, 6)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(refused) == 3
+
+
+def test_organizers_have_no_limit(team_a: Played) -> None:
+    for number in (1, 2, 3):
+        team_a.ask(number, by=CONSOLE, playbacks_at_once=1, playbacks_per_hour=1)
+    assert requester(CONSOLE) == "organizer"
+    assert requester(team_a.by) == f"team:{team_a.by.team_id}"
+    assert requester(JUDGE) == "judge"
+
+
+def test_a_failed_one_is_tried_again_after_an_hour(team_a: Played) -> None:
+    first = team_a.ask(1)
+    failed_at = datetime.now(UTC)
+    change(team_a.database, first, state=PlaybackState.FAILED, problem="states differ", finished_at=failed_at)
+    assert team_a.ask(1).problem == "states differ"
+    change(team_a.database, first, finished_at=failed_at - timedelta(minutes=61))
+    again = team_a.ask(1)
+    assert again.state is PlaybackState.QUEUED
+    assert again.id != first.id
+
+
+@pytest.mark.parametrize(("task", "number"), [(TASK, 999), (TASK, 0), ("lock-opening", 1), ("no-task", 1)])
+def test_an_episode_that_is_not_there_is_not_found(team_a: Played, task: str, number: int) -> None:
+    with team_a.database.transaction() as session, pytest.raises(ServiceError) as refused:
+        find_episode(session, team_a.by, team_a.submission.id, task, number)
+    assert refused.value.code is ProblemCode.NOT_FOUND
+
+
+def test_another_teams_episode_is_not_found(team_a: Played) -> None:
+    with team_a.database.transaction() as session:
+        other = make_principal(session, "Team B")
+        with pytest.raises(ServiceError) as refused:
+            find_episode(session, other, team_a.submission.id, TASK, 1)
+    assert refused.value.code is ProblemCode.NOT_FOUND
+
+
+@pytest.fixture
+def sealed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Makes the list of the task a sealed one."""
+    track = load_track("track_1")
+    task = track.tasks[TASK]
+    listed = task.episode_list.model_copy(update={"commitment": "c" * 64})
+    changed = track.model_copy(update={"tasks": {TASK: task.model_copy(update={"episode_list": listed})}})
+    assert changed.tasks[TASK].episode_list.kind is ListKind.SEALED
+    monkeypatch.setattr(visibility, "load_track", lambda _: changed)
+
+
+@pytest.mark.usefixtures("sealed")
+def test_episodes_of_a_sealed_list_are_shown_to_organizers_only(team_a: Played) -> None:
+    with team_a.database.transaction() as session:
+        assert find_episode(session, CONSOLE, team_a.submission.id, TASK, 1).episode == 1
+        with pytest.raises(ServiceError) as refused:
+            find_episode(session, team_a.by, team_a.submission.id, TASK, 1)
+    assert refused.value.code is ProblemCode.NOT_FOUND
+
+
+def test_a_view_says_what_is_before_it_and_whether_anybody_works(team_a: Played) -> None:
+    team_a.ask(1)
+    second = team_a.ask(2)
+    with team_a.database.transaction() as session:
+        playback = session.get_one(Playback, second.id)
+        waiting = session.query(Shard).where(Shard.state == ShardState.QUEUED).count()
+        view = playback_view(session, SETTINGS, playback)
+    assert view.waits_for == waiting + 1
+    assert view.workers == 0
+    assert (view.env_steps, view.env_steps_played) == (3, 0)
+    assert not view.has_still
