@@ -7,6 +7,11 @@ from .tasks.registry import task_definitions
 ENVIRONMENTS = {env_id: task.environment for env_id, task in task_definitions().items()}
 """Place of the class of every environment; a string, so that registering does not import the simulation."""
 
-for _id, _entry_point in ENVIRONMENTS.items():
+for _id in ENVIRONMENTS:
     if _id not in gymnasium.registry:
-        gymnasium.register(_id, entry_point=_entry_point)
+        gymnasium.register(
+            _id,
+            entry_point="vitac.envs.tasks.making:make",
+            vector_entry_point="vitac.envs.tasks.vector_env:ForkedVectorEnv",
+            kwargs={"env_id": _id},
+        )

@@ -1,7 +1,7 @@
 """What can be observed of a scene, as objects: a task lists them; space, tables and reading follow from the list."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -38,6 +38,8 @@ class Observable(Generic[SceneT]):
         privileged: it is a truth that only training sees.
         computed_from: how it follows from another observable; None where it does not.
         picture: it is what a camera sees, read without the episode's generator; a record holds a hash of it.
+        node_axis: axis that has an entry for every sensing node of a gel; None where there is none. `shape` has as many
+            as the gel of the evaluations.
     """
 
     name: str
@@ -49,3 +51,11 @@ class Observable(Generic[SceneT]):
     privileged: bool = False
     computed_from: BackProjection | None = None
     picture: bool = False
+    node_axis: int | None = None
+
+    def with_nodes(self, count: int) -> "Observable[SceneT]":
+        """Return the same observable of a gel with so many sensing nodes."""
+        if self.node_axis is None:
+            return self
+        shape = (*self.shape[: self.node_axis], count, *self.shape[self.node_axis + 1 :])
+        return replace(self, shape=shape)

@@ -52,6 +52,29 @@ class Clocks:
     markers: Stopwatch
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GraspState:
+    """State of a grasped scene, see `GraspedScene.state`.
+
+    Attributes:
+        physics: positions [m] and velocities [m/s] of all nodes.
+        references_m: undisturbed views of the sensors [m], shape [s, 3] each.
+        pose: of the gripper.
+        ipc_steps: solved so far.
+        solved: every IPC step so far converged.
+        reports: those that nobody has taken yet.
+        last_flow: marker flow that was drawn last, after how many IPC steps.
+    """
+
+    physics: tuple[FloatArray, FloatArray]
+    references_m: tuple[FloatArray, ...]
+    pose: GripperPose
+    ipc_steps: int
+    solved: bool
+    reports: tuple[StepReport, ...]
+    last_flow: tuple[int, NDArray[np.float32]]
+
+
 def fixed_at_origin(mesh: SurfaceMesh, *, friction: float) -> RigidBody:
     """Return a part that never moves, its own frame being the world's."""
     return RigidBody(mesh=mesh, rotation=np.eye(3), translation_m=np.zeros(3), friction=friction, fixed=True)
@@ -123,6 +146,11 @@ class GraspedScene:
         for sensor, view_m in zip(self._sensors, self._views_m(), strict=True):
             sensor.capture_reference(view_m)
 
+    def surface_points_m(self) -> FloatArray:
+        """Return the sensing nodes in the camera frames [m], shape [2, 2, s, 3]: sensor, reference or current, node."""
+        pairs = zip(self._sensors, self._views_m(), strict=True)
+        return np.array([(sensor.reference_m, view_m) for sensor, view_m in pairs])
+
     def surface_diff_m(self) -> FloatArray:
         """Return the mean motion of the left and right sensing surface since the reference [m], shape [2]."""
         pairs = zip(self._sensors, self._views_m(), strict=True)
@@ -157,6 +185,28 @@ class GraspedScene:
         """Return the report of the IPC steps since the last call."""
         reports, self._reports = tuple(self._reports), []
         return reports
+
+    def state(self) -> GraspState:
+        """Return all that what follows depends on, for `restore`."""
+        return GraspState(
+            physics=self._scene.state(),
+            references_m=tuple(sensor.reference_m for sensor in self._sensors),
+            pose=self._gripper.pose,
+            ipc_steps=self.ipc_steps,
+            solved=self.solved,
+            reports=tuple(self._reports),
+            last_flow=self._last_flow,
+        )
+
+    def restore(self, state: GraspState) -> None:
+        """Go back to a state of this scene."""
+        self._scene.restore(state.physics)
+        for sensor, reference_m in zip(self._sensors, state.references_m, strict=True):
+            sensor.capture_reference(reference_m)
+        self._gripper.pose = state.pose
+        self.ipc_steps, self.solved = state.ipc_steps, state.solved
+        self._reports = list(state.reports)
+        self._last_flow = state.last_flow
 
     def state_hash(self) -> str:
         """Return the SHA-256 [hex] of all positions and velocities."""

@@ -1,9 +1,13 @@
 """Observables of the parts that scenes are composed of; a task lists those that its policies see."""
 
+from enum import StrEnum
 from typing import TYPE_CHECKING, Protocol
 
+import numpy as np
+
 from ..observable import Observable
-from ..tactile.sizes import MARKER_COUNT
+from ..tactile.sizes import MARKER_COUNT, SENSING_NODES
+from .measured_pose import held_pose_mm_deg
 
 if TYPE_CHECKING:
     from .grasped_scene import GraspedScene
@@ -13,6 +17,56 @@ class HasGrasp(Protocol):
     """A task's scene in which a gripper with two tactile sensors holds a part."""
 
     grasped: "GraspedScene"
+
+
+class HasShape(Protocol):
+    """A task's scene that plays one of several shapes."""
+
+    @property
+    def shape(self) -> StrEnum:
+        """Which one."""
+
+
+MEASURED_POSE: Observable[HasGrasp] = Observable(
+    name="measured_pose",
+    shape=(6,),
+    unit="mm, mm, mm, degree, degree, degree",
+    meaning=(
+        "Where the held part really is, which differs from what is commanded: x, y and z of its own origin in the "
+        "world, and its roll, pitch and yaw."
+    ),
+    read=lambda scene, _: held_pose_mm_deg(scene.grasped),
+    privileged=True,
+)
+
+SURFACE_POINTS: Observable[HasGrasp] = Observable(
+    name="surface_pts",
+    shape=(2, 2, SENSING_NODES, 3),
+    unit="m",
+    meaning=(
+        "[sensor left, right][reference, current][node][x, y, z] of the sensing faces in the sensors' camera frames, "
+        "without noise."
+    ),
+    read=lambda scene, _: scene.grasped.surface_points_m(),
+    privileged=True,
+    node_axis=2,
+)
+
+
+def played_shape(shapes: str) -> Observable[HasShape]:
+    """Return the observable of the shape that is played.
+
+    Args:
+        shapes: their names in the order of the numbers.
+    """
+    return Observable(
+        name="shape",
+        shape=(1,),
+        unit="1",
+        meaning=f"Number of the shape that is played, from 0: {shapes}.",
+        read=lambda scene, _: np.array([list(type(scene.shape)).index(scene.shape)]),
+        privileged=True,
+    )
 
 
 def marker_flow(directions: str) -> Observable[HasGrasp]:

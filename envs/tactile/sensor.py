@@ -51,6 +51,15 @@ class TactileSensor:
         """Take this view as the undisturbed one."""
         self._reference_m = view_m
 
+    @property
+    def reference_m(self) -> FloatArray:
+        """The undisturbed view, camera frame [m], shape [s, 3].
+
+        Raises:
+            NoReferenceCaptured: there is none yet.
+        """
+        return self._reference()
+
     def surface_diff_m(self, view_m: FloatArray) -> float:
         """Return the mean distance [m] of the sensing nodes from the reference, in the camera frame."""
         return mean_distance_m(self._reference(), view_m)

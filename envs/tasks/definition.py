@@ -1,7 +1,7 @@
 """What a task says of itself without being run: names, actions, observables, and where its parts lie."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from inspect import cleandoc
 from typing import TYPE_CHECKING, Any
 
@@ -65,6 +65,7 @@ class TaskDefinition:
         guided_motion: place of the `NextAction` that goes to its target; None where there is none.
         accepts_start: place of a function that says of a shape and a drawn offset whether an episode may start there;
             None where it may anywhere.
+        info_lengths: numbers of those entries of an info that have more for some shapes than for others, at most.
     """
 
     env_id: str
@@ -76,6 +77,7 @@ class TaskDefinition:
     perspective: str | None = None
     guided_motion: str | None = None
     accepts_start: str | None = None
+    info_lengths: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def action_scale(self) -> tuple[float, ...]:

@@ -1,6 +1,6 @@
 """Options of `reset`: each is checked and refused by name. Used by the base and by every task's `variation`."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from enum import StrEnum
 from math import isfinite
 from typing import Any, TypeVar
@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from ..errors import VitacError
-from .settings import nearest
+from .settings import SettingsError, nearest
 
 RNG_SEED = "rng_seed"
 
@@ -53,6 +53,31 @@ def choice(env_id: str, option: str, value: Any, kind: type[ChoiceT]) -> ChoiceT
         return kind(value)
     except ValueError:
         raise refusal(env_id, option, value, f"expected one of {', '.join(kind)}") from None
+
+
+def chosen_shapes(env_id: str, kind: type[ChoiceT] | None, names: Sequence[str] | None) -> tuple[ChoiceT, ...]:
+    """Return the shapes that `reset` draws from: those that are named, in the order of the set, or else all.
+
+    Args:
+        env_id: for the message.
+        kind: all shapes of the task; None where it has none.
+        names: as given to the environment.
+
+    Raises:
+        SettingsError: one is unknown, none is named, or the task has no shapes.
+    """
+    known = () if kind is None else tuple(kind)
+    if names is None:
+        return known
+    unknown = [name for name in names if isinstance(names, str) or name not in set(known)]
+    if unknown or not names:
+        raise SettingsError(f"{env_id}: argument 'shapes' is {names!r}, expected some of {', '.join(known) or 'none'}.")
+    return tuple(shape for shape in known if shape in names)
+
+
+def drawn_shape(shapes: Sequence[ChoiceT], random: np.random.Generator) -> ChoiceT:
+    """Draw one of the shapes, all equally likely."""
+    return shapes[int(random.integers(len(shapes)))]
 
 
 def numbers(env_id: str, option: str, value: Any, count: int, expected: str) -> list[float]:

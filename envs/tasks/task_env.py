@@ -7,7 +7,9 @@ import hashlib
 from abc import abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from enum import StrEnum
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any, ClassVar, Generic, Protocol, TypeVar, cast
 
 import gymnasium
@@ -20,12 +22,15 @@ from ..fem import SOLVER_VERSION
 from ..fem.model.mesh import GelMesh, SurfaceMesh
 from ..observable import Observable
 from ..scene.grasped_scene import Clocks, GraspedScene
+from ..scene.still import StillCamera
 from ..scene.stopwatch import Stopwatch
 from ..tactile.design import SensorDesign
 from .definition import TaskDefinition, chosen_observables, with_tables
 from .ending import EndReason, Flags
-from .options import RNG_SEED, refuse_unknown, seeded_generator
-from .settings import settings_from
+from .options import RNG_SEED, chosen_shapes, refuse_unknown, seeded_generator
+from .randomization import Randomization, Ranges, drawn_settings, randomization_of
+from .settings import require, settings_from
+from .snapshot import EpisodeSnapshot, Generators
 
 FloatArray = NDArray[np.float64]
 Observation = dict[str, NDArray[Any]]
@@ -38,6 +43,10 @@ class ActionError(VitacError):
 
 class NotReset(VitacError):
     """An environment was used before its first `reset`; call `reset` first."""
+
+
+class NotRenderable(VitacError):
+    """Pictures were asked for of a task that does not say how it is looked at; give it a `perspective`."""
 
 
 class TaskScene(Protocol):
@@ -74,17 +83,25 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
         gel: elastomer of both sensors; the challenge's by default.
         sensor: a design of both sensors with gel, camera and markers of its own; the challenge's by default.
         observables: what is to be observed besides, such as a camera's pictures.
-        observation_keys: which of the task's own observables are observed; all that are not privileged by default.
-            Others are not computed.
+        observation_keys: which of the task's own observables are observed, privileged ones included where these are
+            added; all of them by default. Others are not computed.
+        shapes: which shapes are drawn where `reset` is not told one; all by default. Autoreset keeps them.
+        randomization: "challenge" draws what has a published training range anew for every episode, from the episode's
+            generator and after its start; "none" draws nothing.
+        render_mode: "rgb_array" for pictures by `render`.
         **overrides: fields of the task's settings.
 
     Attributes:
         settings: what the task leaves open.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}  # type: ignore[misc]
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 4}  # type: ignore[misc]
     task: ClassVar[TaskDefinition]
     settings_type: ClassVar[type[Any]]
+    # Closed set of the shapes that `reset` can draw; a task without shapes has none.
+    shape_type: ClassVar[type[StrEnum] | None] = None
+    # Published training ranges of settings.
+    training_ranges: ClassVar[Ranges] = {}
     # Options of `reset` beside `rng_seed`.
     option_names: ClassVar[tuple[str, ...]]
 
@@ -105,14 +122,25 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
         sensor: SensorDesign | None = None,
         observables: Sequence[Observable[Any]] = (),
         observation_keys: Sequence[str] | None = None,
+        shapes: Sequence[str] | None = None,
+        randomization: str = Randomization.NONE.value,
+        render_mode: str | None = None,
         **overrides: Any,
     ) -> None:
         self.settings: SettingsT = settings_from(self.settings_type, overrides)
         own = self.task.observables if privileged else self.task.public_observables
         if observation_keys is not None:
             own = chosen_observables(own, observation_keys)
-        self._observables: tuple[Observable[SceneT], ...] = (*own, *observables)
         self._meshes = Meshes(assets_dir, gel=gel, sensor=sensor)
+        nodes = len(self._meshes.gel().sensing_nodes)
+        self._observables: tuple[Observable[SceneT], ...] = tuple(
+            entry.with_nodes(nodes) for entry in (*own, *observables)
+        )
+        self._shapes: tuple[Any, ...] = chosen_shapes(self.env_id, self.shape_type, shapes)
+        self._randomization = randomization_of(randomization)
+        require(render_mode in (None, *self.metadata["render_modes"]), "render_mode", render_mode, "None or rgb_array")
+        self.render_mode = render_mode
+        self._still: StillCamera | None = None
         self._clocks = Clocks(physics=Stopwatch(), markers=Stopwatch())
         self._scene: SceneT | None = None
         self._error_before = 0.0
@@ -190,6 +218,7 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
         self._episode_random = random
         self._earlier_ipc_steps = self.ipc_steps
         self._scene = self._start(chosen, random)
+        self._still = None
         self._scene.grasp()
         self._error_before = self._error()
         end_reason = None if self.scene.solved else EndReason.NOT_CONVERGED
@@ -213,6 +242,60 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
         truncated = not self.scene.solved or flags.failure is not None
         info = self._completed(self._info(replace(flags, is_success=succeeded)), end_reason)
         return self._observation(), reward, succeeded, truncated, info
+
+    def snapshot(self) -> EpisodeSnapshot:
+        """Return the state of the running episode, so that `restore` can continue from here, to the same bits.
+
+        Raises:
+            NotReset: no episode was started.
+        """
+        scene, own, episode = self.task_scene, self.np_random, self._episode_random
+        return EpisodeSnapshot(
+            scene=scene,
+            commanded={**vars(scene)},
+            grasp=scene.grasped.state(),
+            error=self._error_before,
+            generators=Generators(own=own, episode=None if episode is own else episode).copied(),
+        )
+
+    def restore(self, snapshot: EpisodeSnapshot) -> None:
+        """Continue the episode of a snapshot that this environment made, as often as you like.
+
+        Counters and clocks are sums of all that was played and do not go back.
+        """
+        self._earlier_ipc_steps = self.ipc_steps - snapshot.grasp.ipc_steps
+        if snapshot.scene is not self._scene:
+            self._still = None
+        self._scene = snapshot.scene
+        vars(snapshot.scene).update(snapshot.commanded)
+        snapshot.scene.grasped.restore(snapshot.grasp)
+        self._error_before = snapshot.error
+        generators = snapshot.generators.copied()
+        self.np_random = generators.own
+        self._episode_random = generators.own if generators.episode is None else generators.episode
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """Return a picture of the scene, red, green and blue, shape [480, 640, 3]; None without a `render_mode`.
+
+        The perspective is that of `vitac show`; the camera does not move within an episode.
+
+        Raises:
+            NotReset: no episode was started.
+            NotRenderable: the task does not say how it is looked at.
+        """
+        if self.render_mode is None:
+            return None
+        if self._still is None:
+            if self.task.perspective is None:
+                raise NotRenderable(f"{self.env_id} has no perspective, so there are no pictures of it.")
+            self._still = StillCamera(self.scene, resolve_name(self.task.perspective))
+        return self._still.picture()
+
+    def _settings_of_episode(self, random: np.random.Generator) -> SettingsT:
+        """Return the settings of an episode, those with a training range drawn where this was asked for."""
+        if self._randomization is Randomization.NONE:
+            return self.settings
+        return drawn_settings(self.settings, self.training_ranges, random)
 
     @abstractmethod
     def _solids(self) -> list[SurfaceMesh]:

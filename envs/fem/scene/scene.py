@@ -156,6 +156,16 @@ class Scene:
         weights = self._layout.body_weights[index]
         return np.asarray((weights[:, :, None] * frame[None, :, :]).sum(axis=1))
 
+    def state(self) -> tuple[FloatArray, FloatArray]:
+        """Return copies of all positions [m] and velocities [m/s], shapes [n, 3]; the rest follows from them."""
+        return self._x.copy(), self._velocity.copy()
+
+    def restore(self, state: tuple[FloatArray, FloatArray]) -> None:
+        """Go back to a state of this scene."""
+        positions_m, velocities_m_s = state
+        self._x[:] = positions_m
+        self._velocity = velocities_m_s.copy()
+
     def state_bytes(self) -> bytes:
         """Return all positions and velocities as little-endian float64, for hashing."""
         return self._x.astype("<f8").tobytes() + self._velocity.astype("<f8").tobytes()

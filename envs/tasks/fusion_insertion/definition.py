@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...observable import Observable
+from ...scene.observables import MEASURED_POSE, SURFACE_POINTS, played_shape
 from ...vision.observables import DEPTH_PICTURE, OBJECT_POINT_CLOUD, POINT_CLOUD, RGB_PICTURE
 from ...vision.stereo.method import METHOD
 from ..definition import ActionComponent, TaskDefinition
@@ -39,9 +40,13 @@ TASK = TaskDefinition(
         POINT_CLOUD,
         OBJECT_POINT_CLOUD,
         MARKER_FLOW,
+        played_shape("hexagon, cuboid"),
+        MEASURED_POSE,
+        SURFACE_POINTS,
     ),
     measures=(SURFACE_DIFF, PEG_HEIGHT),
     methods=(METHOD,),
     perspective="vitac.envs.tasks.fusion_insertion.perspective:PERSPECTIVE",
     guided_motion="vitac.envs.tasks.fusion_insertion.guided_motion:over_the_hole_then_down",
+    info_lengths={PEG_HEIGHT.name: 6},
 )

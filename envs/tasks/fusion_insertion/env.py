@@ -10,6 +10,8 @@ from ...fem.model.mesh import SurfaceMesh
 from ...vision.observables import OBJECT_POINT_CLOUD
 from ..ending import Flags
 from ..insertion.env import InsertionEnv
+from ..insertion.settings import training_ranges
+from ..randomization import drawn_settings
 from ..task_env import Info, Observation
 from .definition import TASK
 from .info import SeenObjects
@@ -17,7 +19,7 @@ from .meshes import base_mesh, peg_mesh
 from .scene import FusionScene
 from .settings import FusionInsertionSettings
 from .task import judge_flags
-from .variation import SHAPE, START, Target, choose_physics, choose_rig, choose_start
+from .variation import SHAPE, START, FusionShape, Target, choose_rig, choose_start
 
 
 class FusionInsertionEnv(InsertionEnv[FusionScene, FusionInsertionSettings]):
@@ -47,6 +49,8 @@ class FusionInsertionEnv(InsertionEnv[FusionScene, FusionInsertionSettings]):
 
     task: ClassVar = TASK
     settings_type: ClassVar = FusionInsertionSettings
+    shape_type: ClassVar = FusionShape
+    training_ranges: ClassVar = training_ranges("base_friction")
     option_names: ClassVar[tuple[str, ...]] = (START, SHAPE)
 
     def reset(self, *, seed: int | None = None, options: Mapping[str, Any] | None = None) -> tuple[Observation, Info]:
@@ -76,15 +80,19 @@ class FusionInsertionEnv(InsertionEnv[FusionScene, FusionInsertionSettings]):
         start = choose_start(
             options,
             random,
+            shapes=self._shapes,
             xy_mm=settings.random_xy_mm,
             theta_deg=settings.random_theta_deg,
             z_mm=settings.random_z_mm,
         )
-        physics = choose_physics(settings, random) if settings.random_physics else settings
+        if settings.random_physics:
+            drawn = drawn_settings(settings, self.training_ranges, random)
+        else:
+            drawn = self._settings_of_episode(random)
         return FusionScene(
             start=start,
             meshes=self._meshes,
-            settings=physics,
+            settings=drawn,
             clocks=self._clocks,
             rig=choose_rig(random, turn_rad=settings.random_camera_turn_rad, offset_m=settings.random_camera_offset_m),
         )

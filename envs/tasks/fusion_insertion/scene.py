@@ -12,7 +12,7 @@ from ...vision.surfaces import Body, Label
 from ..insertion.scene import InsertionScene, Parts
 from .meshes import base_mesh, peg_bottom, peg_mesh
 from .settings import FusionInsertionSettings
-from .variation import START_GAP_MM, Z_TARGET_MM, FusionOffset, FusionStart, RigVariation, Target
+from .variation import START_GAP_MM, Z_TARGET_MM, FusionOffset, FusionShape, FusionStart, RigVariation, Target
 
 
 class FusionScene(InsertionScene[FusionOffset, FusionInsertionSettings]):
@@ -44,6 +44,11 @@ class FusionScene(InsertionScene[FusionOffset, FusionInsertionSettings]):
         super().__init__(parts, offset=start.offset, settings=settings, clocks=clocks)
         self._rig = RigCamera(self._visible_bodies(), DepthMode(settings.depth_mode))
         self._sight: Sight | None = None
+
+    @property
+    def shape(self) -> FusionShape:
+        """Which peg is held."""
+        return self.target.shape
 
     def grasp(self) -> None:
         """Close on the peg in free air, and take the references."""

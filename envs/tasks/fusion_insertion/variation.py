@@ -1,7 +1,7 @@
 """Which episode is played: a given start, or a random one (challenge-facts 2.3, 7)."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
@@ -12,7 +12,6 @@ from ...vision.rig import RigShift
 from ..insertion.offset import PegOffset
 from ..options import choice, numbers, refusal
 from .definition import TASK
-from .settings import FusionInsertionSettings
 
 ENV_ID = TASK.env_id
 START = "start"
@@ -28,8 +27,6 @@ START_GAP_MM = 1.0
 _START_Y_MM = HEXAGON_HOLE_Y_MM / 2.0
 # What the challenge takes off every height to get an offset [D20].
 Z_TARGET_MM = 6.9
-# Friction of gel, peg and base, indentation [mm], grasp along the peg and above its upper end [mm].
-_TRAINING_RANGES = ((50.0, 125.0), (4.0, 15.0), (0.0, 1.0), (0.5, 1.25), (-1.0, 1.0), (-10.0, -6.0))
 # A start may lie so far from the middle between the holes that its offset is still allowed.
 _LARGEST_START_Y_MM = LARGEST_Y_MM - _START_Y_MM
 _LARGEST_START_Z_MM = LARGEST_Z_MM + Z_TARGET_MM
@@ -101,22 +98,6 @@ class RigVariation:
     noise_seed: int
 
 
-def choose_physics(settings: FusionInsertionSettings, random: np.random.Generator) -> FusionInsertionSettings:
-    """Return the settings with friction, indentation and grip drawn over the training ranges (challenge-facts 3)."""
-    gel_friction, peg_friction, base_friction, indentation_mm, gripper_x_mm, gripper_z_mm = (
-        float(random.uniform(low, high)) for low, high in _TRAINING_RANGES
-    )
-    return replace(
-        settings,
-        peg_friction=peg_friction,
-        base_friction=base_friction,
-        indentation_mm=indentation_mm,
-        gripper_x_mm=gripper_x_mm,
-        gripper_z_mm=gripper_z_mm,
-        physics=replace(settings.physics, gel_friction=gel_friction),
-    )
-
-
 def choose_rig(random: np.random.Generator, *, turn_rad: float, offset_m: float) -> RigVariation:
     """Draw the rig of an episode: four numbers, also where it is not shifted, and the noise from a child generator.
 
@@ -139,6 +120,7 @@ def choose_start(
     options: dict[str, Any],
     random: np.random.Generator,
     *,
+    shapes: Sequence[FusionShape] = tuple(FusionShape),
     xy_mm: float,
     theta_deg: float,
     z_mm: tuple[float, ...],
@@ -150,6 +132,7 @@ def choose_start(
             start [mm], and 1 for left or 0 for right; and `shape`, which must then be that of the side, or else fixes
             the side of a drawn start.
         random: the episode's generator.
+        shapes: that may be drawn.
         xy_mm: largest |x| and |y| of a drawn start.
         theta_deg: largest |theta| of a drawn start.
         z_mm: smallest and largest z of a drawn start.
@@ -164,6 +147,8 @@ def choose_start(
     x, y, theta = random.uniform(-1.0, 1.0, 3).tolist()
     z = random.uniform(z_mm[0], z_mm[1])
     side = Target.LEFT if random.random() < 0.5 else Target.RIGHT
+    if shape is None and side.shape not in shapes:
+        (shape,) = shapes
     target = side if shape is None else Target.of(shape)
     return _placed((x * xy_mm, y * xy_mm, theta * theta_deg, z), target)
 

@@ -5,6 +5,7 @@ from typing import Protocol
 
 from ...scene.grasped_scene import PhysicsSettings
 from ...tactile.markers import MarkerSettings
+from ..randomization import Ranges
 from ..settings import require
 
 _WORDS = {3: "three", 4: "four"}
@@ -52,6 +53,22 @@ class InsertionSettings(Protocol):
     @property
     def markers(self) -> MarkerSettings:
         """Ranges of the marker grid."""
+
+
+def training_ranges(fixed_friction: str) -> Ranges:
+    """Return the ranges of the published training (challenge-facts 3).
+
+    Args:
+        fixed_friction: the setting with the friction coefficient of the part with the hole.
+    """
+    return {
+        "physics.gel_friction": (50.0, 125.0),
+        "peg_friction": (4.0, 15.0),
+        fixed_friction: (0.0, 1.0),
+        "indentation_mm": (0.5, 1.25),
+        "gripper_x_mm": (-1.0, 1.0),
+        "gripper_z_mm": (-10.0, -6.0),
+    }
 
 
 def check_settings(settings: InsertionSettings, *, action_numbers: int) -> None:

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from ...observable import Observable
-from ...scene.observables import marker_flow
+from ...scene.observables import MEASURED_POSE, SURFACE_POINTS, marker_flow, played_shape
 from ..definition import ActionComponent, InfoView, Measure, TaskDefinition
 from ..measures import SURFACE_DIFF
 
@@ -68,6 +68,9 @@ TASK = TaskDefinition(
             "The left sensor is at -y. u+ is into the lock for both sensors; v+ is up for the left and down for the "
             "right one."
         ),
+        played_shape("key1, key2, key3, key4"),
+        MEASURED_POSE,
+        SURFACE_POINTS,
     ),
     measures=(
         SURFACE_DIFF,

@@ -12,7 +12,7 @@ from .definition import TASK
 from .info import LockInfo
 from .meshes import key_mesh, lock_mesh
 from .scene import LockScene
-from .settings import LockOpeningSettings
+from .settings import TRAINING_RANGES, LockOpeningSettings
 from .task import alignment_error, judge_flags, reward
 from .variation import JITTER, OFFSET, SHAPE, choose_start
 
@@ -39,6 +39,8 @@ class LockOpeningEnv(TactileTaskEnv[LockScene, LockOpeningSettings]):
 
     task: ClassVar = TASK
     settings_type: ClassVar = LockOpeningSettings
+    shape_type: ClassVar = KeyShape
+    training_ranges: ClassVar = TRAINING_RANGES
     option_names: ClassVar[tuple[str, ...]] = (SHAPE, OFFSET, JITTER)
 
     def _solids(self) -> list[SurfaceMesh]:
@@ -47,8 +49,11 @@ class LockOpeningEnv(TactileTaskEnv[LockScene, LockOpeningSettings]):
 
     def _start(self, options: dict[str, Any], random: np.random.Generator) -> LockScene:
         settings = self.settings
-        start = choose_start(options, random, x_mm=settings.random_x_mm, jitter_mm=settings.jitter_mm)
-        return LockScene(start=start, meshes=self._meshes, settings=settings, clocks=self._clocks)
+        start = choose_start(
+            options, random, shapes=self._shapes, x_mm=settings.random_x_mm, jitter_mm=settings.jitter_mm
+        )
+        drawn = self._settings_of_episode(random)
+        return LockScene(start=start, meshes=self._meshes, settings=drawn, clocks=self._clocks)
 
     def _error(self) -> float:
         return alignment_error(self.task_scene.state())

@@ -56,11 +56,12 @@ class LockScene:
     Attributes:
         grasped: the physics, the gripper and its sensors.
         env_steps: played so far in the episode.
+        shape: of key and lock.
     """
 
     def __init__(self, *, start: LockStart, meshes: Meshes, settings: LockOpeningSettings, clocks: Clocks) -> None:
         self._settings = settings
-        self._shape = start.shape
+        self.shape = start.shape
         self.env_steps = 0
         key = key_mesh(meshes, start.shape)
         points = key_control_points(start.shape)
@@ -113,7 +114,7 @@ class LockScene:
         now, first = self.grasped.pose, self._grasp_pose
         motion_mm = np.array([now.x_m - first.x_m, now.y_m - first.y_m, now.z_m - first.z_m]) * 1e3
         if self._settings.reference_quirks and self.env_steps > 0:
-            motion_mm[0] += SENSOR_X_MM[self._shape] - _RECORDED_GRASP_X_MM
+            motion_mm[0] += SENSOR_X_MM[self.shape] - _RECORDED_GRASP_X_MM
         return motion_mm
 
     def state(self) -> LockState:

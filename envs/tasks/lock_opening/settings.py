@@ -15,6 +15,15 @@ def lock_physics() -> PhysicsSettings:
     return PhysicsSettings(time_step_s=0.2, contact=ContactSettings(friction_velocity_m_s=1e-3))
 
 
+TRAINING_RANGES = {
+    "physics.gel_friction": (50.0, 125.0),
+    "key_friction": (0.2, 1.0),
+    "lock_friction": (0.0, 1.0),
+    "indentation_mm": (0.5, 1.25),
+}
+"""Of the published training (challenge-facts 3)."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class LockOpeningSettings:
     """What the task leaves open; lengths in mm are the challenge's own interface.

@@ -1,12 +1,13 @@
 """Which episode is played: the key and where it stands in its lock, and how far off the sensors grip it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from ...geometry.keys import KeyShape
-from ..options import choice, numbers, refusal
+from ..options import choice, drawn_shape, numbers, refusal
 from .definition import TASK
 
 ENV_ID = TASK.env_id
@@ -55,12 +56,20 @@ class LockStart:
     jitter: SensorJitter
 
 
-def choose_start(options: dict[str, Any], random: np.random.Generator, *, x_mm: float, jitter_mm: float) -> LockStart:
+def choose_start(
+    options: dict[str, Any],
+    random: np.random.Generator,
+    *,
+    shapes: Sequence[KeyShape] = tuple(KeyShape),
+    x_mm: float,
+    jitter_mm: float,
+) -> LockStart:
     """Return the start given by the options; what they leave open is drawn: key, x, then size and sign of each jitter.
 
     Args:
         options: may hold `shape`, `offset_mm` and `sensor_jitter_mm`.
         random: the episode's generator.
+        shapes: that may be drawn.
         x_mm: a drawn offset has x from 0 to this, y = z = 0.
         jitter_mm: largest drawn jitter either way.
 
@@ -68,16 +77,12 @@ def choose_start(options: dict[str, Any], random: np.random.Generator, *, x_mm: 
         ResetOptionsError: an option is not a known key or not a usable offset or jitter.
     """
     given = options.get(SHAPE)
-    shape = _random_shape(random) if given is None else choice(ENV_ID, SHAPE, given, KeyShape)
+    shape = drawn_shape(shapes, random) if given is None else choice(ENV_ID, SHAPE, given, KeyShape)
     wanted = options.get(OFFSET)
     offset = KeyOffset(x_mm=x_mm * random.random(), y_mm=0.0, z_mm=0.0) if wanted is None else _offset(wanted)
     off = options.get(JITTER)
     jitter = _random_jitter(random, jitter_mm) if off is None else _jitter(off)
     return LockStart(shape=shape, offset=offset, jitter=jitter)
-
-
-def _random_shape(random: np.random.Generator) -> KeyShape:
-    return list(KeyShape)[int(random.integers(len(KeyShape)))]
 
 
 def _random_jitter(random: np.random.Generator, jitter_mm: float) -> SensorJitter:

@@ -1,5 +1,6 @@
 """The peg task as others need to know it: actions, observables and where its parts lie."""
 
+from ...scene.observables import MEASURED_POSE, SURFACE_POINTS, played_shape
 from ..definition import TaskDefinition
 from ..insertion.interface import MARKER_FLOW, PEG_HEIGHT, gt_offset, horizontal_actions, relative_motion
 from ..measures import SURFACE_DIFF
@@ -12,9 +13,13 @@ TASK = TaskDefinition(
         gt_offset("mm, mm, degree", "[x, y, theta]; world frame."),
         relative_motion("the start; world frame; the descent before the first step is not counted."),
         MARKER_FLOW,
+        played_shape("cuboid, trapezoid, concave1"),
+        MEASURED_POSE,
+        SURFACE_POINTS,
     ),
     measures=(SURFACE_DIFF, PEG_HEIGHT),
     perspective="vitac.envs.tasks.peg_insertion.perspective:PERSPECTIVE",
     guided_motion="vitac.envs.tasks.peg_insertion.guided_motion:to_the_hole",
     accepts_start="vitac.envs.tasks.peg_insertion.variation:accepts_start",
+    info_lengths={PEG_HEIGHT.name: 8},
 )

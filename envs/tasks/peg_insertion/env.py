@@ -8,6 +8,7 @@ from ...fem.model.mesh import SurfaceMesh
 from ...geometry.pegs import PegShape
 from ..ending import Flags
 from ..insertion.env import InsertionEnv
+from ..insertion.settings import training_ranges
 from .definition import TASK
 from .meshes import hole_mesh, peg_mesh
 from .scene import PegScene
@@ -38,6 +39,8 @@ class PegInsertionEnv(InsertionEnv[PegScene, PegInsertionSettings]):
 
     task: ClassVar = TASK
     settings_type: ClassVar = PegInsertionSettings
+    shape_type: ClassVar = PegShape
+    training_ranges: ClassVar = training_ranges("hole_friction")
     option_names: ClassVar[tuple[str, ...]] = (SHAPE, OFFSET)
 
     def _solids(self) -> list[SurfaceMesh]:
@@ -46,8 +49,15 @@ class PegInsertionEnv(InsertionEnv[PegScene, PegInsertionSettings]):
 
     def _start(self, options: dict[str, Any], random: np.random.Generator) -> PegScene:
         settings = self.settings
-        start = choose_start(options, random, xy_mm=settings.random_xy_mm, theta_deg=settings.random_theta_deg)
-        return PegScene(start=start, meshes=self._meshes, settings=settings, clocks=self._clocks)
+        start = choose_start(
+            options,
+            random,
+            shapes=self._shapes,
+            xy_mm=settings.random_xy_mm,
+            theta_deg=settings.random_theta_deg,
+        )
+        drawn = self._settings_of_episode(random)
+        return PegScene(start=start, meshes=self._meshes, settings=drawn, clocks=self._clocks)
 
     def _judge(self) -> Flags:
         settings = self.settings

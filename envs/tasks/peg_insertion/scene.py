@@ -18,9 +18,14 @@ APPROACH_SPEED_M_S = 1e-3
 
 
 class PegScene(InsertionScene[PegOffset, PegInsertionSettings]):
-    """A peg above its hole, which every env step brings one z step further down; attributes are those of the base."""
+    """A peg above its hole, which every env step brings one z step further down.
+
+    Attributes:
+        shape: of peg and hole.
+    """
 
     def __init__(self, *, start: PegStart, meshes: Meshes, settings: PegInsertionSettings, clocks: Clocks) -> None:
+        self.shape = start.shape
         # Commanded height of the gripper, relative to the grasp.
         self._z_mm = 0.0
         peg = peg_mesh(meshes, start.shape)

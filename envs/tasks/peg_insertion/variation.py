@@ -1,5 +1,6 @@
 """Which episode is played: a given shape and offset, or a random start that really blocks the peg."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import radians
 from typing import Any
@@ -10,7 +11,7 @@ from ...deterministic_math import sine_cosine
 from ...geometry.pegs import PLATE_OUTLINE_MM, PROFILES_MM, PegShape, hole_outline_mm
 from ...geometry.polygon import overlaps_plate
 from ..insertion.offset import PegOffset
-from ..options import choice, numbers, refusal
+from ..options import choice, drawn_shape, numbers, refusal
 from .definition import TASK
 
 ENV_ID = TASK.env_id
@@ -28,12 +29,20 @@ class PegStart:
     offset: PegOffset
 
 
-def choose_start(options: dict[str, Any], random: np.random.Generator, *, xy_mm: float, theta_deg: float) -> PegStart:
+def choose_start(
+    options: dict[str, Any],
+    random: np.random.Generator,
+    *,
+    shapes: Sequence[PegShape] = tuple(PegShape),
+    xy_mm: float,
+    theta_deg: float,
+) -> PegStart:
     """Return the start given by the options; what they leave open is drawn: first the shape, then a blocked offset.
 
     Args:
         options: may hold `shape` and `offset_mm_deg`.
         random: the episode's generator.
+        shapes: that may be drawn.
         xy_mm: largest |x| and |y| of a drawn offset.
         theta_deg: largest |theta| of a drawn offset.
 
@@ -41,7 +50,7 @@ def choose_start(options: dict[str, Any], random: np.random.Generator, *, xy_mm:
         ResetOptionsError: an option is not a known shape or not a usable offset.
     """
     given = options.get(SHAPE)
-    shape = _random_shape(random) if given is None else choice(ENV_ID, SHAPE, given, PegShape)
+    shape = drawn_shape(shapes, random) if given is None else choice(ENV_ID, SHAPE, given, PegShape)
     wanted = options.get(OFFSET)
     offset = (
         random_blocked_offset(shape, random, xy_mm=xy_mm, theta_deg=theta_deg) if wanted is None else _offset(wanted)
@@ -73,10 +82,6 @@ def is_blocked(shape: PegShape, offset: PegOffset) -> bool:
     x, y = PROFILES_MM[shape][:, 0], PROFILES_MM[shape][:, 1]
     placed = np.column_stack([cosine * x - sine * y + offset.x_mm, sine * x + cosine * y + offset.y_mm])
     return overlaps_plate(placed, plate=PLATE_OUTLINE_MM, hole=hole_outline_mm(shape))
-
-
-def _random_shape(random: np.random.Generator) -> PegShape:
-    return list(PegShape)[int(random.integers(len(PegShape)))]
 
 
 def _offset(value: Any) -> PegOffset:

@@ -7,6 +7,7 @@ from vitac.envs.fem.scene.scene import StepStatus
 from vitac.envs.geometry.pegs import PegShape
 from vitac.envs.scene.grasped_scene import Clocks, GraspedScene, PhysicsSettings
 from vitac.envs.scene.gripper import UPRIGHT_MOUNTS, Gripper, GripperPose
+from vitac.envs.scene.measured_pose import held_pose_mm_deg, rigid_fit
 from vitac.envs.scene.stopwatch import Stopwatch
 from vitac.envs.tactile.markers import MarkerSettings
 from vitac.envs.tasks.peg_insertion.meshes import hole_mesh, peg_mesh
@@ -124,3 +125,42 @@ def test_scene_shows_its_parts_and_gels(fake_scenes: list[FakeScene]) -> None:
     left = made.sensor_pose(0)
     rest = made.gel.rest_position_m
     assert made.gel_nodes_m(0) == pytest.approx(rest @ left.rotation.T + left.centre_m)
+
+
+def test_surfaces_are_told_without_noise_as_the_cameras_see_them(fake_scenes: list[FakeScene]) -> None:
+    made = scene()
+    made.capture_references()
+    made.move_to(POSE.moved(x_m=3e-3), ipc_steps=1)
+    FakeScene.bulge_m = 1e-4
+    points_m = made.surface_points_m()
+    assert points_m.shape == (2, 2, 49, 3)
+    assert points_m[:, 0, :, 2] == pytest.approx(np.full((2, 49), 22e-3))
+    moved_m = points_m[:, 1] - points_m[:, 0]
+    assert moved_m == pytest.approx(np.tile([0.0, 0.0, 1e-4], (2, 49, 1)), abs=1e-12)
+
+
+def test_measured_pose_is_that_of_the_part_and_not_of_the_gripper() -> None:
+    made = scene()
+    angles = np.radians([2.0, -3.0, 15.0])
+    turned = turn(2, angles[2]) @ turn(1, angles[1]) @ turn(0, angles[0])
+    rest_m = made.held.mesh.vertices_m
+    rotation, moved_m = rigid_fit(rest_m, rest_m @ turned.T + [1e-3, -2e-3, 20e-3])
+    assert rotation == pytest.approx(turned)
+    assert moved_m == pytest.approx([1e-3, -2e-3, 20e-3])
+    made.held_vertices_m = lambda vertices: (rest_m @ turned.T + [1e-3, -2e-3, 20e-3])[vertices]  # type: ignore[method-assign]
+    assert held_pose_mm_deg(made) == pytest.approx([1.0, -2.0, 20.0, 2.0, -3.0, 15.0])
+
+
+def test_mirror_image_is_no_rotation() -> None:
+    points_m = np.array([[0.0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 3]])
+    rotation, _ = rigid_fit(points_m, points_m * [1.0, 1.0, -1.0])
+    assert np.linalg.det(rotation) == pytest.approx(1.0)
+
+
+def turn(axis: int, angle_rad: float) -> np.ndarray:
+    """Rotation about x, y or z."""
+    turned = np.eye(3)
+    after, last = (axis + 1) % 3, (axis + 2) % 3
+    turned[[after, last], [after, last]] = np.cos(angle_rad)
+    turned[last, after], turned[after, last] = np.sin(angle_rad), -np.sin(angle_rad)
+    return turned

@@ -145,3 +145,44 @@ def test_a_task_without_cameras_has_no_hash_of_pictures(env_type: Any) -> None:
     env = env_type()
     env.reset(options={"rng_seed": (0, 1)})
     assert env.picture_hash() is None
+
+
+def test_surfaces_have_as_many_nodes_as_the_gel() -> None:
+    for gel, nodes in ((None, 49), (structured_gel(name="coarse", cells=GelCells(x=4, y=4)), 25)):
+        env = PegInsertionEnv(gel=gel, privileged=True, observation_keys=("surface_pts",))
+        observation, _ = env.reset(options=START)
+        assert observation["surface_pts"].shape == (2, 2, nodes, 3)
+        assert observation in env.observation_space
+
+
+@pytest.mark.parametrize("env_type", [PegInsertionEnv, LockOpeningEnv, FusionInsertionEnv])
+def test_each_truth_can_be_selected_alone(env_type: Any) -> None:
+    for key in ("shape", "measured_pose", "surface_pts"):
+        env = env_type(privileged=True, observation_keys=(key, "relative_motion"))
+        observation, _ = env.reset(options={"rng_seed": (0, 1)})
+        assert sorted(observation) == sorted((key, "relative_motion"))
+        assert observation in env.observation_space
+
+
+@pytest.mark.parametrize("env_type", [PegInsertionEnv, LockOpeningEnv, FusionInsertionEnv])
+def test_shape_is_told_as_its_number(env_type: Any) -> None:
+    env = env_type(privileged=True, observation_keys=("shape",))
+    numbers = [
+        env.reset(options={"shape": str(shape), "rng_seed": 1})[0]["shape"].tolist() for shape in env_type.shape_type
+    ]
+    assert numbers == [[float(number)] for number in range(len(env_type.shape_type))]
+
+
+@pytest.mark.parametrize("env_type", [PegInsertionEnv, LockOpeningEnv, FusionInsertionEnv])
+def test_only_shapes_that_were_asked_for_are_drawn(env_type: Any) -> None:
+    wanted = str(list(env_type.shape_type)[-1])
+    env = env_type(shapes=(wanted,), observation_keys=())
+    for number in range(6):
+        env.reset(options={"rng_seed": (0, number)})
+        assert env.task_scene.shape == wanted
+
+
+def test_truths_change_no_markers() -> None:
+    plain, _ = PegInsertionEnv().reset(options=START)
+    seen, _ = PegInsertionEnv(privileged=True).reset(options=START)
+    np.testing.assert_array_equal(plain["marker_flow"], seen["marker_flow"])

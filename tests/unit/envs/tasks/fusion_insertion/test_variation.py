@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from vitac.envs.tasks.fusion_insertion.variation import FusionOffset, FusionStart, Target, choose_start
+from vitac.envs.tasks.fusion_insertion.variation import FusionOffset, FusionShape, FusionStart, Target, choose_start
 from vitac.envs.tasks.options import ResetOptionsError
 
 
@@ -65,3 +65,20 @@ def test_magnitude_is_the_norm_of_all_four() -> None:
 
 def test_directions_are_those_of_the_challenge() -> None:
     assert (Target.LEFT.direction, Target.RIGHT.direction) == (1.0, -1.0)
+
+
+@pytest.mark.parametrize(("shape", "target"), [("hexagon", Target.LEFT), ("cuboid", Target.RIGHT)])
+def test_one_shape_that_may_be_drawn_fixes_the_side_and_nothing_else(shape: str, target: Target) -> None:
+    found = [
+        choose_start(
+            {},
+            np.random.default_rng(seed),
+            shapes=(FusionShape(shape),),
+            xy_mm=5.0,
+            theta_deg=10.0,
+            z_mm=(3.0, 9.0),
+        )
+        for seed in range(8)
+    ]
+    assert {each.target for each in found} == {target}
+    assert [each.offset.x_mm for each in found] == [start({}, seed).offset.x_mm for seed in range(8)]

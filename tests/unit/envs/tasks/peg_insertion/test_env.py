@@ -101,7 +101,10 @@ def test_observation_has_the_public_keys_only() -> None:
 
 def test_privileged_observation_adds_the_commanded_offset() -> None:
     env, observation, *_ = played([0.0, 0.0, 0.0], privileged=True)
-    assert set(observation) == {"gt_offset", "relative_motion", "marker_flow"}
+    assert set(observation) == {
+        *("gt_offset", "relative_motion", "marker_flow"),
+        *("shape", "measured_pose", "surface_pts"),
+    }
     assert observation["gt_offset"].tolist() == [-4.0, -3.0, 6.0]
     assert observation in env.observation_space
     assert list(observation["relative_motion"]) == [0.0, 0.0, 0.0, -0.125]

@@ -1,0 +1,103 @@
+"""What every registered environment keeps in gymnasium's vector environments and in ours."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+import vitac.envs
+from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv
+from vitac.envs.tasks.task_env import ActionError
+from vitac.envs.tasks.vector_env import ForkedVectorEnv
+
+ENV_IDS = sorted(vitac.envs.ENVIRONMENTS)
+KINDS = {"sync": SyncVectorEnv, "async": AsyncVectorEnv, None: ForkedVectorEnv}
+COPIES = 4
+SEEDS = 20
+ARGUMENTS: dict[str, Any] = {"max_steps": 1, "observation_keys": ("marker_flow", "relative_motion")}
+
+
+@contextmanager
+def vector(env_id: str, mode: str | None, copies: int = COPIES, **arguments: Any) -> Iterator[Any]:
+    env = gymnasium.make_vec(env_id, copies, vectorization_mode=mode, **{**ARGUMENTS, **arguments})
+    try:
+        yield env
+    finally:
+        env.close()
+
+
+def played(env: Any, seed: int, steps: int) -> list[tuple[Any, ...]]:
+    """What comes of a reset and of random actions after it."""
+    random = np.random.default_rng(seed)
+    outcomes: list[tuple[Any, ...]] = [env.reset(seed=seed)]
+    for _ in range(steps):
+        outcomes.append(env.step(random.uniform(-1, 1, env.action_space.shape).astype(np.float32)))
+    return outcomes
+
+
+def entries(info: dict[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Entries that are numbers, and how the episodes ended."""
+    return ((key, value) for key, value in info.items() if value.dtype != object or key == "end_reason")
+
+
+@pytest.mark.parametrize("env_id", ENV_IDS)
+def test_all_kinds_play_the_same_episodes_through_autoreset(env_id: str) -> None:
+    runs = []
+    for mode, kind in KINDS.items():
+        with vector(env_id, mode) as env:
+            assert type(env) is kind
+            runs.append([outcome for seed in range(SEEDS) for outcome in played(env, seed, 2)])
+    ends = sum(int((outcome[2] | outcome[3]).sum()) for outcome in runs[0] if len(outcome) == 5)
+    assert ends == SEEDS * COPIES, "every episode ends with its first env step, and the second one starts another"
+    for run in runs[1:]:
+        for one, other in zip(runs[0], run, strict=True):
+            for key, value in one[0].items():
+                np.testing.assert_array_equal(value, other[0][key])
+            assert [np.asarray(part).tolist() for part in one[1:-1]] == [
+                np.asarray(part).tolist() for part in other[1:-1]
+            ]
+            for key, value in entries(one[-1]):
+                np.testing.assert_array_equal(value, other[-1][key], err_msg=key)
+
+
+@pytest.mark.parametrize("env_id", ENV_IDS)
+def test_infos_have_one_shape_through_two_hundred_steps_of_mixed_shapes(env_id: str) -> None:
+    shapes: dict[str, set[tuple[int, ...]]] = {}
+    played_shapes: set[float] = set()
+    arguments = {"privileged": True, "observation_keys": ("shape", "relative_motion")}
+    with vector(env_id, "sync", 1, **arguments) as env:
+        for observation, *_, info in played(env, 5, 200):
+            played_shapes.update(observation["shape"].ravel().tolist())
+            for key, value in info.items():
+                shapes.setdefault(key, set()).add(value.shape)
+    assert len(played_shapes) > 1
+    assert {key: found for key, found in shapes.items() if len(found) > 1} == {}
+
+
+def test_starts_that_were_asked_for_are_kept_by_autoreset() -> None:
+    arguments = {"shapes": ("concave1",), "random_xy_mm": 3.0, "privileged": True, "observation_keys": ("shape",)}
+    with vector("ViTac/PegInsertion-v1", "sync", 2, **arguments) as env:
+        outcomes = played(env, 3, 12)
+    assert {number for outcome in outcomes for number in outcome[0]["shape"].ravel().tolist()} == {2.0}
+    starts = [outcome[-1]["gt_offset_mm_deg"][outcome[-1]["steps"] == 0] for outcome in outcomes]
+    assert sum(len(start) for start in starts) > 4
+    assert np.abs(np.concatenate(starts)[:, :2]).max() <= 3.0
+
+
+def test_our_processes_are_forked_after_loading() -> None:
+    with vector("ViTac/PegInsertion-v1", None, 2) as env:
+        assert env.num_envs == 2
+        assert [process._start_method for process in env.processes] == ["fork", "fork"]
+        observation, _ = env.reset(seed=0)
+        assert observation["marker_flow"].shape == (2, 2, 2, 128, 2)
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")  # gymnasium's own log
+def test_a_failure_in_a_process_is_told_with_its_own_words() -> None:
+    env = gymnasium.make_vec("ViTac/PegInsertion-v1", 2, **ARGUMENTS)
+    env.reset(seed=0)
+    with pytest.raises(ActionError, match="is not finite; expected -1 to 1"):
+        env.step(np.full((2, 3), np.nan, dtype=np.float32))
+    env.close(terminate=True)

@@ -1,0 +1,81 @@
+"""What `gymnasium.make` adds to a task's environment."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+import vitac.envs
+from fake_scene import FakeScene
+from vitac.envs.tasks.making import EqualInfoShapes, make
+from vitac.envs.tasks.registry import task_definitions
+
+PEG, LOCK = "ViTac/PegInsertion-v1", "ViTac/LockOpening-v1"
+CORNERS = {"cuboid": 4, "trapezoid": 4, "concave1": 8}
+
+
+@pytest.fixture(autouse=True)
+def physics(fake_scenes: list[FakeScene]) -> list[FakeScene]:
+    return fake_scenes
+
+
+def infos(env: Any, options: Mapping[str, Any]) -> list[dict[str, Any]]:
+    _, first = env.reset(seed=1, options=dict(options))
+    return [first, env.step(np.zeros(env.action_space.shape, dtype=np.float32))[4]]
+
+
+@pytest.mark.parametrize("shape", CORNERS)
+def test_corner_heights_have_one_length_for_all_shapes(shape: str) -> None:
+    env = gymnasium.make(PEG, disable_env_checker=True)
+    for info in infos(env, {"shape": shape}):
+        heights = info["peg_relative_z_mm"]
+        assert heights.shape == (8,)
+        assert (heights[CORNERS[shape] :] == heights[CORNERS[shape] - 1]).all()
+
+
+@pytest.mark.parametrize("shape", CORNERS)
+def test_unwrapped_environment_tells_the_corners_that_there_are(shape: str) -> None:
+    env = gymnasium.make(PEG, disable_env_checker=True)
+    filled = infos(env, {"shape": shape})
+    for info, wrapped in zip(infos(env.unwrapped, {"shape": shape}), filled, strict=True):
+        heights = info["peg_relative_z_mm"]
+        assert heights.shape == (CORNERS[shape],)
+        assert heights.tolist() == wrapped["peg_relative_z_mm"][: len(heights)].tolist()
+        assert list(info) == list(wrapped)
+
+
+def test_filling_up_leaves_the_environments_own_info_alone() -> None:
+    env = make(PEG)
+    assert isinstance(env, EqualInfoShapes)
+    original: dict[str, Any] = {}
+    inner = env.env.step
+
+    def step(action: Any) -> Any:
+        result = inner(action)
+        original.update(result[4])
+        return result
+
+    env.env.step = step  # type: ignore[method-assign]
+    env.reset(seed=0, options={"shape": "cuboid"})
+    env.step(np.zeros(3, dtype=np.float32))
+    assert len(original["peg_relative_z_mm"]) == 4
+
+
+def test_task_whose_infos_are_equal_is_not_wrapped() -> None:
+    assert not isinstance(make(LOCK), gymnasium.Wrapper)
+
+
+def test_lengths_are_those_of_the_shape_with_the_most_corners() -> None:
+    found = {env_id: dict(task.info_lengths) for env_id, task in task_definitions().items() if task.info_lengths}
+    assert found == {PEG: {"peg_relative_z_mm": 8}, "ViTac/FusionInsertion-v1": {"peg_relative_z_mm": 6}}
+    assert replace(task_definitions()[LOCK], info_lengths={"x": 2}).info_lengths == {"x": 2}
+
+
+def test_environment_can_be_made_again_from_its_specification() -> None:
+    env = gymnasium.make(PEG, disable_env_checker=True, max_steps=3)
+    assert env.spec is not None
+    again: Any = gymnasium.make(env.spec, disable_env_checker=True)
+    assert again.unwrapped.settings.max_steps == 3
+    assert vitac.envs.ENVIRONMENTS[PEG].endswith(type(again.unwrapped).__name__)
