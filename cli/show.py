@@ -1,18 +1,16 @@
 """`vitac show`: draws an episode."""
 
-import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from importlib.metadata import requires
 from importlib.util import find_spec
 from pathlib import Path
-from shlex import quote
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 import typer
 from vitac.envs.errors import VitacError
+from vitac.envs.extras import install_command
 
 from .terminal.existing import existing_file
 
@@ -24,6 +22,7 @@ if TYPE_CHECKING:
     from vitac.envs.drawing.picture import Caption
     from vitac.envs.drawing.playback import NextAction, Pace, Playback
     from vitac.envs.tasks.task_env import Info, Observation, TactileTaskEnv
+    from vitac.envs.vision.camera import Sight
     from vitac.evaluator.logs.recordings import Recording
     from vitac.evaluator.tracks import Episode, Task
 
@@ -101,8 +100,11 @@ def command(
         Path | None, typer.Option(help="Folder with the challenge's own meshes [env: VITAC_ASSETS_DIR].")
     ] = None,
     view: Annotated[
-        Literal["episode", "cameras"],
-        typer.Option(help="Scene and sensors, or what the camera rig sees: colour, depth, infrared pair, cloud."),
+        Literal["episode", "cameras", "rast", "rt"],
+        typer.Option(
+            help="Scene and sensors; or what the camera rig sees: colour, depth, infrared pair, cloud; or its colour "
+            "picture beside one by SAPIEN, rasterised or ray-traced (extra vision, unscored)."
+        ),
     ] = "episode",
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
@@ -132,6 +134,8 @@ def command(
     moments = _chosen(playback, destination.kind, step)
     if view == "cameras":
         pictures = _draw_cameras(playback, title, width_px=width_px, moments=moments)
+    elif view != "episode":
+        pictures = _render(playback, title, view, width_px=width_px, moments=moments)
     else:
         pictures = _draw(playback, caption, Quantity(colour), width_px=width_px, moments=moments)
     names, durations_ms = zip(*_names_and_durations(playback), strict=True)
@@ -147,11 +151,7 @@ def require_extra() -> None:
     """
     if find_spec("matplotlib") and find_spec("PIL"):
         return
-    wanted = [line.split(";")[0].strip() for line in requires("vitac-arena") or () if f'extra == "{_EXTRA}"' in line]
-    packages = " ".join(quote(package) for package in wanted)
-    raise ExtraMissing(
-        f"Drawing needs packages that are not installed; install them with: {sys.executable} -m pip install {packages}"
-    )
+    raise ExtraMissing(f"Drawing needs packages that are not installed; install them with: {install_command(_EXTRA)}")
 
 
 def find_start(task: str, number: int) -> Start:
@@ -312,11 +312,41 @@ def _draw_cameras(playback: "Playback", title: str, *, width_px: int, moments: s
     """
     from vitac.envs.drawing.camera_view import camera_sheet
 
+    return [
+        camera_sheet(sight, f"{title}, env step {step}", width_px=width_px) for step, sight in _seen(playback, moments)
+    ]
+
+
+def _render(playback: "Playback", title: str, mode: str, *, width_px: int, moments: slice) -> "list[NDArray[np.uint8]]":
+    """Return the colour pictures of these moments beside SAPIEN's.
+
+    Raises:
+        NothingToShow: the task has no camera rig.
+        RendererMissing: SAPIEN or a driver for it is missing.
+    """
+    from vitac.envs.drawing.camera_view import rendered_sheet
+    from vitac.envs.vision.rendering.modes import RenderMode
+    from vitac.envs.vision.rendering.renderer import renderer_of
+
+    seen = _seen(playback, moments)
+    render = renderer_of(RenderMode(mode)).picture
+    return [
+        rendered_sheet(sight, render(sight), f"{title}, env step {step}", mode=RenderMode(mode), width_px=width_px)
+        for step, sight in seen
+    ]
+
+
+def _seen(playback: "Playback", moments: slice) -> "list[tuple[int, Sight]]":
+    """Return env step and sight of these moments.
+
+    Raises:
+        NothingToShow: the task has no camera rig.
+    """
     chosen = playback.moments[moments]
     seen = [(moment.env_step, moment.sight) for moment in chosen if moment.sight is not None]
     if not seen:
         raise NothingToShow(f"{playback.env_id} has no cameras beside the gripper: expected --view episode.")
-    return [camera_sheet(sight, f"{title}, env step {step}", width_px=width_px) for step, sight in seen]
+    return seen
 
 
 def _report(caption: "Caption", playback: "Playback", written: list[Path], *, as_json: bool) -> None:

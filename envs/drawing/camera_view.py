@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ..vision.camera import Sight
 from ..vision.optics import HEIGHT_PX, WIDTH_PX
+from ..vision.rendering.modes import RenderMode
 from .plots import INK, TICK_PT, style
 from .projection.frame import Frame, widened
 
@@ -63,6 +64,26 @@ def camera_sheet(sight: Sight, title: str, *, width_px: int) -> Picture:
         )
         _show(figure.add_subplot(grid[1, place]), picture, around, f"{name} infrared, brightened", cmap="gray")
     _show_cloud(figure.add_subplot(grid[:, 2], projection="3d"), sight, frame)
+    return _drawn(figure)
+
+
+def rendered_sheet(sight: Sight, rendered: Picture, title: str, *, mode: RenderMode, width_px: int) -> Picture:
+    """Return the rig's colour picture beside one that SAPIEN rendered, RGB of shape [height, width_px, 3].
+
+    Args:
+        sight: what the rig saw.
+        rendered: the same view by SAPIEN, RGB of shape [480, 640, 3].
+        title: names episode and env step.
+        mode: how it was rendered.
+        width_px: pixels across.
+    """
+    frame = Frame.around([sight])
+    figure = Figure(figsize=(_WIDTH_IN, _STRIP_HEIGHT_IN + 0.4), dpi=width_px / _WIDTH_IN, facecolor="white")
+    figure.text(0.02, 0.95, title, size=13, weight="bold", color=INK, va="center")
+    ours, theirs = figure.subplots(1, 2)
+    figure.subplots_adjust(left=0.07, right=0.98, bottom=0.14, top=0.84, wspace=0.18)
+    _show(ours, sight.colours, frame, "rgb_picture, as scored")
+    _show(theirs, rendered, frame, f"SAPIEN {mode}, never scored")
     return _drawn(figure)
 
 

@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 from .back_projection import point_cloud
 from .optics import COLOUR_INTRINSICS, HEIGHT_PX, WIDTH_PX
-from .pictures import colour_picture, depth_picture, segmentation_picture
+from .pictures import colour_picture, depth_picture, segmentation_picture, unit_normals
 from .pinhole import CameraPose
 from .point_cloud import ObjectClouds, draw_points, object_clouds
 from .rasterizer import View, rasterize
 from .stereo.camera import InfraredPair, depth_of_pair, draw_noise_keys, infrared_pair
-from .surfaces import Body, FloatArray, VisibleSurfaces
+from .surfaces import Body, FloatArray, Label, VisibleSurfaces
 
 
 class DepthMode(StrEnum):
@@ -28,6 +28,9 @@ class Sight:
     """What the rig saw at one moment; each picture is made when it is first asked for.
 
     The numbers for the noise are drawn at once, so that a picture does not depend on which others are asked for.
+
+    Attributes:
+        pose: of the colour camera.
     """
 
     def __init__(
@@ -39,13 +42,13 @@ class Sight:
         depth_mode: DepthMode,
         random: np.random.Generator,
     ) -> None:
-        self._surfaces, self._vertices_m, self._pose, self._depth_mode = surfaces, vertices_m, pose, depth_mode
+        self._surfaces, self._vertices_m, self.pose, self._depth_mode = surfaces, vertices_m, pose, depth_mode
         self._noise_keys = draw_noise_keys(random)
         self._cloud_draws = draw_points(random)
 
     @cached_property
     def _view(self) -> View:
-        in_camera_m = self._pose.in_camera(self._vertices_m)
+        in_camera_m = self.pose.in_camera(self._vertices_m)
         return rasterize(
             in_camera_m, self._surfaces.triangles, COLOUR_INTRINSICS, height_px=HEIGHT_PX, width_px=WIDTH_PX
         )
@@ -68,7 +71,7 @@ class Sight:
         return infrared_pair(
             self._surfaces,
             self._vertices_m,
-            pose=self._pose,
+            pose=self.pose,
             colour_view=self._view,
             noise_keys=self._noise_keys,
         )
@@ -82,6 +85,11 @@ class Sight:
     def segmentation(self) -> NDArray[np.uint8]:
         """`Label` of every pixel, shape [480, 640]."""
         return segmentation_picture(self._view, self._surfaces)
+
+    def triangles_of(self, label: Label) -> tuple[FloatArray, FloatArray]:
+        """Return corners [m], shape [t, 3, 3], and outward unit normals, shape [t, 3], of a class in the world."""
+        triangles = self._surfaces.triangles[self._surfaces.labels == label]
+        return self._vertices_m[triangles], unit_normals(self._vertices_m, triangles)
 
     @cached_property
     def point_cloud_m(self) -> NDArray[np.float32]:

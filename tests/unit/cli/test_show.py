@@ -1,7 +1,9 @@
 import json
+import sys
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -194,7 +196,7 @@ def test_missing_extra_is_refused_with_the_command_that_installs_it(
 ) -> None:
     extra = tomllib.loads((repository / "pyproject.toml").read_text())["project"]["optional-dependencies"]["show"]
     listed = ["numpy>=2", *(f'{requirement}; extra == "show"' for requirement in extra), 'torch; extra == "torch"']
-    monkeypatch.setattr(show, "requires", lambda _: listed)
+    monkeypatch.setattr("vitac.envs.extras.requires", lambda _: listed)
     monkeypatch.setattr(show, "find_spec", lambda name: None if name == missing else object())
     code, _, err = run("peg-insertion", "--episode", 5)
     assert code == 1
@@ -231,7 +233,29 @@ def test_depth_is_that_of_the_tracks_task(run: Run, tmp_path: Path) -> None:
     assert measured != exact
 
 
-def test_a_task_without_cameras_is_refused(run: Run) -> None:
-    code, _, err = run("peg-insertion", "--episode", 5, "--view", "cameras", "--width", 600)
+@pytest.mark.parametrize("mode", ["rast", "rt"])
+def test_a_rendering_of_an_env_step_is_drawn_where_sapien_is_and_else_refused(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mode: str
+) -> None:
+    arguments = ("fusion-insertion", "--episode", 2, "--step", 1, "--view", mode, "--width", 600, "--out", "still.png")
+    rendered: list[str] = []
+
+    def renderer(asked: str) -> SimpleNamespace:
+        rendered.append(asked)
+        return SimpleNamespace(picture=lambda sight: sight.colours)
+
+    monkeypatch.setitem(sys.modules, "sapien", None)
+    code, _, err = run(*arguments)
+    assert (code, "need SAPIEN" in err, (tmp_path / "still.png").exists()) == (1, True, False)
+    monkeypatch.setattr("vitac.envs.vision.rendering.renderer.renderer_of", renderer)
+    assert run(*arguments)[0] == 0
+    assert rendered == [mode]
+    with Image.open(tmp_path / "still.png") as image:
+        assert image.size == (600, 204)
+
+
+@pytest.mark.parametrize("view", ["cameras", "rast", "rt"])
+def test_a_task_without_cameras_is_refused(run: Run, view: str) -> None:
+    code, _, err = run("peg-insertion", "--episode", 5, "--view", view, "--width", 600)
     assert code == 1
     assert "has no cameras beside the gripper: expected --view episode" in err

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from fake_scene import FakeScene
-from vitac.envs.drawing.camera_view import camera_sheet, camera_strip
+from vitac.envs.drawing.camera_view import camera_sheet, camera_strip, rendered_sheet
 from vitac.envs.drawing.colouring import Quantity
 from vitac.envs.drawing.drawable import straight_to_target
 from vitac.envs.drawing.picture import Caption, draw
@@ -12,6 +12,7 @@ from vitac.envs.drawing.projection.frame import Frame
 from vitac.envs.tasks.fusion_insertion.env import FusionInsertionEnv
 from vitac.envs.tasks.task_env import Info, Observation
 from vitac.envs.vision.camera import Sight
+from vitac.envs.vision.rendering.modes import RenderMode
 
 OPTIONS = {"start": (0.0, 0.0, 0.0, 3.0, 1), "rng_seed": (0, 1)}
 
@@ -86,3 +87,15 @@ def test_a_camera_that_sees_nothing_is_drawn(playback: Playback) -> None:
     frame = Frame.around([sight])
     assert (frame.rows, frame.columns) == (slice(0, 480), slice(0, 640))
     assert camera_sheet(sight, "title", width_px=600).shape == (384, 600, 3)
+
+
+def test_a_rendered_picture_is_drawn_beside_ours(playback: Playback) -> None:
+    sight = sights_of(playback)[0]
+    dark, light = (
+        rendered_sheet(sight, np.full_like(sight.colours, grey), "title", mode=RenderMode.RT, width_px=600)
+        for grey in (0, 255)
+    )
+    assert dark.shape == light.shape == (204, 600, 3)
+    differs = np.any(dark != light, axis=(0, 2))
+    assert not differs[:300].any()
+    assert differs[300:].sum() > 100

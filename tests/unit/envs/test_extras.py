@@ -1,0 +1,14 @@
+import sys
+
+import pytest
+from packaging.requirements import Requirement
+from vitac.envs.extras import install_command
+
+
+@pytest.mark.parametrize(("extra", "package"), [("vision", "sapien"), ("show", "pillow"), ("maniskill", "mani-skill")])
+def test_the_command_installs_the_packages_of_the_extra_into_this_python(extra: str, package: str) -> None:
+    interpreter, *pip = install_command(extra).split()
+    assert (interpreter, pip[:3]) == (sys.executable, ["-m", "pip", "install"])
+    names = [Requirement(word.strip("'")).name for word in pip[3:]]
+    assert package in names
+    assert "pytest" not in names
