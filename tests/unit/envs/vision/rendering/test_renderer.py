@@ -21,7 +21,8 @@ class FakeCamera:
     """Sees grey bodies in the left half of the picture, nothing in the right one; a highlight brighter than white."""
 
     def __init__(self, width: int, height: int, shaders: str) -> None:
-        self.size, self.shaders, self.perspective = (height, width), shaders, ()
+        self.size, self.shaders = (height, width), shaders
+        self.perspective: tuple[float, ...] = ()
 
     def set_perspective_parameters(self, *values: float) -> None:
         self.perspective = values
@@ -42,7 +43,10 @@ class FakeSapien(SimpleNamespace):
     """What our renderer needs of SAPIEN; keeps what it was given."""
 
     def __init__(self, driver: bool = True) -> None:
-        self.driver, self.entities, self.bodies, self.cameras = driver, [], [], []
+        self.driver = driver
+        self.entities: list[Any] = []
+        self.bodies: list[Any] = []
+        self.cameras: list[FakeCamera] = []
         self.samples: int | None = None
         self.lights: list[tuple[Any, ...]] = []
         shape = SimpleNamespace
@@ -86,8 +90,9 @@ class FakeSapien(SimpleNamespace):
         return SimpleNamespace(**values)
 
     def _camera(self, *values: Any) -> FakeCamera:
-        self.cameras.append(FakeCamera(*values))
-        return self.cameras[-1]
+        camera = FakeCamera(*values)
+        self.cameras.append(camera)
+        return camera
 
 
 @pytest.fixture
@@ -171,7 +176,8 @@ def test_every_body_is_drawn_as_it_is_with_hard_edges_and_its_colour(
 
 def test_the_background_is_white_and_highlights_do_not_wrap(monkeypatch: pytest.MonkeyPatch, sight: Sight) -> None:
     picture = renderer(monkeypatch, FakeSapien()).picture(sight)
-    assert (picture.shape, picture.dtype) == ((480, 640, 3), np.uint8)
+    assert picture.shape == (480, 640, 3)
+    assert picture.dtype == np.uint8
     assert (picture[:, 320:] == 255).all()
     assert picture[5, 5].tolist() == [128, 128, 128]
     assert picture[0, 0].tolist() == [255, 0, 51]
