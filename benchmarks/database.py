@@ -29,7 +29,7 @@ from vitac.evaluator.version import evaluator_version, platform_class
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Shard, Worker
 from vitac.server.db.states import WorkerState
-from vitac.server.evaluations.episode_store import store_episode
+from vitac.server.evaluations.episode_store import store_episodes
 from vitac.server.evaluations.lifecycle import fail_by_machines
 from vitac.server.metrics.instruments import Instruments
 from vitac.server.metrics.totals import TotalsWriter
@@ -154,7 +154,7 @@ def store_all(address: str, ids: Sequence[int]) -> None:
         own = replace(lease, submission_digest=f"{shard_id:064x}")  # no episode is stored already
         for record in records:
             with database.transaction() as session:
-                store_episode(session, own, record)
+                store_episodes(session, own, [record])
     database.dispose()
 
 

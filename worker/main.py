@@ -38,6 +38,7 @@ def run(settings: Settings) -> None:
         VitacError: database or file store cannot be used.
     """
     with open_services(settings, may_run_database=False) as services, ShardProcesses() as processes:
+        processes.prepare()
         work(services, processes.running_shard)
 
 

@@ -3,7 +3,7 @@
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack
 from enum import StrEnum
 from pathlib import Path
@@ -17,7 +17,7 @@ from vitac.evaluator.scoring.failures import is_broken
 from vitac.evaluator.shards.order import ShardOrder
 from vitac.evaluator.shards.result import ShardEnd, ShardResult
 from vitac.server.errors import ProblemCode, ServiceError
-from vitac.server.evaluations.episode_store import StoredEpisodes, store_episode, stored_episodes
+from vitac.server.evaluations.episode_store import StoredEpisodes, store_episodes, stored_episodes
 from vitac.server.evaluations.lifecycle import finish_shard, report_broken_machine
 from vitac.server.evaluations.provenance import known_manifest
 from vitac.server.queue import leases
@@ -26,6 +26,7 @@ from vitac.server.services import Services
 from vitac.server.storage.blobs import StoredFileLost
 from vitac.server.storage.disk_space import has_space, is_disk_full
 
+from .record_store import RecordStore
 from .staging import SubmissionStage
 
 logger = structlog.get_logger(__name__)
@@ -130,8 +131,13 @@ class ShardRun:
                 self._process = process
             if self._stopping.is_set() or self._lost.is_set():
                 process.kill()
-            for record in process.records():
-                self._store(record)
+            store = RecordStore(self._store, give_up=process.kill)
+            try:
+                for record in process.records():
+                    self._last_record_at = time.monotonic()
+                    store.add(record)
+            finally:
+                store.close()
             return process.result
 
     def _fetch(self, stack: ExitStack) -> Path:
@@ -161,10 +167,9 @@ class ShardRun:
             earlier_failures=stored.failures,
         )
 
-    def _store(self, record: EpisodeRecord) -> None:
-        self._last_record_at = time.monotonic()
-        self._database(lambda session: store_episode(session, self._lease, record))
-        self._services.instruments.episodes.labels(self._lease.task).inc()
+    def _store(self, records: Sequence[EpisodeRecord]) -> None:
+        self._database(lambda session: store_episodes(session, self._lease, records))
+        self._services.instruments.episodes.labels(self._lease.task).inc(len(records))
 
     def _keep_lease(self) -> None:
         settings = self._services.settings

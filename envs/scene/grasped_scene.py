@@ -122,6 +122,7 @@ class GraspedScene:
         self.ipc_steps = 0
         self.solved = True
         self._last_flow = (-1, np.zeros((0,), np.float32))
+        self._last_views_m: tuple[int, list[FloatArray]] = (-1, [])
 
     @property
     def camera(self) -> CameraIntrinsics:
@@ -235,8 +236,13 @@ class GraspedScene:
             self.after_ipc_step()
 
     def _views_m(self) -> list[FloatArray]:
-        views_m = []
-        for index, sensor in enumerate(self._sensors):
-            pose = self.sensor_pose(index)
-            views_m.append(sensor.view_m(self.gel_nodes_m(index), pose.rotation, pose.centre_m))
+        """Return what both sensors see [m]; asked for several times between two IPC steps, made once."""
+        at, views_m = self._last_views_m
+        if at != self.ipc_steps:
+            views_m = [
+                sensor.view_m(self.gel_nodes_m(index), pose.rotation, pose.centre_m)
+                for index, sensor in enumerate(self._sensors)
+                for pose in [self.sensor_pose(index)]
+            ]
+            self._last_views_m = (self.ipc_steps, views_m)
         return views_m

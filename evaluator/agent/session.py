@@ -114,6 +114,10 @@ class PolicySession:
             raise SandboxFailed("The session was never started; use it as a context manager.")
         return self._isolation
 
+    def begin_shard(self) -> None:
+        """Let the limits on a shard's time hold for another shard from here on."""
+        self._shard_time = ShardTime(self._limits)
+
     @contextlib.contextmanager
     def episode(
         self, *, task: str, action_shape: tuple[int, ...], clouds: Sequence[CloudSpec] = ()

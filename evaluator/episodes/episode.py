@@ -87,6 +87,9 @@ class Session(Protocol):
     def isolation(self) -> Isolation:
         """How strongly it is isolated."""
 
+    def begin_shard(self) -> None:
+        """Count the time of another shard from here on."""
+
     def episode(
         self, *, task: str, action_shape: tuple[int, ...], clouds: Sequence[CloudSpec] = ()
     ) -> AbstractContextManager[Policy]:

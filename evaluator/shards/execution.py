@@ -1,9 +1,10 @@
-"""Carries out the order for one shard, in the shard's own process; called by `host`."""
+"""Carries out orders for shards, one after the other, in a process of their own; called by `host`."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import partial
 from types import MappingProxyType
-from typing import IO
+from typing import IO, TYPE_CHECKING
 
 from vitac.envs.errors import VitacError
 
@@ -18,66 +19,97 @@ from ..tracks.cut import Shard, cut
 from ..tracks.sealed import read_secret, sealed_track
 from .log import LogShard, resimulate_log
 from .order import ShardMessage, ShardOrder
-from .policy import run_shard
+from .policy import load_in_sandbox, run_shard
+from .preparation import Preparation
 from .result import ShardResult
 from .text_log import resimulate_text_log
 
+if TYPE_CHECKING:
+    from vitac.envs.tactile.design import SensorDesign
+
 OnEpisode = Callable[[EpisodeRecord], None]
-Runner = Callable[[ShardOrder, Track, Task, Shard, OnEpisode], ShardResult]
+
+
+@dataclass(frozen=True, kw_only=True)
+class OrderedShard:
+    """An order with what it names."""
+
+    order: ShardOrder
+    track: Track
+    task: Task
+    shard: Shard
+
+
+Runner = Callable[[OrderedShard, Preparation, OnEpisode], ShardResult]
 """Plays a shard of one kind of submission."""
 
 
-def execute(order: ShardOrder, answer: IO[str]) -> None:
-    """Run the shard and write one line for each episode and one for the end."""
+def execute(order: ShardOrder, answer: IO[str], preparation: Preparation) -> None:
+    """Run the shard and write one line for each episode and one for the end.
+
+    Args:
+        order: what to run.
+        answer: gets the lines.
+        preparation: environment and loaded policy of the orders before this one.
+    """
 
     def send(message: ShardMessage) -> None:
         answer.write(message.model_dump_json(exclude_unset=True) + "\n")
         answer.flush()
 
     try:
-        result = _result_of(order, lambda record: send(ShardMessage(record=record)))
+        result = _result_of(order, preparation, lambda record: send(ShardMessage(record=record)))
     except VitacError as error:
         send(ShardMessage(error=f"{type(error).__name__}: {error}"))
     else:
         send(ShardMessage(result=result))
 
 
-def _result_of(order: ShardOrder, on_episode: OnEpisode) -> ShardResult:
+def _result_of(order: ShardOrder, preparation: Preparation, on_episode: OnEpisode) -> ShardResult:
     track = load_track(order.track)
     if order.secret is not None:
         track = sealed_track(track, read_secret(order.secret))
     task = track.tasks[order.task]
     shard = next(shard for shard in cut(task, order.episodes) if shard.index == order.shard)
-    return RUNNERS[order.kind](order, track, task, shard, on_episode)
+    ordered = OrderedShard(order=order, track=track, task=task, shard=shard)
+    return RUNNERS[order.kind](ordered, preparation, on_episode)
 
 
-def _run_policy(order: ShardOrder, track: Track, task: Task, shard: Shard, on_episode: OnEpisode) -> ShardResult:
+def _run_policy(ordered: OrderedShard, preparation: Preparation, on_episode: OnEpisode) -> ShardResult:
+    order = ordered.order
+    preparation.begin(order)
     return run_shard(
         submission_dir=order.submission,
-        track=track,
-        task=task,
-        shard=shard,
+        track=ordered.track,
+        task=ordered.task,
+        shard=ordered.shard,
         on_episode=on_episode,
-        reading=reading_of(task, load_manifest(order.submission).observation_keys),
+        reading=reading_of(ordered.task, load_manifest(order.submission).observation_keys),
         limits=order.limits,
         slot=order.slot,
         assets_dir=order.assets_dir,
-        make_env=partial(make_environment, sensor=design_in(order.sensor) if order.sensor else None),
+        load_policy=partial(preparation.policy, load_in_sandbox),
+        make_env=partial(preparation.environment, partial(make_environment, sensor=_sensor_of(order))),
         skip=order.skip,
         earlier_failures=order.earlier_failures,
     )
 
 
-def _run_log(order: ShardOrder, track: Track, task: Task, shard: Shard, on_episode: OnEpisode) -> ShardResult:
-    return resimulate_log(_part(order, track, task, shard), on_episode)
+def _sensor_of(order: ShardOrder) -> "SensorDesign | None":
+    return design_in(order.sensor) if order.sensor else None
 
 
-def _run_text_log(order: ShardOrder, track: Track, task: Task, shard: Shard, on_episode: OnEpisode) -> ShardResult:
-    return resimulate_text_log(_part(order, track, task, shard), on_episode)
+def _run_log(ordered: OrderedShard, _: Preparation, on_episode: OnEpisode) -> ShardResult:
+    return resimulate_log(_part(ordered), on_episode)
 
 
-def _part(order: ShardOrder, track: Track, task: Task, shard: Shard) -> LogShard:
-    return LogShard(log=order.submission, track=track, task=task, shard=shard, skip=order.skip)
+def _run_text_log(ordered: OrderedShard, _: Preparation, on_episode: OnEpisode) -> ShardResult:
+    return resimulate_text_log(_part(ordered), on_episode)
+
+
+def _part(ordered: OrderedShard) -> LogShard:
+    order = ordered.order
+    return LogShard(log=order.submission, track=ordered.track, task=ordered.task, shard=ordered.shard, skip=order.skip)
 
 
 RUNNERS: Mapping[SubmissionKind, Runner] = MappingProxyType(

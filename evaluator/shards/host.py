@@ -1,13 +1,15 @@
-"""The process that has the simulation loaded and forks a copy of itself for each shard; started by `process`.
+"""The process that has the simulation loaded and forks a copy of itself for a shard; started by `process`.
 
 Importing the environments and loading their kernels takes most of a second, which a new process per shard would spend
-every time. Nothing of a shard remains here: it runs in the copy, which ends with it. Run as
-`python -m vitac.evaluator.shards.host CONTROL`, where CONTROL is the descriptor of a socket. Each message on it carries
-two descriptors: a socket for the order and its answers, and a pipe that gets the exit code.
+every time. Nothing of a shard remains here: it runs in the copy, which ends with its submission. Run as
+`python -m vitac.evaluator.shards.host CONTROL [load-all]`, where CONTROL is the descriptor of a socket. Each message on
+it carries two descriptors: a socket for orders, one line each, and their answers, and a pipe that gets the exit code.
 """
 
 import ctypes
+import gc
 import os
+import select
 import selectors
 import signal
 import socket
@@ -20,10 +22,11 @@ import numpy as np
 
 from ..episodes.episode import make_environment
 from ..sensors.check import design_in
-from ..tracks import load_track
+from ..tracks.registry import list_tracks, load_track
 from ..version import evaluator_hash
 from .execution import execute
-from .order import PROCESS_ID, ShardOrder
+from .order import LOAD_ALL, PROCESS_ID, ShardOrder
+from .preparation import Preparation
 
 _PR_SET_PDEATHSIG = 1
 _DESCRIPTORS_PER_SHARD = 2
@@ -37,6 +40,14 @@ class SimulationHost:
         self._selector = selectors.DefaultSelector()
         self._selector.register(control, selectors.EVENT_READ)
         self._loaded: set[tuple[str, str, Path | None, Path | None]] = set()
+
+    def load_all(self) -> None:
+        """Load every task of every track, as long as no order waits."""
+        for track in list_tracks():
+            for task in load_track(track).tasks:
+                if select.select([self._control], [], [], 0.0)[0]:
+                    return
+                self._load_task(track, task)
 
     def serve(self) -> None:
         """Start shards and report their ends."""
@@ -67,8 +78,9 @@ class SimulationHost:
 
     def _fork(self, connection: socket.socket) -> tuple[int, int]:
         """Return process id and pidfd of the shard."""
-        order = ShardOrder.model_validate_json(_read_all(connection))
+        order = ShardOrder.model_validate_json(_read_line(connection))
         self._load(order)
+        gc.freeze()  # the copies' collections then leave the loaded modules alone, which they would copy otherwise
         host_pid = os.getpid()
         pid = os.fork()
         if pid == 0:
@@ -81,21 +93,24 @@ class SimulationHost:
             raise
 
     def _load(self, order: ShardOrder) -> None:
-        """Play one env step of the order's task, so that its copies have all kernels and know the evaluator's hash."""
-        what = (order.track, order.task, order.assets_dir, order.sensor)
+        self._load_task(order.track, order.task, order.assets_dir, order.sensor)
+
+    def _load_task(self, track: str, task: str, assets_dir: Path | None = None, sensor: Path | None = None) -> None:
+        """Play one env step of a task, so that copies have all kernels and know the evaluator's hash."""
+        what = (track, task, assets_dir, sensor)
         if what in self._loaded:
             return
         # The shard meets the same error and reports it with its result.
         with suppress(Exception):
-            task = load_track(order.track).tasks[order.task]
-            env = make_environment(task, order.assets_dir, sensor=design_in(order.sensor) if order.sensor else None)
-            env.reset(options=task.episodes[0].options)
-            env.step(np.zeros(len(task.actions), dtype=np.float32))
+            listed = load_track(track).tasks[task]
+            env = make_environment(listed, assets_dir, sensor=design_in(sensor) if sensor else None)
+            env.reset(options=listed.episodes[0].options)
+            env.step(np.zeros(len(listed.actions), dtype=np.float32))
             evaluator_hash()
             self._loaded.add(what)
 
     def _become_shard(self, host_pid: int, connection: socket.socket, order: ShardOrder) -> NoReturn:
-        """Run the shard in the forked process, which never returns."""
+        """Run the shard, and those that are ordered after it, in the forked process, which never returns."""
         exit_code = 1
         try:
             _die_with(host_pid)
@@ -103,8 +118,10 @@ class SimulationHost:
             self._control.close()
             self._selector.close()
             socket.send_fds(connection, [PROCESS_ID.pack(os.getpid())], [os.pidfd_open(os.getpid())])
-            with connection.makefile("w", encoding="utf-8") as answer:
-                execute(order, answer)
+            with connection.makefile("rw", encoding="utf-8") as stream, Preparation() as preparation:
+                execute(order, stream, preparation)
+                for line in stream:
+                    execute(ShardOrder.model_validate_json(line), stream, preparation)
             exit_code = 0
         except BaseException:  # noqa: BLE001 - the process ends here, and its parent sees the exit code
             sys.excepthook(*sys.exc_info())
@@ -121,9 +138,15 @@ class SimulationHost:
         os.close(exit_pipe)
 
 
-def _read_all(connection: socket.socket) -> bytes:
-    with connection.makefile("rb") as stream:
-        return stream.read()
+def _read_line(connection: socket.socket) -> bytes:
+    """Return the first line; nothing follows it until it is answered."""
+    line = b""
+    while not line.endswith(b"\n"):
+        piece = connection.recv(65536)
+        if not piece:
+            raise ValueError("Expected an order, got the end of the connection.")
+        line += piece
+    return line
 
 
 def _die_with(parent: int) -> None:
@@ -138,7 +161,10 @@ def main() -> None:
     # Whatever prints to stdout must not mix with the output of the process that started this one.
     os.dup2(2, 1)
     with socket.socket(fileno=int(sys.argv[1])) as control:
-        SimulationHost(control).serve()
+        host = SimulationHost(control)
+        if LOAD_ALL in sys.argv[2:]:
+            host.load_all()
+        host.serve()
 
 
 if __name__ == "__main__":

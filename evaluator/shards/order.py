@@ -15,6 +15,11 @@ from .result import ShardResult
 PROCESS_ID: Final = struct.Struct("<q")
 """How the process of a shard introduces itself before its first message; its pidfd comes along."""
 
+LOAD_ALL: Final = "load-all"
+"""Argument of a host that loads the simulation of every task while it has nothing else to do."""
+
+_OF_ONE_SHARD: Final = frozenset({"shard", "episodes", "skip", "earlier_failures"})
+
 
 class ShardOrder(StrictModel):
     """What a shard's process has to do.
@@ -36,6 +41,10 @@ class ShardOrder(StrictModel):
     sensor: Path | None = None
     skip: tuple[int, ...] = ()
     earlier_failures: tuple[PolicyFailure, ...] = ()
+
+    def preparation(self) -> dict[str, object]:
+        """Return what environment and loaded policy depend on; orders that have it in common can share them."""
+        return self.model_dump(exclude=set(_OF_ONE_SHARD))
 
 
 class ShardMessage(StrictModel):

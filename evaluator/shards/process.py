@@ -1,8 +1,9 @@
 """Runs shards in processes of their own and streams their records back; used by local evaluation and by the workers.
 
 The simulation is heavy Python code: in the caller's process it would stop heartbeats and progress bars. One process,
-`host`, has it loaded and forks a copy for each shard. A copy reads one order, writes one JSON line for each episode and
-one for its end, and dies with its host, which ends when the process that started it closes the control socket or dies.
+`host`, has it loaded and forks a copy for a shard. A copy reads an order, writes one JSON line for each episode and one
+for its end, and waits a moment for the next order of the same submission, whose policy it has loaded. It dies with its
+host, which ends when the process that started it closes the control socket or dies.
 """
 
 import os
@@ -21,10 +22,14 @@ from pydantic import ValidationError
 from vitac.envs.errors import VitacError
 
 from ..episodes.records import EpisodeRecord
-from .order import PROCESS_ID, ShardMessage, ShardOrder
+from .order import LOAD_ALL, PROCESS_ID, ShardMessage, ShardOrder
 from .result import ShardResult
 
 COMMAND = (sys.executable, "-P", "-m", "vitac.evaluator.shards.host")
+IDLE_KEPT_S = 3.0
+"""So long a process waits for another shard of its submission; meanwhile its policy takes memory."""
+CLOSING_LIMIT_S = 5.0
+"""A process that does not end by itself within this time is killed."""
 
 _ONE_THREAD = MappingProxyType(
     dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
@@ -42,6 +47,7 @@ class ShardProcesses:
         self._lock = threading.Lock()
         self._newest: _Host | None = None
         self._hosts: set[_Host] = set()
+        self._idle: dict[ShardProcess, threading.Timer] = {}
 
     def __enter__(self) -> Self:
         return self
@@ -49,27 +55,83 @@ class ShardProcesses:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self._close_idle(list(self._idle))
         with self._lock:
             for host in self._hosts:
                 host.end()
 
-    @contextmanager
-    def running_shard(self, order: ShardOrder) -> Iterator["ShardProcess"]:
-        """Run a shard in a process of its own, which has ended when the block is left.
+    def prepare(self) -> None:
+        """Start to load the simulation of every task, so that no shard has to wait for it.
 
         Raises:
             ShardProcessFailed: it cannot be started.
         """
-        host = self._join_host()
-        is_forked = False
+        with self._lock:
+            if self._newest is None:
+                self._newest = _Host(loads_all=True)
+                self._hosts.add(self._newest)
+
+    @contextmanager
+    def running_shard(self, order: ShardOrder) -> Iterator["ShardProcess"]:
+        """Run a shard in a process of its own, or in one that has ended another shard with the same loaded policy.
+
+        When the block is left the shard is over; the process has ended, or waits for another shard.
+
+        Raises:
+            ShardProcessFailed: it cannot be started.
+        """
+        process = self._take_idle(order) or self._start(order)
         try:
-            process = host.start_shard(order)
-            try:
-                yield process
-            finally:
-                is_forked = process.close()
+            yield process
         finally:
-            self._leave_host(host, is_working=is_forked)
+            if process.release():
+                self._keep(process)
+            else:
+                self._end(process)
+
+    def _start(self, order: ShardOrder) -> "ShardProcess":
+        host = self._join_host()
+        try:
+            return host.start_shard(order)
+        except BaseException:
+            self._leave_host(host, is_working=False)
+            raise
+
+    def _end(self, process: "ShardProcess") -> None:
+        self._leave_host(process.host, is_working=process.close())
+
+    def _take_idle(self, order: ShardOrder) -> "ShardProcess | None":
+        """Return an idle process that has the order's policy loaded, at work on it; end the others, they only wait."""
+        with self._lock:
+            waiting = list(self._idle)
+        fitting = [process for process in waiting if process.order.preparation() == order.preparation()]
+        self._close_idle([process for process in waiting if process not in fitting])
+        for process in fitting:
+            if self._is_taken(process):
+                if not process.has_ended():
+                    return process.go_on(order)
+                self._end(process)
+        return None
+
+    def _keep(self, process: "ShardProcess") -> None:
+        timer = threading.Timer(IDLE_KEPT_S, self._close_idle, args=([process],))
+        timer.daemon = True
+        with self._lock:
+            self._idle[process] = timer
+        timer.start()
+
+    def _close_idle(self, processes: "list[ShardProcess]") -> None:
+        for process in processes:
+            if self._is_taken(process):
+                self._end(process)
+
+    def _is_taken(self, process: "ShardProcess") -> bool:
+        """Take a process out of the idle ones; False if somebody else has."""
+        with self._lock:
+            timer = self._idle.pop(process, None)
+        if timer is not None:
+            timer.cancel()
+        return timer is not None
 
     def _join_host(self) -> "_Host":
         """Return the newest host, or a new one if there is none that works."""
@@ -92,16 +154,20 @@ class ShardProcesses:
 
 
 class _Host:
-    """A running `host` and the socket on which it gets orders."""
+    """A running `host` and the socket on which it gets orders.
 
-    def __init__(self) -> None:
+    Args:
+        loads_all: whether it loads the simulation of every task while it waits for the first order.
+    """
+
+    def __init__(self, *, loads_all: bool = False) -> None:
         self.shards = 0
         """Number of shards that were ordered from it and have not been closed."""
         self._control, theirs = socket.socketpair(type=socket.SOCK_SEQPACKET)
         with theirs:
             try:
                 self._process = subprocess.Popen(  # noqa: S603 - our own interpreter and module
-                    [*COMMAND, str(theirs.fileno())],
+                    [*COMMAND, str(theirs.fileno()), *([LOAD_ALL] if loads_all else [])],
                     stdin=subprocess.DEVNULL,
                     env=os.environ | _ONE_THREAD,
                     pass_fds=[theirs.fileno()],
@@ -132,7 +198,7 @@ class _Host:
         finally:
             theirs.close()
             os.close(exit_end)
-        return ShardProcess(order, connection, exit_pipe)
+        return ShardProcess(self, order, connection, exit_pipe)
 
     def end(self) -> None:
         """End it, and its shards with it."""
@@ -142,18 +208,27 @@ class _Host:
 
 
 class ShardProcess:
-    """A running shard; made by `ShardProcesses.running_shard`, which also ends it."""
+    """A running shard; made by `ShardProcesses.running_shard`, which also ends it.
 
-    def __init__(self, order: ShardOrder, connection: socket.socket, exit_pipe: int) -> None:
+    Attributes:
+        host: what forks its process.
+        order: what it has to do.
+    """
+
+    def __init__(
+        self, host: _Host, order: ShardOrder, connection: socket.socket, exit_pipe: int, fork: "_Fork | None" = None
+    ) -> None:
+        self.host = host
+        self.order = order
         self._connection = connection
         self._exit_pipe = exit_pipe
         self._lock = threading.Lock()
-        self._fork: _Fork | None = None
+        self._fork = fork
         self._is_killed = False
+        self._is_released = False
         self._result: ShardResult | None = None
-        with suppress(OSError):  # The host has ended; reading the records raises an error.
-            connection.sendall(order.model_dump_json().encode())
-            connection.shutdown(socket.SHUT_WR)
+        with suppress(OSError):  # The process has ended; reading the records raises an error.
+            connection.sendall(order.model_dump_json().encode() + b"\n")
 
     @property
     def pid(self) -> int:
@@ -189,6 +264,8 @@ class ShardProcess:
     def kill(self) -> None:
         """End the process, and with it its sandbox, at once; `records` then raises. Any thread may call it."""
         with self._lock:
+            if self._is_released:
+                return
             self._is_killed = True
             if self._fork is not None:
                 self._fork.kill()
@@ -197,15 +274,36 @@ class ShardProcess:
                 with suppress(OSError):
                     self._connection.shutdown(socket.SHUT_RDWR)
 
+    def release(self) -> bool:
+        """Give up the right to kill the process if it has done its order; return whether it can do another one."""
+        with self._lock:
+            self._is_released = self._result is not None and not self._is_killed
+            return self._is_released
+
+    def has_ended(self) -> bool:
+        """Return whether the process has ended, though nobody asked it to; waits until it has been forked."""
+        return self._forked().wait(0.0)
+
+    def go_on(self, order: ShardOrder) -> "ShardProcess":
+        """Give the process another order; what runs it is returned, and this object has nothing more to do with it."""
+        return ShardProcess(self.host, order, self._connection, self._exit_pipe, self._fork)
+
     def close(self) -> bool:
-        """End the process and wait for it; return whether it was ever forked."""
+        """End the process and wait for it; return whether it was ever forked.
+
+        One that waits for another order ends by itself and clears up; one at work is killed.
+        """
         self.kill()
         try:
             fork = self._forked()
         except ShardProcessFailed:
             return False
         else:
-            fork.wait()
+            with suppress(OSError):
+                self._connection.shutdown(socket.SHUT_RDWR)
+            if not fork.wait(CLOSING_LIMIT_S):
+                fork.kill()
+                fork.wait()
             with self._lock:
                 fork.close()
             return True
@@ -220,7 +318,9 @@ class ShardProcess:
                 raise ShardProcessFailed(message.error)
             if message.record is not None:
                 yield message.record
-            self._result = message.result
+            if message.result is not None:
+                self._result = message.result
+                return
 
     def _exit_code(self) -> str:
         """Wait for the end of the process and return its exit code, `unknown` where the host ended as well."""
@@ -268,12 +368,13 @@ class _Fork:
             with suppress(ProcessLookupError):
                 signal.pidfd_send_signal(self._pidfd, signal.SIGKILL)
 
-    def wait(self) -> None:
-        """Wait until it has ended."""
-        if self._pidfd is not None:
-            ended = select.poll()
-            ended.register(self._pidfd, select.POLLIN)
-            ended.poll()
+    def wait(self, limit_s: float | None = None) -> bool:
+        """Wait until it has ended, or so long [s]; return whether it has."""
+        if self._pidfd is None:
+            return True
+        ended = select.poll()
+        ended.register(self._pidfd, select.POLLIN)
+        return bool(ended.poll(None if limit_s is None else 1000 * limit_s))
 
     def close(self) -> None:
         """Close the descriptor of a process that has ended."""

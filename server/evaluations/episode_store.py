@@ -1,6 +1,7 @@
 """Stored episodes: one row for each key and episode, written by whoever holds the shard, never written twice."""
 
 import hashlib
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -64,23 +65,25 @@ class StoredEpisodes:
     failures: tuple[PolicyFailure, ...]
 
 
-def store_episode(session: Session, lease: Lease, record: EpisodeRecord) -> None:
-    """Store a finished episode; storing it again writes nothing.
+def store_episodes(session: Session, lease: Lease, records: Iterable[EpisodeRecord]) -> None:
+    """Store finished episodes; storing one again writes nothing.
 
     Raises:
         LeaseLost: the shard is no longer ours.
     """
+    # In one order for all: another evaluation of the same content may store the same rows at the same time.
+    by_number = {record.episode: record for record in sorted(records, key=lambda record: record.episode, reverse=True)}
     attempts = lock_held(session, lease)
-    values = row_values(lease, record)
-    added = session.scalar(
+    rows = {number: row_values(lease, record) for number, record in by_number.items()}
+    added = session.scalars(
         insert(EpisodeResult)
-        .values(values)
+        .values(list(rows.values()))
         .on_conflict_do_nothing(constraint="uq_episode_results_key")
-        .returning(EpisodeResult.id)
-    )
-    if added is None:
-        _compare_with_stored(session, lease, record, values["record_digest"])
-    elif attempts:
+        .returning(EpisodeResult.episode)
+    ).all()
+    for number in rows.keys() - set(added):
+        _compare_with_stored(session, lease, by_number[number], rows[number]["record_digest"])
+    if added and attempts:
         reset_attempts(session, lease)
 
 
@@ -135,6 +138,18 @@ def stored_episodes(session: Session, lease: Lease) -> StoredEpisodes:
         numbers=frozenset(record.episode for record in records),
         failures=tuple(record.failure for record in records if record.failure is not None),
     )
+
+
+def missing_episodes(session: Session, lease: Lease) -> list[int]:
+    """Return which episodes of the shard are not stored."""
+    stored = session.scalars(
+        select(EpisodeResult.episode).where(
+            *EpisodeKey.of_lease(lease).conditions(),
+            EpisodeResult.task == lease.task,
+            EpisodeResult.episode.in_(lease.episodes),
+        )
+    )
+    return sorted(set(lease.episodes).difference(stored))
 
 
 def records_of(session: Session, key: EpisodeKey, task: str) -> list[EpisodeRecord]:

@@ -18,7 +18,7 @@ from vitac.server.db.models import Evaluation, Shard, Submission
 from vitac.server.db.row_locks import lock_evaluation
 from vitac.server.db.states import OPEN_SHARD_STATES, EvaluationState, ShardState
 from vitac.server.evaluations.copies import flag_copies
-from vitac.server.evaluations.episode_store import EpisodeKey, count_stored, records_of, stored_episodes
+from vitac.server.evaluations.episode_store import EpisodeKey, count_stored, missing_episodes, records_of
 from vitac.server.evaluations.provenance import manifest_of
 from vitac.server.evaluations.scores import combine_hashes, store_scores
 from vitac.server.evaluations.verdicts import ServiceVerdict
@@ -111,7 +111,7 @@ def finish_shard(session: Session, lease: Lease, result: ShardResult) -> None:
 
 
 def _require_all_stored(session: Session, lease: Lease) -> None:
-    missing = sorted(set(lease.episodes) - stored_episodes(session, lease).numbers)
+    missing = missing_episodes(session, lease)
     if missing:
         raise EpisodesMissing(
             f"Shard {lease.shard_id} was reported as complete, but its episodes {missing[:10]} are not stored. "

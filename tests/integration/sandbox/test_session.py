@@ -120,6 +120,17 @@ def test_time_of_all_episodes_together_is_limited(make: Make, top: str, act: str
     assert caught.value.verdict is VerdictCode.SHARD_TIME
 
 
+def test_each_shard_has_that_time_for_itself(make: Make) -> None:
+    folder = make(f"{BUSY}return [0, 0, 0]", "import os, time")
+    with PolicySession(folder, limits=Limits(shard_cpu_s=0.35)) as session:
+        for _ in range(3):
+            session.begin_shard()
+            act_in_episodes(session, 2)
+        assert session.starts == 1
+        with pytest.raises(PolicyFailed, match="of the shard together used more"):
+            act_in_episodes(session, 10)
+
+
 def act_in_episodes(session: PolicySession, count: int) -> None:
     for _ in range(count):
         act_once(session)

@@ -117,6 +117,7 @@ class FakeSession:
 
     def __init__(self, answer: Answer) -> None:
         self.answer = answer
+        self.shards = 0
         self.started = 0
         self.open = False
         self.loads = 0
@@ -130,6 +131,9 @@ class FakeSession:
             yield self
         finally:
             self.open = False
+
+    def begin_shard(self) -> None:
+        self.shards += 1
 
     @contextmanager
     def episode(self, *, task: str, action_shape: tuple[int, ...], clouds: object = ()) -> Iterator[FakePolicy]:

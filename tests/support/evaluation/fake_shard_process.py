@@ -7,7 +7,6 @@ import os
 import signal
 import stat
 import time
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,6 @@ from evaluation_fakes import FakeEnvironment, FakeSession, action, cannot_load, 
 from vitac.evaluator.agent.limits import Limits
 from vitac.evaluator.agent.verdicts import SandboxFailed
 from vitac.evaluator.shards import execution, host
-from vitac.evaluator.shards.policy import run_shard
 from vitac.evaluator.submission.manifest import SubmissionManifest
 
 
@@ -75,7 +73,7 @@ def load_policy(submission_dir: Path, limits: Limits, slot: int) -> Any:
 
 
 if __name__ == "__main__":
-    execution.run_shard = partial(run_shard, load_policy=load_policy)  # type: ignore[attr-defined]
+    execution.load_in_sandbox = load_policy  # type: ignore[attr-defined]
     for module in (execution, host):
         module.make_environment = lambda *_, **__: FakeEnvironment()  # type: ignore[attr-defined]
     execution.load_manifest = lambda _: SubmissionManifest(  # type: ignore[attr-defined, assignment]

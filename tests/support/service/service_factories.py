@@ -35,7 +35,7 @@ from vitac.server.db.engine import Database
 from vitac.server.db.models import BoardResult, EpisodeResult, Evaluation, Shard, Submission
 from vitac.server.db.states import EvaluationState, Role, ShardState
 from vitac.server.evaluations import lifecycle
-from vitac.server.evaluations.episode_store import row_values, store_episode
+from vitac.server.evaluations.episode_store import row_values, store_episodes
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.evaluations.scores import store_scores
 from vitac.server.logs.claims import LogClaim
@@ -217,7 +217,7 @@ def take_away(database: Database, shard_id: int) -> None:
 def store(database: Database, lease: Lease, records: Iterable[EpisodeRecord]) -> None:
     for record in records:
         with database.transaction() as session:
-            store_episode(session, lease, record)
+            store_episodes(session, lease, [record])
 
 
 def finish(database: Database, lease: Lease, end: ShardEnd = ShardEnd.COMPLETE) -> None:

@@ -105,11 +105,22 @@ def test_shard_is_run_from_the_unpacked_submission_and_ended(
         )
 
 
-def test_each_episode_is_stored_as_soon_as_it_is_over(services: Services, stage: SubmissionStage, lease: Lease) -> None:
+def test_each_episode_is_stored_soon_after_it_is_over(services: Services, stage: SubmissionStage, lease: Lease) -> None:
     def gate(number: int) -> None:
-        assert stored_numbers(services) == list(range(1, number))
+        eventually(lambda: stored_numbers(services) == list(range(1, number)))
 
     assert ShardRun(services, stage, lease, FakeShards(gate=gate)).run() is RunEnd.FINISHED
+
+
+def test_episodes_before_the_death_of_the_process_are_stored(
+    services: Services, stage: SubmissionStage, lease: Lease
+) -> None:
+    def gate(number: int) -> None:
+        if number == 4:
+            raise ShardProcessFailed("The process of a shard ended with exit code -9.")
+
+    assert ShardRun(services, stage, lease, FakeShards(gate=gate)).run() is RunEnd.BROKE
+    assert stored_numbers(services) == [1, 2, 3]
 
 
 def test_half_done_shard_is_resumed_from_its_stored_episodes(
@@ -211,6 +222,7 @@ def test_cancel_kills_the_process_within_a_renewal(
 
     def gate(number: int) -> None:
         if number == 5:
+            eventually(lambda: stored_numbers(services) == [1, 2, 3, 4])
             running.set()
             assert shards.started[0].killed.wait(20.0)
 

@@ -15,7 +15,7 @@ from vitac.evaluator.shards.order import ShardOrder
 from vitac.server.accounts.principals import CONSOLE
 from vitac.server.db.models import EpisodeResult, Playback, Shard, Submission
 from vitac.server.db.states import EvaluationState, PlaybackState, ShardState
-from vitac.server.evaluations.episode_store import store_episode
+from vitac.server.evaluations.episode_store import store_episodes
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.housekeeping import Housekeeping
 from vitac.server.metrics.totals import SeriesKey, totals
@@ -147,7 +147,7 @@ def test_shard_of_a_lost_worker_goes_to_another_one_which_resumes_it(services: S
     with services.database.transaction() as session:
         lost = leases.claim(session, shard_ids(session, submission)[0], uuid4(), 0.2)
         assert lost is not None
-        store_episode(session, lost, make_record(1))
+        store_episodes(session, lost, [make_record(1)])
         first_job = text("DELETE FROM procrastinate_jobs WHERE (args ->> 'shard_id')::bigint = :shard")
         session.execute(first_job, {"shard": lost.shard_id})
     shards = FakeShards()

@@ -64,7 +64,25 @@ def test_bulged_surface_is_measured_in_both_sensors(fake_scenes: list[FakeScene]
     made = scene()
     made.capture_references()
     fake_scenes[0].bulge_m = 4e-4
+    made.move_to(POSE.moved(x_m=1e-3), ipc_steps=1)
     assert made.surface_diff_m() == pytest.approx([4e-4, 4e-4])
+
+
+def test_what_the_sensors_see_is_made_once_between_two_ipc_steps(
+    fake_scenes: list[FakeScene], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = scene()
+    seen: list[int] = []
+    nodes_m = made.gel_nodes_m
+    monkeypatch.setattr(made, "gel_nodes_m", lambda index: seen.append(index) or nodes_m(index))
+    made.capture_references()
+    made.surface_diff_m()
+    made.marker_flow(np.random.default_rng(3))
+    assert seen == [0, 1]
+    made.move_to(POSE.moved(x_m=1e-3), ipc_steps=2)
+    made.surface_diff_m()
+    made.surface_diff_m()
+    assert seen == [0, 1, 0, 1]
 
 
 def test_marker_flow_is_left_then_right_in_float32(fake_scenes: list[FakeScene]) -> None:

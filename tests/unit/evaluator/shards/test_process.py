@@ -109,6 +109,96 @@ def test_one_loaded_process_forks_all_shards(processes: ShardProcesses) -> None:
     assert parents != {os.getpid()}
 
 
+def test_shards_of_one_submission_share_a_process_and_its_loaded_policy(processes: ShardProcesses) -> None:
+    pids, played = [], []
+    for shard, episodes in ((0, (1, 2)), (1, (28, 29, 30)), (2, (55,))):
+        with processes.running_shard(order("succeed", shard=shard, episodes=episodes)) as process:
+            pids.append(process.pid)
+            played += sorted(record.episode for record in process.records())
+            assert process.result.index == shard
+    assert len(set(pids)) == 1
+    assert played == [1, 2, 28, 29, 30, 55]
+
+
+@pytest.mark.parametrize(
+    "changes", [{"submission": Path("other")}, {"slot": 1}, {"assets_dir": Path("meshes")}, {"task": "lock-opening"}]
+)
+def test_orders_that_need_another_preparation_do_not_share_one(changes: dict[str, object]) -> None:
+    assert order("succeed", **changes).preparation() != order("succeed").preparation()
+    assert order("succeed", shard=3, skip=(1,), episodes=(81, 82)).preparation() == order("succeed").preparation()
+
+
+def test_process_of_another_submission_that_waits_is_ended(processes: ShardProcesses) -> None:
+    with processes.running_shard(order("succeed")) as process:
+        first = process.pid
+        list(process.records())
+    assert is_alive(first)
+    with processes.running_shard(order("fail")) as process:
+        assert process.pid != first
+        assert not is_alive(first)
+        assert len(list(process.records())) == 3
+
+
+def test_process_that_waits_in_vain_ends_by_itself(processes: ShardProcesses, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(shard_process, "IDLE_KEPT_S", 0.05)
+    with processes.running_shard(order("succeed")) as process:
+        ended = os.pidfd_open(process.pid)
+        list(process.records())
+    assert select.select([ended], [], [], 30)[0]
+    os.close(ended)
+    with processes.running_shard(order("succeed")) as process:
+        assert len(list(process.records())) == 3
+
+
+def test_process_that_does_not_end_by_itself_is_killed(
+    processes: ShardProcesses, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(shard_process, "CLOSING_LIMIT_S", 0.05)
+    with processes.running_shard(order("succeed")) as process:
+        stuck = process.pid
+        list(process.records())
+    os.kill(stuck, signal.SIGSTOP)
+    with processes.running_shard(order("fail")) as process:
+        assert not is_alive(stuck)
+
+
+def test_shard_that_is_over_cannot_be_killed_with_the_process_of_the_next_one(processes: ShardProcesses) -> None:
+    with processes.running_shard(order("succeed")) as over:
+        list(over.records())
+    with processes.running_shard(order("succeed", shard=1, episodes=(28,))) as process:
+        over.kill()
+        assert len(list(process.records())) == 1
+
+
+def test_process_of_a_shard_that_was_not_read_to_its_end_is_not_used_again(processes: ShardProcesses) -> None:
+    with processes.running_shard(order("succeed")) as process:
+        first = process.pid
+        next(process.records())
+    assert not is_alive(first)
+    with processes.running_shard(order("succeed")) as process:
+        assert process.pid != first
+
+
+def test_process_that_dies_while_it_waits_costs_no_shard(processes: ShardProcesses) -> None:
+    with processes.running_shard(order("succeed")) as process:
+        waiting = os.pidfd_open(process.pid)
+        list(process.records())
+    signal.pidfd_send_signal(waiting, signal.SIGKILL)
+    assert select.select([waiting], [], [], 30)[0]
+    os.close(waiting)
+    with processes.running_shard(order("succeed")) as process:
+        assert len(list(process.records())) == 3
+
+
+def test_prepared_process_forks_the_first_shard(processes: ShardProcesses) -> None:
+    processes.prepare()
+    processes.prepare()
+    assert processes._newest is not None
+    with processes.running_shard(order("succeed")) as process:
+        assert parent_of(process.pid) == processes._newest._process.pid
+        assert len(list(process.records())) == 3
+
+
 def test_shard_after_the_death_of_the_loaded_process_gets_a_new_one(processes: ShardProcesses) -> None:
     with processes.running_shard(order("hang")) as process:
         os.kill(parent_of(process.pid), signal.SIGKILL)

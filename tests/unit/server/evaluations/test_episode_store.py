@@ -1,3 +1,5 @@
+from concurrent.futures import ThreadPoolExecutor
+
 import pytest
 from service_factories import claim, make_principal, make_record, shard_ids, state_of, store, submit, take_away
 from sqlalchemy import select, text
@@ -6,7 +8,13 @@ from vitac.server.db.engine import Database
 from vitac.server.db.models import EpisodeResult
 from vitac.server.db.row_locks import lock_evaluation
 from vitac.server.db.states import ShardState
-from vitac.server.evaluations.episode_store import OUTPUT_CHARACTERS, store_episode, stored_episodes
+from vitac.server.evaluations.episode_store import (
+    OUTPUT_CHARACTERS,
+    missing_episodes,
+    store_episodes,
+    stored_episodes,
+)
+from vitac.server.queue.leases import Lease
 
 
 @pytest.fixture
@@ -42,10 +50,43 @@ def test_the_end_of_the_output_is_kept_beside_the_record(database: Database, sha
         assert all("output" not in row.record for row in rows)
 
 
+def test_episodes_are_stored_together_and_known_ones_left_as_they_are(database: Database, shard_id: int) -> None:
+    lease = claim(database, shard_id)
+    store(database, lease, [make_record(2)])
+    with database.transaction() as session:
+        store_episodes(session, lease, [make_record(3), make_record(2, EpisodeOutcome.STEPS), make_record(1)])
+    with database.transaction() as session:
+        rows = session.scalars(select(EpisodeResult).order_by(EpisodeResult.episode)).all()
+        assert [(row.episode, row.outcome) for row in rows] == [(1, "success"), (2, "success"), (3, "success")]
+        assert missing_episodes(session, lease) == list(range(4, 28))
+
+
+def test_evaluations_of_one_content_store_the_same_episodes_at_once_without_a_deadlock(
+    database: Database, shard_id: int
+) -> None:
+    """Each in another order; a deadlock would be an error of one of the two."""
+    lease, other = claim(database, shard_id), claim(database, shard_id + 1)
+    numbers = range(1, 28)
+
+    def storing(held: Lease, order: list[int]) -> None:
+        with database.transaction() as session:
+            store_episodes(session, held, [make_record(number) for number in order])
+
+    with ThreadPoolExecutor(2) as threads:
+        both = [
+            threads.submit(storing, lease, list(numbers)),
+            threads.submit(storing, other, list(reversed(numbers))),
+        ]
+        for each in both:
+            each.result(30.0)
+    with database.transaction() as session:
+        assert missing_episodes(session, lease) == []
+
+
 def test_storing_and_cancelling_at_once_do_not_wait_for_each_other(database: Database, shard_id: int) -> None:
     lease = claim(database, shard_id)
     with database.transaction() as storing:
-        store_episode(storing, lease, make_record(1))
+        store_episodes(storing, lease, [make_record(1)])
         with database.transaction() as locking:
             locking.execute(text("SET LOCAL lock_timeout = 2000"))
             lock_evaluation(locking, lease.evaluation_id)
