@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 from fake_scene import FakeScene
+from numpy.typing import NDArray
 from vitac.envs.assets import Meshes
 from vitac.envs.fem.model.bodies import RigidBody
 from vitac.envs.fem.scene.scene import StepStatus
@@ -74,7 +75,12 @@ def test_what_the_sensors_see_is_made_once_between_two_ipc_steps(
     made = scene()
     seen: list[int] = []
     nodes_m = made.gel_nodes_m
-    monkeypatch.setattr(made, "gel_nodes_m", lambda index: seen.append(index) or nodes_m(index))
+
+    def looked_at(index: int) -> NDArray[np.float64]:
+        seen.append(index)
+        return nodes_m(index)
+
+    monkeypatch.setattr(made, "gel_nodes_m", looked_at)
     made.capture_references()
     made.surface_diff_m()
     made.marker_flow(np.random.default_rng(3))
