@@ -15,4 +15,5 @@ compile() { # output file, further arguments...
 
 compile requirements/base.lock "$@"
 compile requirements/show.lock --extra show --constraint requirements/base.lock "$@"
-compile requirements/dev.lock --extra show --extra dev --constraint requirements/show.lock "$@"
+compile requirements/docs.lock --extra docs --constraint requirements/base.lock "$@"
+compile requirements/dev.lock --extra show --extra docs --extra dev --constraint requirements/show.lock --constraint requirements/docs.lock "$@"

@@ -22,16 +22,38 @@ case "$*" in
     echo "pip ${{last##*/}}" >>"$FAKE_CALLS"
     if [ -n "${{FAKE_GATE-}}" ]; then read -r opened <"$FAKE_GATE"; fi
     if [ -n "${{FAKE_PIP_ERROR-}}" ]; then echo "$FAKE_PIP_ERROR"; exit 1; fi
+    case $last in *docs.lock) exit ;; esac
     for program in vitac pytest; do
       printf '#!/bin/sh\\nfor word; do printf "<%%s>" "$word"; done; pwd; exit 7\\n' >"${{0%/*}}/$program"
       chmod +x "${{0%/*}}/$program"
     done ;;
+  "-m sphinx "*)
+    for last; do :; done
+    echo "sphinx" >>"$FAKE_CALLS"
+    if [ -n "${{FAKE_SPHINX_ERROR-}}" ]; then echo "$FAKE_SPHINX_ERROR"; exit 1; fi
+    mkdir -p "$last" ;;
 esac
 """
 
 TOOLS = (
-    *("awk", "cat", "chmod", "cksum", "cp", "date", "df", "dirname", "grep", "id", "ln", "mkdir", "mv", "readlink"),
-    *("rm", "sed", "sh", "sort", "tail", "touch", "tr"),
+    *(
+        "awk",
+        "cat",
+        "chmod",
+        "cksum",
+        "cp",
+        "date",
+        "df",
+        "dirname",
+        "find",
+        "grep",
+        "id",
+        "ln",
+        "mkdir",
+        "mv",
+        "readlink",
+    ),
+    *("rm", "sed", "sh", "sort", "tail", "touch", "tr", "xargs"),
 )
 
 # Stands in for apt-get and dpkg-deb: knows bubblewrap and one library, once the lists have been updated.
@@ -99,6 +121,8 @@ def checkout(repository: Path, tmp_path: Path) -> Checkout:
     root = tmp_path / "a checkout"
     shutil.copytree(repository / "setup", root / "setup")
     shutil.copytree(repository / "requirements", root / "requirements")
+    (root / "docs").mkdir()
+    (root / "docs" / "index.md").write_text("# Documentation")
     for name in ("vitac", "pyproject.toml"):
         shutil.copy(repository / name, root / name)
     binaries = tmp_path / "bin"
@@ -138,20 +162,20 @@ def test_runs_through_symlinks(checkout: Checkout, tmp_path: Path) -> None:
 def test_test_command_adds_the_dev_packages_and_runs_in_the_repository(checkout: Checkout, tmp_path: Path) -> None:
     checkout.run()
     ran = checkout.run(str(checkout.root / "vitac"), "test", "-k", "two words", cwd=tmp_path)
-    assert checkout.calls == ["venv", "pip base.lock", "pip dev.lock"]
+    assert checkout.calls == ["venv", "pip base.lock", "pip dev.lock", "sphinx"]
     assert ran.stdout == f"<-k><two words>{checkout.root}\n"
 
 
 def test_base_commands_are_content_with_the_dev_packages(checkout: Checkout) -> None:
     checkout.run(str(checkout.root / "vitac"), "test")
     checkout.run()
-    assert checkout.calls == ["venv", "pip dev.lock"]
+    assert checkout.calls == ["venv", "pip dev.lock", "sphinx"]
 
 
 def test_drawing_adds_its_packages_and_later_commands_keep_them(checkout: Checkout) -> None:
     for command in ("status", "show", "status", "test", "show"):
         checkout.run(str(checkout.root / "vitac"), command)
-    assert checkout.calls == ["venv", "pip base.lock", "pip show.lock", "pip dev.lock"]
+    assert checkout.calls == ["venv", "pip base.lock", "pip show.lock", "pip dev.lock", "sphinx"]
 
 
 @pytest.mark.parametrize("changed", ["pyproject.toml", "requirements/base.lock"])
@@ -168,7 +192,7 @@ def test_an_update_keeps_the_dev_packages(checkout: Checkout) -> None:
     with (checkout.root / "pyproject.toml").open("a") as file:
         file.write("# changed\n")
     checkout.run()
-    assert checkout.calls == ["venv", "pip dev.lock", "pip dev.lock"]
+    assert checkout.calls == ["venv", "pip dev.lock", "sphinx", "pip dev.lock"]
 
 
 def test_remakes_an_environment_that_was_cut_off(checkout: Checkout) -> None:
@@ -325,3 +349,36 @@ def test_a_failing_package_manager_is_quoted(debian: Checkout, tmp_path: Path) -
     assert ran.returncode == 1
     assert "E: Could not get lock" in ran.stderr
     assert "bubblewrap is missing" in ran.stderr
+
+
+def test_serving_builds_the_documentation_once_and_again_after_a_change(checkout: Checkout) -> None:
+    serve = (str(checkout.root / "vitac"), "serve")
+    first, second = checkout.run(*serve), checkout.run(*serve)
+    assert checkout.calls == ["venv", "pip base.lock", "pip docs.lock", "sphinx"]
+    assert (first.returncode, second.returncode) == (7, 7)
+    assert "the documentation is ready" in first.stderr
+    assert second.stderr == ""
+    (checkout.root / "docs" / "index.md").write_text("# Changed")
+    checkout.run(*serve)
+    assert checkout.calls[4:] == ["pip docs.lock", "sphinx"]
+
+
+def test_serves_without_documentation_where_it_cannot_be_built(checkout: Checkout) -> None:
+    serve = (str(checkout.root / "vitac"), "serve")
+    ran = checkout.run(*serve, FAKE_SPHINX_ERROR="WARNING: a broken link")
+    assert ran.returncode == 7
+    assert "building the documentation failed; the reason is in" in ran.stderr
+    assert "continuing without it" in ran.stderr
+    assert "a broken link" in (checkout.root / ".system" / "setup.log").read_text()
+    assert not (checkout.root / "web" / "documentation").exists()
+    assert checkout.run(*serve).stderr.count("the documentation is ready") == 1
+
+
+def test_a_failed_build_keeps_the_documentation_of_before(checkout: Checkout) -> None:
+    serve = (str(checkout.root / "vitac"), "serve")
+    checkout.run(*serve)
+    built = checkout.root / "web" / "documentation" / "vitac-stamp"
+    before = built.read_text()
+    (checkout.root / "docs" / "index.md").write_text("# Changed")
+    checkout.run(*serve, FAKE_SPHINX_ERROR="WARNING")
+    assert built.read_text() == before

@@ -1,4 +1,4 @@
-"""docs/submissions.md: its tables are those of the track and the verdicts, its example is a policy that answers."""
+"""docs/submissions.md and docs/failures.md: their tables are those of the track, the outcomes and the verdicts."""
 
 import re
 from pathlib import Path
@@ -16,6 +16,11 @@ from vitac.evaluator.tracks import Task, load_track
 @pytest.fixture(scope="module")
 def manual(repository: Path) -> str:
     return (repository / "docs" / "submissions.md").read_text()
+
+
+@pytest.fixture(scope="module")
+def failures(repository: Path) -> str:
+    return (repository / "docs" / "failures.md").read_text()
 
 
 TRACKS = [load_track(name) for name in ("track_1", "track_2")]
@@ -44,14 +49,17 @@ def test_the_manifest_shown_is_accepted(manual: str) -> None:
     assert (manifest.track, manifest.tasks, manifest.entry_point) == ("track_1", ("peg-insertion",), "policy:Policy")
 
 
-def test_names_every_verdict_with_its_sentence(manual: str) -> None:
-    shown = dict(re.findall(r"^\| `(\w+)` \| (.+) \|$", manual.split("## When it fails")[1], re.MULTILINE))
+def test_names_every_verdict_with_its_sentence(failures: str) -> None:
+    shown = dict(re.findall(r"^\| `(\w+)` \| (.+) \|$", failures.split("## When the policy fails")[1], re.MULTILINE))
     assert shown == {str(code): code.sentence for code in VerdictCode}
 
 
-def test_names_every_outcome_with_its_sentence(manual: str) -> None:
-    shown = dict(re.findall(r"^\| `(\w+)` \| (.+) \|$", section(manual, "How an episode ends"), re.MULTILINE))
+def test_names_every_outcome_with_its_sentence_and_what_it_usually_means(failures: str) -> None:
+    ends = section(failures, "How an episode ends")
+    shown = dict(re.findall(r"^\| `(\w+)` \| (.+) \|$", ends, re.MULTILINE))
     assert shown == {str(outcome): outcome.sentence for outcome in EpisodeOutcome}
+    explained = set(re.findall(r"^- \*\*(\w+)\*\*: ", ends, re.MULTILINE))
+    assert set(map(str, EpisodeOutcome)) - explained == {EpisodeOutcome.SUCCESS, EpisodeOutcome.ACTIONS_ENDED}
 
 
 @pytest.mark.parametrize("task", TASKS, ids=lambda task: task.name)

@@ -9,7 +9,7 @@ from starlette.staticfiles import StaticFiles
 
 from ..headers import SecurityHeaders
 from ..rendering import STATIC
-from . import errors, operations, output, register, sign_in, submissions, tracks, upload
+from . import documentation, errors, operations, output, register, sign_in, submissions, tracks, upload
 
 if TYPE_CHECKING:
     from fastapi import FastAPI
@@ -38,6 +38,7 @@ def install(app: FastAPI, site: Site) -> None:
     """Add pages, static files, error pages and security headers to an application."""
     app.state.site = site
     app.include_router(_router())
+    app.mount(documentation.PATH, documentation.Documentation(), name="documentation")
     app.mount("/static", VersionedStaticFiles(directory=STATIC), name="static")
     app.add_middleware(SecurityHeaders)
     errors.install(app)

@@ -1,0 +1,112 @@
+"""Writes the parts of the reference that the code itself says: REST routes and environments.
+
+They are Markdown in `docs/generated/`, which pages of the reference include.
+"""
+
+import inspect
+from collections.abc import Iterator, Mapping
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from sphinx.application import Sphinx
+
+FOLDER = "generated"
+METHODS = ("get", "head", "post", "put", "patch", "delete", "options")
+
+
+def setup(app: Sphinx) -> dict[str, Any]:
+    """Write the pages before Sphinx reads its sources."""
+    app.connect("builder-inited", _write)
+    return {"parallel_read_safe": True}
+
+
+def _write(app: Sphinx) -> None:
+    from vitac.server.api.app import create_app
+    from vitac.server.settings import load_settings
+
+    folder = Path(app.srcdir) / FOLDER
+    folder.mkdir(exist_ok=True)
+    description = create_app(load_settings(database_url="postgresql:///unused")).openapi()
+    (folder / "rest.md").write_text(rest_reference(description))
+    (folder / "environments.md").write_text(environments_reference())
+
+
+def environments_reference() -> str:
+    """Return a section with the docstring of each registered environment."""
+    import gymnasium
+    import vitac.envs  # noqa: F401 - registers them
+
+    lines: list[str] = []
+    for name, spec in sorted(gymnasium.registry.items()):
+        if not name.startswith("ViTac/"):
+            continue
+        module, _, attribute = str(spec.entry_point).partition(":")
+        lines += [f"## {name}", inspect.getdoc(getattr(import_module(module), attribute)) or "", ""]
+    return "\n".join(lines)
+
+
+def rest_reference(description: Mapping[str, Any]) -> str:
+    """Return a section for each route of an OpenAPI description, then one for each schema that they name."""
+    lines: list[str] = []
+    for path, methods in description["paths"].items():
+        for method in METHODS:
+            if method in methods:
+                lines += [f"## {method.upper()} {path}", *_route(methods[method]), ""]
+    lines += ["## Schemas", ""]
+    for name, schema in sorted(description["components"]["schemas"].items()):
+        lines += [f"### {name}", schema.get("description", ""), "", *_fields(schema), ""]
+    return "\n".join(lines)
+
+
+def _route(route: Mapping[str, Any]) -> Iterator[str]:
+    yield route.get("description") or route["summary"]
+    yield ""
+    if route.get("parameters"):
+        yield "| parameter | in | type | meaning |"
+        yield "|---|---|---|---|"
+        for given in route["parameters"]:
+            needed = "" if given.get("required") else ", optional"
+            meaning = _line(given.get("description", ""))
+            yield f"| `{given['name']}` | {given['in']}{needed} | {_type(given['schema'])} | {meaning} |"
+        yield ""
+    for media, content in route.get("requestBody", {}).get("content", {}).items():
+        yield f"Body: `{media}`, {_type(content.get('schema', {}))}."
+        yield ""
+    yield "| answer | body | meaning |"
+    yield "|---|---|---|"
+    for status, answer in route["responses"].items():
+        schemas = [content["schema"] for content in answer.get("content", {}).values() if content.get("schema")]
+        bodies = ", ".join(map(_type, schemas))
+        yield f"| {status} | {bodies or 'none'} | {_line(answer['description'])} |"
+
+
+def _fields(schema: Mapping[str, Any]) -> Iterator[str]:
+    if "enum" in schema:
+        yield "One of " + ", ".join(f"`{value}`" for value in schema["enum"]) + "."
+    if "properties" in schema:
+        yield "| field | type | meaning |"
+        yield "|---|---|---|"
+        for name, field in schema["properties"].items():
+            yield f"| `{name}` | {_type(field)} | {_line(field.get('description', ''))} |"
+
+
+def _type(schema: Mapping[str, Any]) -> str:
+    """Return the type that a schema describes, as a link where it has a name."""
+    if "$ref" in schema:
+        name = schema["$ref"].rpartition("/")[2]
+        return f"[{name}](#{name.lower()})"
+    choices = schema.get("anyOf") or schema.get("oneOf")
+    if choices:
+        return " or ".join(dict.fromkeys(_type(choice) for choice in choices))
+    if "enum" in schema or "const" in schema:
+        return ", ".join(f"`{value}`" for value in schema.get("enum", [schema.get("const")]))
+    if schema.get("type") == "array":
+        return f"list of {_type(schema.get('items', {}))}"
+    kind = schema.get("type", "any")
+    return f"{kind} ({schema['format']})" if "format" in schema else str(kind)
+
+
+def _line(text: str) -> str:
+    """Return a text as one cell of a table."""
+    return " ".join(text.split()).replace("|", "\\|")

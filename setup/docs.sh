@@ -1,0 +1,53 @@
+# shellcheck shell=sh
+# Builds the documentation site in web/documentation, from docs/ and from what the code says of itself. Read by ../vitac, which sets
+# `root`, after python.sh. Without it the service runs all the same, and /docs says how to build it.
+
+: "${root:?set by ../vitac}"
+docs_stamp=$root/web/documentation/vitac-stamp
+
+docs_fingerprint() {
+  for folder in docs envs/tasks evaluator/episodes evaluator/scoring server/api server/views; do
+    find "$root/$folder" -type f ! -path "$root/docs/generated/*" ! -name '*.pyc' 2>/dev/null || true
+  done | sort | tr '\n' '\0' | xargs -0 cat "$root/requirements/docs.lock" | cksum | tr ' ' '-'
+}
+
+docs_are_built() {
+  [ -r "$docs_stamp" ] && [ "$(cat "$docs_stamp")" = "$(docs_fingerprint)" ]
+}
+
+install_docs_packages() {
+  read_stamp
+  if installed_profile_covers dev; then return; fi
+  logged "installing what builds the documentation" '' '' \
+    pip install --require-hashes --only-binary :all: --no-deps -r "$root/requirements/docs.lock"
+}
+
+# Replaces the site only once the new one is whole; any warning is an error.
+build_docs() {
+  built=$root/web/documentation.new
+  rm -rf "$built"
+  "$venv/bin/python" -m sphinx -W -q -b html -d "$venv/docs-doctrees" "$root/docs" "$built" || return 1
+  rm -f "$built/.buildinfo" "$built/objects.inv"
+  docs_fingerprint >"$built/vitac-stamp"
+  rm -rf "$root/web/documentation"
+  mv "$built" "$root/web/documentation"
+}
+
+# False, with the reason, if the documentation cannot be built; an older one stays.
+ensure_docs() {
+  if docs_are_built; then return; fi
+  lock_setup "$venv/bin/python"
+  if ! docs_are_built; then
+    started=$(date +%s)
+    : >"$log"
+    if install_docs_packages &&
+      logged "building the documentation" '' '' build_docs; then
+      end_steps "the documentation is ready ($(($(date +%s) - started)) s)"
+    else
+      unlock_setup
+      end_steps "building the documentation failed; the reason is in $log"
+      return 1
+    fi
+  fi
+  unlock_setup
+}
