@@ -34,14 +34,11 @@ def _write(app: Sphinx) -> None:
 
 def environments_reference() -> str:
     """Return a section with the docstring of each registered environment."""
-    import gymnasium
-    import vitac.envs  # noqa: F401 - registers them
+    from vitac.envs import ENVIRONMENTS
 
     lines: list[str] = []
-    for name, spec in sorted(gymnasium.registry.items()):
-        if not name.startswith("ViTac/"):
-            continue
-        module, _, attribute = str(spec.entry_point).partition(":")
+    for name, place in sorted(ENVIRONMENTS.items()):
+        module, _, attribute = place.partition(":")
         lines += [f"## {name}", inspect.getdoc(getattr(import_module(module), attribute)) or "", ""]
     return "\n".join(lines)
 
