@@ -13,6 +13,7 @@ from vitac.envs.errors import VitacError
 from vitac.envs.extras import install_command
 
 from .terminal.existing import existing_file
+from .terminal.output import AsJson
 
 if TYPE_CHECKING:
     import numpy as np
@@ -67,46 +68,51 @@ class Played:
     actions: str
 
 
+_Policy = Annotated[Path | None, typer.Option(help="Submission whose policy acts, in its sandbox.")]
+_Actions = Annotated[
+    Path | None,
+    typer.Option(callback=existing_file, help="Log with the actions: ours, or a 2025 text log as JSON lines."),
+]
+_Out = Annotated[
+    Path | None,
+    typer.Option(help="FILE.png, .gif or .webp, or a new folder for a PNG per moment; TASK-EPISODE.png by default."),
+]
+_Colour = Annotated[Literal["stress", "displacement"], typer.Option(help="Quantity that colours the gels.")]
+_Step = Annotated[
+    int | None, typer.Option(min=0, help="Env step that a PNG shows, 0 is the reset; the last by default.")
+]
+_Every = Annotated[
+    Literal["env-step", "ipc-step"] | None,
+    typer.Option(help="Interval of pictures; ipc-step by default for animations."),
+]
+_Width = Annotated[
+    int | None, typer.Option(min=600, max=4000, help="Width in pixels; 1600 by default, 1000 for animations.")
+]
+_Assets = Annotated[Path | None, typer.Option(help="Folder with the challenge's own meshes [env: VITAC_ASSETS_DIR].")]
+_View = Annotated[
+    Literal["episode", "cameras", "rast", "rt"],
+    typer.Option(
+        help="Scene and sensors; or what the camera rig sees: colour, depth, infrared pair, cloud; or its colour "
+        "picture beside one by SAPIEN, rasterised or ray-traced (extra vision, unscored)."
+    ),
+]
+
+
 def command(
     task: Annotated[str, typer.Argument(help="Task, such as peg-insertion, or the id of an environment.")],
     episode: Annotated[
         int, typer.Option(help="Number in the task's list; for an environment, the seed of a random start.")
     ],
-    policy: Annotated[Path | None, typer.Option(help="Submission whose policy acts, in its sandbox.")] = None,
-    actions: Annotated[
-        Path | None,
-        typer.Option(callback=existing_file, help="Log with the actions: ours, or a 2025 text log as JSON lines."),
-    ] = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            help="FILE.png, .gif or .webp, or a new folder for a PNG per moment; TASK-EPISODE.png by default."
-        ),
-    ] = None,
-    colour: Annotated[
-        Literal["stress", "displacement"], typer.Option(help="Quantity that colours the gels.")
-    ] = "stress",
-    step: Annotated[
-        int | None, typer.Option(min=0, help="Env step that a PNG shows, 0 is the reset; the last by default.")
-    ] = None,
-    every: Annotated[
-        Literal["env-step", "ipc-step"] | None,
-        typer.Option(help="Interval of pictures; ipc-step by default for animations."),
-    ] = None,
-    width: Annotated[
-        int | None, typer.Option(min=600, max=4000, help="Width in pixels; 1600 by default, 1000 for animations.")
-    ] = None,
-    assets: Annotated[
-        Path | None, typer.Option(help="Folder with the challenge's own meshes [env: VITAC_ASSETS_DIR].")
-    ] = None,
-    view: Annotated[
-        Literal["episode", "cameras", "rast", "rt"],
-        typer.Option(
-            help="Scene and sensors; or what the camera rig sees: colour, depth, infrared pair, cloud; or its colour "
-            "picture beside one by SAPIEN, rasterised or ray-traced (extra vision, unscored)."
-        ),
-    ] = "episode",
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    policy: _Policy = None,
+    actions: _Actions = None,
+    out: _Out = None,
+    colour: _Colour = "stress",
+    step: _Step = None,
+    every: _Every = None,
+    width: _Width = None,
+    assets: _Assets = None,
+    view: _View = "episode",
+    as_json: AsJson = False,
 ) -> None:
     """Draw an episode: gels by stress or displacement, the held part, the fixed part cut open, and both marker flows.
 
@@ -115,32 +121,51 @@ def command(
     """
     require_extra()
     from vitac.envs.drawing.colouring import Quantity
-    from vitac.envs.drawing.files import Destination
-    from vitac.envs.drawing.picture import Caption
-
-    from .terminal.compiling import compiling_shown
 
     if policy and actions:
         raise typer.BadParameter("expected one of them, got both.", param_hint="--policy and --actions")
-    destination = Destination.at(out or Path(f"{task.rpartition('/')[2]}-{episode}.png"))
-    if step is not None and destination.kind is not destination.kind.PNG:
-        raise typer.BadParameter("expected a single PNG as output for one env step.", param_hint="--step")
-    with compiling_shown(), _player(find_start(task, episode), policy, actions) as played:
-        playback = _record(played, assets, _pace(every, destination))
-    start = played.start
-    title = start.title if start.listed else f"{start.title}: {playback.held.name}"
-    caption = Caption(title=title, actions=played.actions)
+    destination = _destination(out or Path(f"{task.rpartition('/')[2]}-{episode}.png"), step)
+    caption, playback = _played(find_start(task, episode), policy, actions, assets, _pace(every, destination))
     width_px = width or (_ANIMATION_WIDTH_PX if destination.kind.is_animated else _PICTURE_WIDTH_PX)
     moments = _chosen(playback, destination.kind, step)
     if view == "cameras":
-        pictures = _draw_cameras(playback, title, width_px=width_px, moments=moments)
+        pictures = _draw_cameras(playback, caption.title, width_px=width_px, moments=moments)
     elif view != "episode":
-        pictures = _render(playback, title, view, width_px=width_px, moments=moments)
+        pictures = _render(playback, caption.title, view, width_px=width_px, moments=moments)
     else:
         pictures = _draw(playback, caption, Quantity(colour), width_px=width_px, moments=moments)
     names, durations_ms = zip(*_names_and_durations(playback), strict=True)
     written = destination.write(pictures, names=names[moments], durations_ms=durations_ms[moments])
     _report(caption, playback, written, as_json=as_json)
+
+
+def _destination(path: Path, step: int | None) -> "Destination":
+    """Return where the pictures go.
+
+    Raises:
+        typer.BadParameter: one env step cannot be shown there.
+    """
+    from vitac.envs.drawing.files import Destination
+
+    destination = Destination.at(path)
+    if step is not None and destination.kind is not destination.kind.PNG:
+        raise typer.BadParameter("expected a single PNG as output for one env step.", param_hint="--step")
+    return destination
+
+
+def _played(
+    start: Start, policy: Path | None, actions: Path | None, assets: Path | None, pace: "Pace"
+) -> "tuple[Caption, Playback]":
+    """Play the episode, and return what is written above its pictures and what is drawn of it."""
+    from vitac.envs.drawing.picture import Caption
+
+    from .terminal.compiling import compiling_shown
+
+    with compiling_shown(), _player(start, policy, actions) as played:
+        playback = _record(played, assets, pace)
+    start = played.start
+    title = start.title if start.listed else f"{start.title}: {playback.held.name}"
+    return Caption(title=title, actions=played.actions), playback
 
 
 def require_extra() -> None:

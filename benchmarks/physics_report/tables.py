@@ -1,7 +1,7 @@
 """The tables of docs/physics.md from measured figures; each stands between `<!-- table NAME -->` and `<!-- end -->`."""
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 Figures = dict[str, Any]
@@ -35,6 +35,16 @@ def markdown(table: Table) -> str:
     """Return a table with its head."""
     head, *rows = (f"| {' | '.join(row)} |\n" for row in table)
     return head + "|" + "---|" * len(table[0]) + "\n" + "".join(rows)
+
+
+def _table(rows: Iterable[Figures], columns: Mapping[str, Callable[[Figures], object]]) -> Table:
+    """Return a table with a row for each of some figures.
+
+    Args:
+        rows: the figures.
+        columns: by heading, what stands in a row.
+    """
+    return [[*columns], *([str(cell(row)) for cell in columns.values()] for row in rows)]
 
 
 def _speed(figures: Figures) -> Table:
@@ -81,117 +91,97 @@ def _convergence(figures: Figures) -> Table:
 
 
 def _agreement(figures: Figures) -> Table:
-    rows = [
-        [
-            str(f["env_step"]),
-            str(f["episodes"]),
-            f"{f['median_mm']:.5f} mm",
-            f"{f['largest_mm']:.2f} mm",
-            f"{100 * f['part_within']:.1f} % of {f['certain_episodes']}",
-        ]
-        for f in figures["agreement"]
-    ]
-    return [
-        ["env step", "episodes", "median difference", "largest", "within 0.03 mm, of those certain to 0.03 mm"],
-        *rows,
-    ]
+    return _table(
+        figures["agreement"],
+        {
+            "env step": lambda f: f["env_step"],
+            "episodes": lambda f: f["episodes"],
+            "median difference": lambda f: f"{f['median_mm']:.5f} mm",
+            "largest": lambda f: f"{f['largest_mm']:.2f} mm",
+            "within 0.03 mm, of those certain to 0.03 mm": lambda f: (
+                f"{100 * f['part_within']:.1f} % of {f['certain_episodes']}"
+            ),
+        },
+    )
 
 
 def _misses(figures: Figures) -> Table:
-    rows = [
-        [
-            str(f["episode"]),
-            str(f["env_step"]),
-            f"{f['deviation_mm']:.3f} mm",
-            f"{f['lowest_corner_mm']:.2f} / {f['reference_lowest_corner_mm']:.2f} mm",
-            ", ".join(f"{value:.3f}" for value in f["in_parts_mm"]),
-        ]
-        for f in figures["misses"]
-    ]
-    head = [
-        "episode",
-        "env step",
-        "difference",
-        "lowest corner of the peg, here / reference",
-        "in 2, 4, 8, 16 parts [mm]",
-    ]
-    return [head, *rows]
+    return _table(
+        figures["misses"],
+        {
+            "episode": lambda f: f["episode"],
+            "env step": lambda f: f["env_step"],
+            "difference": lambda f: f"{f['deviation_mm']:.3f} mm",
+            "lowest corner of the peg, here / reference": lambda f: (
+                f"{f['lowest_corner_mm']:.2f} / {f['reference_lowest_corner_mm']:.2f} mm"
+            ),
+            "in 2, 4, 8, 16 parts [mm]": lambda f: ", ".join(f"{value:.3f}" for value in f["in_parts_mm"]),
+        },
+    )
 
 
 def _logs(figures: Figures) -> Table:
-    rows = [
-        [
-            str(f["env_step"]),
-            str(f["episodes"]),
-            f"{f['largest_offset_difference']:.0e}",
-            f"{f['median_mm']:.2f} mm",
-            f"{f['larger_median_mm']:.2f} mm",
-            *(f"{f[f'logged_{flag}']} / {f[f'ours_{flag}']} / {f[f'both_{flag}']}" for flag in _LOGGED_FLAGS),
-        ]
-        for f in figures["logs"]
-    ]
-    head = [
-        "env step",
-        "episodes",
-        "offsets differ by at most [mm, deg]",
-        "`surface_diff` differs, median",
-        "larger of both",
-    ]
-    return [[*head, "tactile flag: log / here / both", "success: log / here / both"], *rows]
+    return _table(
+        figures["logs"],
+        {
+            "env step": lambda f: f["env_step"],
+            "episodes": lambda f: f["episodes"],
+            "offsets differ by at most [mm, deg]": lambda f: f"{f['largest_offset_difference']:.0e}",
+            "`surface_diff` differs, median": lambda f: f"{f['median_mm']:.2f} mm",
+            "larger of both": lambda f: f"{f['larger_median_mm']:.2f} mm",
+            "tactile flag: log / here / both": lambda f: _counts(f, "tactile_movement_too_large"),
+            "success: log / here / both": lambda f: _counts(f, "is_success"),
+        },
+    )
 
 
-_LOGGED_FLAGS = ("tactile_movement_too_large", "is_success")
+def _counts(f: Figures, flag: str) -> str:
+    return f"{f[f'logged_{flag}']} / {f[f'ours_{flag}']} / {f[f'both_{flag}']}"
 
 
 def _outcomes(figures: Figures) -> Table:
-    rows = [[f["logged"], f["ours"], str(f["episodes"])] for f in figures["outcomes"]]
-    return [["ended in the log by", "ends here by", "episodes"], *rows]
+    return _table(
+        figures["outcomes"],
+        {
+            "ended in the log by": lambda f: f["logged"],
+            "ends here by": lambda f: f["ours"],
+            "episodes": lambda f: f["episodes"],
+        },
+    )
 
 
 def _ledger(figures: Figures) -> Table:
-    rows = [
-        [
-            f["setting"],
-            f"{f['mean_ms']:.1f} ms",
-            f"{f['mean_newton_iterations']:.1f}",
-            str(f["not_converged"]),
-            f"{f['median_mm']:.1e} mm",
-            f"{f['largest_mm']:.1e} mm",
-            str(f["elsewhere"]),
-            f"{f['truth_median_mm']:.1e} mm",
-            f"{100 * f['truth_part_within']:.1f} %",
-        ]
-        for f in figures["ledger"]
-    ]
-    head = ["setting", "per IPC step", "Newton iterations", "not solved", "from the tightest, median", "largest"]
-    return [[*head, "beyond 0.03 mm", "from the reference, median", "within 0.03 mm"], *rows]
+    return _table(
+        figures["ledger"],
+        {
+            "setting": lambda f: f["setting"],
+            "per IPC step": lambda f: f"{f['mean_ms']:.1f} ms",
+            "Newton iterations": lambda f: f"{f['mean_newton_iterations']:.1f}",
+            "not solved": lambda f: f["not_converged"],
+            "from the tightest, median": lambda f: f"{f['median_mm']:.1e} mm",
+            "largest": lambda f: f"{f['largest_mm']:.1e} mm",
+            "beyond 0.03 mm": lambda f: f["elsewhere"],
+            "from the reference, median": lambda f: f"{f['truth_median_mm']:.1e} mm",
+            "within 0.03 mm": lambda f: f"{100 * f['truth_part_within']:.1f} %",
+        },
+    )
 
 
 def _fuzz(figures: Figures) -> Table:
-    rows = [
-        [
-            f["task"],
-            f"{f['first_seed']} to {f['first_seed'] + f['episodes'] - 1}",
-            str(f["episodes"]),
-            f"{f['ipc_steps']:,}",
-            f"{f['divided']} / {f['escaped_saddle']}",
-            str(f["not_converged"]),
-            f"{f['intersections']} / {f['overlooked']}",
-            f"{f['smallest_det_f']:.2f}",
-            f"{f['smallest_gap_m'] * 1e6:.1f} micrometres",
-        ]
-        for f in figures["fuzz"]
-    ]
-    head = [
-        "task",
-        "seeds",
-        "episodes",
-        "IPC steps",
-        "divided / saddle escaped",
-        "not solved",
-        "intersections / overlooked contacts",
-    ]
-    return [[*head, "smallest det F", "smallest gap"], *rows]
+    return _table(
+        figures["fuzz"],
+        {
+            "task": lambda f: f["task"],
+            "seeds": lambda f: f"{f['first_seed']} to {f['first_seed'] + f['episodes'] - 1}",
+            "episodes": lambda f: f["episodes"],
+            "IPC steps": lambda f: f"{f['ipc_steps']:,}",
+            "divided / saddle escaped": lambda f: f"{f['divided']} / {f['escaped_saddle']}",
+            "not solved": lambda f: f["not_converged"],
+            "intersections / overlooked contacts": lambda f: f"{f['intersections']} / {f['overlooked']}",
+            "smallest det F": lambda f: f"{f['smallest_det_f']:.2f}",
+            "smallest gap": lambda f: f"{f['smallest_gap_m'] * 1e6:.1f} micrometres",
+        },
+    )
 
 
 def _unsolved(figures: Figures) -> Table:

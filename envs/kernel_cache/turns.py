@@ -5,7 +5,7 @@ import logging
 import os
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from .progress import LOCK_FILE, CompileProgress
@@ -25,29 +25,46 @@ class CompilingTurn:
 
     def __init__(self) -> None:
         self._lock: int | None = None
+        self._has_warned = False
 
     @contextmanager
     def taken(self, folder: Path, progress: CompileProgress) -> Iterator[None]:
         """Wait for the turn, and hold it for the body; whoever started this process can read how far it is.
 
-        Raises:
-            OSError: the folder cannot be written to, or its file system has no locks.
+        Where the folder takes no lock file, or its file system has no locks, say so once and run the body without.
         """
-        if self._lock is not None:
+        if self._lock is not None or (lock := self._locked(folder)) is None:
             yield
             return
-        lock = os.open(folder / LOCK_FILE, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+        self._lock = lock
         try:
-            _wait_for(lock, folder)
-            self._lock = lock
-            try:
-                self.tell(progress)
-                yield
-            finally:
-                self._lock = None
-                os.ftruncate(lock, 0)
+            self.tell(progress)
+            yield
         finally:
+            self._lock = None
+            with suppress(OSError):  # nothing reads the text of a lock that nobody holds
+                os.ftruncate(lock, 0)
             os.close(lock)
+
+    def _locked(self, folder: Path) -> int | None:
+        """Return the lock file once this process holds its lock; None where there can be none."""
+        try:
+            with ExitStack() as opened:
+                lock = os.open(folder / LOCK_FILE, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+                opened.callback(os.close, lock)
+                _wait_for(lock, folder)
+                opened.pop_all()
+                return lock
+        except OSError as error:
+            if not self._has_warned:
+                _LOG.warning(
+                    "Expected a folder that takes a lock file, got %s (%s); compiling without it, which other "
+                    "processes may do at the same time.",
+                    folder,
+                    error,
+                )
+                self._has_warned = True
+            return None
 
     def tell(self, progress: CompileProgress) -> None:
         """Write how far compiling is; nothing where this process has no turn or the disk is full."""

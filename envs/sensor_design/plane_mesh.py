@@ -1,4 +1,4 @@
-"""Delaunay triangulation of a rectangle with given segments, refined to a size; called by `height_field_mesher`.
+"""Delaunay triangulation of a rectangle with given segments, refined to a size; called by `mesher`.
 
 Coordinates are whole numbers (2^-20 mm), so every test is exact and the triangles are the same on every machine.
 Ruppert, A Delaunay Refinement Algorithm for Quality 2-Dimensional Mesh Generation (1995): a segment that is missing or

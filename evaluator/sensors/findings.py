@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Self
 
 
 class Rule(StrEnum):
@@ -76,3 +77,14 @@ class Finding:
     value: str
     limit: str
     problem: str = ""
+
+    @classmethod
+    def at_most_mm(cls, rule: Rule, value_mm: float, limit_mm: float, problem: str) -> Self:
+        """Return what was found about a length with an upper limit."""
+        return cls(
+            rule=rule,
+            ok=value_mm <= limit_mm,
+            value=f"{value_mm:.3f} mm",
+            limit=f"at most {limit_mm} mm",
+            problem=problem,
+        )

@@ -193,13 +193,8 @@ def _measured(mesh: Tetrahedra, volume_error: float, distance_mm: float, limits:
         limit=f"at most {limits.max_volume_error:.1%} off",
         problem="The mesh is not that of gel.stl; mesh it again.",
     )
-    yield Finding(
-        rule=Rule.DISTANCE,
-        ok=distance_mm <= limits.max_distance_mm,
-        value=f"{distance_mm:.3f} mm",
-        limit=f"at most {limits.max_distance_mm} mm",
-        problem="The surface of the mesh is not that of gel.stl; mesh it again.",
-    )
+    advice = "The surface of the mesh is not that of gel.stl; mesh it again."
+    yield Finding.at_most_mm(Rule.DISTANCE, distance_mm, limits.max_distance_mm, advice)
     yield _base_nodes(mesh, limits)
 
 

@@ -225,13 +225,8 @@ def _beyond_base(surface: DrawnSurface, limits: SensorLimits) -> Finding:
     base = _base_corners(surface, limits)[0].reshape(-1, 3)[:, :2]
     body = surface.vertices_mm[:, :2]
     beyond = float(max((base.min(axis=0) - body.min(axis=0)).max(), (body.max(axis=0) - base.max(axis=0)).max()))
-    return Finding(
-        rule=Rule.BEYOND_BASE,
-        ok=beyond <= limits.base_tolerance_mm,
-        value=f"{max(beyond, 0.0):.3f} mm",
-        limit=f"at most {limits.base_tolerance_mm} mm",
-        problem="Parts of the gel stand out beyond its base; pull them in.",
-    )
+    advice = "Parts of the gel stand out beyond its base; pull them in."
+    return Finding.at_most_mm(Rule.BEYOND_BASE, max(beyond, 0.0), limits.base_tolerance_mm, advice)
 
 
 def _thickness(surface: DrawnSurface, limits: SensorLimits) -> Finding:

@@ -1,6 +1,8 @@
 """Uploaded files under their SHA-256, in a local folder or a bucket; written once, never changed."""
 
 import hashlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -56,12 +58,10 @@ class BlobStore:
         Raises:
             ServiceError: the store cannot be written.
         """
-        try:
+        with _working():
             if not self.holds(sha256):
                 with path.open("rb") as file:
                     obstore.put(self._store, key_of(sha256), file, chunk_size=PART_BYTES, max_concurrency=PARTS_AT_ONCE)
-        except (BaseError, OSError) as error:
-            raise _unavailable(error) from error
 
     def fetch(self, sha256: str, destination: Path) -> None:
         """Write a stored file to a local path and check its digest on the way.
@@ -71,15 +71,13 @@ class BlobStore:
             ServiceError: the store cannot be read.
         """
         digest = hashlib.sha256()
-        try:
-            with destination.open("xb") as file:
+        with _working(), destination.open("xb") as file:
+            try:
                 for chunk in obstore.get(self._store, key_of(sha256)).stream(min_chunk_size=_COPY_BYTES):
                     digest.update(chunk)
                     file.write(chunk)
-        except (NotFoundError, FileNotFoundError) as error:
-            raise StoredFileLost(f"The stored file {sha256} is gone.") from error
-        except (BaseError, OSError) as error:
-            raise _unavailable(error) from error
+            except (NotFoundError, FileNotFoundError) as error:
+                raise StoredFileLost(f"The stored file {sha256} is gone.") from error
         if digest.hexdigest() != sha256:
             raise StoredFileLost(f"The stored file {sha256} was altered in the store.")
 
@@ -114,11 +112,9 @@ class BlobStore:
         Raises:
             ServiceError: the store does not work.
         """
-        try:
+        with _working():
             if self.holds(sha256):
                 obstore.delete(self._store, key_of(sha256))
-        except (BaseError, OSError) as error:
-            raise _unavailable(error) from error
 
     def list_older_than(self, age: timedelta) -> list[str]:
         """Return the digests of all files that were stored at least so long ago.
@@ -126,12 +122,7 @@ class BlobStore:
         Raises:
             ServiceError: the store cannot be read.
         """
-        oldest_kept = datetime.now(UTC) - age
-        try:
-            files = [meta for batch in obstore.list(self._store, prefix="sha256") for meta in batch]
-        except (BaseError, OSError) as error:
-            raise _unavailable(error) from error
-        return [meta["path"].rsplit("/", 1)[-1] for meta in files if meta["last_modified"] <= oldest_kept]
+        return [path.rsplit("/", 1)[-1] for path in self._paths_older_than(age, "sha256")]
 
     def put_part(self, upload: str, name: str, content: bytes) -> str:
         """Store a part of an upload that is not complete and return its key.
@@ -140,10 +131,8 @@ class BlobStore:
             ServiceError: the store cannot be written.
         """
         key = f"{PART_FOLDER}/{upload}/{name}"
-        try:
+        with _working():
             obstore.put(self._store, key, content)
-        except (BaseError, OSError) as error:
-            raise _unavailable(error) from error
         return key
 
     def part(self, key: str) -> memoryview:
@@ -152,10 +141,9 @@ class BlobStore:
         Raises:
             ServiceError: it is gone, or the store cannot be read.
         """
-        try:
-            return memoryview(obstore.get(self._store, key).bytes())
-        except (BaseError, OSError) as error:
-            raise _unavailable(error) from error
+        with _working():
+            content = obstore.get(self._store, key).bytes()
+        return memoryview(content)
 
     def delete_part(self, key: str) -> None:
         """Remove one part.
@@ -163,10 +151,8 @@ class BlobStore:
         Raises:
             ServiceError: the store does not work.
         """
-        try:
+        with _working():
             obstore.delete(self._store, key)
-        except (BaseError, OSError) as error:
-            raise _unavailable(error) from error
 
     def delete_parts(self, upload: str) -> None:
         """Remove all parts of an upload, also those that no row names.
@@ -174,11 +160,9 @@ class BlobStore:
         Raises:
             ServiceError: the store does not work.
         """
-        try:
+        with _working():
             for batch in obstore.list(self._store, prefix=f"{PART_FOLDER}/{upload}"):
                 obstore.delete(self._store, [meta["path"] for meta in batch])
-        except (BaseError, OSError) as error:
-            raise _unavailable(error) from error
 
     def uploads_with_parts(self, age: timedelta) -> set[str]:
         """Return the uploads of which a part was stored at least so long ago.
@@ -186,12 +170,13 @@ class BlobStore:
         Raises:
             ServiceError: the store cannot be read.
         """
+        return {path.split("/")[-2] for path in self._paths_older_than(age, PART_FOLDER)}
+
+    def _paths_older_than(self, age: timedelta, folder: str) -> list[str]:
         oldest_kept = datetime.now(UTC) - age
-        try:
-            files = [meta for batch in obstore.list(self._store, prefix=PART_FOLDER) for meta in batch]
-        except (BaseError, OSError) as error:
-            raise _unavailable(error) from error
-        return {meta["path"].split("/")[-2] for meta in files if meta["last_modified"] <= oldest_kept}
+        with _working():
+            files = [meta for batch in obstore.list(self._store, prefix=folder) for meta in batch]
+        return [meta["path"] for meta in files if meta["last_modified"] <= oldest_kept]
 
     def check(self) -> None:
         """Write and remove a small file.
@@ -199,11 +184,9 @@ class BlobStore:
         Raises:
             ServiceError: that does not work.
         """
-        try:
+        with _working():
             obstore.put(self._store, "probe", b"ready")
             obstore.delete(self._store, "probe")
-        except (BaseError, OSError) as error:
-            raise _unavailable(error) from error
 
 
 def key_of(sha256: str) -> str:
@@ -211,8 +194,18 @@ def key_of(sha256: str) -> str:
     return f"sha256/{sha256[:2]}/{sha256}"
 
 
-def _unavailable(error: Exception) -> ServiceError:
-    if is_disk_full(error):
-        return storage_full()
-    summary = " ".join(str(error).split())[:200]
-    return ServiceError(ProblemCode.STORAGE_UNAVAILABLE, f"The file store does not work: {summary}. Try again later.")
+@contextmanager
+def _working() -> Iterator[None]:
+    """Tell callers of a store that does not work.
+
+    Raises:
+        ServiceError: the disk is full, or anything else went wrong.
+    """
+    try:
+        yield
+    except (BaseError, OSError) as error:
+        if is_disk_full(error):
+            raise storage_full() from error
+        summary = " ".join(str(error).split())[:200]
+        message = f"The file store does not work: {summary}. Try again later."
+        raise ServiceError(ProblemCode.STORAGE_UNAVAILABLE, message) from error

@@ -1,12 +1,15 @@
+import errno
 import hashlib
+from collections.abc import Callable
 from datetime import timedelta
 from pathlib import Path
 
 import pytest
+from obstore.exceptions import GenericError
 from obstore.store import MemoryStore
 from service_factories import make_settings
 from vitac.server.errors import ProblemCode, ServiceError
-from vitac.server.storage.blobs import PART_BYTES, BlobStore
+from vitac.server.storage.blobs import PART_BYTES, BlobStore, StoredFileLost, key_of
 
 CONTENT = b"content " * 1000
 
@@ -73,3 +76,84 @@ def test_check_passes_on_a_store_that_works_and_names_one_that_does_not(blobs: B
     folder.write_text("not a folder")
     with pytest.raises(ServiceError, match="The file store does not work"):
         broken.check()
+
+
+def test_parts_are_read_back_and_uploads_are_named_by_age(blobs: BlobStore) -> None:
+    key = blobs.put_part("upload-a", "1", b"one")
+    blobs.put_part("upload-a", "2", b"two")
+    blobs.put_part("upload-b", "1", b"three")
+    assert bytes(blobs.part(key)) == b"one"
+    assert blobs.uploads_with_parts(timedelta(hours=1)) == set()
+    assert blobs.uploads_with_parts(timedelta(seconds=-5)) == {"upload-a", "upload-b"}
+    assert blobs.list_older_than(timedelta(seconds=-5)) == []
+    blobs.delete_parts("upload-a")
+    assert blobs.uploads_with_parts(timedelta(seconds=-5)) == {"upload-b"}
+    blobs.delete_parts("upload-a")
+    with pytest.raises(ServiceError, match="The file store does not work"):
+        blobs.part(key)
+
+
+class NoStore:
+    """Stands for a store whose every request fails."""
+
+    def __init__(self, error: Exception) -> None:
+        self._error = error
+
+    def fail(self, *_: object, **__: object) -> None:
+        raise self._error
+
+
+REQUESTS: dict[str, Callable[[BlobStore, Path], object]] = {
+    "put": lambda blobs, folder: put(blobs, folder),
+    "fetch": lambda blobs, folder: blobs.fetch("0" * 64, folder / "copy"),
+    "delete": lambda blobs, _: blobs.delete("0" * 64),
+    "list_older_than": lambda blobs, _: blobs.list_older_than(timedelta()),
+    "put_part": lambda blobs, _: blobs.put_part("upload", "1", b"part"),
+    "part": lambda blobs, _: blobs.part("partial/upload/1"),
+    "delete_part": lambda blobs, _: blobs.delete_part("partial/upload/1"),
+    "delete_parts": lambda blobs, _: blobs.delete_parts("upload"),
+    "uploads_with_parts": lambda blobs, _: blobs.uploads_with_parts(timedelta()),
+    "check": lambda blobs, _: blobs.check(),
+}
+
+
+@pytest.mark.parametrize("request_", REQUESTS)
+@pytest.mark.parametrize(
+    ("error", "code", "message"),
+    [
+        (GenericError("no\n  route  to host"), ProblemCode.STORAGE_UNAVAILABLE, "work: no route to host. Try again"),
+        (OSError(errno.EIO, "I/O error"), ProblemCode.STORAGE_UNAVAILABLE, "does not work: .* I/O error. Try again"),
+        (OSError(errno.ENOSPC, "No space left"), ProblemCode.STORAGE_FULL, "full"),
+        (GenericError("write failed (os error 28)"), ProblemCode.STORAGE_FULL, "full"),
+    ],
+)
+def test_every_request_of_a_store_that_fails_is_a_named_refusal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request_: str, error: Exception, code: ProblemCode, message: str
+) -> None:
+    fail = NoStore(error).fail
+    for name in ("put", "get", "head", "list", "delete"):
+        monkeypatch.setattr(f"vitac.server.storage.blobs.obstore.{name}", fail)
+    with pytest.raises(ServiceError, match=message) as refused:
+        REQUESTS[request_](BlobStore(MemoryStore()), tmp_path)
+    assert refused.value.code is code
+    assert refused.value.__cause__ is error
+
+
+def test_a_destination_that_is_taken_is_no_lost_file(blobs: BlobStore, tmp_path: Path) -> None:
+    digest = put(blobs, tmp_path)
+    for destination in (tmp_path / "source", tmp_path / "no-folder" / "copy"):
+        with pytest.raises(ServiceError, match="The file store does not work") as refused:
+            blobs.fetch(digest, destination)
+        assert not isinstance(refused.value, StoredFileLost)
+
+
+def test_a_long_reason_of_the_store_is_cut(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("vitac.server.storage.blobs.obstore.put", NoStore(GenericError("x" * 5000)).fail)
+    with pytest.raises(ServiceError) as refused:
+        BlobStore(MemoryStore()).check()
+    assert str(refused.value).count("x") == 200
+
+
+@pytest.mark.parametrize("digest", ["ab" + "0" * 62, "ff" + "1" * 62])
+def test_keys_are_spread_over_folders(digest: str) -> None:
+    assert key_of(digest) == f"sha256/{digest[:2]}/{digest}"
