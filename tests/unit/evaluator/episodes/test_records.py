@@ -20,6 +20,7 @@ from vitac.evaluator.episodes.records import (
     SampledPicture,
     Timings,
     canonical_json,
+    in_order,
     result_hash,
 )
 
@@ -264,3 +265,92 @@ def test_a_picture_is_of_an_env_step_of_the_episode() -> None:
         make_record(1, env_steps=1, picture=PICTURE)
     with pytest.raises(ValidationError, match="sha256"):
         make_record(1, picture={"env_step": 1, "sha256": "short"})
+
+
+def test_every_outcome_is_explained_in_a_sentence_of_its_own() -> None:
+    sentences = {outcome.value: outcome.sentence for outcome in EpisodeOutcome}
+    assert sentences == {
+        "success": "The task was solved.",
+        "tactile": "The gel surface of a sensor moved too far.",
+        "error": "The gripper or the part left its range.",
+        "steps": "All env steps were used up.",
+        "not_converged": "The physics found no solution for an IPC step, even in smaller pieces.",
+        "policy_failed": "The policy crashed, broke a limit or answered wrongly.",
+        "actions_ended": "The recorded actions of a 2025 text log ended before the episode did.",
+    }
+
+
+@pytest.mark.parametrize("outcome", EpisodeOutcome)
+def test_the_success_of_a_record_is_its_outcome(outcome: EpisodeOutcome) -> None:
+    assert make_record(1, outcome).success == (outcome.value == "success")
+
+
+@pytest.mark.parametrize("dtype", [">f4", "<f8", "<i4"])
+def test_actions_of_any_type_are_stored_as_little_endian_float32(dtype: str) -> None:
+    values = np.array([[1, -2], [3, 0]])
+    stored = ActionSequence.from_array(values.astype(dtype))
+    assert stored == ActionSequence.from_array(values.astype(np.float32))
+    assert base64.b64decode(stored.float32_base64) == values.astype("<f4").tobytes()
+
+
+def test_actions_of_every_second_row_are_stored_as_rows() -> None:
+    values = np.arange(12, dtype=np.float32).reshape(4, 3)
+    assert ActionSequence.from_array(values[::2]).to_array().tolist() == [[0, 1, 2], [6, 7, 8]]
+    assert ActionSequence.from_array(values.T).to_array().tolist() == values.T.tolist()
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        ("AAA", "actions are not base64: Incorrect padding"),
+        ("AAAAAA==", "actions hold 4 bytes, expected 4 x 1 x 2"),
+        ("AADAfwAAAAA=", "actions hold NaN or infinity; every action must be finite"),
+    ],
+)
+def test_actions_that_cannot_be_are_refused_in_a_sentence(data: str, message: str) -> None:
+    with pytest.raises(ValidationError) as refused:
+        ActionSequence(shape=(1, 2), float32_base64=data)
+    assert refused.value.errors()[0]["msg"] == f"Value error, {message}"
+
+
+def test_disagreeing_lengths_are_told_in_a_sentence() -> None:
+    with pytest.raises(ValidationError) as refused:
+        make_record(env_steps=3, infos=({},), state_hashes=("0" * 64,) * 3)
+    assert refused.value.errors()[0]["msg"] == (
+        "Value error, env_steps is 3, but there are 3 actions, 2 state hashes after the reset's and 1 infos; "
+        "all four must agree"
+    )
+
+
+def test_an_outcome_without_its_failure_is_told_in_a_sentence() -> None:
+    with pytest.raises(ValidationError) as refused:
+        make_record(1, EpisodeOutcome.POLICY_FAILED, failure=None)
+    message = refused.value.errors()[0]["msg"]
+    assert message == "Value error, outcome policy_failed and failure None do not belong together"
+
+
+def test_records_that_disagree_are_told_in_a_sentence() -> None:
+    with pytest.raises(RecordsDisagree) as twice:
+        in_order("peg-insertion", [make_record(1), make_record(3), make_record(1)])
+    assert str(twice.value) == "Expected each episode once, got episode 1 twice."
+    with pytest.raises(RecordsDisagree) as other:
+        in_order("lock-opening", [make_record(2)])
+    assert str(other.value) == "Episode 2 is of task 'peg-insertion', expected 'lock-opening'."
+
+
+@given(st.permutations(range(1, 7)))
+def test_records_are_put_in_the_order_of_their_numbers(numbers: list[int]) -> None:
+    ordered = in_order("peg-insertion", (make_record(number) for number in numbers))
+    assert [record.episode for record in ordered] == sorted(numbers)
+
+
+@given(st.dictionaries(st.text(max_size=5), st.integers() | st.text(max_size=5) | st.booleans(), max_size=5))
+def test_the_json_of_equal_content_is_equal_in_any_order_of_its_keys(content: dict[str, Any]) -> None:
+    text = canonical_json(content)
+    assert canonical_json(dict(reversed(list(content.items())))) == text
+    assert json.loads(text) == content
+    assert text.isascii()
+
+
+def test_the_json_has_no_blanks_and_sorted_keys_inside_too() -> None:
+    assert canonical_json({"b": {"d": 1, "c": [1, 2]}, "a": "ü"}) == b'{"a":"\\u00fc","b":{"c":[1,2],"d":1}}'

@@ -1,13 +1,21 @@
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pytest
 from evaluation_records import make_failure, make_manifest, make_record
 from vitac.evaluator.episodes.records import ActionSequence, EpisodeOutcome, EpisodeRecord
-from vitac.evaluator.logs.checks import must_agree, out_of_bounds, why_impossible, why_record_impossible
+from vitac.evaluator.logs.checks import (
+    known_without_running,
+    must_agree,
+    out_of_bounds,
+    why_impossible,
+    why_record_impossible,
+)
 from vitac.evaluator.logs.findings import Impossibility, ImpossibleReason
 from vitac.evaluator.logs.log import LogHeader
 from vitac.evaluator.tracks import load_track
+from vitac.evaluator.version import evaluator_version
 
 TASK = load_track("track_1").tasks["peg-insertion"]
 FIRST = TASK.episodes[0]
@@ -150,3 +158,99 @@ def test_actions_of_another_task_are_impossible() -> None:
     problem = problem_of(listed(1, actions=actions))
     assert problem is not None
     assert (problem.reason, problem.episode) == (ImpossibleReason.WRONG_ACTION, 1)
+
+
+def test_what_is_known_without_an_environment_is_a_part_of_what_must_agree() -> None:
+    track = load_track("track_1")
+    known = known_without_running(track, TASK)
+    assert known == {
+        "track": "track_1",
+        "task": "peg-insertion",
+        "list_seed": TASK.episode_list.list_seed,
+        "task_hash": TASK.digest(),
+        "evaluator_version": evaluator_version(),
+    }
+    assert known.keys() < must_agree(make_manifest()).keys()
+
+
+def test_what_must_agree_leaves_out_what_only_names_the_machine() -> None:
+    manifest = make_manifest()
+    assert must_agree(manifest) == manifest.model_dump(exclude={"evaluator_hash", "platform_class"})
+
+
+START = f"{FIRST.shape} at {FIRST.offset}"
+LAST = TASK.episodes[-1].number
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"task": "lock-opening"}, "Episode 1 is of task 'lock-opening', expected 'peg-insertion'."),
+        ({"episode": LAST + 1}, f"Episode {LAST + 1} is not in the list of {LAST} episodes."),
+        ({"shape": "sphere"}, f"Episode 1: expected the start {START}, got sphere at {FIRST.offset}."),
+        (
+            {"initial_offset": (0.0, 0.0, 0.0)},
+            f"Episode 1: expected the start {START}, got {FIRST.shape} at (0.0, 0.0, 0.0).",
+        ),
+        (
+            {"actions": ActionSequence.from_array(np.zeros((2, 4), np.float32))},
+            "Episode 1: expected actions [x, y, theta] in the range of float32.",
+        ),
+        (
+            {"actions": ActionSequence.from_array(np.array([[0, 0, 0], [0, 0, -2.5]], np.float32))},
+            "Episode 1 has the action theta = -2.5 at env step 2, expected values in [-1, 1].",
+        ),
+    ],
+)
+def test_an_impossible_record_is_told_in_one_sentence(changes: dict[str, Any], message: str) -> None:
+    problem = why_record_impossible(TASK, record_of(2).model_copy(update=changes))
+    assert problem is not None
+    assert (problem.message, problem.episode) == (message, changes.get("episode", 1))
+
+
+def test_too_many_env_steps_are_told_with_both_numbers() -> None:
+    problem = why_record_impossible(TASK, record_of(TASK.max_steps + 3))
+    assert problem is not None
+    assert problem.message == (f"Episode 1 has {TASK.max_steps + 3} env steps, expected at most {TASK.max_steps}.")
+
+
+def test_a_broken_policy_is_told_in_one_sentence() -> None:
+    problem = problem_of(crashed(2), crashed(3), crashed(4))
+    assert problem is not None
+    assert problem.message == (
+        "The policy failed too often, starting at episode 2; such an evaluation ends without a score."
+    )
+
+
+def test_episodes_that_were_played_well_do_not_count_as_failures() -> None:
+    assert problem_of(*(listed(number) for number in range(1, 9)), crashed(9), crashed(10)) is None
+
+
+def test_missing_episodes_go_before_a_broken_policy() -> None:
+    problem = problem_of(crashed(2), crashed(3), crashed(4), episodes={1, 2, 3, 4})
+    assert problem is not None
+    assert problem.reason is ImpossibleReason.EPISODE_MISSING
+
+
+def test_records_are_read_one_at_a_time_up_to_the_first_impossible_one() -> None:
+    def records() -> Iterator[EpisodeRecord]:
+        yield listed(1)
+        yield listed(2, shape="sphere")
+        raise AssertionError("a record after the impossible one was read")
+
+    header = LogHeader(manifest=make_manifest())
+    problem = why_impossible(must_agree(make_manifest()), TASK, header, records())
+    assert problem is not None
+    assert problem.episode == 2
+
+
+@pytest.mark.parametrize("shape", [(0, 3), (1, 3), (5, 3)])
+def test_actions_inside_are_no_problem_however_many(shape: tuple[int, int]) -> None:
+    assert out_of_bounds(TASK, np.full(shape, -1, np.float32)) is None
+
+
+def test_of_several_values_outside_the_earliest_env_step_and_then_the_first_component_is_named() -> None:
+    actions = np.zeros((3, 3), np.float32)
+    actions[2, 0] = actions[1, 2] = 7
+    actions[1, 1] = -3
+    assert out_of_bounds(TASK, actions) == "has the action y = -3 at env step 2, expected values in [-1, 1]."

@@ -111,3 +111,28 @@ def test_whatever_is_recorded_only_what_has_our_form_is_shown(recorded: JsonValu
 )
 def test_examples_of_what_is_shown(recorded: JsonValue, ours: JsonValue, shown: JsonValue) -> None:
     assert comparable(recorded, ours) == shown
+
+
+def test_results_and_reasons_are_the_words_that_the_api_and_stored_findings_hold() -> None:
+    assert {result.value for result in VerificationResult} >= {
+        "verified",
+        "verified within tolerance",
+        "diverged",
+        "impossible",
+    }
+    assert all(reason.value == reason.name.lower() for reason in ImpossibleReason)
+    assert {reason.value for reason in ImpossibleReason} >= {
+        "other_evaluation",
+        "other_task",
+        "not_in_list",
+        "other_start",
+        "too_many_steps",
+        "wrong_action",
+        "episode_missing",
+        "broken_policy",
+    }
+
+
+@pytest.mark.parametrize(("recorded", "ours"), [("text", [1]), (5, [1]), (None, [1]), ({"a": 1}, [1]), ([1], {"a": 1})])
+def test_a_value_of_another_structure_is_not_shown(recorded: JsonValue, ours: JsonValue) -> None:
+    assert comparable(recorded, ours) is None

@@ -10,7 +10,7 @@ import pytest
 from evaluation_records import make_manifest, make_record
 from hypothesis import given
 from hypothesis import strategies as st
-from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord, Timings
+from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord, Timings, canonical_json
 from vitac.evaluator.logs.log import (
     MAX_INFO_BYTES,
     MAX_INFO_VALUES,
@@ -21,6 +21,7 @@ from vitac.evaluator.logs.log import (
     LogRejected,
     count_values,
     is_log,
+    is_team_name,
     write_log,
 )
 
@@ -383,3 +384,166 @@ def test_digests_follow_the_documented_recipe() -> None:
         text = json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=True)
         assert digest == hashlib.sha256((before + text).encode()).hexdigest()
         before = digest
+
+
+def test_problems_are_the_stable_codes_of_the_api() -> None:
+    assert all(problem.value == problem.name.lower() for problem in LogProblem)
+    assert {problem.value for problem in LogProblem} == {
+        "not_a_log",
+        "unknown_version",
+        "line_too_long",
+        "info_too_large",
+        "not_json",
+        "invalid",
+        "altered",
+        "episode_repeated",
+        "truncated",
+        "trailing",
+    }
+
+
+def chained(*contents: dict[str, Any]) -> bytes:
+    """A log of these lines, each with a right digest."""
+    lines, digest = [], ""
+    for content in contents:
+        digest = hashlib.sha256(digest.encode() + canonical_json(content)).hexdigest()
+        lines.append(canonical_json({**content, "digest": digest}) + b"\n")
+    return b"".join(lines)
+
+
+def contents() -> list[dict[str, Any]]:
+    """The log's lines without their digests."""
+    found = [json.loads(line) for line in LINES]
+    for content in found:
+        del content["digest"]
+    return found
+
+
+def test_lines_with_their_digests_are_the_log() -> None:
+    assert chained(*contents()) == LOG
+
+
+FIRST, ONE, TWO, THREE, END = contents()
+REFUSALS: list[tuple[bytes, LogProblem, str]] = [
+    (b"", LogProblem.NOT_A_LOG, "Line 1: it is not JSON: Expecting value: line 1 column 1 (char 0)."),
+    (b"[1]\n", LogProblem.NOT_A_LOG, "Line 1: expected a JSON object, got a list."),
+    (b"{}\n", LogProblem.NOT_A_LOG, 'Line 1: expected the header of a log, {"format": "vitac-log", ...}.'),
+    (
+        chained({**FIRST, "version": 2}),
+        LogProblem.UNKNOWN_VERSION,
+        "Line 1: expected format version 1, got 2.",
+    ),
+    (
+        chained({**FIRST, "version": "one" * 30}),
+        LogProblem.UNKNOWN_VERSION,
+        "Line 1: expected format version 1, got 'oneoneoneoneoneoneoneoneoneoneoneoneone.",
+    ),
+    (LINES[0], LogProblem.TRUNCATED, "Line 2: the log has no last line; it is truncated."),
+    (LINES[0] + LINES[1][:-1], LogProblem.TRUNCATED, "Line 2: the log has no last line; it is truncated."),
+    (LINES[0] + b"null\n", LogProblem.NOT_JSON, "Line 2: expected a JSON object, got a NoneType."),
+    (LINES[0] + b'{"a": NaN}\n', LogProblem.NOT_JSON, "Line 2: it is not JSON: NaN is not a number."),
+    (LINES[0] + b'{"a": -Infinity}\n', LogProblem.NOT_JSON, "Line 2: it is not JSON: -Infinity is not a number."),
+    (LINES[0] + b'{"a": 1, "a": 1}\n', LogProblem.NOT_JSON, "Line 2: it is not JSON: a key is repeated."),
+    (
+        LOG + b"\n",
+        LogProblem.TRAILING,
+        "Line 6: there is data after the end of the log; upload one log at a time.",
+    ),
+    (
+        chained(FIRST, ONE, ONE, END),
+        LogProblem.EPISODE_REPEATED,
+        "Line 3: episode 1 is in the log twice.",
+    ),
+    (
+        chained(FIRST, TWO, ONE, END),
+        LogProblem.ALTERED,
+        "Line 3: expected episodes in ascending order, got 1 after 2.",
+    ),
+    (
+        chained(FIRST, ONE, TWO, END),
+        LogProblem.ALTERED,
+        "Line 4: expected 3 episodes, as the last line says, got 2.",
+    ),
+    (
+        LINES[0] + LINES[2],
+        LogProblem.ALTERED,
+        "Line 2: its digest is wrong: the line was altered, moved or duplicated.",
+    ),
+    (
+        LINES[0] + b'{"a": ' + b" " * MAX_LINE_BYTES + b"1}\n",
+        LogProblem.LINE_TOO_LONG,
+        f"Line 2: expected at most {MAX_LINE_BYTES} bytes, got more.",
+    ),
+]
+
+
+@pytest.mark.parametrize(("log", "problem", "message"), REFUSALS, ids=[message[:40] for *_, message in REFUSALS])
+def test_a_refusal_is_one_sentence_with_its_line(log: bytes, problem: LogProblem, message: str) -> None:
+    refusal = refused(log)
+    assert (refusal.problem, str(refusal)) == (problem, message)
+    assert refusal.line == int(message.removeprefix("Line ").partition(":")[0])
+
+
+@pytest.mark.parametrize("record", [None, [], "text", {"infos": None}, {"infos": {"a": 1}}, {"infos": [None]}])
+def test_a_record_of_another_form_is_invalid(record: object) -> None:
+    refusal = refused(chained(FIRST, {"record": record}))
+    assert (refusal.problem, refusal.line) == (LogProblem.INVALID, 2)
+
+
+def test_a_line_that_is_neither_record_nor_end_is_invalid() -> None:
+    refusal = refused(chained(FIRST, {"note": 1}))
+    assert (refusal.problem, refusal.line) == (LogProblem.INVALID, 2)
+    assert "Unknown key 'note'" in str(refusal)
+    assert "Missing key 'record'" in str(refusal)
+
+
+@pytest.mark.parametrize("numbers", [(1,), (2, 3), (1, 5, 9), (3, 1000)])
+def test_a_log_may_have_a_part_of_the_episodes(numbers: tuple[int, ...]) -> None:
+    records = [make_record(number) for number in numbers]
+    assert [record.episode for record in read(written(records))] == list(numbers)
+
+
+def test_a_header_without_team_and_submission_is_one() -> None:
+    header = LogReader(io.BytesIO(written([], team=None))).header
+    assert (header.team, header.submission_digest) == (None, None)
+    named = LogReader(io.BytesIO(written([], submission_digest="ab12"))).header
+    assert named.submission_digest == "ab12"
+
+
+@pytest.mark.parametrize(
+    ("name", "can_be_named"),
+    [
+        ("", True),
+        ("Touch 2", True),
+        ("Tästers Ünited", True),
+        ("x" * 200, True),
+        ("x" * 201, False),
+        ("two\nlines", False),
+        ("bell\a", False),
+        ("\u202etfel", False),
+        ("\u00a0", False),
+    ],
+)
+def test_a_team_is_one_line_of_printable_characters(name: str, can_be_named: bool) -> None:
+    assert is_team_name(name) == can_be_named
+    if can_be_named:
+        assert LogReader(io.BytesIO(written([], team=name))).header.team == name
+    else:
+        refusal = refused(chained({**FIRST, "team": name}))
+        assert refusal.problem is LogProblem.INVALID
+        assert "must be one line of at most 200 printable characters" in str(refusal)
+
+
+@given(st.integers(1, 30), st.integers(0, 40))
+def test_counting_values_stops_soon_after_the_limit(limit: int, count: int) -> None:
+    found = count_values([0] * count, limit)
+    assert found == count + 1 if count < limit else found > limit
+    assert found <= limit + 1
+
+
+@pytest.mark.parametrize(
+    ("content", "values"),
+    [(1, 1), ("text", 1), (None, 1), ([], 1), ({}, 1), ([[], []], 3), ({"a": {"b": [1, 2]}}, 5), ({"a": 1, "b": 2}, 3)],
+)
+def test_lists_and_objects_count_as_values_too(content: object, values: int) -> None:
+    assert count_values(content, 100) == values

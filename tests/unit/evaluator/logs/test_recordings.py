@@ -1,5 +1,6 @@
 import json
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -7,9 +8,11 @@ import pytest
 from evaluation_records import make_manifest, make_record
 from vitac.evaluator.logs.log import LogHeader, LogRejected, write_log
 from vitac.evaluator.logs.recordings import Recording, RecordingRejected, read_recordings, recording_of
+from vitac.evaluator.logs.text_2025.scripts import all_scripts
 from vitac.evaluator.tracks import find_task
 
 _, TASK = find_task("peg-insertion")
+VISION = next(script for script in all_scripts() if script.hole_tops_mm)
 
 LINE = {
     "episode": 4,
@@ -116,3 +119,94 @@ def test_record_of_another_task_is_refused() -> None:
         recording_of(make_record(task="lock-opening"), TASK)
     with pytest.raises(RecordingRejected, match="Episode 1 is of task 'peg-insertion', expected 'lock-opening'"):
         recording_of(make_record(), find_task("lock-opening")[1])
+
+
+def test_lines_are_numbered_from_one() -> None:
+    with pytest.raises(RecordingRejected, match=r"^Line 1 is not JSON"):
+        list(read_recordings_of("junk\n"))
+    with pytest.raises(RecordingRejected, match=r"^Line 3 is not JSON"):
+        list(read_recordings_of(json.dumps(LINE) + "\n", json.dumps(LINE) + "\n", "junk"))
+
+
+def read_recordings_of(*lines: str) -> list[Recording]:
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "log.jsonl"
+        path.write_text("".join(lines))
+        return list(read_recordings(path, TASK))
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ({**LINE, "task": "open_lock"}, "Line 1 is of task 'open_lock', expected 'peg-insertion'."),
+        (
+            {**LINE, "shape": "key1"},
+            "Line 1: expected a start with one of cuboid, trapezoid, concave1 and 3 numbers, "
+            "got 'key1' at (-4.0, -2.0, 2.0).",
+        ),
+        (
+            {**LINE, "steps": [{"action": [1, 2]}]},
+            "Line 1: expected actions [x, y, theta] in the range of float32.",
+        ),
+        ({**LINE, "episode": 0}, "Line 1: episode: Input should be greater than 0 (got: 0)."),
+        (make_record(2, task="lock-opening").model_dump(mode="json"), None),
+    ],
+)
+def test_what_is_unusable_is_told_in_one_sentence(line: dict[str, Any], message: str | None) -> None:
+    with pytest.raises(RecordingRejected) as refused:
+        read_recordings_of(json.dumps(line))
+    assert str(refused.value) == (message or "Episode 2 is of task 'lock-opening', expected 'peg-insertion'.")
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_actions_reach_to_the_largest_float32_on_either_side(sign: int) -> None:
+    largest = float(np.finfo(np.float32).max)
+    line = {**LINE, "steps": [{"action": [0, 0, sign * largest]}]}
+    assert read_recordings_of(json.dumps(line))[0].actions[0, 2] == np.float32(sign * largest)
+    beyond = {**LINE, "steps": [{"action": [0, 0, sign * np.nextafter(largest, np.inf)]}]}
+    with pytest.raises(RecordingRejected, match="in the range of float32"):
+        read_recordings_of(json.dumps(beyond))
+
+
+def test_an_episode_without_env_steps_has_actions_of_the_right_size() -> None:
+    recording = read_recordings_of(json.dumps({**LINE, "steps": []}))[0]
+    assert recording.actions.shape == (0, 3)
+    assert recording.infos == ()
+
+
+def test_keys_that_nobody_needs_are_ignored() -> None:
+    assert read_recordings_of(json.dumps({**LINE, "reset_s": 1.5, "choose_left": 0}))[0].episode.number == 4
+
+
+def test_an_empty_file_has_no_recordings() -> None:
+    assert read_recordings_of() == []
+
+
+def test_a_recorded_episode_has_the_seed_of_its_list_at_the_start_that_was_recorded() -> None:
+    episode = recording_of(make_record(4, initial_offset=(9.0, 8.0, 7.0)), TASK).episode
+    listed = TASK.episodes[3]
+    assert (episode.number, episode.offset) == (4, (9.0, 8.0, 7.0))
+    assert (episode.offset_option, episode.list_seed) == (listed.offset_option, listed.list_seed)
+
+
+@pytest.mark.parametrize("top_mm", VISION.hole_tops_mm)
+def test_a_line_of_the_vision_track_starts_where_the_peg_really_was(top_mm: float) -> None:
+    """The converted line shows the start as the log did: relative to the hole, in the books of its era."""
+    for start in VISION.starts(top_mm)[:6]:
+        line = {**LINE, "task": "peg_insertion_v2", "shape": start.shape, "initial_offset": start.offset, "steps": []}
+        (recording,) = read_fusion(line)
+        assert (recording.episode.shape, recording.episode.offset) == (start.part, start.true_offset)
+
+
+def test_a_line_of_the_vision_track_may_start_as_our_environment_counts() -> None:
+    start = VISION.starts()[0]
+    line = {**LINE, "task": "peg_insertion_v2", "shape": start.part, "initial_offset": start.true_offset, "steps": []}
+    (recording,) = read_fusion(line)
+    assert (recording.episode.shape, recording.episode.offset) == (start.part, start.true_offset)
+
+
+def read_fusion(line: dict[str, Any]) -> list[Recording]:
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "log.jsonl"
+        path.write_text(json.dumps(line))
+        return list(read_recordings(path, find_task("fusion-insertion")[1]))

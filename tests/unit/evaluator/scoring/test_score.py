@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 from scipy.stats import binom, binomtest
 from vitac.evaluator.episodes.records import EpisodeOutcome
-from vitac.evaluator.scoring.score import Interval, interval_of_mean, rate, score, wilson_interval
+from vitac.evaluator.scoring.score import Interval, Rate, interval_of_mean, rate, score, wilson_interval
 
 
 @given(st.integers(1, 1000).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n))))
@@ -89,3 +89,39 @@ def test_score_does_not_depend_on_order(ends: list[tuple[EpisodeOutcome, int]], 
     shuffled = list(records)
     shuffler.shuffle(shuffled)
     assert score(shuffled) == score(records)
+
+
+@pytest.mark.parametrize("success_rate", [-0.01, 1.01, float("nan")])
+def test_a_rate_outside_0_and_1_is_refused(success_rate: float) -> None:
+    with pytest.raises(ValidationError):
+        Rate(episodes=2, successes=1, success_rate=success_rate, interval=Interval(low=0, high=1))
+
+
+@pytest.mark.parametrize("success_rate", [0.0, 1.0])
+def test_a_rate_may_be_0_and_1(success_rate: float) -> None:
+    held = Rate(episodes=2, successes=1, success_rate=success_rate, interval=Interval(low=0, high=1))
+    assert held.success_rate == success_rate
+
+
+@given(st.lists(st.sampled_from(EpisodeOutcome), min_size=1, max_size=12))
+def test_shapes_and_outcomes_are_listed_in_one_order_whatever_the_records_order(outcomes: list[EpisodeOutcome]) -> None:
+    records = [make_record(number, outcome) for number, outcome in enumerate(outcomes, start=1)]
+    scored = score(records[::-1])
+    assert list(scored.by_shape) == sorted({record.shape for record in records})
+    assert list(scored.outcomes) == sorted(set(outcomes))
+    assert sum(scored.outcomes.values()) == scored.episodes == len(records)
+    assert sum(part.episodes for part in scored.by_shape.values()) == len(records)
+    assert sum(part.successes for part in scored.by_shape.values()) == scored.successes
+
+
+@given(st.lists(st.tuples(st.integers(0, 40), st.integers(1, 40)), min_size=1, max_size=4), st.integers(0, 3))
+def test_the_interval_of_a_mean_holds_the_mean_and_stays_within_0_and_1(
+    counts: list[tuple[int, int]], missing: int
+) -> None:
+    rates = [rate(min(successes, episodes), episodes) for successes, episodes in counts]
+    interval = interval_of_mean(rates, of=len(rates) + missing)
+    mean = sum(each.success_rate for each in rates) / (len(rates) + missing)
+    assert 0.0 <= interval.low <= mean + 1e-12
+    assert mean - 1e-12 <= interval.high <= 1.0
+    if missing:
+        assert interval.high < 1.0
