@@ -70,16 +70,9 @@ class BlobStore:
             StoredFileLost: it is not there or was altered.
             ServiceError: the store cannot be read.
         """
-        digest = hashlib.sha256()
         with _working(), destination.open("xb") as file:
-            try:
-                for chunk in obstore.get(self._store, key_of(sha256)).stream(min_chunk_size=_COPY_BYTES):
-                    digest.update(chunk)
-                    file.write(chunk)
-            except (NotFoundError, FileNotFoundError) as error:
-                raise StoredFileLost(f"The stored file {sha256} is gone.") from error
-        if digest.hexdigest() != sha256:
-            raise StoredFileLost(f"The stored file {sha256} was altered in the store.")
+            for chunk in self._chunks(sha256):
+                file.write(chunk)
 
     def read(self, sha256: str) -> bytes:
         """Return the content of a small stored file.
@@ -88,15 +81,20 @@ class BlobStore:
             StoredFileLost: it is not there or was altered.
             ServiceError: the store cannot be read.
         """
-        try:
-            content = bytes(obstore.get(self._store, key_of(sha256)).bytes())
-        except (NotFoundError, FileNotFoundError) as error:
-            raise StoredFileLost(f"The stored file {sha256} is gone.") from error
-        except (BaseError, OSError) as error:
-            raise _unavailable(error) from error
-        if hashlib.sha256(content).hexdigest() != sha256:
+        return b"".join(self._chunks(sha256))
+
+    def _chunks(self, sha256: str) -> Iterator[bytes]:
+        """Yield a stored file in pieces; only after the last one is its digest known to be right."""
+        digest = hashlib.sha256()
+        with _working():
+            try:
+                for chunk in obstore.get(self._store, key_of(sha256)).stream(min_chunk_size=_COPY_BYTES):
+                    digest.update(chunk)
+                    yield chunk
+            except (NotFoundError, FileNotFoundError) as error:
+                raise StoredFileLost(f"The stored file {sha256} is gone.") from error
+        if digest.hexdigest() != sha256:
             raise StoredFileLost(f"The stored file {sha256} was altered in the store.")
-        return content
 
     def holds(self, sha256: str) -> bool:
         """Return whether a file of that digest is stored."""

@@ -105,6 +105,7 @@ class NoStore:
 
 REQUESTS: dict[str, Callable[[BlobStore, Path], object]] = {
     "put": lambda blobs, folder: put(blobs, folder),
+    "read": lambda blobs, _: blobs.read("0" * 64),
     "fetch": lambda blobs, folder: blobs.fetch("0" * 64, folder / "copy"),
     "delete": lambda blobs, _: blobs.delete("0" * 64),
     "list_older_than": lambda blobs, _: blobs.list_older_than(timedelta()),
@@ -157,3 +158,18 @@ def test_a_long_reason_of_the_store_is_cut(tmp_path: Path, monkeypatch: pytest.M
 @pytest.mark.parametrize("digest", ["ab" + "0" * 62, "ff" + "1" * 62])
 def test_keys_are_spread_over_folders(digest: str) -> None:
     assert key_of(digest) == f"sha256/{digest[:2]}/{digest}"
+
+
+@pytest.mark.parametrize("content", [b"", b"a", CONTENT], ids=["empty", "short", "long"])
+def test_a_small_file_is_read_as_it_was(blobs: BlobStore, tmp_path: Path, content: bytes) -> None:
+    assert blobs.read(put(blobs, tmp_path, content)) == content
+
+
+def test_a_file_that_is_gone_or_altered_is_not_read(tmp_path: Path) -> None:
+    blobs = BlobStore.from_settings(make_settings(state_dir=tmp_path))
+    with pytest.raises(StoredFileLost, match=f"^The stored file {'0' * 64} is gone.$"):
+        blobs.read("0" * 64)
+    digest = put(blobs, tmp_path)
+    next((tmp_path / "blobs").rglob(digest)).write_bytes(CONTENT[:-1])
+    with pytest.raises(StoredFileLost, match=f"^The stored file {digest} was altered in the store.$"):
+        blobs.read(digest)

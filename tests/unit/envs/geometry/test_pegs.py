@@ -1,0 +1,96 @@
+"""Profiles, solids and measured corners of the pegs and of the plates with their holes."""
+
+from collections.abc import Callable
+from math import sqrt
+
+import numpy as np
+import pytest
+from vitac.envs.geometry.pegs import (
+    BOTTOM_CORNERS_MM,
+    CLEARANCE_MM,
+    GRIPPED_WIDTH_MM,
+    PEG_HEIGHT_MM,
+    PLATE_THICKNESS_MM,
+    PROFILES_MM,
+    PegShape,
+    bottom_vertices,
+    hole_outline_mm,
+    hole_surface,
+    peg_surface,
+)
+from vitac.envs.geometry.polygon import contains, signed_area
+
+EACH = pytest.mark.parametrize("shape", PegShape)
+# Twice the half width at y [mm], from the drawings.
+WIDTHS_MM: dict[PegShape, Callable[[float], float]] = {
+    PegShape.CUBOID: lambda _: 40.0,
+    PegShape.TRAPEZOID: lambda y: 20.0 + 20.0 * (y + 15.0) / 30.0,
+    PegShape.CONCAVE1: lambda y: 2.0 * (17.5 - (10.0 - max(abs(y) - 5.0, 0.0)) / sqrt(3.0)),
+}
+
+
+@EACH
+def test_a_profile_is_counter_clockwise_and_fills_the_gap_between_the_gels(shape: PegShape) -> None:
+    profile = PROFILES_MM[shape]
+    assert signed_area(profile) > 0.0
+    assert np.ptp(profile[:, 1]) == GRIPPED_WIDTH_MM
+    assert profile[:, 1].min() == -profile[:, 1].max()
+
+
+@EACH
+@pytest.mark.parametrize("y_mm", [-14.5, -7.0, -4.5, 0.0, 2.5, 9.0, 14.5])
+def test_a_profile_is_as_wide_as_drawn(shape: PegShape, y_mm: float) -> None:
+    half = WIDTHS_MM[shape](y_mm) / 2.0
+    profile = PROFILES_MM[shape]
+    for side in (-1.0, 1.0):
+        assert contains(profile, np.array([side * (half - 1e-6), y_mm]))
+        assert not contains(profile, np.array([side * (half + 1e-6), y_mm]))
+
+
+@EACH
+def test_measured_corners_are_the_profiles_in_the_logs_order(shape: PegShape) -> None:
+    corners = sorted(map(tuple, BOTTOM_CORNERS_MM[shape].tolist()))
+    assert corners == sorted(map(tuple, PROFILES_MM[shape].tolist()))
+    assert len(set(corners)) == len(corners)
+
+
+@EACH
+def test_a_hole_leaves_the_clearance_on_every_side(shape: PegShape) -> None:
+    profile, hole = PROFILES_MM[shape], hole_outline_mm(shape)
+    assert len(hole) == len(profile)
+    for k in range(len(profile)):
+        along = profile[(k + 1) % len(profile)] - profile[k]
+        outwards = np.array([along[1], -along[0]]) / np.hypot(*along)
+        assert (hole[k] - profile[k]) @ outwards == pytest.approx(CLEARANCE_MM)
+        assert (hole[(k + 1) % len(hole)] - profile[k]) @ outwards == pytest.approx(CLEARANCE_MM)
+
+
+@EACH
+def test_solids_stand_between_their_heights(shape: PegShape) -> None:
+    peg, plate = peg_surface(shape).vertices_m * 1e3, hole_surface(shape).vertices_m * 1e3
+    assert sorted(set(peg[:, 2].round(9).tolist())) == [0.0, PEG_HEIGHT_MM]
+    assert sorted(set(plate[:, 2].round(9).tolist())) == [0.0, PLATE_THICKNESS_MM]
+    assert np.abs(plate[:, :2]).max(axis=0).tolist() == [35.0, 25.0]
+
+
+@EACH
+def test_volumes_are_those_of_their_profiles(shape: PegShape) -> None:
+    area, hole_area = signed_area(PROFILES_MM[shape]), signed_area(hole_outline_mm(shape))
+    assert peg_surface(shape).volume_m3 * 1e9 == pytest.approx(area * PEG_HEIGHT_MM)
+    assert hole_surface(shape).volume_m3 * 1e9 == pytest.approx((70.0 * 50.0 - hole_area) * PLATE_THICKNESS_MM)
+
+
+@EACH
+def test_bottom_vertices_are_found_by_position_in_any_order_of_the_vertices(shape: PegShape) -> None:
+    peg = peg_surface(shape)
+    found = peg.vertices_m[bottom_vertices(shape, peg)] * 1e3
+    assert found[:, :2] == pytest.approx(BOTTOM_CORNERS_MM[shape])
+    assert found[:, 2] == pytest.approx(0.0)
+
+
+@EACH
+def test_a_solid_is_made_once(shape: PegShape) -> None:
+    assert peg_surface(shape) is peg_surface(shape)
+    assert hole_surface(shape) is hole_surface(shape)
+    assert peg_surface(shape).name == f"{shape} peg"
+    assert hole_surface(shape).name == f"{shape} hole"
