@@ -41,6 +41,7 @@ NOUNS = (
     Noun(name="serve", module="service.serve", summary="Run the service: database, API and pages."),
     Noun(name="worker", module="service.worker", summary="Run a worker that evaluates submissions."),
     Noun(name="admin", module="admin.app", summary="Manage teams, submissions, evaluations and workers."),
+    Noun(name="sandbox", module="sandbox", summary="Print what a policy runs with: packages, BLAS, threads, CPU."),
     Noun(name="doctor", module="doctor", summary="Test the sandbox on this machine."),
 )
 

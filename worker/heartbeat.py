@@ -13,6 +13,8 @@ from vitac.server.db.states import WorkerState
 from vitac.server.queue import workers
 from vitac.server.services import Services
 
+from .isolation import IsolationReport
+
 logger = structlog.get_logger(__name__)
 
 START_PATIENCE_S = 60.0
@@ -22,11 +24,11 @@ START_PATIENCE_S = 60.0
 class Heartbeat:
     """The regular sign that this worker runs, from `start` to `stop`."""
 
-    def __init__(self, services: Services, *, state: WorkerState, isolation: str, message: str = "") -> None:
+    def __init__(self, services: Services, *, state: WorkerState, report: IsolationReport, message: str = "") -> None:
         self.worker_id: UUID = uuid4()
         self._services = services
         self._state = state
-        self._isolation = isolation
+        self._report = report
         self._message = message
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="heartbeat", daemon=True)
@@ -64,6 +66,7 @@ class Heartbeat:
             state=self._state,
             evaluator_version=evaluator_version(),
             platform_class=platform_class(),
-            isolation=self._isolation,
+            isolation=self._report.level,
+            sandbox=self._report.sandbox.model_dump(mode="json") if self._report.sandbox else None,
             message=self._message,
         )

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 
+from vitac.evaluator.agent.description import SandboxDescription, describe_sandbox
 from vitac.evaluator.agent.self_test import PROBES, Outcome, Probe, ProbeState
 from vitac.evaluator.agent.self_test import run as run_probes
 
@@ -10,14 +11,16 @@ SLOW_PROBES = frozenset({"memory of many processes capped", "CPU time capped", "
 """They wait for a limit and take seconds each: `vitac doctor` tries them, a worker's start does not."""
 
 RunProbes = Callable[[tuple[Probe, ...]], Iterable[Outcome]]
+Describe = Callable[[], SandboxDescription]
 
 
 @dataclass(frozen=True, kw_only=True)
 class IsolationReport:
-    """What the probes found. `problems` is empty on a machine that holds them all."""
+    """What the probes found. `problems` is empty on a machine that holds them all, which alone has a description."""
 
     level: str
     problems: tuple[str, ...]
+    sandbox: SandboxDescription | None = None
 
     @property
     def is_sound(self) -> bool:
@@ -25,10 +28,11 @@ class IsolationReport:
         return not self.problems
 
 
-def probe_isolation(run: RunProbes = run_probes) -> IsolationReport:
-    """Run the quick probes in real sandboxes."""
+def probe_isolation(run: RunProbes = run_probes, describe: Describe = describe_sandbox) -> IsolationReport:
+    """Run the quick probes in real sandboxes, and let a sound one say what a policy finds in it."""
     outcomes = list(run(tuple(probe for probe in PROBES if probe.name not in SLOW_PROBES)))
-    return IsolationReport(level=_level_of(outcomes), problems=tuple(_sentences(outcomes)))
+    problems = tuple(_sentences(outcomes))
+    return IsolationReport(level=_level_of(outcomes), problems=problems, sandbox=None if problems else describe())
 
 
 def _sentences(outcomes: Iterable[Outcome]) -> Iterable[str]:

@@ -1,5 +1,6 @@
 """Workers as the service knows them: registration, heartbeats, and whether any is alive."""
 
+import json
 import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,6 +10,7 @@ from uuid import UUID
 
 from sqlalchemy import delete, func, select, update
 from sqlalchemy.orm import Session
+from vitac.evaluator.agent.description import SandboxDescription
 from vitac.server.db.models import Worker
 from vitac.server.db.states import WorkerState
 from vitac.server.errors import not_found
@@ -76,6 +78,20 @@ def workers_alive(session: Session, settings: Settings, evaluator_version: str |
     return WorkersAlive(
         alive=alive, slots=slots, last_heartbeat_at=session.scalar(select(func.max(Worker.heartbeat_at)))
     )
+
+
+def sandboxes(session: Session, settings: Settings) -> Sequence[SandboxDescription]:
+    """Return what policies find on the workers that take shards, each once; without any, on the last one that did."""
+    described = select(Worker.sandbox).where(Worker.sandbox.is_not(None)).order_by(Worker.heartbeat_at.desc())
+    lost_before = func.clock_timestamp() - timedelta(seconds=settings.worker_lost_after_s)
+    alive = described.where(Worker.state == WorkerState.READY, Worker.heartbeat_at > lost_before)
+    rows = session.scalars(alive).all() or session.scalars(described.limit(1)).all()
+    found = []
+    for row in rows:
+        description = SandboxDescription.model_validate_json(json.dumps(row))
+        if description not in found:
+            found.append(description)
+    return found
 
 
 def list_workers(session: Session) -> Sequence[Worker]:

@@ -12,6 +12,7 @@ from page_fixtures import (
     FixedData,
     a_leaderboard,
     a_log,
+    a_sandbox,
     a_score,
     a_submission,
     a_visitor,
@@ -84,6 +85,7 @@ def site() -> Iterator[SiteUnderTest]:
         board=boards()[None],
         task_boards={TASK: boards()[TASK]},
         matches=[an_action_match()],
+        described=[a_sandbox(), a_sandbox(machine="aarch64", simd=("ASIMD",))],
         printed=[
             EpisodeOutputView(task=TASK, episode=number, outcome="success", output="markers " * 60)
             for number in (1, 4, 9)

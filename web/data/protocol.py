@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from contextlib import AbstractAsyncContextManager
     from uuid import UUID
 
+    from vitac.evaluator.agent.description import SandboxDescription
     from vitac.server.accounts.principals import Principal
     from vitac.server.queue.workers import Disk
     from vitac.server.settings import Registration
@@ -116,6 +117,9 @@ class PageData(Protocol):
 
     async def operations(self) -> OperationsView:
         """Return the state of the service, for organizers."""
+
+    async def sandboxes(self) -> Sequence[SandboxDescription]:
+        """Return what policies find in the sandboxes of the workers; nothing before the first worker has started."""
 
     def server_disk(self) -> Disk:
         """Return the disk of this server's state directory."""

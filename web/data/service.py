@@ -18,6 +18,7 @@ from vitac.server.leaderboards import log_boards, standings
 from vitac.server.logs import action_matches
 from vitac.server.metrics.totals import totals
 from vitac.server.operations.state import operations
+from vitac.server.queue import workers
 from vitac.server.queue.workers import disk_of
 from vitac.server.submissions import listing, output, runs, upload
 
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from uuid import UUID
 
     from sqlalchemy.orm import Session
+    from vitac.evaluator.agent.description import SandboxDescription
     from vitac.server.accounts.principals import Principal
     from vitac.server.api.limiter import ConcurrencyLimiter, WindowLimiter
     from vitac.server.api.streams import OpenStreams
@@ -122,6 +124,10 @@ class ServiceData:
     async def operations(self) -> OperationsView:
         """Return the state of the service."""
         return await self._run(lambda session: operations(session, self.settings, totals(session)))
+
+    async def sandboxes(self) -> Sequence[SandboxDescription]:
+        """Return what policies find in the sandboxes of the workers."""
+        return await self._run(lambda session: workers.sandboxes(session, self.settings))
 
     def server_disk(self) -> Disk:
         """Return the disk of this server's state directory."""

@@ -9,7 +9,7 @@ from starlette.staticfiles import StaticFiles
 
 from ..headers import SecurityHeaders
 from ..rendering import STATIC
-from . import documentation, errors, operations, output, register, sign_in, submissions, tracks, upload
+from . import documentation, errors, operations, output, register, sandbox, sign_in, submissions, tracks, upload
 
 if TYPE_CHECKING:
     from fastapi import FastAPI
@@ -58,6 +58,7 @@ def _router() -> APIRouter:
         ("/submissions/{submission_id}/output", output.output, "GET"),
         ("/submissions/{submission_id}/events", submissions.events, "GET"),
         ("/submissions/{submission_id}/cancel", submissions.cancel, "POST"),
+        ("/sandbox", sandbox.sandbox, "GET"),
         ("/operations", operations.operations, "GET"),
         ("/register", register.register_form, "GET"),
         ("/register", register.register, "POST"),

@@ -278,7 +278,8 @@ def main(arguments: list[str]) -> None:
     """Fork the loader and report how the sandbox's processes end."""
     channel, status = int(arguments[0]), int(arguments[1])
     cpu_limits, submission, packages = (int(arguments[2]), int(arguments[3])), arguments[4], arguments[5:]
-    sys.path[:0] = packages
+    # What the machine's own Python has installed besides would differ from machine to machine.
+    sys.path[:] = [*packages, *(folder for folder in sys.path if not folder.endswith("-packages"))]
     sys.argv = ["policy"]
     for first, last in gaps_between(sorted((channel, status))):
         os.closerange(first, last)

@@ -1,9 +1,11 @@
 """Workers, and what all processes have counted."""
 
 from datetime import datetime
+from typing import Any
 from uuid import UUID, uuid4
 
 from sqlalchemy import BigInteger, Float, func
+from sqlalchemy.dialects.postgresql import JSONB
 from sqlalchemy.orm import Mapped, mapped_column
 from vitac.server.db.states import WorkerState
 
@@ -11,7 +13,10 @@ from .base import Base, closed_set
 
 
 class Worker(Base):
-    """A worker process, its last heartbeat and the space on its disk at that time."""
+    """A worker process, its last heartbeat and the space on its disk at that time.
+
+    `sandbox` is what a policy finds in its sandbox (`evaluator.agent.description`); NULL where it refuses to run any.
+    """
 
     __tablename__ = "workers"
     id: Mapped[UUID] = mapped_column(primary_key=True, default=uuid4)
@@ -27,6 +32,7 @@ class Worker(Base):
     heartbeat_at: Mapped[datetime] = mapped_column(server_default=func.now(), index=True)
     disk_bytes: Mapped[int | None] = mapped_column(BigInteger)
     disk_free_bytes: Mapped[int | None] = mapped_column(BigInteger)
+    sandbox: Mapped[dict[str, Any] | None] = mapped_column(JSONB(none_as_null=True), deferred=True)
 
 
 class MetricTotal(Base):

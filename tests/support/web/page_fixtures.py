@@ -10,6 +10,7 @@ from typing import Any
 from uuid import UUID, uuid5
 
 from fastapi import FastAPI
+from vitac.evaluator.agent.description import SandboxDescription
 from vitac.evaluator.logs.findings import VerificationResult
 from vitac.evaluator.scoring.ranking import CombinedScore, combine
 from vitac.evaluator.scoring.score import Score, rate
@@ -445,6 +446,21 @@ def an_operations_view(*workers: MachineWorkerView) -> OperationsView:
     )
 
 
+def a_sandbox(**changes: Any) -> SandboxDescription:
+    """What a policy finds on a worker."""
+    values: dict[str, Any] = {
+        "python": "3.11.9",
+        "machine": "x86_64",
+        "c_library": "glibc 2.36",
+        "cores": 2,
+        "blas": "scipy-openblas 0.3.31",
+        "threads": {"OMP_NUM_THREADS": "1"},
+        "simd": ("X86_V2", "X86_V3"),
+        "packages": {"numpy": "2.4.6", "pydantic": "2.14.0"},
+    }
+    return SandboxDescription(**(values | changes))
+
+
 @dataclass(kw_only=True)
 class FixedData:
     """A service with fixed content; tokens are `token-of-<name>`. Implements `PageData`."""
@@ -460,6 +476,7 @@ class FixedData:
     registration_rule: Registration = Registration.OPEN
     service: OperationsView = field(default_factory=an_operations_view)
     printed: list[EpisodeOutputView] = field(default_factory=list)
+    described: list[SandboxDescription] = field(default_factory=list)
     uploaded: list[tuple[AnnouncedUpload, bytes]] = field(default_factory=list)
 
     async def visitor_with_token(self, token: str) -> Visitor | None:
@@ -516,6 +533,9 @@ class FixedData:
 
     async def operations(self) -> OperationsView:
         return self.service
+
+    async def sandboxes(self) -> list[SandboxDescription]:
+        return self.described
 
     def server_disk(self) -> Disk:
         return Disk(total_bytes=200 << 30, free_bytes=50 << 30)

@@ -25,6 +25,7 @@ class SiteUnderTest:
             f"/tracks/track_1?task={TASK}",
             "/tracks/track_1/logs",
             "/tracks/track_1/rules",
+            "/sandbox",
             "/register",
             "/sign-in",
             "/submissions",

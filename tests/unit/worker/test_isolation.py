@@ -1,5 +1,7 @@
 from collections.abc import Iterable
 
+import pytest
+from page_fixtures import a_sandbox
 from service_factories import ISOLATION
 from vitac.evaluator.agent.self_test import PROBES, Outcome, Probe, ProbeState
 from vitac.worker.isolation import SLOW_PROBES, probe_isolation
@@ -20,8 +22,9 @@ class FakeProbes:
 
 def test_machine_that_holds_every_probe_is_sound_and_its_level_is_named() -> None:
     probes = FakeProbes({})
-    report = probe_isolation(probes)
+    report = probe_isolation(probes, a_sandbox)
     assert report.is_sound
+    assert report.sandbox == a_sandbox()
     assert report.level.startswith("user: root, memory: cgroup-v1")
     assert set(probes.tried) == {probe.name for probe in PROBES} - SLOW_PROBES
 
@@ -32,11 +35,14 @@ def test_slow_probes_are_probes() -> None:
 
 def test_one_escape_or_a_sandbox_that_does_not_start_makes_the_machine_unsound() -> None:
     for state in (ProbeState.ESCAPED, ProbeState.FAILED):
-        report = probe_isolation(FakeProbes({"network refused": state}))
+        report = probe_isolation(FakeProbes({"network refused": state}), pytest.fail)
         assert not report.is_sound
+        assert report.sandbox is None
         assert report.problems == (f"network refused: {state} (what came)",)
 
 
 def test_this_machine_is_sound() -> None:
     report = probe_isolation()
     assert report.problems == ()
+    assert report.sandbox is not None
+    assert "numpy" in report.sandbox.packages

@@ -1,0 +1,49 @@
+"""`vitac sandbox`: prints what a policy runs with on this machine, as the sandbox itself tells it."""
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from vitac.evaluator.agent.description import SandboxDescription
+
+
+def command(
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
+    markdown: Annotated[
+        bool, typer.Option("--markdown", help="Print tables in Markdown, as in docs/sandbox.md.")
+    ] = False,
+) -> None:
+    """Print what a policy finds in the sandbox: Python, packages, BLAS, threads, CPU."""
+    from vitac.evaluator.agent.description import describe_sandbox
+
+    from .terminal.output import print_json, print_table
+
+    found = describe_sandbox()
+    if as_json:
+        print_json(found.model_dump())
+        return
+    if markdown:
+        print("\n".join(markdown_lines(found)))
+        return
+    print_table(("what", "found"), facts(found), none="")
+    print()
+    print_table(("package", "version"), list(found.packages.items()), none="")
+
+
+def facts(found: "SandboxDescription") -> list[tuple[str, str]]:
+    """Return what is no package, as rows."""
+    return [
+        ("Python", found.python),
+        ("C library", found.c_library),
+        ("CPU", f"{found.machine} with {', '.join(found.simd) or 'no vector extensions'}"),
+        ("BLAS of NumPy", found.blas),
+        *found.threads.items(),
+    ]
+
+
+def markdown_lines(found: "SandboxDescription") -> list[str]:
+    """Return the tables of `docs/sandbox.md`."""
+    lines = ["| what | found |", "|---|---|", *(f"| {name} | {value} |" for name, value in facts(found)), ""]
+    lines += ["| package | version |", "|---|---|"]
+    return lines + [f"| {name} | {version} |" for name, version in found.packages.items()]

@@ -1,0 +1,24 @@
+"""The page that says what a policy runs with, as the workers' sandboxes tell it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from ..site import page, site_of, viewer_of
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+    from starlette.responses import Response
+
+
+async def sandbox(request: Request) -> Response:
+    """Show packages, BLAS, threads, CPU and limits, and how to bring other packages."""
+    data = site_of(request).data
+    return page(
+        request,
+        "sandbox.html",
+        viewer=await viewer_of(request),
+        section="/sandbox",
+        found=await data.sandboxes(),
+        limits=data.limits(),
+    )
