@@ -120,7 +120,8 @@ def add_submission(session: Session, number: int, team_id: UUID, rng: np.random.
         platform_class="benchmark", state=EvaluationState.COMPLETED, episodes_reused=0, log_tail="",
         created_at=moment, started_at=moment, finished_at=moment + timedelta(seconds=15), result_hash=digest,
     )  # fmt: skip
-    store_scores(evaluation, {name: random_score(tasks[name], rng) for name in chosen}, dict.fromkeys(chosen, digest))
+    scores = {name: random_score(tasks[name], rng) for name in chosen}
+    store_scores(evaluation, scores, dict.fromkeys(chosen, digest), finished_at=moment)
     session.add(evaluation)
 
 

@@ -25,6 +25,7 @@ class ProblemCode(StrEnum):
     INVITE_REQUIRED = "invite_required"
     INVALID_REQUEST = "invalid_request"
     LENGTH_INVALID = "length_invalid"
+    LIST_SEALED = "list_sealed"
     LOG_IMPOSSIBLE = "log_impossible"
     LOG_REJECTED = "log_rejected"
     LOG_TEAM_MISMATCH = "log_team_mismatch"
@@ -33,16 +34,20 @@ class ProblemCode(StrEnum):
     MISSING_CREDENTIALS = "missing_credentials"
     NOT_CANCELLABLE = "not_cancellable"
     NOT_FOUND = "not_found"
+    NOT_QUALIFIED = "not_qualified"
     NOT_REQUEUABLE = "not_requeuable"
     NO_LOG = "no_log"
     QUOTA_EXCEEDED = "quota_exceeded"
     REGISTRATION_CLOSED = "registration_closed"
+    STAGE_CLOSED = "stage_closed"
     STORAGE_FULL = "storage_full"
     STORAGE_UNAVAILABLE = "storage_unavailable"
+    TEAM_DISQUALIFIED = "team_disqualified"
     TEAM_EXISTS = "team_exists"
     TEAM_REQUIRED = "team_required"
     TOO_MANY_REQUESTS = "too_many_requests"
     TOO_MANY_UPLOADS = "too_many_uploads"
+    UNKNOWN_STAGE = "unknown_stage"
     UNKNOWN_TASK = "unknown_task"
     UNKNOWN_TEAM = "unknown_team"
     UNKNOWN_TRACK = "unknown_track"
@@ -68,6 +73,7 @@ STATUS_OF_CODE: Mapping[ProblemCode, HTTPStatus] = MappingProxyType(
         ProblemCode.INVITE_REQUIRED: HTTPStatus.FORBIDDEN,
         ProblemCode.INVALID_REQUEST: HTTPStatus.UNPROCESSABLE_ENTITY,
         ProblemCode.LENGTH_INVALID: HTTPStatus.BAD_REQUEST,
+        ProblemCode.LIST_SEALED: HTTPStatus.FORBIDDEN,
         ProblemCode.LOG_IMPOSSIBLE: HTTPStatus.UNPROCESSABLE_ENTITY,
         ProblemCode.LOG_REJECTED: HTTPStatus.UNPROCESSABLE_ENTITY,
         ProblemCode.LOG_TEAM_MISMATCH: HTTPStatus.UNPROCESSABLE_ENTITY,
@@ -76,16 +82,20 @@ STATUS_OF_CODE: Mapping[ProblemCode, HTTPStatus] = MappingProxyType(
         ProblemCode.MISSING_CREDENTIALS: HTTPStatus.UNAUTHORIZED,
         ProblemCode.NOT_CANCELLABLE: HTTPStatus.CONFLICT,
         ProblemCode.NOT_FOUND: HTTPStatus.NOT_FOUND,
+        ProblemCode.NOT_QUALIFIED: HTTPStatus.FORBIDDEN,
         ProblemCode.NOT_REQUEUABLE: HTTPStatus.CONFLICT,
         ProblemCode.NO_LOG: HTTPStatus.CONFLICT,
         ProblemCode.QUOTA_EXCEEDED: HTTPStatus.TOO_MANY_REQUESTS,
         ProblemCode.REGISTRATION_CLOSED: HTTPStatus.FORBIDDEN,
+        ProblemCode.STAGE_CLOSED: HTTPStatus.FORBIDDEN,
         ProblemCode.STORAGE_FULL: HTTPStatus.INSUFFICIENT_STORAGE,
         ProblemCode.STORAGE_UNAVAILABLE: HTTPStatus.SERVICE_UNAVAILABLE,
+        ProblemCode.TEAM_DISQUALIFIED: HTTPStatus.FORBIDDEN,
         ProblemCode.TEAM_EXISTS: HTTPStatus.CONFLICT,
         ProblemCode.TEAM_REQUIRED: HTTPStatus.UNPROCESSABLE_ENTITY,
         ProblemCode.TOO_MANY_REQUESTS: HTTPStatus.TOO_MANY_REQUESTS,
         ProblemCode.TOO_MANY_UPLOADS: HTTPStatus.TOO_MANY_REQUESTS,
+        ProblemCode.UNKNOWN_STAGE: HTTPStatus.NOT_FOUND,
         ProblemCode.UNKNOWN_TASK: HTTPStatus.NOT_FOUND,
         ProblemCode.UNKNOWN_TEAM: HTTPStatus.NOT_FOUND,
         ProblemCode.UNKNOWN_TRACK: HTTPStatus.NOT_FOUND,

@@ -97,7 +97,9 @@ class PlaybackRun:
 
     def _make(self, folder: Path) -> Mapping[str, str]:
         """Return the digests of the stored files by column."""
-        order = PlaybackOrder(track=self._lease.track, record=self._lease.record, folder=folder)
+        order = PlaybackOrder(
+            track=self._lease.track, record=self._lease.record, list_seed=self._lease.list_seed, folder=folder
+        )
         with self._start(order) as process:
             with self._lock:
                 self._process = process

@@ -16,6 +16,7 @@ from vitac.evaluator.episodes.records import EpisodeRecord, Manifest
 from vitac.evaluator.scoring.failures import is_broken
 from vitac.evaluator.shards.order import ShardOrder
 from vitac.evaluator.shards.result import ShardEnd, ShardResult
+from vitac.server.competition.sealing import secret_of
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.evaluations.episode_store import StoredEpisodes, store_episodes, stored_episodes
 from vitac.server.evaluations.lifecycle import finish_shard, report_broken_machine
@@ -126,7 +127,8 @@ class ShardRun:
     def _play(self, stored: StoredEpisodes) -> ShardResult:
         with ExitStack() as stack:
             path = self._fetch(stack)
-            process = stack.enter_context(self._start(self._order(path, stored)))
+            secret = self._secret_file(stack)
+            process = stack.enter_context(self._start(self._order(path, stored, secret)))
             with self._lock:
                 self._process = process
             if self._stopping.is_set() or self._lost.is_set():
@@ -154,12 +156,25 @@ class ShardRun:
                 logger.warning("storage_unavailable", shard=self._lease.shard_id, error=error.detail)
                 self._stopping.wait(STORAGE_PAUSE_S)
 
-    def _order(self, path: Path, stored: StoredEpisodes) -> ShardOrder:
+    def _secret_file(self, stack: ExitStack) -> Path | None:
+        """Return a file with the secret of the list to play, which only this user reads; None for the public list."""
+        commitment = self._lease.commitment
+        if commitment is None:
+            return None
+        secret = self._database(lambda session: secret_of(session, commitment))
+        folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="sealed-", dir=self._stage.folder))
+        file = Path(folder) / "secret"
+        file.touch(mode=0o600)
+        file.write_text(secret)
+        return file
+
+    def _order(self, path: Path, stored: StoredEpisodes, secret: Path | None) -> ShardOrder:
         return ShardOrder(
             kind=self._lease.kind,
             submission=path,
             track=self._lease.track,
             task=self._lease.task,
+            secret=secret,
             shard=self._lease.number,
             episodes=self._lease.episodes,
             limits=self._services.settings.limits,

@@ -64,6 +64,11 @@ class SubmissionStage:
                 staged.users -= 1
                 self._forget_idle()
 
+    @property
+    def folder(self) -> Path:
+        """For what else lives only while a shard runs; removed also after this process was killed."""
+        return self._folder
+
     def close(self) -> None:
         """Remove everything."""
         shutil.rmtree(self._folder, ignore_errors=True)

@@ -78,14 +78,14 @@ class EvaluationProgress:
         if task["task"] not in self._tasks:
             self._tasks[task["task"]] = bar.add_task("", total=total, successes=0, name=name)
         shown = description if done < total else ""
-        bar.update(self._tasks[task["task"]], completed=done, successes=task["successes"], description=shown)
+        bar.update(self._tasks[task["task"]], completed=done, successes=_shown(task["successes"]), description=shown)
 
     def _print_line(self, progress: Json) -> None:
         done, total = progress["episodes_done"], progress["episodes_total"]
         tenth = LINES_PER_EVALUATION * done // total
         if tenth > self._tenths_printed:
             self._tenths_printed = tenth
-            line = f"{self._indent}{done}/{total} episodes, {progress['successes']} successes"
+            line = f"{self._indent}{done}/{total} episodes, {_shown(progress['successes'])} successes"
             self._console.print(line + _by_task(progress["tasks"]), highlight=False, soft_wrap=True)
 
 
@@ -104,3 +104,8 @@ def situation(found: Json) -> str:
         return f"number {evaluation['queue_position']} in the queue"
     eta = evaluation["eta_s"]
     return "" if eta is None else f"about {eta:.0f} s left"
+
+
+def _shown(successes: int | None) -> object:
+    """Return a number of successes, which a sealed list hides before the end."""
+    return "hidden" if successes is None else successes

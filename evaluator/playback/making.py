@@ -44,7 +44,7 @@ def make(order: PlaybackOrder, on_step: OnStep) -> None:
     from vitac.envs.playback_files.scene import pack_scene
 
     task = load_track(order.track).tasks[order.record.task]
-    playback = replay(task, order.record, on_step)
+    playback = replay(task, order.record, on_step, order.list_seed)
     (order.folder / SCENE_FILE).write_bytes(pack_scene(playback))
     cameras = pack_cameras(playback)
     if cameras is not None:
@@ -53,7 +53,7 @@ def make(order: PlaybackOrder, on_step: OnStep) -> None:
         _draw_still(playback, f"{task.title}, episode {order.record.episode}: {order.record.shape}", order.folder)
 
 
-def replay(task: Task, record: EpisodeRecord, on_step: OnStep) -> "Playback":
+def replay(task: Task, record: EpisodeRecord, on_step: OnStep, list_seed: int | None = None) -> "Playback":
     """Return the re-simulated episode of a record.
 
     Raises:
@@ -73,7 +73,7 @@ def replay(task: Task, record: EpisodeRecord, on_step: OnStep) -> "Playback":
         played += 1
         return next(remaining, None)
 
-    playback = play(env, options=start_of(task, record).options, next_action=next_action, pace=Pace.IPC_STEP)
+    playback = play(env, options=start_of(task, record, list_seed).options, next_action=next_action, pace=Pace.IPC_STEP)
     last = playback.moments[-1].env_step
     _require_same_state(env.state_hash(), record, last)
     if last != record.env_steps:
@@ -83,15 +83,15 @@ def replay(task: Task, record: EpisodeRecord, on_step: OnStep) -> "Playback":
     return playback
 
 
-def start_of(task: Task, record: EpisodeRecord) -> Episode:
-    """Return where a recorded episode started."""
+def start_of(task: Task, record: EpisodeRecord, list_seed: int | None = None) -> Episode:
+    """Return where a recorded episode started, in the public list or in one with another seed."""
     listed = task.episode_list
     return Episode(
         number=record.episode,
         shape=record.shape,
         offset=record.initial_offset,
         offset_option=listed.offset_option,
-        list_seed=listed.list_seed,
+        list_seed=listed.list_seed if list_seed is None else list_seed,
     )
 
 

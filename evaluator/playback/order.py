@@ -15,10 +15,14 @@ SCENE_FILE, CAMERAS_FILE, STILL_FILE = "scene.bin.gz", "cameras.bin.gz", "still.
 
 
 class PlaybackOrder(StrictModel):
-    """What is to be made: the files of one finished episode, in a folder."""
+    """What is to be made: the files of one finished episode, in a folder.
+
+    `list_seed` is that of a sealed list; None: the one in the track's file.
+    """
 
     track: str
     record: EpisodeRecord
+    list_seed: int | None = None
     folder: Path
 
 

@@ -3,12 +3,13 @@
 Another team's is answered as if there were none.
 """
 
+from dataclasses import dataclass
 from uuid import UUID
 
 from sqlalchemy.orm import Session, joinedload
 from vitac.evaluator.tracks import ListKind, load_track
 
-from ..db.models import Submission
+from ..db.models import Evaluation, Submission
 from ..errors import ProblemCode, ServiceError, not_found
 from .principals import Principal
 
@@ -25,24 +26,58 @@ def visible(session: Session, by: Principal, submission_id: UUID) -> Submission:
     return submission
 
 
-def may_see_output(by: Principal, submission: Submission) -> bool:
-    """Return whether what the submission's policy prints is shown to somebody.
+@dataclass(frozen=True, kw_only=True)
+class Sight:
+    """What of an evaluation is shown to somebody who may see its submission; its state and score always are.
 
-    Only its team and the organizers see it. Of a sealed list only the organizers do, because a policy can print what it
-    observes, and so tell its team the episodes. A log ran no policy here: the output that it names could be anything.
+    Attributes:
+        episodes: single episodes: outcomes, records, logs, playback, pictures, and how many succeeded before the end.
+        output: what the policy printed.
     """
-    if not submission.kind.form.runs_policy or not by.may_see(submission.team_id):
-        return False
-    tasks = load_track(submission.track).tasks
-    return by.is_organizer or all(tasks[task].episode_list.kind is ListKind.PUBLIC for task in submission.tasks)
+
+    episodes: bool
+    output: bool
 
 
-def may_see_episode(by: Principal, submission: Submission, task: str) -> bool:
-    """Return whether episodes of a task of a submission are shown to somebody who sees the submission.
+def sight_of(by: Principal, evaluation: Evaluation) -> Sight:
+    """Return what of an evaluation is shown to somebody: whatever tells of single episodes asks here.
 
-    Those of a sealed list only to organizers: a playback shows where an episode starts.
+    While a list is sealed, only organizers see its episodes, and what was printed there, because a policy can print
+    what it observes. A log ran no policy here: the output that it names could be anything.
     """
-    return by.is_organizer or load_track(submission.track).tasks[task].episode_list.kind is ListKind.PUBLIC
+    submission = evaluation.submission
+    episodes = by.is_organizer or (by.may_see(submission.team_id) and not is_sealed(evaluation))
+    return Sight(episodes=episodes, output=episodes and submission.kind.form.runs_policy)
+
+
+def is_sealed(evaluation: Evaluation) -> bool:
+    """Return whether an evaluation plays a list whose secret is not published yet."""
+    if evaluation.sealed_list is not None:
+        return evaluation.sealed_list.revealed_at is None
+    return played_list_kind(evaluation) is ListKind.SEALED
+
+
+def played_list_kind(evaluation: Evaluation) -> ListKind:
+    """Return who could know the episodes while they were played: of a stage's sealed list, or of the track file's."""
+    if evaluation.commitment is not None:
+        return ListKind.SEALED
+    tasks = load_track(evaluation.submission.track).tasks
+    kinds = {tasks[task].episode_list.kind for task in evaluation.submission.tasks}
+    return ListKind.SEALED if ListKind.SEALED in kinds else ListKind.PUBLIC
+
+
+def require_episodes(by: Principal, evaluation: Evaluation) -> None:
+    """Refuse to show single episodes of a sealed list.
+
+    Raises:
+        ServiceError: list_sealed.
+    """
+    if not sight_of(by, evaluation).episodes:
+        raise ServiceError(
+            ProblemCode.LIST_SEALED,
+            "This evaluation plays a sealed list: until its secret is published, only its state and its final score "
+            "are shown.",
+        )
 
 
 def changeable(session: Session, by: Principal, submission_id: UUID) -> Submission:

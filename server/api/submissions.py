@@ -109,7 +109,7 @@ def get_submission(services: ServicesOf, principal: PrincipalOf, submission_id: 
 
 @router.get("/{submission_id}/episodes")
 def get_episodes(services: ServicesOf, principal: PrincipalOf, submission_id: UUID) -> list[EpisodeView]:
-    """Return how each finished episode ended."""
+    """Return how each finished episode ended; none for a team as long as the list is sealed (`episodes_hidden`)."""
     with services.database.transaction() as session:
         return listing.episodes(session, principal, submission_id)
 

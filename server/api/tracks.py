@@ -16,6 +16,7 @@ from .problems import RESPONSES
 
 router = APIRouter(tags=["tracks"], responses=RESPONSES)
 
+Stage = Annotated[str | None, Query(description="Of the competition; the one that opened last without it.")]
 UNCHANGED: dict[int | str, dict[str, Any]] = {
     304: {"description": "As the `If-None-Match` of the request says, the client has this revision."}
 }
@@ -40,18 +41,19 @@ def get_leaderboard(
     track: str,
     *,
     task: Annotated[str | None, Query(description="Rank by this task alone; all tasks together without it.")] = None,
+    stage: Stage = None,
 ) -> Response:
     """Return the standings of a track or of one of its tasks: the best completed evaluation of each team."""
     with services.database.transaction() as session:
-        board = leaderboard(session, track, task=task)
+        board = leaderboard(session, track, task=task, stage=stage)
     return _answer(request, board)
 
 
 @router.get("/leaderboards/{track}/logs", response_model=LogBoardsView, responses=UNCHANGED)
-def get_log_boards(request: Request, services: ServicesOf, track: str) -> Response:
+def get_log_boards(request: Request, services: ServicesOf, track: str, stage: Stage = None) -> Response:
     """Return the verified logs of a track, ranked by task, and the 2025 text logs, which are not ranked."""
     with services.database.transaction() as session:
-        board = log_boards(session, track)
+        board = log_boards(session, track, stage=stage)
     return _answer(request, board)
 
 

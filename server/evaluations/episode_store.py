@@ -20,12 +20,17 @@ OUTPUT_CHARACTERS = 4096
 
 @dataclass(frozen=True, kw_only=True)
 class EpisodeKey:
-    """What episode rows of one evaluation have in common; an episode is computed once for each such key."""
+    """What episode rows of one evaluation have in common; an episode is computed once for each such key.
+
+    Attributes:
+        commitment: of the sealed list that is played; empty for the public one.
+    """
 
     submission_digest: str
     evaluator_version: str
     track: str
     run: int
+    commitment: str
 
     @classmethod
     def of(cls, evaluation: Evaluation, submission: Submission) -> Self:
@@ -35,6 +40,7 @@ class EpisodeKey:
             evaluator_version=evaluation.evaluator_version,
             track=submission.track,
             run=evaluation.run,
+            commitment=evaluation.commitment or "",
         )
 
     @classmethod
@@ -45,6 +51,7 @@ class EpisodeKey:
             evaluator_version=lease.evaluator_version,
             track=lease.track,
             run=lease.run,
+            commitment=lease.commitment or "",
         )
 
     def conditions(self, result: type[EpisodeResult] = EpisodeResult) -> tuple[Any, ...]:
@@ -54,6 +61,7 @@ class EpisodeKey:
             result.evaluator_version == self.evaluator_version,
             result.track == self.track,
             result.run == self.run,
+            result.commitment == self.commitment,
         )
 
 
@@ -98,6 +106,7 @@ def row_values(lease: Lease, record: EpisodeRecord) -> dict[str, Any]:
         "task": record.task,
         "episode": record.episode,
         "run": key.run,
+        "commitment": key.commitment,
         "shape": record.shape,
         "outcome": record.outcome.value,
         "success": record.success,

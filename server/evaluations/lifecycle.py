@@ -14,6 +14,7 @@ from vitac.evaluator.shards.result import ShardEnd, ShardResult
 from vitac.evaluator.tracks import load_track
 from vitac.evaluator.tracks.cut import cut
 from vitac.evaluator.version import evaluator_hash, evaluator_version
+from vitac.server.competition.sealing import commitment_of_stage
 from vitac.server.db.models import Evaluation, Shard, Submission
 from vitac.server.db.row_locks import lock_evaluation
 from vitac.server.db.states import OPEN_SHARD_STATES, EvaluationState, ShardState
@@ -59,6 +60,7 @@ def start(
         evaluator_hash=evaluator_hash(),
         state=EvaluationState.QUEUED,
         episodes_reused=0,
+        commitment=commitment_of_stage(session, submission.track, submission.stage),
         turn=next_turn(session, submission.team_id) if turn is None else turn,
         log_tail="",
         charged_at=charged_at,
@@ -188,11 +190,12 @@ def _conclude(session: Session, evaluation: Evaluation) -> None:
 def _complete(session: Session, evaluation: Evaluation, records: dict[str, list[EpisodeRecord]]) -> None:
     manifests = {task: manifest_of(session, evaluation, task) for task in records}
     hashes = {task: result_hash(manifests[task], records[task]) for task in records}
-    store_scores(evaluation, {task: score(records[task]) for task in records}, hashes)
+    finished_at = datetime.now(UTC)
+    store_scores(evaluation, {task: score(records[task]) for task in records}, hashes, finished_at=finished_at)
     evaluation.result_hash = combine_hashes(hashes)
     evaluation.platform_class = next(iter(manifests.values())).platform_class
     evaluation.state = EvaluationState.COMPLETED
-    evaluation.finished_at = datetime.now(UTC)
+    evaluation.finished_at = finished_at
     session.flush()
     flag_copies(session, evaluation)
 

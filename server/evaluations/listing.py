@@ -5,6 +5,7 @@ from uuid import UUID
 from sqlalchemy import select
 from sqlalchemy.orm import Session, defer, joinedload
 
+from ..accounts.principals import CONSOLE
 from ..db.models import Evaluation, Shard, Submission
 from ..db.states import EvaluationState
 from ..errors import not_found
@@ -50,7 +51,7 @@ def show_evaluation(session: Session, settings: Settings, evaluation_id: UUID) -
     """
     evaluation = find(session, evaluation_id)
     workers = workers_alive(session, settings, evaluation.evaluator_version)
-    rows = EvaluationRows.read(session, [evaluation], for_organizer=True, with_output=True)
+    rows = EvaluationRows.read(session, [evaluation], CONSOLE, with_output=True)
     return EvaluationDetailView(
         **dict(evaluation_view(evaluation, workers, rows)),
         submission_id=evaluation.submission_id,

@@ -30,12 +30,16 @@ def progress_of(evaluation: Evaluation, submission: Submission, counts: EpisodeC
         counts: of its stored episodes; not asked once it is scored.
     """
     done = _counts_of_scores(evaluation) or counts
+
+    def done_of(task: str) -> tuple[int, int]:
+        return done.get(task, (0, 0))
+
     track = load_track(submission.track)
     tasks = [
         TaskProgressView(
             task=task,
-            episodes_done=done.get(task, (0, 0))[0],
-            successes=done.get(task, (0, 0))[1],
+            episodes_done=done_of(task)[0],
+            successes=done_of(task)[1],
             episodes_total=len(track.tasks[task].episodes),
         )
         for task in submission.tasks
@@ -44,7 +48,7 @@ def progress_of(evaluation: Evaluation, submission: Submission, counts: EpisodeC
         episodes_done=sum(task.episodes_done for task in tasks),
         episodes_total=sum(task.episodes_total for task in tasks),
         episodes_reused=evaluation.episodes_reused,
-        successes=sum(task.successes for task in tasks),
+        successes=sum(successes for _, successes in map(done_of, submission.tasks)),
         tasks=tasks,
     )
 
@@ -66,6 +70,7 @@ def episode_counts(session: Session, evaluations: Collection[Evaluation]) -> dic
         EpisodeResult.evaluator_version == Evaluation.evaluator_version,
         EpisodeResult.track == Submission.track,
         EpisodeResult.run == Evaluation.run,
+        EpisodeResult.commitment == func.coalesce(Evaluation.commitment, ""),
     )
     rows = session.execute(
         select(Evaluation.id, EpisodeResult.task, func.count(), func.count().filter(EpisodeResult.success))

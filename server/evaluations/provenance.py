@@ -21,6 +21,7 @@ def known_manifest(session: Session, lease: Lease) -> Manifest | None:
         .where(
             Evaluation.evaluator_version == lease.evaluator_version,
             Submission.track == lease.track,
+            Evaluation.commitment.is_not_distinct_from(lease.commitment),
             Shard.task == lease.task,
             Shard.manifest.is_not(None),
         )

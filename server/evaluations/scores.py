@@ -2,6 +2,7 @@
 
 import hashlib
 from collections.abc import Collection, Mapping
+from datetime import datetime
 
 from vitac.evaluator.scoring.ranking import CombinedScore, combine
 from vitac.evaluator.scoring.score import Interval, Rate, Score
@@ -10,7 +11,9 @@ from vitac.server.db.models import ALL_TASKS, BoardResult, Evaluation, Submissio
 from vitac.server.views.scores import ShapeScoreView, TaskScoreView
 
 
-def store_scores(evaluation: Evaluation, scores: Mapping[str, Score], hashes: Mapping[str, str]) -> None:
+def store_scores(
+    evaluation: Evaluation, scores: Mapping[str, Score], hashes: Mapping[str, str], *, finished_at: datetime
+) -> None:
     """Write the score of each task into the row of an evaluation, and what it is ranked by on each board.
 
     A combination is stored by the rule of the evaluation's version only, as it ranks among results of this one only.
@@ -19,10 +22,10 @@ def store_scores(evaluation: Evaluation, scores: Mapping[str, Score], hashes: Ma
     evaluation.scores = [
         {"task": task, "result_hash": hashes[task], **score.model_dump(mode="json")} for task, score in scores.items()
     ]
-    evaluation.board_results = [_board_result(evaluation, task, score) for task, score in scores.items()]
+    evaluation.board_results = [_board_result(evaluation, task, score, finished_at) for task, score in scores.items()]
     combined = combined_score(evaluation)
     if combined is not None and evaluation.submission.kind.form.runs_policy:
-        evaluation.board_results.append(_board_result(evaluation, ALL_TASKS, combined))
+        evaluation.board_results.append(_board_result(evaluation, ALL_TASKS, combined, finished_at))
 
 
 def combine_hashes(hashes: Mapping[str, str]) -> str:
@@ -67,11 +70,14 @@ def bounds(interval: Interval) -> tuple[float, float]:
     return interval.low, interval.high
 
 
-def _board_result(evaluation: Evaluation, board: str, score: Score | CombinedScore) -> BoardResult:
+def _board_result(
+    evaluation: Evaluation, board: str, score: Score | CombinedScore, finished_at: datetime
+) -> BoardResult:
     submission = evaluation.submission
     return BoardResult(
         board=board,
         track=submission.track,
+        stage=submission.stage,
         kind=submission.kind,
         team_id=submission.team_id,
         submission_id=submission.id,
@@ -79,6 +85,7 @@ def _board_result(evaluation: Evaluation, board: str, score: Score | CombinedSco
         success_rate=score.success_rate,
         mean_steps=score.mean_steps,
         submitted_at=submission.submitted_at,
+        finished_at=finished_at,
     )
 
 

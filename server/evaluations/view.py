@@ -12,6 +12,8 @@ from vitac.evaluator.scoring.ranking import CombinedScore
 from vitac.server.db.states import ACTIVE_EVALUATION_STATES, TERMINAL_EVALUATION_STATES, EvaluationState
 from vitac.server.kept import Kept
 
+from ..accounts.principals import Principal
+from ..accounts.visibility import played_list_kind, sight_of
 from ..db.models import EpisodeResult, Evaluation
 from ..queue.workers import WorkersAlive
 from ..views.evaluations import (
@@ -48,6 +50,7 @@ class EvaluationRows:
         differing: episodes that were run again with another record; None where only organizers may see them.
         output: the end of what policies printed; nothing where many are shown.
         counts: stored episodes of those without scores.
+        hidden: those of which single episodes are not shown.
         positions: places in the queue of those that have not started.
         ahead: episodes to be played before those that have not ended.
         mean_s: mean wall time of an episode of some tasks [s].
@@ -57,27 +60,30 @@ class EvaluationRows:
     differing: Mapping[UUID, list[DifferingEpisodeView]] | None
     output: Mapping[UUID, str]
     counts: Mapping[UUID, EpisodeCounts]
+    hidden: frozenset[UUID]
     positions: Mapping[UUID, int]
     ahead: Mapping[UUID, int]
     mean_s: Callable[[tuple[str, ...]], float | None]
 
     @classmethod
-    def read(
-        cls, session: Session, evaluations: Sequence[Evaluation], *, for_organizer: bool, with_output: bool
-    ) -> Self:
+    def read(cls, session: Session, evaluations: Sequence[Evaluation], by: Principal, *, with_output: bool) -> Self:
         """Return what is shown of these evaluations, in as many statements for many as for one.
 
         Args:
             session: of the transaction.
             evaluations: which ones.
-            for_organizer: with what only organizers may see.
+            by: who asks, and gets what may be shown to them.
             with_output: with what the policies printed, which is up to 64 Ki characters each.
         """
+        sights = {found.id: sight_of(by, found) for found in evaluations}
         return cls(
             isolation=isolation_levels(session, evaluations),
-            differing=differing_episodes(session, evaluations) if for_organizer else None,
-            output={found.id: _output(session, found) for found in evaluations} if with_output else {},
+            differing=differing_episodes(session, evaluations) if by.is_organizer else None,
+            output={
+                found.id: _output(session, found) for found in evaluations if with_output and sights[found.id].output
+            },
             counts=episode_counts(session, evaluations),
+            hidden=frozenset(found for found, sight in sights.items() if not sight.episodes),
             positions=queue_positions(session, evaluations),
             ahead=episodes_ahead(session, evaluations),
             mean_s=cache(lambda tasks: mean_episode_s(session, tasks)),
@@ -119,14 +125,16 @@ def evaluation_view(evaluation: Evaluation, workers: WorkersAlive, rows: Evaluat
         outcome = _outcomes.get(evaluation.id, lambda: _Outcome.of(evaluation, {}))
     else:
         outcome = _Outcome.of(evaluation, rows.counts.get(evaluation.id, {}))
-    progress, combined = outcome.progress, outcome.combined
+    progress, combined, verdict = outcome.progress, outcome.combined, verdict_view(evaluation)
+    if evaluation.id in rows.hidden:
+        progress, verdict = _without_successes(progress, combined), _without_details(verdict)
     return EvaluationView(
         **dict(summary_view(evaluation)),
         started_at=evaluation.started_at,
         queue_position=rows.positions.get(evaluation.id),
         eta_s=_seconds_to_end(evaluation, progress, workers, rows),
         progress=progress,
-        verdict=verdict_view(evaluation),
+        verdict=verdict,
         log_tail=rows.output.get(evaluation.id, ""),
         success_rate=combined.success_rate if combined else None,
         success_rate_interval=bounds(combined.interval) if combined else None,
@@ -135,6 +143,9 @@ def evaluation_view(evaluation: Evaluation, workers: WorkersAlive, rows: Evaluat
         evaluator_hash=evaluation.evaluator_hash,
         platform_class=evaluation.platform_class,
         isolation=rows.isolation[evaluation.id],
+        list_kind=played_list_kind(evaluation),
+        commitment=evaluation.commitment,
+        episodes_hidden=evaluation.id in rows.hidden,
         differing_episodes=None if rows.differing is None else rows.differing[evaluation.id],
     )
 
@@ -157,6 +168,20 @@ def verdict_view(evaluation: Evaluation) -> VerdictView | None:
     )
 
 
+def _without_successes(progress: ProgressView, combined: CombinedScore | None) -> ProgressView:
+    """Return the progress as a team sees it on a sealed list: before the end, each success would tell of an episode."""
+    if combined is not None:
+        return progress
+    tasks = [task.model_copy(update={"successes": None}) for task in progress.tasks]
+    return progress.model_copy(update={"successes": None, "tasks": tasks})
+
+
+def _without_details(verdict: VerdictView | None) -> VerdictView | None:
+    """Return the verdict without what may repeat an observation, or say how a single episode ended."""
+    hidden = "The list is sealed; the details are shown once its secret is published."
+    return verdict and verdict.model_copy(update={"message": hidden, "task": None, "episode": None})
+
+
 def _seconds_to_end(
     evaluation: Evaluation, progress: ProgressView, workers: WorkersAlive, rows: EvaluationRows
 ) -> float | None:
@@ -167,13 +192,8 @@ def _seconds_to_end(
 
 
 def _output(session: Session, evaluation: Evaluation) -> str:
-    """Return what was kept at the end; while it runs, the output of the last episode that the policy failed in.
-
-    Nothing for a log: no policy ran here, and the output that a log names could be anything.
-    """
+    """Return what was kept at the end; while it runs, the output of the last episode that the policy failed in."""
     submission = evaluation.submission
-    if not submission.kind.form.runs_policy:
-        return ""
     if evaluation.state in TERMINAL_EVALUATION_STATES:
         return evaluation.log_tail
     tail = session.scalar(

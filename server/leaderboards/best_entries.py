@@ -5,6 +5,7 @@ The order is that of `vitac.evaluator.scoring.ranking.rank`, which a test compar
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from functools import cache
 from typing import Any
 from uuid import UUID
@@ -20,17 +21,25 @@ from vitac.evaluator.version import evaluator_version
 from ..db.models import ALL_TASKS, BoardResult, Team
 from ..views.submissions import RankView
 
+EVER = datetime.max.replace(tzinfo=UTC)
+"""As `until`: all results."""
+
 PlacesOfBoards = Mapping[str | None, Mapping[UUID, RankView]]
 """Places by submission on each board of a track: that of a task, or under None that of all tasks together."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Board:
-    """What is ranked together: results of one kind in one task of a track, or with `task` None in all of them."""
+    """What is ranked together: results of one kind in one task of a track, or with `task` None in all of them.
+
+    Attributes:
+        stage: of the competition; empty for results outside of one.
+    """
 
     track: str
     kind: SubmissionKind = SubmissionKind.MODEL
     task: str | None = None
+    stage: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,10 +51,16 @@ class BestEntry:
     submission_id: UUID
 
 
-def best_entries(session: Session, board: Board) -> list[BestEntry]:
-    """Return the best entry of each team, ranked; then those of teams that only have results of other versions."""
-    named = {"track": board.track, "kind": board.kind, "board": board.task or ALL_TASKS}
-    of_version = named | {"version": evaluator_version()}
+def best_entries(session: Session, board: Board, *, until: datetime = EVER) -> list[BestEntry]:
+    """Return the best entry of each team, ranked; then those of teams that only have results of other versions.
+
+    Args:
+        session: of the transaction.
+        board: which one.
+        until: results that were complete then count.
+    """
+    named = {"track": board.track, "stage": board.stage, "kind": board.kind, "board": board.task or ALL_TASKS}
+    of_version = named | {"version": evaluator_version(), "until": until}
     ranked = session.execute(_best_of_teams(), of_version)
     unranked = session.execute(_best_of_other_versions(), of_version)
     return [
@@ -57,13 +72,15 @@ def best_entries(session: Session, board: Board) -> list[BestEntry]:
     ]
 
 
-def places(session: Session, track: str, submissions: Collection[UUID]) -> PlacesOfBoards:
-    """Return the places of those submissions that are their team's best entry on a board of the track."""
+def places(session: Session, track: str, submissions: Collection[UUID], *, stage: str = "") -> PlacesOfBoards:
+    """Return the places of those submissions that are their team's best entry on a board of the track's stage."""
     boards: dict[str, str | None] = {ALL_TASKS: None} | {task: task for task in load_track(track).tasks}
     found = session.execute(
         _places_of_submissions(),
         {
             "track": track,
+            "stage": stage,
+            "until": EVER,
             "kind": SubmissionKind.MODEL,
             "boards": list(boards),
             "version": evaluator_version(),
@@ -88,7 +105,7 @@ def ranking_order(result: type[BoardResult]) -> tuple[ColumnElement[Any], ...]:
 def _best_of_teams() -> Select[UUID, UUID]:
     """Return the ids of evaluation and submission of each team's best entry of a version, best first."""
     best = _best_result(bindparam("board"), _of_version(BoardResult), ~BoardResult.is_copy)
-    return _ids(best).select_from(Team).join(best, true()).order_by(*ranking_order(best))
+    return _ids(best).select_from(Team).join(best, true()).where(_takes_part()).order_by(*ranking_order(best))
 
 
 @cache
@@ -100,7 +117,8 @@ def _best_of_other_versions() -> Select[UUID, UUID]:
         .where(*_on(ranked, bindparam("board")), _of_version(ranked), ~ranked.is_copy, ranked.team_id == Team.id)
         .exists()
     )
-    return _ids(best).select_from(Team).join(best, true()).where(~has_ranked).order_by(*ranking_order(best))
+    others = _ids(best).select_from(Team).join(best, true()).where(~has_ranked, _takes_part())
+    return others.order_by(*ranking_order(best))
 
 
 @cache
@@ -123,6 +141,7 @@ def _places_of_submissions() -> Select[str, UUID, int, int]:
         .select_from(Team)
         .join(board.table, true())
         .join(best, true())
+        .where(_takes_part())
         .subquery()
     )
     wanted = func.any(bindparam("submissions", type_=ARRAY(Uuid)))
@@ -145,7 +164,17 @@ def _best_result(board: ColumnElement[str], *conditions: ColumnElement[bool]) ->
 
 
 def _on(result: type[BoardResult], board: ColumnElement[str]) -> tuple[ColumnElement[bool], ...]:
-    return (result.track == bindparam("track"), result.kind == bindparam("kind"), result.board == board)
+    return (
+        result.track == bindparam("track"),
+        result.stage == bindparam("stage"),
+        result.kind == bindparam("kind"),
+        result.board == board,
+        result.finished_at <= bindparam("until"),
+    )
+
+
+def _takes_part() -> ColumnElement[bool]:
+    return Team.disqualified_at.is_(None)
 
 
 def _of_version(result: type[BoardResult]) -> ColumnElement[bool]:

@@ -14,12 +14,14 @@ from sqlalchemy.orm import Session
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import Track
 from vitac.evaluator.version import evaluator_version
+from vitac.server.accounts.visibility import played_list_kind
+from vitac.server.competition.schedule import boards_stand_since, shown_stage
 from vitac.server.db.models import BoardResult, Evaluation
 from vitac.server.evaluations.copies import copies_among
 from vitac.server.evaluations.scores import score_views
-from vitac.server.leaderboards.best_entries import BestEntry, Board, best_entries
+from vitac.server.leaderboards.best_entries import EVER, BestEntry, Board, best_entries
 from vitac.server.leaderboards.made_boards import MadeBoard, MadeBoards, revision_of
-from vitac.server.leaderboards.standings import completed_evaluations, list_kind, made_entries
+from vitac.server.leaderboards.standings import completed_evaluations, made_entries
 from vitac.server.logs.claims import LogClaim
 from vitac.server.logs.view import verification_of
 from vitac.server.tracks import load_known_track
@@ -37,27 +39,33 @@ MAX_TEXT_LOGS = 200
 _made_boards: MadeBoards[LogBoardsView] = MadeBoards()
 
 
-def log_boards(session: Session, track_name: str) -> MadeBoard[LogBoardsView]:
+def log_boards(session: Session, track_name: str, *, stage: str | None = None) -> MadeBoard[LogBoardsView]:
     """Return the logs of a track.
 
+    Args:
+        session: of the transaction.
+        track_name: whose logs.
+        stage: of the competition; None: the one that opened last.
+
     Raises:
-        ServiceError: there is no such track.
+        ServiceError: there is no such track or stage.
     """
-    track = load_known_track(track_name)
-    best = {
-        task: best_entries(session, Board(track=track.name, kind=SubmissionKind.LOG, task=task)) for task in track.tasks
-    }
-    text_logs = _newest_text_logs(session, track.name)
+    track, of_stage = load_known_track(track_name), shown_stage(session, track_name, stage)
+    until = (boards_stand_since(session) if of_stage else None) or EVER
+    boards = {task: Board(track=track.name, stage=of_stage, kind=SubmissionKind.LOG, task=task) for task in track.tasks}
+    best = {task: best_entries(session, board, until=until) for task, board in boards.items()}
+    text_logs = _newest_text_logs(session, track.name, of_stage, until)
     copies = copies_among(session, [entry.evaluation_id for entries in best.values() for entry in entries])
-    revision = revision_of(f"logs of {track.name}", [*best.items(), *sorted(copies.items()), *text_logs])
-    shown = _Shown(best=best, copies=copies, text_logs=text_logs, revision=revision)
-    return _made_boards.get(track.name, revision, lambda last: _view(session, track, shown, last))
+    revision = revision_of(f"logs of {track.name} {of_stage}", [*best.items(), *sorted(copies.items()), *text_logs])
+    shown = _Shown(stage=of_stage, best=best, copies=copies, text_logs=text_logs, revision=revision)
+    return _made_boards.get((track.name, of_stage), revision, lambda last: _view(session, track, shown, last))
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Shown:
     """What is on the boards of a revision: the best logs by task, which of them are copies, and text logs."""
 
+    stage: str
     best: Mapping[str, list[BestEntry]]
     copies: Mapping[UUID, LogCopyView]
     text_logs: Sequence[UUID]
@@ -69,6 +77,7 @@ def _view(session: Session, track: Track, shown: _Shown, last: LogBoardsView | N
     return LogBoardsView(
         track=track.name,
         title=track.title,
+        stage=shown.stage or None,
         label=SubmissionKind.LOG.form.worth,
         ranking_rule=RANKING_RULE,
         evaluator_version=evaluator_version(),
@@ -96,12 +105,17 @@ def _text_logs(session: Session, ids: Sequence[UUID], last: Iterable[TextLogEntr
     return [_text_log(new[found]) if found in new else kept[found] for found in ids]
 
 
-def _newest_text_logs(session: Session, track: str) -> Sequence[UUID]:
+def _newest_text_logs(session: Session, track: str, stage: str, until: datetime) -> Sequence[UUID]:
     """Return the newest completed evaluation of each text log; the newest ones, which are shown."""
     newest_of_each = (
         select(BoardResult.evaluation_id, BoardResult.submitted_at)
         .join(BoardResult.evaluation)
-        .where(BoardResult.track == track, BoardResult.kind == SubmissionKind.TEXT_LOG)
+        .where(
+            BoardResult.track == track,
+            BoardResult.stage == stage,
+            BoardResult.kind == SubmissionKind.TEXT_LOG,
+            BoardResult.finished_at <= until,
+        )
         .ext(distinct_on(BoardResult.submission_id))
         .order_by(BoardResult.submission_id, Evaluation.created_at.desc(), BoardResult.evaluation_id)
         .subquery()
@@ -134,7 +148,7 @@ def _entry(entry: BestEntry, evaluation: Evaluation) -> LogEntryView:
         mean_steps=score.mean_steps,
         result_hash=score.result_hash,
         evaluator_version=evaluation.evaluator_version,
-        list_kind=list_kind(submission.track, score.task),
+        list_kind=played_list_kind(evaluation),
     )
 
 

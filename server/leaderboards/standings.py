@@ -1,6 +1,7 @@
 """Standings of a track and of its tasks: reads completed evaluations only, ranks them by the evaluator's rule."""
 
 from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
 from typing import TypeVar
@@ -8,11 +9,13 @@ from uuid import UUID
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session, defer, selectinload
-from vitac.evaluator.tracks import ListKind, Track, load_track
+from vitac.evaluator.tracks import Track
 from vitac.evaluator.version import evaluator_version
+from vitac.server.accounts.visibility import played_list_kind
+from vitac.server.competition.schedule import boards_stand_since, shown_stage
 from vitac.server.db.models import Evaluation, Submission
 from vitac.server.evaluations.scores import bounds, combination_of, scores_of, task_views
-from vitac.server.leaderboards.best_entries import BestEntry, Board, best_entries
+from vitac.server.leaderboards.best_entries import EVER, BestEntry, Board, best_entries
 from vitac.server.leaderboards.made_boards import MadeBoard, MadeBoards, revision_of
 from vitac.server.tracks import load_known_track, require_task
 from vitac.server.views.leaderboards import LeaderboardEntryView, LeaderboardView, LogEntryView
@@ -22,43 +25,55 @@ EntryT = TypeVar("EntryT", LeaderboardEntryView, LogEntryView)
 _made_boards: MadeBoards[LeaderboardView] = MadeBoards()
 
 
-def leaderboard(session: Session, track_name: str, *, task: str | None = None) -> MadeBoard[LeaderboardView]:
+def leaderboard(
+    session: Session, track_name: str, *, task: str | None = None, stage: str | None = None, live: bool = False
+) -> MadeBoard[LeaderboardView]:
     """Return the best entry of each team, ranked; then teams with results of another evaluator version only.
 
     Args:
         session: of the transaction.
         track_name: whose board.
         task: ranks the submissions that play this task by it alone; None: all tasks of the track together.
+        stage: of the competition; None: the one that opened last.
+        live: for organizers: as it is, also while boards are frozen.
 
     Raises:
-        ServiceError: there is no such track or task.
+        ServiceError: there is no such track, task or stage.
     """
     track = load_known_track(track_name)
     if task is not None:
         require_task(track, task)
-    board = Board(track=track_name, task=task)
-    best = best_entries(session, board)
-    revision = revision_of(str(board), best)
-    return _made_boards.get(board, revision, lambda last: _view(session, track, task, best, revision, last))
+    board = Board(track=track_name, task=task, stage=shown_stage(session, track_name, stage))
+    frozen_at = None if live or not board.stage else boards_stand_since(session)
+    best = best_entries(session, board, until=frozen_at or EVER)
+    revision = revision_of(f"{board} {frozen_at}", best)
+    shown = _Shown(board=board, best=best, frozen_at=frozen_at, revision=revision)
+    return _made_boards.get((board, live), revision, lambda last: _view(session, track, shown, last))
 
 
-def _view(
-    session: Session,
-    track: Track,
-    task: str | None,
-    best: Collection[BestEntry],
-    revision: str,
-    last: LeaderboardView | None,
-) -> LeaderboardView:
-    entries = made_entries(session, best, last.entries if last else (), partial(_entry, task=task))
+@dataclass(frozen=True, kw_only=True)
+class _Shown:
+    """What a revision of a board shows, and since when it stands still (None: it does not)."""
+
+    board: Board
+    best: Collection[BestEntry]
+    frozen_at: datetime | None
+    revision: str
+
+
+def _view(session: Session, track: Track, shown: _Shown, last: LeaderboardView | None) -> LeaderboardView:
+    task = shown.board.task
+    entries = made_entries(session, shown.best, last.entries if last else (), partial(_entry, task=task))
     return LeaderboardView(
         track=track.name,
         title=track.title,
         tasks=list(track.tasks),
         task=task,
+        stage=shown.board.stage or None,
+        frozen_at=shown.frozen_at,
         ranking_rule=track.ranking_rule if task or not track.combination_rule else track.combination_rule,
         evaluator_version=evaluator_version(),
-        revision=revision,
+        revision=shown.revision,
         generated_at=datetime.now(UTC),
         teams=len(entries),
         entries=entries,
@@ -131,10 +146,5 @@ def _entry(entry: BestEntry, evaluation: Evaluation, *, task: str | None) -> Lea
         scores=scores,
         result_hash=evaluation.result_hash or "",
         evaluator_version=evaluation.evaluator_version,
-        list_kind=list_kind(submission.track, scores[0].task),
+        list_kind=played_list_kind(evaluation),
     )
-
-
-def list_kind(track: str, task: str) -> ListKind:
-    """Return the kind of list that the service plays of a task: the one in the track's file."""
-    return load_track(track).tasks[task].episode_list.kind

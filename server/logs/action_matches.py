@@ -15,7 +15,7 @@ from vitac.evaluator.episodes.records import ActionSequence
 from vitac.evaluator.logs.action_match import EpisodeMatch, compare_actions
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.accounts.principals import Principal
-from vitac.server.accounts.visibility import visible
+from vitac.server.accounts.visibility import sight_of, visible
 from vitac.server.db.models import EpisodeResult, Evaluation, Submission
 from vitac.server.db.states import EvaluationState
 from vitac.server.evaluations.episode_store import EpisodeKey
@@ -42,6 +42,8 @@ def action_matches(session: Session, by: Principal, submission_id: UUID) -> list
     log = visible(session, by, submission_id)
     evaluation = newest_evaluation(session, log)
     if not log.kind.form.is_verified or evaluation.state is not EvaluationState.COMPLETED:
+        return []
+    if not sight_of(by, evaluation).episodes:
         return []
     of_log = cache(lambda: _actions(session, EpisodeKey.of(evaluation, log), log.tasks[0]))
     return [

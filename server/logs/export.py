@@ -6,7 +6,7 @@ from uuid import UUID
 from sqlalchemy.orm import Session
 from vitac.evaluator.logs.log import LogHeader, write_log
 from vitac.server.accounts.principals import Principal
-from vitac.server.accounts.visibility import visible
+from vitac.server.accounts.visibility import require_episodes, visible
 from vitac.server.db.states import EvaluationState
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.evaluations.episode_store import EpisodeKey, records_of
@@ -28,6 +28,7 @@ def export_log(session: Session, by: Principal, submission_id: UUID, task: str |
     """
     submission = visible(session, by, submission_id)
     evaluation = newest_evaluation(session, submission)
+    require_episodes(by, evaluation)
     if not submission.kind.form.has_own_log:
         raise ServiceError(
             ProblemCode.NO_LOG, "What our physics makes of a 2025 text log is no evaluation; there is no log of it."

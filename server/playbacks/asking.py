@@ -15,7 +15,7 @@ from vitac.evaluator.playback.order import FORMAT
 from vitac.evaluator.version import evaluator_version
 
 from ..accounts.principals import Principal
-from ..accounts.visibility import may_see_episode, visible
+from ..accounts.visibility import sight_of, visible
 from ..db.advisory_locks import AdvisoryLock, wait_for_turn
 from ..db.models import EpisodeResult, Playback, Shard
 from ..db.states import OPEN_PLAYBACK_STATES, PlaybackState, ShardState
@@ -38,10 +38,11 @@ def find_episode(session: Session, by: Principal, submission_id: UUID, task: str
         ServiceError: there is none that the principal may see.
     """
     submission = visible(session, by, submission_id)
-    key = EpisodeKey.of(newest_evaluation(session, submission), submission)
+    evaluation = newest_evaluation(session, submission)
+    key = EpisodeKey.of(evaluation, submission)
     wanted = (EpisodeResult.task == task, EpisodeResult.episode == number)
     episode = session.scalar(select(EpisodeResult).where(*key.conditions(), *wanted))
-    if episode is None or not may_see_episode(by, submission, task):
+    if episode is None or not sight_of(by, evaluation).episodes:
         raise not_found("episode", f"{number} of {task} of submission {submission_id}")
     return episode
 

@@ -13,6 +13,7 @@ from sqlalchemy import delete, func, select, update
 from sqlalchemy.orm import Session
 from vitac.evaluator.episodes.records import EpisodeRecord
 
+from ..competition.sealing import list_seed_of
 from ..db.models import Playback
 from ..db.states import OPEN_PLAYBACK_STATES, PlaybackState
 from ..queue.jobs import enqueue_playback, forget_jobs_of_ended_playbacks, has_waiting_playback_job
@@ -24,7 +25,11 @@ logger = structlog.get_logger(__name__)
 
 @dataclass(frozen=True, kw_only=True)
 class PlaybackLease:
-    """The right to make one playback, and all that is needed for it."""
+    """The right to make one playback, and all that is needed for it.
+
+    Attributes:
+        list_seed: of the sealed list that was played; None for the public one.
+    """
 
     playback_id: int
     token: int
@@ -32,6 +37,7 @@ class PlaybackLease:
     evaluator_version: str
     track: str
     record: EpisodeRecord
+    list_seed: int | None = None
 
 
 def claim(session: Session, playback_id: int, lease_s: float) -> PlaybackLease | None:
@@ -44,13 +50,15 @@ def claim(session: Session, playback_id: int, lease_s: float) -> PlaybackLease |
     playback.attempts += 1
     playback.env_steps_played = 0
     playback.lease_expires_at = lease_end(lease_s)
+    episode = playback.episode
     return PlaybackLease(
         playback_id=playback.id,
         token=playback.token,
         attempt=playback.attempts,
         evaluator_version=playback.evaluator_version,
-        track=playback.episode.track,
-        record=EpisodeRecord.model_validate(playback.episode.record),
+        track=episode.track,
+        record=EpisodeRecord.model_validate(episode.record),
+        list_seed=list_seed_of(session, episode.commitment, episode.track, episode.task),
     )
 
 

@@ -28,7 +28,12 @@ class LeaseLost(VitacError):
 
 @dataclass(frozen=True, kw_only=True)
 class Lease:
-    """The right to work on one shard, and all that is needed for it; `waited_s` is how long it was queued [s]."""
+    """The right to work on one shard, and all that is needed for it.
+
+    Attributes:
+        commitment: of the sealed list that is played; None for the public one.
+        waited_s: how long the shard was queued [s].
+    """
 
     shard_id: int
     token: int
@@ -39,6 +44,7 @@ class Lease:
     evaluator_version: str
     track: str
     run: int
+    commitment: str | None
     archive_sha256: str
     task: str
     number: int
@@ -78,6 +84,7 @@ def claim(session: Session, shard_id: int, worker_id: UUID, lease_s: float) -> L
         evaluator_version=evaluation.evaluator_version,
         track=submission.track,
         run=evaluation.run,
+        commitment=evaluation.commitment,
         archive_sha256=submission.archive_sha256,
         task=shard.task,
         number=shard.number,

@@ -1,5 +1,7 @@
 """Makes submissions out of checked uploads, in one transaction with their evaluation and its jobs."""
 
+from datetime import datetime
+
 from sqlalchemy import select
 from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
@@ -8,6 +10,7 @@ from ..accounts import teams
 from ..accounts.audit import record
 from ..accounts.principals import Principal
 from ..accounts.quotas import charge, check
+from ..competition.schedule import check_stage_quotas, stage_for_submission
 from ..db.models import Submission, Team
 from ..db.states import Quota
 from ..errors import ProblemCode, ServiceError
@@ -28,6 +31,7 @@ def create(
     team: str | None = None,
     again: bool = False,
     quotas: Quotas = DEFAULT_QUOTAS,
+    at: datetime | None = None,
 ) -> tuple[Submission, bool]:
     """Make the submission and its evaluation, or find the one that exists; whether a new evaluation was started.
 
@@ -42,16 +46,20 @@ def create(
         team: for an organizer: whose submission it becomes.
         again: play all episodes anew.
         quotas: of teams without limits of their own.
+        at: when it is complete; None: now.
 
     Raises:
-        ServiceError: an organizer named no team, or the team has used one of its quotas.
+        ServiceError: an organizer named no team, the stage takes nothing (more) of the team, or the team has used one
+            of its quotas.
     """
     team_row = owner(session, by, team)
-    submission = _find_or_add(session, team_row, upload)
+    stage = stage_for_submission(session, by, team_row, track=upload.track, kind=upload.kind, at=at)
+    submission = _find_or_add(session, team_row, upload, stage)
     run = next_run(session, submission, again=again)
     if run is None:
         return submission, False
     charged_at = charge(session, quotas, by, team_row, *EVALUATION_QUOTAS)
+    check_stage_quotas(session, by, team_row, track=submission.track, stage=stage)
     lifecycle.start(session, submission, run, charged_at=charged_at)
     record(session, by, "submission.evaluate", f"submission:{submission.id}", {"run": run, "digest": upload.digest})
     return submission, True
@@ -90,7 +98,7 @@ def owner(session: Session, by: Principal, team: str | None) -> Team:
     return teams.find(session, team)
 
 
-def _find_or_add(session: Session, owner: Team, upload: CheckedUpload) -> Submission:
+def _find_or_add(session: Session, owner: Team, upload: CheckedUpload, stage: str) -> Submission:
     """Return the row of this content, locked: two equal uploads at once go on one after the other."""
     session.execute(
         insert(Submission)
@@ -98,6 +106,7 @@ def _find_or_add(session: Session, owner: Team, upload: CheckedUpload) -> Submis
             team_id=owner.id,
             kind=upload.kind,
             track=upload.track,
+            stage=stage,
             tasks=list(upload.tasks),
             name=upload.name,
             digest=upload.digest,
@@ -106,7 +115,13 @@ def _find_or_add(session: Session, owner: Team, upload: CheckedUpload) -> Submis
             manifest=upload.manifest,
         )
         .on_conflict_do_nothing(
-            index_elements=[Submission.team_id, Submission.track, Submission.kind, Submission.digest]
+            index_elements=[
+                Submission.team_id,
+                Submission.track,
+                Submission.stage,
+                Submission.kind,
+                Submission.digest,
+            ]
         )
     )
     return session.scalars(
@@ -114,6 +129,7 @@ def _find_or_add(session: Session, owner: Team, upload: CheckedUpload) -> Submis
         .where(
             Submission.team_id == owner.id,
             Submission.track == upload.track,
+            Submission.stage == stage,
             Submission.kind == upload.kind,
             Submission.digest == upload.digest,
         )

@@ -7,7 +7,7 @@ from sqlalchemy.orm import Session, joinedload
 
 from ..accounts import teams
 from ..accounts.principals import Principal
-from ..accounts.visibility import may_see_output, visible
+from ..accounts.visibility import sight_of, visible
 from ..db.models import EpisodeResult, Submission
 from ..db.states import EvaluationState
 from ..evaluations.episode_store import EpisodeKey
@@ -24,8 +24,7 @@ def get(session: Session, settings: Settings, by: Principal, submission_id: UUID
         ServiceError: there is none that the principal may see.
     """
     found = visible(session, by, submission_id)
-    with_output = may_see_output(by, found)
-    return submission_views(session, settings, [found], for_organizer=by.is_organizer, with_output=with_output)[0]
+    return submission_views(session, settings, [found], by, with_output=True)[0]
 
 
 def list_submissions(
@@ -58,19 +57,22 @@ def list_submissions(
         query = query.where(tuple_(Submission.submitted_at, Submission.id) < tuple_(last.submitted_at, last.id))
     found = session.scalars(query.order_by(Submission.submitted_at.desc(), Submission.id.desc()).limit(limit + 1)).all()
     return SubmissionListView(
-        items=submission_views(session, settings, found[:limit], for_organizer=by.is_organizer),
+        items=submission_views(session, settings, found[:limit], by),
         next_before=found[limit - 1].id if len(found) > limit else None,
     )
 
 
 def episodes(session: Session, by: Principal, submission_id: UUID) -> list[EpisodeView]:
-    """Return how each finished episode of the newest evaluation ended, in order.
+    """Return how each finished episode of the newest evaluation ended, in order; none where they are not shown.
 
     Raises:
         ServiceError: there is no such submission.
     """
     submission = visible(session, by, submission_id)
-    key = EpisodeKey.of(newest_evaluation(session, submission), submission)
+    evaluation = newest_evaluation(session, submission)
+    if not sight_of(by, evaluation).episodes:
+        return []
+    key = EpisodeKey.of(evaluation, submission)
     rows = session.execute(
         select(
             EpisodeResult.task,

@@ -7,8 +7,8 @@ from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
 from ..accounts.principals import Principal
-from ..accounts.visibility import may_see_output, visible
-from ..db.models import EpisodeResult, Submission
+from ..accounts.visibility import sight_of, visible
+from ..db.models import EpisodeResult, Evaluation
 from ..errors import ProblemCode, ServiceError
 from ..evaluations.episode_store import EpisodeKey
 from ..evaluations.history import newest_evaluation
@@ -41,10 +41,12 @@ def episode_outputs(
         ServiceError: there is no such submission, its output is not shown, or it does not play that task.
     """
     submission = visible(session, by, submission_id)
-    if not may_see_output(by, submission):
+    evaluation = newest_evaluation(session, submission)
+    if not sight_of(by, evaluation).output:
         raise ServiceError(
             ProblemCode.FORBIDDEN,
-            "The output of a log, or on a sealed list, is not shown: ask the organizers if you need it.",
+            "The output of a log, or on a sealed list before it is published, is not shown: ask the organizers if you "
+            "need it.",
         )
     task = submission.tasks[0] if task is None else task
     if task not in submission.tasks:
@@ -53,7 +55,7 @@ def episode_outputs(
         )
     rows = session.execute(
         select(EpisodeResult.task, EpisodeResult.episode, EpisodeResult.outcome, EpisodeResult.output)
-        .where(*_key(session, submission), EpisodeResult.task == task, EpisodeResult.episode > after, _PRINTED)
+        .where(*_key(evaluation), EpisodeResult.task == task, EpisodeResult.episode > after, _PRINTED)
         .order_by(EpisodeResult.episode)
         .limit(limit + 1)
     ).all()
@@ -70,11 +72,12 @@ def episodes_with_output(session: Session, by: Principal, submission_id: UUID) -
         ServiceError: there is no such submission.
     """
     submission = visible(session, by, submission_id)
-    if not may_see_output(by, submission):
+    evaluation = newest_evaluation(session, submission)
+    if not sight_of(by, evaluation).output:
         return 0
-    query = select(func.count()).select_from(EpisodeResult).where(*_key(session, submission), _PRINTED)
+    query = select(func.count()).select_from(EpisodeResult).where(*_key(evaluation), _PRINTED)
     return session.scalar(query) or 0
 
 
-def _key(session: Session, submission: Submission) -> tuple[Any, ...]:
-    return EpisodeKey.of(newest_evaluation(session, submission), submission).conditions()
+def _key(evaluation: Evaluation) -> tuple[Any, ...]:
+    return EpisodeKey.of(evaluation, evaluation.submission).conditions()

@@ -11,6 +11,7 @@ from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import load_track
 from vitac.server.db.states import EvaluationState
 
+from ..accounts.principals import Principal
 from ..accounts.teams import team_view
 from ..db.models import Evaluation, Submission
 from ..evaluations.copies import copies_among
@@ -25,15 +26,16 @@ from ..views.logs import LogCopyView
 from ..views.submissions import RankView, SubmissionView
 from ..views.workers import WorkersView
 
-PlacesOf = Callable[[str], PlacesOfBoards]
+PlacesOf = Callable[[str, str], PlacesOfBoards]
+"""By track and stage."""
 
 
 def submission_views(
     session: Session,
     settings: Settings,
     submissions: Sequence[Submission],
+    by: Principal,
     *,
-    for_organizer: bool = False,
     with_output: bool = False,
 ) -> list[SubmissionView]:
     """Return submissions with their newest evaluations; what they share is read once for all.
@@ -42,17 +44,17 @@ def submission_views(
         session: of the transaction.
         settings: of this process.
         submissions: whose views.
-        for_organizer: show also what only organizers may see.
+        by: who asks, and gets what may be shown to them.
         with_output: show also what the policies printed.
     """
     runs = histories(session, submissions)
     newest = [found[0] for found in runs.values()]
     shown = _Shown(
-        evaluations=EvaluationRows.read(session, newest, for_organizer=for_organizer, with_output=with_output),
+        evaluations=EvaluationRows.read(session, newest, by, with_output=with_output),
         findings=findings_of(session, newest),
         copies=copies_among(session, [found.id for found in newest if found.submission.kind is SubmissionKind.LOG]),
         workers=cache(partial(workers_alive, session, settings)),
-        places=cache(lambda track: places(session, track, runs)),
+        places=cache(lambda track, stage: places(session, track, runs, stage=stage)),
     )
     return [_view(submission, runs[submission.id], shown) for submission in submissions]
 
@@ -87,6 +89,7 @@ def _view(submission: Submission, runs: Sequence[Evaluation], shown: _Shown) -> 
         team=team_view(submission.team),
         kind=submission.kind,
         track=submission.track,
+        stage=submission.stage or None,
         tasks=submission.tasks,
         missing_tasks=_missing_tasks(submission),
         name=submission.name,
@@ -114,5 +117,5 @@ def _ranks(submission: Submission, newest: Evaluation, places_of: PlacesOf) -> d
     """Return the places of the submission by task; under None that of all tasks together."""
     if newest.state is not EvaluationState.COMPLETED or not submission.kind.form.runs_policy:
         return {}
-    boards = places_of(submission.track)
+    boards = places_of(submission.track, submission.stage)
     return {task: places[submission.id] for task, places in boards.items() if submission.id in places}

@@ -4,6 +4,7 @@ from datetime import datetime
 from uuid import UUID
 
 from pydantic import Field
+from vitac.evaluator.tracks import ListKind
 
 from ..db.states import EvaluationState, ShardState
 from .base import View
@@ -16,7 +17,7 @@ class TaskProgressView(View):
     task: str
     episodes_done: int
     episodes_total: int
-    successes: int
+    successes: int | None = Field(description="Null before the end on a sealed list.")
 
 
 class ProgressView(View):
@@ -27,7 +28,7 @@ class ProgressView(View):
     episodes_reused: int = Field(
         description="Of the finished ones: those that were stored before this evaluation began."
     )
-    successes: int
+    successes: int | None = Field(description="Null before the end on a sealed list.")
     tasks: list[TaskProgressView]
 
 
@@ -85,6 +86,9 @@ class EvaluationView(EvaluationSummaryView):
     evaluator_hash: str
     platform_class: str | None
     isolation: list[str] = Field(description="How the policy was isolated, on each kind of worker machine.")
+    list_kind: ListKind = Field(description="Who could know the episodes that it plays.")
+    commitment: str | None = Field(description="Of the sealed list of its stage; null for a track file's own list.")
+    episodes_hidden: bool = Field(description="Single episodes are not shown as long as the list is sealed.")
     differing_episodes: list[DifferingEpisodeView] | None = Field(
         description="For organizers: episodes that were played again with another record; null for a team."
     )

@@ -45,6 +45,8 @@ class LeaderboardView(View):
     title: str
     tasks: list[str] = Field(description="All tasks of the track.")
     task: str | None = Field(description="The task that is ranked; null: all together.")
+    stage: str | None = Field(description="Of the competition; null outside of one.")
+    frozen_at: datetime | None = Field(description="Results after this moment are not shown; null: all are.")
     ranking_rule: str
     evaluator_version: str
     revision: str = Field(description="Changes with the entries; the ETag of the answer.")
@@ -105,6 +107,7 @@ class LogBoardsView(View):
 
     track: str
     title: str
+    stage: str | None = Field(description="Of the competition; null outside of one.")
     label: str
     ranking_rule: str
     evaluator_version: str

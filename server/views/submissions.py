@@ -27,6 +27,7 @@ class SubmissionView(View):
     team: TeamView
     kind: SubmissionKind
     track: str
+    stage: str | None = Field(description="Of the competition; null outside of one.")
     tasks: list[str]
     missing_tasks: list[str] = Field(description="Tasks of the track that a model does not play; each counts as 0.")
     name: str

@@ -5,6 +5,7 @@ Ids that people see are random UUIDs, times are UTC with zone, states are text u
 
 from .accounts import ApiToken, AuditEntry, Team, TeamQuota
 from .base import Base
+from .competition import Competition, Qualification, SealedList
 from .evaluations import ALL_TASKS, BoardResult, EpisodeDifference, EpisodeResult, Evaluation, LogCopy, Shard
 from .operations import MetricTotal, Worker
 from .playbacks import Playback
@@ -16,6 +17,7 @@ __all__ = [
     "AuditEntry",
     "Base",
     "BoardResult",
+    "Competition",
     "EpisodeDifference",
     "EpisodeResult",
     "Evaluation",
@@ -23,6 +25,8 @@ __all__ = [
     "MetricTotal",
     "PartialUpload",
     "Playback",
+    "Qualification",
+    "SealedList",
     "Shard",
     "Submission",
     "Team",

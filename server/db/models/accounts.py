@@ -13,14 +13,22 @@ from .base import Base, closed_set
 
 
 class Team(Base):
-    """Who submits; the unit of privacy and of limits. `name_key` is the name without case and spacing."""
+    """Who submits; the unit of privacy and of limits. `name_key` is the name without case and spacing.
+
+    A disqualified team is on no board and submits nothing; `disqualified_for` says why.
+    """
 
     __tablename__ = "teams"
+    __table_args__ = (
+        CheckConstraint("(disqualified_at IS NULL) = (disqualified_for IS NULL)", name="disqualified_for_a_reason"),
+    )
     id: Mapped[UUID] = mapped_column(primary_key=True, default=uuid4)
     name: Mapped[str] = mapped_column(String(64))
     name_key: Mapped[str] = mapped_column(String(64), unique=True)
     contact: Mapped[str | None] = mapped_column(String(254))
     created_at: Mapped[datetime] = mapped_column(server_default=func.now())
+    disqualified_at: Mapped[datetime | None]
+    disqualified_for: Mapped[str | None]
 
 
 class TeamQuota(Base):

@@ -23,11 +23,13 @@ from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.db.states import EvaluationState, ShardState
 
 from .base import Base, closed_set, sha256_check
+from .competition import SealedList
 from .submissions import Submission
 
 ALL_TASKS = "*"
 """Name of the board that ranks all tasks of a track together; those of single tasks have the tasks' names."""
 
+_BOARD = ("track", "stage", "kind", "board")
 _RANKING = (text("success_rate DESC"), text("mean_steps"), text("submitted_at"), text("evaluation_id"))
 """The order of `evaluator.scoring.ranking`; a missing mean comes last, as NULL does."""
 
@@ -35,7 +37,8 @@ _RANKING = (text("success_rate DESC"), text("mean_steps"), text("submitted_at"),
 class Evaluation(Base):
     """One run of the evaluator over a submission. Run 1 uses stored episodes; a higher run has records of its own.
 
-    `turn` orders those that wait, see `server.queue.turns`. `charged_at` says when the team's quotas counted it; NULL
+    `commitment` names the sealed list that is played; NULL: the public one. `turn` orders those that wait, see
+    `server.queue.turns`. `charged_at` says when the team's quotas counted it; NULL
     where it costs nothing.
     """
 
@@ -75,6 +78,7 @@ class Evaluation(Base):
     evaluator_version: Mapped[str]
     evaluator_hash: Mapped[str] = mapped_column(String(64))
     platform_class: Mapped[str | None]
+    commitment: Mapped[str | None] = mapped_column(ForeignKey("sealed_lists.commitment", ondelete="RESTRICT"))
     state: Mapped[EvaluationState] = mapped_column(closed_set(EvaluationState, "state"))
     episodes_reused: Mapped[int] = mapped_column(default=0)
     turn: Mapped[int] = mapped_column(default=0, server_default=text("0"))
@@ -90,6 +94,7 @@ class Evaluation(Base):
     scores: Mapped[list[dict[str, Any]] | None] = mapped_column(JSONB(none_as_null=True))
     result_hash: Mapped[str | None] = mapped_column(String(64))
     submission: Mapped[Submission] = relationship()
+    sealed_list: Mapped[SealedList | None] = relationship()
     shards: Mapped[list["Shard"]] = relationship(back_populates="evaluation", order_by="Shard.id")
     board_results: Mapped[list["BoardResult"]] = relationship(back_populates="evaluation")
 
@@ -105,12 +110,13 @@ class BoardResult(Base):
     __table_args__ = (
         CheckConstraint("success_rate >= 0 AND success_rate <= 1", name="success_rate_is_a_fraction"),
         CheckConstraint("mean_steps < 'Infinity'", name="mean_steps_is_finite"),
-        Index("ix_board_results_of_version", "track", "kind", "board", "evaluator_version", "team_id", *_RANKING),
-        Index("ix_board_results_of_team", "track", "kind", "board", "team_id", *_RANKING),
+        Index("ix_board_results_of_version", *_BOARD, "evaluator_version", "team_id", *_RANKING),
+        Index("ix_board_results_of_team", *_BOARD, "team_id", *_RANKING),
     )
     evaluation_id: Mapped[UUID] = mapped_column(ForeignKey("evaluations.id", ondelete="CASCADE"), primary_key=True)
     board: Mapped[str] = mapped_column(primary_key=True)
     track: Mapped[str]
+    stage: Mapped[str] = mapped_column(default="", server_default="")
     kind: Mapped[SubmissionKind] = mapped_column(closed_set(SubmissionKind, "kind"))
     team_id: Mapped[UUID] = mapped_column(ForeignKey("teams.id", ondelete="RESTRICT"))
     submission_id: Mapped[UUID] = mapped_column(ForeignKey("submissions.id", ondelete="RESTRICT"))
@@ -118,6 +124,7 @@ class BoardResult(Base):
     success_rate: Mapped[float] = mapped_column(Float)
     mean_steps: Mapped[float | None] = mapped_column(Float)
     submitted_at: Mapped[datetime]
+    finished_at: Mapped[datetime]
     is_copy: Mapped[bool] = mapped_column(default=False, server_default=false())
     evaluation: Mapped[Evaluation] = relationship(back_populates="board_results")
 
@@ -168,7 +175,14 @@ class EpisodeResult(Base):
     __tablename__ = "episode_results"
     __table_args__ = (
         UniqueConstraint(
-            "submission_digest", "evaluator_version", "track", "task", "episode", "run", name="uq_episode_results_key"
+            "submission_digest",
+            "evaluator_version",
+            "track",
+            "task",
+            "episode",
+            "run",
+            "commitment",
+            name="uq_episode_results_key",
         ),
         CheckConstraint("success = (outcome = 'success')", name="success_is_the_outcome"),
         CheckConstraint("episode >= 1 AND run >= 1 AND env_steps >= 0", name="counts_from_one"),
@@ -184,6 +198,7 @@ class EpisodeResult(Base):
     task: Mapped[str]
     episode: Mapped[int]
     run: Mapped[int]
+    commitment: Mapped[str] = mapped_column(default="", server_default="")
     shape: Mapped[str]
     outcome: Mapped[str]
     success: Mapped[bool]

@@ -13,11 +13,14 @@ from .base import Base, closed_set, sha256_check
 
 
 class Submission(Base):
-    """One upload. The same content from the same team for the same track is the same submission."""
+    """One upload. The same content from the same team for the same stage of a track is the same submission.
+
+    `stage` is empty outside a competition.
+    """
 
     __tablename__ = "submissions"
     __table_args__ = (
-        UniqueConstraint("team_id", "track", "kind", "digest"),
+        UniqueConstraint("team_id", "track", "stage", "kind", "digest"),
         sha256_check("digest"),
         sha256_check("archive_sha256"),
         CheckConstraint("archive_bytes > 0", name="archive_is_not_empty"),
@@ -28,6 +31,7 @@ class Submission(Base):
     team_id: Mapped[UUID] = mapped_column(ForeignKey("teams.id", ondelete="RESTRICT"))
     kind: Mapped[SubmissionKind] = mapped_column(closed_set(SubmissionKind, "kind"))
     track: Mapped[str]
+    stage: Mapped[str] = mapped_column(default="", server_default="")
     tasks: Mapped[list[str]]
     name: Mapped[str] = mapped_column(String(128))
     digest: Mapped[str] = mapped_column(String(64))

@@ -99,11 +99,16 @@ def make_score(successes: int, episodes: int = 100, mean_steps: float | None = 4
 
 
 def submit_scored(
-    session: Session, principal: Principal, name: str, scores: Mapping[str, Score], **changes: Any
+    session: Session,
+    principal: Principal,
+    name: str,
+    scores: Mapping[str, Score],
+    at: datetime | None = None,
+    **changes: Any,
 ) -> Submission:
     """A submission whose evaluation is complete with these scores, without the episodes behind them."""
     upload = make_upload(name, name=name, tasks=tuple(scores), **changes)
-    submission = creation.create(session, principal, upload)[0]
+    submission = creation.create(session, principal, upload, at=at)[0]
     complete_scored(session, submission, scores)
     return submission
 
@@ -113,9 +118,11 @@ def complete_scored(session: Session, submission: Submission, scores: Mapping[st
     evaluation = newest_evaluation(session, submission)
     evaluation.state = EvaluationState.RUNNING
     session.flush()
-    store_scores(evaluation, scores, {task: sha256(f"{submission.name} {task}") for task in scores})
+    finished_at = datetime.now(UTC)
+    hashes = {task: sha256(f"{submission.name} {task}") for task in scores}
+    store_scores(evaluation, scores, hashes, finished_at=finished_at)
     evaluation.result_hash = sha256(submission.name)
-    evaluation.finished_at = datetime.now(UTC)
+    evaluation.finished_at = finished_at
     evaluation.state = EvaluationState.COMPLETED
 
 

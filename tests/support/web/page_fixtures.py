@@ -154,6 +154,8 @@ def a_leaderboard(*entries: LeaderboardEntryView, task: str | None = None) -> Le
         title=track.title,
         tasks=list(track.tasks),
         task=task,
+        stage=None,
+        frozen_at=None,
         ranking_rule=track.ranking_rule if task else track.combination_rule or "",
         evaluator_version="1+0123456789ab",
         revision=sha256("".join(entry.model_dump_json() for entry in entries).encode()).hexdigest(),
@@ -204,6 +206,9 @@ def a_submission(
         evaluator_hash="01234567" * 8,
         platform_class="x86_64-linux",
         isolation=[] if state is EvaluationState.QUEUED else ["user-namespace, memory by cgroup-v2"],
+        list_kind=ListKind.PUBLIC,
+        commitment=None,
+        episodes_hidden=False,
         differing_episodes=None,
     )
     return SubmissionView(
@@ -211,6 +216,7 @@ def a_submission(
         team=a_team(team),
         kind=SubmissionKind.MODEL,
         track="track_1",
+        stage=None,
         tasks=list(tasks),
         missing_tasks=[task for task in TASKS if task not in tasks],
         name=name,
@@ -242,7 +248,7 @@ def a_progress(tasks: Sequence[str], done: int | None, reused: int) -> ProgressV
         episodes_done=sum(view.episodes_done for view in views),
         episodes_total=sum(view.episodes_total for view in views),
         episodes_reused=reused,
-        successes=sum(view.successes for view in views),
+        successes=sum(view.successes or 0 for view in views),
         tasks=views,
     )
 
@@ -337,6 +343,7 @@ def some_log_boards() -> LogBoardsView:
     return LogBoardsView(
         track=track.name,
         title=track.title,
+        stage=None,
         label="actions verified, policy not seen",
         ranking_rule="Higher success rate first.",
         evaluator_version="1+0123456789ab",

@@ -25,7 +25,8 @@ from sqlalchemy import select, text
 from vitac.evaluator.shards.order import ShardOrder
 from vitac.evaluator.shards.process import ShardProcessFailed
 from vitac.evaluator.submission_kinds import SubmissionKind
-from vitac.server.accounts.principals import Principal
+from vitac.server.accounts.principals import CONSOLE, Principal
+from vitac.server.competition import sealing
 from vitac.server.db.models import EpisodeResult, Shard, Submission
 from vitac.server.db.states import EvaluationState, Role, ShardState
 from vitac.server.errors import ProblemCode, ServiceError
@@ -121,6 +122,29 @@ def test_episodes_before_the_death_of_the_process_are_stored(
 
     assert ShardRun(services, stage, lease, FakeShards(gate=gate)).run() is RunEnd.BROKE
     assert stored_numbers(services) == [1, 2, 3]
+
+
+def test_a_shard_of_a_sealed_list_gets_the_secret_in_a_file_that_goes_with_it(
+    services: Services, stage: SubmissionStage, submission: Submission
+) -> None:
+    with services.database.transaction() as session:
+        made = sealing.seal(session, CONSOLE, submission.track, "final")
+        newest_evaluation(session, session.get_one(Submission, submission.id)).commitment = made.commitment
+    lease = claim(services.database, first_shard(services, submission), lease_s=services.settings.lease_s)
+    seen: list[tuple[Path, int, str]] = []
+    shards = FakeShards()
+
+    def gate(number: int) -> None:
+        secret = shards.started[0].order.secret
+        assert secret is not None
+        seen.append((secret, secret.stat().st_mode & 0o777, secret.read_text()))
+
+    shards.gate = gate
+    assert ShardRun(services, stage, lease, shards).run() is RunEnd.FINISHED
+    path, mode, text = seen[0]
+    assert (mode, text) == (0o600, made.secret)
+    assert path.is_relative_to(stage.folder)
+    assert not path.exists()
 
 
 def test_half_done_shard_is_resumed_from_its_stored_episodes(

@@ -86,6 +86,7 @@ def test_an_episode_that_ends_before_its_record_is_not_shown(
 def test_the_start_is_the_recorded_one_with_the_seed_of_the_list(recorded: Recorded) -> None:
     _, task = find_task("peg-insertion")
     assert start_of(task, recorded(number=7)) == task.episodes[6]
+    assert start_of(task, recorded(number=7), list_seed=5).list_seed == 5
 
 
 def test_progress_and_end_are_told_line_by_line(recorded: Recorded, tmp_path: Path) -> None:

@@ -65,7 +65,7 @@ def add_result(
         state=EvaluationState.COMPLETED, episodes_reused=0, log_tail="", created_at=moment, finished_at=moment,
         result_hash=digest,
     )  # fmt: skip
-    store_scores(evaluation, played, dict.fromkeys(played, digest))
+    store_scores(evaluation, played, dict.fromkeys(played, digest), finished_at=moment)
     session.add(evaluation)
     session.flush()
 

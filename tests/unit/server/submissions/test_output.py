@@ -8,7 +8,7 @@ from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import load_track
 from vitac.server.accounts import visibility
 from vitac.server.accounts.principals import CONSOLE, Principal
-from vitac.server.accounts.visibility import may_see_output
+from vitac.server.accounts.visibility import Sight, sight_of
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Submission
 from vitac.server.errors import ProblemCode
@@ -106,9 +106,10 @@ def test_output_of_a_failure_on_a_sealed_list_is_for_organizers_only(
 
 def test_a_log_has_no_output(database: Database, principal: Principal, submission: Submission) -> None:
     with database.transaction() as session:
-        found = session.get_one(Submission, submission.id)
-        assert may_see_output(principal, found)
-        session.expunge(found)
-        found.kind = SubmissionKind.LOG
-        assert not may_see_output(principal, found)
-        assert not may_see_output(CONSOLE, found)
+        evaluation = newest_evaluation(session, session.get_one(Submission, submission.id))
+        assert sight_of(principal, evaluation) == Sight(episodes=True, output=True)
+        session.expunge(evaluation.submission)
+        evaluation.submission.kind = SubmissionKind.LOG
+        for by in (principal, CONSOLE):
+            assert sight_of(by, evaluation) == Sight(episodes=True, output=False)
+        session.rollback()

@@ -1,0 +1,1 @@
+"""The competition: its file, its stages, and their sealed lists."""

@@ -1,0 +1,187 @@
+"""What a competition file says; `vitac admin competition` reads it, and everything that follows its rules asks it."""
+
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Self
+
+from pydantic import AfterValidator, AwareDatetime, Field, NonNegativeInt, PositiveInt, model_validator
+from vitac.evaluator.strict_model import DocumentRejected, StrictModel, Word, parse_yaml
+from vitac.evaluator.submission_kinds import SubmissionKind
+from vitac.evaluator.tracks import ListKind, Track, list_tracks, load_track
+
+Instant = Annotated[AwareDatetime, AfterValidator(lambda when: when.astimezone(UTC))]
+"""A moment with its time zone, kept in UTC."""
+
+
+class RankingKey(StrEnum):
+    """What entries are compared by, one key after the other; what is missing or not finite comes last."""
+
+    SUCCESS_RATE = "success_rate"  # high first
+    MEAN_STEPS = "mean_steps"  # few first
+    SUBMITTED_AT = "submitted_at"  # early first; always the last key, then the id
+
+
+DEFAULT_RANKING = (RankingKey.SUCCESS_RATE, RankingKey.MEAN_STEPS, RankingKey.SUBMITTED_AT)
+
+
+class Advancement(StrictModel):
+    """Who may take part in a stage, by the final board of the stage before: exactly one of the rules."""
+
+    top: PositiveInt | None = Field(default=None, description="So many teams.")
+    top_share: float | None = Field(default=None, gt=0, le=1, description="This share of all registered teams.")
+    score_at_least: float | None = Field(default=None, ge=0, le=1, description="Everybody with this success rate.")
+
+    @model_validator(mode="after")
+    def _is_one_rule(self) -> Self:
+        if sum(value is not None for value in (self.top, self.top_share, self.score_at_least)) != 1:
+            raise ValueError("give exactly one of top, top_share and score_at_least")
+        return self
+
+    @property
+    def sentence(self) -> str:
+        """The rule in words."""
+        if self.top is not None:
+            return f"the best {self.top} teams of the stage before"
+        if self.top_share is not None:
+            return f"the best {100 * self.top_share:g} % of the registered teams, by the stage before"
+        return f"every team with a success rate of {100 * (self.score_at_least or 0):g} % or more in the stage before"
+
+
+class StageQuotas(StrictModel):
+    """Most evaluations of a team in a stage; null: any number. What machines failed costs nothing."""
+
+    scored_runs: PositiveInt | None = Field(default=None, description="That have a score or may still get one.")
+    attempts: PositiveInt | None = Field(default=None, description="However they end.")
+
+
+class Stage(StrictModel):
+    """A part of a track's competition: when it is open, for what and for whom."""
+
+    name: Word
+    title: str
+    opens: Instant
+    closes: Instant = Field(description="What is complete at this instant is too late.")
+    accepts: tuple[SubmissionKind, ...] = ()
+    list: ListKind = Field(default=ListKind.SEALED, description="Who may know its episodes.")
+    quotas: StageQuotas = StageQuotas()
+    qualified: Advancement | None = Field(default=None, description="Only teams that advance by this rule.")
+
+    def is_open(self, now: datetime) -> bool:
+        """Return whether submissions are taken at that moment: from the opening instant to before the closing one."""
+        return self.opens <= now < self.closes
+
+    @model_validator(mode="after")
+    def _is_possible(self) -> Self:
+        if self.closes <= self.opens:
+            raise ValueError(f"closes at {self.closes:%F %T} UTC, expected a moment after {self.opens:%F %T} UTC")
+        if self.list is ListKind.SEALED and set(self.accepts) - {SubmissionKind.MODEL}:
+            raise ValueError("a sealed list takes models only; a log would need the episodes that nobody knows")
+        return self
+
+
+class Prize(StrictModel):
+    """What a place wins."""
+
+    place: Word = Field(description="first, second, third, or another name.")
+    amount: NonNegativeInt
+    winners: PositiveInt = 1
+    note: str | None = None
+
+
+class CompetitionTrack(StrictModel):
+    """A track in the competition. One that is not `taken_here` has a schedule and prizes only."""
+
+    title: str
+    taken_here: bool = True
+    stages: tuple[Stage, ...] = Field(min_length=1)
+    ranking: tuple[RankingKey, ...] = DEFAULT_RANKING
+    ties: str = "The earlier submission is in front."
+    prizes: tuple[Prize, ...] = ()
+
+    @model_validator(mode="after")
+    def _stages_follow_each_other(self) -> Self:
+        _refuse_twice([stage.name for stage in self.stages], "stage")
+        _refuse_twice([prize.place for prize in self.prizes], "prize")
+        _refuse_twice(list(self.ranking), "ranking key")
+        if self.stages[0].qualified is not None:
+            raise ValueError(f"stage {self.stages[0].name} is the first one, so nobody can be qualified for it")
+        for before, after in zip(self.stages, self.stages[1:], strict=False):
+            if after.opens < before.closes:
+                raise ValueError(f"stage {after.name} opens before stage {before.name} closes")
+        if not self.ranking or self.ranking[-1] is not RankingKey.SUBMITTED_AT:
+            raise ValueError("ranking must end with submitted_at, which decides between equal scores")
+        return self
+
+
+class CompetitionDefinition(StrictModel):
+    """A whole competition: its tracks with their stages, rules and prizes."""
+
+    name: Word
+    title: str
+    summary: str = ""
+    website: str | None = Field(default=None, pattern=r"^https://[^\s<>\"]+$")
+    contact: str | None = None
+    rules: tuple[str, ...] = ()
+    currency: Word = "USD"
+    teams_locked: Instant | None = Field(default=None, description="From then on members and names do not change.")
+    tracks: dict[Word, CompetitionTrack] = Field(min_length=1)
+
+    def stage(self, track: str, name: str) -> Stage | None:
+        """Return a stage; None where there is none of that name."""
+        found = self.tracks.get(track)
+        return next((stage for stage in found.stages if stage.name == name), None) if found else None
+
+    def sealed_stages(self) -> Iterator[tuple[str, Stage]]:
+        """Yield track and stage of each sealed list that the service plays."""
+        for name, track in self.tracks.items():
+            for stage in track.stages:
+                if track.taken_here and stage.list is ListKind.SEALED:
+                    yield name, stage
+
+
+def read_competition(path: Path) -> CompetitionDefinition:
+    """Read a competition file and check it against the tracks of this service.
+
+    Raises:
+        DocumentRejected: with one sentence for each thing that is wrong.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise DocumentRejected(f"{path} cannot be read: {error}.") from error
+    definition = parse_yaml(CompetitionDefinition, text, path.name)
+    problems = [problem for name, track in definition.tracks.items() for problem in _problems(name, track)]
+    if problems:
+        raise DocumentRejected(f"{path.name}: {' '.join(problems)}")
+    return definition
+
+
+def _problems(name: str, track: CompetitionTrack) -> Iterator[str]:
+    """Yield what does not fit the track's own file."""
+    if not track.taken_here:
+        return
+    if name not in list_tracks():
+        yield (
+            f"tracks.{name}: there is no such track, expected one of {', '.join(list_tracks())} "
+            "(or taken_here: false for one whose submissions are collected elsewhere)."
+        )
+        return
+    yield from _stage_problems(load_track(name), track)
+
+
+def _stage_problems(known: Track, track: CompetitionTrack) -> Iterator[str]:
+    for stage in track.stages:
+        place = f"tracks.{known.name}.stages.{stage.name}"
+        if not stage.accepts:
+            yield f"{place}.accepts is empty, expected some of {', '.join(known.accepts)}."
+        for kind in stage.accepts:
+            if kind not in known.accepts:
+                yield f"{place}.accepts: the track takes {', '.join(known.accepts)}, got {kind}."
+
+
+def _refuse_twice(names: list[str], what: str) -> None:
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise ValueError(f"there are two {what}s {twice[0]!r}; give each one name")

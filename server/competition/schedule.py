@@ -1,0 +1,173 @@
+"""Which stage is open now, and who may submit to it; asked by whatever takes or shows submissions."""
+
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from types import MappingProxyType
+
+from sqlalchemy import func, select
+from sqlalchemy.orm import Session
+from vitac.evaluator.submission_kinds import SubmissionKind
+
+from ..accounts.principals import Principal
+from ..db.models import Competition, Evaluation, Qualification, Submission, Team
+from ..db.states import ACTIVE_EVALUATION_STATES, EvaluationState
+from ..errors import ProblemCode, ServiceError
+from .definition import CompetitionDefinition, CompetitionTrack, Stage
+from .sealing import list_of_stage
+
+NO_STAGE = ""
+"""Of submissions outside of a competition: to a track that has none, or for practice."""
+_COUNTED: Mapping[str, frozenset[EvaluationState]] = MappingProxyType(
+    {
+        "scored_runs": frozenset({*ACTIVE_EVALUATION_STATES, EvaluationState.COMPLETED}),
+        "attempts": frozenset(EvaluationState),
+    }
+)
+
+
+def current(session: Session) -> CompetitionDefinition | None:
+    """Return the competition of this service; None: none was applied."""
+    row = session.get(Competition, 1)
+    return CompetitionDefinition.model_validate(row.definition) if row else None
+
+
+def stage_for_submission(
+    session: Session, by: Principal, team: Team, *, track: str, kind: SubmissionKind, at: datetime | None = None
+) -> str:
+    """Return the stage to which a submission belongs; empty where its track is in no competition.
+
+    Organizers submit also after the end, to the stage that opened last, for instance what reached them by mail in time.
+
+    Args:
+        session: of the transaction.
+        by: who submits.
+        team: whose submission it becomes.
+        track: of the submission.
+        kind: of the submission.
+        at: when it is complete; None: now.
+
+    Raises:
+        ServiceError: no stage is open, it takes other kinds or qualified teams only, or the team is disqualified.
+    """
+    if team.disqualified_at is not None:
+        raise ServiceError(
+            ProblemCode.TEAM_DISQUALIFIED, f"{team.name} is disqualified: {team.disqualified_for}. Ask the organizers."
+        )
+    competition = current(session)
+    found = competition.tracks.get(track) if competition else None
+    if found is None:
+        return NO_STAGE
+    now = at or datetime.now(UTC)
+    stage = _open_stage(found, now) or (_last_opened(found, now) if by.is_organizer else None)
+    if stage is None:
+        raise ServiceError(ProblemCode.STAGE_CLOSED, f"{track} takes no submissions now: {_times(found, now)}.")
+    sealed = list_of_stage(session, track, stage.name)
+    if sealed is not None and sealed.revealed_at is not None:
+        raise ServiceError(
+            ProblemCode.STAGE_CLOSED, f"The episodes of stage {stage.name} of {track} are published; it is over."
+        )
+    if kind not in stage.accepts:
+        raise ServiceError(
+            ProblemCode.UNSUPPORTED_SUBMISSION_KIND,
+            f"Stage {stage.name} of {track} takes {', '.join(stage.accepts)}, got {kind}.",
+            supported=list(stage.accepts),
+        )
+    if stage.qualified is not None and not is_qualified(session, team, track, stage.name):
+        raise ServiceError(
+            ProblemCode.NOT_QUALIFIED,
+            f"Stage {stage.name} of {track} is for qualified teams: {stage.qualified.sentence}. {team.name} is not "
+            "among those whom the organizers confirmed.",
+        )
+    return stage.name
+
+
+def check_stage_quotas(session: Session, by: Principal, team: Team, *, track: str, stage: str) -> None:
+    """Refuse one evaluation more than a stage allows; the team's row is locked by the caller.
+
+    Raises:
+        ServiceError: quota_exceeded, with the quota's name and limit.
+    """
+    competition = current(session) if stage and not by.is_organizer else None
+    found = competition.stage(track, stage) if competition else None
+    if found is None:
+        return
+    for quota, limit in found.quotas:
+        if limit is not None and _used(session, team, track, stage, quota) >= limit:
+            raise ServiceError(
+                ProblemCode.QUOTA_EXCEEDED,
+                f"{team.name} may have {limit} {quota.replace('_', ' ')} in stage {stage} of {track} and has used "
+                "all of them.",
+                quota=f"stage_{quota}",
+                limit=limit,
+            )
+
+
+def is_qualified(session: Session, team: Team, track: str, stage: str) -> bool:
+    """Return whether the organizers confirmed a team for a stage."""
+    return session.get(Qualification, (track, stage, team.id)) is not None
+
+
+def shown_stage(session: Session, track: str, wanted: str | None = None, *, at: datetime | None = None) -> str:
+    """Return the stage whose board a track shows: the wanted one, else the one that opened last, else the first.
+
+    Args:
+        session: of the transaction.
+        track: whose board.
+        wanted: name of a stage; None: whichever is shown now.
+        at: the moment; None: now.
+
+    Returns:
+        Its name, empty for a track without stages.
+
+    Raises:
+        ServiceError: there is no such stage.
+    """
+    competition = current(session)
+    found = competition.tracks.get(track) if competition else None
+    names = [stage.name for stage in found.stages] if found else []
+    if wanted is not None:
+        if wanted not in names:
+            listed = f"its stages are {', '.join(names)}" if names else "it has none"
+            raise ServiceError(ProblemCode.UNKNOWN_STAGE, f"{track} has no stage {wanted!r:.80}; {listed}.")
+        return wanted
+    if found is None:
+        return NO_STAGE
+    return (_last_opened(found, at or datetime.now(UTC)) or found.stages[0]).name
+
+
+def boards_stand_since(session: Session) -> datetime | None:
+    """Return since when the boards of the competition are frozen; None: they are not."""
+    row = session.get(Competition, 1)
+    return row.frozen_at if row else None
+
+
+def _used(session: Session, team: Team, track: str, stage: str, quota: str) -> int:
+    query = (
+        select(func.count())
+        .select_from(Evaluation)
+        .join(Submission)
+        .where(
+            Submission.team_id == team.id,
+            Submission.track == track,
+            Submission.stage == stage,
+            Evaluation.charged_at.is_not(None),
+            Evaluation.state.in_(_COUNTED[quota]),
+        )
+    )
+    return session.scalars(query).one()
+
+
+def _open_stage(track: CompetitionTrack, now: datetime) -> Stage | None:
+    return next((stage for stage in track.stages if stage.is_open(now)), None)
+
+
+def _last_opened(track: CompetitionTrack, now: datetime) -> Stage | None:
+    return next((stage for stage in reversed(track.stages) if stage.opens <= now), None)
+
+
+def _times(track: CompetitionTrack, now: datetime) -> str:
+    """Return what comes next, or what was last, for a message."""
+    following = next((stage for stage in track.stages if now < stage.opens), None)
+    if following is not None:
+        return f"stage {following.name} opens at {following.opens:%F %T} UTC"
+    return f"its last stage closed at {track.stages[-1].closes:%F %T} UTC"

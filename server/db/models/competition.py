@@ -1,0 +1,61 @@
+"""The competition that a service runs: its definition, the secrets of its sealed lists, and who may take part where."""
+
+from datetime import datetime
+from typing import Any
+from uuid import UUID
+
+from sqlalchemy import CheckConstraint, ForeignKey, String, UniqueConstraint, func, text
+from sqlalchemy.dialects.postgresql import JSONB
+from sqlalchemy.orm import Mapped, mapped_column
+
+from .base import Base, sha256_check
+
+
+class Competition(Base):
+    """The one competition of this service.
+
+    Attributes:
+        definition: what `server.competition.definition` reads.
+        frozen_at: since then boards stand still for everybody but organizers; NULL: they do not.
+        finalized_at: since then nothing of it changes.
+        winners: as they were finalized.
+    """
+
+    __tablename__ = "competition"
+    __table_args__ = (
+        CheckConstraint("id = 1", name="is_the_only_one"),
+        CheckConstraint("(finalized_at IS NULL) = (winners IS NULL)", name="final_has_winners"),
+    )
+    id: Mapped[int] = mapped_column(primary_key=True, autoincrement=False, default=1, server_default=text("1"))
+    definition: Mapped[dict[str, Any]]
+    applied_at: Mapped[datetime] = mapped_column(server_default=func.now())
+    frozen_at: Mapped[datetime | None]
+    finalized_at: Mapped[datetime | None]
+    winners: Mapped[list[dict[str, Any]] | None] = mapped_column(JSONB(none_as_null=True))
+
+
+class SealedList(Base):
+    """The secret from which the episode lists of a stage follow; everybody may know it once it is revealed."""
+
+    __tablename__ = "sealed_lists"
+    __table_args__ = (
+        UniqueConstraint("track", "stage"),
+        sha256_check("commitment"),
+        CheckConstraint("secret ~ '^[0-9a-f]{64}$'", name="secret_is_hexadecimal"),
+    )
+    commitment: Mapped[str] = mapped_column(String(64), primary_key=True)
+    track: Mapped[str]
+    stage: Mapped[str]
+    secret: Mapped[str] = mapped_column(String(64))
+    made_at: Mapped[datetime] = mapped_column(server_default=func.now())
+    revealed_at: Mapped[datetime | None]
+
+
+class Qualification(Base):
+    """A team that may take part in a stage for qualified teams."""
+
+    __tablename__ = "qualifications"
+    track: Mapped[str] = mapped_column(primary_key=True)
+    stage: Mapped[str] = mapped_column(primary_key=True)
+    team_id: Mapped[UUID] = mapped_column(ForeignKey("teams.id", ondelete="CASCADE"), primary_key=True)
+    confirmed_at: Mapped[datetime] = mapped_column(server_default=func.now())

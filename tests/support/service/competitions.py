@@ -1,0 +1,65 @@
+"""Competitions for tests: two stages around now, the second sealed and for the best team."""
+
+from datetime import UTC, datetime, timedelta
+from typing import Any
+
+from service_factories import TRACK
+from sqlalchemy.orm import Session
+from vitac.server.competition.definition import CompetitionDefinition
+from vitac.server.db.models import Competition
+
+FIRST, SECOND = "stage1", "stage2"
+OPENS = datetime(2031, 1, 1, tzinfo=UTC)
+CLOSES = OPENS + timedelta(days=31)
+LATER_OPENS = CLOSES + timedelta(days=1)
+LATER_CLOSES = LATER_OPENS + timedelta(days=31)
+
+
+def make_competition(**changes: Any) -> dict[str, Any]:
+    """The content of a competition file; `stages` and others of the track may be given."""
+    of_track = {key: changes.pop(key) for key in ("stages", "ranking", "prizes", "taken_here") if key in changes}
+    track: dict[str, Any] = {
+        "title": "Touch",
+        "stages": [
+            {
+                "name": FIRST,
+                "title": "Simulation",
+                "opens": OPENS.isoformat(),
+                "closes": CLOSES.isoformat(),
+                "accepts": ["model", "log"],
+                "list": "public",
+            },
+            {
+                "name": SECOND,
+                "title": "Final",
+                "opens": LATER_OPENS.isoformat(),
+                "closes": LATER_CLOSES.isoformat(),
+                "accepts": ["model"],
+                "quotas": {"scored_runs": 2},
+                "qualified": {"top": 1},
+            },
+        ],
+    }
+    return {"name": "cup", "title": "The cup", "tracks": {TRACK: track | of_track}} | changes
+
+
+def open_now(content: dict[str, Any], stage: int = 0, track: str = TRACK) -> dict[str, Any]:
+    """Moves all times so that a stage has been open for a day."""
+    stages = content["tracks"][track]["stages"]
+    shift = datetime.now(UTC) - timedelta(days=1) - datetime.fromisoformat(stages[stage]["opens"])
+    for each in stages:
+        for name in ("opens", "closes"):
+            each[name] = (datetime.fromisoformat(each[name]) + shift).isoformat()
+    return content
+
+
+def put_in_place(session: Session, content: dict[str, Any]) -> CompetitionDefinition:
+    """Makes it the competition of the service, without the checks of `apply`."""
+    definition = CompetitionDefinition.model_validate(content)
+    row = session.get(Competition, 1)
+    if row is None:
+        session.add(Competition(id=1, definition=definition.model_dump(mode="json")))
+    else:
+        row.definition = definition.model_dump(mode="json")
+    session.flush()
+    return definition
