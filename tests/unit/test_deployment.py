@@ -164,9 +164,16 @@ def test_manual_names_every_setting_with_its_default(repository: Path) -> None:
         ), name
 
 
-def test_image_context_holds_what_the_wheel_is_built_from(repository: Path) -> None:
+def test_image_context_holds_what_wheel_and_documentation_are_built_from(repository: Path) -> None:
     lines = (repository / ".dockerignore").read_text().splitlines()
     assert "*" in lines
     folders = {"cli", "envs", "evaluator", "migrations", "server", "web", "worker"}
     kept = {line[1:] for line in lines if line.startswith("!")}
-    assert kept == folders | {"LICENSE", "NOTICE", "README.md", "pyproject.toml", "requirements"}
+    assert kept == folders | {"docs", "LICENSE", "NOTICE", "README.md", "pyproject.toml", "requirements"}
+
+
+def test_images_have_the_documentation_without_what_builds_it(dockerfile: str) -> None:
+    built, runtime = dockerfile.split(" AS runtime")
+    assert built.index("-m sphinx -W") < built.index("/opt/vitac/bin/pip install --no-cache-dir --no-index")
+    assert "docs.lock" in built
+    assert "/opt/docs" not in runtime
