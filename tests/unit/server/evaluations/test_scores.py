@@ -25,6 +25,7 @@ from vitac.server.evaluations.scores import (
 
 PEG, LOCK = "peg-insertion", "lock-opening"
 WHEN = datetime(2025, 3, 1, tzinfo=UTC)
+ENDED = datetime(2025, 3, 2, tzinfo=UTC)
 
 
 def score_of(*outcomes: EpisodeOutcome, env_steps: int = 3) -> Score:
@@ -39,14 +40,20 @@ NONE = score_of(LOST, EpisodeOutcome.ERROR)
 def evaluation(*tasks: str, kind: SubmissionKind = SubmissionKind.MODEL) -> Evaluation:
     """An evaluation that has not been scored yet."""
     submission = Submission(
-        id=UUID(int=1), team_id=UUID(int=2), track="track_1", tasks=list(tasks), kind=kind, submitted_at=WHEN
+        id=UUID(int=1),
+        team_id=UUID(int=2),
+        track="track_1",
+        tasks=list(tasks),
+        kind=kind,
+        submitted_at=WHEN,
+        stage="qualification",
     )
     return Evaluation(submission=submission, evaluator_version="7+abc")
 
 
 def scored(scores: dict[str, Score], kind: SubmissionKind = SubmissionKind.MODEL) -> Evaluation:
     found = evaluation(*scores, kind=kind)
-    store_scores(found, scores, {task: f"hash of {task}" for task in scores})
+    store_scores(found, scores, {task: f"hash of {task}" for task in scores}, finished_at=ENDED)
     return found
 
 
@@ -79,7 +86,8 @@ def test_a_model_is_ranked_on_the_board_of_each_task_and_of_all_together() -> No
     ]
     for result in results:
         assert (result.track, result.kind, result.evaluator_version) == ("track_1", SubmissionKind.MODEL, "7+abc")
-        assert (result.team_id, result.submission_id, result.submitted_at) == (UUID(int=2), UUID(int=1), WHEN)
+        assert (result.team_id, result.submission_id) == (UUID(int=2), UUID(int=1))
+        assert (result.submitted_at, result.finished_at, result.stage) == (WHEN, ENDED, "qualification")
 
 
 def test_a_task_that_a_model_does_not_play_counts_as_nothing() -> None:
