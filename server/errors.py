@@ -17,6 +17,7 @@ class ProblemCode(StrEnum):
     ARCHIVE_REJECTED = "archive_rejected"
     BODY_TOO_LARGE = "body_too_large"
     CHECKSUM_MISMATCH = "checksum_mismatch"
+    COMPETITION_FINAL = "competition_final"
     DATABASE_UNAVAILABLE = "database_unavailable"
     DIGEST_MISMATCH = "digest_mismatch"
     FORBIDDEN = "forbidden"
@@ -40,6 +41,8 @@ class ProblemCode(StrEnum):
     QUOTA_EXCEEDED = "quota_exceeded"
     REGISTRATION_CLOSED = "registration_closed"
     STAGE_CLOSED = "stage_closed"
+    STAGE_IN_USE = "stage_in_use"
+    STAGE_NOT_OVER = "stage_not_over"
     STORAGE_FULL = "storage_full"
     STORAGE_UNAVAILABLE = "storage_unavailable"
     TEAM_DISQUALIFIED = "team_disqualified"
@@ -65,6 +68,7 @@ STATUS_OF_CODE: Mapping[ProblemCode, HTTPStatus] = MappingProxyType(
         ProblemCode.ARCHIVE_REJECTED: HTTPStatus.UNPROCESSABLE_ENTITY,
         ProblemCode.BODY_TOO_LARGE: HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
         ProblemCode.CHECKSUM_MISMATCH: HTTPStatus.BAD_REQUEST,
+        ProblemCode.COMPETITION_FINAL: HTTPStatus.CONFLICT,
         ProblemCode.DATABASE_UNAVAILABLE: HTTPStatus.SERVICE_UNAVAILABLE,
         ProblemCode.DIGEST_MISMATCH: HTTPStatus.BAD_REQUEST,
         ProblemCode.FORBIDDEN: HTTPStatus.FORBIDDEN,
@@ -88,6 +92,8 @@ STATUS_OF_CODE: Mapping[ProblemCode, HTTPStatus] = MappingProxyType(
         ProblemCode.QUOTA_EXCEEDED: HTTPStatus.TOO_MANY_REQUESTS,
         ProblemCode.REGISTRATION_CLOSED: HTTPStatus.FORBIDDEN,
         ProblemCode.STAGE_CLOSED: HTTPStatus.FORBIDDEN,
+        ProblemCode.STAGE_IN_USE: HTTPStatus.CONFLICT,
+        ProblemCode.STAGE_NOT_OVER: HTTPStatus.CONFLICT,
         ProblemCode.STORAGE_FULL: HTTPStatus.INSUFFICIENT_STORAGE,
         ProblemCode.STORAGE_UNAVAILABLE: HTTPStatus.SERVICE_UNAVAILABLE,
         ProblemCode.TEAM_DISQUALIFIED: HTTPStatus.FORBIDDEN,

@@ -4,7 +4,7 @@ import sys
 
 import typer
 
-from . import audit, backup, evaluation, quota, submission, team, token, worker
+from . import audit, backup, competition, evaluation, quota, submission, team, token, worker
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
@@ -18,6 +18,7 @@ def log_beside_the_output() -> None:
     structlog.configure(logger_factory=lambda *_: structlog.PrintLogger(sys.stderr))
 
 
+app.add_typer(competition.app, name="competition", help="The competition: check, apply, show, lists, reveal.")
 app.add_typer(team.app, name="team", help="Teams: add, list, show.")
 app.add_typer(quota.app, name="quota", help="Quotas of teams: list, set.")
 app.add_typer(token.app, name="token", help="API tokens: add, list, revoke.")

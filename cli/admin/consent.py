@@ -16,6 +16,9 @@ if TYPE_CHECKING:
 Yes = Annotated[bool, typer.Option("--yes", help="Do not ask.")]
 """The option of a command that changes something for good."""
 
+DryRun = Annotated[bool, typer.Option("--dry-run", help="Only say what would change.")]
+"""The option of a command that changes several things at once."""
+
 
 class ConsentMissing(VitacError):
     """The command changes something for good, and nobody is there to ask: give --yes."""

@@ -135,6 +135,23 @@ def shown_stage(session: Session, track: str, wanted: str | None = None, *, at: 
     return (_last_opened(found, at or datetime.now(UTC)) or found.stages[0]).name
 
 
+def require_over(session: Session, track: str, stage: str, at: datetime | None = None) -> Stage:
+    """Return a stage that has closed.
+
+    Raises:
+        ServiceError: there is no such stage, or it takes submissions still or later.
+    """
+    competition = current(session)
+    found = competition.stage(track, stage) if competition else None
+    if found is None:
+        raise ServiceError(ProblemCode.UNKNOWN_STAGE, f"The competition has no stage {stage!r:.80} of {track!r:.80}.")
+    if (at or datetime.now(UTC)) < found.closes:
+        raise ServiceError(
+            ProblemCode.STAGE_NOT_OVER, f"Stage {stage} of {track} closes at {found.closes:%F %T} UTC; wait until then."
+        )
+    return found
+
+
 def boards_stand_since(session: Session) -> datetime | None:
     """Return since when the boards of the competition are frozen; None: they are not."""
     row = session.get(Competition, 1)

@@ -1,8 +1,10 @@
 """Competitions for tests: two stages around now, the second sealed and for the best team."""
 
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 from typing import Any
 
+import yaml
 from service_factories import TRACK
 from sqlalchemy.orm import Session
 from vitac.server.competition.definition import CompetitionDefinition
@@ -63,3 +65,18 @@ def put_in_place(session: Session, content: dict[str, Any]) -> CompetitionDefini
         row.definition = definition.model_dump(mode="json")
     session.flush()
     return definition
+
+
+def sealed_competition() -> dict[str, Any]:
+    """The same with both lists sealed, for everybody and with models only."""
+    content = make_competition()
+    for stage in content["tracks"][TRACK]["stages"]:
+        stage |= {"list": "sealed", "accepts": ["model"], "qualified": None}
+    return content
+
+
+def write_competition(folder: Path, content: dict[str, Any]) -> Path:
+    """Writes it to a file."""
+    path = folder / "cup.yaml"
+    path.write_text(yaml.safe_dump(content))
+    return path

@@ -5,20 +5,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
-from competitions import CLOSES, FIRST, OPENS, SECOND, make_competition
 from service_factories import TRACK
 from vitac.evaluator.strict_model import DocumentRejected
 from vitac.evaluator.tracks import ListKind
 from vitac.server.competition.definition import CompetitionDefinition, read_competition
 
+from competitions import CLOSES, FIRST, OPENS, SECOND, make_competition, write_competition
+
 Content = dict[str, Any]
-
-
-def written(folder: Path, content: Content) -> Path:
-    path = folder / "cup.yaml"
-    path.write_text(yaml.safe_dump(content))
-    return path
 
 
 def first(content: Content) -> Content:
@@ -34,7 +28,7 @@ def second(content: Content) -> Content:
 def test_a_file_is_read_with_times_in_utc_and_sealed_by_default(tmp_path: Path) -> None:
     content = make_competition()
     first(content)["opens"] = "2031-01-01T01:00:00+01:00"
-    found = read_competition(written(tmp_path, content))
+    found = read_competition(write_competition(tmp_path, content))
     stages = found.tracks[TRACK].stages
     assert [stage.name for stage in stages] == [FIRST, SECOND]
     assert (stages[0].opens, stages[0].opens.tzinfo) == (OPENS, UTC)
@@ -44,7 +38,7 @@ def test_a_file_is_read_with_times_in_utc_and_sealed_by_default(tmp_path: Path) 
 
 
 def test_yamls_own_times_are_understood(tmp_path: Path) -> None:
-    path = written(tmp_path, make_competition())
+    path = write_competition(tmp_path, make_competition())
     path.write_text(path.read_text().replace(f"'{OPENS.isoformat()}'", "2031-01-01T00:00:00Z"))
     assert "2031-01-01T00:00:00Z" in path.read_text()
     assert read_competition(path).tracks[TRACK].stages[0].opens == OPENS
@@ -88,7 +82,7 @@ def test_what_is_wrong_is_named(tmp_path: Path, spoil: Callable[[Content], objec
     content = deepcopy(make_competition())
     spoil(content)
     with pytest.raises(DocumentRejected) as refused:
-        read_competition(written(tmp_path, content))
+        read_competition(write_competition(tmp_path, content))
     assert said in str(refused.value)
 
 
@@ -99,7 +93,7 @@ def test_a_track_may_take_its_submissions_elsewhere(tmp_path: Path) -> None:
         "taken_here": False,
         "stages": [{"name": FIRST, "title": "Design", "opens": OPENS.isoformat(), "closes": CLOSES.isoformat()}],
     }
-    found = read_competition(written(tmp_path, content))
+    found = read_competition(write_competition(tmp_path, content))
     assert not found.tracks["track_9"].taken_here
     assert [track for track, _ in found.sealed_stages()] == [TRACK]
 
@@ -134,3 +128,11 @@ def test_a_rule_is_said_in_words(rule: Content, sentence: str) -> None:
     assert found is not None
     assert found.qualified is not None
     assert found.qualified.sentence == sentence
+
+
+def test_the_challenge_of_2025_is_a_valid_competition(repository: Path) -> None:
+    found = read_competition(repository / "competitions" / "vitac-2025.yaml")
+    pools = {name: sum(prize.amount * prize.winners for prize in track.prizes) for name, track in found.tracks.items()}
+    assert pools == {"track_1": 5500, "track_2": 5500, "track_3": 3500}
+    assert [stage.quotas.scored_runs for stage in found.tracks["track_1"].stages] == [None, 3]
+    assert len(found.tracks["track_3"].stages) == 1

@@ -1,0 +1,117 @@
+"""Makes a competition file the competition of this service: what changes by it, and the change itself."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+from vitac.evaluator.tracks import ListKind
+
+from ..accounts.audit import record
+from ..accounts.principals import Principal
+from ..db.models import Competition, Submission
+from ..errors import ProblemCode, ServiceError
+from .definition import CompetitionDefinition
+from .sealing import list_of_stage, seal
+
+_NAMES = ("name", "place")
+"""Fields by which the members of a list are told apart."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Change:
+    """One value that a new file changes.
+
+    Attributes:
+        place: where in the file, with dots.
+        before: None where there was nothing.
+        after: None where the file no longer has it.
+    """
+
+    place: str
+    before: object
+    after: object
+
+
+def changes_by(session: Session, definition: CompetitionDefinition) -> list[Change]:
+    """Return what applying a file would change, in the order of the file.
+
+    Raises:
+        ServiceError: the competition is final, or submissions were made by what it takes away.
+    """
+    row = session.get(Competition, 1)
+    old = CompetitionDefinition.model_validate(row.definition) if row else None
+    if row is not None and row.finalized_at is not None and old != definition:
+        raise ServiceError(
+            ProblemCode.COMPETITION_FINAL, f"{row.definition['title']} is final since {row.finalized_at:%F %T} UTC."
+        )
+    _refuse_loss(session, definition)
+    return list(_differences(old, definition))
+
+
+def apply(session: Session, by: Principal, definition: CompetitionDefinition) -> list[Change]:
+    """Make it the competition of this service, with a sealed list for each stage that plays one; return what changed.
+
+    Applying the same file again changes nothing.
+
+    Raises:
+        ServiceError: not an organizer, or as `changes_by`.
+    """
+    by.require_organizer()
+    row = session.get(Competition, 1, with_for_update=True)
+    before = row.definition if row else None
+    found = changes_by(session, definition)
+    after = definition.model_dump(mode="json")
+    if row is None:
+        row = Competition(id=1, definition=after)
+        session.add(row)
+    elif found:
+        row.definition, row.applied_at = after, datetime.now(UTC)
+    session.flush()
+    if found:
+        record(session, by, "competition.apply", f"competition:{definition.name}", after, before=before)
+    for track, stage in definition.sealed_stages():
+        seal(session, by, track, stage.name)
+    return found
+
+
+def _refuse_loss(session: Session, definition: CompetitionDefinition) -> None:
+    """Refuse to take away a stage that has submissions, and to change its list."""
+    used = session.execute(
+        select(Submission.track, Submission.stage).where(Submission.stage != "").distinct().order_by(Submission.track)
+    )
+    for track, name in used:
+        stage = definition.stage(track, name)
+        sealed_before = list_of_stage(session, track, name) is not None
+        if stage is None or (stage.list is ListKind.SEALED) != sealed_before:
+            lost = "taken away" if stage is None else f"played on a {stage.list} list"
+            raise ServiceError(
+                ProblemCode.STAGE_IN_USE,
+                f"Stage {name} of {track} has submissions, so it cannot be {lost}. Keep it as it is.",
+            )
+
+
+def _differences(old: CompetitionDefinition | None, new: CompetitionDefinition) -> Iterator[Change]:
+    before = dict(_values(old.model_dump(mode="json"))) if old else {}
+    after = dict(_values(new.model_dump(mode="json")))
+    for place in dict.fromkeys([*after, *before]):
+        if before.get(place) != after.get(place):
+            yield Change(place=place, before=before.get(place), after=after.get(place))
+
+
+def _values(content: object, place: str = "") -> Iterator[tuple[str, object]]:
+    """Yield each single value with its place; members of lists by their names."""
+    if isinstance(content, Mapping):
+        for key, value in content.items():
+            yield from _values(value, f"{place}.{key}" if place else key)
+    elif isinstance(content, list) and content and isinstance(content[0], Mapping):
+        for member in content:
+            yield from _values(member, f"{place}.{_name_of(member)}")
+    elif content is not None:
+        yield place, content
+
+
+def _name_of(member: Mapping[str, Any]) -> str:
+    return next(str(member[name]) for name in _NAMES if name in member)
