@@ -18,8 +18,8 @@ MAX_KEPT = 8192
 class Fragments:
     """The parts of pages that were asked for last."""
 
-    def __init__(self) -> None:
-        self._kept: Kept[Hashable, Markup] = Kept(at_most=MAX_KEPT)
+    def __init__(self, *, at_most: int = MAX_KEPT) -> None:
+        self._kept: Kept[Hashable, Markup] = Kept(at_most=at_most)
 
     def get(self, key: Hashable, make: Callable[[], str]) -> Markup:
         """Return the part under a key, which names all that it depends on; rendered only where it is not kept."""

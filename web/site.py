@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from .session.signer import SessionSigner
 
 HTML = "text/html"
+MAX_PLOTS = 256
+"""Those of an evaluation or a board have up to 200 kB."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,6 +49,7 @@ class Site:
     tracks: tuple[str, ...]
     public_url: str | None = None
     fragments: Fragments = field(default_factory=Fragments)
+    plots: Fragments = field(default_factory=lambda: Fragments(at_most=MAX_PLOTS))
 
     def address(self, request: Request) -> str:
         """Return the address to use on the command line."""

@@ -115,3 +115,13 @@ class LogBoardsView(View):
     generated_at: datetime = Field(description="When this revision was put together.")
     boards: list[LogBoardView]
     text_logs: list[TextLogEntryView]
+
+
+class PastResultView(View):
+    """What one submission of a team has reached in one task."""
+
+    task: str
+    submission_id: UUID
+    submission_name: str
+    submitted_at: datetime
+    success_rate: float

@@ -12,6 +12,7 @@ from page_fixtures import (
     FixedData,
     a_leaderboard,
     a_log,
+    a_past_result,
     a_sandbox,
     a_score,
     a_submission,
@@ -85,6 +86,10 @@ def site() -> Iterator[SiteUnderTest]:
         board=boards()[None],
         task_boards={TASK: boards()[TASK]},
         matches=[an_action_match()],
+        past=[
+            a_past_result(name, rate, days)
+            for name, rate, days in (("first", 0.3, 9), ("second", 0.2, 6), ("done", 0.87, 0))
+        ],
         described=[a_sandbox(), a_sandbox(machine="aarch64", simd=("ASIMD",))],
         printed=[
             EpisodeOutputView(task=TASK, episode=number, outcome="success", output="markers " * 60)

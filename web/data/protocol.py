@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from vitac.server.queue.workers import Disk
     from vitac.server.settings import Registration
     from vitac.server.submissions.upload import AnnouncedUpload
-    from vitac.server.views.leaderboards import LeaderboardView, LogBoardsView
+    from vitac.server.views.leaderboards import LeaderboardView, LogBoardsView, PastResultView
     from vitac.server.views.logs import ActionMatchView
     from vitac.server.views.operations import OperationsView
     from vitac.server.views.submissions import EpisodeView, OutputView, SubmissionListView, SubmissionView
@@ -105,6 +105,9 @@ class PageData(Protocol):
 
     async def submission(self, visitor: Visitor, submission_id: UUID) -> SubmissionDetail:
         """Return one submission with its episodes."""
+
+    async def past_results(self, visitor: Visitor, submission_id: UUID) -> Sequence[PastResultView]:
+        """Return what the team of a submission has reached in its tasks so far."""
 
     async def submissions(self, visitor: Visitor, before: UUID | None) -> SubmissionListView:
         """Return the visitor's submissions (all teams' for an organizer) that are older than a cursor."""

@@ -14,7 +14,7 @@ from vitac.server.accounts import registration, tokens
 from vitac.server.api.limiter import UPLOADS
 from vitac.server.api.teams import NewTeam
 from vitac.server.errors import ProblemCode, ServiceError
-from vitac.server.leaderboards import log_boards, standings
+from vitac.server.leaderboards import history, log_boards, standings
 from vitac.server.logs import action_matches
 from vitac.server.metrics.totals import totals
 from vitac.server.operations.state import operations
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from vitac.server.queue.workers import Disk
     from vitac.server.settings import Registration, Settings
     from vitac.server.submissions.upload import AnnouncedUpload
-    from vitac.server.views.leaderboards import LeaderboardView, LogBoardsView
+    from vitac.server.views.leaderboards import LeaderboardView, LogBoardsView, PastResultView
     from vitac.server.views.operations import OperationsView
     from vitac.server.views.submissions import OutputView, SubmissionListView
 
@@ -105,6 +105,10 @@ class ServiceData:
                 episodes_with_output=output.episodes_with_output(session, by, submission_id),
             )
         )
+
+    async def past_results(self, visitor: Visitor, submission_id: UUID) -> Sequence[PastResultView]:
+        """Return what the team of a submission has reached."""
+        return await self._run(lambda session: history.past_results(session, visitor.principal, submission_id))
 
     async def submissions(self, visitor: Visitor, before: UUID | None) -> SubmissionListView:
         """Return a page of submissions."""

@@ -7,16 +7,18 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 from uuid import UUID
 
+from markupsafe import Markup
 from sse_starlette import EventSourceResponse, ServerSentEvent
 from starlette.responses import RedirectResponse, Response
 from vitac.evaluator.tracks import load_track
-from vitac.server.db.states import TERMINAL_EVALUATION_STATES
+from vitac.server.db.states import TERMINAL_EVALUATION_STATES, EvaluationState
 from vitac.server.errors import not_found
 
 from ..rendering import render
 from ..session.forms import read_form
 from ..site import page, require_form_token, require_viewer, site_of, viewer_of
 from .episode_map import episode_map
+from .figures import episode_figures, history_figures
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Sequence
@@ -26,6 +28,7 @@ if TYPE_CHECKING:
     from vitac.server.views.scores import TaskScoreView
     from vitac.server.views.submissions import EpisodeView, RankView, SubmissionView
 
+    from ..plots.figure import Figure
     from ..site import Viewer
     from .episode_map import EpisodeMap
 
@@ -66,7 +69,27 @@ async def submission(request: Request) -> Response:
         return viewer
     values = await _values(request, viewer)
     refresh = request.query_params.get("refresh") != "off"
-    return page(request, "submission.html", viewer=viewer, section="/submissions", refresh=refresh, **values)
+    plots, history = await _plots(request, viewer, values)
+    return page(
+        request,
+        "submission.html",
+        viewer=viewer,
+        section="/submissions",
+        refresh=refresh,
+        plots=plots,
+        history=history,
+        **values,
+    )
+
+
+async def _plots(request: Request, viewer: Viewer, values: dict[str, Any]) -> tuple[Markup, list[Figure]]:
+    """Return the plots of a complete evaluation, and those of the team's submissions until now."""
+    found: SubmissionView = values["submission"]
+    if found.evaluation.state is not EvaluationState.COMPLETED:
+        return Markup(), []
+    titles = {name: task.title for name, task in load_track(found.track).tasks.items()}
+    past = await site_of(request).data.past_results(viewer.visitor, found.id)
+    return episode_figures(request, found, titles, values["episodes"]), history_figures(found, titles, past)
 
 
 async def events(request: Request) -> Response:
@@ -121,6 +144,7 @@ async def _values(request: Request, viewer: Viewer) -> dict[str, Any]:
     return {
         "submission": found,
         "track": track,
+        "episodes": detail.episodes,
         "active": found.evaluation.state not in TERMINAL_EVALUATION_STATES,
         "took": seconds_taken(found),
         "parts": [task_part(found, name, detail.episodes) for name in found.tasks],

@@ -37,6 +37,7 @@ from vitac.server.views.leaderboards import (
     LogBoardsView,
     LogBoardView,
     LogEntryView,
+    PastResultView,
     TextLogEntryView,
 )
 from vitac.server.views.logs import ActionMatchView, DivergenceView, LogCopyView, LogView, MatchedEpisodeView
@@ -453,6 +454,17 @@ def an_operations_view(*workers: MachineWorkerView) -> OperationsView:
     )
 
 
+def a_past_result(name: str, success_rate: float, days_ago: int, task: str = TASK) -> PastResultView:
+    """What a submission of the Gelbots has reached."""
+    return PastResultView(
+        task=task,
+        submission_id=an_id(f"Gelbots/{name}"),
+        submission_name=name,
+        submitted_at=NOW - timedelta(days=days_ago),
+        success_rate=success_rate,
+    )
+
+
 def a_sandbox(**changes: Any) -> SandboxDescription:
     """What a policy finds on a worker."""
     values: dict[str, Any] = {
@@ -483,6 +495,7 @@ class FixedData:
     registration_rule: Registration = Registration.OPEN
     service: OperationsView = field(default_factory=an_operations_view)
     printed: list[EpisodeOutputView] = field(default_factory=list)
+    past: list[PastResultView] = field(default_factory=list)
     described: list[SandboxDescription] = field(default_factory=list)
     uploaded: list[tuple[AnnouncedUpload, bytes]] = field(default_factory=list)
 
@@ -522,6 +535,10 @@ class FixedData:
                     episodes_with_output=len(self.printed),
                 )
         raise not_found("submission", submission_id)
+
+    async def past_results(self, visitor: Visitor, submission_id: UUID) -> list[PastResultView]:
+        await self.submission(visitor, submission_id)
+        return self.past
 
     async def submissions(self, visitor: Visitor, before: UUID | None) -> SubmissionListView:
         seen = [submission for submission in self.found if visitor.may_see(submission.team.name)]

@@ -1,0 +1,98 @@
+"""Success rates against dates: of a team's submissions, and of a board's entries. Called by the pages."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING
+
+from ..rendering import percent
+from .axis import Axis, beside
+from .figure import Figure, Table, element, joined
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+DATES_WRITTEN = 4
+
+
+@dataclass(frozen=True, kw_only=True)
+class DatedRate:
+    """A point of the plot.
+
+    Attributes:
+        name: what it is of.
+        at: when it was submitted.
+        success_rate: in [0, 1].
+        own: whether it is marked.
+    """
+
+    name: str
+    at: datetime
+    success_rate: float
+    own: bool = False
+
+
+def rates_by_date(key: str, title: str, rates: Sequence[DatedRate]) -> Figure:
+    """Return a point for each rate, and a line for the best so far.
+
+    Args:
+        key: id of the plot.
+        title: what is drawn.
+        rates: at least one.
+    """
+    points = sorted(rates, key=lambda point: point.at)
+    x = Axis(low=points[0].at.timestamp(), high=points[-1].at.timestamp(), begin=70.0, end=556.0)
+    y = Axis(low=0.0, high=1.0, begin=190.0, end=14.0)
+    places = [(x.place(point.at.timestamp()), y.place(point.success_rate)) for point in points]
+    marks = joined(
+        element(
+            "circle",
+            element("title", f"{point.name}, {_date(point.at)}: {percent(point.success_rate)}"),
+            class_="point own" if point.own else "point",
+            cx=across,
+            cy=up,
+            r=6 if point.own else 4,
+        )
+        for point, (across, up) in zip(points, places, strict=True)
+    )
+    best = max(points, key=lambda point: point.success_rate)
+    return Figure(
+        key=key,
+        title=title,
+        summary=f"{len(points)} from {_date(points[0].at)} to {_date(points[-1].at)}; the best is {best.name} with "
+        f"{percent(best.success_rate)}.",
+        width=600,
+        height=222,
+        drawing=beside(y, 60.0, 570.0, lambda value: f"{100 * value:g} %")
+        + element("path", class_="best", d=_steps_up(places))
+        + marks
+        + joined(
+            element("text", _date(moment), class_="tick", x=x.place(moment.timestamp()), y=212, text_anchor="middle")
+            for moment in _written_dates(points[0].at, points[-1].at)
+        ),
+        table=Table(
+            columns=("Submitted", "Of", "Success rate"),
+            rows=tuple((_date(point.at), point.name, percent(point.success_rate)) for point in points),
+        ),
+    )
+
+
+def _steps_up(places: Sequence[tuple[float, float]]) -> str:
+    """Return the path of the best so far; smaller y is higher."""
+    path, best = "", float("inf")
+    for across, up in places:
+        if up < best:
+            path += f"H{across:.2f}V{up:.2f}" if path else f"M{across:.2f} {up:.2f}"
+            best = up
+    return f"{path}H{places[-1][0]:.2f}"
+
+
+def _written_dates(first: datetime, last: datetime) -> list[datetime]:
+    if _date(first) == _date(last):
+        return [first + (last - first) / 2]
+    return [first + (last - first) * part / (DATES_WRITTEN - 1) for part in range(DATES_WRITTEN)]
+
+
+def _date(moment: datetime) -> str:
+    return moment.astimezone(UTC).strftime("%Y-%m-%d")
