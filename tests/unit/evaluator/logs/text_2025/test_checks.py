@@ -448,3 +448,89 @@ def test_without_a_start_in_four_numbers_the_holes_top_is_unknown() -> None:
     assert hole_top(shown(1.0, 2.0, 3.0), VISION) is None
     assert hole_top(TextLog(), VISION) is None
     assert hole_top(shown(*VISION.starts()[0].offset), PEG) is None
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "sentence"),
+    [
+        ("action", [1.5, 0, 0], "has an action outside [-1, 1]"),
+        ("action", [0.5, 0.5], ": expected 3 action values, got 2"),
+        ("info_steps", 7, ": expected 2 in info steps, got 7"),
+        ("reward", 10.5, ": reward 10.5 does not follow from the rules"),
+        ("peg_relative_z_mm", [-0.4, "deep"], " lacks info peg_relative_z_mm"),
+    ],
+)
+def test_a_fault_is_one_sentence_after_its_place(key: str, value: object, sentence: str) -> None:
+    log = read(own_log())
+    step = log.episodes[3].steps[1]
+    if key in ("action", "reward"):
+        setattr(step, key, tuple(value) if isinstance(value, list) else value)
+    else:
+        step.info[key.removeprefix("info_")] = tuple(value) if isinstance(value, list) else value
+    assert f"test 4: env step 2{'' if sentence[0] in ': ' else ' '}{sentence}" in check(log, PEG)
+
+
+def test_offsets_that_do_not_follow_are_told_with_what_the_log_says() -> None:
+    log = read(own_log())
+    step = log.episodes[3].steps[1]
+    step.offset = (9.0, 0.0, 0.0)
+    truth = step.info["gt_offset_mm_deg"]
+    assert check(log, PEG) == [f"test 4: env step 2: expected the offset of the info, {truth}, got (9.0, 0.0, 0.0)"]
+
+
+def test_a_motion_that_does_not_follow_is_told() -> None:
+    log = read(own_log())
+    log.episodes[3].steps[1].info["relative_motion_mm_deg"] = (0.0, 0.0, 0.0, -0.25)
+    assert check(log, PEG) == [
+        "test 4: env step 2: relative motion (0.0, 0.0, 0.0, -0.25) does not follow from the offset"
+    ]
+
+
+def test_an_action_that_leads_elsewhere_is_told_with_the_offset() -> None:
+    log = read(own_log())
+    step = log.episodes[3].steps[0]
+    step.action = (0.0, 0.0, 0.0)
+    assert f"test 4: env step 1: the action does not lead to offset {step.info['gt_offset_mm_deg']}" in check(log, PEG)
+
+
+@pytest.mark.parametrize("key", ["surface_diff_m", "relative_motion_mm_deg", "gt_offset_mm_deg", "is_success"])
+def test_an_info_that_lacks_a_key_is_told(key: str) -> None:
+    log = read(own_log())
+    del log.episodes[0].steps[0].info[key]
+    (problem,) = check(log, PEG)
+    assert problem.startswith(f"test 1: env step 1 lacks info {key}")
+
+
+@pytest.mark.parametrize(("success", "said"), [(True, "SUCCESS"), (False, "FAIL"), (None, "FAIL")])
+def test_a_result_against_the_last_env_step_is_told(success: bool | None, said: str) -> None:
+    log = read(own_log())
+    log.episodes[5].success = success
+    found = [problem for problem in check(log, PEG) if problem.startswith("test 6: RESULT")]
+    assert found == ([] if success else [f"test 6: RESULT says {said}, the last env step the opposite"])
+
+
+def test_unofficial_settings_are_told_in_one_order() -> None:
+    log = read(own_log(environment={**PEG.environment, "zeta": 1, "alpha": 2, "vision_params": 3}))
+    assert check(log, PEG) == [
+        "environment: 'alpha' is not an official setting",
+        "environment: 'zeta' is not an official setting",
+    ]
+
+
+@pytest.mark.parametrize(("off", "is_told"), [(0.00009, False), (-0.00009, False), (0.0002, True), (-0.0002, True)])
+def test_a_reward_may_differ_by_what_printing_rounds(off: float, is_told: bool) -> None:
+    log = read(own_log())
+    step = log.episodes[0].steps[0]
+    assert step.reward is not None
+    step.reward += off
+    assert bool(check(log, PEG)) == is_told
+
+
+def test_a_reward_of_nothing_is_one() -> None:
+    """The peg turns just so much nearer as a step costs."""
+    near = math.sqrt((math.hypot(4, 4, 8) - 1) ** 2 - 32)
+    turn = (8 - near) / 4
+    found = problems_of_first(turned_episode([turn, *[0.0] * 7], [0.0, *[-1.0] * 7], too_many_steps=True))
+    assert found == ()
+    too_good = problems_of_first(turned_episode([turn, *[0.0] * 7], [0.1, *[-1.0] * 7], too_many_steps=True))
+    assert too_good == ("test 1: env step 1: reward 0.1 does not follow from the rules",)
