@@ -1,0 +1,114 @@
+"""YAML is read as plain data: no key twice, and of untrusted documents no tags, aliases or large values."""
+
+from typing import Any
+
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from vitac.evaluator.strict_yaml import UNTRUSTED_MAX_DEPTH, UNTRUSTED_MAX_NODES, UniqueKeyLoader, UntrustedLoader
+
+BOTH = pytest.mark.parametrize("loader", [UniqueKeyLoader, UntrustedLoader])
+PLAIN = st.recursive(
+    st.none() | st.booleans() | st.integers(-1000, 1000) | st.text("abc: -#'\"", max_size=6),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text("abc", max_size=3), inner, max_size=3),
+    max_leaves=8,
+)
+
+
+def load(text: str, loader: type[UniqueKeyLoader]) -> Any:
+    return yaml.load(text, Loader=loader)  # noqa: S506 - both derive from SafeLoader
+
+
+@BOTH
+@settings(max_examples=25)
+@given(value=PLAIN)
+def test_plain_values_are_read_as_they_were_written(loader: type[UniqueKeyLoader], value: object) -> None:
+    assert load(yaml.safe_dump({"value": value}), loader) == {"value": value}
+
+
+@BOTH
+@pytest.mark.parametrize("text", ["a: 1\na: 1", "a: 1\n'a': 2", "x: {a: 1, a: 2}", "1: a\n1: b", "[{b: 1, b: 2}]"])
+def test_a_key_twice_is_refused(loader: type[UniqueKeyLoader], text: str) -> None:
+    with pytest.raises(yaml.YAMLError, match="is given twice"):
+        load(text, loader)
+
+
+@BOTH
+def test_a_long_key_is_cut_in_the_message(loader: type[UniqueKeyLoader]) -> None:
+    key = "k" * 500
+    with pytest.raises(yaml.YAMLError) as refused:
+        load(f"{key}: 1\n{key}: 2", loader)
+    assert f"key '{'k' * 80}' is given twice" in str(refused.value)
+
+
+@BOTH
+@pytest.mark.parametrize("text", ["? [a, b]\n: 1", "? {a: 1}\n: 1"])
+def test_a_key_is_text(loader: type[UniqueKeyLoader], text: str) -> None:
+    with pytest.raises(yaml.YAMLError, match="a key must be text, expected no list or mapping"):
+        load(text, loader)
+
+
+@pytest.mark.parametrize("text", ["day: 2025-99-99", "number: 0b_", "time: 2025-03-01T99:00:00"])
+def test_what_only_looks_like_a_date_or_number_is_a_yaml_error(text: str) -> None:
+    with pytest.raises(yaml.YAMLError, match="looks like a number or date, but is none; put it in quotes"):
+        load(text, UniqueKeyLoader)
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("2025-03-01", "2025-03-01"),
+        ("2025-03-01T12:00:00Z", "2025-03-01T12:00:00Z"),
+        ("<<", "<<"),
+        ("yes", True),
+        ("~", None),
+        ("1_000", 1000),
+        ("1.5", 1.5),
+        (".inf", float("inf")),
+        ("'17'", "17"),
+    ],
+)
+def test_an_untrusted_scalar_is_text_a_number_a_truth_or_nothing(text: str, value: object) -> None:
+    assert load(f"value: {text}", UntrustedLoader) == {"value": value}
+
+
+def test_a_document_of_our_own_may_have_aliases_and_an_untrusted_one_may_not() -> None:
+    text = "a: &one [1, 2]\nb: *one"
+    assert load(text, UniqueKeyLoader) == {"a": [1, 2], "b": [1, 2]}
+    for part in (text, "a: &one 1", "b: *one"):
+        with pytest.raises(yaml.YAMLError, match=r"anchors \(&\) and aliases \(\*\) are not allowed"):
+            load(part, UntrustedLoader)
+
+
+@pytest.mark.parametrize("text", ["!!python/object:os.system x", "!!str 5", "a: !own 1", "!!set {a, b}", "[!!int '5']"])
+def test_an_untrusted_document_has_no_tags(text: str) -> None:
+    with pytest.raises(yaml.YAMLError, match=r"tags \(!\) are not allowed; write plain values"):
+        load(text, UntrustedLoader)
+
+
+def test_no_document_calls_python() -> None:
+    with pytest.raises(yaml.YAMLError, match="could not determine a constructor"):
+        load("!!python/object/apply:os.getcwd []", UniqueKeyLoader)
+
+
+def test_an_untrusted_document_may_have_as_many_values_as_allowed_and_no_more() -> None:
+    # The list counts, too.
+    assert len(load(f"[{'1,' * (UNTRUSTED_MAX_NODES - 1)}]", UntrustedLoader)) == UNTRUSTED_MAX_NODES - 1
+    with pytest.raises(yaml.YAMLError, match=f"more than {UNTRUSTED_MAX_NODES} values"):
+        load(f"[{'1,' * UNTRUSTED_MAX_NODES}]", UntrustedLoader)
+    assert len(load(f"[{'1,' * UNTRUSTED_MAX_NODES}]", UniqueKeyLoader)) == UNTRUSTED_MAX_NODES
+
+
+def test_an_untrusted_document_may_be_as_deep_as_allowed_and_no_deeper() -> None:
+    def nested(depth: int) -> str:
+        return "[" * depth + "]" * depth
+
+    assert load(nested(UNTRUSTED_MAX_DEPTH), UntrustedLoader) is not None
+    with pytest.raises(yaml.YAMLError, match=f"values are nested more than {UNTRUSTED_MAX_DEPTH} deep"):
+        load(nested(UNTRUSTED_MAX_DEPTH + 1), UntrustedLoader)
+
+
+def test_depth_is_counted_along_one_branch() -> None:
+    branch = "[" * (UNTRUSTED_MAX_DEPTH - 1) + "]" * (UNTRUSTED_MAX_DEPTH - 1)
+    assert len(load(f"[{', '.join([branch] * 5)}]", UntrustedLoader)) == 5
