@@ -2,7 +2,7 @@
 
 The first uses the first contact. The second corrects it by the marker flow after the first motion, in episodes that use
 the first. Run it as `python examples/peg_insertion_heuristic/train.py`; it takes a few minutes on one core.
-Its starts are random and blocked: none is in the public list, and benchmarks/example_policy.py uses others.
+Its starts are random and blocked: none is in the public list, and benchmarks/policies/example.py uses others.
 """
 
 import json

@@ -8,7 +8,7 @@ from vitac.server.db.schema import is_current
 from vitac.server.errors import ServiceError
 from vitac.server.queue.workers import workers_alive
 from vitac.server.services import Services
-from vitac.server.views.health import HealthView, ReadyView
+from vitac.server.views.operations import HealthView, ReadyView
 from vitac.server.views.workers import WorkersView
 
 from .access import ServicesOf

@@ -1,9 +1,26 @@
-"""The state of the whole service at one moment, as organizers and Prometheus see it. Times in seconds."""
+"""Whether the service is up, and its whole state at one moment for organizers and Prometheus. Times in seconds."""
 
 from datetime import datetime
 
 from .base import View
-from .workers import WorkerView
+from .workers import WorkersView, WorkerView
+
+
+class HealthView(View):
+    """The process answers."""
+
+    status: str
+    version: str
+
+
+class ReadyView(View):
+    """Whether the service can do its work, part by part: `ok` or what is wrong."""
+
+    status: str
+    database: str
+    migrations: str
+    storage: str
+    workers: WorkersView | None
 
 
 class QueueView(View):

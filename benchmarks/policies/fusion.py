@@ -1,6 +1,6 @@
 """Plays the example policy of Track 2 from random starts: how often it succeeds, how well it sees, how long it takes.
 
-Usage: python benchmarks/fusion_policy.py [--starts N] [--seed N] [--depth-mode stereo|gt] [--hole-mm MM]
+Usage: python benchmarks/policies/fusion.py [--starts N] [--seed N] [--depth-mode stereo|gt] [--hole-mm MM]
     [--camera-mm MM] [--camera-deg DEG]
 
 The policy was made with seeds below 1000. `--hole-mm` has it believe that the holes lie elsewhere, by so much in any
@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from vitac.envs.tasks.fusion_insertion.env import FusionInsertionEnv
 from vitac.evaluator.scoring.score import rate
 
-EXAMPLE = Path(__file__).parents[1] / "examples" / "track_2_fusion" / "Track_2"
+EXAMPLE = Path(__file__).parents[2] / "examples" / "track_2_fusion" / "Track_2"
 KEYS = ("relative_motion", "rgb_picture", "depth_picture", "marker_flow")
 # The peg's lower end is as high as the rim at this offset z [mm].
 RIM_OFFSET_MM = 9.5

@@ -1,6 +1,6 @@
 """Compares the example policies with no motion and random actions, on random starts and on the public list.
 
-Usage: python benchmarks/example_policy.py [--task TASK] [--starts N] [--json FILE]
+Usage: python benchmarks/policies/example.py [--task TASK] [--starts N] [--json FILE]
 
 Random starts come from a seed that no example was made with.
 """
@@ -18,7 +18,7 @@ from vitac.evaluator.episodes.episode import make_environment
 from vitac.evaluator.scoring.score import Rate, rate
 from vitac.evaluator.tracks import Task, load_track
 
-EXAMPLES = Path(__file__).parents[1] / "examples"
+EXAMPLES = Path(__file__).parents[2] / "examples"
 FOLDERS = {"peg-insertion": "peg_insertion_heuristic", "lock-opening": "lock_opening_heuristic"}
 STARTS = 270
 SEED = 2
