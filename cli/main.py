@@ -32,6 +32,7 @@ NOUNS = (
     Noun(name="seeds", module="seeds", summary="Make and verify the secrets of sealed episode lists."),
     Noun(name="show", module="show", summary="Draw an episode: gels, parts and marker flow."),
     Noun(name="sensor", module="sensor", summary="Check, mesh and draw a sensor of your own."),
+    Noun(name="train", module="train", summary="Train a policy from a recipe, and export it."),
     Noun(name="register", module="client.account.register", summary="Register a team at a service."),
     Noun(name="login", module="client.account.login", summary="Keep a team's token for the other commands."),
     Noun(name="logout", module="client.account.logout", summary="Forget the kept token."),

@@ -39,7 +39,7 @@ NO_VERBS = re.compile(
     "Pairs?|Parts?|Places|Points?|Nodes?|Edges?|Corners?|Vertices|Triangles?|Volumes?|Centroids|Blocks|Rows|Pixels?|"
     "Indices|Libraries|Elimination|Boundary|Hexagon|Board|Unit"
 )
-CODE = ("benchmarks", "cli", "envs", "evaluator", "examples", "migrations", "server", "web", "worker")
+CODE = ("benchmarks", "cli", "envs", "evaluator", "examples", "migrations", "server", "training", "web", "worker")
 
 
 def texts(repository: Path) -> Iterator[Path]:

@@ -15,7 +15,7 @@ import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-FOLDERS = ("cli", "envs", "evaluator", "migrations", "server", "web", "worker")
+FOLDERS = ("cli", "envs", "evaluator", "migrations", "server", "training", "web", "worker")
 NOT_SHIPPED = {"__pycache__", "node_modules"}
 URL_HOSTS = {
     "arxiv.org",

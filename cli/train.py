@@ -1,0 +1,87 @@
+"""`vitac train`: collects episodes, trains a policy from a recipe, and makes a submission of it."""
+
+import os
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperGroup
+
+from .terminal.output import AsJson, print_json, print_pairs
+
+
+class _RecipeFirst(TyperGroup):
+    """Lets a recipe stand where a verb would: `vitac train RECIPE.yaml` means `vitac train run RECIPE.yaml`."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Put the verb before a recipe."""
+        if args and not args[0].startswith("-") and args[0] not in self.commands:
+            args = ["run", *args]
+        return super().parse_args(ctx, args)
+
+
+app = typer.Typer(cls=_RecipeFirst, no_args_is_help=True)
+
+RecipeFile = Annotated[Path, typer.Argument(help="YAML file that says what is learned.", exists=True, dir_okay=False)]
+RunFolder = Annotated[Path, typer.Option("--out", help="Folder of the run; one that is there is continued.")]
+Processes = Annotated[int, typer.Option(min=1, help="Processes that play episodes.")]
+
+
+@app.command()
+def run(recipe: RecipeFile, out: RunFolder, processes: Processes = 1, as_json: AsJson = False) -> None:
+    """Train a policy, or go on with its training; Ctrl-C keeps everything.
+
+    Weights that are learned use one thread, so that their bits do not depend on the number of cores.
+    """
+    _one_thread()
+    from vitac.training.recipe import read_recipe
+    from vitac.training.run import Folder, Run, best, told
+
+    training = Run(recipe=read_recipe(recipe), folder=Folder(path=out), processes=processes, tell=_tell)
+    try:
+        results = training.go()
+    except KeyboardInterrupt:
+        print(f"\nstopped; run the same command to go on from {out}", file=sys.stderr)
+        raise
+    chosen = best(results)
+    rows = {f"round {result.number}": told(result.student) for result in results}
+    if as_json:
+        print_json({"rounds": rows, "best": chosen.number})
+    else:
+        print_pairs({**rows, "best": f"round {chosen.number}; vitac train export {out}"})
+
+
+@app.command()
+def collect(recipe: RecipeFile, out: RunFolder, processes: Processes = 1) -> None:
+    """Play the episodes of the first round only; a later `vitac train` finds them."""
+    _one_thread()
+    from vitac.training.recipe import read_recipe
+    from vitac.training.run import Folder, Run
+
+    training = Run(recipe=read_recipe(recipe), folder=Folder(path=out), processes=processes, tell=_tell)
+    print_pairs({"episodes": training.collect_first()})
+
+
+@app.command()
+def export(
+    folder: Annotated[Path, typer.Argument(help="Folder of a finished run.", exists=True, file_okay=False)],
+    submission: Annotated[Path, typer.Option("--to", help="New folder for the submission.")],
+) -> None:
+    """Make a submission of the best round."""
+    from vitac.training.run import Folder, best, results_of
+    from vitac.training.submission.export import export as exported
+
+    kept = Folder(path=folder)
+    chosen = best(results_of(kept))
+    print_pairs({"round": chosen.number, "submission": exported(kept, chosen, submission)})
+
+
+def _one_thread() -> None:
+    """Let linear algebra use one thread; it must be said before NumPy is imported."""
+    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ[name] = "1"
+
+
+def _tell(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)

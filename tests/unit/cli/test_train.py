@@ -1,0 +1,79 @@
+"""`vitac train`."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from toy_peg import ToyPeg
+from typer.testing import CliRunner
+from vitac.cli.main import build_app
+from vitac.evaluator.submission.manifest import load_manifest
+
+RECIPE = """task: peg-insertion
+seed: 1
+random_episodes: 20
+guided_episodes: 20
+rounds: 1
+chosen_by: 10
+critic: {networks: 1, hidden: 8, sweeps: 1, epochs: 1}
+student: {networks: 1, hidden: 8, epochs: 1}
+"""
+
+
+@pytest.fixture(autouse=True)
+def toy(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("vitac.training.collection.make_environment", ToyPeg)
+    monkeypatch.setattr("vitac.training.collection._ENVIRONMENTS", {})
+    # The command sets them for the whole process, which here is that of all tests.
+    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+        monkeypatch.setenv(name, "1")
+
+
+@pytest.fixture
+def recipe(tmp_path: Path) -> str:
+    path = tmp_path / "recipe.yaml"
+    path.write_text(RECIPE)
+    return str(path)
+
+
+def vitac(*words: str) -> Any:
+    return CliRunner().invoke(build_app(words), list(words))
+
+
+def test_trains_and_exports(recipe: str, tmp_path: Path) -> None:
+    trained = vitac("train", recipe, "--out", str(tmp_path / "run"), "--json")
+    assert trained.exit_code == 0, trained.output
+    assert json.loads(trained.stdout)["best"] == 1
+    exported = vitac("train", "export", str(tmp_path / "run"), "--to", str(tmp_path / "submission"))
+    assert exported.exit_code == 0, exported.output
+    assert load_manifest(tmp_path / "submission" / "Track_1").tasks == ("peg-insertion",)
+
+
+def test_verb_may_be_written_out(recipe: str, tmp_path: Path) -> None:
+    assert "export" in vitac("train", "run", recipe, "--out", str(tmp_path / "run")).stdout
+
+
+def test_collects_only(recipe: str, tmp_path: Path) -> None:
+    collected = vitac("train", "collect", recipe, "--out", str(tmp_path / "run"))
+    assert collected.exit_code == 0, collected.output
+    assert collected.stdout.split() == ["episodes", "40"]
+    assert not (tmp_path / "run" / "log.jsonl").exists()
+    assert len(list((tmp_path / "run" / "episodes").glob("*.npz"))) == 2
+
+
+def test_stopping_says_how_to_go_on(recipe: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def stopped(_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("vitac.training.run.Run.go", stopped)
+    found = vitac("train", recipe, "--out", str(tmp_path / "run"))
+    assert found.exit_code != 0
+    assert "run the same command to go on from" in found.stderr
+
+
+@pytest.mark.parametrize("words", [["nowhere.yaml", "--out", "run"], ["export", "nowhere", "--to", "there"]])
+def test_what_is_not_there_is_a_usage_error(words: list[str]) -> None:
+    found = vitac("train", *words)
+    assert found.exit_code == 2
+    assert "does not exist" in found.stderr

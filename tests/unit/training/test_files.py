@@ -1,0 +1,86 @@
+"""Files of a run: whole or not there, and damage is found."""
+
+import errno
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from vitac.training.files import FileDamaged, NotSaved, digest, load, save, write_text
+
+ARRAYS = {"actions": np.arange(6, dtype=np.float32).reshape(2, 3), "solved": np.array([True, False])}
+
+
+def test_what_was_saved_is_loaded(tmp_path: Path) -> None:
+    path = tmp_path / "new folder" / "episodes.npz"
+    save(path, ARRAYS)
+    found = load(path)
+    assert sorted(found) == sorted(ARRAYS)
+    for name, array in ARRAYS.items():
+        np.testing.assert_array_equal(found[name], array)
+        assert found[name].dtype == array.dtype
+    assert [each.name for each in path.parent.iterdir()] == ["episodes.npz"]
+
+
+def test_equal_arrays_make_equal_files(tmp_path: Path) -> None:
+    for name in ("one.npz", "other.npz"):
+        save(tmp_path / name, ARRAYS)
+    assert (tmp_path / "one.npz").read_bytes() == (tmp_path / "other.npz").read_bytes()
+
+
+@pytest.mark.parametrize("damage", [b"", b"no archive", None])
+def test_damage_is_found(tmp_path: Path, damage: bytes | None) -> None:
+    path = tmp_path / "episodes.npz"
+    save(path, ARRAYS)
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) // 2] if damage is None else damage)
+    with pytest.raises(FileDamaged, match=r"episodes.npz cannot be read .*; delete it and run it again"):
+        load(path)
+
+
+def test_file_with_other_numbers_is_found(tmp_path: Path) -> None:
+    path = tmp_path / "episodes.npz"
+    changed = {**ARRAYS, "actions": ARRAYS["actions"] + 1}
+    np.savez(path, **changed, digest=np.array(digest(ARRAYS)))  # type: ignore[arg-type]
+    with pytest.raises(FileDamaged, match="does not hold what was written"):
+        load(path)
+
+
+def test_file_that_nobody_saved_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "episodes.npz"
+    np.savez(path, **ARRAYS)  # type: ignore[arg-type]
+    with pytest.raises(FileDamaged):
+        load(path)
+
+
+def test_full_disk_keeps_what_was_saved_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "episodes.npz"
+    save(path, ARRAYS)
+    before = path.read_bytes()
+
+    def full(_: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(NotSaved, match=r"cannot be written \(No space left on device\); free some space"):
+        save(path, {"actions": np.zeros(3)})
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_text_is_replaced_as_a_whole(tmp_path: Path) -> None:
+    path = tmp_path / "log.jsonl"
+    for text in ("first\n", "second\n"):
+        write_text(path, text)
+        assert path.read_text() == text
+
+
+def test_digest_tells_names_types_shapes_and_values_apart() -> None:
+    arrays: list[dict[str, np.ndarray]] = [
+        {"a": np.zeros(4, dtype=np.float32)},
+        {"b": np.zeros(4, dtype=np.float32)},
+        {"a": np.zeros(4, dtype=np.int32)},
+        {"a": np.zeros((2, 2), dtype=np.float32)},
+        {"a": np.ones(4, dtype=np.float32)},
+    ]
+    assert len({digest(each) for each in arrays}) == len(arrays)

@@ -1,0 +1,53 @@
+"""Recipes: what may be said, and how a mistake is named."""
+
+from pathlib import Path
+
+import pytest
+from vitac.evaluator.strict_model import DocumentRejected
+from vitac.training.critic import CriticPlan
+from vitac.training.recipe import CriticRecipe, Recipe, StudentRecipe, read_recipe
+from vitac.training.student import StudentPlan
+
+
+def read(tmp_path: Path, text: str) -> Recipe:
+    path = tmp_path / "recipe.yaml"
+    path.write_text(text)
+    return read_recipe(path)
+
+
+def test_task_and_seed_are_enough(tmp_path: Path) -> None:
+    recipe = read(tmp_path, "task: peg-insertion\nseed: 3\n")
+    assert (recipe.task, recipe.seed) == ("peg-insertion", 3)
+    assert recipe.critic.plan() == CriticPlan()
+    assert recipe.student.plan() == StudentPlan()
+
+
+def test_values_reach_the_learners(tmp_path: Path) -> None:
+    text = "task: peg-insertion\nseed: 3\ncritic: {hidden: 32, sweeps: 2}\nstudent: {networks: 1, epochs: 5}\n"
+    recipe = read(tmp_path, text)
+    assert (recipe.critic.plan().hidden, recipe.critic.plan().sweeps) == (32, 2)
+    assert (recipe.student.plan().networks, recipe.student.plan().epochs) == (1, 5)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("seed: 3\n", "Missing key 'task'"),
+        ("task: peg-insertion\nseed: 3\nround: 2\n", "Unknown key 'round'; did you mean 'rounds'"),
+        ("task: peg-insertion\nseed: 3\ncritic: {hiden: 2}\n", "Unknown key 'critic.hiden'; did you mean 'hidden'"),
+        ("task: chess\nseed: 3\n", "task: Input should be 'peg-insertion'"),
+        ("task: peg-insertion\nseed: -1\n", "seed: Input should be greater than or equal to 0"),
+        ("task: peg-insertion\nseed: 3\nrounds: 0\n", "rounds: Input should be greater than or equal to 1"),
+        ("task: peg-insertion\nseed: 3\nnoise: .nan\n", "noise"),
+        ("task: peg-insertion\nseed: 3\nseed: 4\n", "given twice"),
+        ("- 1\n", "recipe.yaml"),
+    ],
+)
+def test_mistakes_are_named(tmp_path: Path, text: str, told: str) -> None:
+    with pytest.raises(DocumentRejected, match=told):
+        read(tmp_path, text)
+
+
+def test_defaults_are_stated_once() -> None:
+    assert CriticRecipe().plan() == CriticPlan()
+    assert StudentRecipe().plan() == StudentPlan()

@@ -1,0 +1,165 @@
+"""A training run: rounds, what is kept when it is stopped, and that it ends with the same bits."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from toy_peg import ToyPeg
+from vitac.evaluator.scoring.score import rate
+from vitac.training.actors import ActorKind
+from vitac.training.network import Learner, TrainingDiverged
+from vitac.training.recipe import CriticRecipe, Recipe, StudentRecipe
+from vitac.training.run import Folder, OtherRun, RoundResult, Run, best, results_of, told
+from vitac.training.streams import Use, stream
+
+RECIPE = Recipe(
+    task="peg-insertion",
+    seed=2,
+    random_episodes=30,
+    guided_episodes=30,
+    rounds=2,
+    student_episodes=20,
+    critic_episodes=10,
+    chosen_by=10,
+    critic=CriticRecipe(networks=1, hidden=16, sweeps=2, epochs=1),
+    student=StudentRecipe(networks=1, hidden=16, epochs=2),
+)
+
+
+def run(path: Path, recipe: Recipe = RECIPE, lines: list[str] | None = None) -> Run:
+    heard: list[str] = [] if lines is None else lines
+    return Run(recipe=recipe, folder=Folder(path=path), tell=heard.append)
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+class Stopped(BaseException):
+    """Like Ctrl-C or a kill: nobody in the run catches it."""
+
+
+def test_each_round_is_judged_and_logged(tmp_path: Path) -> None:
+    lines: list[str] = []
+    results = run(tmp_path, lines=lines).go()
+    assert [result.number for result in results] == [1, 2]
+    assert results_of(Folder(path=tmp_path)) == results
+    assert results[1].env_steps > results[0].env_steps
+    assert [result.student.episodes for result in results] == [10, 10]
+    assert any(line.startswith("round 2: student ") for line in lines)
+    assert any("random episodes: 1 of 1 files" in line for line in lines)
+
+
+def test_finished_run_is_not_made_again(tmp_path: Path, toy: list[ToyPeg]) -> None:
+    first = run(tmp_path).go()
+    before, episodes = files(tmp_path), len(toy[0].resets)
+    assert run(tmp_path).go() == first
+    assert files(tmp_path) == before
+    assert len(toy[0].resets) == episodes
+
+
+@pytest.mark.parametrize(
+    "stop_at", ["student episodes: 1", "round 1, critic: turn 2", "round 2, student: turn 1", "round 2: "]
+)
+def test_stopped_run_ends_with_the_same_bits(tmp_path: Path, stop_at: str) -> None:
+    run(tmp_path / "whole").go()
+
+    def stop(line: str) -> None:
+        if line.startswith(stop_at):
+            raise Stopped
+
+    stopped = Run(recipe=RECIPE, folder=Folder(path=tmp_path / "stopped"), tell=stop)
+    with pytest.raises(Stopped):
+        stopped.go()
+    run(tmp_path / "stopped").go()
+    assert files(tmp_path / "stopped") == files(tmp_path / "whole")
+
+
+def test_collecting_first_is_what_the_run_does_first(tmp_path: Path, toy: list[ToyPeg]) -> None:
+    assert run(tmp_path).collect_first() == 60
+    episodes = len(toy[0].resets)
+    collected = files(tmp_path)
+    run(tmp_path).go()
+    assert collected.items() <= files(tmp_path).items()
+    assert len(toy[0].resets) == episodes + 20 + 10 + 4 * 10
+
+
+def test_folder_of_another_recipe_is_refused(tmp_path: Path) -> None:
+    run(tmp_path).collect_first()
+    other = RECIPE.model_copy(update={"seed": 3})
+    with pytest.raises(OtherRun, match="holds a run of another recipe or version; give another folder"):
+        run(tmp_path, other).go()
+
+
+def test_folder_of_another_version_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run(tmp_path).collect_first()
+    monkeypatch.setattr("vitac.training.run.evaluator_hash", lambda: "another")
+    with pytest.raises(OtherRun):
+        run(tmp_path).go()
+
+
+def test_results_of_an_unfinished_run_are_refused(tmp_path: Path) -> None:
+    run(tmp_path).collect_first()
+    with pytest.raises(OtherRun, match="holds no finished round; train first"):
+        results_of(Folder(path=tmp_path))
+
+
+def test_diverging_round_keeps_those_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    learn = Learner.learn
+
+    def diverging(learner: Learner, *seen: Any, rate: float) -> float:
+        if (tmp_path / "round-001.npz").exists():
+            seen[0][:] = np.nan
+        return learn(learner, *seen, rate=rate)
+
+    monkeypatch.setattr(Learner, "learn", diverging)
+    with pytest.raises(TrainingDiverged):
+        run(tmp_path).go()
+    assert [result.number for result in results_of(Folder(path=tmp_path))] == [1]
+    assert not (tmp_path / "round-002.npz").exists()
+
+
+def test_starts_that_choose_are_not_learned_from_and_none_is_reported(tmp_path: Path, toy: list[ToyPeg]) -> None:
+    run(tmp_path).go()
+    used = {Use(use): [number for seed, number in toy[0].resets if seed == stream(2, use)] for use in Use}
+    assert len(used[Use.COLLECT]) == len(set(used[Use.COLLECT])) == 60 + 30
+    assert set(used[Use.CHOOSE]) == set(range(10))
+    assert used[Use.REPORT] == []
+
+
+def test_student_never_learns_from_an_actor_that_knows_the_truth(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    learned: list[int] = []
+
+    def counted(episodes: Any) -> Any:
+        from vitac.training.student import histories_of
+
+        learned.append(len(episodes))
+        return histories_of(episodes)
+
+    monkeypatch.setattr("vitac.training.run.histories_of", counted)
+    run(tmp_path).go()
+    assert learned == [30, 30 + 20]
+    assert ActorKind.GUIDED.knows_truth
+
+
+def test_best_round_solves_the_most_and_is_the_latest_of_equals() -> None:
+    results = [
+        RoundResult(number=number, student=rate(solved, 10), critic=rate(9, 10), env_steps=5)
+        for number, solved in ((1, 4), (2, 7), (3, 7), (4, 2))
+    ]
+    assert best(results).number == 3
+
+
+def test_rates_are_told_with_their_interval() -> None:
+    assert told(rate(7, 10)) == "7 of 10 (70.0 % [39.7, 89.2])"
+
+
+def test_log_has_a_line_for_each_round(tmp_path: Path) -> None:
+    run(tmp_path).go()
+    rows = [json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()]
+    assert [row["round"] for row in rows] == [1, 2]
+    assert {"student", "critic", "env_steps"} <= set(rows[0])

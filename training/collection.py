@@ -1,0 +1,166 @@
+"""Collects episodes into files by several processes: the same files however many processes there are.
+
+A file holds a fixed number of episodes and is named by a hash of all that decides what is in it, so that a run goes on
+where it was stopped, and episodes of another recipe, actor or version of the simulation are never taken for these.
+"""
+
+import hashlib
+import json
+import os
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+from vitac.evaluator.version import evaluator_hash
+
+from .actors import ActorKind, critic_actor, guided_actor, random_actor, student_actor
+from .critic import Critic, CriticPlan
+from .episodes import TASK, Episodes, MakeActor, joined, make_environment, play
+from .files import FileDamaged, digest, load, save
+from .streams import Use, stream
+
+FILE_EPISODES = 50
+
+
+@dataclass(frozen=True, kw_only=True)
+class Batch:
+    """Episodes of one actor that are collected together.
+
+    Attributes:
+        kind: of the actor.
+        seed: of the training run.
+        use: what the episodes are for.
+        first: number of the first episode; batches that must differ have numbers of their own.
+        count: how many.
+        noise: largest spread of the noise on the actions of student and critic.
+    """
+
+    kind: ActorKind
+    seed: int
+    use: Use
+    first: int
+    count: int
+    noise: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Networks:
+    """What actors act by, where they do.
+
+    Attributes:
+        plan: of the critic.
+        critic: its state.
+        student: weights of the student.
+    """
+
+    plan: CriticPlan
+    critic: Mapping[str, Any]
+    student: Mapping[str, Any]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Work:
+    """One file to be made."""
+
+    batch: Batch
+    networks: Networks | None
+    first: int
+    count: int
+    path: Path
+
+
+def _tell_nobody(done: int, files: int) -> None:
+    """Stand in for a listener where there is none."""
+
+
+def collect(
+    batch: Batch,
+    folder: Path,
+    *,
+    networks: Networks | None = None,
+    processes: int = 1,
+    after_file: Callable[[int, int], None] = _tell_nobody,
+) -> Episodes:
+    """Return the episodes of a batch: those that are in files already, and the others after making their files.
+
+    Args:
+        batch: which episodes.
+        folder: of the files.
+        networks: what the actors act by.
+        processes: how many play.
+        after_file: is told how many files are there, and of how many.
+
+    Raises:
+        NotSaved: a file cannot be written.
+        StreamRefused: an official list has such episodes.
+    """
+    works = list(_works(batch, folder, networks))
+    missing = [work for work in works if not _is_whole(work.path)]
+    after_file(len(works) - len(missing), len(works))
+    for done, _ in enumerate(_made(missing, processes), start=len(works) - len(missing) + 1):
+        after_file(done, len(works))
+    return joined([Episodes(**load(work.path)) for work in works])
+
+
+def _works(batch: Batch, folder: Path, networks: Networks | None) -> Iterator[_Work]:
+    acted_by = {} if networks is None else {"critic": networks.critic, "student": networks.student}
+    known = {name: digest(arrays) for name, arrays in acted_by.items() if name == batch.kind}
+    for first in range(batch.first, batch.first + batch.count, FILE_EPISODES):
+        count = min(FILE_EPISODES, batch.first + batch.count - first)
+        decides = {**asdict(batch), **known, "first": first, "count": count, "task": TASK, "made_by": evaluator_hash()}
+        name = hashlib.sha256(json.dumps(decides, sort_keys=True).encode()).hexdigest()
+        yield _Work(batch=batch, networks=networks, first=first, count=count, path=folder / f"{name}.npz")
+
+
+def _is_whole(path: Path) -> bool:
+    """Return whether a file is there as it was written; a damaged one is made again."""
+    if not path.exists():
+        return False
+    try:
+        load(path)
+    except FileDamaged:
+        return False
+    return True
+
+
+def _made(works: list[_Work], processes: int) -> Iterator[None]:
+    if processes == 1 or len(works) <= 1:
+        yield from map(_make, works)
+        return
+    # Forked: what is loaded here is loaded there. Each process makes an environment of its own.
+    with get_context("fork").Pool(processes) as pool:
+        yield from pool.imap_unordered(_make, works)
+
+
+def _make(work: _Work) -> None:
+    """Play the episodes of a file, and write it."""
+    batch = work.batch
+    env = _environment()
+    played = play(env, _actor(work), stream(batch.seed, batch.use), range(work.first, work.first + work.count))
+    save(work.path, played.arrays())
+
+
+def _actor(work: _Work) -> MakeActor:
+    kind, noise, networks = work.batch.kind, work.batch.noise, work.networks
+    if kind is ActorKind.RANDOM:
+        return random_actor
+    if kind is ActorKind.GUIDED:
+        return guided_actor
+    assert networks is not None  # noqa: S101 - the caller gives them for these kinds
+    if kind is ActorKind.STUDENT:
+        return student_actor(dict(networks.student), noise)
+    critic = Critic.of_state(networks.plan, networks.critic)
+    return critic_actor(critic, noise)
+
+
+_ENVIRONMENTS: dict[int, Any] = {}
+"""Environment of each process."""
+
+
+def _environment() -> Any:
+    process = os.getpid()
+    if process not in _ENVIRONMENTS:
+        _ENVIRONMENTS[process] = make_environment()
+    return _ENVIRONMENTS[process]

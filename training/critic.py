@@ -1,0 +1,187 @@
+"""The critic: probability of success of an action where the truth is known, by fitted Q iteration.
+
+Several small networks, of which the lowest value counts (Fujimoto et al. 2018), learn from all episodes and their
+mirror images. The targets of a sweep are their own values of the best of random next actions (Ernst et al. 2005).
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .episodes import Episodes
+from .network import FloatArray, Layout, Learner, logits, probability
+
+STATE_SIZE = 15
+SHAPES = 3
+_TURNABLE = (0, 2)
+"""Shapes that look the same after half a turn: cuboid and bow tie."""
+_FIRST_LOWER_END_MM, _Z_STEP_MM = 19.875, 0.125
+_CHUNK = 4096
+
+
+@dataclass(frozen=True, kw_only=True)
+class CriticPlan:
+    """How a critic is learned.
+
+    Attributes:
+        networks: whose lowest value counts.
+        hidden: units of both layers.
+        sweeps: of targets.
+        epochs: over all transitions, in each sweep.
+        batch: transitions of a gradient step.
+        rate: of learning.
+        discount: of an env step, so that sooner is better.
+        candidates: next actions among which the best is looked for.
+    """
+
+    networks: int = 3
+    hidden: int = 64
+    sweeps: int = 12
+    epochs: int = 4
+    batch: int = 128
+    rate: float = 2e-3
+    discount: float = 0.97
+    candidates: int = 64
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Transitions:
+    """What a critic learns from; states of shape [n, STATE_SIZE] before and after the actions, shape [n, 3]."""
+
+    before: FloatArray
+    after: FloatArray
+    actions: FloatArray
+    reached: NDArray[np.bool_]
+    last: NDArray[np.bool_]
+    turnable: NDArray[np.bool_]
+
+
+class Critic:
+    """Networks that see the truth."""
+
+    def __init__(self, plan: CriticPlan, random: np.random.Generator) -> None:
+        self._plan = plan
+        layout = Layout(inputs=STATE_SIZE, actions=3, hidden=plan.hidden)
+        self._learners = [Learner(layout, random) for _ in range(plan.networks)]
+
+    def learn(self, episodes: Episodes, random: np.random.Generator, after_sweep: Callable[[int, float], None]) -> None:
+        """Learn from episodes, starting from what is known.
+
+        Args:
+            episodes: all that there are.
+            random: of the batches and the next actions.
+            after_sweep: is told the number of each sweep and its mean loss.
+
+        Raises:
+            TrainingDiverged: a loss is no finite number.
+        """
+        known = transitions(episodes)
+        for sweep in range(self._plan.sweeps):
+            targets = self._targets(known, random)
+            losses = [self._epoch(known, targets, random) for _ in range(self._plan.epochs)]
+            after_sweep(sweep, float(np.mean(losses)))
+
+    def log_odds(self, states: FloatArray, actions: FloatArray) -> FloatArray:
+        """Return the lowest log-odds of success of actions, shape [n, k]; see `network.logits`."""
+        return np.asarray(np.minimum.reduce([logits(each.parameters, states, actions) for each in self._learners]))
+
+    def state(self) -> dict[str, FloatArray]:
+        """Return all that learning goes on from."""
+        return {
+            f"{number}.{name}": value
+            for number, each in enumerate(self._learners)
+            for name, value in each.state().items()
+        }
+
+    def restore(self, state: Mapping[str, FloatArray]) -> None:
+        """Go on from a state."""
+        for number, each in enumerate(self._learners):
+            own = f"{number}."
+            each.restore({name.removeprefix(own): value for name, value in state.items() if name.startswith(own)})
+
+    @classmethod
+    def of_state(cls, plan: CriticPlan, state: Mapping[str, FloatArray]) -> "Critic":
+        """Return a critic that goes on from a state."""
+        critic = cls(plan, np.random.default_rng(0))
+        critic.restore(state)
+        return critic
+
+    def _targets(self, known: Transitions, random: np.random.Generator) -> FloatArray:
+        best = np.zeros(len(known.actions), dtype=np.float32)
+        running = np.flatnonzero(~known.last)
+        for start in range(0, len(running), _CHUNK):
+            rows = running[start : start + _CHUNK]
+            candidates = random.uniform(-1, 1, (self._plan.candidates, 3)).astype(np.float32)
+            best[rows] = probability(self.log_odds(known.after[rows], candidates).max(axis=1))
+        return np.where(known.reached, np.float32(1.0), np.float32(self._plan.discount) * best)
+
+    def _epoch(self, known: Transitions, targets: FloatArray, random: np.random.Generator) -> float:
+        losses = []
+        for learner in self._learners:
+            order = random.permutation(len(targets))
+            for start in range(0, len(order), self._plan.batch):
+                rows = order[start : start + self._plan.batch]
+                states, actions = known.before[rows], known.actions[rows]
+                flips, turns = random.integers(2, size=(2, len(rows))) == 1
+                states, actions = mirrored(states, actions, flips)
+                states, actions = half_turned(states, actions, turns & known.turnable[rows])
+                losses.append(learner.learn(states, actions[:, None], targets[rows, None], rate=self._plan.rate))
+        return float(np.mean(losses))
+
+
+def transitions(episodes: Episodes) -> Transitions:
+    """Return what a critic learns from episodes."""
+    before, shapes = episodes.observations, np.repeat(episodes.shapes, episodes.lengths)
+    return Transitions(
+        before=states_of(episodes.truths[before], shapes, episodes.step),
+        after=states_of(episodes.truths[before + 1], shapes, episodes.step + 1),
+        actions=episodes.actions,
+        reached=episodes.reached,
+        last=episodes.last,
+        turnable=np.isin(shapes, _TURNABLE),
+    )
+
+
+def states_of(truths: FloatArray, shapes: NDArray[np.int64], steps: NDArray[np.int64]) -> FloatArray:
+    """Return what a critic is told, shape [n, STATE_SIZE].
+
+    Args:
+        truths: offset (x, y, theta) and measured pose (x, y, z, roll, pitch, yaw) [mm, deg], shape [n, 9].
+        shapes: numbers of the shapes, shape [n].
+        steps: env steps played so far, shape [n].
+    """
+    x, y, theta = truths[:, :3].T
+    measured = truths[:, 3:]
+    sine, cosine = np.sin(np.radians(theta)), np.cos(np.radians(theta))
+    height = measured[:, 2] - (_FIRST_LOWER_END_MM - _Z_STEP_MM * steps)
+    columns = [
+        *(x / 4, y / 4, theta / 8, (cosine * x + sine * y) / 4, (cosine * y - sine * x) / 4),
+        *(measured[:, 0] - x, measured[:, 1] - y, height),
+        *(measured[:, 3], measured[:, 4], measured[:, 5] - theta),
+        steps / 8,
+        *(shapes == number for number in range(SHAPES)),
+    ]
+    return np.column_stack(columns).astype(np.float32)
+
+
+# Numbers of a state and of an action that change their sign: in a mirror with normal x, and by half a turn about z.
+_MIRROR_STATE = np.array([-1, 1, -1, -1, 1, -1, 1, 1, 1, -1, -1, 1, 1, 1, 1], dtype=np.float32)
+_TURN_STATE = np.array([-1, -1, 1, -1, -1, -1, -1, 1, -1, -1, 1, 1, 1, 1, 1], dtype=np.float32)
+MIRROR_ACTION = np.array([-1, 1, -1], dtype=np.float32)
+_TURN_ACTION = np.array([-1, -1, 1], dtype=np.float32)
+
+
+def mirrored(states: FloatArray, actions: FloatArray, chosen: NDArray[np.bool_]) -> tuple[FloatArray, FloatArray]:
+    """Return states and actions, the chosen ones as a mirror with normal x shows them; every shape is symmetric so."""
+    return _signed(states, chosen, _MIRROR_STATE), _signed(actions, chosen, MIRROR_ACTION)
+
+
+def half_turned(states: FloatArray, actions: FloatArray, chosen: NDArray[np.bool_]) -> tuple[FloatArray, FloatArray]:
+    """Return states and actions, the chosen ones after half a turn about the vertical."""
+    return _signed(states, chosen, _TURN_STATE), _signed(actions, chosen, _TURN_ACTION)
+
+
+def _signed(rows: FloatArray, chosen: NDArray[np.bool_], signs: FloatArray) -> FloatArray:
+    return np.where(chosen[:, None], rows * signs, rows)

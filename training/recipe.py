@@ -1,0 +1,89 @@
+"""What a training run does, as a file: every key is checked, an unknown one names the nearest valid one."""
+
+import hashlib
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field
+from vitac.evaluator.strict_model import StrictModel, parse_yaml
+
+from .critic import CriticPlan
+from .student import StudentPlan
+
+Count = Annotated[int, Field(ge=1, le=1_000_000)]
+
+
+class CriticRecipe(StrictModel):
+    """How the critic is learned; see `CriticPlan`."""
+
+    networks: Count = 3
+    """Networks whose lowest value counts."""
+    hidden: Count = 64
+    """Units of both layers."""
+    sweeps: Count = 12
+    """Of targets, in each round."""
+    epochs: Count = 4
+    """Over all transitions, in each sweep."""
+
+    def plan(self) -> CriticPlan:
+        """Return the plan that the learner takes."""
+        return CriticPlan(networks=self.networks, hidden=self.hidden, sweeps=self.sweeps, epochs=self.epochs)
+
+
+class StudentRecipe(StrictModel):
+    """How the student is learned; see `StudentPlan`."""
+
+    networks: Count = 2
+    """Networks whose mean counts."""
+    hidden: Count = 128
+    """Units of both layers."""
+    epochs: Count = 30
+    """Over all histories, in each round."""
+
+    def plan(self) -> StudentPlan:
+        """Return the plan that the learner takes."""
+        return StudentPlan(networks=self.networks, hidden=self.hidden, epochs=self.epochs)
+
+
+class Recipe(StrictModel):
+    """A training run of the peg task.
+
+    A round plays episodes, learns critic and student from all episodes so far, and counts the student's successes from
+    held-out starts. The first round's episodes are those of random and guided actors.
+    """
+
+    task: Literal["peg-insertion"]
+    """What is learned."""
+    seed: Annotated[int, Field(ge=0, le=10_000)]
+    """Of the streams of starts and of all that is drawn while learning."""
+    random_episodes: Count = 1500
+    """Of the actor with random motions."""
+    guided_episodes: Count = 1500
+    """Of the actor that knows where the hole is; only the critic learns from them."""
+    rounds: Annotated[int, Field(ge=1, le=100)] = 4
+    """How often critic and student are learned."""
+    student_episodes: Count = 1000
+    """Of the student, after each round but the last."""
+    critic_episodes: Count = 300
+    """Of the critic, after each round but the last; only the critic learns from them."""
+    noise: Annotated[float, Field(ge=0.0, le=1.0)] = 0.3
+    """Largest spread of the noise on the actions of student and critic."""
+    chosen_by: Count = 100
+    """Held-out episodes by which the best round is chosen."""
+    critic: CriticRecipe = CriticRecipe()
+    """How the critic is learned."""
+    student: StudentRecipe = StudentRecipe()
+    """How the student is learned."""
+
+    def digest(self) -> str:
+        """Return the SHA-256 [hex] of all values."""
+        return hashlib.sha256(self.model_dump_json().encode()).hexdigest()
+
+
+def read_recipe(path: Path) -> Recipe:
+    """Read a recipe.
+
+    Raises:
+        DocumentRejected: the file is no recipe; the message names what is wrong.
+    """
+    return parse_yaml(Recipe, path.read_text(encoding="utf-8"), path.name)

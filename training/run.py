@@ -1,0 +1,234 @@
+"""A training run: rounds of playing and learning, saved after every round and every file of episodes.
+
+Everything drawn in a round follows from the recipe's seed and the number of the round, so that a run that was stopped,
+by Ctrl-C or killed, ends with the same bits as one that was not.
+"""
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from vitac.envs.errors import VitacError
+from vitac.evaluator.scoring.score import Rate, rate
+from vitac.evaluator.version import evaluator_hash
+
+from .actors import ActorKind
+from .collection import Batch, Networks, collect
+from .critic import Critic
+from .episodes import Episodes, joined
+from .files import Arrays, load, save, write_text
+from .recipe import Recipe
+from .streams import Use
+from .student import Student, histories_of
+
+_ROUND_NUMBERS = 100_000
+"""Numbers of episodes that each round has of its own."""
+_GUIDED_FIRST = 50_000
+
+Tell = Callable[[str], None]
+
+
+class OtherRun(VitacError):
+    """The folder holds a run of another recipe or version; give another folder."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Folder:
+    """Where a run keeps its files.
+
+    Attributes:
+        path: of the folder.
+    """
+
+    path: Path
+
+    @property
+    def episodes(self) -> Path:
+        """Folder of the files of episodes."""
+        return self.path / "episodes"
+
+    @property
+    def log(self) -> Path:
+        """What each round found, a line of JSON each."""
+        return self.path / "log.jsonl"
+
+    def networks(self, number: int) -> Path:
+        """Return the file with critic and student after a round."""
+        return self.path / f"round-{number:03d}.npz"
+
+
+@dataclass(frozen=True, kw_only=True)
+class RoundResult:
+    """What a round found.
+
+    Attributes:
+        number: of the round, from 1.
+        student: successes of the student from the starts by which the best round is chosen.
+        critic: successes of the critic from the same starts.
+        env_steps: played so far to learn from.
+    """
+
+    number: int
+    student: Rate
+    critic: Rate
+    env_steps: int
+
+
+@dataclass(kw_only=True, eq=False)
+class Run:
+    """A training run.
+
+    Attributes:
+        recipe: what is done.
+        folder: where its files are.
+        processes: how many play episodes.
+        tell: is told what goes on, a line each.
+    """
+
+    recipe: Recipe
+    folder: Folder
+    processes: int = 1
+    tell: Tell = field(default=lambda _: None)
+
+    def __post_init__(self) -> None:
+        self._known: list[tuple[ActorKind, Episodes]] = []
+
+    def go(self) -> list[RoundResult]:
+        """Do what is left of the run, and return what all rounds found.
+
+        Raises:
+            OtherRun: the folder is that of another run.
+            NotSaved: the disk is full.
+            TrainingDiverged: a loss is no number any more; all rounds before are kept.
+        """
+        self._claim()
+        self._known.clear()
+        results: list[RoundResult] = []
+        networks: Networks | None = None
+        for number in range(1, self.recipe.rounds + 1):
+            self._play(number, networks)
+            networks = self._learned(number)
+            results.append(self._judged(number, networks))
+            self._write_log(results)
+        return results
+
+    def collect_first(self) -> int:
+        """Play the episodes of the first round, and return how many there are.
+
+        Raises:
+            OtherRun: the folder is that of another run.
+            NotSaved: the disk is full.
+        """
+        self._claim()
+        self._known.clear()
+        self._play(1, None)
+        return sum(len(played) for _, played in self._known)
+
+    def _claim(self) -> None:
+        """Write what the folder is for, or make sure that it is for this."""
+        claim = {"recipe": json.loads(self.recipe.model_dump_json()), "made_by": evaluator_hash()}
+        path = self.folder.path / "run.json"
+        if path.exists():
+            if json.loads(path.read_text()) != claim:
+                raise OtherRun(f"{self.folder.path} holds a run of another recipe or version; give another folder.")
+            return
+        write_text(path, json.dumps(claim, indent=1) + "\n")
+
+    def _play(self, number: int, networks: Networks | None) -> None:
+        recipe, first = self.recipe, number * _ROUND_NUMBERS
+        if networks is None:
+            kinds = ((ActorKind.RANDOM, recipe.random_episodes), (ActorKind.GUIDED, recipe.guided_episodes))
+        else:
+            kinds = ((ActorKind.STUDENT, recipe.student_episodes), (ActorKind.CRITIC, recipe.critic_episodes))
+        for (kind, count), offset in zip(kinds, (0, _GUIDED_FIRST), strict=True):
+            batch = self._batch(kind, Use.COLLECT, first + offset, count, recipe.noise)
+            self._known.append((kind, self._collected(batch, networks)))
+
+    def _learned(self, number: int) -> Networks:
+        """Learn from all episodes, or read what was learned."""
+        path, recipe = self.folder.networks(number), self.recipe
+        random = np.random.default_rng((recipe.seed, number))
+        critic, student = Critic(recipe.critic.plan(), random), Student(recipe.student.plan(), random)
+        if path.exists():
+            stored = load(path)
+        else:
+            if number > 1:
+                critic.restore(_part(load(self.folder.networks(number - 1)), "critic"))
+            critic.learn(joined([played for _, played in self._known]), random, self._teller(number, "critic"))
+            felt = [played for kind, played in self._known if not kind.knows_truth]
+            student.learn(histories_of(joined(felt)), critic, random, self._teller(number, "student"))
+            stored = {f"critic.{name}": value for name, value in critic.state().items()}
+            stored |= {f"student.{name}": value for name, value in student.weights().items()}
+            save(path, stored)
+        return Networks(plan=recipe.critic.plan(), critic=_part(stored, "critic"), student=_part(stored, "student"))
+
+    def _judged(self, number: int, networks: Networks) -> RoundResult:
+        rates = []
+        for kind in (ActorKind.STUDENT, ActorKind.CRITIC):
+            played = self._collected(self._batch(kind, Use.CHOOSE, 0, self.recipe.chosen_by, 0.0), networks)
+            rates.append(rate(int(played.solved.sum()), len(played)))
+        env_steps = sum(len(played.actions) for _, played in self._known)
+        result = RoundResult(number=number, student=rates[0], critic=rates[1], env_steps=env_steps)
+        self.tell(f"round {number}: student {told(rates[0])}, critic {told(rates[1])}, {env_steps} env steps")
+        return result
+
+    def _write_log(self, results: Sequence[RoundResult]) -> None:
+        rows = [
+            {
+                "round": result.number,
+                "env_steps": result.env_steps,
+                "student": result.student.model_dump(),
+                "critic": result.critic.model_dump(),
+            }
+            for result in results
+        ]
+        write_text(self.folder.log, "".join(json.dumps(row) + "\n" for row in rows))
+
+    def _batch(self, kind: ActorKind, use: Use, first: int, count: int, noise: float) -> Batch:
+        return Batch(kind=kind, seed=self.recipe.seed, use=use, first=first, count=count, noise=noise)
+
+    def _collected(self, batch: Batch, networks: Networks | None) -> Episodes:
+        def after_file(done: int, files: int) -> None:
+            self.tell(f"{batch.kind} episodes: {done} of {files} files")
+
+        return collect(batch, self.folder.episodes, networks=networks, processes=self.processes, after_file=after_file)
+
+    def _teller(self, number: int, who: str) -> Callable[[int, float], None]:
+        return lambda turn, loss: self.tell(f"round {number}, {who}: turn {turn + 1}, loss {loss:.4f}")
+
+
+def results_of(folder: Folder) -> list[RoundResult]:
+    """Read what the rounds of a run found.
+
+    Raises:
+        OtherRun: no round is finished there.
+    """
+    if not folder.log.exists():
+        raise OtherRun(f"{folder.path} holds no finished round; train first.")
+    return [
+        RoundResult(
+            number=row["round"],
+            student=Rate.model_validate(row["student"]),
+            critic=Rate.model_validate(row["critic"]),
+            env_steps=row["env_steps"],
+        )
+        for row in map(json.loads, folder.log.read_text().splitlines())
+    ]
+
+
+def told(found: Rate) -> str:
+    """Return a rate for people."""
+    low, high = 100 * found.interval.low, 100 * found.interval.high
+    return f"{found.successes} of {found.episodes} ({100 * found.success_rate:.1f} % [{low:.1f}, {high:.1f}])"
+
+
+def best(results: Sequence[RoundResult]) -> RoundResult:
+    """Return the round whose student solved the most held-out starts, the latest of equals."""
+    return max(results, key=lambda result: (result.student.successes, result.number))
+
+
+def _part(stored: Arrays, name: str) -> dict[str, Any]:
+    return {key.removeprefix(f"{name}."): value for key, value in stored.items() if key.startswith(f"{name}.")}
