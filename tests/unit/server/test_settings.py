@@ -88,3 +88,73 @@ def test_a_secret_that_cannot_be_used_is_not_shown(monkeypatch: pytest.MonkeyPat
     with pytest.raises(SettingsError, match=r"VITAC_METRICS_TOKEN is set: .*16") as refused:
         load_settings()
     assert "hunter2" not in str(refused.value)
+
+
+def test_registration_by_invite_needs_a_code() -> None:
+    with pytest.raises(SettingsError, match="VITAC_REGISTRATION is invite, so set VITAC_INVITE_CODE, too"):
+        load_settings(registration="invite")
+    assert load_settings(registration="invite", invite_code="a long code").registration is Registration.INVITE
+
+
+@pytest.mark.parametrize(("name", "value"), [("invite_code", "short12"), ("metrics_token", "x" * 15)])
+def test_a_secret_that_can_be_guessed_is_refused_unseen(name: str, value: str) -> None:
+    with pytest.raises(SettingsError) as refused:
+        load_settings(**{name: value})
+    assert f"VITAC_{name.upper()} is set: " in str(refused.value)
+    assert value not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "networks"),
+    [
+        ("", ()),
+        (" , ", ()),
+        ("10.0.0.1", ("10.0.0.1",)),
+        (" 10.0.0.0/8 ,fd00::/8,", ("10.0.0.0/8", "fd00::/8")),
+    ],
+)
+def test_trusted_proxies_are_listed_one_by_one(text: str, networks: tuple[str, ...]) -> None:
+    assert load_settings(trusted_proxies=text).trusted_proxy_networks == networks
+
+
+@pytest.mark.parametrize("text", ["10.0.0.1/8", "10.0.0", "proxy", "10.0.0.1;10.0.0.2"])
+def test_what_is_no_network_is_refused(text: str) -> None:
+    with pytest.raises(SettingsError, match=r"VITAC_TRUSTED_PROXIES is .*\. Correct or unset it\.$"):
+        load_settings(trusted_proxies=text)
+
+
+@pytest.mark.parametrize(("lease_s", "is_long_enough"), [(2.9, False), (3.0, True), (60.0, True)])
+def test_a_lease_outlives_two_late_renewals(lease_s: float, is_long_enough: bool) -> None:
+    if is_long_enough:
+        assert load_settings(lease_s=lease_s, lease_renewal_s=1.0).lease_s == lease_s
+    else:
+        with pytest.raises(SettingsError, match=f"VITAC_LEASE_S is {lease_s} and VITAC_LEASE_RENEWAL_S 1.0; make"):
+            load_settings(lease_s=lease_s, lease_renewal_s=1.0)
+
+
+def test_several_wrong_values_are_told_one_after_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("VITAC_PORT", "-1")
+    monkeypatch.setenv("VITAC_WORKER_SLOTS", "0")
+    with pytest.raises(SettingsError) as refused:
+        load_settings()
+    assert "VITAC_PORT is '-1': " in str(refused.value)
+    assert "VITAC_WORKER_SLOTS is '0': " in str(refused.value)
+    assert str(refused.value).count("Correct or unset it.") == 2
+
+
+def test_an_empty_variable_counts_as_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("VITAC_PORT", "")
+    monkeypatch.setenv("VITAC_PUBLIC_URL", "")
+    assert (load_settings().port, load_settings().public_url) == (8000, None)
+
+
+def test_quotas_are_set_one_by_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("VITAC_QUOTAS__SCORED_RUNS_PER_DAY", "0")
+    quotas = load_settings().quotas
+    assert (quotas.scored_runs_per_day, quotas.attempts_per_day, quotas.tokens) == (0, None, 20)
+    with pytest.raises(SettingsError, match="VITAC_QUOTAS__TOKENS is -1"):
+        load_settings(quotas={"tokens": -1})
+
+
+def test_scratch_lies_in_the_state_directory(tmp_path: Path) -> None:
+    assert load_settings(state_dir=tmp_path).scratch_dir == tmp_path / "scratch"

@@ -27,3 +27,59 @@ def test_json_writes_times_and_ids_as_text(capsys: pytest.CaptureFixture[str]) -
 def test_times_are_utc() -> None:
     assert output.moment(datetime(2026, 11, 21, 1, 0, tzinfo=timezone(timedelta(hours=1)))) == "2026-11-21 00:00:00Z"
     assert output.moment(None) is None
+
+
+def test_pairs_are_one_a_line_with_their_values_below_each_other(capsys: pytest.CaptureFixture[str]) -> None:
+    output.print_pairs({"team": "Bears", "success": None, "steps": 4.5, "note": "", "done": 0, "good": False})
+    assert capsys.readouterr().out.splitlines() == [
+        "team     Bears",
+        "success  -",
+        "steps    4.50",
+        "note     -",
+        "done     0",
+        "good     False",
+    ]
+
+
+def test_times_are_written_to_the_second_wherever_they_stand(capsys: pytest.CaptureFixture[str]) -> None:
+    made = datetime(2026, 11, 21, 5, 6, 7, 999_000, tzinfo=UTC)
+    output.print_pairs({"made": made})
+    output.print_table(["made"], [[made]], none="")
+    assert capsys.readouterr().out.split("\n")[::2] == ["made  2026-11-21 05:06:07Z", "2026-11-21 05:06:07Z"]
+
+
+RECORD = {"name": "Bears", "rank": 1, "id": UUID(int=1)}
+
+
+def test_a_record_is_pairs_or_json(capsys: pytest.CaptureFixture[str]) -> None:
+    output.print_record(RECORD, as_json=False)
+    assert capsys.readouterr().out.splitlines()[:2] == ["name  Bears", "rank  1"]
+    output.print_record(RECORD, as_json=True)
+    assert json.loads(capsys.readouterr().out) == {**RECORD, "id": str(UUID(int=1))}
+
+
+def test_records_are_some_columns_of_a_table_or_all_of_them_as_json(capsys: pytest.CaptureFixture[str]) -> None:
+    output.print_records([RECORD, {**RECORD, "rank": 10}], ["rank", "name"], none="", as_json=False)
+    assert capsys.readouterr().out.splitlines() == ["rank  name", "   1  Bears", "  10  Bears"]
+    output.print_records([RECORD], ["rank"], none="", as_json=True)
+    assert [set(row) for row in json.loads(capsys.readouterr().out)] == [set(RECORD)]
+
+
+@pytest.mark.parametrize(("as_json", "printed"), [(False, "No team yet.\n"), (True, "[]\n")])
+def test_no_records_are_a_sentence_or_an_empty_list(
+    as_json: bool, printed: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    output.print_records([], ["rank"], none="No team yet.", as_json=as_json)
+    assert capsys.readouterr().out == printed
+
+
+def test_a_column_of_numbers_and_gaps_goes_right_and_one_with_a_word_left(capsys: pytest.CaptureFixture[str]) -> None:
+    output.print_table(["steps", "mixed"], [[None, 1], [12, "many"]], none="")
+    assert capsys.readouterr().out.splitlines() == ["steps  mixed", "    -  1", "   12  many"]
+
+
+@pytest.mark.parametrize(
+    ("fraction", "text"), [(None, None), (0.0, "0.0 %"), (1.0, "100.0 %"), (0.12345, "12.3 %"), (0.9996, "100.0 %")]
+)
+def test_fractions_are_percentages_with_one_decimal(fraction: float | None, text: str | None) -> None:
+    assert output.percent(fraction) == text

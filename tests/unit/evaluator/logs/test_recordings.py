@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from evaluation_records import make_manifest, make_record
-from vitac.evaluator.logs.log import LogHeader, LogRejected, write_log
+from vitac.evaluator.logs.log import MAX_LINE_BYTES, LogHeader, LogRejected, write_log
 from vitac.evaluator.logs.recordings import Recording, RecordingRejected, read_recordings, recording_of
 from vitac.evaluator.logs.text_2025.scripts import all_scripts
 from vitac.evaluator.tracks import find_task
@@ -210,3 +210,25 @@ def read_fusion(line: dict[str, Any]) -> list[Recording]:
         path = Path(folder) / "log.jsonl"
         path.write_text(json.dumps(line))
         return list(read_recordings(path, find_task("fusion-insertion")[1]))
+
+
+def test_a_line_may_be_as_long_as_the_limit_and_no_longer() -> None:
+    text = json.dumps(LINE)
+    full = text[:-1] + " " * (MAX_LINE_BYTES - len(text)) + "}\n"
+    assert len(full.rstrip("\n")) == MAX_LINE_BYTES
+    assert [recording.episode.number for recording in read_recordings_of(full, text)] == [4, 4]
+    with pytest.raises(RecordingRejected, match=r"^Line 2 is not JSON: "):
+        read_recordings_of(text + "\n", full.replace("}\n", " }\n"))
+
+
+def test_what_is_no_json_is_told_with_the_reason_in_one_sentence() -> None:
+    with pytest.raises(RecordingRejected) as refused:
+        read_recordings_of("{}}")
+    assert str(refused.value) == "Line 1 is not JSON: Extra data: line 1 column 3 (char 2)."
+
+
+def test_the_start_of_a_peg_line_is_taken_as_it_was_printed() -> None:
+    """Only the vision track shows starts relative to the hole."""
+    offset = [-4.000001, -2.0, 2.0]
+    (recording,) = read_recordings_of(json.dumps({**LINE, "initial_offset": offset}))
+    assert recording.episode.offset == tuple(offset)

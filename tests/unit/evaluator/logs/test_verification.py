@@ -1,4 +1,5 @@
 import re
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -7,7 +8,16 @@ import pytest
 from evaluation_fakes import FakeEnvironment, FakeSession, action, fail, small_track, succeed
 from vitac.evaluator.episodes.episode import run_episode
 from vitac.evaluator.episodes.provenance import make_manifest
-from vitac.evaluator.episodes.records import ActionSequence, EpisodeOutcome, EpisodeRecord, Manifest, result_hash
+from vitac.evaluator.episodes.records import (
+    ActionSequence,
+    EpisodeOutcome,
+    EpisodeRecord,
+    Manifest,
+    Timings,
+    result_hash,
+)
+from vitac.evaluator.episodes.replay import resimulate
+from vitac.evaluator.logs import verification
 from vitac.evaluator.logs.findings import VerificationResult, comparable
 from vitac.evaluator.logs.log import LogHeader
 from vitac.evaluator.logs.verification import Verification, verify
@@ -353,3 +363,26 @@ def test_pictures_of_a_log_of_another_platform_class_are_compared_where_the_stat
     tolerated = check(moved, header, camera="rig")
     assert tolerated.verdict is VerificationResult.WITHIN_TOLERANCE
     assert [record.picture for record in tolerated.records] == [record.picture for record in ours]
+
+
+def test_a_failure_says_that_the_log_claims_it() -> None:
+    failure = check().records[2].failure
+    assert failure is not None
+    assert failure.message == "Claimed by the log; the policy was not seen."
+
+
+def test_times_are_those_of_the_re_simulation(monkeypatch: pytest.MonkeyPatch) -> None:
+    taken = Timings(physics_s=1.5, wall_s=2.5)
+    monkeypatch.setattr(verification, "resimulate", lambda *arguments: replace(resimulate(*arguments), timings=taken))
+    claimed = with_record(1, timings=Timings(wall_s=99.0))
+    assert {record.timings for record in check(claimed).records} == {taken}
+
+
+def test_a_recorded_info_without_any_key_is_shown_empty() -> None:
+    """Beside it our own info is whole."""
+    infos = ({}, *RECORDS[0].infos[1:])
+    hashes = (RECORDS[0].state_hashes[0], "0" * 64, *RECORDS[0].state_hashes[2:])
+    divergence = check(with_record(1, infos=infos, state_hashes=hashes)).divergence
+    assert divergence is not None
+    assert (divergence.env_step, divergence.recorded_info) == (1, {})
+    assert divergence.resimulated_info
