@@ -40,6 +40,7 @@ class ProblemCode(StrEnum):
     NO_LOG = "no_log"
     QUOTA_EXCEEDED = "quota_exceeded"
     REGISTRATION_CLOSED = "registration_closed"
+    RESULTS_OUTDATED = "results_outdated"
     STAGE_CLOSED = "stage_closed"
     STAGE_IN_USE = "stage_in_use"
     STAGE_NOT_OVER = "stage_not_over"
@@ -91,6 +92,7 @@ STATUS_OF_CODE: Mapping[ProblemCode, HTTPStatus] = MappingProxyType(
         ProblemCode.NO_LOG: HTTPStatus.CONFLICT,
         ProblemCode.QUOTA_EXCEEDED: HTTPStatus.TOO_MANY_REQUESTS,
         ProblemCode.REGISTRATION_CLOSED: HTTPStatus.FORBIDDEN,
+        ProblemCode.RESULTS_OUTDATED: HTTPStatus.CONFLICT,
         ProblemCode.STAGE_CLOSED: HTTPStatus.FORBIDDEN,
         ProblemCode.STAGE_IN_USE: HTTPStatus.CONFLICT,
         ProblemCode.STAGE_NOT_OVER: HTTPStatus.CONFLICT,

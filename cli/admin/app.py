@@ -4,7 +4,8 @@ import sys
 
 import typer
 
-from . import audit, backup, competition, evaluation, quota, submission, team, token, worker
+from . import audit, backup, evaluation, quota, submission, team, token, worker
+from .contest import advance, competition, results
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
@@ -19,6 +20,8 @@ def log_beside_the_output() -> None:
 
 
 app.add_typer(competition.app, name="competition", help="The competition: check, apply, show, lists, reveal.")
+app.add_typer(advance.app, name="advance", help="Who takes part in a later stage: propose, confirm, list.")
+app.add_typer(results.app, name="results", help="The end: freeze, unfreeze, winners, finalize, publish.")
 app.add_typer(team.app, name="team", help="Teams: add, list, show.")
 app.add_typer(quota.app, name="quota", help="Quotas of teams: list, set.")
 app.add_typer(token.app, name="token", help="API tokens: add, list, revoke.")

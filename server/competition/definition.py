@@ -1,9 +1,10 @@
 """What a competition file says; `vitac admin competition` reads it, and everything that follows its rules asks it."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Self
 
 from pydantic import AfterValidator, AwareDatetime, Field, NonNegativeInt, PositiveInt, model_validator
@@ -23,6 +24,13 @@ class RankingKey(StrEnum):
     SUBMITTED_AT = "submitted_at"  # early first; always the last key, then the id
 
 
+_WORDS: Mapping[RankingKey, str] = MappingProxyType(
+    {
+        RankingKey.SUCCESS_RATE: "higher success rate",
+        RankingKey.MEAN_STEPS: "fewer mean env steps of the successful episodes",
+        RankingKey.SUBMITTED_AT: "the earlier submission",
+    }
+)
 DEFAULT_RANKING = (RankingKey.SUCCESS_RATE, RankingKey.MEAN_STEPS, RankingKey.SUBMITTED_AT)
 
 
@@ -99,6 +107,13 @@ class CompetitionTrack(StrictModel):
     ranking: tuple[RankingKey, ...] = DEFAULT_RANKING
     ties: str = "The earlier submission is in front."
     prizes: tuple[Prize, ...] = ()
+
+    @property
+    def ranking_sentence(self) -> str | None:
+        """The ranking in words; None for the usual one, which the track's file explains."""
+        if self.ranking == DEFAULT_RANKING:
+            return None
+        return f"First comes {'; then '.join(_WORDS[key] for key in self.ranking)}. {self.ties}"
 
     @model_validator(mode="after")
     def _stages_follow_each_other(self) -> Self:

@@ -53,8 +53,7 @@ def stage_for_submission(
         raise ServiceError(
             ProblemCode.TEAM_DISQUALIFIED, f"{team.name} is disqualified: {team.disqualified_for}. Ask the organizers."
         )
-    competition = current(session)
-    found = competition.tracks.get(track) if competition else None
+    found = track_rules(session, track)
     if found is None:
         return NO_STAGE
     now = at or datetime.now(UTC)
@@ -122,8 +121,7 @@ def shown_stage(session: Session, track: str, wanted: str | None = None, *, at: 
     Raises:
         ServiceError: there is no such stage.
     """
-    competition = current(session)
-    found = competition.tracks.get(track) if competition else None
+    found = track_rules(session, track)
     names = [stage.name for stage in found.stages] if found else []
     if wanted is not None:
         if wanted not in names:
@@ -133,6 +131,12 @@ def shown_stage(session: Session, track: str, wanted: str | None = None, *, at: 
     if found is None:
         return NO_STAGE
     return (_last_opened(found, at or datetime.now(UTC)) or found.stages[0]).name
+
+
+def track_rules(session: Session, track: str) -> CompetitionTrack | None:
+    """Return what the competition says of a track; None: nothing."""
+    competition = current(session)
+    return competition.tracks.get(track) if competition else None
 
 
 def require_over(session: Session, track: str, stage: str, at: datetime | None = None) -> Stage:

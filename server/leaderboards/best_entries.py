@@ -18,6 +18,7 @@ from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import load_track
 from vitac.evaluator.version import evaluator_version
 
+from ..competition.definition import DEFAULT_RANKING, RankingKey
 from ..db.models import ALL_TASKS, BoardResult, Team
 from ..views.submissions import RankView
 
@@ -34,12 +35,14 @@ class Board:
 
     Attributes:
         stage: of the competition; empty for results outside of one.
+        ranking: what entries are compared by.
     """
 
     track: str
     kind: SubmissionKind = SubmissionKind.MODEL
     task: str | None = None
     stage: str = ""
+    ranking: tuple[RankingKey, ...] = DEFAULT_RANKING
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,8 +64,8 @@ def best_entries(session: Session, board: Board, *, until: datetime = EVER) -> l
     """
     named = {"track": board.track, "stage": board.stage, "kind": board.kind, "board": board.task or ALL_TASKS}
     of_version = named | {"version": evaluator_version(), "until": until}
-    ranked = session.execute(_best_of_teams(), of_version)
-    unranked = session.execute(_best_of_other_versions(), of_version)
+    ranked = session.execute(_best_of_teams(board.ranking), of_version)
+    unranked = session.execute(_best_of_other_versions(board.ranking), of_version)
     return [
         BestEntry(rank=rank, evaluation_id=evaluation_id, submission_id=submission_id)
         for rank, (evaluation_id, submission_id) in enumerate(ranked, start=1)
@@ -72,15 +75,32 @@ def best_entries(session: Session, board: Board, *, until: datetime = EVER) -> l
     ]
 
 
-def places(session: Session, track: str, submissions: Collection[UUID], *, stage: str = "") -> PlacesOfBoards:
-    """Return the places of those submissions that are their team's best entry on a board of the track's stage."""
+def places(
+    session: Session,
+    track: str,
+    submissions: Collection[UUID],
+    *,
+    stage: str = "",
+    ranking: tuple[RankingKey, ...] = DEFAULT_RANKING,
+    until: datetime = EVER,
+) -> PlacesOfBoards:
+    """Return the places of those submissions that are their team's best entry on a board of the track's stage.
+
+    Args:
+        session: of the transaction.
+        track: whose boards.
+        submissions: which ones.
+        stage: of the competition; empty for results outside of one.
+        ranking: what entries are compared by.
+        until: results that were complete then count.
+    """
     boards: dict[str, str | None] = {ALL_TASKS: None} | {task: task for task in load_track(track).tasks}
     found = session.execute(
-        _places_of_submissions(),
+        _places_of_submissions(ranking),
         {
             "track": track,
             "stage": stage,
-            "until": EVER,
+            "until": until,
             "kind": SubmissionKind.MODEL,
             "boards": list(boards),
             "version": evaluator_version(),
@@ -93,36 +113,44 @@ def places(session: Session, track: str, submissions: Collection[UUID], *, stage
     return places
 
 
-def ranking_order(result: type[BoardResult]) -> tuple[ColumnElement[Any], ...]:
-    """Return the order: high success rate, few mean env steps (none of them last), the earlier one, the id."""
-    return (result.success_rate.desc(), result.mean_steps.asc(), result.submitted_at.asc(), result.evaluation_id.asc())
+def ranking_order(
+    result: type[BoardResult], keys: tuple[RankingKey, ...] = DEFAULT_RANKING
+) -> tuple[ColumnElement[Any], ...]:
+    """Return the order by some keys, the id last: high success rate, few mean env steps (none of them last), early."""
+    columns: Mapping[RankingKey, ColumnElement[Any]] = {
+        RankingKey.SUCCESS_RATE: result.success_rate.desc(),
+        RankingKey.MEAN_STEPS: result.mean_steps.asc(),
+        RankingKey.SUBMITTED_AT: result.submitted_at.asc(),
+    }
+    return (*(columns[key] for key in keys), result.evaluation_id.asc())
 
 
-# Building a statement takes longer than running it, so each is built once and filled by its parameters.
+# Building a statement takes longer than running it, so each is built once for a ranking and filled by its parameters.
 
 
 @cache
-def _best_of_teams() -> Select[UUID, UUID]:
+def _best_of_teams(ranking: tuple[RankingKey, ...]) -> Select[UUID, UUID]:
     """Return the ids of evaluation and submission of each team's best entry of a version, best first."""
-    best = _best_result(bindparam("board"), _of_version(BoardResult), ~BoardResult.is_copy)
-    return _ids(best).select_from(Team).join(best, true()).where(_takes_part()).order_by(*ranking_order(best))
+    best = _best_result(ranking, bindparam("board"), _of_version(BoardResult), ~BoardResult.is_copy)
+    found = _ids(best).select_from(Team).join(best, true()).where(_takes_part())
+    return found.order_by(*ranking_order(best, ranking))
 
 
 @cache
-def _best_of_other_versions() -> Select[UUID, UUID]:
+def _best_of_other_versions(ranking: tuple[RankingKey, ...]) -> Select[UUID, UUID]:
     """Return the same of teams without a ranked entry of the version: made by another one, or copies."""
-    best, ranked = _best_result(bindparam("board")), aliased(BoardResult)
+    best, ranked = _best_result(ranking, bindparam("board")), aliased(BoardResult)
     has_ranked = (
         select(ranked.evaluation_id)
         .where(*_on(ranked, bindparam("board")), _of_version(ranked), ~ranked.is_copy, ranked.team_id == Team.id)
         .exists()
     )
     others = _ids(best).select_from(Team).join(best, true()).where(~has_ranked, _takes_part())
-    return others.order_by(*ranking_order(best))
+    return others.order_by(*ranking_order(best, ranking))
 
 
 @cache
-def _places_of_submissions() -> Select[str, UUID, int, int]:
+def _places_of_submissions(ranking: tuple[RankingKey, ...]) -> Select[str, UUID, int, int]:
     """Return board, submission, rank and number of ranked teams of each best entry among some submissions."""
     board = (
         func.unnest(bindparam("boards", type_=ARRAY(Text)))
@@ -130,12 +158,12 @@ def _places_of_submissions() -> Select[str, UUID, int, int]:
         .render_derived()
         .c.board
     )
-    best = _best_result(board, _of_version(BoardResult))
+    best = _best_result(ranking, board, _of_version(BoardResult))
     ranked = (
         select(
             board.label("board"),
             best.submission_id,
-            func.row_number().over(partition_by=board, order_by=ranking_order(best)).label("rank"),
+            func.row_number().over(partition_by=board, order_by=ranking_order(best, ranking)).label("rank"),
             func.count().over(partition_by=board).label("of"),
         )
         .select_from(Team)
@@ -150,14 +178,16 @@ def _places_of_submissions() -> Select[str, UUID, int, int]:
     )
 
 
-def _best_result(board: ColumnElement[str], *conditions: ColumnElement[bool]) -> type[BoardResult]:
+def _best_result(
+    ranking: tuple[RankingKey, ...], board: ColumnElement[str], *conditions: ColumnElement[bool]
+) -> type[BoardResult]:
     """Return the best result of the team at hand on a board, for a join: one look into an index for each team."""
     return aliased(
         BoardResult,
         lateral(
             select(BoardResult)
             .where(*_on(BoardResult, board), BoardResult.team_id == Team.id, *conditions)
-            .order_by(*ranking_order(BoardResult))
+            .order_by(*ranking_order(BoardResult, ranking))
             .limit(1)
         ),
     )

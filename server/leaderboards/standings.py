@@ -12,11 +12,13 @@ from sqlalchemy.orm import Session, defer, selectinload
 from vitac.evaluator.tracks import Track
 from vitac.evaluator.version import evaluator_version
 from vitac.server.accounts.visibility import played_list_kind
-from vitac.server.competition.schedule import boards_stand_since, shown_stage
+from vitac.server.competition.definition import DEFAULT_RANKING
+from vitac.server.competition.schedule import boards_stand_since, shown_stage, track_rules
 from vitac.server.db.models import Evaluation, Submission
 from vitac.server.evaluations.scores import bounds, combination_of, scores_of, task_views
 from vitac.server.leaderboards.best_entries import EVER, BestEntry, Board, best_entries
 from vitac.server.leaderboards.made_boards import MadeBoard, MadeBoards, revision_of
+from vitac.server.leaderboards.rank_ranges import rank_ranges
 from vitac.server.tracks import load_known_track, require_task
 from vitac.server.views.leaderboards import LeaderboardEntryView, LeaderboardView, LogEntryView
 
@@ -43,19 +45,28 @@ def leaderboard(
     track = load_known_track(track_name)
     if task is not None:
         require_task(track, task)
-    board = Board(track=track_name, task=task, stage=shown_stage(session, track_name, stage))
+    of_stage, rules = shown_stage(session, track_name, stage), track_rules(session, track_name)
+    ranking = rules.ranking if rules else DEFAULT_RANKING
+    board = Board(track=track_name, task=task, stage=of_stage, ranking=ranking)
     frozen_at = None if live or not board.stage else boards_stand_since(session)
     best = best_entries(session, board, until=frozen_at or EVER)
     revision = revision_of(f"{board} {frozen_at}", best)
-    shown = _Shown(board=board, best=best, frozen_at=frozen_at, revision=revision)
+    rule = rules.ranking_sentence if rules else None
+    shown = _Shown(board=board, rule=rule, best=best, frozen_at=frozen_at, revision=revision)
     return _made_boards.get((board, live), revision, lambda last: _view(session, track, shown, last))
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Shown:
-    """What a revision of a board shows, and since when it stands still (None: it does not)."""
+    """What a revision of a board shows.
+
+    Attributes:
+        rule: how it is ranked, where that is not what the track's file says.
+        frozen_at: since when it stands still; None: it does not.
+    """
 
     board: Board
+    rule: str | None
     best: Collection[BestEntry]
     frozen_at: datetime | None
     revision: str
@@ -63,7 +74,9 @@ class _Shown:
 
 def _view(session: Session, track: Track, shown: _Shown, last: LeaderboardView | None) -> LeaderboardView:
     task = shown.board.task
-    entries = made_entries(session, shown.best, last.entries if last else (), partial(_entry, task=task))
+    entries = _with_rank_ranges(
+        made_entries(session, shown.best, last.entries if last else (), partial(_entry, task=task))
+    )
     return LeaderboardView(
         track=track.name,
         title=track.title,
@@ -71,13 +84,19 @@ def _view(session: Session, track: Track, shown: _Shown, last: LeaderboardView |
         task=task,
         stage=shown.board.stage or None,
         frozen_at=shown.frozen_at,
-        ranking_rule=track.ranking_rule if task or not track.combination_rule else track.combination_rule,
+        ranking_rule=shown.rule or (track.ranking_rule if task else track.combination_rule or track.ranking_rule),
         evaluator_version=evaluator_version(),
         revision=shown.revision,
         generated_at=datetime.now(UTC),
         teams=len(entries),
         entries=entries,
     )
+
+
+def _with_rank_ranges(entries: list[LeaderboardEntryView]) -> list[LeaderboardEntryView]:
+    ranked = [entry.success_rate_interval for entry in entries if entry.rank is not None]
+    ranges = iter(rank_ranges(ranked))
+    return [entry.model_copy(update={"rank_range": None if entry.rank is None else next(ranges)}) for entry in entries]
 
 
 def made_entries(
@@ -130,6 +149,7 @@ def _entry(entry: BestEntry, evaluation: Evaluation, *, task: str | None) -> Lea
         raise ValueError(f"Evaluation {evaluation.id} is on a board but has no scores.")
     return LeaderboardEntryView(
         rank=entry.rank,
+        rank_range=None,
         stale=evaluation.evaluator_version != evaluator_version(),
         team=submission.team.name,
         evaluation_id=evaluation.id,

@@ -13,11 +13,13 @@ from vitac.server.db.states import EvaluationState
 
 from ..accounts.principals import Principal
 from ..accounts.teams import team_view
+from ..competition.definition import DEFAULT_RANKING
+from ..competition.schedule import boards_stand_since, track_rules
 from ..db.models import Evaluation, Submission
 from ..evaluations.copies import copies_among
 from ..evaluations.history import histories
 from ..evaluations.view import EvaluationRows, evaluation_view, summary_view
-from ..leaderboards.best_entries import PlacesOfBoards, places
+from ..leaderboards.best_entries import EVER, PlacesOfBoards, places
 from ..logs.view import findings_of
 from ..queue.workers import WorkersAlive, workers_alive
 from ..settings import Settings
@@ -54,9 +56,17 @@ def submission_views(
         findings=findings_of(session, newest),
         copies=copies_among(session, [found.id for found in newest if found.submission.kind is SubmissionKind.LOG]),
         workers=cache(partial(workers_alive, session, settings)),
-        places=cache(lambda track, stage: places(session, track, runs, stage=stage)),
+        places=cache(partial(_places, session, by, tuple(runs))),
     )
     return [_view(submission, runs[submission.id], shown) for submission in submissions]
+
+
+def _places(session: Session, by: Principal, submissions: tuple[UUID, ...], track: str, stage: str) -> PlacesOfBoards:
+    """Return their places as the boards show them, which may stand still for all but organizers."""
+    rules = track_rules(session, track) if stage else None
+    frozen_at = boards_stand_since(session) if stage and not by.is_organizer else None
+    ranking = rules.ranking if rules else DEFAULT_RANKING
+    return places(session, track, submissions, stage=stage, ranking=ranking, until=frozen_at or EVER)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,6 +17,9 @@ class LeaderboardEntryView(View):
     """Best entry of one team."""
 
     rank: int | None = Field(description="Null for an entry that another evaluator version made: it is not comparable.")
+    rank_range: tuple[int, int] | None = Field(
+        description="First and last rank that it could have by chance, as the 95 % intervals of all entries overlap."
+    )
     stale: bool
     team: str
     evaluation_id: UUID

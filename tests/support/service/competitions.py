@@ -47,11 +47,16 @@ def make_competition(**changes: Any) -> dict[str, Any]:
 
 def open_now(content: dict[str, Any], stage: int = 0, track: str = TRACK) -> dict[str, Any]:
     """Moves all times so that a stage has been open for a day."""
-    stages = content["tracks"][track]["stages"]
-    shift = datetime.now(UTC) - timedelta(days=1) - datetime.fromisoformat(stages[stage]["opens"])
-    for each in stages:
-        for name in ("opens", "closes"):
-            each[name] = (datetime.fromisoformat(each[name]) + shift).isoformat()
+    opens = datetime.fromisoformat(content["tracks"][track]["stages"][stage]["opens"])
+    return moved(content, days=(datetime.now(UTC) - opens) / timedelta(days=1) - 1)
+
+
+def moved(content: dict[str, Any], days: float) -> dict[str, Any]:
+    """Moves all times of all stages by so many days."""
+    for track in content["tracks"].values():
+        for stage in track["stages"]:
+            for name in ("opens", "closes"):
+                stage[name] = (datetime.fromisoformat(stage[name]) + timedelta(days=days)).isoformat()
     return content
 
 

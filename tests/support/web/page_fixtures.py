@@ -126,6 +126,7 @@ def an_entry(
     result = ranked[0] if task else whole
     interval = ranked[0].success_rate_interval if task else (whole.interval.low, whole.interval.high)
     return LeaderboardEntryView(
+        rank_range=None,
         rank=rank,
         stale=rank is None,
         team=team,

@@ -14,10 +14,13 @@ from vitac.server.accounts.principals import CONSOLE
 from vitac.server.accounts.tokens import list_tokens
 from vitac.server.competition.sealing import seal
 from vitac.server.db.models import Team
+from vitac.server.results.finishing import freeze
 
-from competitions import make_competition, open_now, put_in_place, sealed_competition, write_competition
+from competitions import make_competition, moved, open_now, put_in_place, sealed_competition, write_competition
 
 READS = {
+    "advance list",
+    "advance propose",
     "audit list",
     "competition check",
     "competition lists",
@@ -25,6 +28,8 @@ READS = {
     "evaluation list",
     "evaluation show",
     "quota list",
+    "results publish",
+    "results winners",
     "submission list",
     "submission show",
     "team list",
@@ -37,6 +42,10 @@ CHANGES = {
     "backup": (["FILE"], "service.backup"),
     "competition apply": (["COMPETITION", "--yes"], "competition.apply"),
     "competition reveal": (["track_1", "stage1", "--yes"], "list.reveal"),
+    "advance confirm": (["track_1", "stage2", "--yes"], "stage.qualify"),
+    "results freeze": ([], "competition.freeze"),
+    "results unfreeze": (["--yes"], "competition.unfreeze"),
+    "results finalize": (["--yes"], "competition.finalize"),
     "team add": (["Bears"], "token.issue"),
     "token add": (["--judge"], "token.issue"),
     "token revoke": (["TOKEN", "--yes"], "token.revoke"),
@@ -82,13 +91,24 @@ def there_is(service: CliService, name: str, tmp_path: Path) -> str:
     return str(submission)
 
 
+def prepare(service: CliService, command: str) -> None:
+    """Brings a competition to where the command has something to do."""
+    with service.database.transaction() as session:
+        if command == "competition reveal":
+            put_in_place(session, open_now(sealed_competition(), stage=1))
+            seal(session, CONSOLE, "track_1", "stage1")
+        elif command == "advance confirm":
+            put_in_place(session, open_now(make_competition(), stage=1))
+        elif command.startswith("results"):
+            put_in_place(session, moved(make_competition(), days=-2000))
+            if command == "results unfreeze":
+                freeze(session, CONSOLE)
+
+
 @pytest.mark.parametrize("command", CHANGES)
 def test_a_change_is_written_to_the_audit_log(service: CliService, command: str, tmp_path: Path) -> None:
     arguments, action = CHANGES[command]
-    if command == "competition reveal":
-        with service.database.transaction() as session:
-            put_in_place(session, open_now(sealed_competition(), stage=1))
-            seal(session, CONSOLE, "track_1", "stage1")
+    prepare(service, command)
     given = [there_is(service, name, tmp_path) if name.isupper() else name for name in arguments]
     with service.database.transaction() as session:
         last = newest_entries(session, 1)[0].id

@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..service.database import transaction
-from ..terminal.output import AsJson, moment, print_json, print_pairs, print_records, print_table
-from .consent import DryRun, Yes, require_consent
+from ...service.database import transaction
+from ...terminal.output import AsJson, moment, print_json, print_pairs, print_records, print_table
+from ..consent import DryRun, Yes, require_consent
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

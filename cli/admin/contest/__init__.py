@@ -1,0 +1,1 @@
+"""Nouns of `vitac admin` that run a competition."""

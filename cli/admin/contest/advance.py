@@ -1,0 +1,85 @@
+"""`vitac admin advance`: who takes part in a stage for qualified teams."""
+
+from typing import Annotated
+
+import typer
+
+from ...service.database import transaction
+from ...terminal.output import AsJson, percent, print_json, print_table
+from ..consent import DryRun, Yes, require_consent
+from .competition import StageName, TrackName
+
+app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
+
+TeamNames = Annotated[list[str] | None, typer.Option(help="Name or id of a team; may be given several times.")]
+
+
+@app.command()
+def propose(track: TrackName, stage: StageName, as_json: AsJson = False) -> None:
+    """Show who advances to a stage by its rule, and which teams chance may have put on their side of the border."""
+    from dataclasses import asdict
+
+    from vitac.server.results.advancement import propose as propose_teams
+
+    with transaction() as session:
+        found = propose_teams(session, track, stage)
+    if as_json:
+        print_json(asdict(found))
+        return
+    rows = [
+        [
+            team.rank,
+            team.team,
+            percent(team.success_rate),
+            " to ".join(str(percent(end)) for end in team.interval),
+            team.mean_steps,
+            "yes" if team.advances else "no",
+            "at the border" if team.at_border else None,
+        ]
+        for team in found.teams
+    ]
+    print(f"{found.rule}, by the board of {found.before}; {found.registered} teams are registered.")
+    columns = ("rank", "team", "success", "95 % interval", "steps", "advances", "")
+    print_table(columns, rows, none=f"No team is ranked in {found.before}.")
+    if found.unranked:
+        print(f"Not ranked, made by another evaluator version: {', '.join(found.unranked)}. Requeue them first.")
+    if found.running:
+        print(f"{found.running} evaluations of {found.before} wait or run.")
+
+
+@app.command()
+def confirm(
+    track: TrackName,
+    stage: StageName,
+    add: TeamNames = None,
+    without: TeamNames = None,
+    yes: Yes = False,
+    dry_run: DryRun = False,
+    as_json: AsJson = False,
+) -> None:
+    """Let the proposed teams, more of them or fewer, take part in a stage."""
+    from vitac.server.accounts.principals import CONSOLE
+    from vitac.server.results.advancement import confirm as confirm_teams
+
+    with transaction() as session:
+        found = confirm_teams(session, CONSOLE, track, stage, add=add or (), without=without or ())
+        if as_json:
+            print_json({"track": track, "stage": stage, "teams": found})
+        else:
+            print(f"{stage} of {track}: {', '.join(found) or 'no team'}")
+        if dry_run:
+            raise typer.Exit  # which takes the change back
+        require_consent(f"Let these {len(found)} teams take part in {stage} of {track}?", yes=yes)
+
+
+@app.command("list")
+def list_teams(track: TrackName, stage: StageName, as_json: AsJson = False) -> None:
+    """List the teams that were confirmed for a stage."""
+    from vitac.server.results.advancement import qualified_teams
+
+    with transaction() as session:
+        found = qualified_teams(session, track, stage)
+    if as_json:
+        print_json(found)
+    else:
+        print("\n".join(found) or "Nobody was confirmed.")

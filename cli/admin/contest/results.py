@@ -1,0 +1,77 @@
+"""`vitac admin results`: boards that stand still, winners, the end, and the files that are published."""
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ...service.database import transaction
+from ...terminal.output import AsJson, print_json, print_records
+from ..consent import DryRun, Yes, consented_transaction, require_consent
+
+app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
+
+COLUMNS = ("track", "place", "team", "amount", "currency", "rank", "success_rate", "mean_steps")
+
+
+@app.command()
+def freeze() -> None:
+    """Let the boards of all stages stand still for everybody but organizers; `unfreeze` takes it back."""
+    from vitac.server.accounts.principals import CONSOLE
+    from vitac.server.results.finishing import freeze as freeze_boards
+
+    with transaction() as session:
+        freeze_boards(session, CONSOLE)
+    print("boards stand still")
+
+
+@app.command()
+def unfreeze(yes: Yes = False) -> None:
+    """Show all results again."""
+    from vitac.server.accounts.principals import CONSOLE
+    from vitac.server.results.finishing import unfreeze as unfreeze_boards
+
+    with consented_transaction("Show all results on the boards again?", yes=yes) as session:
+        unfreeze_boards(session, CONSOLE)
+    print("boards show all results")
+
+
+@app.command()
+def winners(as_json: AsJson = False) -> None:
+    """List who wins what: final, or by today's boards of the last stages."""
+    from vitac.server.results.finishing import winners as all_winners
+
+    with transaction() as session:
+        found = [asdict(winner) for winner in all_winners(session)]
+    print_records(found, COLUMNS, none="Nobody wins yet.", as_json=as_json)
+
+
+@app.command()
+def finalize(yes: Yes = False, dry_run: DryRun = False, as_json: AsJson = False) -> None:
+    """End the competition for good, with the winners as they are now."""
+    from vitac.server.accounts.principals import CONSOLE
+    from vitac.server.results.finishing import finalize as finalize_results
+
+    with transaction() as session:
+        found = [asdict(winner) for winner in finalize_results(session, CONSOLE)]
+        print_records(found, COLUMNS, none="Nobody wins.", as_json=as_json)
+        if dry_run:
+            raise typer.Exit  # which takes the change back
+        require_consent("End the competition for good with these winners?", yes=yes)
+
+
+@app.command()
+def publish(
+    folder: Annotated[Path, typer.Argument(help="New folder for the files.")],
+    as_json: AsJson = False,
+) -> None:
+    """Write the results as JSON, CSV, a page to print and certificates."""
+    from vitac.server.results.publishing import publish as publish_results
+
+    with transaction() as session:
+        written = [str(path) for path in publish_results(session, folder)]
+    if as_json:
+        print_json(written)
+    else:
+        print("\n".join(written))

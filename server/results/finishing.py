@@ -1,0 +1,188 @@
+"""The end of a competition: boards that stand still, winners by the prize table, and the final word."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+
+from sqlalchemy import func, select
+from sqlalchemy.orm import Session
+
+from ..accounts.audit import record
+from ..accounts.principals import Principal
+from ..competition.definition import CompetitionDefinition, CompetitionTrack, Prize
+from ..competition.schedule import current
+from ..db.models import Competition, Evaluation, Submission
+from ..db.states import ACTIVE_EVALUATION_STATES
+from ..errors import ProblemCode, ServiceError
+from ..leaderboards.standings import leaderboard
+
+
+@dataclass(frozen=True, kw_only=True)
+class Winner:
+    """A team and what it wins.
+
+    Attributes:
+        place: of the prize table.
+        amount: of money, in the competition's currency.
+        result_hash: of the evaluation by which it won.
+    """
+
+    track: str
+    place: str
+    rank: int
+    team: str
+    amount: int
+    currency: str
+    note: str | None
+    success_rate: float
+    mean_steps: float | None
+    submission: str
+    result_hash: str
+
+
+def freeze(session: Session, by: Principal) -> None:
+    """Let the boards of all stages stand still for everybody but organizers; results go on arriving.
+
+    Raises:
+        ServiceError: not an organizer, or there is no competition that goes on.
+    """
+    row = _lock(session, by)
+    _require_going_on(row)
+    if row.frozen_at is None:
+        row.frozen_at = datetime.now(UTC)
+        record(session, by, "competition.freeze", _subject(row), {"frozen_at": row.frozen_at.isoformat()})
+
+
+def unfreeze(session: Session, by: Principal) -> None:
+    """Show all results again.
+
+    Raises:
+        ServiceError: not an organizer, or there is no competition that goes on.
+    """
+    row = _lock(session, by)
+    _require_going_on(row)
+    if row.frozen_at is not None:
+        before = {"frozen_at": row.frozen_at.isoformat()}
+        row.frozen_at = None
+        record(session, by, "competition.unfreeze", _subject(row), {"frozen_at": None}, before=before)
+
+
+def finalize(session: Session, by: Principal, *, at: datetime | None = None) -> list[Winner]:
+    """End the competition for good and keep the winners as they are now; boards show all results again.
+
+    Args:
+        session: of the transaction.
+        by: an organizer.
+        at: the moment; None: now.
+
+    Raises:
+        ServiceError: not an organizer, there is no competition or it is final already, a stage or an evaluation is not
+            over, or a board has results of another evaluator version.
+    """
+    row = _lock(session, by)
+    _require_going_on(row)
+    definition = CompetitionDefinition.model_validate(row.definition)
+    now = at or datetime.now(UTC)
+    _require_over(session, definition, now)
+    found = winners(session)
+    row.finalized_at, row.frozen_at = now, None
+    row.winners = [asdict(winner) for winner in found]
+    record(session, by, "competition.finalize", _subject(row), {"winners": row.winners})
+    return found
+
+
+def winners(session: Session) -> list[Winner]:
+    """Return who wins what: as it was finalized, or by today's boards of the last stages.
+
+    Raises:
+        ServiceError: there is no competition, or a board has results of another evaluator version.
+    """
+    row = session.get(Competition, 1)
+    definition = current(session)
+    if row is None or definition is None:
+        raise _no_competition()
+    if row.winners is not None:
+        return [Winner(**winner) for winner in row.winners]
+    return [
+        winner
+        for name, track in definition.tracks.items()
+        if track.taken_here
+        for winner in _winners_of(session, definition, name, track)
+    ]
+
+
+def _winners_of(
+    session: Session, definition: CompetitionDefinition, name: str, track: CompetitionTrack
+) -> list[Winner]:
+    """Return the winners of a track; of fewer teams than prizes all win."""
+    stage = track.stages[-1].name
+    entries = leaderboard(session, name, stage=stage, live=True).view.entries
+    stale = [entry.team for entry in entries if entry.rank is None]
+    if stale:
+        raise ServiceError(
+            ProblemCode.RESULTS_OUTDATED,
+            f"On the board of {stage} of {name} the results of {', '.join(stale)} were made by another evaluator "
+            "version, so they cannot be compared. Requeue them.",
+        )
+    return [
+        Winner(
+            track=name,
+            place=prize.place,
+            rank=entry.rank or 0,
+            team=entry.team,
+            amount=prize.amount,
+            currency=definition.currency,
+            note=prize.note,
+            success_rate=entry.success_rate,
+            mean_steps=entry.mean_steps,
+            submission=str(entry.submission_id),
+            result_hash=entry.result_hash,
+        )
+        for prize, entry in zip(_single_prizes(track.prizes), entries, strict=False)
+    ]
+
+
+def _single_prizes(prizes: Sequence[Prize]) -> list[Prize]:
+    return [prize for prize in prizes for _ in range(prize.winners)]
+
+
+def _lock(session: Session, by: Principal) -> Competition:
+    by.require_organizer()
+    row = session.get(Competition, 1, with_for_update=True, populate_existing=True)
+    if row is None:
+        raise _no_competition()
+    return row
+
+
+def _require_going_on(row: Competition) -> None:
+    if row.finalized_at is not None:
+        raise ServiceError(
+            ProblemCode.COMPETITION_FINAL, f"{row.definition['title']} is final since {row.finalized_at:%F %T} UTC."
+        )
+
+
+def _require_over(session: Session, definition: CompetitionDefinition, now: datetime) -> None:
+    """Refuse while a stage takes submissions, or one of them is not scored."""
+    last = max(track.stages[-1].closes for track in definition.tracks.values())
+    if now < last:
+        raise ServiceError(ProblemCode.STAGE_NOT_OVER, f"The last stage closes at {last:%F %T} UTC; wait until then.")
+    waiting = session.scalars(
+        select(func.count())
+        .select_from(Evaluation)
+        .join(Submission)
+        .where(Submission.stage != "", Evaluation.state.in_(ACTIVE_EVALUATION_STATES))
+    ).one()
+    if waiting:
+        raise ServiceError(
+            ProblemCode.STAGE_NOT_OVER, f"Expected no evaluation that waits or runs, got {waiting}; wait or cancel."
+        )
+
+
+def _subject(row: Competition) -> str:
+    return f"competition:{row.definition['name']}"
+
+
+def _no_competition() -> ServiceError:
+    return ServiceError(
+        ProblemCode.NOT_FOUND, "There is no competition; `vitac admin competition apply FILE` makes one."
+    )

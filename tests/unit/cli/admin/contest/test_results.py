@@ -1,0 +1,49 @@
+import json
+from pathlib import Path
+
+import pytest
+from cli_service import CliService
+from service_factories import TASK, TRACK, make_principal, make_score, submit_scored
+from vitac.cli.admin.consent import ConsentMissing
+from vitac.server.errors import ServiceError
+
+from competitions import make_competition, moved, open_now, put_in_place
+
+
+@pytest.fixture
+def played(service: CliService) -> CliService:
+    """A competition of one stage, over, with two scored teams and one prize."""
+    content = make_competition(prizes=[{"place": "first", "amount": 2000}])
+    del content["tracks"][TRACK]["stages"][1]
+    with service.database.transaction() as session:
+        put_in_place(session, open_now(content))
+        for name, successes in (("Ants", 80), ("Bees", 78)):
+            submit_scored(session, make_principal(session, name), name, {TASK: make_score(successes)})
+        put_in_place(session, moved(content, days=-100))
+    return service
+
+
+def test_boards_are_frozen_and_unfrozen(played: CliService) -> None:
+    assert played.run("admin", "results", "freeze").stdout.strip() == "boards stand still"
+    assert isinstance(played.run("admin", "results", "unfreeze").exception, ConsentMissing)
+    assert played.run("admin", "results", "unfreeze", "--yes").exit_code == 0
+
+
+def test_the_end_comes_with_consent_and_once(played: CliService) -> None:
+    shown = played.run("admin", "results", "winners").stdout
+    assert "Ants" in shown
+    assert "Bees" not in shown
+    assert isinstance(played.run("admin", "results", "finalize").exception, ConsentMissing)
+    assert played.run("admin", "results", "finalize", "--dry-run").exit_code == 0
+    done = played.run("admin", "results", "finalize", "--yes", "--json")
+    assert [winner["team"] for winner in json.loads(done.stdout)] == ["Ants"]
+    again = played.run("admin", "results", "finalize", "--yes")
+    assert isinstance(again.exception, ServiceError)
+    assert "is final since" in str(again.exception)
+
+
+def test_the_files_are_published_into_a_new_folder(played: CliService, tmp_path: Path) -> None:
+    folder = tmp_path / "published"
+    written = json.loads(played.run("admin", "results", "publish", str(folder), "--json").stdout)
+    assert sorted(Path(path).name for path in written) == sorted(path.name for path in folder.iterdir())
+    assert played.run("admin", "results", "publish", str(folder)).exit_code == 1
