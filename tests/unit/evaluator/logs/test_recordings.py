@@ -218,7 +218,7 @@ def test_a_line_may_be_as_long_as_the_limit_and_no_longer() -> None:
     assert len(full.rstrip("\n")) == MAX_LINE_BYTES
     assert [recording.episode.number for recording in read_recordings_of(full, text)] == [4, 4]
     with pytest.raises(RecordingRejected, match=r"^Line 2 is not JSON: "):
-        read_recordings_of(text + "\n", full.replace("}\n", " }\n"))
+        read_recordings_of(text + "\n", full.replace("}\n", "  }\n"))
 
 
 def test_what_is_no_json_is_told_with_the_reason_in_one_sentence() -> None:

@@ -2,7 +2,6 @@ import threading
 from datetime import datetime, timedelta
 
 import pytest
-from competitions import CLOSES, FIRST, LATER_CLOSES, LATER_OPENS, OPENS, SECOND, make_competition, put_in_place
 from service_factories import TASK, TRACK, complete_scored, make_principal, make_score, make_upload, submit_scored
 from submission_steps import refused
 from vitac.evaluator.submission_kinds import SubmissionKind
@@ -16,6 +15,8 @@ from vitac.server.evaluations import lifecycle
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.leaderboards.standings import leaderboard
 from vitac.server.submissions import creation
+
+from competitions import CLOSES, FIRST, LATER_CLOSES, LATER_OPENS, OPENS, SECOND, make_competition, put_in_place
 
 MODEL = SubmissionKind.MODEL
 SECOND_LONG = timedelta(seconds=1)
