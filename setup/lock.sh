@@ -17,3 +17,5 @@ compile requirements/base.lock "$@"
 compile requirements/show.lock --extra show --constraint requirements/base.lock "$@"
 compile requirements/docs.lock --extra docs --constraint requirements/base.lock "$@"
 compile requirements/dev.lock --extra show --extra docs --extra dev --constraint requirements/show.lock --constraint requirements/docs.lock "$@"
+"${UV:-uv}" pip compile --quiet --universal --generate-hashes --python-version 3.11 --no-emit-index-url \
+  --custom-compile-command setup/lock.sh --output-file requirements/node.lock "$@" requirements/node.in

@@ -31,6 +31,7 @@ def create(services: Services) -> FastAPI:
         data=ServiceData(
             database=services.database,
             settings=settings,
+            blobs=services.blobs,
             streams=streams,
             registrations=app.state.registration_limiter,
             uploads=app.state.upload_limiter,

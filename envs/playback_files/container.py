@@ -1,4 +1,4 @@
-"""The file format: a JSON header and named arrays, compressed with gzip. `web/viewer/container.js` reads it.
+"""The file format: a JSON header and named arrays, compressed with gzip. `viewer/container.js` reads it.
 
 After the magic comes the header's length as a 32-bit number, the header, and the arrays' bytes, little-endian, each at
 a multiple of four bytes from the end of the header, which is padded to such a multiple itself.

@@ -110,6 +110,7 @@ def _described(perspective: Perspective | None) -> dict[str, Any]:
         "held_name": perspective.held_name,
         "fixed_name": perspective.fixed_name.partition(",")[0],
         "view_deg": (perspective.azimuth_deg, perspective.elevation_deg),
+        "cut": {"normal": perspective.cut.normal, "offset_mm": 1e3 * perspective.cut.offset_m},
         "heights_title": progress.title,
         "heights_goal_mm": progress.goal_mm,
     }

@@ -10,7 +10,7 @@ from uuid import UUID
 
 from sqlalchemy import ColumnElement, func, select
 from sqlalchemy.orm import Session
-from vitac.evaluator.episodes.records import canonical_json
+from vitac.evaluator.episodes.records import EpisodeRecord, canonical_json
 from vitac.evaluator.playback.order import FORMAT
 from vitac.evaluator.version import evaluator_version
 
@@ -25,7 +25,7 @@ from ..evaluations.history import newest_evaluation
 from ..queue.jobs import enqueue_playback
 from ..queue.workers import workers_alive
 from ..settings import Settings
-from ..views.playbacks import PlaybackView
+from ..views.playbacks import PlaybackView, ShownEpisodeView
 
 FAILED_KEPT = timedelta(hours=1)
 """So long a failed playback is not tried again."""
@@ -98,6 +98,35 @@ def playback_key(episode: EpisodeResult) -> str:
 def requester(by: Principal) -> str:
     """Return whose limits count what somebody asks for."""
     return f"team:{by.team_id}" if by.team_id is not None else by.role.value
+
+
+def shown_episode(
+    session: Session, settings: Settings, by: Principal, submission_id: UUID, task: str, number: int
+) -> ShownEpisodeView:
+    """Return a finished episode as its page shows it.
+
+    Raises:
+        ServiceError: there is none that the principal may see.
+    """
+    submission = visible(session, by, submission_id)
+    episode = find_episode(session, by, submission_id, task, number)
+    record = EpisodeRecord.model_validate(episode.record)
+    playback = find_playback(session, episode)
+    return ShownEpisodeView(
+        submission_name=submission.name,
+        team=submission.team.name,
+        track=episode.track,
+        task=task,
+        episode=number,
+        shape=record.shape,
+        initial_offset=record.initial_offset,
+        outcome=record.outcome,
+        env_steps=record.env_steps,
+        total_reward=record.total_reward,
+        evaluator_version=episode.evaluator_version,
+        record_digest=episode.record_digest,
+        playback=None if playback is None else playback_view(session, settings, playback),
+    )
 
 
 def playback_view(session: Session, settings: Settings, playback: Playback) -> PlaybackView:

@@ -1,7 +1,5 @@
 """A real browser (Debian's chromium, driven by playwright) and pages with fixed content served on this machine."""
 
-import os
-import shutil
 from collections.abc import Iterator
 
 import pytest
@@ -21,7 +19,8 @@ from page_fixtures import (
     an_application,
     an_entry,
 )
-from playwright.sync_api import Browser, Page, sync_playwright
+from playwright.sync_api import Browser, Page, expect
+from real_browser import WITHOUT_GPU, launched
 from site_under_test import SiteUnderTest
 from vitac.cli.service.web_server import WebServer, address_of, bind
 from vitac.evaluator.logs.findings import VerificationResult
@@ -31,32 +30,14 @@ from vitac.server.views.evaluations import VerdictView
 from vitac.server.views.leaderboards import LeaderboardView
 from vitac.server.views.submissions import EpisodeOutputView
 
-ARGUMENTS = (
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-gpu",
-    "--disable-quic",
-    "--disable-sync",
-    "--no-first-run",
-)
-
-
-def chromium() -> str:
-    """The browser's program; without one the page tests fail, they never skip."""
-    found = os.environ.get("VITAC_CHROMIUM") or shutil.which("chromium")
-    if not found:
-        pytest.fail("No chromium: install the package `chromium`, or set VITAC_CHROMIUM to the program.", pytrace=False)
-    return found
+expect.set_options(timeout=30_000)  # on a busy machine a page takes its time
 
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
     # Not for the whole session: playwright keeps an event loop in this thread, which other tests must not find running.
-    arguments = [*ARGUMENTS, *(["--no-sandbox"] if os.geteuid() == 0 else [])]
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=chromium(), args=arguments)
+    with launched(*WITHOUT_GPU) as browser:
         yield browser
-        browser.close()
 
 
 def boards() -> dict[str | None, LeaderboardView]:

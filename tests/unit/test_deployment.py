@@ -169,7 +169,8 @@ def test_image_context_holds_what_wheel_and_documentation_are_built_from(reposit
     assert "*" in lines
     folders = {"cli", "envs", "evaluator", "migrations", "server", "web", "worker"}
     kept = {line[1:] for line in lines if line.startswith("!")}
-    assert kept == folders | {"docs", "LICENSE", "NOTICE", "README.md", "pyproject.toml", "requirements"}
+    of_pages = {"docs", "setup", "viewer"}
+    assert kept == folders | of_pages | {"LICENSE", "NOTICE", "README.md", "pyproject.toml", "requirements"}
 
 
 def test_images_have_the_documentation_without_what_builds_it(dockerfile: str) -> None:

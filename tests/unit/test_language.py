@@ -11,7 +11,7 @@ import pytest
 GENERATED = "web/documentation"
 SUFFIXES = {".py", ".html", ".js", ".sh", ".md", ".yaml", ".yml"}
 PLACES = (
-    *("cli", "web", "worker", "server", "evaluator", "examples"),
+    *("cli", "web", "viewer", "worker", "server", "evaluator", "examples"),
     *("envs", "tests/physics"),
     *("docs", "README.md", "CONTRIBUTING.md", "CHANGELOG.md"),
     *("vitac", "setup", "docker", "docker-compose.yml"),

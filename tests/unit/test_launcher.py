@@ -35,6 +35,17 @@ case "$*" in
 esac
 """
 
+# Stand in for node and npm: they take what they are told to bundle for bundled.
+FAKE_NODE = """#!/bin/sh
+if [ "$1" = -p ]; then echo "${FAKE_NODE_VERSION-24}"; exit; fi
+echo "esbuild" >>"$FAKE_CALLS.player"
+for word; do case $word in --outfile=*) echo "player" >"${word#--outfile=}" ;; esac; done
+"""
+FAKE_NPM = """#!/bin/sh
+echo "npm $1" >>"$FAKE_CALLS.player"
+if [ -n "${FAKE_NPM_ERROR-}" ]; then echo "$FAKE_NPM_ERROR"; exit 1; fi
+"""
+
 TOOLS = (
     *(
         "awk",
@@ -110,6 +121,16 @@ class Checkout:
     def calls(self) -> list[str]:
         return self.calls_file.read_text().splitlines() if self.calls_file.exists() else []
 
+    @property
+    def player_calls(self) -> list[str]:
+        """What was called to build the 3D player."""
+        file = self.calls_file.with_name("calls.player")
+        return file.read_text().splitlines() if file.exists() else []
+
+    @property
+    def player(self) -> Path:
+        return self.root / "web" / "static" / "playback.js"
+
 
 def program(path: Path, text: str) -> None:
     path.write_text(text)
@@ -123,6 +144,7 @@ def checkout(repository: Path, tmp_path: Path) -> Checkout:
     shutil.copytree(repository / "requirements", root / "requirements")
     (root / "docs").mkdir()
     (root / "docs" / "index.md").write_text("# Documentation")
+    shutil.copytree(repository / "viewer", root / "viewer")
     for name in ("vitac", "pyproject.toml"):
         shutil.copy(repository / name, root / name)
     binaries = tmp_path / "bin"
@@ -132,6 +154,8 @@ def checkout(repository: Path, tmp_path: Path) -> Checkout:
         assert found is not None, tool
         (binaries / tool).symlink_to(found)
     program(binaries / "python3.11", FAKE_PYTHON)
+    program(binaries / "node", FAKE_NODE)
+    program(binaries / "npm", FAKE_NPM)
     program(binaries / "bwrap", "#!/bin/sh\n")
     program(binaries / "chromium", "#!/bin/sh\n")
     environment = {"PATH": str(binaries), "HOME": str(tmp_path), "FAKE_CALLS": str(tmp_path / "calls")}
@@ -282,7 +306,7 @@ def test_settings_for_other_installations_do_not_reach_pip(checkout: Checkout, t
 
 
 def test_exports_the_sandbox_program_it_found(checkout: Checkout, tmp_path: Path) -> None:
-    checkout.run()
+    checkout.run(str(checkout.root / "vitac"), "show")
     program(checkout.root / ".venv" / "bin" / "vitac", '#!/bin/sh\necho "$VITAC_BWRAP"\n')
     assert checkout.run(str(checkout.root / "vitac"), "demo").stdout == f"{tmp_path / 'bin' / 'bwrap'}\n"
     assert checkout.run(str(checkout.root / "vitac"), "demo", VITAC_BWRAP="/own/bwrap").stdout == "/own/bwrap\n"
@@ -309,6 +333,56 @@ def test_names_the_package_managers_own_command(checkout: Checkout, tmp_path: Pa
     assert "dnf install bubblewrap" in checkout.run(str(checkout.root / "vitac"), "demo").stderr
 
 
+@pytest.mark.parametrize("command", ["serve", "demo", "test"])
+def test_builds_the_player_once(checkout: Checkout, command: str) -> None:
+    first = checkout.run(str(checkout.root / "vitac"), command)
+    second = checkout.run(str(checkout.root / "vitac"), command)
+    assert checkout.player.read_text() == "player\n"
+    assert checkout.player_calls == ["npm ci", "esbuild"]
+    assert "the 3D player is ready" in first.stderr
+    assert second.stderr == ""
+
+
+@pytest.mark.parametrize("command", ["status", "worker", "evaluate folder", "show"])
+def test_commands_without_pages_build_no_player(checkout: Checkout, command: str) -> None:
+    checkout.run(str(checkout.root / "vitac"), *command.split())
+    assert checkout.player_calls == []
+
+
+@pytest.mark.parametrize("changed", ["viewer/stage.js", "viewer/package-lock.json", "setup/build_viewer.sh"])
+def test_builds_the_player_again_when_its_sources_change(checkout: Checkout, changed: str) -> None:
+    checkout.run(str(checkout.root / "vitac"), "serve")
+    with (checkout.root / changed).open("a") as file:
+        file.write("\n")
+    checkout.run(str(checkout.root / "vitac"), "serve")
+    assert checkout.player_calls == ["npm ci", "esbuild"] * 2
+
+
+def test_goes_on_without_the_player_where_its_packages_cannot_be_fetched(checkout: Checkout) -> None:
+    ran = checkout.run(str(checkout.root / "vitac"), "serve", FAKE_NPM_ERROR="npm error network getaddrinfo")
+    assert (ran.returncode, ran.stdout.startswith("<serve>")) == (7, True)
+    assert "could not be built" in ran.stderr
+    assert "pages show still pictures" in ran.stderr
+    assert not checkout.player.exists()
+    checkout.run(str(checkout.root / "vitac"), "serve")
+    assert checkout.player.exists()
+
+
+@pytest.mark.parametrize("version", ["18", "", "none"])
+def test_an_old_node_is_replaced_by_one_with_a_hash(checkout: Checkout, version: str) -> None:
+    checkout.run(str(checkout.root / "vitac"), "serve", FAKE_NODE_VERSION=version)
+    assert "pip node.lock" in checkout.calls
+
+
+def test_a_player_that_was_built_before_stays_where_the_new_one_cannot_be_built(checkout: Checkout) -> None:
+    checkout.run(str(checkout.root / "vitac"), "serve")
+    with (checkout.root / "viewer" / "main.js").open("a") as file:
+        file.write("\n")
+    ran = checkout.run(str(checkout.root / "vitac"), "serve", FAKE_NPM_ERROR="no network")
+    assert ran.returncode == 7
+    assert checkout.player.read_text() == "player\n"
+
+
 @pytest.fixture
 def debian(checkout: Checkout, tmp_path: Path) -> Checkout:
     """The same checkout on a machine with apt-get and without bubblewrap."""
@@ -333,7 +407,7 @@ def test_root_installs_the_debian_package_with_fresh_lists(debian: Checkout, tmp
 
 def test_a_normal_user_gets_the_package_unpacked_with_its_libraries(debian: Checkout, tmp_path: Path) -> None:
     become(1000, tmp_path)
-    debian.run()
+    debian.run(str(debian.root / "vitac"), "show")
     program(debian.root / ".venv" / "bin" / "vitac", '#!/bin/sh\necho "$VITAC_BWRAP"\n')
     ran = debian.run(str(debian.root / "vitac"), "demo")
     wrapper = debian.root / ".system" / "bin" / "bwrap"

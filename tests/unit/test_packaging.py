@@ -1,6 +1,7 @@
 """What is installed: every package and data file, hash-checked locks, light imports, no address of one machine."""
 
 import ast
+import json
 import os
 import re
 import subprocess
@@ -152,13 +153,24 @@ def test_larger_lock_extends_the_smaller_one(repository: Path, smaller: str, lar
     assert {name: held.get(name) for name in locked(repository, smaller)} == locked(repository, smaller)
 
 
-@pytest.mark.parametrize("profile", ["base", "show", "dev"])
+@pytest.mark.parametrize("profile", ["base", "show", "dev", "node"])
 def test_lock_has_a_hash_for_every_package_and_names_no_index(repository: Path, profile: str) -> None:
     text = (repository / "requirements" / f"{profile}.lock").read_text()
     pinned = re.findall(r"^\S+==.*\\\n    --hash=sha256:[0-9a-f]{64}", text, re.MULTILINE)
     assert len(pinned) == len(re.findall(r"^\S+==", text, re.MULTILINE))
     assert "://" not in text
     assert "--index" not in text
+
+
+def test_packages_of_the_player_have_a_hash_and_name_no_registry(repository: Path) -> None:
+    text = (repository / "viewer" / "package-lock.json").read_text()
+    wanted = json.loads((repository / "viewer" / "package.json").read_text())
+    packages = json.loads(text)["packages"]
+    for name, version in (wanted["dependencies"] | wanted["devDependencies"]).items():
+        assert packages[f"node_modules/{name}"]["version"] == version
+    for name, package in packages.items():
+        assert not name or package["integrity"].startswith("sha512-"), name
+    assert "://" not in text
 
 
 def test_lock_leaves_out_what_only_extras_need(repository: Path) -> None:

@@ -12,12 +12,14 @@ if TYPE_CHECKING:
 
     from vitac.evaluator.agent.description import SandboxDescription
     from vitac.server.accounts.principals import Principal
+    from vitac.server.playbacks.files import PlaybackFile
     from vitac.server.queue.workers import Disk
     from vitac.server.settings import Registration
     from vitac.server.submissions.upload import AnnouncedUpload
     from vitac.server.views.leaderboards import LeaderboardView, LogBoardsView, PastResultView
     from vitac.server.views.logs import ActionMatchView
     from vitac.server.views.operations import OperationsView
+    from vitac.server.views.playbacks import PlaybackView, ShownEpisodeView
     from vitac.server.views.submissions import EpisodeView, OutputView, SubmissionListView, SubmissionView
 
 
@@ -74,6 +76,15 @@ class SubmissionDetail:
 
 
 @dataclass(frozen=True, kw_only=True)
+class EpisodeAddress:
+    """An episode of a submission's newest evaluation."""
+
+    submission_id: UUID
+    task: str
+    number: int
+
+
+@dataclass(frozen=True, kw_only=True)
 class RegisteredTeam:
     """A team that has just registered, with the token that is shown this once."""
 
@@ -114,6 +125,15 @@ class PageData(Protocol):
 
     async def output(self, visitor: Visitor, submission_id: UUID, task: str | None, after: int) -> OutputView:
         """Return what a submission's policy printed in the episodes after one; what is not shown is refused."""
+
+    async def episode(self, visitor: Visitor, place: EpisodeAddress) -> ShownEpisodeView:
+        """Return a finished episode and how far its playback is."""
+
+    async def ask_for_playback(self, visitor: Visitor, place: EpisodeAddress) -> PlaybackView:
+        """Have the playback of an episode made; one too many raises the service's refusal."""
+
+    async def playback_file(self, visitor: Visitor, place: EpisodeAddress, file: PlaybackFile) -> bytes:
+        """Return a file of an episode's playback."""
 
     async def cancel(self, visitor: Visitor, submission_id: UUID) -> None:
         """Cancel the queued or running evaluation of a submission."""

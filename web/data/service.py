@@ -18,6 +18,7 @@ from vitac.server.leaderboards import history, log_boards, standings
 from vitac.server.logs import action_matches
 from vitac.server.metrics.totals import totals
 from vitac.server.operations.state import operations
+from vitac.server.playbacks import asking, files
 from vitac.server.queue import workers
 from vitac.server.queue.workers import disk_of
 from vitac.server.submissions import listing, output, runs, upload
@@ -36,14 +37,17 @@ if TYPE_CHECKING:
     from vitac.server.api.limiter import ConcurrencyLimiter, WindowLimiter
     from vitac.server.api.streams import OpenStreams
     from vitac.server.db.engine import Database
+    from vitac.server.playbacks.files import PlaybackFile
     from vitac.server.queue.workers import Disk
     from vitac.server.settings import Registration, Settings
+    from vitac.server.storage.blobs import BlobStore
     from vitac.server.submissions.upload import AnnouncedUpload
     from vitac.server.views.leaderboards import LeaderboardView, LogBoardsView, PastResultView
     from vitac.server.views.operations import OperationsView
+    from vitac.server.views.playbacks import PlaybackView, ShownEpisodeView
     from vitac.server.views.submissions import OutputView, SubmissionListView
 
-    from .protocol import LimitRow
+    from .protocol import EpisodeAddress, LimitRow
 
 ResultT = TypeVar("ResultT")
 
@@ -54,6 +58,7 @@ class ServiceData:
 
     database: Database
     settings: Settings
+    blobs: BlobStore
     streams: OpenStreams
     registrations: WindowLimiter
     uploads: ConcurrencyLimiter
@@ -120,6 +125,29 @@ class ServiceData:
         """Return a page of what a policy printed."""
         by = visitor.principal
         return await self._run(lambda session: output.episode_outputs(session, by, submission_id, task, after=after))
+
+    async def episode(self, visitor: Visitor, place: EpisodeAddress) -> ShownEpisodeView:
+        """Return a finished episode."""
+        where = (place.submission_id, place.task, place.number)
+        return await self._run(lambda session: asking.shown_episode(session, self.settings, visitor.principal, *where))
+
+    async def ask_for_playback(self, visitor: Visitor, place: EpisodeAddress) -> PlaybackView:
+        """Have the playback of an episode made."""
+        by = visitor.principal
+
+        def asked(session: Session) -> PlaybackView:
+            episode = asking.find_episode(session, by, place.submission_id, place.task, place.number)
+            return asking.playback_view(session, self.settings, asking.ask(session, self.settings, by, episode))
+
+        return await self._run(asked)
+
+    async def playback_file(self, visitor: Visitor, place: EpisodeAddress, file: PlaybackFile) -> bytes:
+        """Return a file of an episode's playback."""
+        where = (place.submission_id, place.task, place.number)
+        digest = await self._run(
+            lambda session: files.digest_of(session, asking.find_episode(session, visitor.principal, *where), file)
+        )
+        return await asyncio.to_thread(files.read, self.database, self.blobs, digest)
 
     async def cancel(self, visitor: Visitor, submission_id: UUID) -> None:
         """Cancel an evaluation."""

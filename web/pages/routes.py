@@ -10,6 +10,7 @@ from starlette.staticfiles import StaticFiles
 from ..headers import SecurityHeaders
 from ..rendering import STATIC
 from . import documentation, errors, operations, output, register, sandbox, sign_in, submissions, tracks, upload
+from .episodes import page as episodes
 
 if TYPE_CHECKING:
     from fastapi import FastAPI
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 
 UPLOADS = (("POST", upload.ADDRESS),)
 """Pages that take uploads, which have limits of their own."""
+EPISODE = "/submissions/{submission_id}/episodes/{task}/{number}"
 ONE_YEAR_S = 365 * 24 * 3600
 
 
@@ -59,6 +61,10 @@ def _router() -> APIRouter:
         ("/submissions/{submission_id}/events", submissions.events, "GET"),
         ("/submissions/{submission_id}/cancel", submissions.cancel, "POST"),
         ("/sandbox", sandbox.sandbox, "GET"),
+        (EPISODE, episodes.episode, "GET"),
+        (f"{EPISODE}/playback", episodes.playback, "GET"),
+        (f"{EPISODE}/playback", episodes.ask, "POST"),
+        (f"{EPISODE}/playback/{{file}}", episodes.playback_file, "GET"),
         ("/operations", operations.operations, "GET"),
         ("/register", register.register_form, "GET"),
         ("/register", register.register, "POST"),

@@ -17,7 +17,7 @@ from vitac.server.errors import not_found
 from ..rendering import render
 from ..session.forms import read_form
 from ..site import page, require_form_token, require_viewer, site_of, viewer_of
-from .episode_map import episode_map
+from .episodes.map import episode_map
 from .figures import episode_figures, history_figures
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from ..plots.figure import Figure
     from ..site import Viewer
-    from .episode_map import EpisodeMap
+    from .episodes.map import EpisodeMap
 
 POLL_S = 1.0  # period at which a running evaluation is read and its page updated
 
@@ -157,9 +157,9 @@ async def _values(request: Request, viewer: Viewer) -> dict[str, Any]:
 
 def task_part(found: SubmissionView, task: str, ends: Sequence[EpisodeView]) -> TaskPart:
     """Return the part of the page for one task of a submission."""
-    evaluation = found.evaluation
+    evaluation, folder = found.evaluation, f"/submissions/{found.id}/episodes/{task}"
     return TaskPart(
-        map=episode_map(found.track, task, {end.episode: end for end in ends if end.task == task}),
+        map=episode_map(found.track, task, {end.episode: end for end in ends if end.task == task}, folder=folder),
         progress=next(progress for progress in evaluation.progress.tasks if progress.task == task),
         score=next((score for score in evaluation.scores if score.task == task), None),
         rank=found.task_ranks.get(task),

@@ -10,9 +10,11 @@
 
   const show = (event) => {
     const scrolled = live.querySelector("pre.log")?.scrollTop;
+    const focused = live.contains(document.activeElement) ? document.activeElement.getAttribute("href") : null;
     live.innerHTML = event.data;
     const log = live.querySelector("pre.log");
     if (log !== null && scrolled !== undefined) log.scrollTop = scrolled;
+    if (focused !== null) live.querySelector(`a[href="${CSS.escape(focused)}"]`)?.focus();
     const state = live.querySelector("[data-state]")?.dataset.state ?? "";
     if (state !== live.dataset.state) {
       live.dataset.state = state;

@@ -10,6 +10,7 @@ from typing import Any
 from uuid import UUID, uuid5
 
 from fastapi import FastAPI
+from played_episodes import FixedPlaybacks
 from vitac.evaluator.agent.description import SandboxDescription
 from vitac.evaluator.logs.findings import VerificationResult
 from vitac.evaluator.scoring.ranking import CombinedScore, combine
@@ -20,6 +21,7 @@ from vitac.server.accounts.principals import Principal
 from vitac.server.api import problems
 from vitac.server.db.states import EvaluationState, Role, WorkerState
 from vitac.server.errors import ProblemCode, ServiceError, not_found
+from vitac.server.playbacks.files import PlaybackFile
 from vitac.server.queue.workers import Disk
 from vitac.server.settings import Registration, load_settings
 from vitac.server.submissions.upload import AnnouncedUpload
@@ -42,6 +44,7 @@ from vitac.server.views.leaderboards import (
 )
 from vitac.server.views.logs import ActionMatchView, DivergenceView, LogCopyView, LogView, MatchedEpisodeView
 from vitac.server.views.operations import CountsView, MachineWorkerView, OperationsView, QueueView, StorageView
+from vitac.server.views.playbacks import PlaybackView, ShownEpisodeView
 from vitac.server.views.scores import ShapeScoreView, TaskScoreView
 from vitac.server.views.submissions import (
     EpisodeOutputView,
@@ -52,7 +55,7 @@ from vitac.server.views.submissions import (
     SubmissionView,
 )
 from vitac.server.views.workers import WorkersView, WorkerView
-from vitac.web.data.protocol import LimitRow, RegisteredTeam, SubmissionDetail, Visitor
+from vitac.web.data.protocol import EpisodeAddress, LimitRow, RegisteredTeam, SubmissionDetail, Visitor
 from vitac.web.pages import routes
 from vitac.web.session.signer import SessionSigner
 from vitac.web.site import Site
@@ -482,7 +485,7 @@ def a_sandbox(**changes: Any) -> SandboxDescription:
 
 
 @dataclass(kw_only=True)
-class FixedData:
+class FixedData(FixedPlaybacks):
     """A service with fixed content; tokens are `token-of-<name>`. Implements `PageData`."""
 
     visitors: list[Visitor] = field(default_factory=list)
@@ -549,6 +552,18 @@ class FixedData:
         tasks = (await self.submission(visitor, submission_id)).submission.tasks
         later = [item for item in self.printed if item.task == (task or tasks[0]) and item.episode > after]
         return OutputView(items=later[:2], next_after=later[1].episode if len(later) > 2 else None)
+
+    async def episode(self, visitor: Visitor, place: EpisodeAddress) -> ShownEpisodeView:
+        await self.submission(visitor, place.submission_id)
+        return self.shown_at(place)
+
+    async def ask_for_playback(self, visitor: Visitor, place: EpisodeAddress) -> PlaybackView:
+        await self.submission(visitor, place.submission_id)
+        return self.ask_at(place)
+
+    async def playback_file(self, visitor: Visitor, place: EpisodeAddress, file: PlaybackFile) -> bytes:
+        await self.submission(visitor, place.submission_id)
+        return self.file_at(place, file)
 
     async def cancel(self, visitor: Visitor, submission_id: UUID) -> None:
         submission = (await self.submission(visitor, submission_id)).submission

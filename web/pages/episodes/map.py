@@ -1,6 +1,6 @@
 """Arranges the episodes of a task for its page: one map per shape, a column per start, a row per repeat.
 
-Called by `submissions`.
+Called by `pages.submissions`.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from markupsafe import Markup, escape
 from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.evaluator.tracks import load_track
 
-from ..rendering import words
+from ...rendering import words
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -27,21 +27,23 @@ CellState = Literal["success", "other", "waiting"]
 
 @dataclass(frozen=True, kw_only=True)
 class Cell:
-    """One episode in a map."""
+    """One episode in a map; `address` is that of its page, once it is finished."""
 
     column: int
     row: int
     state: CellState
     label: str
+    address: str | None = None
 
     @property
     def drawing(self) -> Markup:
         """The cell as SVG."""
         x, y, radius = 10 * self.column + 1, 10 * self.row + 1, 4 if self.state == "success" else 1
-        return Markup(  # noqa: S704 - numbers and a closed set; the label is escaped
-            f'<rect class="cell {self.state}" x="{x}" y="{y}" width="8" height="8" rx="{radius}">'
-            f"<title>{escape(self.label)}</title></rect>"
-        )
+        title = f"<title>{escape(self.label)}</title>"
+        rect = f'<rect class="cell {self.state}" x="{x}" y="{y}" width="8" height="8" rx="{radius}"'
+        if self.address is None:
+            return Markup(f"{rect}>{title}</rect>")  # noqa: S704 - numbers and a closed set; the label is escaped
+        return Markup(f'<a href="{escape(self.address)}">{title}{rect}/></a>')  # noqa: S704
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,6 +67,11 @@ class ShapeMap:
     def drawing(self) -> Markup:
         """Its cells as SVG; composed here because a template takes several times as long for so many."""
         return Markup("\n").join(cell.drawing for cell in self.cells)
+
+    @property
+    def is_linked(self) -> bool:
+        """Whether a cell of it leads somewhere."""
+        return any(cell.address is not None for cell in self.cells)
 
     @property
     def total(self) -> int:
@@ -102,19 +109,20 @@ class Place:
     label: str
 
 
-def episode_map(track: str, task: str, ends: Mapping[int, EpisodeView]) -> EpisodeMap:
+def episode_map(track: str, task: str, ends: Mapping[int, EpisodeView], *, folder: str) -> EpisodeMap:
     """Arrange the episodes of a task.
 
     Args:
         track: name of its track.
         task: its name.
         ends: finished episodes by number; the others are waiting.
+        folder: address below which each finished episode has a page.
     """
     return EpisodeMap(
         task=task,
         title=load_track(track).tasks[task].title,
         shapes=tuple(
-            ShapeMap(name=shape, cells=tuple(_cell(place, ends.get(place.number)) for place in places))
+            ShapeMap(name=shape, cells=tuple(_cell(place, ends.get(place.number), folder) for place in places))
             for shape, places in _layout(track, task).items()
         ),
         outcomes=dict(Counter(EpisodeOutcome(end.outcome) for end in ends.values()).most_common()),
@@ -142,9 +150,10 @@ def _places(shape: str, episodes: Sequence[Episode]) -> tuple[Place, ...]:
     return tuple(places)
 
 
-def _cell(place: Place, end: EpisodeView | None) -> Cell:
+def _cell(place: Place, end: EpisodeView | None, folder: str) -> Cell:
     if end is None:
         return Cell(column=place.column, row=place.row, state="waiting", label=f"{place.label}not run yet")
     state: CellState = "success" if end.success else "other"
     how = f"{words(end.outcome)} at env step {end.env_steps}. {EpisodeOutcome(end.outcome).sentence}"
-    return Cell(column=place.column, row=place.row, state=state, label=place.label + how)
+    address = f"{folder}/{place.number}"
+    return Cell(column=place.column, row=place.row, state=state, label=place.label + how, address=address)

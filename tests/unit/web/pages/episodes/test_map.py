@@ -2,8 +2,9 @@ import pytest
 from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.evaluator.tracks import load_track
 from vitac.server.views.submissions import EpisodeView
-from vitac.web.pages.episode_map import Cell, episode_map
+from vitac.web.pages.episodes.map import Cell, episode_map
 
+FOLDER = "/submissions/1/episodes/peg-insertion"
 TASK = load_track("track_1").tasks["peg-insertion"]
 
 
@@ -15,7 +16,7 @@ def an_end(number: int, outcome: EpisodeOutcome, env_steps: int = 3) -> EpisodeV
 
 
 def test_lays_starts_out_as_columns_and_repeats_as_rows() -> None:
-    laid_out = episode_map("track_1", "peg-insertion", {})
+    laid_out = episode_map("track_1", "peg-insertion", {}, folder=FOLDER)
     assert [shape.name for shape in laid_out.shapes] == ["cuboid", "trapezoid", "concave1"]
     for shape in laid_out.shapes:
         assert (shape.columns, shape.rows, shape.total) == (30, 3, 90)
@@ -23,13 +24,17 @@ def test_lays_starts_out_as_columns_and_repeats_as_rows() -> None:
 
 
 def test_every_episode_has_one_cell() -> None:
-    labels = [cell.label for shape in episode_map("track_1", "peg-insertion", {}).shapes for cell in shape.cells]
+    labels = [
+        cell.label
+        for shape in episode_map("track_1", "peg-insertion", {}, folder=FOLDER).shapes
+        for cell in shape.cells
+    ]
     numbers = sorted(int(label.removeprefix("Episode ").partition(",")[0]) for label in labels)
     assert numbers == list(range(1, len(TASK.episodes) + 1))
 
 
 def test_an_episode_that_has_not_run_waits() -> None:
-    shape = episode_map("track_1", "peg-insertion", {}).shapes[0]
+    shape = episode_map("track_1", "peg-insertion", {}, folder=FOLDER).shapes[0]
     assert {cell.state for cell in shape.cells} == {"waiting"}
     assert (shape.done, shape.successes) == (0, 0)
     assert shape.cells[0].label.endswith("not run yet")
@@ -37,7 +42,7 @@ def test_an_episode_that_has_not_run_waits() -> None:
 
 def test_shows_how_an_episode_ended() -> None:
     ends = {1: an_end(1, EpisodeOutcome.SUCCESS, 4), 2: an_end(2, EpisodeOutcome.TACTILE, 2)}
-    laid_out = episode_map("track_1", "peg-insertion", ends)
+    laid_out = episode_map("track_1", "peg-insertion", ends, folder=FOLDER)
     cells = {cell.label: cell.state for shape in laid_out.shapes for cell in shape.cells if cell.state != "waiting"}
     assert cells == {
         "Episode 1, start (-4, -4, -8): success at env step 4. The task was solved.": "success",
@@ -49,14 +54,27 @@ def test_shows_how_an_episode_ended() -> None:
 @pytest.mark.parametrize("outcome", list(EpisodeOutcome))
 def test_only_a_success_counts_as_success(outcome: EpisodeOutcome) -> None:
     ends = {episode.number: an_end(episode.number, outcome) for episode in TASK.episodes}
-    shapes = episode_map("track_1", "peg-insertion", ends).shapes
+    shapes = episode_map("track_1", "peg-insertion", ends, folder=FOLDER).shapes
     assert sum(shape.successes for shape in shapes) == (270 if outcome is EpisodeOutcome.SUCCESS else 0)
     assert sum(shape.done for shape in shapes) == 270
 
 
 def test_an_outcome_cannot_bring_markup_into_the_drawing() -> None:
-    shape = episode_map("track_1", "peg-insertion", {1: an_end(1, EpisodeOutcome.STEPS)}).shapes[0]
+    shape = episode_map("track_1", "peg-insertion", {1: an_end(1, EpisodeOutcome.STEPS)}, folder=FOLDER).shapes[0]
     hostile = Cell(column=0, row=0, state="other", label="<script>")
     assert shape.drawing.count("<rect") == 90
     assert "Episode 1, start (-4, -4, -8): steps at env step 3. All env steps were used up.</title>" in shape.drawing
+    assert "<script>" not in hostile.drawing
+
+
+def test_a_finished_episode_is_a_link_and_a_waiting_one_is_not() -> None:
+    ends = {1: an_end(1, EpisodeOutcome.SUCCESS)}
+    shape = episode_map("track_1", "peg-insertion", ends, folder=FOLDER).shapes[0]
+    assert shape.is_linked
+    assert shape.drawing.count("<a ") == 1
+    assert '<a href="/submissions/1/episodes/peg-insertion/1"><title>Episode 1, start' in shape.drawing
+
+
+def test_an_address_cannot_bring_markup_into_the_drawing() -> None:
+    hostile = Cell(column=0, row=0, state="other", label="x", address='"><script>')
     assert "<script>" not in hostile.drawing

@@ -1,0 +1,320 @@
+import io
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from axe_playwright_python.sync_playwright import Axe
+from page_fixtures import a_submission
+from PIL import Image
+from played_episodes import a_playback, a_shown_episode, guided
+from playwright.sync_api import Browser, Locator, Page, expect
+from real_browser import SOFTWARE_WEBGL, launched
+from site_under_test import SiteUnderTest
+from vitac.server.db.states import EvaluationState, PlaybackState
+from vitac.web.pages.episodes.page import player_script
+
+DESK = {"width": 1280, "height": 900}
+PHONE = {"width": 375, "height": 740}
+WCAG = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "best-practice"]
+PEG, LOCK, FUSION = "peg-insertion", "lock-opening", "fusion-insertion"
+NO_WEBGL = """
+    const { getContext } = HTMLCanvasElement.prototype;
+    HTMLCanvasElement.prototype.getContext = function (kind, ...rest) {
+      return kind.startsWith("webgl") ? null : getContext.call(this, kind, ...rest);
+    };
+"""
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    """A browser that renders WebGL in software."""
+    assert player_script() is not None, (
+        "The player is not built; ./vitac test builds it where npm's packages can be had."
+    )
+    with launched(*SOFTWARE_WEBGL) as browser:
+        yield browser
+
+
+@pytest.fixture
+def page(browser: Browser, site: SiteUnderTest) -> Iterator[Page]:
+    """A page of somebody who is signed in; it may complain of nothing."""
+    context = browser.new_context(viewport=DESK)  # type: ignore[arg-type]
+    page = context.new_page()
+    heard: list[str] = []
+    page.on("pageerror", lambda error: heard.append(str(error)))
+    page.on("console", lambda message: heard.append(message.text) if message.type == "error" else None)
+    site.sign_in(page)
+    yield page
+    assert heard == []
+    context.close()
+
+
+def made(site: SiteUnderTest, task: str = PEG, number: int = 5) -> str:
+    """Path of an episode with a playback of real physics."""
+    steps = len(guided(task, number).rewards)
+    playback = a_playback(has_cameras=task == FUSION, env_steps=steps)
+    shown = a_shown_episode(playback, task=task, number=number, env_steps=steps)
+    return site.data.show(submission_id(site), shown)
+
+
+def submission_id(site: SiteUnderTest) -> Any:
+    return next(found.id for found in site.data.found if found.name == "done")
+
+
+def open_player(site: SiteUnderTest, page: Page, path: str) -> None:
+    site.open(page, path)
+    expect(page.get_by_role("form", name="Playback")).to_be_visible()
+
+
+def colours(place: Locator) -> set[tuple[int, ...]]:
+    """Colours that fill a part of what is seen, to 16 levels."""
+    picture = Image.open(io.BytesIO(place.screenshot())).convert("RGB")
+    counted = picture.getcolors(picture.width * picture.height) or []
+    levels: dict[tuple[int, ...], int] = {}
+    for count, colour in counted:
+        assert isinstance(colour, tuple)
+        level = tuple(part // 16 for part in colour)
+        levels[level] = levels.get(level, 0) + count
+    return {level for level, count in levels.items() if count > 200}
+
+
+def violations(page: Page) -> list[str]:
+    found: dict[str, Any] = Axe().run(page, options={"runOnly": WCAG}).response
+    return [f"{rule['id']}: {node['html'][:200]}" for rule in found["violations"] for node in rule["nodes"]]
+
+
+def time_of(page: Page) -> float:
+    return float(page.get_by_label("Env step", exact=True).input_value())
+
+
+@pytest.mark.parametrize(("task", "number"), [(PEG, 5), (LOCK, 3), (FUSION, 7)])
+def test_an_episode_is_seen_in_3d_with_what_was_measured(
+    site: SiteUnderTest, page: Page, task: str, number: int
+) -> None:
+    open_player(site, page, made(site, task, number))
+    scene = page.locator("canvas.scene")
+    expect(page.locator("img.still")).to_have_count(0)
+    assert len(colours(scene)) > 8
+    expect(page.get_by_role("img", name="marker flow")).to_have_count(2)
+    expect(page.get_by_role("img", name="over the env steps")).to_have_count(4)
+    expect(page.get_by_role("img", name="camera")).to_have_count(2 if task == FUSION else 0)
+    assert violations(page) == []
+
+
+def test_cameras_show_colour_and_depth_of_the_env_step(site: SiteUnderTest, page: Page) -> None:
+    open_player(site, page, made(site, FUSION, 7))
+    for name in ("camera, colour", "camera, depth"):
+        picture = page.get_by_role("img", name=name)
+        first = picture.screenshot()
+        assert len(colours(picture)) > 4
+        page.keyboard.press("End")
+        assert picture.screenshot() != first
+        page.keyboard.press("Home")
+
+
+def test_scrubbing_moves_scene_flow_and_plots(site: SiteUnderTest, page: Page) -> None:
+    open_player(site, page, made(site))
+    scene, flow = page.locator("canvas.scene"), page.get_by_role("img", name="left sensor")
+    cursor = page.locator("line.cursor").first
+    before = scene.screenshot(), flow.screenshot(), cursor.get_attribute("x1")
+    page.get_by_label("Env step", exact=True).fill("2.5")
+    expect(page.get_by_label("Env step", exact=True)).to_have_attribute("aria-valuetext", "env step 2.5 of 3")
+    after = scene.screenshot(), flow.screenshot(), cursor.get_attribute("x1")
+    assert all(one != other for one, other in zip(before, after, strict=True))
+
+
+def test_playing_goes_to_the_end_at_the_chosen_speed_and_starts_again(site: SiteUnderTest, page: Page) -> None:
+    open_player(site, page, made(site))
+    page.get_by_label("Speed").select_option("4")
+    page.get_by_role("button", name="Play").click()
+    expect(page.get_by_role("button", name="Pause")).to_be_visible()
+    expect(page.get_by_role("button", name="Play")).to_be_visible(timeout=20_000)
+    assert time_of(page) == 3
+    page.get_by_role("button", name="Play").click()
+    page.get_by_role("button", name="Pause").click()
+    assert time_of(page) < 3
+
+
+def test_the_keyboard_plays_moves_and_turns(site: SiteUnderTest, page: Page) -> None:
+    open_player(site, page, made(site))
+    for key, time in (("ArrowRight", 1), ("ArrowRight", 2), ("ArrowLeft", 1), ("End", 3), ("Home", 0)):
+        page.keyboard.press(key)
+        assert time_of(page) == time, key
+    page.keyboard.press("Space")
+    expect(page.get_by_role("button", name="Pause")).to_be_visible()
+    page.keyboard.press("Space")
+    stopped = time_of(page)
+    scene = page.locator("canvas.scene")
+    scene.focus()
+    for key in ("ArrowLeft", "ArrowUp", "+"):
+        before = scene.screenshot()
+        page.keyboard.press(key)
+        assert scene.screenshot() != before, key
+    assert time_of(page) == stopped
+
+
+def test_the_pointer_turns_the_scene(site: SiteUnderTest, page: Page) -> None:
+    open_player(site, page, made(site))
+    scene = page.locator("canvas.scene")
+    before = scene.screenshot()
+    box = scene.bounding_box()
+    assert box is not None
+    page.mouse.move(box["x"] + 100, box["y"] + 100)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 250, box["y"] + 120, steps=4)
+    page.mouse.up()
+    assert scene.screenshot() != before
+
+
+def test_gels_are_coloured_by_displacement_or_contact_pressure(site: SiteUnderTest, page: Page) -> None:
+    open_player(site, page, made(site))
+    page.keyboard.press("End")
+    expect(page.get_by_text("Displacement: 0 to")).to_contain_text("mm")
+    before = colours(page.locator("canvas.scene"))
+    page.get_by_label("Gels").select_option("pressure")
+    expect(page.get_by_text("Contact pressure: 0 to")).to_contain_text("kPa")
+    assert colours(page.locator("canvas.scene")) != before
+
+
+def test_the_fixed_part_is_shown_whole_or_cut_open(site: SiteUnderTest, page: Page) -> None:
+    open_player(site, page, made(site))
+    before = page.locator("canvas.scene").screenshot()
+    page.get_by_label("Cut open").uncheck()
+    assert page.locator("canvas.scene").screenshot() != before
+
+
+def test_values_stand_in_a_table_too(site: SiteUnderTest, page: Page) -> None:
+    open_player(site, page, made(site))
+    page.get_by_text("Values of every env step").click()
+    expect(page.get_by_role("columnheader")).to_have_text(
+        ["Env step", "x", "y", "theta", "Reward", "Left [mm]", "Right [mm]"]
+    )
+    expect(page.get_by_role("rowheader")).to_have_text(["1", "2", "3"])
+    assert violations(page) == []
+
+
+def test_two_episodes_play_side_by_side(site: SiteUnderTest, page: Page) -> None:
+    made(site, PEG, 6)
+    open_player(site, page, made(site))
+    page.get_by_label("Show beside").fill("6")
+    page.get_by_role("button", name="Show").click()
+    expect(page.locator("canvas.scene")).to_have_count(2)
+    expect(page.get_by_role("form", name="Playback")).to_be_visible()
+    left, right = page.locator(".player").all()
+    first, second = (player.bounding_box() for player in (left, right))
+    assert first is not None
+    assert second is not None
+    assert second["x"] > first["x"] + first["width"] - 1
+    before = [player.locator("canvas.scene").screenshot() for player in (left, right)]
+    page.keyboard.press("End")
+    after = [player.locator("canvas.scene").screenshot() for player in (left, right)]
+    assert all(one != other for one, other in zip(before, after, strict=True))
+    expect(left.get_by_text("Displacement: 0 to")).to_have_text(right.get_by_text("Displacement: 0 to").inner_text())
+    assert violations(page) == []
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_an_episode_fits_a_phone(browser: Browser, site: SiteUnderTest, scheme: Any) -> None:
+    context = browser.new_context(viewport=PHONE, color_scheme=scheme)  # type: ignore[arg-type]
+    page = context.new_page()
+    site.sign_in(page)
+    open_player(site, page, made(site, FUSION, 7))
+    assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
+    assert violations(page) == []
+    context.close()
+
+
+def test_a_browser_without_webgl_shows_the_still_and_the_plots(site: SiteUnderTest, page: Page) -> None:
+    page.add_init_script(NO_WEBGL)
+    site.open(page, made(site))
+    expect(page.get_by_text("This browser shows no WebGL")).to_be_visible()
+    expect(page.locator("img.still")).to_be_visible()
+    expect(page.locator("canvas.scene")).to_be_hidden()
+    expect(page.get_by_role("img", name="over the env steps")).to_have_count(4)
+    page.keyboard.press("End")
+    assert time_of(page) == 3
+
+
+def test_without_javascript_there_is_the_still_and_a_button_to_ask(browser: Browser, site: SiteUnderTest) -> None:
+    context = browser.new_context(java_script_enabled=False)
+    page = context.new_page()
+    site.sign_in(page)
+    site.open(page, made(site))
+    expect(page.locator("img.still")).to_be_visible()
+    expect(page.locator("canvas.scene")).to_be_hidden()
+    site.open(page, site.data.show(submission_id(site), a_shown_episode(None, number=9)))
+    page.get_by_role("button", name="Make the playback").click()
+    expect(page.get_by_text("Waiting: 2 shards and playbacks come first")).to_be_visible()
+    assert len(site.data.asked) == 1
+    context.close()
+
+
+def test_a_page_asks_by_itself_shows_progress_and_then_plays(site: SiteUnderTest, page: Page) -> None:
+    path = site.data.show(submission_id(site), a_shown_episode(None))
+    place = next(iter(site.data.episodes))
+    site.open(page, path)
+    expect(page.get_by_text("Waiting: 2 shards and playbacks come first")).to_be_visible()
+    assert site.data.asked == [place]
+    running = a_playback(PlaybackState.RUNNING, env_steps_played=2)
+    site.data.episodes[place] = a_shown_episode(running)
+    expect(page.get_by_text("Being made: env step 2 of 3.")).to_be_visible()
+    expect(page.get_by_role("progressbar")).to_have_attribute("value", "2")
+    assert violations(page) == []
+    made(site)
+    expect(page.get_by_role("form", name="Playback")).to_be_visible()
+
+
+def test_a_failed_playback_says_so(site: SiteUnderTest, page: Page) -> None:
+    path = site.data.show(submission_id(site), a_shown_episode(None))
+    site.open(page, path)
+    expect(page.get_by_text("Waiting: 2")).to_be_visible()
+    site.data.episodes[next(iter(site.data.episodes))] = a_shown_episode(a_playback(PlaybackState.FAILED))
+    expect(page.get_by_text("There is no playback of this episode. The states differ.")).to_be_visible()
+    assert violations(page) == []
+
+
+def test_one_playback_too_many_is_said(browser: Browser, site: SiteUnderTest) -> None:
+    context = browser.new_context()
+    page = context.new_page()
+    site.sign_in(page)
+    site.data.refuses_playbacks = True
+    site.open(page, site.data.show(submission_id(site), a_shown_episode(None)))
+    expect(page.get_by_text("At most 4 playbacks are possible.")).to_be_visible()
+    context.close()
+
+
+def test_a_cell_of_the_map_leads_to_its_episode(site: SiteUnderTest, page: Page) -> None:
+    path = made(site)
+    site.open(page, f"/submissions/{submission_id(site)}")
+    assert violations(page) == []
+    page.locator(f'svg.map a[href="{path}"]').click()
+    expect(page.get_by_role("heading", level=1)).to_have_text("Peg insertion, episode 5")
+
+
+def test_the_keyboard_moves_in_a_map_by_arrows_and_leaves_it_by_tab(site: SiteUnderTest, page: Page) -> None:
+    site.open(page, f"/submissions/{submission_id(site)}")
+    first = page.locator("svg.map").first.locator("a").first
+    first.focus()
+    start = first.get_attribute("href")
+    focused = "document.activeElement.getAttribute('href')"
+    page.keyboard.press("ArrowRight")
+    right = page.evaluate(focused)
+    assert right not in {start, None}
+    page.keyboard.press("ArrowDown")
+    assert page.evaluate(focused) not in {start, right}
+    page.keyboard.press("ArrowUp")
+    assert page.evaluate(focused) == right
+    page.keyboard.press("Tab")
+    second = page.locator("svg.map").nth(1)
+    assert second.evaluate("map => map.contains(document.activeElement)")
+
+
+def test_focus_in_a_map_outlives_an_update(site: SiteUnderTest, page: Page) -> None:
+    site.open(page, site.path_of("runs"))
+    link = page.locator("svg.map a").first
+    link.focus()
+    href = link.get_attribute("href")
+    more = a_submission("Gelbots", EvaluationState.RUNNING, name="runs", done=150)
+    site.data.found[:] = [more if found.name == "runs" else found for found in site.data.found]
+    expect(page.get_by_text("150 of 270")).to_be_visible()
+    assert page.evaluate("document.activeElement.getAttribute('href')") == href

@@ -1,0 +1,193 @@
+import pytest
+from asgi_browser import AsgiBrowser
+from page_fixtures import TASK, FixedData, an_id
+from played_episodes import KEY, a_playback, a_shown_episode
+from visits import COMPLETED, QUEUED, form_token, sign_in
+from vitac.server.db.states import PlaybackState
+from vitac.web.data.protocol import EpisodeAddress
+from vitac.web.pages.episodes import page
+from vitac.web.pages.episodes.page import progress
+
+JSON = {"accept": "application/json"}
+
+
+@pytest.fixture
+def visitor(browser: AsgiBrowser) -> AsgiBrowser:
+    sign_in(browser, "Gelbots")
+    return browser
+
+
+@pytest.fixture(autouse=True)
+def built_player(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A server with the player, whether or not it is built here."""
+    monkeypatch.setattr(page, "player_script", lambda: "live.js")
+
+
+def show(data: FixedData, state: PlaybackState | None, number: int = 5) -> str:
+    playback = None if state is None else a_playback(state)
+    return data.show(COMPLETED.id, a_shown_episode(playback, number=number))
+
+
+def test_a_made_playback_is_played_with_the_still_for_those_who_cannot(data: FixedData, visitor: AsgiBrowser) -> None:
+    path = show(data, PlaybackState.MADE)
+    html = visitor.get(path).text
+    assert f'data-playback="{path}/playback" data-state="made" data-version="{KEY}"' in html
+    assert f'src="{path}/playback/still?v={KEY}"' in html
+    assert "trapezoid from (-4, -2, 2)" in html
+    assert "The task was solved." in html
+    assert "data-cameras" not in html
+    assert "Make the playback" not in html
+
+
+def test_a_playback_with_cameras_says_so(data: FixedData, visitor: AsgiBrowser) -> None:
+    path = show(data, PlaybackState.MADE)
+    place = next(iter(data.episodes))
+    data.episodes[place] = a_shown_episode(a_playback(has_cameras=True))
+    assert "data-cameras" in visitor.get(path).text
+
+
+def test_without_a_still_the_page_says_what_the_worker_lacks(data: FixedData, visitor: AsgiBrowser) -> None:
+    path = show(data, PlaybackState.MADE)
+    data.episodes[next(iter(data.episodes))] = a_shown_episode(a_playback(has_still=False))
+    html = visitor.get(path).text
+    assert "could not draw a still picture" in html
+    assert "<img" not in html.partition('class="player"')[2]
+
+
+def test_looking_computes_nothing_and_offers_to(data: FixedData, visitor: AsgiBrowser) -> None:
+    html = visitor.get(show(data, None)).text
+    assert "Make the playback" in html
+    assert 'data-state=""' in html
+    assert data.asked == []
+
+
+def test_asking_needs_the_sessions_form_token(data: FixedData, visitor: AsgiBrowser) -> None:
+    path = f"{show(data, None)}/playback"
+    assert visitor.post(path, data={"form_token": "00"}).status_code == 403
+    assert data.asked == []
+    answer = visitor.post(path, data={"form_token": form_token(visitor)})
+    assert answer.status_code == 303
+    assert data.asked == [EpisodeAddress(submission_id=COMPLETED.id, task=TASK, number=5)]
+
+
+@pytest.mark.parametrize(
+    ("beside", "kept"), [("7", "?beside=7"), (f"{COMPLETED.id}:7", f"?beside={COMPLETED.id}:7"), ("7&x=//evil", "")]
+)
+def test_asking_comes_back_to_both_episodes(data: FixedData, visitor: AsgiBrowser, beside: str, kept: str) -> None:
+    path = show(data, None)
+    answer = visitor.post(f"{path}/playback", data={"form_token": form_token(visitor), "beside": beside})
+    assert answer.headers["location"] == f"{path}{kept}"
+
+
+def test_the_script_asks_and_follows_by_json(data: FixedData, visitor: AsgiBrowser) -> None:
+    path = f"{show(data, None)}/playback"
+    assert visitor.get(path, headers=JSON).status_code == 404
+    asked = visitor.post(path, data={"form_token": form_token(visitor)}, headers=JSON).json()
+    assert asked["state"] == "queued"
+    assert asked["text"].startswith("Waiting: 2 shards and playbacks come first")
+    assert visitor.get(path, headers=JSON).json() == asked
+
+
+def test_one_playback_too_many_is_refused_with_the_reason(data: FixedData, visitor: AsgiBrowser) -> None:
+    path = f"{show(data, None)}/playback"
+    data.refuses_playbacks = True
+    answer = visitor.post(path, data={"form_token": form_token(visitor)})
+    assert answer.status_code == 429
+    assert "At most 4 playbacks are possible." in answer.text
+
+
+@pytest.mark.parametrize("state", [PlaybackState.QUEUED, PlaybackState.RUNNING])
+def test_a_page_that_waits_reloads_itself_without_javascript(
+    data: FixedData, visitor: AsgiBrowser, state: PlaybackState, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = show(data, state)
+    refresh = '<meta http-equiv="refresh" content="3">'
+    assert f"<noscript>{refresh}</noscript>" in visitor.get(path).text
+    monkeypatch.setattr(page, "player_script", lambda: None)
+    html = visitor.get(path).text
+    assert refresh in html
+    assert f"<noscript>{refresh}</noscript>" not in html
+    assert "The 3D player is not installed on this server" in html
+
+
+def test_a_failed_playback_says_why(data: FixedData, visitor: AsgiBrowser) -> None:
+    html = visitor.get(show(data, PlaybackState.FAILED)).text
+    assert "There is no playback of this episode. The states differ." in html
+    assert "http-equiv" not in html
+
+
+def test_progress_says_what_comes_first_and_how_far_it_is() -> None:
+    assert progress(a_playback(PlaybackState.QUEUED, waits_for=0)) == "Waiting for a worker."
+    assert progress(a_playback(PlaybackState.QUEUED, workers=0)) == "Waiting: no worker is running."
+    assert progress(a_playback(PlaybackState.RUNNING, env_steps_played=2)) == "Being made: env step 2 of 3."
+    assert progress(a_playback(PlaybackState.MADE)) == ""
+
+
+def test_two_episodes_stand_side_by_side(data: FixedData, visitor: AsgiBrowser) -> None:
+    path = show(data, PlaybackState.MADE)
+    other = show(data, PlaybackState.MADE, number=6)
+    for beside in ("6", f"{COMPLETED.id}:6"):
+        html = visitor.get(f"{path}?beside={beside}").text
+        assert f'data-playback="{path}/playback"' in html
+        assert f'data-playback="{other}/playback"' in html
+    assert html.count('class="player"') == 2
+
+
+@pytest.mark.parametrize("beside", ["six", "-6", "6 7", "x:6", ":", "99999999"])
+def test_what_names_no_episode_is_refused(data: FixedData, visitor: AsgiBrowser, beside: str) -> None:
+    answer = visitor.get(f"{show(data, PlaybackState.MADE)}?beside={beside}")
+    assert answer.status_code == 400
+    assert "Expected an episode as NUMBER" in answer.text
+
+
+def test_the_ends_of_the_list_have_one_neighbour(data: FixedData, visitor: AsgiBrowser) -> None:
+    for number, shown, gone in ((1, "Next episode", "Previous episode"), (270, "Previous episode", "Next episode")):
+        html = visitor.get(show(data, None, number)).text
+        assert shown in html
+        assert gone not in html
+
+
+def test_foreign_missing_and_malformed_episodes_look_alike(data: FixedData, visitor: AsgiBrowser) -> None:
+    foreign = data.show(QUEUED.id, a_shown_episode(a_playback()))
+    folder = f"/submissions/{COMPLETED.id}/episodes"
+    for path in (
+        foreign,
+        f"/submissions/{an_id('nobody')}/episodes/{TASK}/5",
+        f"/submissions/not-an-id/episodes/{TASK}/5",
+        f"{folder}/{TASK}/6",
+        f"{folder}/no-task/5",
+        f"{folder}/{TASK}/five",
+        f"{folder}/{TASK}/99999999999",
+        f"{folder}/{TASK}/٥",
+    ):
+        assert visitor.get(path).status_code == 404, path
+        assert visitor.get(f"{path}/playback/scene").status_code == 404, path
+        assert visitor.post(f"{path}/playback", data={"form_token": form_token(visitor)}).status_code == 404, path
+
+
+@pytest.mark.parametrize("below", ["", "/playback", "/playback/scene"])
+def test_who_is_not_signed_in_is_asked_to(data: FixedData, browser: AsgiBrowser, below: str) -> None:
+    answer = browser.get(show(data, PlaybackState.MADE) + below)
+    assert answer.status_code == 303
+    assert answer.headers["location"].startswith("/sign-in?next=")
+
+
+def test_files_are_kept_by_the_browser_under_their_key_only(data: FixedData, visitor: AsgiBrowser) -> None:
+    folder = f"{show(data, PlaybackState.MADE)}/playback"
+    scene = visitor.get(f"{folder}/scene?v={KEY}")
+    assert scene.content.startswith(b"VITACPB1")  # unpacked on the way, as a browser does
+    assert scene.headers["cache-control"] == "private, max-age=31536000, immutable"
+    still = visitor.get(f"{folder}/still")
+    assert still.headers["content-type"] == "image/png"
+    assert still.headers["cache-control"] == "no-cache"
+
+
+@pytest.mark.parametrize("file", ["cameras", "other", "..%2F..%2Fkey"])
+def test_a_file_that_is_not_there_is_not_found(data: FixedData, visitor: AsgiBrowser, file: str) -> None:
+    assert visitor.get(f"{show(data, PlaybackState.MADE)}/playback/{file}").status_code == 404
+
+
+def test_every_finished_episode_of_a_submission_is_a_link(data: FixedData, visitor: AsgiBrowser) -> None:
+    html = visitor.get(f"/submissions/{COMPLETED.id}").text
+    assert html.count(f'<a href="/submissions/{COMPLETED.id}/episodes/{TASK}/') == 270
+    assert f'<a href="/submissions/{COMPLETED.id}/episodes/{TASK}/270">' in html

@@ -1,0 +1,120 @@
+// Actions, reward, surface motion and deciding heights over the env steps, and a table of the same numbers.
+
+import { drawn, element } from "./elements.js";
+
+const WIDTH = 300;
+const HEIGHT = 130;
+const COLOURS = 6;
+const BOX = { left: 40, right: 292, top: 22, bottom: 106 };
+
+export class Plots {
+  constructor(parent, episode) {
+    this.episode = episode;
+    this.cursors = [];
+    for (const series of allSeries(episode)) parent.append(this.#plot(series));
+    parent.append(table(episode));
+  }
+
+  show(time) {
+    const x = this.#x(Math.min(time, this.episode.lastStep));
+    for (const cursor of this.cursors) {
+      cursor.setAttribute("x1", x);
+      cursor.setAttribute("x2", x);
+    }
+  }
+
+  #x(step) {
+    return BOX.left + (BOX.right - BOX.left) * (step / Math.max(1, this.episode.lastStep));
+  }
+
+  #plot({ title, lines, first, goal }) {
+    const kind = (at) => `line-${at % COLOURS}`;
+    const values = lines.flatMap((line) => line.values).concat([0], goal === undefined ? [] : [goal]);
+    const [low, high] = [Math.min(...values), Math.max(...values)];
+    const reach = high - low || 1;
+    const y = (value) => BOX.bottom - (BOX.bottom - BOX.top) * ((value - low) / reach);
+    const cursor = drawn("line", { class: "cursor", x1: BOX.left, x2: BOX.left, y1: BOX.top, y2: BOX.bottom });
+    this.cursors.push(cursor);
+    const label = (x, at, text, anchor) => drawn("text", { x, y: at, "text-anchor": anchor }, text);
+    const key = lines.length > 1 ? lines.map((line, at) => drawn("tspan", { class: kind(at), dx: 8 }, line.name)) : [];
+    const svg = drawn(
+      "svg",
+      { viewBox: `0 0 ${WIDTH} ${HEIGHT}`, role: "img", "aria-label": `${title} over the env steps` },
+      drawn("text", { class: "plot-title", x: 2, y: 12 }, title, ...key),
+      drawn("line", { class: "axis", x1: BOX.left, x2: BOX.right, y1: y(0), y2: y(0) }),
+      label(BOX.left - 4, y(high) + 4, short(high), "end"),
+      label(BOX.left - 4, y(low) + 4, short(low), "end"),
+      label(BOX.left, HEIGHT - 8, "0", "middle"),
+      label(BOX.right, HEIGHT - 8, `${this.episode.lastStep}`, "end"),
+      label(0.5 * (BOX.left + BOX.right), HEIGHT - 8, "env step", "middle"),
+    );
+    if (goal !== undefined) svg.append(drawn("line", { class: "goal", x1: BOX.left, x2: BOX.right, y1: y(goal), y2: y(goal) }));
+    lines.forEach((line, at) => {
+      const points = line.values.map((value, index) => `${this.#x(first + index).toFixed(1)},${y(value).toFixed(1)}`);
+      svg.append(drawn("polyline", { class: kind(at), points: points.join(" ") }));
+      if (points.length === 1) {
+        const [cx, cy] = points[0].split(",");
+        svg.append(drawn("circle", { class: kind(at), cx, cy, r: 2.5 }));
+      }
+    });
+    svg.append(cursor);
+    return element("div", { class: "plot" }, svg);
+  }
+}
+
+/** What is plotted; `first` is the env step of a line's first value. */
+function allSeries({ header, arrays }) {
+  const series = [
+    { title: "Action", first: 1, lines: columns(arrays.action_values, header.actions.map((action) => action.name)) },
+    { title: "Reward", first: 1, lines: [{ name: "reward", values: Array.from(arrays.rewards.values) }] },
+    { title: "Surface motion [mm]", first: 0, lines: columns(arrays.surface_motions_mm, ["left", "right"]) },
+  ];
+  if (arrays.heights_mm) {
+    const names = Array.from({ length: arrays.heights_mm.shape[1] }, (_, at) => `${at + 1}`);
+    const lines = columns(arrays.heights_mm, names);
+    series.push({ title: capital(header.heights_title), first: 0, lines, goal: header.heights_goal_mm });
+  }
+  return series;
+}
+
+function columns({ values, shape }, names) {
+  return names.map((name, column) => ({
+    name,
+    values: Array.from({ length: shape[0] }, (_, row) => values[row * shape[1] + column]),
+  }));
+}
+
+function table({ header, arrays, lastStep }) {
+  const heading = ["Env step", ...header.actions.map((action) => action.name), "Reward", "Left [mm]", "Right [mm]"];
+  const actions = columns(arrays.action_values, header.actions.map((action) => action.name));
+  const motions = columns(arrays.surface_motions_mm, ["left", "right"]);
+  const rows = Array.from({ length: lastStep }, (_, at) =>
+    element(
+      "tr",
+      {},
+      element("th", { scope: "row" }, `${at + 1}`),
+      ...actions.map((action) => element("td", {}, short(action.values[at]))),
+      element("td", {}, short(arrays.rewards.values[at])),
+      ...motions.map((motion) => element("td", {}, short(motion.values[at + 1]))),
+    ),
+  );
+  const head = element("thead", {}, element("tr", {}, ...heading.map((text) => element("th", { scope: "col" }, text))));
+  return element(
+    "details",
+    { class: "values" },
+    element("summary", {}, "Values of every env step"),
+    element(
+      "div",
+      { class: "scroll", tabindex: "0", role: "region", "aria-label": "Values of every env step" },
+      element("table", {}, head, element("tbody", {}, ...rows)),
+    ),
+  );
+}
+
+function short(value) {
+  return Number(value.toPrecision(3)).toString().replace("-", "−");
+}
+
+function capital(text) {
+  return text[0].toUpperCase() + text.slice(1);
+}

@@ -1,0 +1,75 @@
+// The controls that all players of a page share: time, speed, colours, and the keyboard.
+
+const EDITED = "input, select, textarea, button, summary, a, canvas";
+
+export class Transport {
+  /** `form` holds the controls; `show(time, options)` draws. */
+  constructor(form, length, show) {
+    this.form = form;
+    this.length = length;
+    this.draw = show;
+    this.time = 0;
+    this.isPlaying = false;
+    this.isLooping = "loop" in form.dataset;
+    this.lastFrame = undefined;
+    const { time, play, back, forward } = form.elements;
+    time.max = length;
+    time.addEventListener("input", () => this.moveTo(Number(time.value)));
+    play.addEventListener("click", () => this.toggle());
+    back.addEventListener("click", () => this.moveTo(Math.ceil(this.time - 1e-6) - 1));
+    forward.addEventListener("click", () => this.moveTo(Math.floor(this.time + 1e-6) + 1));
+    for (const name of ["quantity", "cut"]) form.elements[name].addEventListener("change", () => this.#show());
+    form.addEventListener("submit", (event) => event.preventDefault());
+    document.addEventListener("keydown", (event) => this.#byKey(event));
+    form.hidden = false;
+    this.#show();
+    if ("autoplay" in form.dataset && !matchMedia("(prefers-reduced-motion: reduce)").matches) this.toggle();
+  }
+
+  moveTo(time) {
+    this.time = Math.min(this.length, Math.max(0, time));
+    this.#show();
+  }
+
+  toggle() {
+    this.isPlaying = !this.isPlaying;
+    if (this.isPlaying && this.time >= this.length) this.time = 0;
+    this.form.elements.play.textContent = this.isPlaying ? "Pause" : "Play";
+    this.lastFrame = undefined;
+    if (this.isPlaying) requestAnimationFrame((now) => this.#frame(now));
+  }
+
+  #frame(now) {
+    if (!this.isPlaying) return;
+    const passed = this.lastFrame === undefined ? 0 : (now - this.lastFrame) / 1000;
+    this.lastFrame = now;
+    let time = this.time + passed * Number(this.form.elements.speed.value);
+    if (time >= this.length && this.isLooping) time = 0;
+    this.moveTo(time);
+    if (this.time >= this.length) this.toggle();
+    else requestAnimationFrame((next) => this.#frame(next));
+  }
+
+  #byKey(event) {
+    if (event.ctrlKey || event.metaKey || event.altKey || event.target.closest(EDITED)) return;
+    const moves = {
+      " ": () => this.toggle(),
+      ArrowLeft: () => this.form.elements.back.click(),
+      ArrowRight: () => this.form.elements.forward.click(),
+      Home: () => this.moveTo(0),
+      End: () => this.moveTo(this.length),
+    };
+    if (event.key in moves) {
+      event.preventDefault();
+      moves[event.key]();
+    }
+  }
+
+  #show() {
+    const { time, quantity, cut } = this.form.elements;
+    time.value = this.time;
+    time.setAttribute("aria-valuetext", `env step ${this.time.toFixed(1)} of ${this.length}`);
+    this.form.querySelector("output").textContent = `${this.time.toFixed(1)} of ${this.length}`;
+    this.draw(this.time, { quantity: quantity.value, isCutOpen: cut.checked });
+  }
+}

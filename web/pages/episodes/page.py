@@ -1,0 +1,207 @@
+"""The page of one episode, or of two side by side, played from its playback; asking for it; its files."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from http import HTTPStatus
+from typing import TYPE_CHECKING
+
+from starlette.exceptions import HTTPException
+from starlette.responses import JSONResponse, RedirectResponse, Response
+from vitac.evaluator.tracks import load_track
+from vitac.server.db.states import OPEN_PLAYBACK_STATES, PlaybackState
+from vitac.server.errors import ServiceError
+from vitac.server.playbacks.files import PlaybackFile
+
+from ...data.protocol import EpisodeAddress
+from ...rendering import STATIC, words
+from ...session.forms import read_form
+from ...site import page, require_form_token, require_viewer, site_of
+from ..submissions import as_id
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+    from vitac.evaluator.tracks import Task
+    from vitac.server.views.playbacks import PlaybackView, ShownEpisodeView
+
+    from ...site import Viewer
+
+PLAYER = "playback.js"
+ONE_YEAR_S = 365 * 24 * 3600
+_PLACES = "Expected an episode as NUMBER, or SUBMISSION:NUMBER for one of another submission, got {!r:.60}."
+
+
+@dataclass(frozen=True, kw_only=True)
+class Player:
+    """An episode on its page.
+
+    Attributes:
+        address: of its page.
+        shown: the episode.
+    """
+
+    address: str
+    shown: ShownEpisodeView
+
+    @property
+    def state(self) -> str:
+        """State of its playback, empty as long as nobody has asked for it."""
+        return "" if self.shown.playback is None else self.shown.playback.state.value
+
+    @property
+    def heading(self) -> str:
+        """How the episode is called above its player."""
+        start = ", ".join(f"{value:g}" for value in self.shown.initial_offset)
+        return f"{self.shown.submission_name}, episode {self.shown.episode}: {words(self.shown.shape)} from ({start})"
+
+    @property
+    def text(self) -> str:
+        """What is said of a playback that is not there, or not yet."""
+        return "" if self.shown.playback is None else progress(self.shown.playback)
+
+
+async def episode(request: Request) -> Response:
+    """Show an episode, beside another one if the address names one; nothing is computed by looking."""
+    viewer = await require_viewer(request)
+    if isinstance(viewer, Response):
+        return viewer
+    place = _place(request)
+    players = [await _player(request, viewer, place)]
+    beside = request.query_params.get("beside", "").strip()
+    if beside:
+        players.append(await _player(request, viewer, _beside(place, beside)))
+    task = load_track(players[0].shown.track).tasks[place.task]
+    return page(
+        request,
+        "episode.html",
+        viewer=viewer,
+        section="/submissions",
+        players=players,
+        beside=beside,
+        title=f"{task.title}, episode {place.number}",
+        neighbours=_neighbours(place, task),
+        episodes=len(task.episodes),
+        player_script=player_script(),
+        waits=any(player.shown.playback and player.shown.playback.state in OPEN_PLAYBACK_STATES for player in players),
+    )
+
+
+async def ask(request: Request) -> Response:
+    """Ask for the playback of an episode."""
+    viewer = await require_viewer(request)
+    if isinstance(viewer, Response):
+        return viewer
+    fields = await read_form(request)
+    require_form_token(request, fields, viewer)
+    place = _place(request)
+    asked = await site_of(request).data.ask_for_playback(viewer.visitor, place)
+    if "text/html" not in request.headers.get("accept", ""):
+        return _state(asked)
+    beside = fields.get("beside", "")
+    return RedirectResponse(f"{_address(place)}?beside={beside}" if _is_place(beside) else _address(place), 303)
+
+
+async def playback(request: Request) -> Response:
+    """Answer how far a playback is, as JSON, for the page's script."""
+    viewer = await require_viewer(request)
+    if isinstance(viewer, Response):
+        return viewer
+    shown = await site_of(request).data.episode(viewer.visitor, _place(request))
+    if shown.playback is None:
+        raise HTTPException(404)
+    return _state(shown.playback)
+
+
+async def playback_file(request: Request) -> Response:
+    """Answer with a file of a playback; under its key it never changes."""
+    viewer = await require_viewer(request)
+    if isinstance(viewer, Response):
+        return viewer
+    try:
+        file = PlaybackFile(request.path_params["file"])
+    except ValueError as error:
+        raise HTTPException(404) from error
+    content = await site_of(request).data.playback_file(viewer.visitor, _place(request), file)
+    is_named = "v" in request.query_params
+    headers = {
+        "Cache-Control": f"private, max-age={ONE_YEAR_S}, immutable" if is_named else "no-cache",
+        "Vary": "Cookie",
+    }
+    if file is PlaybackFile.STILL:
+        return Response(content, media_type="image/png", headers=headers)
+    headers["Content-Encoding"] = "gzip"  # As it is stored; the browser unpacks it.
+    return Response(content, media_type="application/octet-stream", headers=headers)
+
+
+def progress(playback: PlaybackView) -> str:
+    """Return in a sentence where a playback is."""
+    if playback.state is PlaybackState.FAILED:
+        return f"There is no playback of this episode. {playback.problem}"
+    if playback.state is PlaybackState.RUNNING:
+        return f"Being made: env step {playback.env_steps_played} of {playback.env_steps}."
+    if playback.state is PlaybackState.MADE:
+        return ""
+    if playback.workers == 0:
+        return "Waiting: no worker is running."
+    if playback.waits_for:
+        return f"Waiting: {playback.waits_for} shards and playbacks come first, as evaluations go before playbacks."
+    return "Waiting for a worker."
+
+
+@cache
+def player_script() -> str | None:
+    """Return the name of the player's script; None where the set-up could not build it."""
+    return PLAYER if (STATIC / PLAYER).is_file() else None
+
+
+async def _player(request: Request, viewer: Viewer, place: EpisodeAddress) -> Player:
+    return Player(address=_address(place), shown=await site_of(request).data.episode(viewer.visitor, place))
+
+
+def _state(found: PlaybackView) -> JSONResponse:
+    return JSONResponse(
+        found.model_dump(mode="json", include={"state", "env_steps", "env_steps_played"}) | {"text": progress(found)},
+        status_code=HTTPStatus.OK,
+        headers={"Cache-Control": "no-store"},
+    )
+
+
+def _place(request: Request) -> EpisodeAddress:
+    values = request.path_params
+    if not _is_number(values["number"]):
+        raise HTTPException(404)
+    submission_id = as_id(values["submission_id"])
+    return EpisodeAddress(submission_id=submission_id, task=values["task"], number=int(values["number"]))
+
+
+def _beside(place: EpisodeAddress, text: str) -> EpisodeAddress:
+    """Return the episode that is to be shown beside another one; of its task, and of its submission by default."""
+    submission, _, number = text.rpartition(":")
+    if not _is_place(text):
+        raise HTTPException(400, _PLACES.format(text))
+    submission_id = as_id(submission) if submission else place.submission_id
+    return EpisodeAddress(submission_id=submission_id, task=place.task, number=int(number))
+
+
+def _is_place(text: str) -> bool:
+    submission, _, number = text.rpartition(":")
+    try:
+        return _is_number(number) and (not submission or bool(as_id(submission)))
+    except ServiceError:
+        return False
+
+
+def _is_number(text: str) -> bool:
+    return text.isascii() and text.isdigit() and len(text) < 8
+
+
+def _address(place: EpisodeAddress) -> str:
+    return f"/submissions/{place.submission_id}/episodes/{place.task}/{place.number}"
+
+
+def _neighbours(place: EpisodeAddress, task: Task) -> tuple[tuple[str, str], ...]:
+    """Return addresses and labels of the episodes before and after one."""
+    near = ((place.number - 1, "Previous episode"), (place.number + 1, "Next episode"))
+    folder = _address(place).rpartition("/")[0]
+    return tuple((f"{folder}/{number}", label) for number, label in near if 1 <= number <= len(task.episodes))
