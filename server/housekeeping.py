@@ -10,6 +10,7 @@ from sqlalchemy import select
 from sqlalchemy.exc import SQLAlchemyError
 from vitac.envs.errors import VitacError
 
+from .db.advisory_locks import AdvisoryLock, wait_for_turn
 from .db.models import Submission
 from .evaluations.lifecycle import fail_by_machines
 from .evaluations.superseding import supersede_outdated
@@ -19,7 +20,9 @@ from .playbacks import work as playbacks
 from .queue.jobs import prune_finished_jobs
 from .queue.sweep import sweep
 from .services import Services
+from .storage.scratch import remove_leftovers
 from .uploads import partial
+from .uploads.intake import UPLOAD_FOLDER
 
 logger = structlog.get_logger(__name__)
 
@@ -90,9 +93,18 @@ def prune(services: Services) -> None:
         known = set(session.scalars(select(Submission.archive_sha256))) | playbacks.stored_digests(session)
     for digest in services.blobs.list_older_than(ORPHAN_KEPT):
         if digest not in known:
-            services.blobs.delete(digest)
+            _delete_orphan(services, digest)
+    remove_leftovers(services.settings.scratch_dir, UPLOAD_FOLDER)
     oldest_kept = time.time() - ORPHAN_KEPT.total_seconds()
     for pattern in ("upload-*", "playback-*"):
         for path in services.settings.scratch_dir.glob(pattern):
             if path.lstat().st_mtime < oldest_kept:
                 shutil.rmtree(path, ignore_errors=True)
+
+
+def _delete_orphan(services: Services, digest: str) -> None:
+    """Remove a stored file unless it was uploaded again meanwhile, which makes it a new one."""
+    with services.database.transaction() as session:
+        wait_for_turn(session, AdvisoryLock.STORED_FILE, digest)
+        if services.blobs.is_older_than(digest, ORPHAN_KEPT):
+            services.blobs.delete(digest)

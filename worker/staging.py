@@ -1,9 +1,6 @@
 """Submissions on the worker's disk: fetched once, archives also unpacked, while several shards of them run."""
 
-import os
 import shutil
-import socket
-import tempfile
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,10 +11,11 @@ from vitac.evaluator.agent.limits import Limits
 from vitac.evaluator.submission.archive import unpack
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.storage.blobs import BlobStore
+from vitac.server.storage.scratch import new_folder, remove_leftovers
 
 KEPT_IDLE = 2
 """Unpacked submissions that are kept although no shard of them runs: the next shard is often of the same one."""
-_PREFIX = "worker"
+WORKER_FOLDER = "worker"
 
 
 @dataclass(kw_only=True)
@@ -38,9 +36,8 @@ class SubmissionStage:
         self._limits = limits
         self._lock = threading.Lock()
         self._staged: dict[str, _Staged] = {}
-        remove_leftovers(scratch_dir)
-        prefix = f"{_PREFIX}-{socket.gethostname()}-{os.getpid()}-"
-        self._folder = Path(tempfile.mkdtemp(prefix=prefix, dir=scratch_dir))
+        remove_leftovers(scratch_dir, WORKER_FOLDER)
+        self._folder = new_folder(scratch_dir, WORKER_FOLDER)
 
     @contextmanager
     def submission(self, kind: SubmissionKind, archive_sha256: str) -> Iterator[Path]:
@@ -94,12 +91,3 @@ class SubmissionStage:
         idle = [name for name, staged in self._staged.items() if not staged.users]
         for name in idle[:-KEPT_IDLE]:
             shutil.rmtree(self._staged.pop(name).folder, ignore_errors=True)
-
-
-def remove_leftovers(scratch_dir: Path) -> None:
-    """Remove folders of workers of this machine that were killed."""
-    prefix = f"{_PREFIX}-{socket.gethostname()}-"
-    for folder in scratch_dir.glob(f"{prefix}*"):
-        pid = folder.name.removeprefix(prefix).partition("-")[0]
-        if pid.isdigit() and not Path(f"/proc/{pid}").exists():
-            shutil.rmtree(folder, ignore_errors=True)

@@ -156,23 +156,25 @@ def client_from(server: str | None, token_file: Path | None, *, with_token: bool
 
     Args:
         server: address; None: that of the environment, else that of the last login.
-        token_file: file with the token; None: that of the environment, else the kept one of that service.
+        token_file: file with the token; None: that of the environment, else the kept one of that service. The service
+            of the last login gets its own token only, as nothing says that the environment's is meant for it.
         with_token: whether a token is used at all.
 
     Raises:
         VitacError: the address is invalid, or the token's file cannot be read.
     """
-    address = server or os.environ.get("VITAC_SERVER") or credentials.last_server() or DEFAULT_SERVER
+    named = server or os.environ.get("VITAC_SERVER")
+    last = None if named else credentials.last_server()
+    address = named or last or DEFAULT_SERVER
     if not address.startswith(("http://", "https://")):
         raise VitacError(f"Expected a service address like {DEFAULT_SERVER}, got {address!r}.")
     address = address.rstrip("/")
-    return Client(server=address, token=_token(address, token_file) if with_token else None)
-
-
-def _token(server: str, token_file: Path | None) -> str | None:
+    if not with_token:
+        return Client(server=address)
     if token_file is not None:
-        return read_token(token_file)
-    return os.environ.get("VITAC_TOKEN") or credentials.token_for(server)
+        return Client(server=address, token=read_token(token_file))
+    from_environment = None if last else os.environ.get("VITAC_TOKEN")
+    return Client(server=address, token=from_environment or credentials.token_for(address))
 
 
 def read_token(token_file: Path) -> str:

@@ -32,6 +32,8 @@ TRANSIENT = frozenset(
     | {"upload_incomplete", "upload_truncated"}
 )
 """Refusals that may go away. An upload that is not found has expired, and a new one is begun."""
+MISPLACED = frozenset({"not_found", "upload_conflict", "upload_incomplete"})
+"""Refusals after which it has to be asked anew where the upload goes on."""
 PROXY_STATUSES = frozenset({408, 502, 503, 504})
 """What a reverse proxy answers while the service behind it restarts or takes long."""
 CHECKING_TIMEOUT_S = 600.0
@@ -67,14 +69,18 @@ class PieceSender:
             ServiceUnreachable: nobody answered at the start, or there was no progress for about a minute.
         """
         failures, furthest, is_begun = 0, -1, False
+        sent: str | None = None  # path of an upload all bytes of which have arrived
         while True:
             try:
-                place, offset = self._begin()
-                is_begun = True
-                if offset > furthest:
-                    failures, furthest = 0, offset
-                self._send_rest(place, offset)
-                return dict(self.send("POST", f"{place}/submission", timeout_s=CHECKING_TIMEOUT_S).json())
+                if sent is None:
+                    place, offset = self._begin()
+                    is_begun = True
+                    if offset > furthest:
+                        failures, furthest = 0, offset
+                    self._send_rest(place, offset)
+                    sent = place
+                # Asked again after a lost answer, the service returns the submission that it has made.
+                return dict(self.send("POST", f"{sent}/submission", timeout_s=CHECKING_TIMEOUT_S).json())
             except ServiceUnreachable:
                 if failures == (len(PAUSES_S) if is_begun else FIRST_PAUSES):
                     raise
@@ -82,6 +88,8 @@ class PieceSender:
                 is_transient = error.code in TRANSIENT or (error.code == NO_CODE and error.status in PROXY_STATUSES)
                 if not is_transient or failures == len(PAUSES_S):
                     raise
+                if error.code in MISPLACED:
+                    sent = None
             self.pause(PAUSES_S[failures])
             failures += 1
 

@@ -51,7 +51,7 @@ def running_service(
         listener: bound socket to serve at.
         workers: number of worker processes that `RunningService.workers` starts.
         log: file that the workers write their service events to.
-        notify: called with a sentence when a worker has ended.
+        notify: called with a sentence when a server process or a worker has ended.
     """
     with ExitStack() as stack:
         stack.callback(listener.close)

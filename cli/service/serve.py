@@ -36,7 +36,7 @@ def command(
 
 
 def _note(sentence: str) -> None:
-    """Write what became of a worker as a service event."""
+    """Write what became of a server process or a worker as a service event."""
     import structlog
 
-    structlog.get_logger(__name__).warning("worker_restarted", message=sentence)
+    structlog.get_logger(__name__).warning("process_restarted", message=sentence)

@@ -41,9 +41,11 @@ def main(listener: int, parent: int) -> None:
     settings = load_settings()
     write_events_to(sys.stderr, settings.log_format)
     end_with(parent)
+    # Until the services are open, which may take as long as the database is away, SIGTERM ends the process at once: it
+    # holds the service's port, and whoever started it may be gone.
     with (
-        StopRequest().listening() as stop,
         open_services(settings, may_run_database=False) as services,
+        StopRequest().listening() as stop,
         serving(services, socket.socket(fileno=listener)),
     ):
         while not stop.wait(3600.0):

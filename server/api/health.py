@@ -16,6 +16,8 @@ from .access import ServicesOf
 router = APIRouter(tags=["health"])
 
 OK = "ok"
+STORAGE_LIMIT_S = 3.0
+"""Whoever asks whether the service is ready waits for seconds only, a request to a bucket may take half a minute."""
 
 
 @router.get("/health")
@@ -51,8 +53,11 @@ def _look_at_database(services: Services) -> tuple[str, str, WorkersView | None]
 
 
 def _look_at_storage(services: Services) -> str:
+    """Return how the file store is; one that hangs is not waited for, and not asked again until it has answered."""
     try:
-        services.blobs.check()
+        services.blobs.check_within(STORAGE_LIMIT_S)
+    except TimeoutError:
+        return f"does not answer within {STORAGE_LIMIT_S:g} s"
     except ServiceError as error:
         return error.detail
     return OK

@@ -14,6 +14,7 @@ class AdvisoryLock(IntEnum):
     SUPERSEDE = 0x7669_7461_6303  # two processes would begin the same evaluation again twice
     PLAYBACK_OF_REQUESTER = 0x7669_7461_6304  # two requests at once would exceed the limits
     PLAYBACK_OF_EPISODE = 0x7669_7461_6305  # two requests at once would make the same playback twice
+    STORED_FILE = 0x7669_7461_6306  # a file must not be removed while it is uploaded again
 
 
 def try_lock(session: Session, lock: AdvisoryLock) -> bool:

@@ -45,14 +45,42 @@ def forget_lock_files(data_dir: Path, socket: Path) -> None:
 
 
 def processes_in(data_dir: Path) -> Iterator[int]:
-    """Yield the PostgreSQL processes whose working directory is the data directory: the server and its backends."""
+    """Yield the PostgreSQL processes whose working directory is the data directory: the server and its backends.
+
+    Even root may not look up another user's working directory where it lacks CAP_SYS_PTRACE, as in many containers.
+    There a server is known by its command line and its backends by their parent; PostgreSQL itself refuses to start
+    beside backends that are left without one.
+    """
+    hidden = []
     for process in Path("/proc").glob("[0-9]*"):
         try:
             program = (process / "exe").readlink().name
             if program.startswith(_PROGRAM) and (process / "cwd").readlink() == data_dir:
                 yield int(process.name)
+        except PermissionError:
+            hidden.append(process)
         except OSError:
-            continue  # it has ended or belongs to somebody else
+            continue  # it has ended
+    servers = {int(process.name) for process in hidden if _is_server_in(data_dir, process)}
+    yield from servers
+    yield from (int(process.name) for process in hidden if _parent_of(process) in servers)
+
+
+def _is_server_in(data_dir: Path, process: Path) -> bool:
+    """Return whether a command line is that of a server which was started in the data directory."""
+    try:
+        program, *arguments = (process / "cmdline").read_bytes().decode(errors="replace").split("\0")
+    except OSError:
+        return False
+    is_postgres = Path(program).name.startswith(_PROGRAM)
+    return is_postgres and any(Path(each).resolve() == data_dir for each in arguments if each)
+
+
+def _parent_of(process: Path) -> int | None:
+    try:
+        return int((process / "stat").read_text(errors="replace").rpartition(")")[2].split()[1])
+    except OSError:
+        return None
 
 
 def _server_of(data_dir: Path) -> int | None:

@@ -1,7 +1,10 @@
 """Uploaded files under their SHA-256, in a local folder or a bucket; written once, never changed."""
 
 import hashlib
+import secrets
+import threading
 from collections.abc import Iterator
+from concurrent.futures import Future
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -24,6 +27,9 @@ PARTS_AT_ONCE = 2
 _COPY_BYTES = 1 << 20
 PART_FOLDER = "partial"
 """Where the parts of uploads wait that are not complete; by upload."""
+PROBE_FOLDER = "probe"
+LATELY = timedelta(hours=12)
+"""A file that is stored again within this time is left as it is; housekeeping leaves files alone for longer."""
 
 
 RETRIES: "RetryConfig" = {"max_retries": 5, "retry_timeout": timedelta(seconds=20)}
@@ -42,6 +48,8 @@ class BlobStore:
 
     def __init__(self, store: ObjectStore) -> None:
         self._store = store
+        self._lock = threading.Lock()
+        self._checking: Future[None] | None = None
 
     @classmethod
     def from_settings(cls, settings: Settings) -> "BlobStore":
@@ -53,13 +61,16 @@ class BlobStore:
         return cls(LocalStore(folder))
 
     def put(self, path: Path, sha256: str) -> None:
-        """Store a file under its digest; a file that is there already is left as it is.
+        """Store a file under its digest; one that was stored lately is left as it is.
+
+        One that has been there for long is stored again, so that whoever removes old files takes it for a new one.
 
         Raises:
             ServiceError: the store cannot be written.
         """
         with _working():
-            if not self.holds(sha256):
+            stored_at = self._stored_at(sha256)
+            if stored_at is None or stored_at <= datetime.now(UTC) - LATELY:
                 with path.open("rb") as file:
                     obstore.put(self._store, key_of(sha256), file, chunk_size=PART_BYTES, max_concurrency=PARTS_AT_ONCE)
 
@@ -98,11 +109,17 @@ class BlobStore:
 
     def holds(self, sha256: str) -> bool:
         """Return whether a file of that digest is stored."""
-        try:
-            obstore.head(self._store, key_of(sha256))
-        except (NotFoundError, FileNotFoundError):
-            return False
-        return True
+        return self._stored_at(sha256) is not None
+
+    def is_older_than(self, sha256: str, age: timedelta) -> bool:
+        """Return whether a file of that digest was stored at least so long ago.
+
+        Raises:
+            ServiceError: the store cannot be read.
+        """
+        with _working():
+            stored_at = self._stored_at(sha256)
+        return stored_at is not None and stored_at <= datetime.now(UTC) - age
 
     def delete(self, sha256: str) -> None:
         """Remove a file; removing it again changes nothing.
@@ -111,8 +128,7 @@ class BlobStore:
             ServiceError: the store does not work.
         """
         with _working():
-            if self.holds(sha256):
-                obstore.delete(self._store, key_of(sha256))
+            self._delete(key_of(sha256))
 
     def list_older_than(self, age: timedelta) -> list[str]:
         """Return the digests of all files that were stored at least so long ago.
@@ -144,13 +160,13 @@ class BlobStore:
         return memoryview(content)
 
     def delete_part(self, key: str) -> None:
-        """Remove one part.
+        """Remove one part; removing it again changes nothing.
 
         Raises:
             ServiceError: the store does not work.
         """
         with _working():
-            obstore.delete(self._store, key)
+            self._delete(key)
 
     def delete_parts(self, upload: str) -> None:
         """Remove all parts of an upload, also those that no row names.
@@ -160,7 +176,7 @@ class BlobStore:
         """
         with _working():
             for batch in obstore.list(self._store, prefix=f"{PART_FOLDER}/{upload}"):
-                obstore.delete(self._store, [meta["path"] for meta in batch])
+                self._delete([meta["path"] for meta in batch])
 
     def uploads_with_parts(self, age: timedelta) -> set[str]:
         """Return the uploads of which a part was stored at least so long ago.
@@ -177,14 +193,51 @@ class BlobStore:
         return [meta["path"] for meta in files if meta["last_modified"] <= oldest_kept]
 
     def check(self) -> None:
-        """Write and remove a small file.
+        """Write and remove a small file with a name of its own: others may check at the same time.
 
         Raises:
             ServiceError: that does not work.
         """
+        key = f"{PROBE_FOLDER}/{secrets.token_hex(8)}"
         with _working():
-            obstore.put(self._store, "probe", b"ready")
-            obstore.delete(self._store, "probe")
+            obstore.put(self._store, key, b"ready")
+            self._delete(key)
+
+    def check_within(self, limit_s: float) -> None:
+        """Check as `check` does, but wait so long only [s]; a check that hangs goes on, and serves whoever asks next.
+
+        Raises:
+            ServiceError: the store does not work.
+            TimeoutError: it has not answered in time.
+        """
+        with self._lock:
+            if self._checking is None or self._checking.done():
+                self._checking = Future()
+                threading.Thread(target=self._run_check, args=(self._checking,), daemon=True).start()
+            checking = self._checking
+        checking.result(limit_s)
+
+    def _run_check(self, checking: "Future[None]") -> None:
+        try:
+            self.check()
+            checking.set_result(None)
+        except ServiceError as error:
+            checking.set_exception(error)
+
+    def _stored_at(self, sha256: str) -> datetime | None:
+        try:
+            return obstore.head(self._store, key_of(sha256))["last_modified"]
+        except (NotFoundError, FileNotFoundError):
+            return None
+
+    def _delete(self, keys: str | list[str]) -> None:
+        """Remove files, of which somebody else may have removed some meanwhile."""
+        try:
+            obstore.delete(self._store, keys)
+        except (NotFoundError, FileNotFoundError):
+            if isinstance(keys, list):
+                for key in keys:
+                    self._delete(key)
 
 
 def key_of(sha256: str) -> str:

@@ -1,5 +1,6 @@
 """Makes the submission out of an upload in pieces; called by the API."""
 
+from contextlib import suppress
 from uuid import UUID
 
 from vitac.server.accounts.principals import Principal
@@ -51,10 +52,15 @@ def _make(services: Services, by: Principal, upload: PartialUpload) -> tuple[UUI
         intake.check_digest(received, upload.sha256)
         checked = accept(services, received, kind=upload.kind, track=upload.track, owner=upload.team.name)
     with services.database.transaction() as session:
+        locked = partial.lock(session, upload.id)
+        if locked.submission_id is not None:
+            return locked.submission_id, False
         submission, is_new = creation.create(
             session, by, checked, team=str(upload.team_id), again=upload.again, quotas=services.settings.quotas
         )
-    partial.finish(services, upload.id, submission.id)
+        partial.finish(session, locked, submission.id)
+    with suppress(ServiceError):  # The submission is made; housekeeping removes the parts with the upload.
+        services.blobs.delete_parts(str(upload.id))
     return submission.id, is_new
 
 

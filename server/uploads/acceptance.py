@@ -6,6 +6,7 @@ Nothing of an archive is imported or unpickled, nothing of a log is simulated.
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import Track
 
+from ..db.advisory_locks import AdvisoryLock, wait_for_turn
 from ..errors import ProblemCode, ServiceError
 from ..services import Services
 from ..tracks import load_known_track
@@ -47,7 +48,9 @@ def accept(
     if track is not None and upload.track != track:
         raise _other_track(upload, track)
     check_kind(kind, load_known_track(upload.track))
-    services.blobs.put(received.path, received.sha256)
+    with services.database.transaction() as session:
+        wait_for_turn(session, AdvisoryLock.STORED_FILE, received.sha256)  # after housekeeping, which may remove it
+        services.blobs.put(received.path, received.sha256)
     return upload
 
 

@@ -6,7 +6,6 @@ Called by the API's upload route, in the event loop. `acceptance` checks what wa
 import asyncio
 import hashlib
 import shutil
-import tempfile
 from collections.abc import AsyncIterator, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -14,8 +13,11 @@ from pathlib import Path
 
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.settings import Settings
+from vitac.server.storage.scratch import new_folder
 
 FILE_NAME = "upload"
+UPLOAD_FOLDER = "upload"
+"""First word of the names of folders for uploads, in the scratch folder."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,8 +32,7 @@ class ReceivedFile:
 @contextmanager
 def upload_folder(settings: Settings) -> Iterator[Path]:
     """Return a private folder for one upload, gone with all it holds when the block is left."""
-    settings.scratch_dir.mkdir(mode=0o700, parents=True, exist_ok=True)
-    folder = Path(tempfile.mkdtemp(prefix="upload-", dir=settings.scratch_dir))
+    folder = new_folder(settings.scratch_dir, UPLOAD_FOLDER)
     try:
         yield folder
     finally:

@@ -157,10 +157,12 @@ def put_together(services: Services, upload_id: UUID, folder: Path) -> ReceivedF
     """Write the parts of a complete upload into one file and hash it on the way.
 
     Raises:
-        ServiceError: bytes are missing still, or the file store does not work.
+        ServiceError: bytes are missing still, the upload was removed, or the file store does not work.
     """
     with services.database.transaction() as session:
-        upload = session.get_one(PartialUpload, upload_id)
+        upload = session.get(PartialUpload, upload_id)
+        if upload is None:
+            raise not_found("upload", upload_id)
         keys = session.scalars(
             select(UploadPart.key).where(UploadPart.upload_id == upload_id).order_by(UploadPart.first_byte)
         ).all()
@@ -179,12 +181,22 @@ def put_together(services: Services, upload_id: UUID, folder: Path) -> ReceivedF
     return ReceivedFile(path=path, sha256=digest.hexdigest(), n_bytes=upload.total_bytes)
 
 
-def finish(services: Services, upload_id: UUID, submission_id: UUID) -> None:
-    """Note what an upload became and remove its parts."""
-    with services.database.transaction() as session:
-        session.execute(update(PartialUpload).where(PartialUpload.id == upload_id).values(submission_id=submission_id))
-        session.execute(delete(UploadPart).where(UploadPart.upload_id == upload_id))
-    services.blobs.delete_parts(str(upload_id))
+def lock(session: Session, upload_id: UUID) -> PartialUpload:
+    """Return an upload as it is now, and let nobody else finish or remove it until the end of the transaction.
+
+    Raises:
+        ServiceError: it was removed.
+    """
+    upload = session.get(PartialUpload, upload_id, with_for_update=True, populate_existing=True)
+    if upload is None:
+        raise not_found("upload", upload_id)
+    return upload
+
+
+def finish(session: Session, upload: PartialUpload, submission_id: UUID) -> None:
+    """Note what an upload became; its parts count no longer."""
+    upload.submission_id = submission_id
+    session.execute(delete(UploadPart).where(UploadPart.upload_id == upload.id))
 
 
 def remove(services: Services, upload_id: UUID) -> None:
@@ -197,9 +209,10 @@ def remove(services: Services, upload_id: UUID) -> None:
 def remove_expired(services: Services) -> None:
     """Remove the uploads that got no piece for too long, and parts of uploads that are not there."""
     with services.database.transaction() as session:
-        expired = session.scalars(select(PartialUpload.id).where(PartialUpload.expires_at <= datetime.now(UTC))).all()
+        has_expired = PartialUpload.expires_at <= datetime.now(UTC)
+        expired = session.scalars(delete(PartialUpload).where(has_expired).returning(PartialUpload.id)).all()
     for upload_id in expired:
-        remove(services, upload_id)
+        services.blobs.delete_parts(str(upload_id))
     with_parts = services.blobs.uploads_with_parts(timedelta(hours=services.settings.upload_kept_h))
     with services.database.transaction() as session:
         known = {str(upload_id) for upload_id in session.scalars(select(PartialUpload.id))}

@@ -72,8 +72,12 @@ def _store(content: dict[str, Any]) -> None:
     try:
         target.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         descriptor, draft = tempfile.mkstemp(dir=target.parent, prefix=f"{target.name}.")  # mode 0600
-        with os.fdopen(descriptor, "w") as file:
-            json.dump(content, file, indent=1)
-        Path(draft).replace(target)
+        try:
+            with os.fdopen(descriptor, "w") as file:
+                json.dump(content, file, indent=1)
+            Path(draft).replace(target)
+        except BaseException:
+            Path(draft).unlink()
+            raise
     except OSError as error:
         raise CredentialsUnusable(f"The token cannot be kept in {target}: {error.strerror}.") from error

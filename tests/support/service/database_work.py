@@ -1,4 +1,4 @@
-"""Counts what the database does for a piece of work: rows that it reads, statements that it is given."""
+"""Tells what the database does: rows that it reads for a piece of work, statements that it is given, waiting."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -6,11 +6,14 @@ from typing import Any
 
 from sqlalchemy import event, text
 from sqlalchemy.orm import Session
+from vitac.server.db.engine import Database
 
 ROWS_READ = """
     SELECT relname, coalesce(seq_tup_read, 0) + coalesce(idx_tup_fetch, 0) AS rows_read
     FROM pg_stat_xact_user_tables
 """
+
+WAITING = "SELECT count(*) FROM pg_stat_activity WHERE datname = current_database() AND wait_event_type = 'Lock'"
 
 
 class DatabaseWork:
@@ -38,6 +41,12 @@ def database_work(session: Session) -> Iterator[DatabaseWork]:
         event.remove(connection, "before_cursor_execute", count)
         work.statements = given[0]
         work.rows_read = {table: rows - before.get(table, 0) for table, rows in _rows_read(session).items()}
+
+
+def is_waiting_for_a_lock(database: Database) -> bool:
+    """Return whether a connection to this database waits for another one."""
+    with database.transaction() as session:
+        return bool(session.scalar(text(WAITING)))
 
 
 def _rows_read(session: Session) -> dict[str, int]:

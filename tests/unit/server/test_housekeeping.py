@@ -1,20 +1,27 @@
 import hashlib
 import os
+import subprocess
+import sys
+import threading
 import time
 from datetime import timedelta
 from pathlib import Path
 
 import pytest
+from database_work import is_waiting_for_a_lock
 from service_factories import claim, make_principal, make_settings, make_upload, shard_ids, state_of
 from sqlalchemy import text
 from vitac.server import housekeeping
+from vitac.server.db.advisory_locks import AdvisoryLock, wait_for_turn
 from vitac.server.db.engine import Database
 from vitac.server.db.states import ShardState
 from vitac.server.errors import ServiceError
 from vitac.server.housekeeping import Housekeeping, prune
 from vitac.server.services import Services
 from vitac.server.storage.blobs import BlobStore
+from vitac.server.storage.scratch import new_folder
 from vitac.server.submissions import creation
+from vitac.server.uploads.intake import UPLOAD_FOLDER
 from worker_fakes import eventually
 
 
@@ -84,6 +91,59 @@ def test_files_without_a_submission_are_removed_when_old(services: Services, mon
     prune(services)
     assert services.blobs.holds(kept)
     assert not services.blobs.holds(orphan)
+
+
+def test_file_that_is_uploaded_again_while_old_ones_are_removed_stays(
+    services: Services, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It was old and without a row when housekeeping listed it; the team uploads the same content just then."""
+    monkeypatch.setattr(housekeeping, "ORPHAN_KEPT", timedelta(hours=13))
+    orphan = put(services, b"uploaded again")
+    stored = next(services.settings.state_dir.glob(f"blobs/sha256/*/{orphan}"))
+    long_ago = time.time() - timedelta(hours=14).total_seconds()
+    os.utime(stored, (long_ago, long_ago))
+    listed = services.blobs.list_older_than
+
+    def list_then_upload(age: timedelta) -> list[str]:
+        found = listed(age)
+        put(services, b"uploaded again")
+        return found
+
+    monkeypatch.setattr(services.blobs, "list_older_than", list_then_upload)
+    prune(services)
+    assert services.blobs.holds(orphan)
+    os.utime(stored, (long_ago, long_ago))
+    monkeypatch.undo()
+    prune(services)
+    assert services.blobs.holds(orphan)  # for a day
+    monkeypatch.setattr(housekeeping, "ORPHAN_KEPT", timedelta(hours=13))
+    prune(services)
+    assert not services.blobs.holds(orphan)
+
+
+def test_file_is_not_removed_while_somebody_stores_it(services: Services, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(housekeeping, "ORPHAN_KEPT", timedelta(0))
+    orphan = put(services, b"being stored")
+    pruning = threading.Thread(target=prune, args=(services,))
+    with services.database.transaction() as session:
+        wait_for_turn(session, AdvisoryLock.STORED_FILE, orphan)
+        pruning.start()
+        eventually(lambda: is_waiting_for_a_lock(services.database))
+        assert services.blobs.holds(orphan)
+    pruning.join()
+    assert not services.blobs.holds(orphan)
+
+
+def test_uploads_of_a_server_process_that_was_killed_are_removed_at_once(services: Services) -> None:
+    with subprocess.Popen([sys.executable, "-c", "pass"]) as gone:
+        gone.wait()
+    scratch = services.settings.scratch_dir
+    mine = new_folder(scratch, UPLOAD_FOLDER)
+    its, elsewhere = (Path(str(mine).replace(f"-{os.getpid()}-", f"-{gone.pid}-")), scratch / "upload-other-1-x")
+    for folder in (its, elsewhere):
+        folder.mkdir()
+    prune(services)
+    assert (mine.is_dir(), its.exists(), elsewhere.is_dir()) == (True, False, True)
 
 
 def test_leftovers_of_interrupted_uploads_are_removed_when_old(services: Services) -> None:

@@ -3,6 +3,7 @@ from pathlib import Path
 
 import httpx
 import pytest
+from vitac.cli.client.account import credentials
 from vitac.cli.client.http import DEFAULT_SERVER, Client, client_from
 from vitac.cli.client.refusals import HINTS, RequestRefused, ServiceUnreachable
 from vitac.envs.errors import VitacError
@@ -83,6 +84,19 @@ def test_options_win_over_the_environment(tmp_path: Path, monkeypatch: pytest.Mo
     file.write_text("vitac_file\n")
     assert client_from(None, None) == Client(server="http://from.environment", token="vitac_environment")  # noqa: S106
     assert client_from("http://a.test/", file) == Client(server="http://a.test", token="vitac_file")  # noqa: S106
+
+
+def test_the_service_of_the_last_login_gets_its_own_token_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    monkeypatch.delenv("VITAC_SERVER", raising=False)
+    monkeypatch.setenv("VITAC_TOKEN", "vitac_of_another_service")
+    credentials.keep("http://last.test", "vitac_kept")
+    assert client_from(None, None) == Client(server="http://last.test", token="vitac_kept")  # noqa: S106
+    named = client_from("http://last.test", None)
+    assert named == Client(server="http://last.test", token="vitac_of_another_service")  # noqa: S106
+    credentials.forget("http://last.test")
+    here = client_from(None, None)
+    assert here == Client(server=DEFAULT_SERVER, token="vitac_of_another_service")  # noqa: S106
 
 
 def test_without_options_and_environment_it_is_this_machine(monkeypatch: pytest.MonkeyPatch) -> None:

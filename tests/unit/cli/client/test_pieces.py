@@ -14,7 +14,7 @@ from databases import fresh_database
 from service_client import MANIFEST, POLICY, Service, running_service, serving
 from vitac.cli.client import pieces
 from vitac.cli.client.http import Client
-from vitac.cli.client.pieces import FIRST_PAUSES, PAUSES_S, PieceSender
+from vitac.cli.client.pieces import FIRST_PAUSES, MISPLACED, PAUSES_S, PieceSender
 from vitac.cli.client.refusals import RequestRefused, ServiceUnreachable
 from vitac.server.api.app import create_app
 from vitac.server.db.engine import Database
@@ -127,6 +127,50 @@ def sender_to(answers: Callable[[str], httpx.Response], tmp_path: Path, pauses: 
         return answers(method)
 
     return PieceSender(send=send, file=path, metadata={}, on_position=lambda _: None, pause=pauses.append)
+
+
+class LosingService:
+    """Makes the submission, but so many of its answers are lost; then it may refuse once, with a code."""
+
+    def __init__(self, lost: int, then: str | None = None) -> None:
+        self.asked: list[str] = []
+        self._lost = lost
+        self._then = then
+
+    def answer(self, method: str, path: str, **_: Any) -> httpx.Response:
+        self.asked.append(f"{method} {path}")
+        if method == "PATCH":
+            return httpx.Response(204)
+        if not path.endswith("/submission"):
+            return httpx.Response(201, headers={"Location": "/u", "Upload-Offset": "0"})
+        if self._lost:
+            self._lost -= 1
+            raise ServiceUnreachable("cut")
+        if self._then is not None:
+            code, self._then = self._then, None
+            raise RequestRefused(status=404, code=code, detail="no", request_id=None)
+        return httpx.Response(200, json={"id": "made"})
+
+
+@pytest.mark.parametrize("lost", [1, 3])
+def test_a_lost_answer_to_the_last_request_costs_no_second_upload(tmp_path: Path, lost: int) -> None:
+    service = LosingService(lost)
+    assert sender_of(service.answer, tmp_path).run() == {"id": "made"}
+    assert service.asked == ["POST /api/v1/uploads", "PATCH /u", *["POST /u/submission"] * (lost + 1)]
+
+
+@pytest.mark.parametrize("code", sorted(MISPLACED))
+def test_an_upload_that_is_gone_meanwhile_is_begun_again(tmp_path: Path, code: str) -> None:
+    service = LosingService(1, then=code)
+    assert sender_of(service.answer, tmp_path).run() == {"id": "made"}
+    one_upload = ["POST /api/v1/uploads", "PATCH /u", "POST /u/submission"]
+    assert service.asked == [*one_upload, "POST /u/submission", *one_upload]
+
+
+def sender_of(send: Callable[..., httpx.Response], tmp_path: Path) -> PieceSender:
+    path = tmp_path / "file"
+    path.write_bytes(b"12345")
+    return PieceSender(send=send, file=path, metadata={}, on_position=lambda _: None, pause=lambda _: None)
 
 
 def test_gives_up_after_so_many_failures_without_progress(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -12,6 +13,7 @@ from pathlib import Path
 import httpx
 import pytest
 from databases import fresh_database
+from vitac.cli.service import web_process
 from worker_fakes import eventually
 
 SERVE = "from vitac.cli.main import main; main(['serve', '--port', '0'])"
@@ -113,6 +115,27 @@ def test_limits_count_for_all_processes_together(servers: Servers) -> None:
     first = upload(pieces())
     assert first.status_code == 422
     assert "uploads at the same time" in second[-1].json()["detail"]
+
+
+def test_a_process_that_waits_for_the_database_ends_at_once_with_its_starter(tmp_path: Path) -> None:
+    """Else it would hold the port of a service whose other processes have ended."""
+    with socket.socket() as listener, socket.create_server(("127.0.0.1", 0)) as silent:
+        host, port = silent.getsockname()  # a database that takes connections and never answers
+        environment = os.environ | {
+            "VITAC_DATABASE_URL": f"postgresql://nobody@{host}:{port}/none",
+            "VITAC_STATE_DIR": str(tmp_path),
+        }
+        listener.bind(("127.0.0.1", 0))
+        with subprocess.Popen(
+            [sys.executable, *web_process.COMMAND, str(listener.fileno()), str(os.getpid())],
+            env=environment,
+            pass_fds=[listener.fileno()],
+        ) as process:
+            silent.settimeout(60.0)
+            connection, _ = silent.accept()  # it waits for the database from here on
+            process.terminate()
+            assert process.wait(10.0) == -signal.SIGTERM
+            connection.close()
 
 
 def test_kill_of_one_process_leaves_the_service_answering_and_another_one_is_started(servers: Servers) -> None:

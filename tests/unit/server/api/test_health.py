@@ -1,8 +1,11 @@
+import threading
 from pathlib import Path
 
+import pytest
 from service_client import Service
 from service_factories import TRACK
 from sqlalchemy import text
+from vitac.server.api import health
 from vitac.server.db.engine import Database
 
 
@@ -28,6 +31,17 @@ def test_store_that_cannot_be_written_makes_the_service_unready(service: Service
     answer = service.client.get("/ready")
     assert (answer.status_code, answer.json()["database"]) == (503, "ok")
     assert "The file store does not work" in answer.json()["storage"]
+
+
+def test_store_that_hangs_makes_the_service_unready_within_seconds(
+    service: Service, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answers = threading.Event()
+    monkeypatch.setattr(health, "STORAGE_LIMIT_S", 0.05)
+    monkeypatch.setattr(service.services.blobs, "check", lambda: answers.wait(60.0))
+    answer = service.client.get("/ready")
+    answers.set()
+    assert (answer.status_code, answer.json()["storage"]) == (503, "does not answer within 0.05 s")
 
 
 def test_database_that_is_away_makes_the_service_unready_but_not_unhealthy(service: Service) -> None:

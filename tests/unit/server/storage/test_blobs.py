@@ -1,14 +1,19 @@
 import errno
 import hashlib
+import os
+import threading
+import time
 from collections.abc import Callable
 from datetime import timedelta
 from pathlib import Path
 
+import obstore
 import pytest
 from obstore.exceptions import GenericError
-from obstore.store import MemoryStore
+from obstore.store import LocalStore, MemoryStore
 from service_factories import make_settings
 from vitac.server.errors import ProblemCode, ServiceError
+from vitac.server.storage import blobs as blobs_module
 from vitac.server.storage.blobs import PART_BYTES, BlobStore, StoredFileLost, key_of
 
 CONTENT = b"content " * 1000
@@ -76,6 +81,72 @@ def test_check_passes_on_a_store_that_works_and_names_one_that_does_not(blobs: B
     folder.write_text("not a folder")
     with pytest.raises(ServiceError, match="The file store does not work"):
         broken.check()
+
+
+class EagerOther:
+    """Removes a file just before it is removed: as another process would that cleans up at the same time."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.delete = obstore.delete
+        monkeypatch.setattr(obstore, "delete", self)
+
+    def __call__(self, store: LocalStore, keys: str | list[str]) -> None:
+        first = keys if isinstance(keys, str) else keys[0]
+        self.delete(store, first)
+        self.delete(store, keys)
+
+
+@pytest.mark.parametrize("action", ["delete", "delete_part", "delete_parts", "check"])
+def test_what_somebody_else_removes_at_the_same_time_is_gone_all_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, action: str
+) -> None:
+    blobs = BlobStore.from_settings(make_settings(state_dir=tmp_path))
+    digest = put(blobs, tmp_path)
+    parts = [blobs.put_part("upload-a", name, b"x") for name in ("1", "2", "3")]
+    actions: dict[str, Callable[[], None]] = {
+        "delete": lambda: blobs.delete(digest),
+        "delete_part": lambda: blobs.delete_part(parts[0]),
+        "delete_parts": lambda: blobs.delete_parts("upload-a"),
+        "check": blobs.check,
+    }
+    with monkeypatch.context() as patch:
+        EagerOther(patch)
+        actions[action]()
+    assert blobs.holds(digest) is (action != "delete")
+    left = {"delete_part": 2, "delete_parts": 0}.get(action, 3)
+    assert len(list(tmp_path.glob("**/partial/upload-a/*"))) == left
+
+
+def test_a_file_that_is_stored_again_after_long_counts_as_new(tmp_path: Path) -> None:
+    blobs = BlobStore.from_settings(make_settings(state_dir=tmp_path))
+    digest = put(blobs, tmp_path)
+    stored = next(path for path in tmp_path.glob("**/sha256/**/*") if path.name == digest)
+    long_ago = time.time() - 2 * blobs_module.LATELY.total_seconds()
+    os.utime(stored, (long_ago, long_ago))
+    assert blobs.is_older_than(digest, blobs_module.LATELY)
+    put(blobs, tmp_path)
+    assert not blobs.is_older_than(digest, blobs_module.LATELY)
+    assert not blobs.is_older_than("0" * 64, timedelta(0))
+
+
+def test_a_check_that_hangs_is_waited_for_only_so_long_and_not_begun_twice(
+    blobs: BlobStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answers, begun = threading.Event(), []
+
+    def hang() -> None:
+        begun.append(1)
+        answers.wait(30.0)
+
+    monkeypatch.setattr(blobs, "check", hang)
+    for _ in range(3):
+        with pytest.raises(TimeoutError):
+            blobs.check_within(0.01)
+    assert begun == [1]
+    answers.set()
+    blobs.check_within(30.0)
+    monkeypatch.undo()
+    blobs.check_within(30.0)
 
 
 def test_parts_are_read_back_and_uploads_are_named_by_age(blobs: BlobStore) -> None:

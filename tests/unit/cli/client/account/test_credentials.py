@@ -1,3 +1,4 @@
+import errno
 from collections.abc import Callable
 from pathlib import Path
 
@@ -67,6 +68,22 @@ def test_values_that_are_no_text_are_no_token() -> None:
     file.parent.mkdir(parents=True)
     file.write_text('{"server": 5, "tokens": {"http://first.test": 7}}')
     assert (credentials.token_for(FIRST), credentials.last_server()) == (None, None)
+
+
+def test_a_file_that_cannot_be_replaced_keeps_its_content_and_no_draft_is_left(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    credentials.keep(FIRST, "vitac_1")
+
+    def full(self: Path, target: Path) -> Path:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "replace", full)
+        with pytest.raises(CredentialsUnusable, match="No space left"):
+            credentials.keep(SECOND, "vitac_2")
+    assert (credentials.token_for(FIRST), credentials.token_for(SECOND)) == ("vitac_1", None)
+    assert list(credentials.path().parent.iterdir()) == [credentials.path()]
 
 
 def test_a_folder_that_cannot_be_made_is_told(configuration: Path) -> None:

@@ -8,8 +8,10 @@ from datetime import UTC, datetime, timedelta
 from email.utils import parsedate_to_datetime
 from pathlib import Path
 from typing import Any
+from uuid import UUID
 
 import pytest
+from database_work import is_waiting_for_a_lock
 from httpx import Response
 from service_client import API, Service, bearer, make_archive, problem_of, running_service
 from sqlalchemy import text, update
@@ -131,6 +133,72 @@ def test_the_same_submission_asked_for_twice_at_once_is_made_once(service: Servi
     answers.append(service.post(f"{place.removeprefix(API)}/submission"))
     assert answers[-1].status_code == 200
     assert len({answer.json()["id"] for answer in answers if answer.status_code != 429}) == 1
+
+
+def test_submission_and_its_upload_are_noted_together_or_not_at_all(
+    service: Service, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    archive = big_archive()
+    place = begun(service, len(archive))
+    send(service, place, 0, archive)
+
+    def die(*_: object) -> None:
+        raise KeyError("killed between the two")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(partial, "finish", die)
+        assert service.post(f"{place.removeprefix(API)}/submission").status_code == 500
+    with service.database.transaction() as session:
+        assert session.scalar(text("SELECT count(*) FROM submissions")) == 0
+    assert service.post(f"{place.removeprefix(API)}/submission").status_code == 202
+
+
+def test_parts_that_cannot_be_removed_do_not_refuse_the_submission(
+    service: Service, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    archive = big_archive()
+    place = begun(service, len(archive))
+    send(service, place, 0, archive)
+
+    def fail(*_: object) -> None:
+        raise ServiceError(ProblemCode.STORAGE_UNAVAILABLE, "The bucket is away.")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(type(service.services.blobs), "delete_parts", fail)
+        assert service.post(f"{place.removeprefix(API)}/submission").status_code == 202
+    with service.database.transaction() as session:
+        session.execute(update(PartialUpload).values(expires_at=datetime.now(UTC)))
+    partial.remove_expired(service.services)
+    assert stored_parts(service) == []
+
+
+def test_an_upload_that_is_removed_while_it_is_put_together_is_not_found(service: Service, tmp_path: Path) -> None:
+    archive = big_archive()
+    place = begun(service, len(archive))
+    send(service, place, 0, archive)
+    upload_id = UUID(place.rsplit("/", 1)[-1])
+    partial.remove(service.services, upload_id)
+    with pytest.raises(ServiceError, match="no upload") as refused:
+        partial.put_together(service.services, upload_id, tmp_path)
+    assert refused.value.code is ProblemCode.NOT_FOUND
+    with service.database.transaction() as session, pytest.raises(ServiceError, match="no upload"):
+        partial.lock(session, upload_id)
+
+
+def test_an_upload_that_goes_on_while_expired_ones_are_removed_stays(service: Service) -> None:
+    place = begun(service, 10)
+    send(service, place, 0, b"12345")
+    with service.database.transaction() as session:
+        session.execute(update(PartialUpload).values(expires_at=datetime.now(UTC)))
+    removing = threading.Thread(target=partial.remove_expired, args=(service.services,))
+    with service.database.transaction() as session:
+        # A piece that is being counted: the removal waits for it and then finds the upload alive.
+        session.execute(update(PartialUpload).values(expires_at=datetime.now(UTC) + timedelta(hours=1)))
+        removing.start()
+        eventually(lambda: is_waiting_for_a_lock(service.database))
+    removing.join()
+    assert offset_of(service, place) == 5
+    assert len(stored_parts(service)) == 1
 
 
 def test_what_came_before_a_cut_counts(service: Service) -> None:
