@@ -49,6 +49,11 @@ class EpisodePair:
     first: FinishedEpisode
     second: FinishedEpisode
 
+    @property
+    def differs(self) -> bool:
+        """Whether one has solved it and the other has not."""
+        return self.first.success != self.second.success
+
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:

@@ -2,11 +2,21 @@ import re
 
 import pytest
 from browser_checks import DESK, PHONE, Complaints, violations
-from page_fixtures import FixedData, a_leaderboard, a_submission, a_worker, an_operations_view
+from page_fixtures import (
+    FixedData,
+    a_leaderboard,
+    a_score,
+    a_submission,
+    a_worker,
+    an_entry,
+    an_operations_view,
+)
 from playwright.sync_api import Browser, Page, Route, expect
 from site_under_test import SiteUnderTest
 from vitac.server.db.states import EvaluationState, WorkerState
 from vitac.server.views.submissions import SubmissionView
+
+A4_PAPER = {"width": 720, "height": 1050}  # px at 96 dpi, without margins
 
 
 @pytest.mark.parametrize(("scheme", "size"), [("light", DESK), ("dark", PHONE)], ids=["light desk", "dark phone"])
@@ -169,6 +179,37 @@ def test_the_session_cookie_is_out_of_reach_for_scripts(page: Page, site: SiteUn
     assert [(cookie["name"], cookie["httpOnly"], cookie["sameSite"]) for cookie in cookies] == [
         ("vitac_session", True, "Strict")
     ]
+
+
+@pytest.mark.parametrize("name", ["W" * 64, "a long name of many words " * 2])
+def test_a_long_name_widens_no_board_of_two_hundred_teams(browser: Browser, site: SiteUnderTest, name: str) -> None:
+    score = a_score((80, 74, 80), 4.92)
+    site.data.board = a_leaderboard(
+        *(an_entry(rank, f"{name[:60].strip()} {rank}", score, name="n" * 128) for rank in range(1, 200)),
+        an_entry(200, "Gelbots", score),
+    )
+    for size, media in ((DESK, "screen"), (PHONE, "screen"), (A4_PAPER, "print")):
+        context = browser.new_context(viewport=size)  # type: ignore[arg-type]
+        page = context.new_page()
+        page.emulate_media(media=media)  # type: ignore[arg-type]
+        site.open(page, "/tracks/track_1")
+        assert page.evaluate("document.documentElement.scrollWidth") <= size["width"]
+        context.close()
+
+
+def test_the_own_row_of_a_long_board_is_one_link_away(page: Page, site: SiteUnderTest) -> None:
+    score = a_score((80, 74, 80), 4.92)
+    teams = [*(f"Team {rank}" for rank in range(1, 180)), "Gelbots", *(f"Team {rank}" for rank in range(181, 201))]
+    site.data.board = a_leaderboard(*(an_entry(rank, team, score) for rank, team in enumerate(teams, 1)))
+    site.sign_in(page)
+    site.open(page, "/tracks/track_1")
+    page.get_by_role("link", name="Your team").click()
+    expect(page.locator("#own")).to_contain_text("Gelbots")
+    expect(page.locator("#own")).to_be_in_viewport()
+    page.get_by_label("Team", exact=True).fill("team 17")
+    page.get_by_role("button", name="Search").click()
+    expect(page.get_by_role("rowheader")).to_have_count(11)
+    assert violations(page) == []
 
 
 def choose(page: Page, content: bytes) -> None:

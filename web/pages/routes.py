@@ -9,8 +9,9 @@ from starlette.staticfiles import StaticFiles
 
 from ..headers import SecurityHeaders
 from ..rendering import STATIC
-from . import documentation, errors, operations, output, register, sandbox, sign_in, submissions, tracks, upload
+from . import documentation, downloads, errors, operations, sandbox, submissions, tracks
 from .episodes import page as episodes
+from .team import comparison, output, register, sign_in, upload
 
 if TYPE_CHECKING:
     from fastapi import FastAPI
@@ -51,12 +52,17 @@ def _router() -> APIRouter:
     for path, page, method in (
         ("/", tracks.home, "GET"),
         ("/tracks/{track}", tracks.leaderboard, "GET"),
+        ("/tracks/{track}/leaderboard.csv", downloads.leaderboard, "GET"),
         ("/tracks/{track}/logs", tracks.logs, "GET"),
         ("/tracks/{track}/rules", tracks.rules, "GET"),
         ("/submissions", submissions.submissions, "GET"),
         (upload.ADDRESS, upload.upload_form, "GET"),
         (upload.ADDRESS, upload.upload, "POST"),
         ("/submissions/{submission_id}", submissions.submission, "GET"),
+        ("/submissions/{submission_id}/episodes.csv", downloads.episodes_csv, "GET"),
+        ("/submissions/{submission_id}/episodes.json", downloads.episodes_json, "GET"),
+        ("/submissions/{submission_id}/compare", comparison.compare_pages, "GET"),
+        ("/submissions/{submission_id}/compare.csv", comparison.compare_csv, "GET"),
         ("/submissions/{submission_id}/output", output.output, "GET"),
         ("/submissions/{submission_id}/events", submissions.events, "GET"),
         ("/submissions/{submission_id}/cancel", submissions.cancel, "POST"),

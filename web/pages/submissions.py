@@ -18,7 +18,7 @@ from ..rendering import render
 from ..session.forms import read_form
 from ..site import page, require_form_token, require_viewer, site_of, viewer_of
 from .episodes.map import episode_map
-from .figures import episode_figures, history_figures
+from .team.figures import episode_figures, history_figures
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Sequence

@@ -10,8 +10,10 @@ from starlette.exceptions import HTTPException
 from vitac.evaluator.agent.protocol.action import ACTION_TYPES
 from vitac.evaluator.tracks import UnknownTrack, load_track
 
+from ..plots.dates import DatedRate, rates_by_date
 from ..rendering import STATIC, render, steps, words
 from ..site import Tab, page, site_of, viewer_of
+from .paging import board_page
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Mapping, Sequence
@@ -175,6 +177,8 @@ async def _leaderboard(request: Request, name: str) -> Response:
     site, task = site_of(request), request.query_params.get("task")
     board = await site.data.leaderboard(name, task)
     viewer = await viewer_of(request)
+    address = f"/tracks/{name}" + (f"?task={task}" if task else "")
+    shown = board_page(request, address, board.entries, viewer.name if viewer else None)
     counted = list(track.tasks.values()) if task is None else [track.tasks[task]]
     return page(
         request,
@@ -182,7 +186,9 @@ async def _leaderboard(request: Request, name: str) -> Response:
         viewer=viewer,
         section="/" if name == site.tracks[0] else "",
         board=board,
-        table=_table(request, board, track, viewer),
+        shown=shown,
+        table=_table(request, board, track, viewer, shown.entries),
+        dates=_dates(request, board, viewer),
         track=track,
         tabs=tabs(track, task),
         track_tabs=track_tabs(site, track),
@@ -192,16 +198,37 @@ async def _leaderboard(request: Request, name: str) -> Response:
     )
 
 
-def _table(request: Request, board: LeaderboardView, track: Track, viewer: Viewer | None) -> Markup:
-    """Return the entries as a table."""
+def _dates(request: Request, board: LeaderboardView, viewer: Viewer | None) -> Markup:
+    """Return the plot of ranked entries against dates, kept until the board changes; nothing for a single one."""
+    ranked = [entry for entry in board.entries if entry.rank is not None]
+    if len(ranked) < 2:
+        return Markup()
+    own = viewer.name if viewer is not None and viewer.name in {entry.team for entry in ranked} else None
+
+    def make() -> str:
+        rates = [
+            DatedRate(name=entry.team, at=entry.submitted_at, success_rate=entry.success_rate, own=entry.team == own)
+            for entry in ranked
+        ]
+        return render("board_dates.html", request, figure=rates_by_date("dates", "Success rate against date", rates))
+
+    return site_of(request).plots.get((board.track, board.task, board.revision, own), make)
+
+
+def _table(
+    request: Request,
+    board: LeaderboardView,
+    track: Track,
+    viewer: Viewer | None,
+    entries: Sequence[LeaderboardEntryView],
+) -> Markup:
+    """Return entries as a table."""
     shown, combined = columns(track, board.task), _is_combined(track, board.task)
 
     def values(entry: LeaderboardEntryView) -> dict[str, object]:
         return {"combined": combined, "columns": shown, "cells": cells(shown, entry)}
 
-    rows = _rows(
-        request, viewer, "leaderboard_row.html", board.entries, values, of=lambda entry: (board.task, entry.rank)
-    )
+    rows = _rows(request, viewer, "leaderboard_row.html", entries, values, of=lambda entry: (board.task, entry.rank))
     return Markup(  # noqa: S704 - a rendered template, whose values are escaped
         render("leaderboard_table.html", request, board=board, combined=combined, columns=shown, rows=rows)
     )

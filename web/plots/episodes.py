@@ -1,4 +1,4 @@
-"""Plots of episodes: outcome by start offset, success by shape, env steps. Called by `pages.figures`."""
+"""Plots of episodes: outcome by start offset, success by shape, env steps. Called by `pages.team.figures`."""
 
 from __future__ import annotations
 

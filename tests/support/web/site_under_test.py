@@ -33,6 +33,8 @@ class SiteUnderTest:
             "/nothing-here",
             *submissions,
             f"{self.path_of('both')}/output",
+            f"{self.path_of('both')}/compare",
+            f"{self.path_of('both')}/compare?with={self.path_of('done').rpartition('/')[2]}",
         ]
 
     def sign_in(self, page: Page, name: str = "Gelbots") -> None:

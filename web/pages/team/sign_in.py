@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 from starlette.responses import RedirectResponse
 
-from ..session import signer
-from ..session.forms import local_target, read_form
-from ..site import page, require_form_token, site_of, viewer_of
+from ...session import signer
+from ...session.forms import local_target, read_form
+from ...site import page, require_form_token, site_of, viewer_of
 
 if TYPE_CHECKING:
     from uuid import UUID

@@ -3,7 +3,7 @@ import pytest
 from asgi_browser import AsgiBrowser
 from page_fixtures import LOCK, TASK, FixedData, a_past_result
 from visits import BOTH, COMPLETED, FAILED, RUNNING, page_of, sign_in
-from vitac.web.pages import figures
+from vitac.web.pages.team import figures
 
 
 def test_a_complete_submission_has_plots_with_tables(data: FixedData, browser: AsgiBrowser) -> None:

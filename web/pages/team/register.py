@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 from vitac.server.api.limiter import client_key
 from vitac.server.errors import ProblemCode, ServiceError
 
-from ..session.forms import read_form
-from ..site import page, site_of, viewer_of
+from ...session.forms import read_form
+from ...site import page, site_of, viewer_of
 from .sign_in import begin_session
 
 if TYPE_CHECKING:

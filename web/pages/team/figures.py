@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 from markupsafe import Markup
 
-from ..plots.dates import DatedRate, rates_by_date
-from ..plots.episodes import offset_maps, outcomes_of, steps_histogram, success_by_shape
-from ..rendering import render
-from ..site import site_of
+from ...plots.dates import DatedRate, rates_by_date
+from ...plots.episodes import offset_maps, outcomes_of, steps_histogram, success_by_shape
+from ...rendering import render
+from ...site import site_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from vitac.server.views.scores import TaskScoreView
     from vitac.server.views.submissions import EpisodeView, SubmissionView
 
-    from ..plots.figure import Figure
+    from ...plots.figure import Figure
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,14 +9,14 @@ from vitac.evaluator.submission_kinds import kind_of_file
 from vitac.server.errors import ServiceError
 from vitac.server.submissions.upload import AnnouncedUpload
 
-from ..session.file_form import read_file_form
-from ..site import page, require_form_token, require_viewer, site_of
-from .errors import wants_page
+from ...session.file_form import read_file_form
+from ...site import page, require_form_token, require_viewer, site_of
+from ..errors import wants_page
 
 if TYPE_CHECKING:
     from starlette.requests import Request
 
-    from ..site import Viewer
+    from ...site import Viewer
 
 ADDRESS = "/submissions/upload"
 NO_FILE = "Choose a file first."

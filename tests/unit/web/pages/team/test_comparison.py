@@ -1,0 +1,98 @@
+import csv
+import io
+from collections.abc import Mapping
+from uuid import UUID
+
+import page_fixtures
+import pytest
+from asgi_browser import AsgiBrowser
+from page_fixtures import LOCK, TASK, FixedData, a_submission, an_id, some_episodes
+from visits import BOTH, COMPLETED, QUEUED, RUNNING, sign_in
+from vitac.server.db.states import EvaluationState
+from vitac.server.views.submissions import EpisodeView, SubmissionView
+from vitac.web.data.protocol import SubmissionDetail, Visitor
+
+OTHER = a_submission("Gelbots", EvaluationState.COMPLETED, name="other")
+ONLY_LOCK = a_submission("Gelbots", EvaluationState.COMPLETED, name="lock", tasks=(LOCK,))
+
+
+def some_ends(solved: str) -> list[EpisodeView]:
+    return [
+        end.model_copy(update={"outcome": "success" if mark == "x" else "steps", "success": mark == "x"})
+        for mark, end in zip(solved, some_episodes(TASK, len(solved)), strict=True)
+    ]
+
+
+@pytest.fixture
+def ends(data: FixedData, monkeypatch: pytest.MonkeyPatch) -> dict[UUID, list[EpisodeView]]:
+    """Episodes of submissions, to be filled."""
+    data.found = [COMPLETED, OTHER, BOTH, ONLY_LOCK, RUNNING, QUEUED]
+    given: dict[UUID, list[EpisodeView]] = {}
+    whole = FixedData.submission
+
+    async def submission(self: FixedData, visitor: Visitor, submission_id: UUID) -> SubmissionDetail:
+        found = await whole(self, visitor, submission_id)
+        episodes = given.get(submission_id, list(found.episodes))
+        values: Mapping[str, object] = vars(found) | {"episodes": episodes}
+        return SubmissionDetail(**values)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(page_fixtures.FixedData, "submission", submission)
+    return given
+
+
+def shown(browser: AsgiBrowser, other: SubmissionView | None, suffix: str = "") -> str:
+    sign_in(browser, "Gelbots")
+    query = f"?with={other.id}" if other else ""
+    answer = browser.get(f"/submissions/{COMPLETED.id}/compare{suffix}{query}")
+    assert answer.status_code == 200
+    return answer.text
+
+
+def test_without_another_one_a_form_offers_those_that_can_be_compared(
+    browser: AsgiBrowser, ends: dict[UUID, list[EpisodeView]]
+) -> None:
+    assert ends == {}
+    html = shown(browser, None)
+    for offered in (OTHER, BOTH):
+        assert f'<option value="{offered.id}"' in html
+    for other in (COMPLETED, RUNNING, QUEUED):
+        assert f'<option value="{other.id}"' not in html
+
+
+def test_counts_p_value_and_differing_episodes_are_shown(
+    browser: AsgiBrowser, ends: dict[UUID, list[EpisodeView]]
+) -> None:
+    ends[COMPLETED.id], ends[OTHER.id] = some_ends("xxxxxxx.."), some_ends("x......x.")
+    html = shown(browser, OTHER)
+    for name, count in (("Both solve", 1), ("Only done", 6), ("Only other", 1), ("None", 1)):
+        assert f"<dt>{name}</dt><dd>{count}</dd>" in html
+    assert "<dd>0.125</dd>" in html
+    assert html.count("<tr role=") == 1 + 7
+    assert f'<option value="{OTHER.id}" selected' in html
+
+
+def test_all_pairs_are_a_file(browser: AsgiBrowser, ends: dict[UUID, list[EpisodeView]]) -> None:
+    ends[COMPLETED.id], ends[OTHER.id] = some_ends("x."), some_ends("..")
+    rows = list(csv.DictReader(io.StringIO(shown(browser, OTHER, ".csv"))))
+    assert [(row["episode"], row["first_outcome"], row["second_outcome"]) for row in rows] == [
+        ("1", "success", "steps"),
+        ("2", "steps", "steps"),
+    ]
+
+
+def test_nothing_in_common_is_told(browser: AsgiBrowser, ends: dict[UUID, list[EpisodeView]]) -> None:
+    assert "have no episode in common" in shown(browser, ONLY_LOCK)
+    ends[OTHER.id] = []
+    assert "have no episode in common" in shown(browser, OTHER)
+
+
+def test_other_lists_are_not_compared(data: FixedData, browser: AsgiBrowser) -> None:
+    sealed = OTHER.evaluation.model_copy(update={"commitment": "c0ffee"})
+    data.found = [COMPLETED, OTHER.model_copy(update={"evaluation": sealed})]
+    assert "have no episode in common" in shown(browser, OTHER)
+
+
+def test_another_teams_submission_is_not_there(browser: AsgiBrowser) -> None:
+    sign_in(browser, "Gelbots")
+    for other in (QUEUED.id, an_id("nobody"), "no-id"):
+        assert browser.get(f"/submissions/{COMPLETED.id}/compare?with={other}").status_code == 404

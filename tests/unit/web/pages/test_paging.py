@@ -1,0 +1,105 @@
+import pytest
+from asgi_browser import AsgiBrowser
+from page_fixtures import TASK, FixedData, a_leaderboard, a_score, an_entry
+from starlette.requests import Request
+from visits import sign_in
+from vitac.server.views.leaderboards import LeaderboardEntryView
+from vitac.web.pages.paging import BoardPage, board_page
+
+SCORE = a_score((80, 74, 80), 4.92)
+ENTRIES = [an_entry(rank, f"Team {rank:03d}" if rank != 120 else "Gelbots", SCORE) for rank in range(1, 151)]
+
+
+def asked(query: str, entries: list[LeaderboardEntryView] = ENTRIES, own: str | None = None) -> BoardPage:
+    request = Request({"type": "http", "method": "GET", "path": "/", "headers": [], "query_string": query.encode()})
+    return board_page(request, f"/tracks/track_1?task={TASK}", entries, own)
+
+
+def ranks(page: BoardPage) -> list[int | None]:
+    return [entry.rank for entry in page.entries]
+
+
+@pytest.mark.parametrize(
+    ("query", "number", "first"),
+    [("", 1, 1), ("page=2", 2, 51), ("page=3", 3, 101), ("page=9", 3, 101), ("page=0", 1, 1), ("page=-1", 1, 1)],
+)
+def test_each_page_has_fifty_entries(query: str, number: int, first: int) -> None:
+    page = asked(query)
+    assert (page.number, page.pages) == (number, 3)
+    assert ranks(page) == list(range(first, first + 50))
+
+
+@pytest.mark.parametrize("number", ["x", "", "1" * 40, "²", "1e3"])
+def test_what_is_no_number_is_the_first_page(number: str) -> None:
+    assert asked(f"page={number}").number == 1
+
+
+def test_search_finds_parts_of_names_in_any_case() -> None:
+    page = asked("q=tEAm+00")
+    assert (ranks(page), page.found, page.pages) == ([*range(1, 10)], 9, 1)
+    assert asked("q=nobody").entries == []
+    assert asked("q=++").search == ""
+    assert len(asked(f"q={'x' * 1000}").search) == 64
+
+
+def test_links_keep_task_and_search() -> None:
+    page = asked("q=Team+%26")
+    assert page.link(2) == f"/tracks/track_1?task={TASK}&q=Team+%26&page=2"
+    assert asked("").link(1) == f"/tracks/track_1?task={TASK}"
+
+
+def test_the_own_row_is_found_on_its_page() -> None:
+    page = asked("", own="Gelbots")
+    assert page.own is ENTRIES[119]
+    assert page.own_link == f"/tracks/track_1?task={TASK}&page=3#own"
+    assert asked("", own="Nobody").own is None
+
+
+def test_no_entry_is_one_empty_page() -> None:
+    page = asked("", [])
+    assert (page.number, page.pages, page.entries) == (1, 1, [])
+
+
+def test_the_board_shows_a_page_and_links_the_others(data: FixedData, browser: AsgiBrowser) -> None:
+    data.board = a_leaderboard(*ENTRIES)
+    sign_in(browser, "Gelbots")
+    html = browser.get("/tracks/track_1").text
+    assert html.count('<tr role="row" class=') == 50
+    assert 'href="/tracks/track_1?page=3#own"' in html
+    assert "rank 120 of 150" in html
+    assert 'id="own"' not in html
+    third = browser.get("/tracks/track_1?page=3").text
+    assert third.count('id="own"') == 1
+    assert 'href="/tracks/track_1?page=3" aria-current="page"' in third
+
+
+def test_a_search_without_result_says_so_and_is_escaped(data: FixedData, browser: AsgiBrowser) -> None:
+    data.board = a_leaderboard(*ENTRIES)
+    html = browser.get('/tracks/track_1?q="<b>').text
+    assert "0 of 150 teams" in html
+    assert "&lt;b&gt;" in html
+    assert "<b>" not in html
+
+
+def test_a_small_board_needs_no_pages_and_no_search(data: FixedData, browser: AsgiBrowser) -> None:
+    data.board = a_leaderboard(*ENTRIES[:3])
+    html = browser.get("/tracks/track_1").text
+    assert 'role="search"' not in html
+    assert 'class="pages"' not in html
+
+
+def test_the_plot_by_date_has_ranked_entries_and_marks_the_own_one(data: FixedData, browser: AsgiBrowser) -> None:
+    data.board = a_leaderboard(*ENTRIES[118:121], an_entry(None, "Old Team", SCORE))
+    html = browser.get("/tracks/track_1").text
+    assert html.count(' r="4"><title>') == 3
+    sign_in(browser, "Gelbots")
+    own = browser.get("/tracks/track_1").text
+    assert own.count('class="point own"') == 1
+    data.board = a_leaderboard(ENTRIES[0])
+    assert "By date" not in browser.get("/tracks/track_1").text
+
+
+def test_the_evaluator_stands_in_a_detail(data: FixedData, browser: AsgiBrowser) -> None:
+    data.board = a_leaderboard(*ENTRIES[:3])
+    html = browser.get("/tracks/track_1").text
+    assert html.index("<summary>How this board was made") < html.index(data.board.evaluator_version)

@@ -1,0 +1,84 @@
+"""Two submissions compared episode by episode, with the exact p-value of McNemar's test."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from starlette.responses import Response
+from vitac.evaluator.scoring.comparison import NothingToCompare, compare
+
+from ...site import page, require_viewer, site_of
+from ..downloads import csv_file
+from ..submissions import as_id
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+    from vitac.evaluator.scoring.comparison import Comparison
+
+    from ...data.protocol import SubmissionDetail
+    from ...site import Viewer
+
+COLUMNS = ("task", "episode", "shape", "first_outcome", "first_env_steps", "second_outcome", "second_env_steps")
+
+
+async def compare_pages(request: Request) -> Response:
+    """Show the comparison with the submission that `?with=` names, or a form to choose one."""
+    viewer = await require_viewer(request)
+    if isinstance(viewer, Response):
+        return viewer
+    first, second = await _both(request, viewer)
+    offered = await site_of(request).data.submissions(viewer.visitor, None)
+    return page(
+        request,
+        "comparison.html",
+        viewer=viewer,
+        section="/submissions",
+        first=first.submission,
+        second=second.submission if second else None,
+        found=_compared(first, second),
+        offered=[
+            other
+            for other in offered.items
+            if other.track == first.submission.track and other.id != first.submission.id and other.evaluation.scores
+        ],
+    )
+
+
+async def compare_csv(request: Request) -> Response:
+    """Return the pairs of episodes as a file."""
+    viewer = await require_viewer(request)
+    if isinstance(viewer, Response):
+        return viewer
+    found = _compared(*await _both(request, viewer))
+    rows = (
+        (
+            pair.first.task,
+            pair.first.episode,
+            pair.first.shape,
+            pair.first.outcome,
+            pair.first.env_steps,
+            pair.second.outcome,
+            pair.second.env_steps,
+        )
+        for pair in (found.pairs if found else ())
+    )
+    return csv_file("comparison", COLUMNS, rows)
+
+
+async def _both(request: Request, viewer: Viewer) -> tuple[SubmissionDetail, SubmissionDetail | None]:
+    data, named = site_of(request).data, request.query_params.get("with")
+    first = await data.submission(viewer.visitor, as_id(request.path_params["submission_id"]))
+    return first, await data.submission(viewer.visitor, as_id(named)) if named else None
+
+
+def _compared(first: SubmissionDetail, second: SubmissionDetail | None) -> Comparison | None:
+    """Return the comparison; None where there is nothing to compare, also because the lists were not the same."""
+    ours, theirs = first.submission, second.submission if second else None
+    if second is None or theirs is None or ours.track != theirs.track:
+        return None
+    if ours.evaluation.commitment != theirs.evaluation.commitment:
+        return None
+    try:
+        return compare(first.episodes, second.episodes)
+    except NothingToCompare:
+        return None
