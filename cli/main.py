@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 from vitac.envs.errors import VitacError
+from vitac.envs.extras import install_command
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -16,15 +17,24 @@ class Noun:
     """One entry of `vitac --help`.
 
     `vitac.cli.<module>` has a function `command` (no verbs) or a `typer.Typer` named `app` (several verbs).
+    `extra` is that of the package's extras which it needs, if any.
     """
 
     name: str
     module: str
     summary: str
+    extra: str | None = None
 
+
+_SERVER = "server"
 
 NOUNS = (
-    Noun(name="demo", module="demo.command", summary="Run a service and evaluate the example submission on it."),
+    Noun(
+        name="demo",
+        module="demo.command",
+        summary="Run a service and evaluate the example submission on it.",
+        extra=_SERVER,
+    ),
     Noun(name="check", module="check", summary="Check a submission before its upload."),
     Noun(name="evaluate", module="evaluate", summary="Evaluate a submission here, as the service does."),
     Noun(name="resimulate", module="resimulate", summary="Run recorded actions through the physics."),
@@ -39,9 +49,11 @@ NOUNS = (
     Noun(name="whoami", module="client.account.whoami", summary="Show team, token and quotas."),
     Noun(name="submit", module="client.submit", summary="Upload a submission to a service."),
     Noun(name="status", module="client.status", summary="Show your submissions on a service."),
-    Noun(name="serve", module="service.serve", summary="Run the service: database, API and pages."),
-    Noun(name="worker", module="service.worker", summary="Run a worker that evaluates submissions."),
-    Noun(name="admin", module="admin.app", summary="Manage teams, submissions, evaluations and workers."),
+    Noun(name="serve", module="service.serve", summary="Run the service: database, API and pages.", extra=_SERVER),
+    Noun(name="worker", module="service.worker", summary="Run a worker that evaluates submissions.", extra="worker"),
+    Noun(
+        name="admin", module="admin.app", summary="Manage teams, submissions, evaluations and workers.", extra=_SERVER
+    ),
     Noun(name="sandbox", module="sandbox", summary="Print what a policy runs with: packages, BLAS, threads, CPU."),
     Noun(name="doctor", module="doctor", summary="Test the sandbox on this machine."),
 )
@@ -55,6 +67,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except VitacError as error:
         print(f"vitac: {error}", file=sys.stderr)
         sys.exit(1)
+    except ModuleNotFoundError as error:
+        extra = next((noun.extra for noun in NOUNS if noun.name == _requested(arguments)), None)
+        if extra is None or (error.name or "").startswith("vitac"):
+            raise
+        told = f"{error.name} is not installed. Install what this command needs with: {install_command(extra)}"
+        print(f"vitac: {told}", file=sys.stderr)
+        sys.exit(1)
 
 
 def build_app(arguments: Sequence[str]) -> typer.Typer:
@@ -66,7 +85,7 @@ def build_app(arguments: Sequence[str]) -> typer.Typer:
         pretty_exceptions_enable=False,
         add_completion=False,
     )
-    requested = next((argument for argument in arguments if not argument.startswith("-")), None)
+    requested = _requested(arguments)
     for noun in NOUNS:
         if noun.name != requested:
             app.command(noun.name, help=noun.summary)(_listed_only)
@@ -77,6 +96,11 @@ def build_app(arguments: Sequence[str]) -> typer.Typer:
         else:
             app.command(noun.name)(module.command)
     return app
+
+
+def _requested(arguments: Sequence[str]) -> str | None:
+    """Return the noun on the command line, if any."""
+    return next((argument for argument in arguments if not argument.startswith("-")), None)
 
 
 def _show_version(wanted: bool) -> None:

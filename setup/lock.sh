@@ -13,9 +13,9 @@ compile() { # output file, further arguments...
     pyproject.toml requirements/build.in
 }
 
-compile requirements/base.lock "$@"
-compile requirements/show.lock --extra show --constraint requirements/base.lock "$@"
-compile requirements/docs.lock --extra docs --constraint requirements/base.lock "$@"
-compile requirements/dev.lock --extra show --extra docs --extra dev --constraint requirements/show.lock --constraint requirements/docs.lock "$@"
+compile requirements/base.lock --extra server "$@"
+compile requirements/show.lock --extra server --extra show --constraint requirements/base.lock "$@"
+compile requirements/docs.lock --extra server --extra docs --constraint requirements/base.lock "$@"
+compile requirements/dev.lock --extra server --extra show --extra docs --extra dev --constraint requirements/show.lock --constraint requirements/docs.lock "$@"
 "${UV:-uv}" pip compile --quiet --universal --generate-hashes --python-version 3.11 --no-emit-index-url \
   --custom-compile-command setup/lock.sh --output-file requirements/node.lock "$@" requirements/node.in

@@ -9,6 +9,7 @@ import sys
 import tomllib
 import zipfile
 from collections.abc import Iterator
+from importlib.metadata import packages_distributions
 from pathlib import Path
 from typing import Any
 
@@ -114,6 +115,33 @@ def test_evaluator_imports_simulation_only_to_run(repository: Path) -> None:
     assert not loaded & {"torch", "sapien", "numba"}
 
 
+def import_names(requirements: list[str]) -> set[str]:
+    """Top-level modules that packages bring."""
+    wanted = {canonicalize_name(Requirement(each).name) for each in requirements}
+    found = packages_distributions()
+    return {module for module, names in found.items() if wanted & {canonicalize_name(name) for name in names}}
+
+
+def test_environments_and_evaluation_need_no_extra(repository: Path, project: dict[str, Any]) -> None:
+    """What `pip install` brings without extras runs the environments, the evaluator, training and their commands."""
+    extras = project["project"]["optional-dependencies"]
+    service = import_names(extras["server"])
+    assert {"sqlalchemy", "fastapi", "psycopg", "alembic", "obstore"} <= service
+    nouns = ("check", "evaluate", "resimulate", "log", "seeds", "show", "sensor", "train", "doctor")
+    client = ("submit", "status", "account.register", "account.login", "account.logout", "account.whoami")
+    names = [f"vitac.cli.{noun}" for noun in nouns] + [f"vitac.cli.client.{noun}" for noun in client]
+    names += [name for folder in ("evaluator", "training") for name in modules_below(repository, folder)]
+    names += [name for name in modules_below(repository, "envs") if ".drawing" not in name]
+    assert not modules_loaded_by("import " + ", ".join(names)) & service
+
+
+def test_worker_needs_a_part_of_what_the_server_needs(repository: Path, project: dict[str, Any]) -> None:
+    extras = project["project"]["optional-dependencies"]
+    assert set(extras["worker"]) < set(extras["server"])
+    loaded = modules_loaded_by("import " + ", ".join(modules_below(repository, "worker")))
+    assert not loaded & (import_names(extras["server"]) - import_names(extras["worker"]))
+
+
 def test_no_module_imports_a_folder_by_its_bare_name(repository: Path) -> None:
     bare = []
     for path in shipped_files(repository):
@@ -137,7 +165,8 @@ def locked(repository: Path, profile: str) -> dict[str, set[str]]:
 
 @pytest.mark.parametrize("profile", ["base", "show", "dev"])
 def test_lock_satisfies_the_project(repository: Path, project: dict[str, Any], profile: str) -> None:
-    wanted = list(project["project"]["dependencies"])
+    # The launcher's smallest profile has the service, which only an extra of the package brings.
+    wanted = list(project["project"]["dependencies"]) + project["project"]["optional-dependencies"]["server"]
     wanted += project["build-system"]["requires"]
     wanted += project["project"]["optional-dependencies"].get(profile, [])
     versions = locked(repository, profile)

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import pytest
 from vitac.cli import main as cli
 from vitac.envs.errors import VitacError
+from vitac.envs.extras import install_command
 from vitac.evaluator.version import evaluator_version
 
 
@@ -92,3 +93,42 @@ def test_help_imports_no_noun_and_nothing_heavy() -> None:
     )
     result = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
     assert result.stdout.splitlines()[-1] == "[] ['vitac.cli.main']"
+
+
+@pytest.mark.parametrize(
+    ("noun_name", "module", "extra", "package"),
+    [
+        ("serve", "service.serve", "server", "fastapi"),
+        ("worker", "service.worker", "worker", "sqlalchemy"),
+        ("admin", "admin.app", "server", "alembic"),
+        ("demo", "demo.command", "server", "uvicorn"),
+    ],
+)
+def test_missing_packages_of_a_command_are_named_with_how_to_install_them(
+    noun_name: str,
+    module: str,
+    extra: str,
+    package: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def missing(name: str) -> None:
+        assert name == f"vitac.cli.{module}"
+        raise ModuleNotFoundError("No module", name="obstore")
+
+    monkeypatch.setattr(cli, "import_module", missing)
+    code, out, err = run(capsys, noun_name)
+    assert (code, out) == (1, "")
+    assert err.startswith("vitac: obstore is not installed. Install what this command needs with: ")
+    assert install_command(extra) in err
+    assert package in err
+
+
+@pytest.mark.parametrize(("noun_name", "name"), [("status", "httpx"), ("serve", "vitac.server.missing")])
+def test_missing_module_of_our_own_is_a_fault(noun_name: str, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def missing(_: str) -> None:
+        raise ModuleNotFoundError("No module", name=name)
+
+    monkeypatch.setattr(cli, "import_module", missing)
+    with pytest.raises(ModuleNotFoundError):
+        cli.main([noun_name])
