@@ -33,6 +33,8 @@ from .names import (
 __all__ = ["ArchiveFault", "ArchiveRejected", "Entry", "packed_entries", "unpack", "write"]
 
 _CHUNK_BYTES: Final = 1024 * 1024
+_FOLDER_MODE: Final = 0o755
+"""Set once a folder is made: the umask would cut it."""
 _RATIO_FREE_BYTES: Final = 16 * 1024 * 1024
 """A ratio is only looked at above this size: small folders of text compress well."""
 _END_RECORD: Final = struct.Struct("<4s4H2LH")
@@ -104,7 +106,8 @@ def write(entries: Iterable[Entry], destination: Path, top: str, limits: Limits)
     folder = destination / top
     try:
         destination.mkdir(mode=0o755, parents=True, exist_ok=True)
-        folder.mkdir(mode=0o755)
+        folder.mkdir()
+        folder.chmod(_FOLDER_MODE)
         left = limits.archive_unpacked_bytes
         for entry in entries:
             left -= _write_entry(entry, folder, left, limits)
@@ -246,7 +249,8 @@ def _mend(paths: set[str], names: set[str], allowed: Collection[str]) -> str:
 def _write_entry(entry: Entry, folder: Path, left: int, limits: Limits) -> int:
     target = folder / entry.path
     for parent in reversed(target.relative_to(folder).parents[:-1]):
-        (folder / parent).mkdir(mode=0o755, exist_ok=True)
+        (folder / parent).mkdir(exist_ok=True)
+        (folder / parent).chmod(_FOLDER_MODE)
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW
     written = 0
     with os.fdopen(os.open(target, flags, 0o644), "wb") as file:

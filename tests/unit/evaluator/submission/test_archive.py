@@ -1,10 +1,12 @@
 import contextlib
 import io
+import os
 import stat
 import struct
 import tempfile
 import zipfile
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -306,3 +308,35 @@ def test_usual_mistakes_about_the_top_folder_are_refused_with_their_mend(
 def test_a_top_folder_with_any_name_is_shown_harmlessly(tmp_path: Path) -> None:
     caught = rejected(zip_bytes({f"{'x' * 200}/{'y' * 10}": b"x"}), tmp_path)
     assert caught.message.count("x") < 100
+
+
+@pytest.mark.parametrize("said", [0, 4, 6, 1000])
+def test_a_file_of_another_size_than_it_says_is_damaged_and_leaves_nothing(said: int, tmp_path: Path) -> None:
+    with pytest.raises(ArchiveRejected) as refused:
+        write([file_of(b"first", "a.py"), replace(file_of(b"12345", "b.py"), n_bytes=said)], tmp_path, "Top", Limits())
+    assert refused.value.code is ArchiveFault.DAMAGED
+    assert refused.value.message == (
+        f"The archive is damaged: 'b.py' has 5 bytes, expected {said}. Pack and upload it again."
+    )
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_too_much_is_told_with_the_limit(tmp_path: Path) -> None:
+    limits = replace(Limits(), archive_unpacked_bytes=4)
+    with pytest.raises(ArchiveRejected) as refused:
+        write([file_of(b"12345")], tmp_path, "Top", limits)
+    assert refused.value.message == "The files are larger than 4 bytes together."
+
+
+@pytest.mark.parametrize("mask", [0o022, 0o027, 0o077])
+def test_files_and_folders_are_readable_by_everyone_whatever_the_umask(mask: int, tmp_path: Path) -> None:
+    """The policy runs as a user of its own, who must be able to read them."""
+    before = os.umask(mask)
+    try:
+        folder = write([file_of(b"1", "a/b/c.py"), file_of(b"2", "a/d.py")], tmp_path, "Top", Limits())
+    finally:
+        os.umask(before)
+    made = [folder, *folder.rglob("*")]
+    assert {oct(path.stat().st_mode & 0o777) for path in made if path.is_dir()} == {"0o755"}
+    assert {oct(path.stat().st_mode & 0o777) for path in made if path.is_file()} == {"0o644"}
+    assert len(made) == 5

@@ -201,3 +201,13 @@ def test_recordings_of_a_log_that_lacks_tests_are_an_error_of_the_caller() -> No
     del log.episodes[-1]
     with pytest.raises(ValueError, match="longer"):
         list(text_log_recordings(log, PEG, task_of(PEG)))
+
+
+@pytest.mark.parametrize("top_mm", FUSION.hole_tops_mm)
+def test_a_recording_of_the_vision_track_starts_where_the_peg_really_was(top_mm: float) -> None:
+    log, starts = whole(FUSION), FUSION.starts(top_mm)
+    for episode, start in zip(log.episodes, starts, strict=True):
+        episode.initial_offset = start.offset
+    recordings = list(text_log_recordings(log, FUSION, task_of(FUSION)))
+    assert [recording.episode.offset for recording in recordings] == [start.true_offset for start in starts]
+    assert [recording.episode.shape for recording in recordings] == [start.part for start in starts]
