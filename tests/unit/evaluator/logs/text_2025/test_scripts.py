@@ -67,3 +67,16 @@ def test_printing_may_round(numbers: list[float], part: float) -> None:
     assert not is_printed([*numbers, 0.0], numbers)
     if numbers:
         assert not is_printed([*numbers[:-1], numbers[-1] + 2 * PRINTED_MM + 1e-6], numbers)
+
+
+@pytest.mark.parametrize(("apart", "is_same"), [(0.0, True), (1.9e-5, True), (-1.9e-5, True), (2.1e-5, False)])
+def test_numbers_are_printed_to_two_hundred_thousandths(apart: float, is_same: bool) -> None:
+    for number in (0.0, 0.25):
+        assert is_printed([number + apart, 1.0], [number, 1.0]) == is_same
+        assert is_printed([1.0, number + apart], [1.0, number]) == is_same
+
+
+@pytest.mark.parametrize(("shown", "expected"), [((), (1.0,)), ((1.0,), ()), ((1.0, 2.0), (1.0, 2.0, 3.0))])
+def test_more_or_fewer_numbers_are_others(shown: tuple[float, ...], expected: tuple[float, ...]) -> None:
+    assert not is_printed(shown, expected)
+    assert is_printed((), ())
