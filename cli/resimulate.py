@@ -23,6 +23,9 @@ def command(
     assets: Annotated[
         Path | None, typer.Option(help="Folder with the challenge's own meshes [env: VITAC_ASSETS_DIR].")
     ] = None,
+    profile: Annotated[
+        str | None, typer.Option(help="Settings under which it was recorded, by a name in the track file.")
+    ] = None,
     json: Annotated[Path | None, typer.Option(help="Write the report to this file.")] = None,
 ) -> None:
     """Run recorded actions through the physics, including those after the end of an episode.
@@ -39,6 +42,8 @@ def command(
     from .terminal.compiling import compiling_shown
 
     _, definition = find_task(task)
+    if profile is not None:
+        definition = _with_profile(definition, profile)
     recordings = read_recordings(file, definition)
     env = make_environment(definition, assets or assets_dir_from_environment(), ())
     episodes = []
@@ -55,6 +60,15 @@ def command(
         f"{len(episodes)} episodes, {successes} successes; {result.ipc_steps} IPC steps, "
         f"{1000 * result.cpu_s_per_ipc_step:.1f} ms of CPU each; solver {result.solver_version}"
     )
+
+
+def _with_profile(task: "Task", name: str) -> "Task":
+    if name not in task.profiles:
+        expected = ", ".join(task.profiles) or "none"
+        raise typer.BadParameter(f"expected a profile of {task.name} ({expected}), got {name!r:.80}.")
+    chosen = task.profiles[name]
+    print(f"Profile {name}: {', '.join(f'{key} {value}' for key, value in chosen.settings.items())}. {chosen.reason}")
+    return task.model_copy(update={"settings": task.settings | chosen.settings})
 
 
 def _lines(task: "Task", recording: "Recording", played: "ReportedEpisode") -> Iterator[str]:

@@ -2,10 +2,11 @@
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass
 from enum import StrEnum
 from functools import cached_property
+from itertools import product
 from typing import Any, Self
 
 from pydantic import Field, PositiveInt, field_validator, model_validator
@@ -26,6 +27,17 @@ class ListKind(StrEnum):
     """Whoever has its secret."""
 
 
+class Player(StrEnum):
+    """Who chooses the actions in a task."""
+
+    POLICY = "policy"
+    """The team's own policy."""
+    ESTIMATOR = "estimator"
+    """The standard estimator of ours, calibrated to the team's sensor."""
+    BLIND = "blind"
+    """The standard estimator with all markers at rest."""
+
+
 class Start(StrictModel):
     """Where an episode starts: what is played with, and where it stands in the units of the list's `offset_option`."""
 
@@ -34,10 +46,24 @@ class Start(StrictModel):
 
 
 class EpisodeBlock(StrictModel):
-    """Starts that are played one after the other, the whole block `repeats` times."""
+    """Starts that are played one after the other, the whole block `repeats` times.
+
+    A file may give `shapes` and `offsets` in place of `starts`: every shape at the first offset, then at the second.
+    """
 
     repeats: PositiveInt = 1
     starts: tuple[Start, ...] = Field(min_length=1)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _every_shape_at_every_offset(cls, content: Any) -> Any:
+        if not isinstance(content, dict) or not {"shapes", "offsets"} <= content.keys() or "starts" in content:
+            return content
+        shapes, offsets = content["shapes"], content["offsets"]
+        if not isinstance(shapes, list) or not isinstance(offsets, list):
+            raise ValueError("expected lists of shapes and offsets")
+        own = {key: value for key, value in content.items() if key not in {"shapes", "offsets"}}
+        return own | {"starts": [{"shape": shape, "offset": offset} for offset, shape in product(offsets, shapes)]}
 
 
 class EpisodeList(StrictModel):
@@ -91,6 +117,14 @@ class Episode:
         }
 
 
+class Profile(StrictModel):
+    """Settings of the environment under which recordings of another evaluation were made; never scored."""
+
+    reason: str
+    """Why they differ from the task's own."""
+    settings: dict[Word, bool | int | float | str] = Field(min_length=1)
+
+
 class Task(StrictModel):
     """One task of a track: its environment and its episode list. What is observed and done is the environment's."""
 
@@ -106,6 +140,8 @@ class Task(StrictModel):
     settings: dict[Word, bool | int | float | str] = Field(
         default={}, description="Settings of the environment that are not its defaults."
     )
+    player: Player = Field(default=Player.POLICY, description="Who chooses the actions.")
+    profiles: dict[Word, Profile] = Field(default={}, description="Settings for re-simulation only, by name.")
     episode_list: EpisodeList
 
     @property
@@ -155,7 +191,9 @@ class Task(StrictModel):
         measured = [asdict(method) for method in self.definition.methods]
         # A task without settings, methods or a sealed list keeps the digest that it had before there were any.
         tables = [observed, done, *([measured] if measured else [])]
-        absent: dict[str, Any] = {} if self.settings else {"settings": True}
+        absent: dict[str, Any] = {"profiles": True}  # never scored
+        absent |= {} if self.settings else {"settings": True}
+        absent |= {"player": True} if self.player is Player.POLICY else {}
         absent |= {"episode_list": {"commitment"}} if self.episode_list.commitment is None else {}
         own = self.model_dump_json(exclude=absent)
         return hashlib.sha256((own + json.dumps(tables)).encode()).hexdigest()
@@ -164,8 +202,9 @@ class Task(StrictModel):
 class Track(StrictModel):
     """One track: what is scored, how it is ranked, what may be submitted, and its tasks by name.
 
-    `ranking_rule` orders the submissions of one task, `combination_rule` those of all tasks together. `folder` is the
-    one folder that the archive of a submission holds, and the challenge's own name of the track.
+    `ranking_rule` orders the submissions of one task, `combination_rule` those of all tasks together, or of
+    `combined_tasks` where these are given. `folder` is the one folder that the archive of a submission holds, and the
+    challenge's own name of the track. With `has_sensor`, every submission brings a sensor of its own.
     """
 
     name: Word
@@ -174,6 +213,8 @@ class Track(StrictModel):
     summary: str
     ranking_rule: str
     combination_rule: str | None = None
+    combined_tasks: tuple[Word, ...] = ()
+    has_sensor: bool = False
     accepts: tuple[SubmissionKind, ...] = Field(min_length=1)
     scoring_notes: tuple[str, ...] = ()
     tasks: dict[str, Task] = Field(min_length=1)
@@ -183,6 +224,22 @@ class Track(StrictModel):
         wrong = [key for key, task in self.tasks.items() if task.name != key]
         if wrong:
             raise ValueError(f"tasks.{wrong[0]}.name is {self.tasks[wrong[0]].name!r}; it must be {wrong[0]!r}")
+        return self
+
+    @property
+    def tasks_that_count(self) -> tuple[str, ...]:
+        """Return the tasks that the board of the whole track combines."""
+        return self.combined_tasks or tuple(self.tasks)
+
+    def tasks_of(self, named: Collection[str]) -> tuple[str, ...]:
+        """Return what a submission plays that names these tasks: them, and what our own estimator plays of each."""
+        return tuple(name for name, task in self.tasks.items() if name in named or task.player is not Player.POLICY)
+
+    @model_validator(mode="after")
+    def _combined_tasks_are_there(self) -> Self:
+        for name in self.combined_tasks:
+            if name not in self.tasks:
+                raise ValueError(f"combined_tasks has {name!r}; the tasks are {', '.join(self.tasks)}")
         return self
 
     @model_validator(mode="after")

@@ -50,8 +50,9 @@ def combined_score(evaluation: Evaluation) -> CombinedScore | None:
 
 
 def combination_of(submission: Submission, scores: Mapping[str, Score]) -> CombinedScore | None:
-    """Return the same for scores that are read already."""
-    return combine(_tasks_that_count(submission), scores) if scores else None
+    """Return the same for scores that are read already; None, too, where none of the tasks that count was played."""
+    counting = _tasks_that_count(submission)
+    return combine(counting, scores) if not scores.keys().isdisjoint(counting) else None
 
 
 def score_views(evaluation: Evaluation) -> list[TaskScoreView]:
@@ -90,8 +91,8 @@ def _board_result(
 
 
 def _tasks_that_count(submission: Submission) -> Collection[str]:
-    """Return all tasks of the track for a model; a log is of one task, and ranks on that one's board only."""
-    return load_track(submission.track).tasks if submission.kind.form.runs_policy else submission.tasks
+    """Return the combined tasks of the track for a model; a log is of one task, and ranks on its board only."""
+    return load_track(submission.track).tasks_that_count if submission.kind.form.runs_policy else submission.tasks
 
 
 def _score_view(task: str, score: Score, result_hash: str) -> TaskScoreView:

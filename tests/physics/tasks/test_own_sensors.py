@@ -1,5 +1,6 @@
 """Sensors of teams in the peg task: every gel is gripped alike, and nothing is lost or undefined."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -46,6 +47,81 @@ def test_highest_point_starts_a_tenth_of_a_millimetre_from_the_peg(name: str) ->
         highest_mm = float(design(name).gel.rest_position_m[:, 2].max()) * 1e3
         face_mm = side * (centre_mm - pose.y_m * 1e3) - highest_mm
         assert face_mm + closed_mm == pytest.approx(0.5 * GRIPPED_WIDTH_MM + 0.1, abs=1e-5)
+
+
+def test_flat_gels_touch_at_the_same_grasp_travel() -> None:
+    """Closed by 0.101 mm in all, all of them have come into the barrier's reach (0.1 mm), by the same distance."""
+    gaps_mm = []
+    for name in ("2 mm", "4 mm", "8 mm"):
+        env = PegInsertionEnv(sensor=design(name), indentation_mm=1e-3)
+        env.reset(options={"shape": "cuboid", "offset_mm_deg": (0.0, 0.0, 0.0)})
+        peg_y_mm = env.scene.pose.y_m * 1e3
+        for index in range(2):
+            sensing_mm = env.scene.gel_nodes_m(index)[env.scene.gel.sensing_nodes, 1] * 1e3
+            gaps_mm.append(float(np.abs(sensing_mm - peg_y_mm).min()) - 0.5 * GRIPPED_WIDTH_MM)
+    assert min(gaps_mm) > 0.0
+    assert max(gaps_mm) < 0.1
+    assert max(gaps_mm) - min(gaps_mm) < 0.02
+
+
+@pytest.mark.parametrize("name", ["4 mm", "dome"])
+def test_refining_a_gel_changes_its_surface_motion_little(name: str) -> None:
+    """By under 5 % in the median over starts, at the first env step."""
+    motions = []
+    for nodes in (250, 550):
+        refined = own_sensors.design(own_sensors.GELS[name](), wanted_nodes=nodes)
+        assert len(refined.gel.rest_position_m) >= nodes
+        env = PegInsertionEnv(sensor=refined)
+        motions.append([first_motion(env, number) for number in range(5)])
+    coarse, fine = np.array(motions)
+    assert np.median(np.abs(fine / coarse - 1.0)) < 0.05
+
+
+def first_motion(env: PegInsertionEnv, number: int) -> list[float]:
+    offset = ((-4.0, -4.0, -8.0), (-2.0, 1.0, -2.0), (0.0, -3.0, -4.0), (2.0, -1.0, 4.0), (4.0, 2.0, -2.0))[number]
+    env.reset(options={"shape": ("cuboid", "trapezoid", "concave1")[number % 3], "offset_mm_deg": offset})
+    *_, info = env.step(np.array([0.3, -0.4, 0.5], dtype=np.float32))
+    return [float(value) for value in info["surface_diff_m"]]
+
+
+def test_renumbering_the_nodes_changes_no_verdict() -> None:
+    original = design("ridge")
+    order = np.random.default_rng(0).permutation(len(original.gel.rest_position_m))
+    number = np.argsort(order)
+    gel = replace(
+        original.gel,
+        rest_position_m=original.gel.rest_position_m[order],
+        tetrahedra=number[original.gel.tetrahedra],
+        driven=original.gel.driven[order],
+        sensing=original.gel.sensing[order],
+    )
+    renumbered = replace(original, gel=gel, sensing_triangles=number[original.sensing_triangles])
+    infos = []
+    for sensor in (original, renumbered):
+        env = PegInsertionEnv(sensor=sensor)
+        env.reset(options=START)
+        for _ in range(3):
+            *_, info = env.step(np.array([-0.5, 0.7, 0.4], dtype=np.float32))
+        infos.append(info)
+    first, second = infos
+    assert first["end_reason"] == second["end_reason"]
+    np.testing.assert_allclose(first["surface_diff_m"], second["surface_diff_m"], rtol=1e-4)
+    np.testing.assert_allclose(first["peg_relative_z_mm"], second["peg_relative_z_mm"], atol=1e-3)
+
+
+def test_cavity_runs_from_its_own_mesh() -> None:
+    sensor = own_sensors.hollow_design()
+    assert len(sensor.gel.rest_position_m) > 150
+    env = PegInsertionEnv(sensor=sensor)
+    observation, info = env.reset(options=START)
+    assert env.scene.solved
+    *_, info = env.step(np.array([-0.5, 0.7, 0.4], dtype=np.float32))
+    assert env.scene.solved
+    assert np.isfinite(observation["marker_flow"]).all()
+    solid = PegInsertionEnv(sensor=design("4 mm"))
+    solid.reset(options=START)
+    *_, stiff = solid.step(np.array([-0.5, 0.7, 0.4], dtype=np.float32))
+    assert not np.allclose(info["surface_diff_m"], stiff["surface_diff_m"], rtol=1e-2)
 
 
 def test_mesh_hash_tells_designs_apart() -> None:

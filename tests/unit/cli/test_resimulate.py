@@ -7,6 +7,7 @@ from evaluation_records import make_manifest, make_record
 from vitac.cli import main as cli
 from vitac.evaluator.episodes import episode
 from vitac.evaluator.logs.log import LogHeader, write_log
+from vitac.evaluator.tracks import Task
 
 LINE = {
     "episode": 1,
@@ -135,3 +136,52 @@ def test_missing_file_is_refused(
     code, _, err = run(capsys, tmp_path / "nothing.jsonl", "--task", "peg-insertion")
     assert code == 2
     assert "does not exist" in err
+
+
+@pytest.fixture
+def asked_settings(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, object]]:
+    """Takes the simulation's place; the settings of the tasks that were asked for."""
+    asked: list[dict[str, object]] = []
+
+    def make(task: Task, *_: object) -> FakeEnvironment:
+        asked.append(dict(task.settings))
+        return FakeEnvironment()
+
+    monkeypatch.setattr(episode, "make_environment", make)
+    return asked
+
+
+def test_profile_of_the_track_file_sets_how_it_was_recorded(
+    recording: Path, asked_settings: list[dict[str, object]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, out, _ = run(capsys, recording, "--task", "sensor-design", "--profile", "challenge-2025-log")
+    assert code == 0
+    assert asked_settings == [{"gripper_z_mm": 0.0, "indentation_mm": 1.0, "z_step_mm": 0.075}]
+    assert out.startswith("Profile challenge-2025-log: gripper_z_mm 0.0, indentation_mm 1.0, z_step_mm 0.075. The org")
+
+
+def test_without_a_profile_the_settings_are_those_that_rank(
+    recording: Path, asked_settings: list[dict[str, object]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    run(capsys, recording, "--task", "sensor-design")
+    assert asked_settings == [{}]
+
+
+@pytest.mark.parametrize(
+    ("task", "message"),
+    [
+        ("sensor-design", "expected a profile of sensor-design (challenge-2025-log), got 'other'"),
+        ("peg-insertion", "expected a profile of peg-insertion (none), got 'other'"),
+    ],
+)
+def test_unknown_profile_is_refused(
+    recording: Path,
+    asked_settings: list[dict[str, object]],
+    capsys: pytest.CaptureFixture[str],
+    task: str,
+    message: str,
+) -> None:
+    code, _, err = run(capsys, recording, "--task", task, "--profile", "other")
+    assert code == 2
+    assert message in " ".join(err.replace("\u2502", " ").split())
+    assert asked_settings == []

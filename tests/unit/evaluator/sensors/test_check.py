@@ -5,19 +5,12 @@ from pathlib import Path
 import drawn_gels
 import numpy as np
 import pytest
+from own_sensors import msh, write_sensor
 from vitac.envs.sensor_design.surface import DrawnSurface
 from vitac.envs.sensor_design.tetrahedra import Tetrahedra
 from vitac.evaluator.sensors.check import SensorCheck, check_sensor
 from vitac.evaluator.sensors.findings import Rule
 from vitac.evaluator.sensors.limits import sensor_limits
-
-
-def sensor(folder: Path, gel: DrawnSurface, *, yaml: str = "{}", mesh: str | None = None) -> Path:
-    (folder / "gel.stl").write_bytes(drawn_gels.stl_bytes(gel))
-    (folder / "sensor.yaml").write_text(yaml)
-    if mesh is not None:
-        (folder / "tet.msh").write_text(mesh)
-    return folder
 
 
 def broken(check: SensorCheck) -> list[Rule]:
@@ -28,19 +21,9 @@ def problem(check: SensorCheck) -> str:
     return next(finding.value + " " + finding.problem for finding in check.findings if not finding.ok)
 
 
-def msh(mesh: Tetrahedra, *, scale: float = 1e-3, by_mm: tuple[float, float, float] = (0, 0, 0)) -> str:
-    nodes, cells = len(mesh.nodes_mm), len(mesh.corners)
-    tags = [str(tag) for tag in range(1, nodes + 1)]
-    positions = [" ".join(map(repr, row)) for row in ((mesh.nodes_mm + by_mm) * scale).tolist()]
-    rows = [f"{number} {a} {b} {c} {d}" for number, (a, b, c, d) in enumerate((mesh.corners + 1).tolist(), start=1)]
-    lines = ["$MeshFormat", "4.1 0 8", "$EndMeshFormat", "$Nodes", f"1 {nodes} 1 {nodes}", f"3 1 0 {nodes}"]
-    lines += [*tags, *positions, "$EndNodes", "$Elements", f"1 {cells} 1 {cells}", f"3 1 4 {cells}", *rows]
-    return "\n".join([*lines, "$EndElements", ""])
-
-
 @pytest.fixture(scope="module")
 def ridge(tmp_path_factory: pytest.TempPathFactory) -> Tetrahedra:
-    check = check_sensor(sensor(tmp_path_factory.mktemp("ridge"), drawn_gels.ridge()))
+    check = check_sensor(write_sensor(tmp_path_factory.mktemp("ridge"), drawn_gels.ridge()))
     assert check.meshed is not None
     return check.meshed.mesh
 
@@ -63,13 +46,15 @@ def test_bare_stl_gets_the_default_camera_and_markers(tmp_path: Path) -> None:
     [drawn_gels.ridge, drawn_gels.pyramids, drawn_gels.dome, lambda: drawn_gels.flat(2), lambda: drawn_gels.flat(8)],
 )
 def test_gels_are_accepted_with_every_marker(draw: Callable[[], DrawnSurface], tmp_path: Path) -> None:
-    check = check_sensor(sensor(tmp_path, draw(), yaml="markers: {grid: {columns: 9, rows: 7, spacing_mm: [2, 2]}}"))
+    check = check_sensor(
+        write_sensor(tmp_path, draw(), yaml="markers: {grid: {columns: 9, rows: 7, spacing_mm: [2, 2]}}")
+    )
     assert check.ok, problem(check)
 
 
 def test_markers_that_cannot_be_attached_are_named(tmp_path: Path) -> None:
     markers = "[[0, 0], [12.9, 0], [0, -14], [1.0, 2.0]]"
-    check = check_sensor(sensor(tmp_path, drawn_gels.flat(), yaml=f"markers: {{points_mm: {markers}}}"))
+    check = check_sensor(write_sensor(tmp_path, drawn_gels.flat(), yaml=f"markers: {{points_mm: {markers}}}"))
     assert broken(check) == [Rule.MARKERS]
     assert check.meshed is not None
     assert check.design is None
@@ -80,13 +65,13 @@ def test_markers_that_cannot_be_attached_are_named(tmp_path: Path) -> None:
 
 def test_marker_out_of_the_picture_is_named(tmp_path: Path) -> None:
     yaml = "camera: {focal_px: [600, 325]}\nmarkers: {points_mm: [[0, 0], [9, 0]]}"
-    check = check_sensor(sensor(tmp_path, drawn_gels.flat(), yaml=yaml))
+    check = check_sensor(write_sensor(tmp_path, drawn_gels.flat(), yaml=yaml))
     assert "2 at (9.00, 0.00) mm is out of picture" in problem(check)
 
 
 def test_marker_behind_a_wall_is_named(tmp_path: Path) -> None:
     yaml = "markers: {points_mm: [[0, 0], [1.02, 0]]}"
-    check = check_sensor(sensor(tmp_path, drawn_gels.ridge(), yaml=yaml))
+    check = check_sensor(write_sensor(tmp_path, drawn_gels.ridge(), yaml=yaml))
     assert "2 at (1.02, 0.00) mm is not on sensing face" in problem(check)
 
 
@@ -94,15 +79,15 @@ def test_digest_is_that_of_the_mesh_alone(tmp_path: Path, ridge: Tetrahedra) -> 
     folders = [tmp_path / name for name in ("first", "second")]
     for folder in folders:
         folder.mkdir()
-    first = check_sensor(sensor(folders[0], drawn_gels.ridge())).meshed
-    second = check_sensor(sensor(folders[1], drawn_gels.moved(drawn_gels.ridge(), by=(8, 0, -4)))).meshed
+    first = check_sensor(write_sensor(folders[0], drawn_gels.ridge())).meshed
+    second = check_sensor(write_sensor(folders[1], drawn_gels.moved(drawn_gels.ridge(), by=(8, 0, -4)))).meshed
     assert first is not None
     assert second is not None
     assert first.digest == second.digest
 
 
 def test_mesh_of_the_team_is_taken_as_it_is(tmp_path: Path, ridge: Tetrahedra) -> None:
-    check = check_sensor(sensor(tmp_path, drawn_gels.ridge(), mesh=msh(ridge, by_mm=(1, 2, 3))))
+    check = check_sensor(write_sensor(tmp_path, drawn_gels.ridge(), mesh=msh(ridge, by_mm=(1, 2, 3))))
     assert check.ok, problem(check)
     assert check.meshed is not None
     assert check.meshed.is_own
@@ -143,7 +128,7 @@ def faulty_meshes(ridge: Tetrahedra) -> dict[str, tuple[str, Rule, str]]:
 )
 def test_mesh_that_is_not_that_of_the_gel_is_refused(name: str, tmp_path: Path, ridge: Tetrahedra) -> None:
     text, rule, message = faulty_meshes(ridge)[name]
-    check = check_sensor(sensor(tmp_path, drawn_gels.ridge(), mesh=text))
+    check = check_sensor(write_sensor(tmp_path, drawn_gels.ridge(), mesh=text))
     assert rule in broken(check)
     finding = next(finding for finding in check.findings if finding.rule is rule)
     assert message in f"{finding.value} {finding.problem}"
@@ -154,29 +139,29 @@ def test_mesh_that_is_not_that_of_the_gel_is_refused(name: str, tmp_path: Path, 
 def test_hostile_counts_of_a_mesh_are_refused(counts: str, tmp_path: Path) -> None:
     nodes = f"$Nodes\n{counts}\n3 1 0 99999999\n1\n$EndNodes\n"
     text = f"$MeshFormat\n4.1 0 8\n$EndMeshFormat\n{nodes}$Elements\n$EndElements\n"
-    assert broken(check_sensor(sensor(tmp_path, drawn_gels.flat(), mesh=text))) == [Rule.TET_MSH]
+    assert broken(check_sensor(write_sensor(tmp_path, drawn_gels.flat(), mesh=text))) == [Rule.TET_MSH]
 
 
 def test_too_fine_a_mesh_is_refused(tmp_path: Path, ridge: Tetrahedra) -> None:
     few = sensor_limits().model_copy(update={"max_nodes": 200})
-    check = check_sensor(sensor(tmp_path, drawn_gels.ridge(), mesh=msh(ridge)), few)
+    check = check_sensor(write_sensor(tmp_path, drawn_gels.ridge(), mesh=msh(ridge)), few)
     assert broken(check) == [Rule.NODES]
 
 
 def test_overhang_needs_a_mesh_of_its_own(tmp_path: Path) -> None:
     void = drawn_gels.turned_inside_out(drawn_gels.moved(drawn_gels.flat(4.0), scale=0.4, by=(1, 1, 1.2)))
-    check = check_sensor(sensor(tmp_path, drawn_gels.together(drawn_gels.flat(), void)))
+    check = check_sensor(write_sensor(tmp_path, drawn_gels.together(drawn_gels.flat(), void)))
     assert broken(check) == [Rule.HEIGHT_FIELD]
     assert "tet.msh" in problem(check)
 
 
 def test_features_below_the_resolution_are_named(tmp_path: Path) -> None:
     comb = [[(x, -8.0), (x + 0.2, -8.0), (x + 0.2, 8.0), (x, 8.0)] for x in np.arange(-8.0, 8.0, 2.0)]
-    assert broken(check_sensor(sensor(tmp_path, drawn_gels.pillars(comb)))) == [Rule.RESOLUTION]
+    assert broken(check_sensor(write_sensor(tmp_path, drawn_gels.pillars(comb)))) == [Rule.RESOLUTION]
 
 
 def test_pipe_in_place_of_the_mesh_is_refused_without_waiting_for_it(tmp_path: Path) -> None:
-    folder = sensor(tmp_path, drawn_gels.flat())
+    folder = write_sensor(tmp_path, drawn_gels.flat())
     os.mkfifo(folder / "tet.msh")
     check = check_sensor(folder)
     assert broken(check) == [Rule.TET_MSH]

@@ -10,6 +10,7 @@ from vitac.envs.vision.stereo.method import StereoMethod
 from vitac.evaluator.strict_model import DocumentRejected, parse_yaml
 from vitac.evaluator.tracks import (
     Episode,
+    Player,
     Task,
     Track,
     UnknownTask,
@@ -122,9 +123,10 @@ def test_a_task_without_settings_methods_and_commitment_keeps_the_digest_from_be
     task = load_track("track_1").tasks[name]
     observed = [(row.name, row.shape, row.dtype, row.unit, row.meaning) for row in task.observables]
     done = [(row.name, row.scale, row.unit, row.meaning) for row in task.actions]
-    content = task.model_dump_json(exclude={"settings": True, "episode_list": {"commitment"}}) + json.dumps(
-        [observed, done]
+    content = task.model_dump_json(
+        exclude={"settings": True, "player": True, "profiles": True, "episode_list": {"commitment"}}
     )
+    content += json.dumps([observed, done])
     assert task.digest() == hashlib.sha256(content.encode()).hexdigest()
 
 
@@ -185,7 +187,9 @@ def test_unknown_key_names_the_nearest(
 
 
 def test_unlike_key_lists_all_valid_ones(content: dict[str, object]) -> None:
-    with pytest.raises(DocumentRejected, match="valid keys are accepts, combination_rule, folder, name, ranking_rule"):
+    with pytest.raises(
+        DocumentRejected, match="valid keys are accepts, combination_rule, combined_tasks, folder, has_sensor, name"
+    ):
         parse(content | {"zzzz": 1})
 
 
@@ -261,9 +265,9 @@ def one_task(content: dict[str, object], *, task: str) -> str:
 
 def test_tracks_of_a_folder_stand_beside_ours(further: Path, content: dict[str, object]) -> None:
     (further / "mine.yaml").write_text(one_task(content, task="my-peg"))
-    assert list_tracks() == ("mine", "track_1", "track_2", "track_2_gt")
+    assert list_tracks() == ("mine", "track_1", "track_2", "track_2_gt", "track_3")
     assert find_task("my-peg")[0].name == "mine"
-    assert archive_folders() == ("Mine", "Track_1", "Track_2")
+    assert archive_folders() == ("Mine", "Track_1", "Track_2", "Track_3")
 
 
 def test_tracks_of_ours_are_not_replaced(further: Path) -> None:
@@ -287,3 +291,93 @@ def test_name_and_file_name_agree(further: Path, content: dict[str, object]) -> 
     (further / "other.yaml").write_text(one_task(content, task="my-peg"))
     with pytest.raises(DocumentRejected, match=r"other\.yaml says name 'mine'"):
         load_track("other")
+
+
+def test_sensors_play_the_starts_and_settings_of_track_1() -> None:
+    published = load_track("track_1").tasks["peg-insertion"]
+    for task in load_track("track_3").tasks.values():
+        assert task.episode_list == published.episode_list
+        assert (task.env_id, task.settings, task.max_steps) == (
+            published.env_id,
+            published.settings,
+            published.max_steps,
+        )
+
+
+def test_boards_of_sensors_are_those_of_policies_and_of_the_estimator() -> None:
+    track = load_track("track_3")
+    assert track.has_sensor
+    assert track.tasks_that_count == ("sensor-design",)
+    assert {name: task.player for name, task in track.tasks.items()} == {
+        "sensor-design": Player.POLICY,
+        "sensor-standard": Player.ESTIMATOR,
+        "sensor-blind": Player.BLIND,
+    }
+    assert len({task.digest() for task in track.tasks.values()}) == 3
+
+
+def test_estimator_plays_for_every_submission() -> None:
+    track = load_track("track_3")
+    assert track.tasks_of(["sensor-standard"]) == ("sensor-standard", "sensor-blind")
+    assert track.tasks_of(["sensor-design"]) == tuple(track.tasks)
+    assert load_track("track_1").tasks_of(["lock-opening"]) == ("lock-opening",)
+
+
+def test_all_tasks_count_where_none_are_named() -> None:
+    assert load_track("track_1").tasks_that_count == ("peg-insertion", "lock-opening")
+
+
+def test_combined_task_must_be_there(content: dict[str, object]) -> None:
+    with pytest.raises(DocumentRejected, match="combined_tasks has 'peg'; the tasks are lock-opening, peg-insertion"):
+        parse(content | {"combined_tasks": ["peg"]})
+
+
+def block(content: dict[str, object]) -> dict[str, object]:
+    tasks = content["tasks"]
+    assert isinstance(tasks, dict)
+    return tasks["peg-insertion"]["episode_list"]["blocks"][0]  # type: ignore[no-any-return]
+
+
+def test_shapes_and_offsets_stand_for_every_shape_at_every_offset(content: dict[str, object]) -> None:
+    whole = parse(content).tasks["peg-insertion"]
+    del block(content)["starts"]
+    block(content).update(shapes=["cuboid", "trapezoid", "concave1"], offsets=[list(offset) for offset in OFFSETS])
+    short = parse(content).tasks["peg-insertion"]
+    assert short.episodes == whole.episodes
+    assert short.digest() == whole.digest()
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"shapes": "cuboid", "offsets": [[0, 0, 0]]}, "expected lists of shapes and offsets"),
+        ({"shapes": [], "offsets": [[0, 0, 0]]}, "at least 1 item"),
+        ({"shapes": ["cuboid"]}, "starts"),
+        ({"shapes": ["cuboid"], "offsets": [[0, 0], [0]]}, "offsets of one length"),
+    ],
+)
+def test_unusable_product_of_starts_is_refused(
+    content: dict[str, object], changes: dict[str, object], message: str
+) -> None:
+    del block(content)["starts"]
+    block(content).update(changes)
+    with pytest.raises(DocumentRejected, match=message):
+        parse(content)
+
+
+def test_profiles_are_no_part_of_the_digest(content: dict[str, object]) -> None:
+    before = parse(content).tasks["peg-insertion"].digest()
+    tasks = content["tasks"]
+    assert isinstance(tasks, dict)
+    tasks["peg-insertion"]["profiles"] = {"other": {"reason": "Because.", "settings": {"z_step_mm": 0.1}}}
+    changed = parse(content).tasks["peg-insertion"]
+    assert changed.digest() == before
+    assert changed.profiles["other"].settings == {"z_step_mm": 0.1}
+
+
+def test_player_is_part_of_the_digest(content: dict[str, object]) -> None:
+    before = parse(content).tasks["peg-insertion"].digest()
+    tasks = content["tasks"]
+    assert isinstance(tasks, dict)
+    tasks["peg-insertion"]["player"] = "blind"
+    assert parse(content).tasks["peg-insertion"].digest() != before
