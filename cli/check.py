@@ -55,6 +55,7 @@ def check(submission: Path) -> Findings:
     """
     from vitac.evaluator.submission.archive import ArchiveRejected
     from vitac.evaluator.submission.manifest import ManifestRejected, load_manifest, stage, submission_digest
+    from vitac.evaluator.tracks import load_track
 
     findings = Findings()
     with TemporaryDirectory(prefix="vitac-check-") as folder:
@@ -68,12 +69,34 @@ def check(submission: Path) -> Findings:
         except (ArchiveRejected, ManifestRejected) as error:
             findings.refused.append(str(error))
             return findings
+        has_sensor = load_track(manifest.track).has_sensor
+        if has_sensor and not _is_sensor_kept(staged, findings):
+            return findings
         for task in manifest.tasks:
-            _check_task(staged, manifest, task, findings)
+            _check_task(staged, manifest, task, findings, sensor=staged if has_sensor else None)
     return findings
 
 
-def _check_task(staged: Path, manifest: "SubmissionManifest", task: str, findings: Findings) -> None:
+def _is_sensor_kept(staged: Path, findings: Findings) -> bool:
+    """Make the sensor as the service does at the upload, and return whether it keeps to every rule."""
+    from vitac.evaluator.sensors.manifest import SensorRejected
+    from vitac.evaluator.sensors.package import design_document
+    from vitac.evaluator.submission.sensor import make_sensor
+
+    try:
+        document = design_document(staged)
+        made = make_sensor(staged)
+    except SensorRejected as error:
+        findings.refused.append(str(error))
+        return False
+    findings.passed.append(f"the sensor keeps to every rule: {made.facts.nodes} nodes, digest {made.digest}")
+    findings.passed.append(f"the design document is there: {document.path.name}")
+    return True
+
+
+def _check_task(
+    staged: Path, manifest: "SubmissionManifest", task: str, findings: Findings, *, sensor: Path | None
+) -> None:
     """Run the first and the last episode of a task's list, which differ in shape and start."""
     from vitac.evaluator.evaluation.local import evaluate
     from vitac.evaluator.tracks import load_track
@@ -84,7 +107,7 @@ def _check_task(staged: Path, manifest: "SubmissionManifest", task: str, finding
     definition = track.tasks[task]
     numbers = sorted({definition.episodes[0].number, definition.episodes[-1].number})
     with compiling_shown():
-        evaluation = evaluate(submission_dir=staged, track=track, task=definition, episodes=numbers)
+        evaluation = evaluate(submission_dir=staged, track=track, task=definition, episodes=numbers, sensor=sensor)
     for record in evaluation.records:
         _add_result(record, findings)
 

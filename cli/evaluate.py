@@ -74,7 +74,7 @@ def command(
         if secret is not None:
             track = sealed_track(track, read_secret(secret))
         definition = track.tasks[_chosen_task(manifest, task)]
-        with _Progress(len(numbers or definition.episodes)) as progress, compiling_shown(progress.bar):
+        with Progress(len(numbers or definition.episodes)) as progress, compiling_shown(progress.bar):
             evaluation = evaluate(
                 submission_dir=folder,
                 track=track,
@@ -83,7 +83,7 @@ def command(
                 workers=workers or len(os.sched_getaffinity(0)),
                 assets_dir=assets or assets_dir_from_environment(),
                 secret=secret,
-                sensor=sensor,
+                sensor=folder if sensor is None and track.has_sensor else sensor,
                 on_episode=progress.advance,
             )
     if json:
@@ -177,7 +177,7 @@ def _seconds(evaluation: "Evaluation") -> dict[str, float]:
     return {key: sum(getattr(timing, f"{key}_s") for timing in timings) for key in keys}
 
 
-class _Progress:
+class Progress:
     """A progress bar on stderr."""
 
     def __init__(self, total: int) -> None:
@@ -203,10 +203,11 @@ class _Progress:
         self._task = self.bar.add_task("starting", total=total)
 
     def advance(self, record: "EpisodeRecord") -> None:
+        """Count an episode."""
         self._successes += record.success
         self.bar.update(self._task, advance=1, description=f"{self._successes} successes")
 
-    def __enter__(self) -> "_Progress":
+    def __enter__(self) -> "Progress":
         self.bar.start()
         return self
 

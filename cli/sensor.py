@@ -1,20 +1,21 @@
 """`vitac sensor`: meshes, checks and draws a team's own sensor (Track 3)."""
 
+import os
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .terminal.existing import existing
 from .terminal.output import AsJson, print_json, print_pairs, print_table
 
 if TYPE_CHECKING:
+    from vitac.evaluator.evaluation.sensor import SensorReport
     from vitac.evaluator.sensors.check import SensorCheck
 
 app = typer.Typer(no_args_is_help=True)
 
-_TASK = "peg-insertion"
+_TASK, _OWN, _STANDARD = "peg-insertion", "sensor-design", "sensor-standard"
 
 Folder = Annotated[Path, typer.Argument(help="Folder with sensor.yaml and gel.stl.", exists=True, file_okay=False)]
 FolderOrStl = Annotated[Path, typer.Argument(help="Folder with sensor.yaml and gel.stl, or an STL file.", exists=True)]
@@ -85,15 +86,59 @@ def show(
 @app.command("evaluate")
 def evaluate(
     sensor: Folder,
-    policy: Annotated[Path, typer.Option(help="Zip or folder of a submission whose policy acts.", callback=existing)],
+    policy: Annotated[
+        Path | None,
+        typer.Option(
+            help="Zip or folder of a submission whose policy acts, in place of the standard estimator.", exists=True
+        ),
+    ] = None,
     episodes: Annotated[str | None, typer.Option(help="Numbers and ranges, such as 1:12,20; all by default.")] = None,
     workers: Annotated[int | None, typer.Option(min=1, help="Number of processes; one per core by default.")] = None,
-    json: Annotated[Path | None, typer.Option(help="Write score, result hash and all records to this file.")] = None,
+    json: Annotated[Path | None, typer.Option(help="Write scores, digests and the sensing gain to this file.")] = None,
 ) -> None:
-    """Play the peg task with a sensor and a policy, in the sandbox; the mesh hash of the result is the sensor's."""
+    """Play the peg task with a sensor: our standard estimator with and without sight of the markers, or a policy."""
+    if policy is not None:
+        _evaluate_policy(sensor, policy, episodes, workers, json)
+        return
+    from vitac.evaluator.evaluation.sensor import evaluate_sensor
+    from vitac.evaluator.tracks import find_task
+
+    from .evaluate import Progress, parse_episodes
+    from .terminal.compiling import compiling_shown
+
+    numbers = parse_episodes(episodes)
+    with Progress(2 * len(numbers or find_task(_STANDARD)[1].episodes)) as progress, compiling_shown(progress.bar):
+        found = evaluate_sensor(
+            sensor,
+            episodes=numbers,
+            workers=workers or len(os.sched_getaffinity(0)),
+            on_episode=progress.advance,
+        )
+    report = found.report()
+    if json:
+        json.write_text(report.model_dump_json(indent=1) + "\n", encoding="utf-8")
+    _print_report(report)
+
+
+def _evaluate_policy(sensor: Path, policy: Path, episodes: str | None, workers: int | None, json: Path | None) -> None:
+    from vitac.evaluator.submission.manifest import manifest_of
+
     from .evaluate import command
 
-    command(policy, task=_TASK, sensor=sensor, episodes=episodes, workers=workers, json=json)
+    task = _OWN if _OWN in manifest_of(policy).tasks else _TASK
+    command(policy, task=task, sensor=sensor, episodes=episodes, workers=workers, json=json)
+
+
+def _print_report(report: "SensorReport") -> None:
+    print(f"sensor digest {report.sensor_digest}")
+    rows = [(run.task, run.episodes, run.successes, f"{run.success_rate:.1%}") for run in report.runs]
+    print_table(("run", "episodes", "successes", "rate"), rows, none="")
+    gain = report.gain
+    interval = f"{100 * gain.low:+.1f} to {100 * gain.high:+.1f}"
+    print(f"sensing gain {100 * gain.gain:+.1f} points, 95 % interval {interval}, exact McNemar p {gain.p_value:.2g}")
+    print(f"coefficients {report.coefficients_digest}")
+    for run in report.runs:
+        print(f"result hash of {run.task} {run.result_hash}")
 
 
 def _digest(found: "SensorCheck") -> str | None:

@@ -41,6 +41,7 @@ class ProblemCode(StrEnum):
     QUOTA_EXCEEDED = "quota_exceeded"
     REGISTRATION_CLOSED = "registration_closed"
     RESULTS_OUTDATED = "results_outdated"
+    SENSOR_REJECTED = "sensor_rejected"
     STAGE_CLOSED = "stage_closed"
     STAGE_IN_USE = "stage_in_use"
     STAGE_NOT_OVER = "stage_not_over"
@@ -93,6 +94,7 @@ STATUS_OF_CODE: Mapping[ProblemCode, HTTPStatus] = MappingProxyType(
         ProblemCode.QUOTA_EXCEEDED: HTTPStatus.TOO_MANY_REQUESTS,
         ProblemCode.REGISTRATION_CLOSED: HTTPStatus.FORBIDDEN,
         ProblemCode.RESULTS_OUTDATED: HTTPStatus.CONFLICT,
+        ProblemCode.SENSOR_REJECTED: HTTPStatus.UNPROCESSABLE_ENTITY,
         ProblemCode.STAGE_CLOSED: HTTPStatus.FORBIDDEN,
         ProblemCode.STAGE_IN_USE: HTTPStatus.CONFLICT,
         ProblemCode.STAGE_NOT_OVER: HTTPStatus.CONFLICT,

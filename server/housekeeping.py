@@ -6,12 +6,10 @@ import time
 from datetime import timedelta
 
 import structlog
-from sqlalchemy import select
 from sqlalchemy.exc import SQLAlchemyError
 from vitac.envs.errors import VitacError
 
 from .db.advisory_locks import AdvisoryLock, wait_for_turn
-from .db.models import Submission
 from .evaluations.lifecycle import fail_by_machines
 from .evaluations.superseding import supersede_outdated
 from .metrics.instruments import RetryReason
@@ -21,6 +19,7 @@ from .queue.jobs import prune_finished_jobs
 from .queue.sweep import sweep
 from .services import Services
 from .storage.scratch import remove_leftovers
+from .submissions.files import stored_digests
 from .uploads import partial
 from .uploads.intake import UPLOAD_FOLDER
 
@@ -90,7 +89,7 @@ def prune(services: Services) -> None:
     with services.database.transaction() as session:
         prune_finished_jobs(session, timedelta(hours=services.settings.finished_jobs_kept_h))
         playbacks.remove_old(session, services.settings)
-        known = set(session.scalars(select(Submission.archive_sha256))) | playbacks.stored_digests(session)
+        known = set(stored_digests(session)) | playbacks.stored_digests(session)
     for digest in services.blobs.list_older_than(ORPHAN_KEPT):
         if digest not in known:
             _delete_orphan(services, digest)

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import Protocol, TypeVar
 
@@ -13,10 +14,12 @@ import structlog
 from sqlalchemy.orm import Session
 from vitac.envs.errors import VitacError
 from vitac.evaluator.episodes.records import EpisodeRecord, Manifest
+from vitac.evaluator.estimator.regression import Coefficients
 from vitac.evaluator.scoring.failures import is_broken
 from vitac.evaluator.shards.order import ShardOrder
 from vitac.evaluator.shards.result import ShardEnd, ShardResult
 from vitac.server.competition.sealing import secret_of
+from vitac.server.db.states import FileRole
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.evaluations.episode_store import StoredEpisodes, store_episodes, stored_episodes
 from vitac.server.evaluations.lifecycle import finish_shard, report_broken_machine
@@ -26,6 +29,8 @@ from vitac.server.queue.leases import Lease, LeaseLost
 from vitac.server.services import Services
 from vitac.server.storage.blobs import StoredFileLost
 from vitac.server.storage.disk_space import has_space, is_disk_full
+from vitac.server.submissions.files import add_files
+from vitac.server.uploads.checked_upload import UploadedFile
 
 from .record_store import RecordStore
 from .staging import SubmissionStage
@@ -126,9 +131,11 @@ class ShardRun:
 
     def _play(self, stored: StoredEpisodes) -> ShardResult:
         with ExitStack() as stack:
-            path = self._fetch(stack)
-            secret = self._secret_file(stack)
-            process = stack.enter_context(self._start(self._order(path, stored, secret)))
+            path = self._fetch(stack, partial(self._stage.submission, self._lease.kind, self._lease.archive_sha256))
+            made = self._lease.sensor_sha256
+            sensor = None if made is None else self._fetch(stack, partial(self._stage.file, made))
+            order = self._order(path, stored, secret=self._secret_file(stack), sensor=sensor)
+            process = stack.enter_context(self._start(order))
             with self._lock:
                 self._process = process
             if self._stopping.is_set() or self._lost.is_set():
@@ -140,14 +147,16 @@ class ShardRun:
                     store.add(record)
             finally:
                 store.close()
+            if process.result.coefficients is not None:
+                self._keep(process.result.coefficients)
             return process.result
 
-    def _fetch(self, stack: ExitStack) -> Path:
-        """Return where the submission is until the stack is closed; wait while the storage is unavailable."""
+    def _fetch(self, stack: ExitStack, stage: Callable[[], AbstractContextManager[Path]]) -> Path:
+        """Return where staged files are until the stack is closed; wait while the storage is unavailable."""
         deadline = time.monotonic() + STORAGE_PATIENCE_S
         while True:
             try:
-                return stack.enter_context(self._stage.submission(self._lease.kind, self._lease.archive_sha256))
+                return stack.enter_context(stage())
             except ServiceError as error:
                 may_pass = error.code is ProblemCode.STORAGE_UNAVAILABLE and not isinstance(error, StoredFileLost)
                 ends = self._stopping.is_set() or self._lost.is_set() or time.monotonic() > deadline
@@ -168,10 +177,26 @@ class ShardRun:
         file.write_text(secret)
         return file
 
-    def _order(self, path: Path, stored: StoredEpisodes, secret: Path | None) -> ShardOrder:
+    def _keep(self, coefficients: Coefficients) -> None:
+        """Store what the standard estimator has learned; every shard learns the same."""
+        content = coefficients.as_bytes()
+        with tempfile.TemporaryDirectory(prefix="upload-", dir=self._services.settings.scratch_dir) as folder:
+            file = UploadedFile(
+                role=FileRole.COEFFICIENTS,
+                path=Path(folder) / "coefficients.json",
+                sha256=coefficients.digest,
+                n_bytes=len(content),
+                name="coefficients.json",
+            )
+            file.path.write_bytes(content)
+            self._services.blobs.put(file.path, file.sha256)
+        self._database(lambda session: add_files(session, self._lease.submission_id, [file]))
+
+    def _order(self, path: Path, stored: StoredEpisodes, *, secret: Path | None, sensor: Path | None) -> ShardOrder:
         return ShardOrder(
             kind=self._lease.kind,
             submission=path,
+            sensor=sensor,
             track=self._lease.track,
             task=self._lease.task,
             secret=secret,

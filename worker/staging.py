@@ -2,7 +2,7 @@
 
 import shutil
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -47,14 +47,19 @@ class SubmissionStage:
             ServiceError: the stored file cannot be read.
             ArchiveRejected: it breaks a rule, although the upload checked it.
         """
-        name = f"{kind}-{archive_sha256}"
+        with self._kept(f"{kind}-{archive_sha256}", lambda folder: self._fetch(kind, archive_sha256, folder)) as path:
+            yield path
+
+    @contextmanager
+    def _kept(self, name: str, fetch: Callable[[Path], Path]) -> Iterator[Path]:
+        """Return what `fetch` has put into a folder of this name, once for all who want it at the same time."""
         with self._lock:
             staged = self._staged.setdefault(name, _Staged(folder=self._folder / name))
             staged.users += 1
         try:
             with staged.lock:
                 if staged.path is None:
-                    staged.path = self._fetch_whole(kind, archive_sha256, staged.folder)
+                    staged.path = self._whole(staged.folder, fetch)
             yield staged.path
         finally:
             with self._lock:
@@ -66,19 +71,34 @@ class SubmissionStage:
         """For what else lives only while a shard runs; removed also after this process was killed."""
         return self._folder
 
+    @contextmanager
+    def file(self, sha256: str) -> Iterator[Path]:
+        """Return a stored file as it is, there as long as the block runs.
+
+        Raises:
+            ServiceError: it cannot be read.
+        """
+        with self._kept(f"file-{sha256}", lambda folder: self._fetch_file(sha256, folder)) as path:
+            yield path
+
     def close(self) -> None:
         """Remove everything."""
         shutil.rmtree(self._folder, ignore_errors=True)
 
-    def _fetch_whole(self, kind: SubmissionKind, archive_sha256: str, folder: Path) -> Path:
+    def _whole(self, folder: Path, fetch: Callable[[Path], Path]) -> Path:
         try:
-            return self._fetch(kind, archive_sha256, folder)
+            folder.mkdir()
+            return fetch(folder)
         except BaseException:
             shutil.rmtree(folder, ignore_errors=True)  # perhaps the disk is full of it
             raise
 
+    def _fetch_file(self, sha256: str, folder: Path) -> Path:
+        path = folder / "file"
+        self._blobs.fetch(sha256, path)
+        return path
+
     def _fetch(self, kind: SubmissionKind, archive_sha256: str, folder: Path) -> Path:
-        folder.mkdir()
         upload = folder / "upload"
         self._blobs.fetch(archive_sha256, upload)
         if not kind.form.is_archive:

@@ -84,8 +84,8 @@ class Session(Protocol):
     """A policy that is loaded and waits to play episodes."""
 
     @property
-    def isolation(self) -> Isolation:
-        """How strongly it is isolated."""
+    def isolation(self) -> Isolation | None:
+        """How strongly it is isolated; None where it is ours."""
 
     def begin_shard(self) -> None:
         """Count the time of another shard from here on."""

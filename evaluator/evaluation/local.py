@@ -12,6 +12,7 @@ from queue import SimpleQueue
 from ..agent.limits import Limits
 from ..agent.session import Isolation
 from ..episodes.records import EpisodeRecord, Manifest, PolicyFailure, RecordsDisagree, in_order, result_hash
+from ..estimator.regression import Coefficients
 from ..scoring.failures import breaking_failure
 from ..scoring.score import Score, score
 from ..shards.order import ShardOrder
@@ -31,6 +32,8 @@ class Evaluation:
     records: tuple[EpisodeRecord, ...]
     isolation: Isolation | None
     """How strongly the policy was isolated; None if it never loaded."""
+    coefficients: Coefficients | None = None
+    """With which the standard estimator played; None where it did not play."""
 
     @cached_property
     def failure(self) -> PolicyFailure | None:
@@ -107,6 +110,7 @@ def evaluate(
         shards=shards,
         records=tuple(in_order(task.name, records)),
         isolation=next((result.isolation for result in pool.results if result.isolation), None),
+        coefficients=next((result.coefficients for result in pool.results if result.coefficients), None),
     )
 
 

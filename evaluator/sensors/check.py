@@ -3,21 +3,20 @@
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from vitac.envs.errors import VitacError
 
 from .findings import Finding, Rule
 from .limits import SensorLimits, sensor_limits
+from .made import load_made_sensor
 from .manifest import SENSOR_NAME, SensorManifest, read_sensor
+from .package import GEL_NAME, MESH_NAME
 
 if TYPE_CHECKING:
     from vitac.envs.tactile.design import SensorDesign
 
     from .meshing import MeshedGel
-
-GEL_NAME: Final = "gel.stl"
-MESH_NAME: Final = "tet.msh"
 
 
 class SensorRefused(VitacError):
@@ -89,14 +88,17 @@ def accepted_sensor(path: Path) -> SensorCheck:
 
 
 @cache
-def design_in(folder: Path) -> "SensorDesign":
-    """Return the design of a folder, which is read and meshed once in a process and its copies.
+def design_in(path: Path) -> "SensorDesign":
+    """Return the design of a folder or of a made sensor's file, which is read once in a process and its copies.
 
     Raises:
         SensorRefused: it breaks a rule.
         SensorRejected: sensor.yaml cannot be used.
+        MadeSensorDamaged: the file is no made sensor.
     """
-    design = accepted_sensor(folder).design
+    if path.is_file():
+        return load_made_sensor(path).design()
+    design = accepted_sensor(path).design
     assert design is not None  # noqa: S101 - of every accepted sensor
     return design
 

@@ -14,9 +14,10 @@ from ..episodes.records import EpisodeRecord
 from ..sensors.check import design_in
 from ..submission.manifest import load_manifest
 from ..submission_kinds import SubmissionKind
-from ..tracks import Task, Track, load_track
+from ..tracks import Player, Task, Track, load_track
 from ..tracks.cut import Shard, cut
 from ..tracks.sealed import read_secret, sealed_track
+from .estimator import run_estimator
 from .log import LogShard, resimulate_log
 from .order import ShardMessage, ShardOrder
 from .policy import load_in_sandbox, run_shard
@@ -72,7 +73,8 @@ def _result_of(order: ShardOrder, preparation: Preparation, on_episode: OnEpisod
     task = track.tasks[order.task]
     shard = next(shard for shard in cut(task, order.episodes) if shard.index == order.shard)
     ordered = OrderedShard(order=order, track=track, task=task, shard=shard)
-    return RUNNERS[order.kind](ordered, preparation, on_episode)
+    runner = RUNNERS[order.kind] if task.player is Player.POLICY else _run_estimator
+    return runner(ordered, preparation, on_episode)
 
 
 def _run_policy(ordered: OrderedShard, preparation: Preparation, on_episode: OnEpisode) -> ShardResult:
@@ -93,6 +95,10 @@ def _run_policy(ordered: OrderedShard, preparation: Preparation, on_episode: OnE
         skip=order.skip,
         earlier_failures=order.earlier_failures,
     )
+
+
+def _run_estimator(ordered: OrderedShard, _: Preparation, on_episode: OnEpisode) -> ShardResult:
+    return run_estimator(ordered.order, ordered.track, ordered.task, ordered.shard, on_episode)
 
 
 def _sensor_of(order: ShardOrder) -> "SensorDesign | None":

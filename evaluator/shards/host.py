@@ -21,7 +21,9 @@ from typing import NoReturn
 import numpy as np
 
 from ..episodes.episode import make_environment
+from ..estimator.calibration import calibrated
 from ..sensors.check import design_in
+from ..tracks import Player
 from ..tracks.registry import list_tracks, load_track
 from ..version import evaluator_hash
 from .execution import execute
@@ -96,7 +98,10 @@ class SimulationHost:
         self._load_task(order.track, order.task, order.assets_dir, order.sensor)
 
     def _load_task(self, track: str, task: str, assets_dir: Path | None = None, sensor: Path | None = None) -> None:
-        """Play one env step of a task, so that copies have all kernels and know the evaluator's hash."""
+        """Play one env step of a task, so that copies have all kernels and know the evaluator's hash.
+
+        For the standard estimator a sensor is calibrated here, once for all its shards.
+        """
         what = (track, task, assets_dir, sensor)
         if what in self._loaded:
             return
@@ -106,6 +111,8 @@ class SimulationHost:
             env = make_environment(listed, assets_dir, sensor=design_in(sensor) if sensor else None)
             env.reset(options=listed.episodes[0].options)
             env.step(np.zeros(len(listed.actions), dtype=np.float32))
+            if sensor and listed.player is not Player.POLICY:
+                calibrated(listed, sensor)
             evaluator_hash()
             self._loaded.add(what)
 

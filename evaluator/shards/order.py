@@ -25,7 +25,8 @@ class ShardOrder(StrictModel):
     """What a shard's process has to do.
 
     `submission` is the folder of an unpacked archive, or the file of a log; `secret` the file with the secret of a
-    sealed list, without which the public one is played; `sensor` a folder with a sensor of a team's own.
+    sealed list, without which the public one is played; `sensor` a folder with a sensor of a team's own, or the
+    file of a made one.
     """
 
     kind: SubmissionKind

@@ -4,6 +4,7 @@ from enum import StrEnum
 
 from ..agent.session import Isolation
 from ..episodes.records import Manifest
+from ..estimator.regression import Coefficients
 from ..logs.findings import LogFinding
 from ..strict_model import StrictModel
 
@@ -29,3 +30,5 @@ class ShardResult(StrictModel):
     """How strongly the policy was isolated; None if it was not started or did not load."""
     finding: LogFinding | None = None
     """Why a log is not true; None for models and as long as the log holds."""
+    coefficients: Coefficients | None = None
+    """With which the standard estimator played; None where it did not play."""

@@ -18,9 +18,10 @@ from vitac.server.db.states import EvaluationState
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.logs import action_matches
 from vitac.server.logs.export import export_log
-from vitac.server.submissions import listing, output, runs, upload
+from vitac.server.submissions import listing, output, runs, sensors, upload
 from vitac.server.submissions.watch import watch
 from vitac.server.views.logs import ActionMatchView
+from vitac.server.views.sensors import SensorView
 from vitac.server.views.submissions import EpisodeView, OutputView, SubmissionListView, SubmissionView
 
 from .access import PrincipalOf, ServicesOf
@@ -127,6 +128,33 @@ def get_output(
     """Return the end of what the policy printed in each episode: for its team and organizers, not of sealed lists."""
     with services.database.transaction() as session:
         return output.episode_outputs(session, principal, submission_id, task, after=after, limit=limit)
+
+
+@router.get("/{submission_id}/sensor")
+def get_sensor(services: ServicesOf, principal: PrincipalOf, submission_id: UUID) -> SensorView:
+    """Return the sensor of a submission: its mesh, its document, and what sensing adds once both runs are complete."""
+    with services.database.transaction() as session:
+        return sensors.sensor(session, principal, submission_id)
+
+
+@router.get(
+    "/{submission_id}/document",
+    response_class=Response,
+    responses={200: {"content": {"application/octet-stream": {}}, "description": "The file as it was brought."}},
+)
+def get_document(services: ServicesOf, principal: PrincipalOf, submission_id: UUID) -> Response:
+    """Return the design document, to be saved and never shown: nobody has looked at what is in it."""
+    with services.database.transaction() as session:
+        document = sensors.document(session, principal, submission_id)
+    return Response(
+        services.blobs.read(document.sha256),
+        media_type="application/octet-stream",
+        headers={
+            "Content-Disposition": f'attachment; filename="{submission_id}-{document.name}"',
+            "X-Content-Type-Options": "nosniff",
+            "Content-Security-Policy": "sandbox; default-src 'none'",
+        },
+    )
 
 
 @router.get("/{submission_id}/action-matches")

@@ -9,14 +9,15 @@ from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 
-from sqlalchemy import Connection, select, text
+from sqlalchemy import Connection, text
 from vitac.envs.errors import VitacError
 from vitac.server.accounts.audit import record
 from vitac.server.accounts.principals import CONSOLE
-from vitac.server.db.models import PartialUpload, Submission, UploadPart
+from vitac.server.db.models import PartialUpload, UploadPart
 from vitac.server.db.schema import installed_revision
 from vitac.server.postgres import tools
 from vitac.server.services import Services
+from vitac.server.submissions.files import stored_digests
 
 from .archive import BLOB_FOLDER, DUMP_NAME, BackupDescription, BackupWriter
 
@@ -94,9 +95,7 @@ def _dump(services: Services, dump: Path) -> BackupDescription:
     """Dump the database and list the uploaded files that the same snapshot of it refers to."""
     with services.database.engine.connect().execution_options(isolation_level="REPEATABLE READ") as connection:
         snapshot = connection.scalar(text("SELECT pg_export_snapshot()"))
-        blobs = connection.scalars(
-            select(Submission.archive_sha256).distinct().order_by(Submission.archive_sha256)
-        ).all()
+        blobs = stored_digests(connection)
         tools.dump(
             services.database.address,
             dump,

@@ -13,6 +13,14 @@ class Role(StrEnum):
     ORGANIZER = "organizer"  # everything
 
 
+class FileRole(StrEnum):
+    """What a stored file is to its submission, besides its upload."""
+
+    SENSOR = "sensor"  # the sensor as it was made at the upload; only this is scored
+    DOCUMENT = "document"  # the design document, as it was brought
+    COEFFICIENTS = "coefficients"  # what the standard estimator learned of the sensor
+
+
 class Quota(StrEnum):
     """What a team may have so much of."""
 

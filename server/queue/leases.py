@@ -15,9 +15,9 @@ from sqlalchemy.orm import Session
 from vitac.envs.errors import VitacError
 from vitac.evaluator.shards.result import ShardResult
 from vitac.evaluator.submission_kinds import SubmissionKind
-from vitac.server.db.models import Evaluation, Shard
+from vitac.server.db.models import Evaluation, Shard, SubmissionFile
 from vitac.server.db.row_locks import lock_evaluation
-from vitac.server.db.states import EvaluationState, ShardState
+from vitac.server.db.states import EvaluationState, FileRole, ShardState
 
 from .jobs import RETRY_PRIORITY, enqueue_shards
 
@@ -39,6 +39,7 @@ class Lease:
     token: int
     attempt: int
     evaluation_id: UUID
+    submission_id: UUID
     kind: SubmissionKind
     submission_digest: str
     evaluator_version: str
@@ -46,6 +47,7 @@ class Lease:
     run: int
     commitment: str | None
     archive_sha256: str
+    sensor_sha256: str | None
     task: str
     number: int
     episodes: tuple[int, ...]
@@ -79,6 +81,7 @@ def claim(session: Session, shard_id: int, worker_id: UUID, lease_s: float) -> L
         token=shard.token,
         attempt=shard.attempts,
         evaluation_id=evaluation.id,
+        submission_id=submission.id,
         kind=submission.kind,
         submission_digest=submission.digest,
         evaluator_version=evaluation.evaluator_version,
@@ -86,10 +89,19 @@ def claim(session: Session, shard_id: int, worker_id: UUID, lease_s: float) -> L
         run=evaluation.run,
         commitment=evaluation.commitment,
         archive_sha256=submission.archive_sha256,
+        sensor_sha256=_sensor_of(session, submission.id),
         task=shard.task,
         number=shard.number,
         episodes=tuple(shard.episodes),
         waited_s=(now - shard.queued_at).total_seconds(),
+    )
+
+
+def _sensor_of(session: Session, submission_id: UUID) -> str | None:
+    return session.scalar(
+        select(SubmissionFile.sha256).where(
+            SubmissionFile.submission_id == submission_id, SubmissionFile.role == FileRole.SENSOR
+        )
     )
 
 

@@ -17,6 +17,7 @@ from ..errors import ProblemCode, ServiceError
 from ..evaluations import lifecycle
 from ..settings import Quotas
 from ..uploads.checked_upload import CheckedUpload
+from .files import add_files
 from .runs import next_run
 
 EVALUATION_QUOTAS = (Quota.QUEUED_AT_ONCE, Quota.ATTEMPTS_PER_DAY, Quota.SCORED_RUNS_PER_DAY)
@@ -124,7 +125,7 @@ def _find_or_add(session: Session, owner: Team, upload: CheckedUpload, stage: st
             ]
         )
     )
-    return session.scalars(
+    submission = session.scalars(
         select(Submission)
         .where(
             Submission.team_id == owner.id,
@@ -135,3 +136,5 @@ def _find_or_add(session: Session, owner: Team, upload: CheckedUpload, stage: st
         )
         .with_for_update(key_share=True)
     ).one()
+    add_files(session, submission.id, upload.files)
+    return submission

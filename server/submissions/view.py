@@ -117,10 +117,10 @@ def _view(submission: Submission, runs: Sequence[Evaluation], shown: _Shown) -> 
 
 
 def _missing_tasks(submission: Submission) -> list[str]:
-    """Return what a model does not play; a log is of one task and no other is missed."""
+    """Return what counts and a model does not play; a log is of one task and no other is missed."""
     if not submission.kind.form.runs_policy:
         return []
-    return [task for task in load_track(submission.track).tasks if task not in submission.tasks]
+    return [task for task in load_track(submission.track).tasks_that_count if task not in submission.tasks]
 
 
 def _ranks(submission: Submission, newest: Evaluation, places_of: PlacesOf) -> dict[str | None, RankView]:

@@ -48,9 +48,11 @@ def accept(
     if track is not None and upload.track != track:
         raise _other_track(upload, track)
     check_kind(kind, load_known_track(upload.track))
-    with services.database.transaction() as session:
-        wait_for_turn(session, AdvisoryLock.STORED_FILE, received.sha256)  # after housekeeping, which may remove it
-        services.blobs.put(received.path, received.sha256)
+    stored = {received.sha256: received.path} | {file.sha256: file.path for file in upload.files}
+    for digest, path in stored.items():
+        with services.database.transaction() as session:
+            wait_for_turn(session, AdvisoryLock.STORED_FILE, digest)  # after housekeeping, which may remove it
+            services.blobs.put(path, digest)
     return upload
 
 

@@ -1,9 +1,33 @@
 """An upload that passed all checks; made by the checks of its kind, turned into a submission by `submissions`."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from vitac.evaluator.submission_kinds import SubmissionKind
+
+from ..db.states import FileRole
+
+
+@dataclass(frozen=True, kw_only=True)
+class UploadedFile:
+    """A file that is stored beside an upload.
+
+    Attributes:
+        role: what it is.
+        path: where it lies until it is stored.
+        sha256: of its content.
+        n_bytes: its size.
+        name: under which it is handed out.
+        facts: what is shown of it.
+    """
+
+    role: FileRole
+    path: Path
+    sha256: str
+    n_bytes: int
+    name: str
+    facts: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,3 +42,4 @@ class CheckedUpload:
     archive_sha256: str
     archive_bytes: int
     manifest: dict[str, Any]
+    files: tuple[UploadedFile, ...] = ()

@@ -10,6 +10,7 @@ from ..settings import Settings
 from ..tracks import load_known_track
 from .checked_upload import CheckedUpload
 from .intake import ReceivedFile
+from .sensors import sensor_files
 
 _UNPACKED_NAME = "unpacked"
 
@@ -23,7 +24,7 @@ def check_model(received: ReceivedFile, owner: str, settings: Settings) -> Check
         settings: limits on archives.
 
     Raises:
-        ServiceError: the archive or its manifest breaks a rule.
+        ServiceError: the archive, its manifest or its sensor breaks a rule.
     """
     try:
         folder = unpack(received.path, received.path.with_name(_UNPACKED_NAME), settings.limits)
@@ -32,13 +33,15 @@ def check_model(received: ReceivedFile, owner: str, settings: Settings) -> Check
         raise ServiceError(ProblemCode.ARCHIVE_REJECTED, error.message, reason=error.code.value) from error
     except ManifestRejected as error:
         raise ServiceError(ProblemCode.MANIFEST_REJECTED, str(error)) from error
+    track = load_known_track(manifest.track)
     return CheckedUpload(
         kind=SubmissionKind.MODEL,
         track=manifest.track,
-        tasks=tuple(task for task in load_known_track(manifest.track).tasks if task in manifest.tasks),
+        tasks=track.tasks_of(manifest.tasks),
         name=manifest.name,
         digest=digest,
         archive_sha256=received.sha256,
         archive_bytes=received.n_bytes,
         manifest=manifest.model_dump(mode="json"),
+        files=sensor_files(folder) if track.has_sensor else (),
     )

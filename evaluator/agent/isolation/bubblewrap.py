@@ -20,6 +20,8 @@ OWN_PROCESSES: Final = 3
 INSIDE_SUBMISSION: Final = "/submission"
 INSIDE_RUNTIME: Final = "/opt/vitac/agent.py"
 INSIDE_BACK_PROJECTION: Final = "/opt/vitac/back_projection.py"
+INSIDE_CODE: Final = "/opt/vitac/code"
+INSIDE_KERNELS: Final = "/opt/vitac/kernels"
 _RUNTIME: Final = Path(__file__).parents[1] / "runtime" / "agent.py"
 _BACK_PROJECTION: Final = Path(back_projection.__file__)
 DEVICES: Final = ("/dev/null", "/dev/zero", "/dev/full", "/dev/random", "/dev/urandom")
@@ -43,6 +45,12 @@ _ENVIRONMENT: Final = {
 }
 
 
+_NAMESPACES: Final = (
+    *("--unshare-ipc", "--unshare-pid", "--unshare-net", "--unshare-uts", "--unshare-cgroup-try"),
+    *("--hostname", "sandbox", "--die-with-parent", "--new-session", "--as-pid-1", "--clearenv"),
+)
+
+
 class UserIsolation(StrEnum):
     """Whose rights the policy runs with."""
 
@@ -63,6 +71,23 @@ class Descriptors:
     passwd: int
     info: int
     """bubblewrap writes the outside pid of the first process here."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tool:
+    """A program of ours that works on untrusted files.
+
+    Attributes:
+        module: run with `python -m`, with the folder and that of the kernels as arguments.
+        code: folders of ours that it imports, each as `vitac.<name>`.
+        kernels: folder of compiled kernels, only read; may be missing.
+        folder: what it works on.
+    """
+
+    module: str
+    code: tuple[Path, ...]
+    kernels: Path
+    folder: Path
 
 
 def current_user_isolation() -> UserIsolation:
@@ -112,10 +137,9 @@ def command(
     return [
         str(program),
         *_privileges(uid),
-        *("--unshare-ipc", "--unshare-pid", "--unshare-net", "--unshare-uts", "--unshare-cgroup-try"),
-        *("--hostname", "sandbox", "--die-with-parent", "--new-session", "--as-pid-1", "--clearenv"),
+        *_NAMESPACES,
         *("--json-status-fd", str(descriptors.info), "--seccomp", str(descriptors.seccomp)),
-        *_system_files(descriptors),
+        *_system_files(descriptors.passwd),
         *_writable_folders(limits),
         *_python_files(interpreter),
         *("--ro-bind", str(submission.resolve()), INSIDE_SUBMISSION, "--chdir", INSIDE_SUBMISSION, "--remount-ro", "/"),
@@ -127,6 +151,52 @@ def command(
     ]
 
 
+def tool_command(
+    tool: Tool, *, interpreter: Interpreter, limits: Limits, uid: int, seccomp: int, passwd: int
+) -> list[str]:
+    """Return the command line of a tool of ours that reads a folder of a team's, with no more rights than a policy.
+
+    Args:
+        tool: what is run, and what it sees.
+        interpreter: Python and its packages.
+        limits: what it may use.
+        uid: of the sandbox.
+        seccomp: descriptor of the filter.
+        passwd: descriptor of the sandbox's /etc/passwd.
+    """
+    code = [part for folder in (INSIDE_CODE, f"{INSIDE_CODE}/vitac") for part in ("--perms", "0755", "--dir", folder)]
+    for folder in tool.code:
+        code += ["--ro-bind", str(folder), f"{INSIDE_CODE}/vitac/{folder.name}"]
+    python_path = ":".join([INSIDE_CODE, *map(str, interpreter.packages)])
+    return [
+        str(find_program()),
+        *_privileges(uid),
+        *_NAMESPACES,
+        *("--seccomp", str(seccomp)),
+        *_system_files(passwd),
+        *_writable_folders(limits),
+        *_python_files(interpreter),
+        *code,
+        *("--ro-bind-try", str(tool.kernels), INSIDE_KERNELS),
+        *(
+            "--ro-bind",
+            str(tool.folder.resolve()),
+            INSIDE_SUBMISSION,
+            "--chdir",
+            INSIDE_SUBMISSION,
+            "--remount-ro",
+            "/",
+        ),
+        *_environment(interpreter),
+        *("--setenv", "PYTHONPATH", python_path, "--setenv", "VITAC_CACHE_DIR", "/tmp/cache"),  # noqa: S108
+        "--",
+        *_drop_to(uid),
+        *_process_limits(limits),
+        *("/usr/bin/prlimit", f"--cpu={math.ceil(limits.start_cpu_s)}", "--"),
+        *(str(interpreter.executable), "-P", "-s", "-B", "-m", tool.module, INSIDE_SUBMISSION, INSIDE_KERNELS),
+    ]
+
+
 def _privileges(uid: int) -> list[str]:
     if current_user_isolation() is UserIsolation.ROOT:
         # No user namespace: inside one, root's RLIMIT_NPROC would not be enforced. setpriv needs these two to drop.
@@ -134,7 +204,7 @@ def _privileges(uid: int) -> list[str]:
     return ["--unshare-user", "--uid", str(uid), "--gid", str(uid), "--disable-userns", "--cap-drop", "ALL"]
 
 
-def _system_files(descriptors: Descriptors) -> list[str]:
+def _system_files(passwd: int) -> list[str]:
     """Bind the system's programs and libraries; there is no /proc, no /sys and hardly an /etc."""
     arguments = ["--ro-bind", "/usr", "/usr"]
     for folder in ("/etc", "/opt", "/opt/vitac", "/opt/vitac/packages"):
@@ -147,7 +217,7 @@ def _system_files(descriptors: Descriptors) -> list[str]:
             arguments += ["--ro-bind", str(system), str(system)]
     for optional in ("/etc/ld.so.cache", "/etc/alternatives"):
         arguments += ["--ro-bind-try", optional, optional]
-    return [*arguments, "--perms", "0444", "--file", str(descriptors.passwd), "/etc/passwd"]
+    return [*arguments, "--perms", "0444", "--file", str(passwd), "/etc/passwd"]
 
 
 def _writable_folders(limits: Limits) -> list[str]:

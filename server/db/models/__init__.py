@@ -9,7 +9,7 @@ from .competition import Competition, Qualification, SealedList
 from .evaluations import ALL_TASKS, BoardResult, EpisodeDifference, EpisodeResult, Evaluation, LogCopy, Shard
 from .operations import MetricTotal, Worker
 from .playbacks import Playback
-from .submissions import PartialUpload, Submission, UploadPart
+from .submissions import PartialUpload, Submission, SubmissionFile, UploadPart
 
 __all__ = [
     "ALL_TASKS",
@@ -29,6 +29,7 @@ __all__ = [
     "SealedList",
     "Shard",
     "Submission",
+    "SubmissionFile",
     "Team",
     "TeamQuota",
     "UploadPart",

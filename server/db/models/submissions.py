@@ -8,6 +8,7 @@ from sqlalchemy import BigInteger, CheckConstraint, ForeignKey, Index, String, U
 from sqlalchemy.orm import Mapped, mapped_column, relationship
 from vitac.evaluator.submission_kinds import SubmissionKind
 
+from ..states import FileRole
 from .accounts import Team
 from .base import Base, closed_set, sha256_check
 
@@ -40,6 +41,19 @@ class Submission(Base):
     manifest: Mapped[dict[str, Any]]
     submitted_at: Mapped[datetime] = mapped_column(server_default=func.now())
     team: Mapped[Team] = relationship()
+
+
+class SubmissionFile(Base):
+    """A stored file of a submission besides its upload: under `sha256` in the file store."""
+
+    __tablename__ = "submission_files"
+    __table_args__ = (sha256_check("sha256"), CheckConstraint("n_bytes > 0", name="is_not_empty"))
+    submission_id: Mapped[UUID] = mapped_column(ForeignKey("submissions.id", ondelete="CASCADE"), primary_key=True)
+    role: Mapped[FileRole] = mapped_column(closed_set(FileRole, "role"), primary_key=True)
+    sha256: Mapped[str] = mapped_column(String(64), primary_key=True)
+    n_bytes: Mapped[int] = mapped_column(BigInteger)
+    name: Mapped[str] = mapped_column(String(128))
+    facts: Mapped[dict[str, Any]]
 
 
 class PartialUpload(Base):

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from vitac.evaluator.tracks import load_track
 
 FloatArray = NDArray[np.float64]
 TASK = load_track("track_3").tasks["sensor-design"]
-PROFILE = TASK.profiles["challenge-2025-log"].settings
+PROFILE: dict[str, Any] = dict(TASK.profiles["challenge-2025-log"].settings)
 EPISODES = 24
 # Agreement that is asked for, on episodes with one stable solution.
 AGREEMENT_MM = 0.03

@@ -27,7 +27,7 @@ from vitac.evaluator.logs.findings import Divergence, LogFinding
 from vitac.evaluator.scoring.score import Score, rate
 from vitac.evaluator.shards.result import ShardEnd, ShardResult
 from vitac.evaluator.submission_kinds import SubmissionKind
-from vitac.evaluator.tracks import load_track
+from vitac.evaluator.tracks import find_task
 from vitac.evaluator.version import evaluator_hash, evaluator_version, platform_class
 from vitac.server.accounts import teams, tokens
 from vitac.server.accounts.principals import CONSOLE, Principal
@@ -158,7 +158,7 @@ def outdate(session: Session, version: str = "0+old") -> None:
 def make_record(
     episode: int, outcome: EpisodeOutcome = EpisodeOutcome.SUCCESS, task: str = TASK, **changes: Any
 ) -> EpisodeRecord:
-    listed = load_track(TRACK).tasks[task].episodes[episode - 1]
+    listed = find_task(task)[1].episodes[episode - 1]
     steps = 3
     values: dict[str, Any] = {
         "episode": episode,
@@ -190,7 +190,7 @@ def make_failed_record(
 
 def make_manifest(task: str = TASK) -> Manifest:
     return Manifest(
-        track=TRACK,
+        track=find_task(task)[0].name,
         task=task,
         list_seed=0,
         task_hash=sha256("task"),

@@ -6,6 +6,8 @@ import drawn_gels
 import pytest
 from PIL import Image
 from vitac.cli import main as cli
+from vitac.evaluator.sensors.check import accepted_sensor
+from vitac.evaluator.sensors.made import made_sensor
 
 Run = Callable[..., tuple[int, str, str]]
 
@@ -98,3 +100,32 @@ def test_evaluate_refuses_a_broken_sensor_before_it_plays(run: Run, folder: Path
     code, out, err = run("evaluate", folder, "--policy", policy, "--episodes", "1")
     assert (code, out) == (1, "")
     assert err.startswith("vitac: thickness: 1.000 mm, expected 2 to 8 mm.")
+
+
+def test_evaluate_plays_the_estimator_with_and_without_sight_of_the_markers(
+    run: Run, folder: Path, tmp_path: Path
+) -> None:
+    out_file = tmp_path / "report.json"
+    code, out, _ = run("evaluate", folder, "--episodes", "1:2", "--workers", 1, "--json", out_file)
+    assert code == 0
+    report = json.loads(out_file.read_text())
+    assert [(row["task"], row["episodes"]) for row in report["runs"]] == [("sensor-standard", 2), ("sensor-blind", 2)]
+    assert report["gain"]["episodes"] == 2
+    made = made_sensor(accepted_sensor(folder))
+    assert report["sensor_digest"] == made.digest
+    assert f"sensor digest {made.digest}" in out
+    assert "sensing gain" in out
+    assert report["coefficients_digest"] in out
+
+
+def test_evaluate_of_a_broken_sensor_names_the_rule(run: Run, folder: Path) -> None:
+    (folder / "gel.stl").write_bytes(drawn_gels.stl_bytes(drawn_gels.flat(1.0)))
+    code, out, err = run("evaluate", folder, "--episodes", "1")
+    assert (code, out) == (1, "")
+    assert "thickness: 1.000 mm, expected 2 to 8 mm." in err
+
+
+def test_evaluate_refuses_a_policy_that_is_not_there(run: Run, folder: Path) -> None:
+    code, _, err = run("evaluate", folder, "--policy", folder / "missing")
+    assert code == 2
+    assert "missing" in err

@@ -1,0 +1,1 @@
+"""The standard estimator: plays every sensor of Track 3 alike, calibrated to each, without a policy."""

@@ -1,0 +1,119 @@
+"""A whole evaluation of a sensor with the standard estimator on this machine; called by `vitac sensor evaluate`."""
+
+import tempfile
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..episodes.records import EpisodeRecord
+from ..estimator.regression import Coefficients
+from ..scoring.gain import SensingGain, sensing_gain
+from ..scoring.score import Rate
+from ..sensors.check import accepted_sensor
+from ..sensors.made import MadeSensor, made_sensor
+from ..strict_model import StrictModel
+from ..tracks import Player, load_track
+from .local import Evaluation, evaluate
+
+TRACK = "track_3"
+
+
+class RunReport(Rate):
+    """One run of the standard estimator."""
+
+    task: str
+    mean_steps: float | None
+    result_hash: str
+
+
+class SensorReport(StrictModel):
+    """Scores and sensing gain of a sensor; the digests are those of the service."""
+
+    sensor_digest: str
+    coefficients_digest: str
+    runs: tuple[RunReport, ...]
+    gain: SensingGain
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorEvaluation:
+    """Both runs of the standard estimator with one sensor.
+
+    Attributes:
+        sensor: as it was scored.
+        coefficients: what the estimator has learned of it.
+        standard: the run that sees the markers.
+        blind: the run with all markers at rest.
+    """
+
+    sensor: MadeSensor
+    coefficients: Coefficients
+    standard: Evaluation
+    blind: Evaluation
+
+    def report(self) -> SensorReport:
+        """Return scores, gain and digests."""
+        return SensorReport(
+            sensor_digest=self.sensor.digest,
+            coefficients_digest=self.coefficients.digest,
+            runs=tuple(map(_run, (self.standard, self.blind))),
+            gain=sensing_gain(self.standard.records, self.blind.records),
+        )
+
+
+def evaluate_sensor(
+    folder: Path,
+    *,
+    episodes: Iterable[int] | None = None,
+    workers: int = 1,
+    on_episode: Callable[[EpisodeRecord], None] = lambda _: None,
+) -> SensorEvaluation:
+    """Make the sensor in a folder and play both runs of the standard estimator.
+
+    Args:
+        folder: with sensor.yaml and gel.stl.
+        episodes: numbers to play; all by default.
+        workers: processes at once.
+        on_episode: gets each record of both runs.
+
+    Raises:
+        SensorRefused: the sensor breaks a rule.
+        SensorRejected: sensor.yaml cannot be used.
+        UnknownEpisodes: an episode is not in the list.
+        ShardProcessFailed: the machine or the simulation broke.
+    """
+    made = made_sensor(accepted_sensor(folder))
+    track, chosen = load_track(TRACK), None if episodes is None else tuple(episodes)
+    tasks = {task.player: task for task in track.tasks.values()}
+    with tempfile.TemporaryDirectory() as scratch:
+        path = Path(scratch) / "sensor.json"
+        path.write_bytes(made.as_bytes())
+        standard, blind = (
+            evaluate(
+                submission_dir=folder,
+                track=track,
+                task=tasks[player],
+                episodes=chosen,
+                workers=workers,
+                sensor=path,
+                on_episode=on_episode,
+            )
+            for player in (Player.ESTIMATOR, Player.BLIND)
+        )
+    assert standard.coefficients is not None  # noqa: S101 - of every run of the estimator
+    return SensorEvaluation(sensor=made, coefficients=standard.coefficients, standard=standard, blind=blind)
+
+
+def _run(evaluation: Evaluation) -> RunReport:
+    score, result_hash = evaluation.score, evaluation.result_hash
+    assert score is not None  # noqa: S101 - the estimator never fails
+    assert result_hash is not None  # noqa: S101
+    return RunReport(
+        task=evaluation.manifest.task,
+        episodes=score.episodes,
+        successes=score.successes,
+        success_rate=score.success_rate,
+        interval=score.interval,
+        mean_steps=score.mean_steps,
+        result_hash=result_hash,
+    )

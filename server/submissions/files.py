@@ -1,0 +1,45 @@
+"""Stored files of submissions besides their uploads: added with a submission, found again, kept by housekeeping."""
+
+from collections.abc import Iterable
+from uuid import UUID
+
+from sqlalchemy import Connection, select, union
+from sqlalchemy.dialects.postgresql import insert
+from sqlalchemy.orm import Session
+
+from ..db.models import Submission, SubmissionFile
+from ..db.states import FileRole
+from ..uploads.checked_upload import UploadedFile
+
+
+def add_files(session: Session, submission_id: UUID, files: Iterable[UploadedFile]) -> None:
+    """Add the files of a submission; those that it has already stay."""
+    for file in files:
+        session.execute(
+            insert(SubmissionFile)
+            .values(
+                submission_id=submission_id,
+                role=file.role,
+                sha256=file.sha256,
+                n_bytes=file.n_bytes,
+                name=file.name,
+                facts=file.facts,
+            )
+            .on_conflict_do_nothing()
+        )
+
+
+def file_of(session: Session, submission_id: UUID, role: FileRole) -> SubmissionFile | None:
+    """Return a submission's file of a role, the last by digest where there are several; None without one."""
+    return session.scalars(
+        select(SubmissionFile)
+        .where(SubmissionFile.submission_id == submission_id, SubmissionFile.role == role)
+        .order_by(SubmissionFile.sha256.desc())
+        .limit(1)
+    ).first()
+
+
+def stored_digests(connection: Connection | Session) -> list[str]:
+    """Return the digests of all stored files that a submission has, sorted, each once."""
+    found = union(select(Submission.archive_sha256), select(SubmissionFile.sha256)).subquery()
+    return sorted(connection.scalars(select(found.c[0])))

@@ -1,0 +1,67 @@
+"""The sensor of a submission, and what sensing adds; called by API and pages."""
+
+from collections.abc import Sequence
+from uuid import UUID
+
+from sqlalchemy.orm import Session
+from vitac.evaluator.scoring.gain import SensingGain, sensing_gain
+from vitac.evaluator.tracks import Player, load_track
+
+from ..accounts.principals import Principal
+from ..accounts.visibility import visible
+from ..db.models import Submission, SubmissionFile
+from ..db.states import EvaluationState, FileRole
+from ..errors import not_found
+from ..evaluations.history import newest_evaluation
+from ..views.sensors import DocumentView, SensorView
+from ..views.submissions import EpisodeView
+from .files import file_of
+from .listing import episodes
+
+
+def sensor(session: Session, by: Principal, submission_id: UUID) -> SensorView:
+    """Return the sensor of a submission.
+
+    Raises:
+        ServiceError: there is no such submission, or it has no sensor.
+    """
+    submission = visible(session, by, submission_id)
+    made, described = (_file(session, submission_id, role) for role in (FileRole.SENSOR, FileRole.DOCUMENT))
+    learned = file_of(session, submission_id, FileRole.COEFFICIENTS)
+    return SensorView(
+        digest=made.sha256,
+        **made.facts,
+        document=DocumentView(name=described.name, n_bytes=described.n_bytes, sha256=described.sha256),
+        coefficients_sha256=None if learned is None else learned.sha256,
+        gain=_gain(session, by, submission),
+    )
+
+
+def document(session: Session, by: Principal, submission_id: UUID) -> DocumentView:
+    """Return where the design document of a submission is stored.
+
+    Raises:
+        ServiceError: there is no such submission, or it has no document.
+    """
+    visible(session, by, submission_id)
+    found = _file(session, submission_id, FileRole.DOCUMENT)
+    return DocumentView(name=found.name, n_bytes=found.n_bytes, sha256=found.sha256)
+
+
+def _file(session: Session, submission_id: UUID, role: FileRole) -> SubmissionFile:
+    found = file_of(session, submission_id, role)
+    if found is None:
+        raise not_found(f"{role} of submission", submission_id)
+    return found
+
+
+def _gain(session: Session, by: Principal, submission: Submission) -> SensingGain | None:
+    if newest_evaluation(session, submission).state is not EvaluationState.COMPLETED:
+        return None
+    players = {task.player: name for name, task in load_track(submission.track).tasks.items()}
+    ends = episodes(session, by, submission.id)
+    return sensing_gain(_of(ends, players[Player.ESTIMATOR]), _of(ends, players[Player.BLIND]))
+
+
+def _of(ends: Sequence[EpisodeView], task: str) -> list[EpisodeView]:
+    return [end for end in ends if end.task == task]

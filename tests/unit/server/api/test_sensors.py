@@ -1,0 +1,161 @@
+from collections.abc import Mapping
+from pathlib import Path
+
+import drawn_gels
+import pytest
+from own_sensors import write_sensor
+from service_client import POLICY, Service, make_archive, problem_of
+from service_factories import play_all
+from sqlalchemy import select, text
+from vitac.evaluator.sensors.check import design_in
+from vitac.evaluator.sensors.made import read_made_sensor
+from vitac.evaluator.submission.sensor import SensorNotMade
+from vitac.server import housekeeping
+from vitac.server.db.models import Submission, SubmissionFile
+from vitac.server.db.states import FileRole
+from vitac.server.submissions.files import stored_digests
+
+PDF = b"%PDF-1.7\n1 0 obj << /OpenAction << /S /JavaScript /JS (app.alert(1)) >> >> endobj\n"
+NO_CHANGES: Mapping[str, str | bytes | None] = {}
+MANIFEST = "track: track_3\ntasks: [{tasks}]\nname: flat\n"
+
+
+def package(files: Mapping[str, str | bytes | None] = NO_CHANGES, tasks: str = "sensor-standard") -> bytes:
+    """A zip of a sensor with these files changed; None leaves a file away."""
+    content: dict[str, str | bytes | None] = {
+        "submission.yaml": MANIFEST.format(tasks=tasks),
+        "sensor.yaml": "{}",
+        "gel.stl": drawn_gels.stl_bytes(drawn_gels.flat()),
+        "design.pdf": PDF,
+        "policy.py": POLICY,
+        **files,
+    }
+    return make_archive({f"Track_3/{name}": data for name, data in content.items() if data is not None})
+
+
+def stored(service: Service) -> list[str]:
+    with service.database.transaction() as session:
+        return stored_digests(session)
+
+
+def assert_nothing_left(service: Service) -> None:
+    assert service.leftovers() == []
+    with service.database.transaction() as session:
+        assert session.scalar(text("SELECT count(*) FROM submissions")) == 0
+
+
+def test_sensor_is_made_stored_by_digest_and_shown(service: Service, tmp_path: Path) -> None:
+    answer = service.upload(package())
+    assert answer.status_code == 202, answer.text
+    body = answer.json()
+    assert (body["track"], body["tasks"]) == ("track_3", ["sensor-standard", "sensor-blind"])
+    sensor = service.get(f"/submissions/{body['id']}/sensor").json()
+    assert (sensor["thickness_mm"], sensor["markers"], sensor["is_own_mesh"]) == (4.0, 63, False)
+    assert (sensor["gain"], sensor["coefficients_sha256"]) == (None, None)
+    made = read_made_sensor(service.services.blobs.read(sensor["digest"]))
+    assert made.mesh_digest == sensor["mesh_digest"]
+    folder = tmp_path / "local"
+    folder.mkdir()
+    local = design_in(write_sensor(folder, drawn_gels.flat()))
+    assert made.design().as_bytes() == local.as_bytes()
+
+
+def test_own_policy_plays_besides_the_estimator(service: Service) -> None:
+    body = service.upload(package(tasks="sensor-design")).json()
+    assert body["tasks"] == ["sensor-design", "sensor-standard", "sensor-blind"]
+
+
+def test_document_is_handed_out_and_never_shown(service: Service) -> None:
+    identity = service.upload(package()).json()["id"]
+    answer = service.get(f"/submissions/{identity}/document")
+    assert answer.content == PDF
+    assert answer.headers["content-type"] == "application/octet-stream"
+    assert answer.headers["x-content-type-options"] == "nosniff"
+    assert answer.headers["content-disposition"] == f'attachment; filename="{identity}-design-document.pdf"'
+    assert "sandbox" in answer.headers["content-security-policy"]
+
+
+def test_sensor_and_document_of_another_team_are_as_if_missing(service: Service) -> None:
+    identity = service.upload(package()).json()["id"]
+    for what in ("sensor", "document"):
+        problem_of(service.get(f"/submissions/{identity}/{what}", token=service.other_token), 404, "not_found")
+
+
+def test_submission_without_a_sensor_has_none_to_show(service: Service) -> None:
+    identity = service.upload(make_archive()).json()["id"]
+    for what in ("sensor", "document"):
+        problem_of(service.get(f"/submissions/{identity}/{what}"), 404, "not_found")
+
+
+@pytest.mark.parametrize(
+    ("files", "says"),
+    [
+        ({"gel.stl": None}, "gel.stl is missing"),
+        ({"sensor.yaml": None}, "sensor.yaml is missing"),
+        ({"design.pdf": None}, "Expected one design document (a .pdf or .md file"),
+        ({"design.pdf": None, "README.md": "not the document"}, "got none"),
+        ({"other.md": "second"}, "got design.pdf, other.md"),
+        ({"design.pdf": b""}, "has 0 bytes"),
+        ({"sensor.yaml": "material: {friction: 2}"}, "Unknown key 'material'"),
+        ({"gel.stl": b"solid junk"}, "readable: unreadable, expected an STL file"),
+        ({"gel.stl": drawn_gels.stl_bytes(drawn_gels.flat(1.0))}, "thickness: 1.000 mm, expected 2 to 8 mm"),
+        ({"sensor.yaml": "markers: {points_mm: [[14, 0]]}"}, "1 at (14.00, 0.00) mm is not on sensing face"),
+        ({"tet.msh": "junk"}, "tet_msh: unreadable"),
+    ],
+    ids=lambda value: "-".join(value) if isinstance(value, dict) else None,
+)
+def test_sensor_that_breaks_a_rule_is_refused_by_its_sentence(
+    service: Service, files: dict[str, str | bytes | None], says: str
+) -> None:
+    problem = problem_of(service.upload(package(files)), 422, "sensor_rejected")
+    assert says in problem["detail"]
+    assert_nothing_left(service)
+
+
+def test_large_document_is_refused(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("vitac.evaluator.sensors.package.MAX_DOCUMENT_BYTES", len(PDF) - 1)
+    problem = problem_of(service.upload(package()), 422, "sensor_rejected")
+    assert f"has {len(PDF)} bytes, expected 1 to {len(PDF) - 1}" in problem["detail"]
+    assert_nothing_left(service)
+
+
+def test_same_sensor_twice_is_one_submission_with_its_files_once(service: Service) -> None:
+    first, again = service.upload(package()), service.upload(package())
+    assert (again.status_code, again.json()["id"]) == (200, first.json()["id"])
+    with service.database.transaction() as session:
+        roles = session.scalars(select(SubmissionFile.role).order_by(SubmissionFile.role)).all()
+    assert list(roles) == [FileRole.DOCUMENT, FileRole.SENSOR]
+
+
+def test_housekeeping_keeps_the_files_of_submissions(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
+    service.upload(package())
+    kept = stored(service)
+    assert len(kept) == 3
+    monkeypatch.setattr(service.services.blobs, "list_older_than", lambda _: [*kept, "0" * 64])
+    monkeypatch.setattr(service.services.blobs, "is_older_than", lambda *_: True)
+    removed: list[str] = []
+    monkeypatch.setattr(service.services.blobs, "delete", removed.append)
+    housekeeping.prune(service.services)
+    assert removed == ["0" * 64]
+
+
+def test_gain_is_shown_once_both_runs_are_complete(service: Service) -> None:
+    identity = service.upload(package()).json()["id"]
+    with service.database.transaction() as session:
+        submission = session.get_one(Submission, identity)
+    play_all(service.database, submission)
+    gain = service.get(f"/submissions/{identity}/sensor").json()["gain"]
+    assert (gain["episodes"], gain["standard_successes"], gain["blind_successes"]) == (270, 270, 270)
+    assert (gain["gain"], gain["p_value"]) == (0.0, 1.0)
+    shown = service.get(f"/submissions/{identity}").json()
+    assert shown["rank"] is None
+    assert shown["task_ranks"]["sensor-standard"] == {"rank": 1, "of": 1}
+
+
+def test_sandbox_that_does_not_work_is_no_fault_of_the_team(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(_: Path) -> None:
+        raise SensorNotMade("The sandbox that makes sensors ended with 1; run `vitac doctor`.")
+
+    monkeypatch.setattr("vitac.server.uploads.sensors.make_sensor", fail)
+    assert service.upload(package()).status_code >= 500
+    assert_nothing_left(service)
