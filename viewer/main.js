@@ -63,7 +63,7 @@ class Player {
       return stage;
     } catch {
       canvas.hidden = true;
-      this.section.querySelector(".player-status").textContent = "This browser shows no WebGL, so the scene is a still picture.";
+      say(this.section, "This browser shows no WebGL, so the scene is a still picture.");
       return null;
     }
   }
@@ -99,7 +99,9 @@ class Player {
 
 async function start() {
   const sections = [...document.querySelectorAll(".player")];
-  sections.filter((section) => ["", "queued", "running"].includes(section.dataset.state)).forEach(followUntilMade);
+  for (const section of sections.filter(({ dataset }) => ["", "queued", "running"].includes(dataset.state))) {
+    followUntilMade(section).catch(() => say(section, "The server cannot be reached. Reload this page to see how far the playback is."));
+  }
   const made = sections.filter((section) => section.dataset.state === "made");
   const form = document.querySelector("form.transport");
   if (!made.length || !form) return;
@@ -112,6 +114,10 @@ async function start() {
   new Transport(form, length, (time, options) => players.forEach((player) => player.show(time, options, largest)));
 }
 
+function say(section, text) {
+  section.querySelector(".player-status").textContent = text;
+}
+
 start().catch((error) => {
-  for (const status of document.querySelectorAll(".player-status")) status.textContent = `The playback cannot be shown: ${error.message}`;
+  document.querySelectorAll(".player").forEach((section) => say(section, `The playback cannot be shown: ${error.message}`));
 });

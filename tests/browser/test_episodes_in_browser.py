@@ -273,6 +273,28 @@ def test_a_failed_playback_says_so(site: SiteUnderTest, page: Page) -> None:
     assert violations(page) == []
 
 
+def test_a_server_that_is_gone_is_said(browser: Browser, site: SiteUnderTest) -> None:
+    context = browser.new_context()
+    page = context.new_page()
+    site.sign_in(page)
+    path = site.data.show(submission_id(site), a_shown_episode(None))
+    page.route("**/playback", lambda route: route.abort())
+    site.open(page, path)
+    expect(page.get_by_text("The server cannot be reached.")).to_be_visible()
+    context.close()
+
+
+def test_a_file_that_was_lost_is_said(browser: Browser, site: SiteUnderTest) -> None:
+    context = browser.new_context()
+    page = context.new_page()
+    site.sign_in(page)
+    path = made(site)
+    site.data.files.clear()
+    site.open(page, path)
+    expect(page.get_by_text("The playback cannot be shown:")).to_contain_text("got status 404")
+    context.close()
+
+
 def test_one_playback_too_many_is_said(browser: Browser, site: SiteUnderTest) -> None:
     context = browser.new_context()
     page = context.new_page()

@@ -8,15 +8,17 @@ from datetime import timedelta
 from pathlib import Path
 
 import pytest
+from asked_playbacks import played
 from database_work import is_waiting_for_a_lock
 from service_factories import claim, make_principal, make_settings, make_upload, shard_ids, state_of
 from sqlalchemy import text
 from vitac.server import housekeeping
 from vitac.server.db.advisory_locks import AdvisoryLock, wait_for_turn
 from vitac.server.db.engine import Database
-from vitac.server.db.states import ShardState
+from vitac.server.db.states import PlaybackState, ShardState
 from vitac.server.errors import ServiceError
 from vitac.server.housekeeping import Housekeeping, prune
+from vitac.server.playbacks import work
 from vitac.server.services import Services
 from vitac.server.storage.blobs import BlobStore
 from vitac.server.storage.scratch import new_folder
@@ -93,6 +95,37 @@ def test_files_without_a_submission_are_removed_when_old(services: Services, mon
     assert not services.blobs.holds(orphan)
 
 
+def test_files_of_playbacks_stay_as_long_as_the_playbacks(services: Services, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(housekeeping, "ORPHAN_KEPT", timedelta(seconds=-5))
+    scene, still = put(services, b"scene"), put(services, b"still")
+    team = played(services.database)
+    playback = team.ask(1)
+    with services.database.transaction() as session:
+        lease = work.claim(session, playback.id, 60.0)
+        assert lease is not None
+        work.end_made(session, lease, {"scene_sha256": scene, "still_sha256": still})
+    prune(services)
+    assert services.blobs.holds(scene)
+    assert services.blobs.holds(still)
+    with services.database.transaction() as session:
+        session.execute(text("UPDATE playbacks SET asked_at = now() - interval '31 days'"))
+    prune(services)
+    assert team.found(1) is None
+    assert not services.blobs.holds(scene)
+    assert not services.blobs.holds(still)
+
+
+def test_lost_playbacks_are_found_in_the_background(services: Services) -> None:
+    team = played(services.database)
+    playback = team.ask(1)
+    with services.database.transaction() as session:
+        assert work.claim(session, playback.id, 0.1) is not None
+    keeper = Housekeeping(services)
+    keeper.start()
+    eventually(lambda: getattr(team.found(1), "state", None) is PlaybackState.QUEUED)
+    keeper.stop()
+
+
 def test_file_that_is_uploaded_again_while_old_ones_are_removed_stays(
     services: Services, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -146,13 +179,15 @@ def test_uploads_of_a_server_process_that_was_killed_are_removed_at_once(service
     assert (mine.is_dir(), its.exists(), elsewhere.is_dir()) == (True, False, True)
 
 
-def test_leftovers_of_interrupted_uploads_are_removed_when_old(services: Services) -> None:
-    new, old = (services.settings.scratch_dir / f"upload-{name}" for name in ("new", "old"))
-    for folder in (new, old):
+def test_leftovers_of_interrupted_uploads_and_playbacks_are_removed_when_old(services: Services) -> None:
+    new, old, playback = (services.settings.scratch_dir / name for name in ("upload-new", "upload-old", "playback-old"))
+    for folder in (new, old, playback):
         folder.mkdir()
         (folder / "archive.zip").write_bytes(b"half")
     long_ago = time.time() - 2 * housekeeping.ORPHAN_KEPT.total_seconds()
-    os.utime(old, (long_ago, long_ago))
+    for folder in (old, playback):
+        os.utime(folder, (long_ago, long_ago))
     prune(services)
     assert new.is_dir()
     assert not old.exists()
+    assert not playback.exists()
