@@ -19,7 +19,7 @@ from vitac.evaluator.version import evaluator_version
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Shard
 from vitac.server.evaluations.lifecycle import fail_by_machines
-from vitac.server.queue.jobs import enqueue_shards, forget_jobs_of_ended_shards, withdraw_jobs
+from vitac.server.queue.jobs import enqueue_shards, forget_jobs_of_ended_shards, queue_name, withdraw_jobs
 from vitac.server.queue.sweep import sweep
 from vitac.server.services import open_services
 from vitac.server.settings import Settings, load_settings
@@ -81,7 +81,7 @@ def fill(session: Session, n_shards: int) -> None:
     for statement in (TEAMS, SUBMISSIONS, EVALUATIONS, SHARDS):
         session.execute(text(statement), {name: value for name, value in numbers.items() if f":{name}" in statement})
     ids = session.scalars(select(Shard.id).order_by(Shard.id)).all()
-    enqueue_shards(session, ids, evaluator_version(), priority=0)
+    enqueue_shards(session, ids, queue_name(evaluator_version()), priority=0)
 
 
 def measure(database: Database, settings: Settings, repeats: int) -> dict[str, float]:

@@ -2,6 +2,7 @@
 
 from dataclasses import asdict
 
+from vitac.envs.tasks.definition import Family
 from vitac.evaluator.tracks import Track, UnknownTrack, list_tracks, load_track
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.settings import Settings
@@ -32,6 +33,14 @@ def require_task(track: Track, task: str) -> None:
             f"Track {track.name!r} has no task {task!r}; its tasks are {', '.join(track.tasks)}.",
             tasks=list(track.tasks),
         )
+
+
+def family_of(track: str, task: str) -> Family:
+    """Return what a task needs to run; the tactile family where its track file is gone, whose workers then say so."""
+    try:
+        return load_track(track).tasks[task].definition.family
+    except (UnknownTrack, KeyError):
+        return Family.TACTILE
 
 
 def track_views(settings: Settings) -> TrackListView:

@@ -13,6 +13,7 @@ from vitac.server.db.states import WorkerState
 from vitac.server.queue import workers
 from vitac.server.services import Services
 
+from .families import families_here
 from .isolation import IsolationReport
 
 logger = structlog.get_logger(__name__)
@@ -65,6 +66,7 @@ class Heartbeat:
             slots=self._services.settings.worker_slots,
             state=self._state,
             evaluator_version=evaluator_version(),
+            families=[str(family) for family in families_here()],
             platform_class=platform_class(),
             isolation=self._report.level,
             sandbox=self._report.sandbox.model_dump(mode="json") if self._report.sandbox else None,

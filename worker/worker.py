@@ -19,6 +19,7 @@ from vitac.server.queue.jobs import MAKE_PLAYBACK, RUN_SHARD, make_worker_app, q
 from vitac.server.queue.leases import Lease
 from vitac.server.services import Services
 
+from .families import families_here
 from .playback_run import PlaybackRun, StartPlayback
 from .shard_run import DATABASE_PATIENCE_S, RunEnd, ShardRun, StartShard
 from .staging import SubmissionStage
@@ -91,7 +92,7 @@ class QueueWorker:
         async with app.open_async():
             working = asyncio.create_task(
                 app.run_worker_async(
-                    queues=[queue_name(evaluator_version())],
+                    queues=[queue_name(evaluator_version(), family) for family in families_here()],
                     concurrency=self._slots,
                     fetch_job_polling_interval=POLL_S,
                     delete_jobs="always",

@@ -99,7 +99,8 @@ def situation(found: Json) -> str:
     """Return what the evaluation waits for, or the estimated time left, in a few words."""
     evaluation = found["evaluation"]
     if found["workers"]["alive"] == 0 and evaluation["state"] in {"queued", "running"}:
-        return "no worker is running"
+        missing = found["workers"].get("missing_family")
+        return f"no running worker has the packages of {missing}" if missing else "no worker is running"
     if evaluation["state"] == "queued":
         return f"number {evaluation['queue_position']} in the queue"
     eta = evaluation["eta_s"]

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from enum import StrEnum
 from inspect import cleandoc
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +13,15 @@ if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
 InfoView = Mapping[str, Any]
+
+
+class Family(StrEnum):
+    """Environments that need the same packages; a worker says which families it can run."""
+
+    TACTILE = "tactile"
+    """Our own, on the tactile simulation."""
+    MANISKILL = "maniskill"
+    """ManiSkill's, with its extra."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,6 +73,7 @@ class TaskDefinition:
         methods: settings of what measures for an observation, as dataclasses; part of a track's digest.
         perspective: place of the `Perspective` it is drawn from; None where it is not drawn.
         guided_motion: place of the `NextAction` that goes to its target; None where there is none.
+        family: what it needs to run.
         accepts_start: place of a function that says of a shape and a drawn offset whether an episode may start there;
             None where it may anywhere.
         info_lengths: numbers of those entries of an info that have more for some shapes than for others, at most.
@@ -76,6 +87,7 @@ class TaskDefinition:
     methods: tuple["DataclassInstance", ...] = ()
     perspective: str | None = None
     guided_motion: str | None = None
+    family: Family = Family.TACTILE
     accepts_start: str | None = None
     info_lengths: Mapping[str, int] = field(default_factory=dict)
 

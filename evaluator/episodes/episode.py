@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import JsonValue
 from vitac.envs.errors import VitacError
+from vitac.envs.tasks.definition import Family
 
 from ..agent.protocol.frames import CloudSpec
 from ..agent.session import Isolation
@@ -119,6 +120,8 @@ def make_environment(
         observation_keys: what is observed; all that the track lists by default.
         sensor: design of both sensors; the challenge's by default.
     """
+    if task.definition.family is Family.MANISKILL:
+        return _of_maniskill(task, observation_keys)
     import gymnasium
     import vitac.envs  # noqa: F401 - registers the environment ids
 
@@ -127,6 +130,15 @@ def make_environment(
         arguments["sensor"] = sensor
     env = gymnasium.make(task.env_id, disable_env_checker=True, privileged=False, **arguments)
     return cast(Environment, env.unwrapped)
+
+
+def _of_maniskill(task: Task, observation_keys: Sequence[str] | None) -> Environment:
+    """Return an environment of ManiSkill, which the challenge's own meshes and sensors play no part in."""
+    from vitac.envs.maniskill.env import ManiSkillEnv
+
+    return ManiSkillEnv(
+        task.env_id, max_steps=task.max_steps, observation_keys=observation_keys, settings=dict(task.settings)
+    )
 
 
 @dataclass(kw_only=True)

@@ -9,13 +9,14 @@ from functools import cached_property
 from itertools import product
 from typing import Any, Self
 
-from pydantic import Field, PositiveInt, field_validator, model_validator
+from pydantic import Field, PositiveInt, model_validator
+from vitac.envs.errors import VitacError
 from vitac.envs.observable import Observable
 from vitac.envs.tasks.definition import ActionComponent, TaskDefinition
-from vitac.envs.tasks.registry import task_definitions
 
 from ..strict_model import StrictModel, Word
 from ..submission_kinds import SubmissionKind
+from .families import environment_definition
 
 
 class ListKind(StrEnum):
@@ -146,8 +147,8 @@ class Task(StrictModel):
 
     @property
     def definition(self) -> TaskDefinition:
-        """Return what the task's own folder says of it."""
-        return task_definitions()[self.env_id]
+        """Return what the task's own folder says of it, or what follows from its settings."""
+        return environment_definition(self.env_id, self.settings)
 
     @property
     def observables(self) -> tuple[Observable[Any], ...]:
@@ -159,12 +160,13 @@ class Task(StrictModel):
         """Return the components of an action, in order."""
         return self.definition.actions
 
-    @field_validator("env_id")
-    @classmethod
-    def _is_known(cls, env_id: str) -> str:
-        if env_id not in task_definitions():
-            raise ValueError(f"is {env_id!r}, expected one of {', '.join(sorted(task_definitions()))}")
-        return env_id
+    @model_validator(mode="after")
+    def _environment_is_known(self) -> Self:
+        try:
+            _ = self.definition
+        except VitacError as error:
+            raise ValueError(str(error)) from error
+        return self
 
     @cached_property
     def episodes(self) -> tuple[Episode, ...]:

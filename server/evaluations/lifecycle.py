@@ -23,10 +23,11 @@ from vitac.server.evaluations.episode_store import EpisodeKey, count_stored, mis
 from vitac.server.evaluations.provenance import manifest_of
 from vitac.server.evaluations.scores import combine_hashes, store_scores
 from vitac.server.evaluations.verdicts import ServiceVerdict
-from vitac.server.queue.jobs import enqueue_shards, withdraw_jobs
+from vitac.server.queue.jobs import enqueue_shards, queue_name, withdraw_jobs
 from vitac.server.queue.leases import Lease, end_shard, hand_back, lock_held
 from vitac.server.queue.turns import next_turn
 from vitac.server.settings import Settings
+from vitac.server.tracks import family_of
 
 LOG_TAIL_CHARACTERS = 64 * 1024
 RETRY_DELAY_S = 2.0
@@ -82,8 +83,10 @@ def start(
     session.add(evaluation)
     session.flush()
     evaluation.episodes_reused = count_stored(session, EpisodeKey.of(evaluation, submission))
-    ids = [shard.id for shard in evaluation.shards]
-    enqueue_shards(session, ids, evaluation.evaluator_version, priority=-evaluation.turn)
+    for task in submission.tasks:
+        ids = [shard.id for shard in evaluation.shards if shard.task == task]
+        queue = queue_name(evaluation.evaluator_version, family_of(submission.track, task))
+        enqueue_shards(session, ids, queue, priority=-evaluation.turn)
     return evaluation
 
 

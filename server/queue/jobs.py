@@ -15,6 +15,7 @@ from procrastinate.exceptions import ConnectorException
 from sqlalchemy import ColumnElement, TextClause, select, text
 from sqlalchemy.exc import OperationalError
 from sqlalchemy.orm import Session
+from vitac.envs.tasks.definition import Family
 
 RUN_SHARD = "run_shard"
 
@@ -76,15 +77,18 @@ _WAS_TAKEN_FOR_SHARD = text("""
 """)
 
 
-def queue_name(evaluator_version: str) -> str:
-    """Queue of the shards and playbacks of one evaluator version: only workers of that version take them."""
-    return f"shards {evaluator_version}"
+def queue_name(evaluator_version: str, family: Family = Family.TACTILE) -> str:
+    """Queue of the shards of one evaluator version and family: only workers that can run both take them.
+
+    Playbacks are in that of the tactile family.
+    """
+    return f"shards {evaluator_version}" + ("" if family is Family.TACTILE else f" {family}")
 
 
 def enqueue_shards(
     session: Session,
     shard_ids: Iterable[int],
-    evaluator_version: str,
+    queue: str,
     *,
     delay_s: float = 0.0,
     priority: int,
@@ -94,7 +98,7 @@ def enqueue_shards(
     Args:
         session: of the transaction.
         shard_ids: what to run, in this order.
-        evaluator_version: of their evaluations.
+        queue: from `queue_name`.
         delay_s: how long they wait at least [s].
         priority: high ones first; minus the turn of their evaluation, or `RETRY_PRIORITY`.
 
@@ -103,7 +107,7 @@ def enqueue_shards(
     """
     arguments: list[Any] = [{"shard_id": shard_id} for shard_id in shard_ids]
     if arguments:
-        _enqueue(session, RUN_SHARD, arguments, evaluator_version, delay_s=delay_s, priority=priority)
+        _enqueue(session, RUN_SHARD, arguments, queue, delay_s=delay_s, priority=priority)
 
 
 def enqueue_playback(session: Session, playback_id: int, evaluator_version: str, *, delay_s: float = 0.0) -> None:
@@ -113,13 +117,14 @@ def enqueue_playback(session: Session, playback_id: int, evaluator_version: str,
         DBAPIError: the database failed.
     """
     arguments = [{"playback_id": playback_id}]
-    _enqueue(session, MAKE_PLAYBACK, arguments, evaluator_version, delay_s=delay_s, priority=PLAYBACK_PRIORITY)
+    queue = queue_name(evaluator_version)
+    _enqueue(session, MAKE_PLAYBACK, arguments, queue, delay_s=delay_s, priority=PLAYBACK_PRIORITY)
 
 
-def _enqueue(session: Session, task: str, arguments: list[Any], version: str, *, delay_s: float, priority: int) -> None:
+def _enqueue(session: Session, task: str, arguments: list[Any], queue: str, *, delay_s: float, priority: int) -> None:
     deferrer = _enqueuer.configure_task(
         task,
-        queue=queue_name(version),
+        queue=queue,
         connection=raw_connection(session),
         priority=priority,
         schedule_in={"milliseconds": round(1000 * delay_s)} if delay_s else None,

@@ -19,7 +19,8 @@ from vitac.server.db.models import Evaluation, Shard, SubmissionFile
 from vitac.server.db.row_locks import lock_evaluation
 from vitac.server.db.states import EvaluationState, FileRole, ShardState
 
-from .jobs import RETRY_PRIORITY, enqueue_shards
+from ..tracks import family_of
+from .jobs import RETRY_PRIORITY, enqueue_shards, queue_name
 
 
 class LeaseLost(VitacError):
@@ -168,7 +169,8 @@ def hand_back(session: Session, lease: Lease, *, counts_as_attempt: bool, delay_
         worker_id=None,
         queued_at=func.clock_timestamp(),
     )
-    enqueue_shards(session, [lease.shard_id], lease.evaluator_version, delay_s=delay_s, priority=RETRY_PRIORITY)
+    queue = queue_name(lease.evaluator_version, family_of(lease.track, lease.task))
+    enqueue_shards(session, [lease.shard_id], queue, delay_s=delay_s, priority=RETRY_PRIORITY)
 
 
 def _isolation_of(result: ShardResult) -> str | None:

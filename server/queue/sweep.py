@@ -13,11 +13,19 @@ from sqlalchemy import ColumnElement, Interval, Select, cast, func, select
 from sqlalchemy.orm import Session
 
 from ..db.advisory_locks import AdvisoryLock, try_lock
-from ..db.models import Evaluation, Shard
+from ..db.models import Evaluation, Shard, Submission
 from ..db.row_locks import lock_evaluation
 from ..db.states import ShardState
 from ..settings import Settings
-from .jobs import RETRY_PRIORITY, enqueue_shards, forget_jobs_of_ended_shards, has_taken_job, has_waiting_job
+from ..tracks import family_of
+from .jobs import (
+    RETRY_PRIORITY,
+    enqueue_shards,
+    forget_jobs_of_ended_shards,
+    has_taken_job,
+    has_waiting_job,
+    queue_name,
+)
 
 logger = structlog.get_logger(__name__)
 
@@ -79,7 +87,8 @@ def _queue_again(session: Session, shard: Shard, evaluation: Evaluation) -> None
     shard.lease_expires_at = None
     shard.queued_at = now
     session.flush()
-    enqueue_shards(session, [shard.id], evaluation.evaluator_version, priority=RETRY_PRIORITY)
+    queue = queue_name(evaluation.evaluator_version, family_of(evaluation.submission.track, shard.task))
+    enqueue_shards(session, [shard.id], queue, priority=RETRY_PRIORITY)
 
 
 def _explain(shard: Shard) -> str:
@@ -94,18 +103,19 @@ def _enqueue_missing_jobs(session: Session, settings: Settings) -> int:
     """Wake queued shards that nothing else will: their job was taken by a worker that never claimed the shard."""
     rows = session.execute(shards_without_job(settings)).all()
     by_turn: dict[tuple[str, int], list[int]] = {}
-    for shard_id, version, turn in rows:
-        by_turn.setdefault((version, turn), []).append(shard_id)
-    for (version, turn), shard_ids in by_turn.items():
-        enqueue_shards(session, shard_ids, version, priority=-turn)
+    for shard_id, version, turn, track, task in rows:
+        by_turn.setdefault((queue_name(version, family_of(track, task)), turn), []).append(shard_id)
+    for (queue, turn), shard_ids in by_turn.items():
+        enqueue_shards(session, shard_ids, queue, priority=-turn)
     return len(rows)
 
 
-def shards_without_job(settings: Settings) -> Select[int, str, int]:
-    """Return the queued shards that no job wakes, with the versions and turns of their evaluations."""
+def shards_without_job(settings: Settings) -> Select[int, str, int, str, str]:
+    """Return the queued shards that no job wakes: version and turn of the evaluation, track and task."""
     return (
-        select(Shard.id, Evaluation.evaluator_version, Evaluation.turn)
-        .join(Evaluation)
+        select(Shard.id, Evaluation.evaluator_version, Evaluation.turn, Submission.track, Shard.task)
+        .join(Evaluation, Shard.evaluation_id == Evaluation.id)
+        .join(Submission, Evaluation.submission_id == Submission.id)
         .where(
             Shard.state == ShardState.QUEUED,
             Shard.queued_at < _ago(settings.lease_s),

@@ -10,6 +10,7 @@ from uuid import UUID
 
 from sqlalchemy import delete, func, select, update
 from sqlalchemy.orm import Session
+from vitac.envs.tasks.definition import Family
 from vitac.evaluator.agent.description import SandboxDescription
 from vitac.server.db.models import Worker
 from vitac.server.db.states import WorkerState
@@ -64,15 +65,23 @@ def heartbeat(session: Session, worker_id: UUID, state: WorkerState, disk: Disk,
     )
 
 
-def workers_alive(session: Session, settings: Settings, evaluator_version: str | None = None) -> WorkersAlive:
-    """Return the workers that take shards (of one evaluator version) and are not lost."""
+def workers_alive(
+    session: Session,
+    settings: Settings,
+    evaluator_version: str | None = None,
+    family: Family | None = None,
+) -> WorkersAlive:
+    """Return the workers that take shards (of one evaluator version, of one family) and are not lost."""
     of_version = (
         Worker.evaluator_version == evaluator_version if evaluator_version is not None else Worker.id == Worker.id
     )
     lost_before = func.clock_timestamp() - timedelta(seconds=settings.worker_lost_after_s)
     alive, slots = session.execute(
         select(func.count(), func.coalesce(func.sum(Worker.slots), 0)).where(
-            Worker.state == WorkerState.READY, Worker.heartbeat_at > lost_before, of_version
+            Worker.state == WorkerState.READY,
+            Worker.heartbeat_at > lost_before,
+            of_version,
+            Worker.families.contains([family] if family else []),
         )
     ).one()
     return WorkersAlive(

@@ -6,6 +6,7 @@ from functools import cache, partial
 from uuid import UUID
 
 from sqlalchemy.orm import Session
+from vitac.envs.tasks.definition import Family
 from vitac.evaluator.logs.findings import LogFinding
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import load_track
@@ -23,6 +24,7 @@ from ..leaderboards.best_entries import EVER, PlacesOfBoards, places
 from ..logs.view import findings_of
 from ..queue.workers import WorkersAlive, workers_alive
 from ..settings import Settings
+from ..tracks import family_of
 from ..uploads.kinds import SERVED_KINDS
 from ..views.logs import LogCopyView
 from ..views.submissions import RankView, SubmissionView
@@ -77,20 +79,19 @@ class _Shown:
         evaluations: of their newest evaluations.
         findings: against logs, by evaluation.
         copies: among logs, by evaluation.
-        workers: those alive of an evaluator version.
+        workers: those alive of an evaluator version that can run a family, or any.
         places: of these submissions on the boards of a track.
     """
 
     evaluations: EvaluationRows
     findings: Mapping[UUID, LogFinding]
     copies: Mapping[UUID, LogCopyView]
-    workers: Callable[[str], WorkersAlive]
+    workers: Callable[[str, Family | None], WorkersAlive]
     places: PlacesOf
 
 
 def _view(submission: Submission, runs: Sequence[Evaluation], shown: _Shown) -> SubmissionView:
     newest = runs[0]
-    workers = shown.workers(newest.evaluator_version)
     log_view = SERVED_KINDS[submission.kind].log_view
     finding, copy = shown.findings.get(newest.id), shown.copies.get(newest.id)
     ranks = _ranks(submission, newest, shown.places)
@@ -107,12 +108,25 @@ def _view(submission: Submission, runs: Sequence[Evaluation], shown: _Shown) -> 
         archive_sha256=submission.archive_sha256,
         archive_bytes=submission.archive_bytes,
         submitted_at=submission.submitted_at,
-        evaluation=evaluation_view(newest, workers, shown.evaluations),
+        evaluation=evaluation_view(newest, shown.workers(newest.evaluator_version, None), shown.evaluations),
         evaluations=[summary_view(evaluation) for evaluation in runs],
-        workers=WorkersView(alive=workers.alive, last_heartbeat_at=workers.last_heartbeat_at),
+        workers=_workers(submission, newest, shown),
         rank=ranks.get(None),
         task_ranks={task: place for task, place in ranks.items() if task is not None},
         log=log_view(submission, newest, finding, copy) if log_view else None,
+    )
+
+
+def _workers(submission: Submission, newest: Evaluation, shown: _Shown) -> WorkersView:
+    """Return who can run the submission: its tasks may be of several families, each with workers of its own."""
+    any_family = shown.workers(newest.evaluator_version, None)
+    families = sorted({family_of(submission.track, task) for task in submission.tasks})
+    alive = {family: shown.workers(newest.evaluator_version, family).alive for family in families}
+    missing = next((family for family in families if not alive[family]), None)
+    return WorkersView(
+        alive=min(alive.values(), default=any_family.alive),
+        missing_family=missing if any_family.alive else None,
+        last_heartbeat_at=any_family.last_heartbeat_at,
     )
 
 

@@ -3,6 +3,9 @@
 from datetime import datetime
 from uuid import UUID
 
+from pydantic import Field
+from vitac.envs.tasks.definition import Family
+
 from ..db.states import WorkerState
 from .base import View
 
@@ -10,7 +13,10 @@ from .base import View
 class WorkersView(View):
     """Whether anybody works on evaluations."""
 
-    alive: int
+    alive: int = Field(description="Those that can run the tasks of the submission.")
+    missing_family: Family | None = Field(
+        default=None, description="A family of its tasks that none of the running workers has the packages for."
+    )
     last_heartbeat_at: datetime | None
 
 
@@ -25,6 +31,7 @@ class WorkerView(View):
     message: str
     isolation: str
     evaluator_version: str
+    families: list[Family] = Field(description="Of whose tasks it can run shards.")
     platform_class: str
     started_at: datetime
     heartbeat_at: datetime

@@ -107,12 +107,23 @@ def test_wheel_holds_every_module_and_data_file(repository: Path, tmp_path: Path
 def test_server_imports_without_simulation_or_learning_libraries(repository: Path) -> None:
     loaded = modules_loaded_by("import " + ", ".join(modules_below(repository, "server")))
     assert "vitac" in loaded
-    assert not loaded & {"torch", "sapien", "numba"}
+    assert not loaded & {"torch", "sapien", "mani_skill", "numba"}
 
 
 def test_evaluator_imports_simulation_only_to_run(repository: Path) -> None:
     loaded = modules_loaded_by("import " + ", ".join(modules_below(repository, "evaluator")))
-    assert not loaded & {"torch", "sapien", "numba"}
+    assert not loaded & {"torch", "sapien", "mani_skill", "numba"}
+
+
+def test_no_task_of_ours_needs_what_the_extras_for_other_environments_bring() -> None:
+    """Track 1, 2 and 3 play on a machine without torch, SAPIEN and ManiSkill."""
+    play = (
+        "import gymnasium, vitac.envs\n"
+        "for env_id in vitac.envs.ENVIRONMENTS: gymnasium.make(env_id, disable_env_checker=True)"
+    )
+    loaded = modules_loaded_by(play)
+    assert "numba" in loaded
+    assert not loaded & {"torch", "sapien", "mani_skill"}
 
 
 def import_names(requirements: list[str]) -> set[str]:

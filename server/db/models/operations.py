@@ -4,8 +4,8 @@ from datetime import datetime
 from typing import Any
 from uuid import UUID, uuid4
 
-from sqlalchemy import BigInteger, Float, func
-from sqlalchemy.dialects.postgresql import JSONB
+from sqlalchemy import BigInteger, Float, Text, func
+from sqlalchemy.dialects.postgresql import ARRAY, JSONB
 from sqlalchemy.orm import Mapped, mapped_column
 from vitac.server.db.states import WorkerState
 
@@ -15,7 +15,8 @@ from .base import Base, closed_set
 class Worker(Base):
     """A worker process, its last heartbeat and the space on its disk at that time.
 
-    `sandbox` is what a policy finds in its sandbox (`evaluator.agent.description`); NULL where it refuses to run any.
+    `families` are those of whose tasks it can run shards. `sandbox` is what a policy finds in its sandbox
+    (`evaluator.agent.description`); NULL where it refuses to run any.
     """
 
     __tablename__ = "workers"
@@ -25,6 +26,7 @@ class Worker(Base):
     slots: Mapped[int]
     state: Mapped[WorkerState] = mapped_column(closed_set(WorkerState, "state"))
     evaluator_version: Mapped[str]
+    families: Mapped[list[str]] = mapped_column(ARRAY(Text), server_default="{tactile}")
     platform_class: Mapped[str]
     isolation: Mapped[str]
     message: Mapped[str] = mapped_column(default="")

@@ -94,6 +94,12 @@ def submit(
     return creation.create(session, principal, make_upload(content, tasks=tuple(tasks)), **options)[0]
 
 
+def submit_to(session: Session, principal: Principal, *, track: str, task: str) -> Submission:
+    """A submission to another track."""
+    upload = make_upload(track=track, tasks=(task,), manifest={"track": track, "name": "zero"})
+    return creation.create(session, principal, upload)[0]
+
+
 def make_score(successes: int, episodes: int = 100, mean_steps: float | None = 4.0) -> Score:
     return Score(**dict(rate(successes, episodes)), mean_steps=mean_steps, by_shape={}, outcomes={})
 

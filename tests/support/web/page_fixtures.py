@@ -11,6 +11,7 @@ from uuid import UUID, uuid5
 
 from fastapi import FastAPI
 from played_episodes import FixedPlaybacks
+from vitac.envs.tasks.definition import Family
 from vitac.evaluator.agent.description import SandboxDescription
 from vitac.evaluator.logs.findings import VerificationResult
 from vitac.evaluator.scoring.ranking import CombinedScore, combine
@@ -419,6 +420,7 @@ def a_worker(state: WorkerState, *, is_lost: bool = False, message: str = "") ->
         message=message,
         isolation="user: root, memory: cgroup-v1",
         evaluator_version="1+0123456789ab",
+        families=[Family.TACTILE, Family.MANISKILL],
         platform_class="x86_64-linux",
         started_at=NOW - timedelta(hours=2),
         heartbeat_at=NOW,

@@ -24,6 +24,7 @@ from vitac.server.queue.jobs import (
     enqueue_shards,
     forget_jobs_of_ended_shards,
     prune_finished_jobs,
+    queue_name,
     withdraw_jobs,
 )
 from vitac.server.queue.leases import LeaseLost
@@ -187,7 +188,8 @@ def long_queue(database: Database, submission: Submission) -> Database:
     with database.transaction() as session:
         session.execute(text(more), {"many": MANY})
         added = session.scalars(select(Shard.id).where(Shard.task == "more")).all()
-        enqueue_shards(session, added, newest_evaluation(session, submission).evaluator_version, priority=0)
+        queue = queue_name(newest_evaluation(session, submission).evaluator_version)
+        enqueue_shards(session, added, queue, priority=0)
     with database.transaction() as session:
         session.execute(text("ANALYZE"))
     return database

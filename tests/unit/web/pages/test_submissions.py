@@ -4,6 +4,7 @@ import pytest
 from asgi_browser import AsgiBrowser
 from page_fixtures import DIVERGENCE, LOCK, TASK, FixedData, a_log, a_submission, an_action_match, an_id
 from visits import BOTH, COMPLETED, FAILED, QUEUED, RUNNING, form_token, page_of, sign_in
+from vitac.envs.tasks.definition import Family
 from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.evaluator.logs.findings import VerificationResult
 from vitac.evaluator.submission_kinds import SubmissionKind
@@ -162,6 +163,17 @@ def test_queued_submission_shows_its_position_and_that_no_worker_runs(browser: A
     html = browser.get(f"/submissions/{QUEUED.id}").text
     assert "Number 2 in the queue" in html
     assert "No worker is running since" in html
+
+
+def test_a_submission_that_no_running_worker_can_play_says_what_is_missing(
+    data: FixedData, browser: AsgiBrowser
+) -> None:
+    workers = QUEUED.workers.model_copy(update={"missing_family": Family.MANISKILL})
+    data.found = [QUEUED.model_copy(update={"workers": workers})]
+    sign_in(browser, "Bears")
+    html = browser.get(f"/submissions/{QUEUED.id}").text
+    assert "No running worker can play these tasks: none has the packages of maniskill." in html
+    assert "No worker is running" not in html
 
 
 def test_reused_episodes_are_counted(data: FixedData, browser: AsgiBrowser) -> None:

@@ -1,0 +1,132 @@
+"""A ManiSkill environment as a task: everything follows from its id and the settings in a track file."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from ..errors import VitacError
+from ..observable import Observable
+from ..tasks.definition import ActionComponent, Family, TaskDefinition
+from ..tasks.settings import nearest, settings_from
+from .catalogue import MODES, Described, catalogue
+
+PREFIX = "ManiSkill/"
+"""Of the `env_id` in a track file; ManiSkill's own id follows."""
+
+_ENVIRONMENT = "vitac.envs.maniskill.env:ManiSkillEnv"
+
+
+class ManiSkillTaskRejected(VitacError):
+    """A track file names a ManiSkill environment or a mode that cannot be a task; the message says what can."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ManiSkillSettings:
+    """What a track file says of a ManiSkill task, as its `settings`.
+
+    Attributes:
+        obs_mode: what is observed: `state`, `rgb`, `rgbd` or `pointcloud`.
+        control_mode: what an action moves, by ManiSkill's name.
+        success_key: entry of ManiSkill's info that says whether the task is solved.
+    """
+
+    obs_mode: str = "state"
+    control_mode: str = "pd_ee_delta_pose"
+    success_key: str = "success"
+
+
+def is_maniskill(env_id: str) -> bool:
+    """Return whether the environment is one of ManiSkill's."""
+    return env_id.startswith(PREFIX)
+
+
+def definition_of(env_id: str, settings: Mapping[str, Any]) -> TaskDefinition:
+    """Return the task of an environment, from the catalogue; ManiSkill need not be installed.
+
+    Raises:
+        ManiSkillTaskRejected: the environment is unknown or cannot be a task, or a mode is not one of its own.
+        SettingsError: a setting is unknown or of a wrong type.
+    """
+    chosen = settings_from(ManiSkillSettings, dict(settings))
+    described = _described(env_id)
+    return TaskDefinition(
+        env_id=env_id,
+        environment=_ENVIRONMENT,
+        actions=_actions(env_id, described, chosen.control_mode),
+        observables=_observables(env_id, described, chosen.obs_mode),
+        family=Family.MANISKILL,
+    )
+
+
+def _described(env_id: str) -> Described:
+    known, name = catalogue(), env_id.removeprefix(PREFIX)
+    if name in known.environments:
+        return known.environments[name]
+    if name in known.refused:
+        raise ManiSkillTaskRejected(f"{env_id} cannot be a task. {known.refused[name]}")
+    raise ManiSkillTaskRejected(f"There is no {env_id}; {nearest(name, list(known.environments))}")
+
+
+def _actions(env_id: str, described: Described, control_mode: str) -> tuple[ActionComponent, ...]:
+    if control_mode not in described.control_modes:
+        modes = ", ".join(described.control_modes)
+        raise ManiSkillTaskRejected(
+            f"{env_id} has no control mode {control_mode!r} with actions in [-1, 1]; expected one of {modes}."
+        )
+    size = described.control_modes[control_mode]
+    named = _PANDA_ACTIONS.get(control_mode.replace("_target_", "_"), ()) if "panda" in described.robot else ()
+    if len(named) == size:
+        return named
+    return tuple(
+        ActionComponent(name=f"action_{index}", scale=1.0, unit="1", meaning=f"Number {index} of `{control_mode}`.")
+        for index in range(size)
+    )
+
+
+def _observables(env_id: str, described: Described, obs_mode: str) -> tuple[Observable[Any], ...]:
+    if obs_mode not in MODES:
+        raise ManiSkillTaskRejected(f"{env_id}: obs_mode is {obs_mode!r}, expected one of {', '.join(MODES)}.")
+    if obs_mode == "state":
+        return (_state(described),)
+    return tuple(
+        _observable(entry.name, entry.shape, entry.dtype, f"As ManiSkill's `{obs_mode}` observation has it.")
+        for entry in described.pictures[obs_mode]
+    )
+
+
+def _state(described: Described) -> Observable[Any]:
+    parts, begin = [], 0
+    for name, size in described.state:
+        parts.append(f"{begin} {name}" if size == 1 else f"{begin} to {begin + size - 1} {name}")
+        begin += size
+    return _observable("state", (begin,), "float32", f"ManiSkill's state vector: {', '.join(parts)}.")
+
+
+def _observable(name: str, shape: tuple[int, ...], dtype: str, meaning: str) -> Observable[Any]:
+    """Return an entry that the adapter fills; read by name from a ManiSkill observation."""
+    return Observable(
+        name=name, shape=shape, unit="SI", meaning=meaning, dtype=dtype, read=lambda observation, _: observation[name]
+    )
+
+
+_GRIPPER = ActionComponent(name="gripper", scale=1.0, unit="1", meaning="1 opens the gripper, -1 closes it.")
+_POSITION = tuple(
+    ActionComponent(name=axis, scale=0.1, unit="m", meaning=f"Motion of the gripper's middle along {axis} of the base.")
+    for axis in "xyz"
+)
+_ROTATION = tuple(
+    ActionComponent(
+        name=f"r{axis}", scale=0.1, unit="rad", meaning=f"Rotation vector of the gripper, along {axis} of the base."
+    )
+    for axis in "xyz"
+)
+_JOINTS = tuple(
+    ActionComponent(name=f"joint_{number}", scale=0.1, unit="rad", meaning=f"Motion of joint {number} of the arm.")
+    for number in range(1, 8)
+)
+# ManiSkill's agents/robots/panda/panda.py; "target" modes move what was commanded before, not what was measured.
+_PANDA_ACTIONS: Mapping[str, tuple[ActionComponent, ...]] = {
+    "pd_joint_delta_pos": (*_JOINTS, _GRIPPER),
+    "pd_ee_delta_pos": (*_POSITION, _GRIPPER),
+    "pd_ee_delta_pose": (*_POSITION, *_ROTATION, _GRIPPER),
+}

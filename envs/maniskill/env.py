@@ -1,0 +1,249 @@
+"""Plays a ManiSkill environment as the evaluator needs it: plain arrays, a hash of the state, ends by name.
+
+The only module that imports ManiSkill, SAPIEN and torch; a worker's shard process loads it.
+"""
+
+import hashlib
+import json
+import os
+import sys
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from importlib.metadata import PackageNotFoundError, version
+from time import process_time
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import VitacError
+from ..extras import install_command
+from ..tasks.definition import chosen_observables
+from ..tasks.ending import EndReason
+from ..tasks.options import RNG_SEED, refuse_unknown, seeded_generator
+from ..tasks.settings import settings_from
+from .catalogue import catalogue
+from .definition import PREFIX, ManiSkillSettings, definition_of
+from .observations import flattened, unbatched
+
+Observation = dict[str, NDArray[Any]]
+
+_PACKAGES = ("mani-skill", "sapien", "torch")
+# Of the option that a list of starts has beside the shape; ManiSkill draws everything from the seed.
+_OPTIONS = ("shape", "variant")
+_LARGEST_SEED = 2**31 - 1
+_OTHER_VERSION = (
+    f"install mani-skill {catalogue().made_with['mani-skill']}, or make the catalogue anew "
+    "(vitac.envs.maniskill.describing)."
+)
+
+
+class ManiSkillMissing(VitacError):
+    """ManiSkill, or a driver that its pictures need, is not installed; the message says what to install."""
+
+
+class ManiSkillFailed(VitacError):
+    """An environment of ManiSkill raised an error or is not what the catalogue says; never the policy's fault."""
+
+
+class ManiSkillEnv:
+    """One environment of ManiSkill on the CPU (`physx_cpu`), alone, in this process.
+
+    Args:
+        env_id: as in the track file.
+        max_steps: env steps after which an episode ends.
+        observation_keys: what is returned of the observation; all by default.
+        settings: fields of `ManiSkillSettings` that are not the defaults.
+
+    Attributes:
+        solver_version: versions of what moves a state.
+
+    Raises:
+        ManiSkillMissing: a package or a driver is missing.
+        ManiSkillFailed: it is not the environment that the catalogue describes.
+    """
+
+    def __init__(
+        self,
+        env_id: str,
+        *,
+        max_steps: int,
+        observation_keys: Sequence[str] | None = None,
+        settings: Mapping[str, Any] | None = None,
+    ) -> None:
+        self._settings = settings_from(ManiSkillSettings, dict(settings or {}))
+        self._task = definition_of(env_id, settings or {})
+        listed = self._task.observables
+        self._observed = listed if observation_keys is None else chosen_observables(listed, observation_keys)
+        self._name = env_id.removeprefix(PREFIX)
+        self._max_steps = max_steps
+        self._env_steps = 0
+        self.physics_cpu_s = 0.0
+        self.marker_cpu_s = 0.0
+        self.ipc_steps = 0
+        self._env = _made(self._name, self._settings)
+        self.solver_version = "+".join(f"{name}-{version(name).partition('+')[0]}" for name in _PACKAGES)
+        size = int(self._env.single_action_space.shape[0])
+        if size != len(self._task.actions):
+            raise ManiSkillFailed(
+                f"{env_id} takes {size} numbers as an action, expected {len(self._task.actions)}; {_OTHER_VERSION}"
+            )
+
+    def mesh_hash(self) -> str:
+        """Return the SHA-256 [hex] over id and settings; bodies are those of the named versions."""
+        named = {"environment": self._name, "control_mode": self._settings.control_mode}
+        return hashlib.sha256(json.dumps(named, sort_keys=True).encode()).hexdigest()
+
+    def state_hash(self) -> str:
+        """Return the SHA-256 [hex] over ManiSkill's state of all bodies and joints, float32, and the env step."""
+        digest = hashlib.sha256(f"{self._env_steps} ".encode())
+        digest.update(unbatched(self._env.get_state()).astype("<f4").tobytes())
+        return digest.hexdigest()
+
+    def picture_hash(self) -> str | None:
+        """Return None: pictures come from a driver, whose bits change with the CPU."""
+        return None
+
+    def reset(self, *, options: Mapping[str, object]) -> tuple[Observation, dict[str, Any]]:
+        """Start an episode anew, bodies included, so that nothing of an earlier one remains in the simulation.
+
+        The seed follows from the option `rng_seed`, the integers (list seed, episode number).
+
+        Raises:
+            ResetOptionsError: an option is unknown.
+        """
+        refuse_unknown(self._task.env_id, options, _OPTIONS)
+        random = seeded_generator(self._task.env_id, options.get(RNG_SEED, 0))
+        seed = int(random.integers(0, _LARGEST_SEED))
+        self._env_steps = 0
+        with self._working("reset"):
+            observation, info = self._env.reset(seed=seed, options={"reconfigure": True})
+        return self._plain(observation), self._info(info, None)
+
+    def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Play one env step; actions outside [-1, 1] are clipped."""
+        command = np.clip(np.asarray(action, dtype=np.float32), -1.0, 1.0)
+        with self._working("step"):
+            observation, reward, *_, info = self._env.step(command)
+        self._env_steps += 1
+        reason = self._end_reason(info)
+        succeeded = reason is EndReason.SUCCESS
+        truncated = reason is not None and not succeeded
+        return self._plain(observation), float(reward), succeeded, truncated, self._info(info, reason)
+
+    def _end_reason(self, info: Mapping[str, Any]) -> EndReason | None:
+        key = self._settings.success_key
+        if key not in info:
+            raise ManiSkillFailed(f"{self._task.env_id} has no {key!r} in its info, expected the success_key there.")
+        if bool(info[key]):
+            return EndReason.SUCCESS
+        if bool(info.get("fail", False)):
+            return EndReason.ERROR
+        return EndReason.STEPS if self._env_steps >= self._max_steps else None
+
+    def _plain(self, observation: Any) -> Observation:
+        state = self._settings.obs_mode == "state"
+        leaves = {"state": unbatched(observation)} if state else flattened(observation)
+        plain = {}
+        for entry in self._observed:
+            value = leaves.get(entry.name)
+            if value is None or (value.shape, str(value.dtype)) != (entry.shape, entry.dtype):
+                got = "nothing" if value is None else f"{value.dtype} {value.shape}"
+                raise ManiSkillFailed(
+                    f"{self._task.env_id}: expected {entry.name} as {entry.dtype} {entry.shape}, got {got}; "
+                    f"{_OTHER_VERSION}"
+                )
+            plain[entry.name] = value
+        return plain
+
+    def _info(self, info: Mapping[str, Any], reason: EndReason | None) -> dict[str, Any]:
+        """Return the numbers of ManiSkill's info, with the reason of the end."""
+        numbers = {key: value.cpu().numpy()[0] for key, value in info.items() if hasattr(value, "cpu") and value.ndim}
+        values = {key: value.item() if value.size == 1 else value for key, value in numbers.items()}
+        return {"steps": self._env_steps, **values, "end_reason": None if reason is None else str(reason)}
+
+    @contextmanager
+    def _working(self, what: str) -> Iterator[None]:
+        """Count the CPU time of ManiSkill's work, and name the environment in its errors."""
+        started = process_time()
+        try:
+            yield
+        except Exception as error:
+            told = " ".join(f"{type(error).__name__}: {error}".split())[:300]
+            raise ManiSkillFailed(
+                f"{self._task.env_id} failed in {what} at env step {self._env_steps}: {told}"
+            ) from error
+        finally:
+            self.physics_cpu_s += process_time() - started
+
+
+def missing_packages() -> tuple[str, ...]:
+    """Return those of the packages that are not installed."""
+    missing = []
+    for package in _PACKAGES:
+        try:
+            version(package)
+        except PackageNotFoundError:
+            missing.append(package)
+    return tuple(missing)
+
+
+def _made(name: str, settings: ManiSkillSettings) -> Any:
+    missing = missing_packages()
+    if missing:
+        raise ManiSkillMissing(
+            f"Tasks of ManiSkill need {', '.join(missing)} (extra maniskill, 3 GB). Install it with: "
+            f"{install_command('maniskill')}"
+        )
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    warnings.filterwarnings("ignore", message="Failed to find system libvulkan")  # SAPIEN brings its own
+    import gymnasium
+    import torch
+
+    torch.set_num_threads(1)
+    import mani_skill.envs  # noqa: F401 - registers the ids
+
+    has_renderer = _has_renderer()
+    if settings.obs_mode != "state" and not has_renderer:
+        raise ManiSkillMissing(
+            f"{PREFIX}{name} with obs_mode {settings.obs_mode} needs pictures, and SAPIEN finds no Vulkan driver. "
+            "Install NVIDIA's driver, or Mesa 24.3 or newer: `apt-get install mesa-vulkan-drivers` on Debian 13 and "
+            "Ubuntu 24.04, `apt-get install -t bookworm-backports mesa-vulkan-drivers` on Debian 12."
+        )
+    if not has_renderer:
+        _do_without_materials()
+    return gymnasium.make(
+        name,
+        obs_mode=settings.obs_mode,
+        control_mode=settings.control_mode,
+        sim_backend="physx_cpu",
+        render_backend="none" if settings.obs_mode == "state" else "cpu",
+    ).unwrapped
+
+
+def _has_renderer() -> bool:
+    import sapien
+
+    try:
+        sapien.render.RenderMaterial()
+    except RuntimeError:
+        return False
+    return True
+
+
+class _Material:
+    """Stands in for SAPIEN's material where there is no driver: ManiSkill makes some even if it draws nothing."""
+
+    def __init__(self, **values: Any) -> None:
+        self.__dict__.update(values)
+
+
+def _do_without_materials() -> None:
+    """Put the stand-in wherever SAPIEN and ManiSkill have the class under its name."""
+    import sapien
+
+    real = sapien.render.RenderMaterial
+    for name, module in list(sys.modules.items()):
+        if name.partition(".")[0] in {"sapien", "mani_skill"} and getattr(module, "RenderMaterial", None) is real:
+            module.__dict__["RenderMaterial"] = _Material

@@ -1,0 +1,97 @@
+"""ManiSkill environments as tasks, from the catalogue alone: this runs without ManiSkill."""
+
+import pytest
+from vitac.envs.maniskill.catalogue import MODES, catalogue
+from vitac.envs.maniskill.definition import ManiSkillTaskRejected, definition_of, is_maniskill
+from vitac.envs.tasks.definition import Family
+from vitac.envs.tasks.settings import SettingsError
+
+NAMED = (
+    *("PickCube-v1", "PushCube-v1", "StackCube-v1", "PegInsertionSide-v1", "PlugCharger-v1"),
+    *("LiftPegUpright-v1", "PullCube-v1", "PokeCube-v1", "RollBall-v1"),
+)
+
+
+@pytest.mark.parametrize("name", NAMED)
+def test_the_tasks_of_the_challenge_are_in_the_catalogue_with_all_modes(name: str) -> None:
+    for mode in MODES:
+        task = definition_of(f"ManiSkill/{name}", {"obs_mode": mode})
+        assert task.family is Family.MANISKILL
+        assert [row.name for row in task.actions] == ["x", "y", "z", "rx", "ry", "rz", "gripper"]
+        assert len({row.name for row in task.observables}) == len(task.observables)
+        assert not any(row.privileged for row in task.observables)
+
+
+def test_no_environment_is_both_usable_and_refused_and_every_refusal_is_a_sentence() -> None:
+    known = catalogue()
+    assert not known.environments.keys() & known.refused.keys()
+    assert set(known.made_with) == {"mani-skill", "sapien"}
+    assert all(reason.endswith(".") and "\n" not in reason and len(reason) < 200 for reason in known.refused.values())
+    for described in known.environments.values():
+        assert described.control_modes
+        assert all(size > 0 for size in (*described.control_modes.values(), *(size for _, size in described.state)))
+
+
+def test_the_state_vector_is_one_key_whose_parts_are_named_with_their_places() -> None:
+    (state,) = definition_of("ManiSkill/PickCube-v1", {}).observables
+    assert (state.name, state.shape, state.dtype) == ("state", (42,), "float32")
+    for part in ("0 to 8 agent_qpos", "9 to 17 agent_qvel", "18 extra_is_grasped", "19 to 25 extra_tcp_pose"):
+        assert part in state.meaning
+    assert state.meaning.endswith("39 to 41 extra_obj_to_goal_pos.")
+
+
+def test_pictures_are_keys_of_their_own_and_show_no_true_pose() -> None:
+    rgb = {row.name: row for row in definition_of("ManiSkill/PickCube-v1", {"obs_mode": "rgb"}).observables}
+    assert (rgb["base_camera_rgb"].shape, rgb["base_camera_rgb"].dtype) == ((128, 128, 3), "uint8")
+    assert "agent_qpos" in rgb
+    assert not {"extra_obj_pose", "state", "base_camera_depth"} & set(rgb)
+    assert "base_camera_depth" in {
+        row.name for row in definition_of("ManiSkill/PickCube-v1", {"obs_mode": "rgbd"}).observables
+    }
+    assert "pointcloud_xyzw" in {
+        row.name for row in definition_of("ManiSkill/PickCube-v1", {"obs_mode": "pointcloud"}).observables
+    }
+
+
+@pytest.mark.parametrize(
+    ("control_mode", "names"),
+    [
+        ("pd_ee_delta_pos", ["x", "y", "z", "gripper"]),
+        ("pd_ee_target_delta_pos", ["x", "y", "z", "gripper"]),
+        ("pd_joint_delta_pos", [*(f"joint_{number}" for number in range(1, 8)), "gripper"]),
+        ("pd_joint_vel", [f"action_{index}" for index in range(8)]),
+    ],
+)
+def test_numbers_of_an_action_are_named_where_they_are_known(control_mode: str, names: list[str]) -> None:
+    actions = definition_of("ManiSkill/PickCube-v1", {"control_mode": control_mode}).actions
+    assert [row.name for row in actions] == names
+
+
+@pytest.mark.parametrize(
+    ("env_id", "settings", "message"),
+    [
+        ("ManiSkill/PickCub-v1", {}, "There is no ManiSkill/PickCub-v1; did you mean 'PickCube-v1'"),
+        ("ManiSkill/TurnFaucet-v1", {}, "cannot be a task. It needs files that ManiSkill downloads: partnet_mob"),
+        ("ManiSkill/PickSingleYCB-v1", {}, "cannot be a task. It needs files that ManiSkill downloads: ycb."),
+        ("ManiSkill/AssemblingKits-v1", {}, "It needs files that ManiSkill downloads: assembling_kits."),
+        ("ManiSkill/TwoRobotPickCube-v1", {}, "cannot be a task. It has several robots"),
+        ("ManiSkill/PickCube-v1", {"obs_mode": "rgbx"}, "obs_mode is 'rgbx', expected one of state, rgb, rgbd, pointc"),
+        ("ManiSkill/PickCube-v1", {"control_mode": "pd_joint_pos"}, "no control mode 'pd_joint_pos' with actions in"),
+    ],
+)
+def test_what_cannot_be_a_task_is_refused_by_name(env_id: str, settings: dict[str, str], message: str) -> None:
+    with pytest.raises(ManiSkillTaskRejected) as refused:
+        definition_of(env_id, settings)
+    assert message in str(refused.value)
+
+
+def test_an_unknown_setting_names_the_nearest_one() -> None:
+    with pytest.raises(SettingsError, match="Unknown setting 'obs_mod'; did you mean 'obs_mode'"):
+        definition_of("ManiSkill/PickCube-v1", {"obs_mod": "rgb"})
+    with pytest.raises(SettingsError, match="'success_key' is 1, expected a value of type str"):
+        definition_of("ManiSkill/PickCube-v1", {"success_key": 1})
+
+
+def test_only_ids_with_the_prefix_are_maniskills() -> None:
+    assert is_maniskill("ManiSkill/PickCube-v1")
+    assert not is_maniskill("ViTac/PegInsertion-v1")

@@ -1,0 +1,278 @@
+"""The adapter on a stand-in for ManiSkill, and on the real one where the extra is installed."""
+
+import json
+import subprocess
+import sys
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from vitac.envs.maniskill import env as adapter
+from vitac.envs.maniskill.env import ManiSkillEnv, ManiSkillFailed, ManiSkillMissing
+from vitac.envs.tasks.definition import UnknownObservationKey
+from vitac.envs.tasks.options import ResetOptionsError
+
+PICK_CUBE = "ManiSkill/PickCube-v1"
+START = {"shape": "drawn", "variant": (0.0,), "rng_seed": (5, 3)}
+HOLD = np.zeros(7, np.float32)
+
+
+class Tensor:
+    """One environment's value with its batch dimension."""
+
+    def __init__(self, value: Any) -> None:
+        self._array = np.asarray([value])
+        self.ndim = self._array.ndim
+
+    def cpu(self) -> "Tensor":
+        return self
+
+    def numpy(self) -> np.ndarray:
+        return self._array
+
+    def __float__(self) -> float:
+        return float(self._array[0])
+
+    def __bool__(self) -> bool:
+        return bool(self._array[0])
+
+
+class FakePickCube:
+    """Succeeds at the third env step if told to; its state is the sum of its actions."""
+
+    def __init__(self) -> None:
+        self.single_action_space = SimpleNamespace(shape=(7,))
+        self.resets: list[tuple[int, dict[str, bool]]] = []
+        self.commands: list[np.ndarray] = []
+        self.solves, self.fails, self.raises = False, False, False
+        self.state_size = 42
+
+    def reset(self, *, seed: int, options: dict[str, bool]) -> tuple[Tensor, dict[str, Any]]:
+        self.resets.append((seed, options))
+        self.state, self.steps = np.full(4, seed % 100, np.float32), 0
+        return self._observation(), {"elapsed_steps": Tensor(0), "reconfigure": True}
+
+    def step(self, action: np.ndarray) -> tuple[Tensor, Tensor, Tensor, Tensor, dict[str, Any]]:
+        if self.raises:
+            raise ValueError("PhysX\nlost a joint")
+        self.commands.append(action)
+        self.steps += 1
+        self.state = self.state + action.sum()
+        info = {
+            "success": Tensor(self.solves and self.steps == 3),
+            "fail": Tensor(self.fails),
+            "force": Tensor([1.0, 2.0]),
+        }
+        return self._observation(), Tensor(0.25), Tensor(False), Tensor(False), info
+
+    def get_state(self) -> Tensor:
+        return Tensor(self.state)
+
+    def _observation(self) -> Tensor:
+        return Tensor(np.full(self.state_size, self.steps, np.float32))
+
+
+@pytest.fixture
+def fake(monkeypatch: pytest.MonkeyPatch) -> FakePickCube:
+    made = FakePickCube()
+    monkeypatch.setattr(adapter, "_made", lambda name, settings: made)
+    versions = {"mani-skill": "3.0.1", "sapien": "3.0.3", "torch": "2.13.0+cpu"}
+    monkeypatch.setattr(adapter, "version", versions.__getitem__)
+    return made
+
+
+def pick_cube(**arguments: Any) -> ManiSkillEnv:
+    return ManiSkillEnv(PICK_CUBE, **({"max_steps": 5} | arguments))
+
+
+def test_every_reset_builds_the_scene_anew_with_a_seed_of_the_episode_alone(fake: FakePickCube) -> None:
+    env = pick_cube()
+    for number in (3, 4, 3):
+        env.reset(options=START | {"rng_seed": (5, number)})
+    (first, options), (second, _), (again, _) = fake.resets
+    assert options == {"reconfigure": True}
+    assert (first == again, first == second) == (True, False)
+    assert (0 <= first < 2**31, 0 <= second < 2**31) == (True, True)
+
+
+def test_seeds_of_published_lists_stay(fake: FakePickCube) -> None:
+    pick_cube().reset(options=START | {"rng_seed": (0, 1)})
+    assert fake.resets[0][0] == 1121323793
+
+
+def test_observations_are_plain_arrays_without_the_batch_and_infos_plain_values(fake: FakePickCube) -> None:
+    env = pick_cube()
+    observation, info = env.reset(options=START)
+    assert {key: (type(value), value.shape) for key, value in observation.items()} == {"state": (np.ndarray, (42,))}
+    assert info == {"steps": 0, "elapsed_steps": 0, "end_reason": None}
+    _, reward, terminated, truncated, info = env.step(HOLD)
+    assert (reward, terminated, truncated) == (0.25, False, False)
+    assert info["force"].tolist() == [1.0, 2.0]
+    assert {key: value for key, value in info.items() if key != "force"} == {
+        "steps": 1, "success": False, "fail": False, "end_reason": None,
+    }  # fmt: skip
+
+
+def test_success_the_last_env_step_and_failure_end_an_episode_in_this_order(fake: FakePickCube) -> None:
+    def ends(**facts: bool) -> tuple[int, str, bool, bool]:
+        fake.solves, fake.fails = facts.get("solves", False), facts.get("fails", False)
+        env = pick_cube()
+        env.reset(options=START)
+        for step in range(1, 10):
+            _, _, terminated, truncated, info = env.step(HOLD)
+            if terminated or truncated:
+                return step, info["end_reason"], terminated, truncated
+        raise AssertionError("no end")
+
+    assert ends(solves=True) == (3, "success", True, False)
+    assert ends() == (5, "steps", False, True)
+    assert ends(fails=True) == (1, "error", False, True)
+
+
+def test_success_counts_in_the_last_env_step_too(fake: FakePickCube) -> None:
+    fake.solves = True
+    env = pick_cube(max_steps=3)
+    env.reset(options=START)
+    assert [env.step(HOLD)[4]["end_reason"] for _ in range(3)] == [None, None, "success"]
+
+
+def test_the_track_names_what_counts_as_success(fake: FakePickCube) -> None:
+    env = pick_cube(settings={"success_key": "fail"})
+    fake.fails = True
+    env.reset(options=START)
+    assert env.step(HOLD)[4]["end_reason"] == "success"
+    other = pick_cube(settings={"success_key": "solved"})
+    other.reset(options=START)
+    with pytest.raises(ManiSkillFailed, match="has no 'solved' in its info"):
+        other.step(HOLD)
+
+
+def test_actions_outside_the_box_are_clipped(fake: FakePickCube) -> None:
+    env = pick_cube()
+    env.reset(options=START)
+    env.step(np.array([3, -3, 0.5, 0, 0, 0, 1], np.float32))
+    assert fake.commands[0].tolist() == [1, -1, 0.5, 0, 0, 0, 1]
+
+
+def test_the_state_hash_covers_state_and_env_step(fake: FakePickCube) -> None:
+    env = pick_cube()
+    hashes = []
+    for action in (HOLD, HOLD + 0.5):
+        env.reset(options=START)
+        hashes.append(env.state_hash())
+        env.step(action)
+        hashes.append(env.state_hash())
+    assert hashes[0] == hashes[2]
+    assert len(set(hashes)) == 3
+    assert env.picture_hash() is None
+
+
+def test_provenance_names_versions_and_what_is_simulated(fake: FakePickCube) -> None:
+    env = pick_cube()
+    assert env.solver_version == "mani-skill-3.0.1+sapien-3.0.3+torch-2.13.0"
+    other = pick_cube(settings={"control_mode": "pd_ee_target_delta_pose"})
+    assert len({env.mesh_hash(), pick_cube().mesh_hash(), other.mesh_hash()}) == 2
+
+
+def test_only_the_named_keys_are_returned_and_others_refused(fake: FakePickCube) -> None:
+    assert pick_cube(observation_keys=()).reset(options=START)[0] == {}
+    with pytest.raises(UnknownObservationKey, match=r"'depth'.* expected state"):
+        pick_cube(observation_keys=("depth",))
+
+
+def test_an_environment_that_is_not_the_catalogues_is_refused(fake: FakePickCube) -> None:
+    fake.state_size = 43
+    with pytest.raises(ManiSkillFailed, match=r"expected state as float32 \(42,\), got float32 \(43,\); install mani-"):
+        pick_cube().reset(options=START)
+    fake.single_action_space.shape = (8,)
+    with pytest.raises(ManiSkillFailed, match="takes 8 numbers as an action, expected 7"):
+        pick_cube()
+
+
+def test_an_error_of_maniskill_is_named_as_the_environments_in_one_line(fake: FakePickCube) -> None:
+    env = pick_cube()
+    env.reset(options=START)
+    env.step(HOLD)
+    fake.raises = True
+    with pytest.raises(ManiSkillFailed, match="PickCube-v1 failed in step at env step 1: ValueError: PhysX lost a jo"):
+        env.step(HOLD)
+
+
+def test_an_unknown_option_is_refused(fake: FakePickCube) -> None:
+    with pytest.raises(ResetOptionsError, match="has no reset option 'sede'"):
+        pick_cube().reset(options={"sede": 1})
+
+
+def test_without_the_packages_the_error_names_size_and_command(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(adapter, "missing_packages", lambda: ("mani-skill", "torch"))
+    with pytest.raises(ManiSkillMissing) as missing:
+        pick_cube()
+    assert "need mani-skill, torch (extra maniskill, 3 GB)" in str(missing.value)
+    assert "pip install 'mani-skill>=" in str(missing.value)
+
+
+def test_pictures_without_a_driver_are_refused_with_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("mani_skill", "mani_skill.envs", "torch"):
+        monkeypatch.setitem(sys.modules, name, SimpleNamespace(set_num_threads=lambda count: None))
+    monkeypatch.setattr(adapter, "missing_packages", tuple)
+    monkeypatch.setattr(adapter, "_has_renderer", lambda: False)
+    with pytest.raises(ManiSkillMissing, match=r"obs_mode rgb needs pictures, .* Mesa 24.3 or newer"):
+        pick_cube(settings={"obs_mode": "rgb"})
+
+
+def test_the_adapter_is_imported_without_maniskill() -> None:
+    code = "import sys, vitac.envs.maniskill.env\nprint({'torch', 'sapien', 'mani_skill', 'numba'} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "set()\n"
+
+
+REAL = """
+import json, sys, numpy as np
+from vitac.envs.maniskill.env import ManiSkillEnv
+env = ManiSkillEnv(sys.argv[1], max_steps=50)
+found = {}
+for number in json.loads(sys.argv[2]):
+    env.reset(options={"rng_seed": (0, number)})
+    random, hashes = np.random.default_rng(number), []
+    for _ in range(8):
+        env.step(random.uniform(-1, 1, 7).astype(np.float32))
+        hashes.append(env.state_hash())
+    found[number] = hashes
+print(json.dumps(found))
+"""
+
+
+def really_played(env_id: str, numbers: list[int], **environment: str) -> dict[str, list[str]]:
+    import os
+
+    done = subprocess.run(
+        [sys.executable, "-P", "-W", "ignore", "-c", REAL, env_id, json.dumps(numbers)],
+        capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL, env=os.environ | environment,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr[-2000:]
+    found: dict[str, list[str]] = json.loads(done.stdout.splitlines()[-1])
+    return found
+
+
+@pytest.mark.skipif(bool(adapter.missing_packages()), reason="the extra maniskill is not installed")
+@pytest.mark.parametrize("name", ["PickCube-v1", "PegInsertionSide-v1"])
+def test_states_repeat_in_other_processes_orders_threads_and_without_a_driver(name: str) -> None:
+    env_id = f"ManiSkill/{name}"
+    first = really_played(env_id, [1, 2])
+    assert len({state for states in first.values() for state in states}) == 16
+    assert really_played(env_id, [2, 1], OMP_NUM_THREADS="2", PYTHONHASHSEED="7") == first
+    assert (
+        really_played(env_id, [2], VK_DRIVER_FILES="/nonexistent", VK_ICD_FILENAMES="/nonexistent")["2"] == first["2"]
+    )
+
+
+@pytest.mark.skipif(bool(adapter.missing_packages()), reason="the extra maniskill is not installed")
+def test_pictures_of_the_real_environment_are_those_of_the_catalogue() -> None:
+    for mode in ("rgb", "rgbd", "pointcloud"):
+        try:
+            env = pick_cube(settings={"obs_mode": mode})
+        except ManiSkillMissing as missing:
+            pytest.skip(str(missing))
+        observation, _ = env.reset(options=START)
+        assert len(observation) > 5

@@ -1,0 +1,129 @@
+"""Shards of a family of environments wait for workers that have its packages."""
+
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import pytest
+from cubes_track import FILE
+from service_factories import claim, make_principal, make_settings, shard_ids, submit, submit_to
+from sqlalchemy import text
+from sqlalchemy.orm import Session
+from submission_steps import make_worker, view_of
+from vitac.envs.tasks.definition import Family
+from vitac.evaluator.version import evaluator_version
+from vitac.server.accounts.principals import CONSOLE
+from vitac.server.db.engine import Database
+from vitac.server.db.models import Submission
+from vitac.server.evaluations.lifecycle import fail_by_machines
+from vitac.server.queue import leases
+from vitac.server.queue.jobs import queue_name
+from vitac.server.queue.sweep import sweep
+from vitac.server.queue.workers import workers_alive
+from vitac.server.tracks import family_of
+
+TACTILE, MANISKILL = (queue_name(evaluator_version(), family) for family in Family)
+BOTH = ["tactile", "maniskill"]
+
+
+@pytest.fixture(autouse=True)
+def cubes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A track of ManiSkill beside ours, as an organizer adds it."""
+    (tmp_path / "cubes.yaml").write_text(FILE)
+    monkeypatch.setenv("VITAC_TRACKS_DIR", str(tmp_path))
+
+
+@pytest.fixture
+def submission(database: Database) -> Submission:
+    with database.transaction() as session:
+        return submit_to(session, make_principal(session), track="cubes", task="pick-cube")
+
+
+def waiting(session: Session) -> dict[str, int]:
+    """How many jobs wait in each queue."""
+    queues = session.scalars(text("SELECT queue_name FROM procrastinate_jobs WHERE status = 'todo'")).all()
+    return dict(Counter(queues))
+
+
+def test_families_have_queues_of_their_own_and_ours_keeps_its_name() -> None:
+    assert f"shards {evaluator_version()}" == TACTILE
+    assert f"{TACTILE} maniskill" == MANISKILL
+
+
+def test_the_family_of_a_task_follows_from_its_track_file(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert family_of("cubes", "pick-cube") is Family.MANISKILL
+    assert family_of("track_1", "peg-insertion") is Family.TACTILE
+    monkeypatch.delenv("VITAC_TRACKS_DIR")
+    assert family_of("cubes", "pick-cube") is Family.TACTILE
+    assert family_of("track_1", "gone") is Family.TACTILE
+
+
+def test_new_shards_wait_in_the_queue_of_their_family(database: Database, submission: Submission) -> None:
+    with database.transaction() as session:
+        assert waiting(session) == {MANISKILL: 2}
+        submit(session, make_principal(session, "Others"))
+        assert waiting(session) == {MANISKILL: 2, TACTILE: 10}
+
+
+def test_shards_that_are_handed_back_and_those_that_are_found_again_stay_in_it(
+    database: Database, submission: Submission
+) -> None:
+    with database.transaction() as session:
+        ids = shard_ids(session, submission)
+        session.execute(text("DELETE FROM procrastinate_jobs"))
+    lease = claim(database, ids[0])
+    with database.transaction() as session:
+        leases.hand_back(session, lease, counts_as_attempt=False)
+        assert waiting(session) == {MANISKILL: 1}
+    with database.transaction() as session:
+        session.execute(text("UPDATE shards SET queued_at = now() - interval '1 hour'"))
+        sweep(session, make_settings(), give_up=fail_by_machines)
+        assert waiting(session) == {MANISKILL: 2}
+
+
+def test_a_lost_shard_comes_back_to_it(database: Database, submission: Submission) -> None:
+    with database.transaction() as session:
+        (first, *_) = shard_ids(session, submission)
+        session.execute(text("DELETE FROM procrastinate_jobs"))
+    claim(database, first)
+    with database.transaction() as session:
+        session.execute(
+            text("UPDATE shards SET lease_expires_at = now() - interval '1 hour' WHERE id = :id"), {"id": first}
+        )
+        sweep(session, make_settings(lease_s=0.003, lease_renewal_s=0.001), give_up=fail_by_machines)
+        assert waiting(session)[MANISKILL] >= 1
+        assert TACTILE not in waiting(session)
+
+
+@pytest.mark.parametrize(
+    ("workers", "alive", "missing"),
+    [
+        ([], 0, None),
+        ([{}], 0, "maniskill"),
+        ([{"families": BOTH}, {}], 1, None),
+        ([{"families": BOTH, "evaluator_version": "0+other"}, {}], 0, "maniskill"),
+    ],
+)
+def test_a_submission_that_no_running_worker_can_play_says_so(
+    database: Database, submission: Submission, workers: list[dict[str, Any]], alive: int, missing: str | None
+) -> None:
+    for changes in workers:
+        make_worker(database, **changes)
+    shown = view_of(database, CONSOLE, submission).workers
+    assert (shown.alive, shown.missing_family) == (alive, missing)
+
+
+def test_tasks_of_ours_need_no_other_family(database: Database) -> None:
+    make_worker(database)
+    with database.transaction() as session:
+        ours = submit(session, make_principal(session, "Others"))
+    shown = view_of(database, CONSOLE, ours).workers
+    assert (shown.alive, shown.missing_family) == (1, None)
+
+
+def test_workers_are_counted_by_family(database: Database) -> None:
+    make_worker(database)
+    make_worker(database, families=BOTH)
+    with database.transaction() as session:
+        counts = [workers_alive(session, make_settings(), None, family).alive for family in (None, *Family)]
+    assert counts == [2, 2, 1]
