@@ -10,7 +10,6 @@ export class Transport {
     this.draw = show;
     this.time = 0;
     this.isPlaying = false;
-    this.isLooping = "loop" in form.dataset;
     this.lastFrame = undefined;
     const { time, play, back, forward } = form.elements;
     time.max = length;
@@ -23,7 +22,6 @@ export class Transport {
     document.addEventListener("keydown", (event) => this.#byKey(event));
     form.hidden = false;
     this.#show();
-    if ("autoplay" in form.dataset && !matchMedia("(prefers-reduced-motion: reduce)").matches) this.toggle();
   }
 
   moveTo(time) {
@@ -43,9 +41,7 @@ export class Transport {
     if (!this.isPlaying) return;
     const passed = this.lastFrame === undefined ? 0 : (now - this.lastFrame) / 1000;
     this.lastFrame = now;
-    let time = this.time + passed * Number(this.form.elements.speed.value);
-    if (time >= this.length && this.isLooping) time = 0;
-    this.moveTo(time);
+    this.moveTo(this.time + passed * Number(this.form.elements.speed.value));
     if (this.time >= this.length) this.toggle();
     else requestAnimationFrame((next) => this.#frame(next));
   }

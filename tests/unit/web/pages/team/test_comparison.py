@@ -1,5 +1,6 @@
 import csv
 import io
+import re
 from collections.abc import Mapping
 from uuid import UUID
 
@@ -69,6 +70,18 @@ def test_counts_p_value_and_differing_episodes_are_shown(
     assert "<dd>0.125</dd>" in html
     assert html.count("<tr role=") == 1 + 7
     assert f'<option value="{OTHER.id}" selected' in html
+
+
+def test_each_differing_episode_leads_to_both_side_by_side(
+    browser: AsgiBrowser, ends: dict[UUID, list[EpisodeView]]
+) -> None:
+    ends[COMPLETED.id], ends[OTHER.id] = some_ends("xx."), some_ends("x.x")
+    html = shown(browser, OTHER)
+    links = re.findall(r'href="/submissions/([0-9a-f-]+)/episodes/([a-z-]+)/(\d+)\?beside=([0-9a-f-]+):(\d+)"', html)
+    assert len(links) == 2
+    for first, task, number, second, beside in links:
+        assert (first, second, beside) == (str(COMPLETED.id), str(OTHER.id), number)
+        assert task == "peg-insertion"
 
 
 def test_all_pairs_are_a_file(browser: AsgiBrowser, ends: dict[UUID, list[EpisodeView]]) -> None:
