@@ -21,8 +21,7 @@ from vitac.server.logs.export import export_log
 from vitac.server.submissions import listing, output, runs, sensors, upload
 from vitac.server.submissions.watch import watch
 from vitac.server.views.logs import ActionMatchView
-from vitac.server.views.sensors import SensorView
-from vitac.server.views.submissions import EpisodeView, OutputView, SubmissionListView, SubmissionView
+from vitac.server.views.submissions import EpisodeView, OutputView, SensorView, SubmissionListView, SubmissionView
 
 from .access import PrincipalOf, ServicesOf
 from .limiter import UPLOADS

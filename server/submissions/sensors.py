@@ -13,8 +13,7 @@ from ..db.models import Submission, SubmissionFile
 from ..db.states import EvaluationState, FileRole
 from ..errors import not_found
 from ..evaluations.history import newest_evaluation
-from ..views.sensors import DocumentView, SensorView
-from ..views.submissions import EpisodeView
+from ..views.submissions import DocumentView, EpisodeView, SensorView
 from .files import file_of
 from .listing import episodes
 

@@ -6,8 +6,9 @@ from enum import StrEnum
 from typing import Any
 from uuid import UUID, uuid4
 
+import drawn_gels
 import pytest
-from service_client import Service, bearer, make_archive
+from service_client import POLICY, Service, bearer, make_archive
 from service_factories import play_all
 from vitac.server.accounts import tokens
 from vitac.server.accounts.principals import CONSOLE
@@ -50,6 +51,8 @@ MATRIX: dict[tuple[str, str], frozenset[Who]] = {
     ("get", f"{SUBMISSION}/episodes"): READERS,
     ("get", f"{SUBMISSION}/action-matches"): READERS,
     ("get", f"{SUBMISSION}/output"): READERS,
+    ("get", f"{SUBMISSION}/sensor"): READERS,
+    ("get", f"{SUBMISSION}/document"): READERS,
     ("get", f"{SUBMISSION}/log"): READERS,
     ("get", f"{SUBMISSION}/events"): READERS,
     ("post", f"{SUBMISSION}/cancel"): CHANGERS,
@@ -133,7 +136,14 @@ BODIES: dict[tuple[str, str], Options] = {
 
 @pytest.fixture
 def setting(service: Service) -> Setting:
-    submission_id = service.upload(make_archive()).json()["id"]
+    sensor = {
+        "Track_3/submission.yaml": "track: track_3\ntasks: [sensor-standard]\nname: flat\n",
+        "Track_3/sensor.yaml": "{}",
+        "Track_3/gel.stl": drawn_gels.stl_bytes(drawn_gels.flat()),
+        "Track_3/design.md": "A flat gel.",
+        "Track_3/policy.py": POLICY,
+    }
+    submission_id = service.upload(make_archive(sensor)).json()["id"]
     with service.services.database.transaction() as session:
         submission = session.get_one(Submission, UUID(submission_id))
         judge = tokens.issue(session, CONSOLE, role=Role.JUDGE, label="judge", lifetime=None).secret
