@@ -60,6 +60,10 @@ class Client:
         """Return one submission."""
         return self._json("GET", f"/api/v1/submissions/{submission_id}")
 
+    def episodes(self, submission_id: str) -> list[Json]:
+        """Return how each finished episode of a submission ended."""
+        return list(self.send("GET", f"/api/v1/submissions/{submission_id}/episodes").json())
+
     def submissions(self, limit: int = 50) -> list[Json]:
         """Return the newest submissions that the token may see."""
         return list(self._json("GET", "/api/v1/submissions", params={"limit": limit})["items"])
