@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from vitac.server.views.scores import TaskScoreView
     from vitac.server.views.submissions import EpisodeView, RankView, SubmissionView
 
-    from ..plots.figure import Figure
     from ..site import Viewer
     from .episodes.map import EpisodeMap
 
@@ -82,14 +81,14 @@ async def submission(request: Request) -> Response:
     )
 
 
-async def _plots(request: Request, viewer: Viewer, values: dict[str, Any]) -> tuple[Markup, list[Figure]]:
+async def _plots(request: Request, viewer: Viewer, values: dict[str, Any]) -> tuple[Markup, Markup]:
     """Return the plots of a complete evaluation, and those of the team's submissions until now."""
     found: SubmissionView = values["submission"]
     if found.evaluation.state is not EvaluationState.COMPLETED:
-        return Markup(), []
+        return Markup(), Markup()
     titles = {name: task.title for name, task in load_track(found.track).tasks.items()}
     past = await site_of(request).data.past_results(viewer.visitor, found.id)
-    return episode_figures(request, found, titles, values["episodes"]), history_figures(found, titles, past)
+    return episode_figures(request, found, titles, values["episodes"]), history_figures(request, found, titles, past)
 
 
 async def events(request: Request) -> Response:

@@ -11,7 +11,7 @@ from vitac.evaluator.agent.protocol.action import ACTION_TYPES
 from vitac.evaluator.tracks import UnknownTrack, load_track
 
 from ..plots.dates import DatedRate, rates_by_date
-from ..rendering import STATIC, render, steps, words
+from ..rendering import render, steps, words
 from ..site import Tab, page, site_of, viewer_of
 from .paging import board_page
 
@@ -39,6 +39,32 @@ class Entry(Protocol):
         """What it shows; that never changes."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Picture:
+    """A picture of a task: a static file, its size [px] and what it shows, for whoever does not see it."""
+
+    file: str
+    width: int
+    height: int
+    shows: str
+
+
+_SCENE = (
+    "The gripper's two gels, coloured by stress, hold the part over its target, which is cut open; beside it "
+    "the marker flow of both sensors, which a policy observes"
+)
+PICTURES = {
+    "peg-insertion": Picture(file="peg-insertion.png", width=1000, height=570, shows=_SCENE),
+    "lock-opening": Picture(file="lock-opening.png", width=1000, height=570, shows=_SCENE),
+    "fusion-insertion": Picture(
+        file="fusion-insertion.png",
+        width=1000,
+        height=640,
+        shows="Colour, depth with a scale in mm, the two infrared pictures that depth is measured with, and the point "
+        "cloud, at one env step",
+    ),
+}
+"""Drawn by `vitac show`, with `--view cameras` where there are any."""
 EntryT = TypeVar("EntryT", bound=Entry)
 
 
@@ -106,7 +132,7 @@ async def rules(request: Request) -> Response:
         accepts_logs=accepts_logs(track),
         log_size=site_of(request).data.log_size(),
         track_tabs=track_tabs(site_of(request), track, "/rules"),
-        pictures={name: f"{name}.png" for name in track.tasks if (STATIC / f"{name}.png").is_file()},
+        pictures={name: PICTURES[name] for name in track.tasks if name in PICTURES},
     )
 
 

@@ -65,8 +65,20 @@ def _of_task(found: SubmissionView, score: TaskScoreView, title: str, episodes: 
     )
 
 
-def history_figures(found: SubmissionView, titles: dict[str, str], past: Sequence[PastResultView]) -> list[Figure]:
-    """Return the history of the team in each task in which it has more than one result."""
+def history_figures(
+    request: Request, found: SubmissionView, titles: dict[str, str], past: Sequence[PastResultView]
+) -> Markup:
+    """Return the history of the team in each task in which it has more than one result, kept until it has another."""
+
+    def make() -> str:
+        figures = _histories(found, titles, past)
+        return render("history_figures.html", request, figures=figures) if figures else ""
+
+    reached = tuple((result.task, result.submission_id, result.success_rate) for result in past)
+    return site_of(request).plots.get((found.id, reached), make)
+
+
+def _histories(found: SubmissionView, titles: dict[str, str], past: Sequence[PastResultView]) -> list[Figure]:
     figures = []
     for task in found.tasks:
         rates = [

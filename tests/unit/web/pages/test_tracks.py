@@ -1,10 +1,14 @@
 import re
+import struct
 
+import pytest
 from asgi_browser import AsgiBrowser
 from page_fixtures import LOCK, SIGNER, TASK, FixedData, a_leaderboard, a_score, an_entry, an_id
 from visits import sign_in
+from markupsafe import escape
 from vitac.evaluator.tracks import list_tracks, load_track
-from vitac.web.pages.tracks import track_tabs
+from vitac.web.pages.tracks import PICTURES, track_tabs
+from vitac.web.rendering import STATIC
 from vitac.web.site import Site
 
 BEARS_PEG, BEARS_LOCK = a_score((84, 80, 77), 4.31), a_score((40, 38, 2, 0), 11.5, LOCK)
@@ -142,8 +146,27 @@ def test_rules_of_track_2_show_keys_shapes_actions_limits_and_a_picture_of_the_c
     assert browser.get(picture).headers["content-type"] == "image/png"
 
 
-def test_rules_without_cameras_have_no_picture(browser: AsgiBrowser) -> None:
-    assert "camera sees" not in browser.get("/tracks/track_1/rules").text
+def test_rules_show_the_scene_of_each_task_before_its_words(browser: AsgiBrowser) -> None:
+    html = browser.get("/tracks/track_1/rules").text
+    for name, task in load_track("track_1").tasks.items():
+        (picture,) = re.findall(rf'<img class="wide" src="(/static/{name}\.png\?v=\w+)" width="1000" height="570"', html)
+        assert html.index(f'id="task-{name}"') < html.index(picture) < html.index(escape(task.description[:40]))
+        assert browser.get(picture).headers["content-type"] == "image/png"
+
+
+@pytest.mark.parametrize("name", sorted(PICTURES))
+def test_pictures_have_the_size_that_pages_reserve_for_them(name: str) -> None:
+    header = (STATIC / PICTURES[name].file).read_bytes()[16:24]
+    assert struct.unpack(">II", header) == (PICTURES[name].width, PICTURES[name].height)
+
+
+@pytest.mark.parametrize("track", ["track_1", "track_2"])
+def test_contents_of_the_rules_lead_to_every_section_in_its_order(browser: AsgiBrowser, track: str) -> None:
+    html = browser.get(f"/tracks/{track}/rules").text
+    contents = html.partition('aria-label="Contents"')[2].partition("</nav>")[0]
+    targets = re.findall(r'href="#([\w-]+)"', contents)
+    assert targets == re.findall(r'<h2 id="([\w-]+)">', html)
+    assert targets[0] == "taking-part"
 
 
 def test_rules_say_what_a_log_is_worth(browser: AsgiBrowser) -> None:
