@@ -3,9 +3,9 @@ import struct
 
 import pytest
 from asgi_browser import AsgiBrowser
+from markupsafe import escape
 from page_fixtures import LOCK, SIGNER, TASK, FixedData, a_leaderboard, a_score, an_entry, an_id
 from visits import sign_in
-from markupsafe import escape
 from vitac.evaluator.tracks import list_tracks, load_track
 from vitac.web.pages.tracks import PICTURES, track_tabs
 from vitac.web.rendering import STATIC
@@ -149,7 +149,9 @@ def test_rules_of_track_2_show_keys_shapes_actions_limits_and_a_picture_of_the_c
 def test_rules_show_the_scene_of_each_task_before_its_words(browser: AsgiBrowser) -> None:
     html = browser.get("/tracks/track_1/rules").text
     for name, task in load_track("track_1").tasks.items():
-        (picture,) = re.findall(rf'<img class="wide" src="(/static/{name}\.png\?v=\w+)" width="1000" height="570"', html)
+        (picture,) = re.findall(
+            rf'<img class="wide" src="(/static/{name}\.png\?v=\w+)" width="1000" height="570"', html
+        )
         assert html.index(f'id="task-{name}"') < html.index(picture) < html.index(escape(task.description[:40]))
         assert browser.get(picture).headers["content-type"] == "image/png"
 
