@@ -8,6 +8,7 @@ import structlog
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
+from pydantic import BaseModel, ConfigDict
 from sqlalchemy.exc import DBAPIError, SQLAlchemyError
 from sqlalchemy.exc import TimeoutError as PoolTimeout
 from starlette.exceptions import HTTPException
@@ -15,7 +16,6 @@ from vitac.server.db.engine import is_connection_loss
 from vitac.server.errors import ProblemCode, ServiceError, storage_full
 from vitac.server.settings import Settings
 from vitac.server.storage.disk_space import has_space, is_disk_full
-from vitac.server.views.problems import ProblemView
 
 logger = structlog.get_logger(__name__)
 
@@ -26,6 +26,21 @@ _CODE_OF_STATUS: Mapping[int, ProblemCode] = {
     HTTPStatus.NOT_FOUND: ProblemCode.NOT_FOUND,
     HTTPStatus.METHOD_NOT_ALLOWED: ProblemCode.METHOD_NOT_ALLOWED,
 }
+
+
+class ProblemView(BaseModel):
+    """RFC 9457 problem; `code` is stable, further members depend on it."""
+
+    model_config = ConfigDict(extra="allow")
+
+    type: str
+    title: str
+    status: int
+    detail: str
+    code: str
+    instance: str
+    errors: list[dict[str, Any]] | None = None
+
 
 RESPONSES: dict[int | str, dict[str, Any]] = {
     "default": {"model": ProblemView, "description": "A problem; `code` says which.", "content": {MEDIA_TYPE: {}}}

@@ -80,3 +80,22 @@ def test_numbers_are_printed_to_two_hundred_thousandths(apart: float, is_same: b
 def test_more_or_fewer_numbers_are_others(shown: tuple[float, ...], expected: tuple[float, ...]) -> None:
     assert not is_printed(shown, expected)
     assert is_printed((), ())
+
+
+def test_an_era_is_one_sentence_with_both_heights() -> None:
+    vision = next(script for script in all_scripts() if script.hole_tops_mm)
+    assert [vision.era(top_mm) for top_mm in vision.hole_tops_mm] == [
+        "before 2025-03-14: rim 19.9 mm in the books, 17.4 mm in the geometry",
+        "since 2025-03-14: rim 17.4 mm in the books, 17.4 mm in the geometry",
+    ]
+    assert vision.era(None) is None
+
+
+@pytest.mark.parametrize("top_mm", VISION.hole_tops_mm)
+def test_every_start_of_the_vision_track_is_shown_from_its_own_hole(top_mm: float) -> None:
+    starts = VISION.starts(top_mm)
+    assert {start.listed_offset[-1] for start in starts} == {0.0, 1.0}
+    for start in starts:
+        x, y, theta, z, left = start.listed_offset
+        beside = y - 22.625 if left else y + 22.625
+        assert start.offset == pytest.approx((x, beside, theta, z + top_mm - 6.9))
