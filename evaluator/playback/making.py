@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, cast
+from typing import IO, TYPE_CHECKING
 
 from vitac.envs.errors import VitacError
 
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
     from vitac.envs.drawing.playback import Playback
-    from vitac.envs.tasks.task_env import TactileTaskEnv
 
 OnStep = Callable[[int], None]
 """Gets the number of env steps that are played."""
@@ -31,6 +30,10 @@ STILL_WIDTH_PX = 1200
 
 class StatesDiffer(VitacError):
     """A re-simulated state is not the recorded one, so what would be shown is not what was scored."""
+
+
+class NotPlayable(VitacError):
+    """The environment of a task has no gels and parts as a playback shows them."""
 
 
 def make(order: PlaybackOrder, on_step: OnStep) -> None:
@@ -57,12 +60,18 @@ def replay(task: Task, record: EpisodeRecord, on_step: OnStep, list_seed: int | 
     """Return the re-simulated episode of a record.
 
     Raises:
+        NotPlayable: the task has another kind of environment.
         StatesDiffer: a state is not the recorded one.
     """
     from vitac.envs.drawing.playback import Pace
     from vitac.envs.drawing.playback import record as play
+    from vitac.envs.tasks.task_env import TactileTaskEnv
 
-    env = cast("TactileTaskEnv[Any, Any]", make_environment(task))
+    env = make_environment(task)
+    if not isinstance(env, TactileTaskEnv):
+        raise NotPlayable(
+            f"Episodes of {task.env_id} are not shown in 3D: a playback shows two gels and what they hold."
+        )
     remaining = iter(record.actions.to_array())
     played = 0
 
@@ -104,7 +113,7 @@ def _require_same_state(found: str, record: EpisodeRecord, env_step: int) -> Non
     if env_step >= len(record.state_hashes) or found != record.state_hashes[env_step]:
         raise StatesDiffer(
             f"The state after env step {env_step} is not the recorded one: the episode was recorded with another "
-            "evaluator or on another platform class, so it cannot be shown here."
+            "evaluator, on another platform class or with a sensor of the team's own, so it cannot be shown here."
         )
 
 

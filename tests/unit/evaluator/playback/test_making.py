@@ -9,7 +9,7 @@ import pytest
 from unpacked_files import unpack
 from vitac.evaluator.episodes.records import EpisodeRecord
 from vitac.evaluator.playback import making
-from vitac.evaluator.playback.making import StatesDiffer, make, replay, serve, start_of
+from vitac.evaluator.playback.making import NotPlayable, StatesDiffer, make, replay, serve, start_of
 from vitac.evaluator.playback.order import CAMERAS_FILE, SCENE_FILE, STILL_FILE, PlaybackOrder
 from vitac.evaluator.tracks import find_task
 
@@ -81,6 +81,14 @@ def test_an_episode_that_ends_before_its_record_is_not_shown(
     short = task.model_copy(update={"settings": {"max_steps": 1}})
     with pytest.raises(StatesDiffer, match="Expected 2 env steps as recorded, got 1"):
         replay(short, record, ignore)
+
+
+def test_an_environment_of_another_kind_is_not_shown(recorded: Recorded, monkeypatch: pytest.MonkeyPatch) -> None:
+    _, task = find_task("peg-insertion")
+    record = recorded(env_steps=1)
+    monkeypatch.setattr(making, "make_environment", lambda _: object())
+    with pytest.raises(NotPlayable, match=r"Episodes of ViTac/PegInsertion-v1 are not shown in 3D"):
+        replay(task, record, ignore)
 
 
 def test_the_start_is_the_recorded_one_with_the_seed_of_the_list(recorded: Recorded) -> None:
