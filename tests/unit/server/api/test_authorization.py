@@ -136,7 +136,7 @@ BODIES: dict[tuple[str, str], Options] = {
 
 @pytest.fixture
 def setting(service: Service) -> Setting:
-    sensor = {
+    sensor: dict[str, str | bytes] = {
         "Track_3/submission.yaml": "track: track_3\ntasks: [sensor-standard]\nname: flat\n",
         "Track_3/sensor.yaml": "{}",
         "Track_3/gel.stl": drawn_gels.stl_bytes(drawn_gels.flat()),
