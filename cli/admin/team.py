@@ -7,6 +7,7 @@ import typer
 
 from ..service.database import load_settings, open_service, transaction
 from ..terminal.output import AsJson, print_json, print_pairs, print_record, print_records
+from .consent import Yes, consented_transaction
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
@@ -49,7 +50,7 @@ def list_teams(as_json: AsJson = False) -> None:
     with transaction() as session:
         found = [teams.organizer_team_view(team).model_dump() for team in teams.list_teams(session)]
     none = "No team yet; `vitac admin team add NAME` makes one."
-    print_records(found, ("name", "contact", "created_at", "id"), none=none, as_json=as_json)
+    print_records(found, ("name", "contact", "created_at", "disqualified_for", "id"), none=none, as_json=as_json)
 
 
 @app.command()
@@ -63,3 +64,31 @@ def show(
     with transaction() as session:
         found = teams.organizer_team_view(teams.find(session, team)).model_dump()
     print_record(found, as_json=as_json)
+
+
+@app.command()
+def disqualify(
+    team: Annotated[str, typer.Argument(help="Name or id.")],
+    reason: Annotated[str, typer.Option(help="Told to the team when it submits.")],
+    yes: Yes = False,
+) -> None:
+    """Take a team off all boards and refuse its submissions; `reinstate` takes it back."""
+    from vitac.server.accounts import teams
+    from vitac.server.accounts.principals import CONSOLE
+
+    with consented_transaction(f"Disqualify {team}?", yes=yes) as session:
+        found = teams.find(session, team)
+        teams.disqualify(session, CONSOLE, found, reason)
+    print(f"disqualified {found.name}")
+
+
+@app.command()
+def reinstate(team: Annotated[str, typer.Argument(help="Name or id.")]) -> None:
+    """Let a disqualified team take part again, with all its results."""
+    from vitac.server.accounts import teams
+    from vitac.server.accounts.principals import CONSOLE
+
+    with transaction() as session:
+        found = teams.find(session, team)
+        teams.reinstate(session, CONSOLE, found)
+    print(f"{found.name} takes part")

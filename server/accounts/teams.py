@@ -1,5 +1,6 @@
 """Teams: registration, look-up and listing."""
 
+from datetime import UTC, datetime
 from uuid import UUID
 
 from sqlalchemy import select, text
@@ -16,6 +17,7 @@ from .principals import Principal
 
 NAME_LENGTH = 64
 CONTACT_LENGTH = 254
+REASON_LENGTH = 200
 _REGISTRATION_LOCK = 0x7E414D5
 """Of two registrations at once the second sees the name of the first."""
 
@@ -79,6 +81,36 @@ def list_teams(session: Session) -> list[Team]:
     return list(session.scalars(select(Team).order_by(Team.name_key)))
 
 
+def disqualify(session: Session, by: Principal, team: Team, reason: str) -> None:
+    """Take a team off all boards and refuse its submissions from now on; its results stay.
+
+    Raises:
+        ServiceError: not an organizer, the reason cannot be shown, or the team is disqualified already.
+    """
+    by.require_organizer()
+    shown = names.clean(reason, what="A reason", min_length=2, max_length=REASON_LENGTH)
+    lock(session, team)
+    session.refresh(team)
+    if team.disqualified_for is not None:
+        raise ServiceError(ProblemCode.TEAM_DISQUALIFIED, f"{team.name} is disqualified: {team.disqualified_for}.")
+    team.disqualified_at, team.disqualified_for = datetime.now(UTC), shown
+    record(session, by, "team.disqualify", f"team:{team.id}", {"reason": shown}, before={"reason": None})
+
+
+def reinstate(session: Session, by: Principal, team: Team) -> None:
+    """Let a disqualified team take part again, with all its results.
+
+    Raises:
+        ServiceError: not an organizer.
+    """
+    by.require_organizer()
+    lock(session, team)
+    session.refresh(team)
+    before = {"reason": team.disqualified_for}
+    team.disqualified_at = team.disqualified_for = None
+    record(session, by, "team.reinstate", f"team:{team.id}", {"reason": None}, before=before)
+
+
 def team_view(team: Team) -> TeamView:
     """Return a team as everybody sees it."""
     return TeamView(id=team.id, name=team.name, created_at=team.created_at)
@@ -86,7 +118,7 @@ def team_view(team: Team) -> TeamView:
 
 def organizer_team_view(team: Team) -> OrganizerTeamView:
     """Return a team as organizers see it."""
-    return OrganizerTeamView(**dict(team_view(team)), contact=team.contact)
+    return OrganizerTeamView(**dict(team_view(team)), contact=team.contact, disqualified_for=team.disqualified_for)
 
 
 def name_key(name: str) -> str:

@@ -1,12 +1,14 @@
-"""Routes that anybody may read: tracks and leaderboards."""
+"""Routes that anybody may read: tracks, competition and leaderboards."""
 
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request, Response
+from vitac.server.competition.view import competition_view
 from vitac.server.leaderboards.log_boards import log_boards
 from vitac.server.leaderboards.made_boards import MadeBoard
 from vitac.server.leaderboards.standings import leaderboard
 from vitac.server.tracks import load_known_track, track_view, track_views
+from vitac.server.views.contest.competition import CompetitionView
 from vitac.server.views.leaderboards import LeaderboardView, LogBoardsView
 from vitac.server.views.tracks import TrackListView, TrackView
 
@@ -32,6 +34,13 @@ def list_tracks(services: ServicesOf) -> TrackListView:
 def get_track(services: ServicesOf, track: str) -> TrackView:
     """Return one track."""
     return track_view(load_known_track(track), services.settings)
+
+
+@router.get("/competition")
+def get_competition(services: ServicesOf) -> CompetitionView:
+    """Return the competition of this service: schedule, rules, prizes, commitments, at the end winners; else 404."""
+    with services.database.transaction() as session:
+        return competition_view(session)
 
 
 @router.get("/leaderboards/{track}", response_model=LeaderboardView, responses=UNCHANGED)

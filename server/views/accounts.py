@@ -22,6 +22,7 @@ class OrganizerTeamView(TeamView):
     """A team with what only organizers may know."""
 
     contact: str | None = Field(description="Where organizers reach the team.")
+    disqualified_for: str | None = Field(description="Why the team no longer takes part; null: it does.")
 
 
 class TokenView(View):

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from vitac.server.queue.workers import Disk
     from vitac.server.settings import Registration
     from vitac.server.submissions.upload import AnnouncedUpload
+    from vitac.server.views.contest.competition import CompetitionView
     from vitac.server.views.leaderboards import LeaderboardView, LogBoardsView, PastResultView
     from vitac.server.views.logs import ActionMatchView
     from vitac.server.views.operations import OperationsView
@@ -110,6 +111,9 @@ class PageData(Protocol):
 
     async def leaderboard(self, track: str, task: str | None) -> LeaderboardView:
         """Return the leaderboard of a track, or of one of its tasks."""
+
+    async def competition(self) -> CompetitionView:
+        """Return the competition of this service; where there is none, the service's refusal is raised."""
 
     async def log_boards(self, track: str) -> LogBoardsView:
         """Return the verified logs and the 2025 text logs of a track."""

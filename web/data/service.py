@@ -13,6 +13,7 @@ from pydantic import ValidationError
 from vitac.server.accounts import registration, tokens
 from vitac.server.api.limiter import UPLOADS
 from vitac.server.api.teams import NewTeam
+from vitac.server.competition.view import competition_view
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.leaderboards import history, log_boards, standings
 from vitac.server.logs import action_matches
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
     from vitac.server.settings import Registration, Settings
     from vitac.server.storage.blobs import BlobStore
     from vitac.server.submissions.upload import AnnouncedUpload
+    from vitac.server.views.contest.competition import CompetitionView
     from vitac.server.views.leaderboards import LeaderboardView, LogBoardsView, PastResultView
     from vitac.server.views.operations import OperationsView
     from vitac.server.views.playbacks import PlaybackView, ShownEpisodeView
@@ -94,6 +96,10 @@ class ServiceData:
     async def leaderboard(self, track: str, task: str | None) -> LeaderboardView:
         """Return the leaderboard of a track, or of one of its tasks."""
         return await self._run(lambda session: standings.leaderboard(session, track, task=task).view)
+
+    async def competition(self) -> CompetitionView:
+        """Return the competition of this service."""
+        return await self._run(competition_view)
 
     async def log_boards(self, track: str) -> LogBoardsView:
         """Return the logs of a track."""

@@ -10,6 +10,7 @@ from starlette.staticfiles import StaticFiles
 from ..headers import SecurityHeaders
 from ..rendering import STATIC
 from . import documentation, downloads, errors, operations, sandbox, submissions, tracks
+from .contest import competition
 from .episodes import page as episodes
 from .team import comparison, output, register, sign_in, upload
 
@@ -66,6 +67,7 @@ def _router() -> APIRouter:
         ("/submissions/{submission_id}/output", output.output, "GET"),
         ("/submissions/{submission_id}/events", submissions.events, "GET"),
         ("/submissions/{submission_id}/cancel", submissions.cancel, "POST"),
+        ("/competition", competition.competition, "GET"),
         ("/sandbox", sandbox.sandbox, "GET"),
         (EPISODE, episodes.episode, "GET"),
         (f"{EPISODE}/playback", episodes.playback, "GET"),

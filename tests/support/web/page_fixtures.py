@@ -27,6 +27,7 @@ from vitac.server.queue.workers import Disk
 from vitac.server.settings import Registration, load_settings
 from vitac.server.submissions.upload import AnnouncedUpload
 from vitac.server.views.accounts import TeamView
+from vitac.server.views.contest.competition import CompetitionView
 from vitac.server.views.evaluations import (
     EvaluationSummaryView,
     EvaluationView,
@@ -499,6 +500,7 @@ class FixedData(FixedPlaybacks):
     matches: list[ActionMatchView] = field(default_factory=list)
     cancelled: list[UUID] = field(default_factory=list)
     registration_rule: Registration = Registration.OPEN
+    cup: CompetitionView | None = None
     service: OperationsView = field(default_factory=an_operations_view)
     printed: list[EpisodeOutputView] = field(default_factory=list)
     past: list[PastResultView] = field(default_factory=list)
@@ -526,6 +528,11 @@ class FixedData(FixedPlaybacks):
         if task is not None and task not in TASKS:
             raise ServiceError(ProblemCode.UNKNOWN_TASK, f"There is no task {task!r}.")
         return self.board if task is None else self.task_boards.get(task, a_leaderboard(task=task))
+
+    async def competition(self) -> CompetitionView:
+        if self.cup is None:
+            raise ServiceError(ProblemCode.NOT_FOUND, "This service runs no competition.")
+        return self.cup
 
     async def log_boards(self, track: str) -> LogBoardsView:
         return self.logs

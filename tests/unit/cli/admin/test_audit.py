@@ -46,6 +46,8 @@ CHANGES = {
     "results freeze": ([], "competition.freeze"),
     "results unfreeze": (["--yes"], "competition.unfreeze"),
     "results finalize": (["--yes"], "competition.finalize"),
+    "team disqualify": (["Team A", "--reason", "two accounts", "--yes"], "team.disqualify"),
+    "team reinstate": (["Team A"], "team.reinstate"),
     "team add": (["Bears"], "token.issue"),
     "token add": (["--judge"], "token.issue"),
     "token revoke": (["TOKEN", "--yes"], "token.revoke"),

@@ -2,8 +2,10 @@ import threading
 
 import pytest
 from vitac.server.accounts import teams
-from vitac.server.accounts.principals import CONSOLE
+from vitac.server.accounts.audit import newest_entries
+from vitac.server.accounts.principals import CONSOLE, Principal
 from vitac.server.db.engine import Database
+from vitac.server.db.states import Role
 from vitac.server.errors import ProblemCode, ServiceError
 
 
@@ -92,3 +94,37 @@ def test_team_is_found_by_name_and_id_and_listed_in_order(database: Database) ->
         assert [team.id for team in teams.list_teams(session)] == [first.id, second.id]
     with pytest.raises(ServiceError, match="There is no team 'gamma'"), database.transaction() as session:
         teams.find(session, "gamma")
+
+
+def test_a_disqualified_team_is_reinstated_and_both_are_recorded(database: Database) -> None:
+    register(database, "Team A")
+    with database.transaction() as session:
+        team = teams.find(session, "Team A")
+        teams.disqualify(session, CONSOLE, team, " two   accounts ")
+        assert teams.organizer_team_view(team).disqualified_for == "two accounts"
+        session.flush()
+        with pytest.raises(ServiceError, match="is disqualified: two accounts"):
+            teams.disqualify(session, CONSOLE, team, "again")
+        teams.reinstate(session, CONSOLE, team)
+        assert team.disqualified_at is None
+        undone, done = newest_entries(session, 2)
+    assert (done.action, done.before, done.after) == ("team.disqualify", {"reason": None}, {"reason": "two accounts"})
+    assert (undone.action, undone.before) == ("team.reinstate", {"reason": "two accounts"})
+
+
+@pytest.mark.parametrize("reason", ["", "x", "a" * 201, "two\x00parts"])
+def test_a_reason_can_be_shown(database: Database, reason: str) -> None:
+    register(database, "Team A")
+    with pytest.raises(ServiceError), database.transaction() as session:
+        teams.disqualify(session, CONSOLE, teams.find(session, "Team A"), reason)
+
+
+@pytest.mark.parametrize("role", [Role.TEAM, Role.JUDGE])
+def test_only_organizers_disqualify(database: Database, role: Role) -> None:
+    register(database, "Team A")
+    with database.transaction() as session:
+        team, by = teams.find(session, "Team A"), Principal(role=role)
+        with pytest.raises(ServiceError, match="Only organizers"):
+            teams.disqualify(session, by, team, "a reason")
+        with pytest.raises(ServiceError, match="Only organizers"):
+            teams.reinstate(session, by, team)

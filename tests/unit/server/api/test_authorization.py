@@ -9,11 +9,13 @@ from uuid import UUID, uuid4
 import drawn_gels
 import pytest
 from service_client import POLICY, Service, bearer, make_archive
-from service_factories import play_all
+from service_factories import TRACK, play_all
 from vitac.server.accounts import tokens
 from vitac.server.accounts.principals import CONSOLE
 from vitac.server.db.models import Submission
 from vitac.server.db.states import Role
+
+from competitions import make_competition, put_in_place
 
 
 class Who(StrEnum):
@@ -38,6 +40,7 @@ MATRIX: dict[tuple[str, str], frozenset[Who]] = {
     ("get", "/metrics"): frozenset({Who.ORGANIZER}),
     ("get", "/api/v1/tracks"): EVERYBODY,
     ("get", "/api/v1/tracks/{track}"): EVERYBODY,
+    ("get", "/api/v1/competition"): EVERYBODY,
     ("get", "/api/v1/leaderboards/{track}"): EVERYBODY,
     ("get", "/api/v1/leaderboards/{track}/logs"): EVERYBODY,
     ("post", "/api/v1/teams"): EVERYBODY,
@@ -145,6 +148,9 @@ def setting(service: Service) -> Setting:
     }
     submission_id = service.upload(make_archive(sensor)).json()["id"]
     with service.services.database.transaction() as session:
+        content = make_competition()
+        content["tracks"] = {"mail": content["tracks"][TRACK] | {"taken_here": False}}
+        put_in_place(session, content)
         submission = session.get_one(Submission, UUID(submission_id))
         judge = tokens.issue(session, CONSOLE, role=Role.JUDGE, label="judge", lifetime=None).secret
     play_all(service.services.database, submission)

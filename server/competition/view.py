@@ -1,0 +1,70 @@
+"""Makes the view of the competition; called by API and pages."""
+
+from collections.abc import Mapping
+from datetime import UTC, datetime
+
+from sqlalchemy.orm import Session
+
+from ..db.models import Competition, SealedList
+from ..errors import ProblemCode, ServiceError
+from ..views.contest.competition import CompetitionTrackView, CompetitionView, PrizeView, StageView, WinnerView
+from .definition import CompetitionDefinition, CompetitionTrack, Stage
+from .sealing import sealed_lists
+
+Lists = Mapping[tuple[str, str], SealedList]
+
+
+def competition_view(session: Session, at: datetime | None = None) -> CompetitionView:
+    """Return the competition; `at` is the moment, None: now.
+
+    Raises:
+        ServiceError: this service runs none.
+    """
+    row = session.get(Competition, 1)
+    if row is None:
+        raise ServiceError(ProblemCode.NOT_FOUND, "This service runs no competition; all its tracks are for practice.")
+    found, now = CompetitionDefinition.model_validate(row.definition), at or datetime.now(UTC)
+    lists = {(each.track, each.stage): each for each in sealed_lists(session)}
+    return CompetitionView(
+        name=found.name,
+        title=found.title,
+        summary=found.summary,
+        website=found.website,
+        contact=found.contact,
+        rules=list(found.rules),
+        currency=found.currency,
+        teams_locked=found.teams_locked,
+        tracks=[_track(name, track, lists, now) for name, track in found.tracks.items()],
+        frozen_at=row.frozen_at,
+        finalized_at=row.finalized_at,
+        winners=[WinnerView.model_validate(winner, extra="ignore") for winner in row.winners or []],
+    )
+
+
+def _track(name: str, track: CompetitionTrack, lists: Lists, now: datetime) -> CompetitionTrackView:
+    return CompetitionTrackView(
+        name=name,
+        title=track.title,
+        taken_here=track.taken_here,
+        ranking=list(track.ranking),
+        ties=track.ties,
+        stages=[_stage(stage, track, lists.get((name, stage.name)), now) for stage in track.stages],
+        prizes=[PrizeView(**prize.model_dump()) for prize in track.prizes],
+    )
+
+
+def _stage(stage: Stage, track: CompetitionTrack, sealed: SealedList | None, now: datetime) -> StageView:
+    return StageView(
+        name=stage.name,
+        title=stage.title,
+        opens=stage.opens,
+        closes=stage.closes,
+        is_open=track.taken_here and stage.is_open(now),
+        accepts=list(stage.accepts),
+        list_kind=stage.list if track.taken_here else None,
+        commitment=sealed.commitment if sealed else None,
+        secret=sealed.secret if sealed and sealed.revealed_at else None,
+        scored_runs=stage.quotas.scored_runs,
+        attempts=stage.quotas.attempts,
+        qualified=stage.qualified.sentence if stage.qualified else None,
+    )
