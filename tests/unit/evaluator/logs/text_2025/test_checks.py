@@ -534,3 +534,9 @@ def test_a_reward_of_nothing_is_one() -> None:
     assert found == ()
     too_good = problems_of_first(turned_episode([turn, *[0.0] * 7], [0.1, *[-1.0] * 7], too_many_steps=True))
     assert too_good == ("test 1: env step 1: reward 0.1 does not follow from the rules",)
+
+
+def test_a_success_against_the_last_env_step_is_told() -> None:
+    log = read(own_log())
+    log.episodes[5].steps[-1].info["is_success"] = False
+    assert "test 6: RESULT says SUCCESS, the last env step the opposite" in check(log, PEG)
