@@ -1,6 +1,5 @@
 import pytest
 from service_factories import LOCK, TASK, make_principal, make_score, outdate, submit, submit_scored
-from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.accounts.principals import Principal
 from vitac.server.db.engine import Database
 from vitac.server.errors import ProblemCode, ServiceError
@@ -22,7 +21,6 @@ def test_a_teams_results_in_the_tasks_of_a_submission(database: Database) -> Non
         ("first", TASK, 0.5),
         ("second", TASK, 0.75),
     }
-    assert SubmissionKind.MODEL is shown.kind
 
 
 def test_foreign_submissions_have_no_history(database: Database) -> None:

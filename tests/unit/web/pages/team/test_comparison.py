@@ -105,6 +105,14 @@ def test_other_lists_are_not_compared(data: FixedData, browser: AsgiBrowser) -> 
     assert "have no episode in common" in shown(browser, OTHER)
 
 
+def test_different_evaluators_are_told(data: FixedData, browser: AsgiBrowser) -> None:
+    data.found = [COMPLETED, OTHER]
+    assert "different evaluators" not in shown(browser, OTHER)
+    older = OTHER.evaluation.model_copy(update={"evaluator_version": "0+old"})
+    data.found = [COMPLETED, OTHER.model_copy(update={"evaluation": older})]
+    assert "different evaluators, 1+0123456789ab and 0+old" in shown(browser, OTHER)
+
+
 def test_another_teams_submission_is_not_there(browser: AsgiBrowser) -> None:
     sign_in(browser, "Gelbots")
     for other in (QUEUED.id, an_id("nobody"), "no-id"):
