@@ -185,14 +185,17 @@ def find_start(task: str, number: int) -> Start:
     Raises:
         UnknownTask: there is neither such a task nor such an environment.
         UnknownEpisodes: the list does not have that number.
+        NotDrawable: the task is not on the tactile simulation.
     """
     from vitac.envs import ENVIRONMENTS
+    from vitac.envs.drawing.drawable import require_tactile
     from vitac.evaluator.tracks import find_task
     from vitac.evaluator.tracks.cut import cut
 
     if task in ENVIRONMENTS:
         return Start(env_id=task, title=f"{task}, random start {number}", options={"rng_seed": number})
     _, definition = find_task(task)
+    require_tactile(definition.definition)
     (shard,) = cut(definition, [number])
     return _listed(definition, shard.episodes[0])
 
