@@ -34,12 +34,12 @@ class Preparation:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._forget()
+        self.forget()
 
     def begin(self, order: ShardOrder) -> None:
         """Begin a shard: forget what is there where the order needs something else, and count its time anew."""
         if self._of != order.preparation():
-            self._forget()
+            self.forget()
         self._of = order.preparation()
         if self._session is not None:
             self._session.begin_shard()
@@ -64,6 +64,7 @@ class Preparation:
             self._session = self._exits.enter_context(load(submission_dir, limits, slot))
         yield self._session
 
-    def _forget(self) -> None:
+    def forget(self) -> None:
+        """Give up environment and policy, and end its sandbox."""
         self._environment = self._session = None
         self._exits.close()

@@ -1,14 +1,18 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
 import pytest
 from evaluation_fakes import FakeEnvironment, FakeSession, cannot_load, small_track, succeed
 from vitac.evaluator.agent.limits import Limits
-from vitac.evaluator.agent.verdicts import PolicyFailed
+from vitac.evaluator.agent.verdicts import PolicyFailed, SandboxFailed
+from vitac.evaluator.shards import execution
 from vitac.evaluator.shards.order import ShardOrder
 from vitac.evaluator.shards.preparation import Preparation
+from vitac.evaluator.shards.result import ShardResult
+from vitac.evaluator.submission_kinds import SubmissionKind
 
 TASK = small_track().tasks["peg-insertion"]
 
@@ -76,3 +80,25 @@ def test_policy_that_could_not_be_loaded_is_loaded_again_for_the_next_shard(sess
             pytest.fail("it was loaded")
         preparation.begin(order(1))
         assert open_policy(preparation, session) is session
+
+
+def test_a_fault_of_ours_ends_the_sandbox_before_it_is_told(
+    session: FakeSession, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def break_down(*_: object) -> ShardResult:
+        raise SandboxFailed("bwrap is missing")
+
+    monkeypatch.setattr(execution, "RUNNERS", {SubmissionKind.MODEL: break_down})
+    told: list[tuple[str, bool]] = []
+
+    class Answer(StringIO):
+        def write(self, text: str) -> int:
+            told.append((text, session.open))
+            return len(text)
+
+    with Preparation() as preparation:
+        preparation.begin(order(0))
+        open_policy(preparation, session)
+        assert session.open
+        execution.execute(order(0), Answer(), preparation)
+    assert told == [('{"error":"SandboxFailed: bwrap is missing"}\n', False)]
