@@ -61,7 +61,7 @@ def execute(order: ShardOrder, answer: IO[str], preparation: Preparation) -> Non
     try:
         result = _result_of(order, preparation, lambda record: send(ShardMessage(record=record)))
     except VitacError as error:
-        preparation.forget()  # whoever reads the error kills this process, which could not clear up any more
+        preparation.forget()  # whoever reads the error kills this process, which could not clear up itself
         send(ShardMessage(error=f"{type(error).__name__}: {error}"))
     else:
         send(ShardMessage(result=result))
