@@ -14,7 +14,8 @@ Kelley, Iterative Methods for Linear and Nonlinear Equations, 1995, section 5.4)
 
 A solution whose exact Jacobian, as last factorised, has a negative determinant is a saddle: it is refused, and the
 caller looks for another by dividing the driven motion. Where that leads to none, the saddle can be escaped along
-negative curvature; all iterations after that step are cautious ones.
+negative curvature; iterations after that step are cautious ones. Where these crawl and use up their number, as many
+more may follow in turns of both sorts.
 """
 
 from enum import IntEnum
@@ -105,9 +106,11 @@ def solve_step(
     s, system = new_solve(model, x, step), workspace.system
     candidates = list_candidates(model, s)
     turn, residual, reusable, escaping = 0, np.inf, False, step.escapes_saddle
-    while turn < tolerances.iterations:
+    limit = 2 * tolerances.iterations if step.escapes_saddle else tolerances.iterations
+    while turn < limit:
         left = write_remaining_motion(model, x, step.x_target, system.prescribed_move)
-        cautious = step.escapes_saddle or _is_cautious(turn, tolerances.phase_iterations)
+        only_cautious = step.escapes_saddle and turn < tolerances.iterations
+        cautious = only_cautious or _is_cautious(turn, tolerances.phase_iterations)
         matrix = EXACT_MATRIX
         reused = reusable and not cautious and reuse_factors(model, candidates, s, workspace, residual)
         if escaping:

@@ -169,8 +169,8 @@ def test_a_compressed_column_escapes_its_saddle_and_bows_out(changes: dict[str, 
 
 
 def test_an_escape_that_leads_to_no_solution_is_called_so() -> None:
-    """With too few iterations for what comes after the escape."""
+    """So few iterations after the escape lead back to a saddle, and no other escape is allowed."""
     plain, _ = compressed_column(replace(STANDARD, saddle_escapes=0, division_levels=0))
-    few = replace(STANDARD, division_levels=0, newton_iterations=plain.newton_iterations)
+    few = replace(STANDARD, division_levels=0, newton_iterations=plain.newton_iterations, saddle_escapes=1)
     report, _ = compressed_column(few)
     assert (report.status, report.saddle_escapes) == (StepStatus.NOT_CONVERGED, 1)
