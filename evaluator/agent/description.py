@@ -1,7 +1,5 @@
 """What a policy runs with, as the sandbox itself tells it; called by `vitac sandbox` and by workers at their start."""
 
-import tempfile
-from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -9,6 +7,7 @@ from pydantic import ValidationError
 
 from ..strict_model import StrictModel
 from .limits import Limits
+from .probe_folder import probe_folder
 from .verdicts import PolicyFailed, SandboxFailed
 
 _POLICY: Final = """
@@ -65,9 +64,7 @@ def describe_sandbox(limits: Limits | None = None) -> SandboxDescription:
     """
     from .session import PolicySession  # the server reads descriptions only
 
-    with tempfile.TemporaryDirectory(prefix="vitac-sandbox-") as name:
-        folder = Path(name)
-        folder.chmod(0o755)  # Under root the sandbox has its own user, which must be able to read the policy.
+    with probe_folder() as folder:
         (folder / "policy.py").write_text(_POLICY)
         try:
             with (

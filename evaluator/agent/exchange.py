@@ -13,7 +13,7 @@ from .isolation.sandbox import Sandbox
 from .limits import Limits
 from .protocol.channel import ChannelClosed
 from .protocol.frames import Answer, AnswerKind, Question
-from .verdicts import PolicyFailed, VerdictCode
+from .verdicts import PolicyFailed, SandboxFailed, VerdictCode
 
 LOADER_PID: Final = 2
 """Pid inside of the process that imports the policy."""
@@ -86,6 +86,7 @@ class Exchange:
 
         Raises:
             PolicyFailed: any verdict.
+            SandboxFailed: something outside has ended the sandbox.
         """
         try:
             self._sandbox.channel.ask(question)
@@ -173,8 +174,19 @@ class Exchange:
         else:
             status = self._sandbox.exit_status(LOADER_PID) or None
         if status is None and self._sandbox.has_ended():
-            return self._sandbox.exit_status(LOADER_PID) or 0
+            status = self._sandbox.exit_status(LOADER_PID)
+            if status is None:
+                raise self._end_from_outside()
         return status
+
+    def _end_from_outside(self) -> PolicyFailed | SandboxFailed:
+        """Explain a sandbox that is gone though its first process never reported how the policy's did.
+
+        The policy cannot end that process, unless all of them together use too much memory.
+        """
+        if self._sandbox.resources().out_of_memory_kills > self._before.out_of_memory_kills:
+            return PolicyFailed(VerdictCode.OUT_OF_MEMORY, "All processes were ended.")
+        return SandboxFailed("The sandbox was ended by something outside it, not by the policy.")
 
     def _wait_for_end(self) -> int | None:
         deadline = time.monotonic() + _END_GRACE_S

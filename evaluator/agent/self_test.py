@@ -4,8 +4,6 @@ Each probe is a small hostile policy. It answers with the number of things it re
 """
 
 import os
-import shutil
-import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -15,6 +13,7 @@ from typing import Final
 import numpy as np
 
 from .limits import MIB, Limits
+from .probe_folder import probe_folder
 from .session import Isolation, PolicySession
 from .verdicts import PolicyFailed, SandboxFailed, VerdictCode
 
@@ -204,15 +203,9 @@ return seen""",
 )
 
 
-_PREFIX = "vitac-doctor-"
-
-
 def run(probes: tuple[Probe, ...] = PROBES) -> Iterator[Outcome]:
     """Run each probe and yield its check result."""
-    _remove_leftovers()
-    with tempfile.TemporaryDirectory(prefix=f"{_PREFIX}{os.getpid()}-") as name:
-        folder = Path(name)
-        folder.chmod(0o755)
+    with probe_folder() as folder:
         canary = folder / "secret" / CANARY
         canary.parent.mkdir()
         canary.write_text(CANARY)
@@ -221,14 +214,6 @@ def run(probes: tuple[Probe, ...] = PROBES) -> Iterator[Outcome]:
             submission.mkdir(mode=0o755)
             (submission / "policy.py").write_text(_policy(probe, canary))
             yield _with_canary(probe, submission)
-
-
-def _remove_leftovers() -> None:
-    """Remove the folders of self-tests that were killed."""
-    for folder in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*"):
-        pid = folder.name.removeprefix(_PREFIX).partition("-")[0]
-        if pid.isdigit() and not Path("/proc", pid).exists():
-            shutil.rmtree(folder, ignore_errors=True)
 
 
 def is_safe(outcomes: list[Outcome]) -> bool:

@@ -16,6 +16,7 @@ from .limiter import ConcurrencyLimiter, WindowLimiter
 from .middleware.body_limit import BodyLimit
 from .middleware.request_head import RequestHead
 from .middleware.request_times import RequestTimes
+from .middleware.shutdown import Shutdown
 from .resumable import routes as uploads
 from .resumable.protocol import ProtocolVersion
 
@@ -82,6 +83,7 @@ def create_app(
     app.add_middleware(BodyLimit, unlimited=(*UNLIMITED, *uploads_at))
     app.add_middleware(ProtocolVersion, prefix=f"{API_PREFIX}{uploads.router.prefix}")
     app.add_middleware(RequestHead)
+    app.add_middleware(Shutdown)
     app.add_middleware(RequestTimes)
     problems.install(app)
     return app

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import textwrap
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from submissions import submission_folder
 from vitac.evaluator.agent.isolation import cgroup
 from vitac.evaluator.agent.isolation.cgroup import MemoryIsolation
+from vitac.evaluator.agent.isolation.process_tree import descendants
 from vitac.evaluator.agent.limits import MIB, Limits
 from vitac.evaluator.agent.session import EpisodeIsolation, EpisodePolicy, PolicySession
 from vitac.evaluator.agent.verdicts import PolicyFailed, SandboxFailed, VerdictCode
@@ -371,6 +373,24 @@ def test_a_bubblewrap_that_fails_is_our_fault(make: Make, monkeypatch: pytest.Mo
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only under root does the policy run as another user")
+def test_a_sandbox_that_is_killed_while_the_policy_loads_is_not_the_policys_fault(make: Make) -> None:
+    folder = make("return observation['x']", top="import time\ntime.sleep(20)")
+
+    def kill_bubblewrap() -> None:
+        while not (
+            found := [pid for pid in descendants(os.getpid()) if Path(f"/proc/{pid}/comm").read_text() == "bwrap\n"]
+        ):
+            time.sleep(0.01)
+        time.sleep(0.5)
+        os.kill(min(found), signal.SIGKILL)
+
+    killer = threading.Thread(target=kill_bubblewrap)
+    killer.start()
+    with pytest.raises(SandboxFailed, match="by something outside it"):
+        play_one(folder)
+    killer.join()
+
+
 def test_a_folder_that_only_root_can_enter_is_refused(make: Make) -> None:
     folder = make("return [0, 0, 0]")
     folder.chmod(0o700)
