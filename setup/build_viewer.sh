@@ -29,7 +29,7 @@ fi
 
 cp "$root/viewer/package.json" "$root/viewer/package-lock.json" "$folder/"
 cd "$folder"
-npm ci --ignore-scripts --no-audit --no-fund --no-update-notifier --fetch-retries=1 --fetch-timeout=60000
+npm ci --include=dev --include=optional --ignore-scripts --no-audit --no-fund --no-update-notifier --fetch-retries=1 --fetch-timeout=60000
 NODE_PATH=$folder/node_modules node node_modules/esbuild/bin/esbuild "$root/viewer/main.js" \
   --bundle --minify --format=esm --target=es2022 --legal-comments=eof --log-level=warning --outfile="$folder/playback.js"
 mv "$folder/playback.js" "$root/web/static/playback.js"

@@ -36,6 +36,7 @@ build_docs() {
 # False, with the reason, if the documentation cannot be built; an older one stays.
 ensure_docs() {
   if docs_are_built; then return; fi
+  can_set_up || return 1
   lock_setup "$venv/bin/python"
   if ! docs_are_built; then
     started=$(date +%s)

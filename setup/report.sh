@@ -86,11 +86,16 @@ fail_setup() { # what failed, disk space that it needs [MiB]
   die "unknown cause; the last lines of output are above, all of it is in $log"
 }
 
+# False, with the reason, if the set-up may not write here.
+can_set_up() {
+  if mkdir -p "$root/.system" 2>/dev/null && [ -w "$root" ] && : 2>/dev/null >>"$root/.system/setup.lock"; then return; fi
+  say "no permission to write in $root, where the set-up keeps .venv and .system. Clone the repository into a folder that you can write to."
+  return 1
+}
+
 # Takes the set-up's lock on descriptor 9: two set-ups at once wait for each other.
 lock_setup() { # python
-  if ! mkdir -p "$root/.system" 2>/dev/null || [ ! -w "$root" ] || ! : 2>/dev/null >>"$root/.system/setup.lock"; then
-    die "no permission to write in $root, where the set-up keeps .venv and .system. Clone the repository into a folder that you can write to."
-  fi
+  can_set_up || exit 1
   exec 9>>"$root/.system/setup.lock"
   if "$1" -I -c 'import fcntl; fcntl.flock(9, fcntl.LOCK_EX | fcntl.LOCK_NB)' 2>/dev/null; then return; fi
   say "another set-up is running here; waiting for it"

@@ -15,6 +15,10 @@ viewer_is_built() {
 # Builds the player if it is missing or outdated. Without it everything but the 3D playback works, so a failure only says so.
 ensure_viewer() {
   if viewer_is_built; then return; fi
+  if ! can_set_up; then
+    say "Going on without the 3D player: episode pages show still pictures."
+    return
+  fi
   lock_setup "$venv/bin/python"
   if ! viewer_is_built; then
     : >"$log"

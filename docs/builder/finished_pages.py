@@ -57,6 +57,7 @@ def policy_of(site: Path) -> str:
             "img-src 'self' data:",
             "connect-src 'self'",
             "base-uri 'none'",
+            "form-action 'self'",
             "frame-ancestors 'none'",
         )
     )

@@ -5,6 +5,7 @@ key checked against those that this project uses on purpose.
 """
 
 import re
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,8 @@ SERVICE_KEYS = {
 }
 HEALTHCHECK_KEYS = {"test", "interval", "timeout", "retries", "start_period"}
 VARIABLE = re.compile(r"\$\{([A-Z_]+)(:[-?][^}]*)?\}")
+LINK = re.compile(r"\]\((\.\./[^)#]+)")
+"""To what lies in another folder."""
 
 PASSED_ON = re.compile(r"^ +((?:VITAC|AWS)_[A-Z_]+):$", re.MULTILINE)
 
@@ -167,10 +170,17 @@ def test_manual_names_every_setting_with_its_default(repository: Path) -> None:
 def test_image_context_holds_what_wheel_and_documentation_are_built_from(repository: Path) -> None:
     lines = (repository / ".dockerignore").read_text().splitlines()
     assert "*" in lines
-    folders = {"cli", "envs", "evaluator", "migrations", "server", "web", "worker"}
+    project = tomllib.loads((repository / "pyproject.toml").read_text())
+    folders = set(project["tool"]["setuptools"]["package-dir"].values())
+    assert "server" in folders
     kept = {line[1:] for line in lines if line.startswith("!")}
-    of_pages = {"docs", "setup", "viewer"}
+    of_pages = {"competitions", "docs", "setup", "viewer"}
     assert kept == folders | of_pages | {"LICENSE", "NOTICE", "README.md", "pyproject.toml", "requirements"}
+    docs = repository / "docs"
+    pages = [page for page in docs.rglob("*.md") if "generated" not in page.parts]
+    linked = {(page.parent / target).resolve() for page in pages for target in LINK.findall(page.read_text())}
+    assert linked
+    assert {path.relative_to(repository.resolve()).parts[0] for path in linked} <= kept
 
 
 def test_images_have_the_documentation_without_what_builds_it(dockerfile: str) -> None:

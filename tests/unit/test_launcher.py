@@ -43,6 +43,10 @@ for word; do case $word in --outfile=*) echo "player" >"${word#--outfile=}" ;; e
 """
 FAKE_NPM = """#!/bin/sh
 echo "npm $1" >>"$FAKE_CALLS.player"
+case "${NODE_ENV-} $*" in
+  production*--include=dev*--include=optional*) ;;
+  production*) echo "esbuild was left out"; exit 1 ;;
+esac
 if [ -n "${FAKE_NPM_ERROR-}" ]; then echo "$FAKE_NPM_ERROR"; exit 1; fi
 """
 
@@ -366,6 +370,24 @@ def test_goes_on_without_the_player_where_its_packages_cannot_be_fetched(checkou
     assert not checkout.player.exists()
     checkout.run(str(checkout.root / "vitac"), "serve")
     assert checkout.player.exists()
+
+
+def test_builds_the_player_with_its_builder_also_in_production(checkout: Checkout) -> None:
+    checkout.run(str(checkout.root / "vitac"), "serve", NODE_ENV="production")
+    assert checkout.player.exists()
+
+
+def test_serves_from_a_folder_that_cannot_be_written_to(checkout: Checkout) -> None:
+    serve = (str(checkout.root / "vitac"), "serve")
+    checkout.run(*serve)
+    shutil.rmtree(checkout.root / ".system")
+    (checkout.root / ".system").touch()  # root may write anywhere, but makes no folder in place of a file
+    (checkout.root / "docs" / "index.md").write_text("# Changed")
+    ran = checkout.run(*serve)
+    assert (ran.returncode, ran.stdout.startswith("<serve>")) == (7, True)
+    assert ran.stderr.count("no permission to write in") == 2
+    assert "Going on without the 3D player" in ran.stderr
+    assert "continuing without it" in ran.stderr
 
 
 @pytest.mark.parametrize("version", ["18", "", "none"])

@@ -67,7 +67,7 @@ async def episodes_csv(request: Request) -> Response:
     if isinstance(viewer, Response):
         return viewer
     rows = await _episodes(request, viewer)
-    name = request.path_params["submission_id"]
+    name = as_id(request.path_params["submission_id"])
     return csv_file(f"{name}-episodes", EPISODE_COLUMNS, ([*row.values()] for row in rows))
 
 
@@ -77,7 +77,7 @@ async def episodes_json(request: Request) -> Response:
     if isinstance(viewer, Response):
         return viewer
     rows = await _episodes(request, viewer)
-    return _attached(JSONResponse(rows), f"{request.path_params['submission_id']}-episodes.json")
+    return _attached(JSONResponse(rows), f"{as_id(request.path_params['submission_id'])}-episodes.json")
 
 
 async def _episodes(request: Request, viewer: Viewer) -> list[dict[str, object]]:

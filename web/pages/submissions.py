@@ -172,9 +172,12 @@ def as_id(text: str) -> UUID:
         ServiceError: it is not an id, so there is no such submission.
     """
     try:
-        return UUID(text)
+        found = UUID(text)
     except ValueError as error:
         raise not_found("submission", text) from error
+    if str(found) != text.lower():  # UUID also reads braces and digits of other scripts
+        raise not_found("submission", text)
+    return found
 
 
 def seconds_taken(found: SubmissionView) -> float | None:

@@ -172,6 +172,8 @@ class _Arriving:
         if self._in_file:
             self._in_file, self.is_complete = False, True
         elif self.file_name is None:
+            if b"\0" in self._value:
+                raise HTTPException(400, "Expected text in the form's fields, got a NUL character.")
             self.fields[self._name] = self._value.decode("utf-8", "replace")
 
     def _end(self) -> None:

@@ -27,7 +27,7 @@
     request.upload.addEventListener("progress", (sent) => {
       const percent = Math.floor((100 * sent.loaded) / sent.total);
       bar.value = percent;
-      if (percent === 100) state.textContent = "Checking the archive";
+      if (percent === 100) state.textContent = "Checking the file";
       else if (percent >= told + 10) {
         told = percent;
         state.textContent = `${mebibytes(sent.loaded)} of ${mebibytes(sent.total)} MiB`;

@@ -26,6 +26,7 @@ def test_a_site_without_inline_scripts_allows_none(tmp_path: Path) -> None:
     assert "script-src 'self'; " in policy
     assert policy.startswith("default-src 'none'; ")
     assert "frame-ancestors 'none'" in policy
+    assert "form-action 'self'" in policy
 
 
 @pytest.mark.parametrize("made", COMPLETED)

@@ -62,6 +62,17 @@ def test_they_are_for_the_team_only(browser: AsgiBrowser, name: str) -> None:
     assert browser.get(f"/submissions/{QUEUED.id}/{name}").status_code == 404
 
 
+@pytest.mark.parametrize("name", ["episodes.csv", "episodes.json"])
+def test_only_the_usual_form_of_an_id_is_read(browser: AsgiBrowser, name: str) -> None:
+    sign_in(browser, "Gelbots")
+    shown = str(COMPLETED.id)
+    arabic_digits = shown.translate({ord("0") + digit: 0x660 + digit for digit in range(10)})
+    for other in (arabic_digits, f"{{{shown}}}", f"urn:uuid:{shown}", COMPLETED.id.hex):
+        assert browser.get(f"/submissions/{other}/{name}").status_code == 404
+    answer = browser.get(f"/submissions/{shown.upper()}/{name}")
+    assert f'filename="{shown}-episodes.' in answer.headers["content-disposition"]
+
+
 def test_pages_link_to_the_files(data: FixedData, browser: AsgiBrowser) -> None:
     data.board = a_leaderboard(an_entry(1, "Gelbots", SCORE))
     board = browser.get("/tracks/track_1").text

@@ -105,6 +105,7 @@ def test_a_form_that_ends_in_its_file_is_refused() -> None:
         (whole(part("form_token", b"x" * (FORM_LIMIT_BYTES + 1)), part("file", b"PK", "a.zip")), 413),
         (whole(*(part(f"field {number}", b"x") for number in range(MAX_PARTS)), part("file", b"", "a.zip")), 413),
         (part("x" * 100_000, b""), 400),
+        (whole(part("team", b"Gel\0bots"), part("file", b"PK", "a.zip")), 400),
         (whole(b"--" + BOUNDARY.encode() + b"\r\n" + b"X: y\r\n" * 1000 + b"\r\n"), 400),
     ],
 )

@@ -74,7 +74,7 @@ def test_winners_and_a_published_secret_are_shown_at_the_end(data: FixedData, br
 
 
 def test_a_frozen_competition_says_so(data: FixedData, browser: AsgiBrowser) -> None:
-    assert "stand still since" in shown(data, browser, frozen_at=OPENS)
+    assert "have been frozen since" in shown(data, browser, frozen_at=OPENS)
 
 
 def test_without_a_competition_there_is_no_page(browser: AsgiBrowser) -> None:

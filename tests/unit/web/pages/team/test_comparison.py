@@ -65,7 +65,7 @@ def test_counts_p_value_and_differing_episodes_are_shown(
 ) -> None:
     ends[COMPLETED.id], ends[OTHER.id] = some_ends("xxxxxxx.."), some_ends("x......x.")
     html = shown(browser, OTHER)
-    for name, count in (("Both solve", 1), ("Only done", 6), ("Only other", 1), ("None", 1)):
+    for name, count in (("Both solve", 1), ("Only done", 6), ("Only other", 1), ("Neither", 1)):
         assert f"<dt>{name}</dt><dd>{count}</dd>" in html
     assert "<dd>0.125</dd>" in html
     assert html.count("<tr role=") == 1 + 7

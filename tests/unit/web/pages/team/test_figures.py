@@ -22,10 +22,10 @@ def test_others_have_none(data: FixedData, browser: AsgiBrowser) -> None:
 
 def test_the_history_marks_the_submission_that_is_shown(data: FixedData, browser: AsgiBrowser) -> None:
     data.past = [a_past_result("done", 0.87, 0)]
-    assert "Submissions until now" not in page_of(data, browser, COMPLETED)
+    assert "Submissions so far" not in page_of(data, browser, COMPLETED)
     data.past = [a_past_result("done", 0.87, 0), a_past_result("before", 0.5, 3), a_past_result("lock", 0.5, 3, LOCK)]
     html = browser.get(f"/submissions/{COMPLETED.id}").text
-    assert "Submissions until now" in html
+    assert "Submissions so far" in html
     assert html.count('class="point own"') == 1
     assert f'id="history-{TASK}"' in html
     assert f'id="history-{LOCK}"' not in html
