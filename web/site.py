@@ -117,7 +117,8 @@ def require_form_token(request: Request, fields: Mapping[str, str], viewer: View
     """
     token = fields.get("form_token", "")
     if not site_of(request).signer.accepts_form_token(request.cookies.get(COOKIE), token):
-        raise HTTPException(403, f"This form does not belong to {viewer.name}'s current session. Reload the page and try again.")
+        message = f"This form does not belong to {viewer.name}'s current session. Reload the page and try again."
+        raise HTTPException(403, message)
 
 
 def page(
