@@ -14,7 +14,7 @@ from ..accounts.principals import Principal
 from ..db.models import Competition, Submission
 from ..errors import ProblemCode, ServiceError
 from .definition import CompetitionDefinition
-from .sealing import list_of_stage, seal
+from .sealing import list_of_stage, seal, withdraw
 
 _NAMES = ("name", "place")
 """Fields by which the members of a list are told apart."""
@@ -67,13 +67,16 @@ def apply(session: Session, by: Principal, definition: CompetitionDefinition) ->
     if row is None:
         row = Competition(id=1, definition=after)
         session.add(row)
-    elif found:
+    elif before != after:
         row.definition, row.applied_at = after, datetime.now(UTC)
     session.flush()
-    if found:
+    if before != after:
         record(session, by, "competition.apply", f"competition:{definition.name}", after, before=before)
-    for track, stage in definition.sealed_stages():
-        seal(session, by, track, stage.name)
+    sealed = {(track, stage.name) for track, stage in definition.sealed_stages()}
+    for track, rules in definition.tracks.items():
+        for stage in rules.stages:
+            change = seal if (track, stage.name) in sealed else withdraw
+            change(session, by, track, stage.name)
     return found
 
 
@@ -102,11 +105,12 @@ def _differences(old: CompetitionDefinition | None, new: CompetitionDefinition) 
 
 
 def _values(content: object, place: str = "") -> Iterator[tuple[str, object]]:
-    """Yield each single value with its place; members of lists by their names."""
+    """Yield each single value with its place; members of lists by their names, whose order is a value too."""
     if isinstance(content, Mapping):
         for key, value in content.items():
             yield from _values(value, f"{place}.{key}" if place else key)
     elif isinstance(content, list) and content and isinstance(content[0], Mapping):
+        yield place, [_name_of(member) for member in content]
         for member in content:
             yield from _values(member, f"{place}.{_name_of(member)}")
     elif content is not None:

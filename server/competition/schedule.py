@@ -134,9 +134,10 @@ def shown_stage(session: Session, track: str, wanted: str | None = None, *, at: 
 
 
 def track_rules(session: Session, track: str) -> CompetitionTrack | None:
-    """Return what the competition says of a track; None: nothing."""
+    """Return what the competition says of a track; None: nothing, or its submissions are collected elsewhere."""
     competition = current(session)
-    return competition.tracks.get(track) if competition else None
+    found = competition.tracks.get(track) if competition else None
+    return found if found and found.taken_here else None
 
 
 def require_over(session: Session, track: str, stage: str, at: datetime | None = None) -> Stage:

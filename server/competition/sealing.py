@@ -6,7 +6,7 @@ The commitment is public from the start. The secret is read by workers, which pl
 import secrets
 from datetime import UTC, datetime
 
-from sqlalchemy import func, select
+from sqlalchemy import exists, func, select
 from sqlalchemy.orm import Session
 from vitac.evaluator.tracks import load_track
 from vitac.evaluator.tracks.sealed import SECRET_BYTES, commitment_of, sealed_track
@@ -47,6 +47,32 @@ def seal(session: Session, by: Principal, track: str, stage: str, secret: bytes 
     session.flush()
     record(session, by, "list.seal", f"stage:{track}/{stage}", {"commitment": made.commitment})
     return made
+
+
+def withdraw(session: Session, by: Principal, track: str, stage: str) -> None:
+    """Take away the list of a stage that is to play the public one; nothing happens where it has none.
+
+    Raises:
+        ServiceError: not an organizer, or an evaluation plays the list.
+    """
+    by.require_organizer()
+    found = list_of_stage(session, track, stage)
+    if found is None:
+        return
+    if session.scalar(select(exists().where(Evaluation.commitment == found.commitment))):
+        raise ServiceError(
+            ProblemCode.STAGE_IN_USE, f"Stage {stage} of {track} has evaluations on its sealed list. Keep it sealed."
+        )
+    session.delete(found)
+    session.flush()
+    record(
+        session,
+        by,
+        "list.withdraw",
+        f"stage:{track}/{stage}",
+        {"commitment": None},
+        before={"commitment": found.commitment},
+    )
 
 
 def reveal(session: Session, by: Principal, track: str, stage: str) -> SealedList:

@@ -34,7 +34,7 @@ _matches: Kept[tuple[UUID, UUID], ActionMatchView] = Kept(at_most=2000)
 
 
 def action_matches(session: Session, by: Principal, submission_id: UUID) -> list[ActionMatchView]:
-    """Return how the team's models of the same evaluator compare with a verified log, newest first.
+    """Return how the team's models of the same evaluator and episode list compare with a verified log, newest first.
 
     Raises:
         ServiceError: there is no such submission.
@@ -48,7 +48,7 @@ def action_matches(session: Session, by: Principal, submission_id: UUID) -> list
     of_log = cache(lambda: _actions(session, EpisodeKey.of(evaluation, log), log.tasks[0]))
     return [
         _matches.get((evaluation.id, model), partial(_compared, session, model, log.tasks[0], of_log))
-        for model in _models(session, log, evaluation.evaluator_version)
+        for model in _models(session, log, evaluation)
     ]
 
 
@@ -59,7 +59,7 @@ def _compared(session: Session, model_id: UUID, task: str, of_log: Callable[[], 
     return _compare(model, of_log(), _actions(session, EpisodeKey.of(model, model.submission), task))
 
 
-def _models(session: Session, log: Submission, version: str) -> Sequence[UUID]:
+def _models(session: Session, log: Submission, evaluation: Evaluation) -> Sequence[UUID]:
     return session.scalars(
         select(Evaluation.id)
         .join(Submission)
@@ -68,7 +68,8 @@ def _models(session: Session, log: Submission, version: str) -> Sequence[UUID]:
             Submission.track == log.track,
             Submission.kind == SubmissionKind.MODEL,
             Submission.tasks.contains(log.tasks),
-            Evaluation.evaluator_version == version,
+            Evaluation.evaluator_version == evaluation.evaluator_version,
+            Evaluation.commitment.is_not_distinct_from(evaluation.commitment),
             Evaluation.state == EvaluationState.COMPLETED,
         )
         .order_by(Evaluation.finished_at.desc(), Evaluation.id)

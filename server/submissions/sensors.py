@@ -4,11 +4,11 @@ from collections.abc import Sequence
 from uuid import UUID
 
 from sqlalchemy.orm import Session
-from vitac.evaluator.scoring.gain import SensingGain, sensing_gain
+from vitac.evaluator.scoring.gain import RunsDiffer, SensingGain, sensing_gain
 from vitac.evaluator.tracks import Player, load_track
 
 from ..accounts.principals import Principal
-from ..accounts.visibility import visible
+from ..accounts.visibility import sight_of, visible
 from ..db.models import Submission, SubmissionFile
 from ..db.states import EvaluationState, FileRole
 from ..errors import not_found
@@ -55,11 +55,16 @@ def _file(session: Session, submission_id: UUID, role: FileRole) -> SubmissionFi
 
 
 def _gain(session: Session, by: Principal, submission: Submission) -> SensingGain | None:
-    if newest_evaluation(session, submission).state is not EvaluationState.COMPLETED:
+    """Return the gain; None where its two runs are not over, not both played, or their episodes not shown."""
+    evaluation = newest_evaluation(session, submission)
+    if evaluation.state is not EvaluationState.COMPLETED or not sight_of(by, evaluation).episodes:
         return None
     players = {task.player: name for name, task in load_track(submission.track).tasks.items()}
     ends = episodes(session, by, submission.id)
-    return sensing_gain(_of(ends, players[Player.ESTIMATOR]), _of(ends, players[Player.BLIND]))
+    try:
+        return sensing_gain(_of(ends, players[Player.ESTIMATOR]), _of(ends, players[Player.BLIND]))
+    except RunsDiffer:
+        return None
 
 
 def _of(ends: Sequence[EpisodeView], task: str) -> list[EpisodeView]:

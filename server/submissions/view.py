@@ -53,9 +53,10 @@ def submission_views(
     """
     runs = histories(session, submissions)
     newest = [found[0] for found in runs.values()]
+    rows = EvaluationRows.read(session, newest, by, with_output=with_output)
     shown = _Shown(
-        evaluations=EvaluationRows.read(session, newest, by, with_output=with_output),
-        findings=findings_of(session, newest),
+        evaluations=rows,
+        findings=findings_of(session, [found for found in newest if found.id not in rows.hidden]),
         copies=copies_among(session, [found.id for found in newest if found.submission.kind is SubmissionKind.LOG]),
         workers=cache(partial(workers_alive, session, settings)),
         places=cache(partial(_places, session, by, tuple(runs))),
@@ -77,7 +78,7 @@ class _Shown:
 
     Attributes:
         evaluations: of their newest evaluations.
-        findings: against logs, by evaluation.
+        findings: against logs, by evaluation, where single episodes are shown.
         copies: among logs, by evaluation.
         workers: those alive of an evaluator version that can run a family, or any.
         places: of these submissions on the boards of a track.

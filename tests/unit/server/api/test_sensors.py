@@ -6,12 +6,14 @@ import pytest
 from own_sensors import write_sensor
 from service_client import POLICY, Service, make_archive, problem_of
 from service_factories import play_all
-from sqlalchemy import select, text
+from sqlalchemy import delete, select, text, update
 from vitac.evaluator.sensors.check import design_in
 from vitac.evaluator.sensors.made import read_made_sensor
 from vitac.evaluator.submission.sensor import SensorNotMade
 from vitac.server import housekeeping
-from vitac.server.db.models import Submission, SubmissionFile
+from vitac.server.accounts.principals import CONSOLE
+from vitac.server.competition import sealing
+from vitac.server.db.models import EpisodeResult, Evaluation, Submission, SubmissionFile
 from vitac.server.db.states import FileRole
 from vitac.server.submissions.files import stored_digests
 
@@ -150,6 +152,21 @@ def test_gain_is_shown_once_both_runs_are_complete(service: Service) -> None:
     shown = service.get(f"/submissions/{identity}").json()
     assert shown["rank"] is None
     assert shown["task_ranks"]["sensor-standard"] == {"rank": 1, "of": 1}
+
+
+def test_gain_is_not_shown_on_a_sealed_list_nor_of_one_run(service: Service) -> None:
+    sealed, single = (service.upload(package(files)).json()["id"] for files in (NO_CHANGES, {"policy.py": "x = 1"}))
+    with service.database.transaction() as session:
+        submissions = [session.get_one(Submission, identity) for identity in (sealed, single)]
+    for submission in submissions:
+        play_all(service.database, submission)
+    with service.database.transaction() as session:
+        session.execute(delete(EpisodeResult).where(EpisodeResult.task == "sensor-blind"))
+        made = sealing.seal(session, CONSOLE, "track_3", "final")
+        session.execute(update(Evaluation).where(Evaluation.submission_id == sealed).values(commitment=made.commitment))
+    for identity in (sealed, single):
+        answer = service.get(f"/submissions/{identity}/sensor")
+        assert (answer.status_code, answer.json()["gain"]) == (200, None)
 
 
 def test_sandbox_that_does_not_work_is_no_fault_of_the_team(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:

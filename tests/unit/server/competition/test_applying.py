@@ -15,6 +15,7 @@ from vitac.server.db.engine import Database
 from vitac.server.db.models import Competition
 from vitac.server.db.states import Role
 from vitac.server.errors import ProblemCode, ServiceError
+from vitac.server.evaluations.history import newest_evaluation
 
 from competitions import CLOSES, FIRST, OPENS, SECOND, make_competition
 
@@ -90,6 +91,42 @@ def test_a_stage_with_submissions_is_neither_taken_away_nor_given_another_list(d
         assert caught.value.code is ProblemCode.STAGE_IN_USE
     stages(later)[0]["closes"] = CLOSES.replace(hour=12).isoformat()
     assert [change.place for change in applied(database, later)] == [f"tracks.{TRACK}.stages.{FIRST}.closes"]
+
+
+def test_a_stage_that_turns_public_plays_no_sealed_list(database: Database) -> None:
+    applied(database, make_competition())
+    public = deepcopy(make_competition())
+    stages(public)[1]["list"] = "public"
+    assert [change.place for change in applied(database, public)] == [f"tracks.{TRACK}.stages.{SECOND}.list"]
+    with database.transaction() as session:
+        assert sealed_lists(session) == []
+        withdrawn = newest_entries(session)[0]
+        assert (withdrawn.action, withdrawn.after) == ("list.withdraw", {"commitment": None})
+    assert applied(database, public) == []
+
+
+def test_a_list_that_an_evaluation_plays_is_not_withdrawn(database: Database) -> None:
+    applied(database, make_competition())
+    with database.transaction() as session:
+        submission = submit_scored(session, make_principal(session), "one", {TASK: make_score(50)}, at=OPENS)
+        newest_evaluation(session, submission).commitment = sealed_lists(session)[0].commitment
+    public = deepcopy(make_competition())
+    stages(public)[1]["list"] = "public"
+    with refused(ProblemCode.STAGE_IN_USE):
+        applied(database, public)
+    assert applied(database, make_competition()) == []
+
+
+def test_another_order_is_a_change(database: Database) -> None:
+    prizes = [{"place": place, "amount": amount} for place, amount in (("first", 2000), ("second", 1000))]
+    applied(database, make_competition(prizes=prizes))
+    assert applied(database, make_competition(prizes=prizes[::-1])) == [
+        Change(place=f"tracks.{TRACK}.prizes", before=["first", "second"], after=["second", "first"])
+    ]
+    with database.transaction() as session:
+        found = current(session)
+        assert found is not None
+        assert [prize.place for prize in found.tracks[TRACK].prizes] == ["second", "first"]
 
 
 def test_a_final_competition_does_not_change(database: Database) -> None:

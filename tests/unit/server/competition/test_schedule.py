@@ -169,6 +169,14 @@ def test_tracks_without_a_competition_are_open_for_practice(database: Database) 
     assert create(database, team, IN_FIRST).stage == ""
 
 
+def test_a_track_whose_submissions_are_collected_elsewhere_is_open_for_practice(database: Database) -> None:
+    with database.transaction() as session:
+        put_in_place(session, make_competition(taken_here=False))
+        team = make_principal(session)
+        assert schedule.shown_stage(session, TRACK) == ""
+    assert create(database, team, LATER_CLOSES).stage == ""
+
+
 @pytest.mark.parametrize(
     ("at", "stage"), [(OPENS - SECOND_LONG, FIRST), (CLOSES, FIRST), (LATER_OPENS, SECOND), (LATER_CLOSES, SECOND)]
 )

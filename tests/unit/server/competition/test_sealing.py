@@ -12,6 +12,7 @@ from service_factories import (
     shard_ids,
     store,
     submit,
+    submit_refuted_log,
 )
 from sqlalchemy import select, update
 from submission_steps import SETTINGS, refused
@@ -154,6 +155,20 @@ def test_a_verdict_tells_a_team_its_code_only(database: Database, principal: Pri
         full = listing.get(session, SETTINGS, CONSOLE, sealed.id).evaluation.verdict
         assert full is not None
         assert (full.episode, full.message) == (17, "what it observed")
+
+
+def test_what_was_found_against_a_log_is_not_shown_on_a_sealed_list(
+    database: Database, principal: Principal, sealed: Submission
+) -> None:
+    with database.transaction() as session:
+        log = submit_refuted_log(session, principal, "log")
+        newest_evaluation(session, log).commitment = sealing.commitment_of_stage(session, TRACK, STAGE)
+    with database.transaction() as session:
+        of_team, full = (listing.get(session, SETTINGS, by, log.id).log for by in (principal, CONSOLE))
+    assert of_team is not None
+    assert full is not None
+    assert (of_team.reason, of_team.divergence) == (None, None)
+    assert full.divergence is not None
 
 
 def test_a_final_score_is_shown_and_its_episodes_after_the_reveal(

@@ -24,7 +24,7 @@ from service_factories import (
     shard_ids,
     store,
 )
-from sqlalchemy import event, inspect, text
+from sqlalchemy import event, inspect, text, update
 from sqlalchemy.exc import IntegrityError
 from uploaded_logs import a_log, a_text_log, log_manifest, some_records, upload_log
 from vitac.evaluator.episodes.records import ActionSequence, EpisodeOutcome, EpisodeRecord, SampledPicture
@@ -33,6 +33,7 @@ from vitac.evaluator.logs.log import LogReader
 from vitac.evaluator.shards.result import ShardEnd, ShardResult
 from vitac.evaluator.version import evaluator_version
 from vitac.server.accounts.principals import CONSOLE
+from vitac.server.competition import sealing
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Evaluation, Submission
 from vitac.server.evaluations import lifecycle
@@ -359,6 +360,17 @@ def test_later_model_that_gives_all_actions_of_a_log_is_told(service: Service) -
     assert (match["submission_id"], match["submission_name"]) == (str(model.id), "zero")
     assert (match["reproduced"], match["actions"]) == (810, 810)
     assert (match["episodes_reproduced"], match["episodes"], match["others"]) == (270, 270, [])
+
+
+def test_a_model_on_a_sealed_list_is_not_compared_with_a_log_of_the_public_one(service: Service) -> None:
+    log, model = resimulated(service, a_log()), with_model(service)
+    assert len(service.get(f"/submissions/{log.id}/action-matches").json()) == 1
+    with service.database.transaction() as session:
+        made = sealing.seal(session, CONSOLE, model.track, "final")
+        session.execute(
+            update(Evaluation).where(Evaluation.submission_id == model.id).values(commitment=made.commitment)
+        )
+    assert service.get(f"/submissions/{log.id}/action-matches").json() == []
 
 
 def test_names_the_first_mismatch(service: Service) -> None:
