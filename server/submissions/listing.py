@@ -2,6 +2,7 @@
 
 from uuid import UUID
 
+from pydantic import TypeAdapter
 from sqlalchemy import select, tuple_
 from sqlalchemy.orm import Session, joinedload
 
@@ -15,6 +16,8 @@ from ..evaluations.history import newest_evaluation, newest_state
 from ..settings import Settings
 from ..views.submissions import EpisodeView, SubmissionListView, SubmissionView
 from .view import submission_views
+
+_EPISODES = TypeAdapter(list[EpisodeView])
 
 
 def get(session: Session, settings: Settings, by: Principal, submission_id: UUID) -> SubmissionView:
@@ -85,4 +88,4 @@ def episodes(session: Session, by: Principal, submission_id: UUID) -> list[Episo
         .where(*key.conditions())
         .order_by(EpisodeResult.task, EpisodeResult.episode)
     )
-    return [EpisodeView.model_validate(row, from_attributes=True) for row in rows]
+    return _EPISODES.validate_python(rows.all(), from_attributes=True)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from pydantic import ValidationError
 from vitac.server.accounts import registration, tokens
+from vitac.server.accounts.visibility import visible
 from vitac.server.api.limiter import UPLOADS
 from vitac.server.api.teams import NewTeam
 from vitac.server.competition.view import competition_view
@@ -108,14 +109,17 @@ class ServiceData:
     async def submission(self, visitor: Visitor, submission_id: UUID) -> SubmissionDetail:
         """Return one submission with its episodes, all read in one transaction."""
         by = visitor.principal
-        return await self._run(
-            lambda session: SubmissionDetail(
-                submission=listing.get(session, self.settings, by, submission_id),
-                episodes=listing.episodes(session, by, submission_id),
-                action_matches=action_matches.action_matches(session, by, submission_id),
-                episodes_with_output=output.episodes_with_output(session, by, submission_id),
+
+        def detail(session: Session) -> SubmissionDetail:
+            found = visible(session, by, submission_id)  # as long as it is held, the others find it in the session
+            return SubmissionDetail(
+                submission=listing.get(session, self.settings, by, found.id),
+                episodes=listing.episodes(session, by, found.id),
+                action_matches=action_matches.action_matches(session, by, found.id),
+                episodes_with_output=output.episodes_with_output(session, by, found.id),
             )
-        )
+
+        return await self._run(detail)
 
     async def past_results(self, visitor: Visitor, submission_id: UUID) -> Sequence[PastResultView]:
         """Return what the team of a submission has reached."""
