@@ -28,8 +28,8 @@ PAUSES_S = (0.2, 0.5, 1.0, 2.0, 4.0, 8.0, 15.0, 15.0, 15.0)
 FIRST_PAUSES = 3
 """So many of these waits where nobody has answered yet: the address is probably wrong."""
 TRANSIENT = frozenset(
-    {"database_unavailable", "not_found", "storage_unavailable", "too_many_requests", "upload_conflict"}
-    | {"upload_incomplete", "upload_truncated"}
+    {"database_unavailable", "not_found", "service_stopping", "storage_unavailable", "too_many_requests"}
+    | {"upload_conflict", "upload_incomplete", "upload_truncated"}
 )
 """Refusals that may go away. An upload that is not found has expired, and a new one is begun."""
 MISPLACED = frozenset({"not_found", "upload_conflict", "upload_incomplete"})
