@@ -5,6 +5,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from itertools import count
 from pathlib import Path
 
 from vitac.evaluator.agent.limits import Limits
@@ -36,6 +37,8 @@ class SubmissionStage:
         self._limits = limits
         self._lock = threading.Lock()
         self._staged: dict[str, _Staged] = {}
+        """By name, the one used most recently last."""
+        self._numbers = count()
         remove_leftovers(scratch_dir, WORKER_FOLDER)
         self._folder = new_folder(scratch_dir, WORKER_FOLDER)
 
@@ -54,7 +57,9 @@ class SubmissionStage:
     def _kept(self, name: str, fetch: Callable[[Path], Path]) -> Iterator[Path]:
         """Return what `fetch` has put into a folder of this name, once for all who want it at the same time."""
         with self._lock:
-            staged = self._staged.setdefault(name, _Staged(folder=self._folder / name))
+            # A place of its own each time: a process that was kept must not fit what is unpacked anew.
+            staged = self._staged.get(name) or _Staged(folder=self._folder / f"{name}-{next(self._numbers)}")
+            self._staged[name] = staged
             staged.users += 1
         try:
             with staged.lock:
@@ -64,6 +69,7 @@ class SubmissionStage:
         finally:
             with self._lock:
                 staged.users -= 1
+                self._staged[name] = self._staged.pop(name)  # last, as the one used most recently
                 self._forget_idle()
 
     @property

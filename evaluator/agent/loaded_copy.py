@@ -117,7 +117,7 @@ class LoadedCopy:
             if self._pending_signals() != self._signals:
                 return False
             return self._restore_files() and self._folder_states() == self._folders
-        except TracedProcessGone:
+        except (TracedProcessGone, OSError):  # OSError: names longer than a path may be, links that cannot be read
             return False
 
     def end(self) -> None:

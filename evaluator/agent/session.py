@@ -95,6 +95,8 @@ class PolicySession:
         self._loaded_pid = 0
         self._isolation: Isolation | None = None
         self._shard_time = ShardTime(self._limits)
+        self._loading_s = (0.0, 0.0)
+        """CPU time and time by the clock of the last loading."""
         self.starts = 0
         """How often the policy was loaded."""
 
@@ -115,8 +117,12 @@ class PolicySession:
         return self._isolation
 
     def begin_shard(self) -> None:
-        """Let the limits on a shard's time hold for another shard from here on."""
+        """Let the limits on a shard's time hold for another shard from here on.
+
+        It pays for the loading as one in a new process does, so that no verdict depends on which of both it is.
+        """
         self._shard_time = ShardTime(self._limits)
+        self._shard_time.cpu_s, self._shard_time.wall_s = self._loading_s
 
     @contextlib.contextmanager
     def episode(
@@ -215,8 +221,9 @@ class PolicySession:
             question = Question(kind=QuestionKind.LOAD, text=self._entry_point)
             answer = exchange.ask(question, AnswerKind.LOADED, deadlines)
         finally:
-            self._shard_time.cpu_s += sandbox.cpu_s()
-            self._shard_time.wall_s += time.perf_counter() - started
+            self._loading_s = (sandbox.cpu_s(), time.perf_counter() - started)
+            self._shard_time.cpu_s += self._loading_s[0]
+            self._shard_time.wall_s += self._loading_s[1]
         self._loaded_pid = answer.sender_pid
         if self._episodes is EpisodeIsolation.FROZEN_COPY:
             self._freeze(sandbox, exchange)
@@ -235,6 +242,9 @@ class PolicySession:
             raise exchange.failure(VerdictCode.CRASHED, "The policy ended right after it was loaded.") from None
         except PolicyFailed as failure:
             raise exchange.failure(failure.verdict, failure.message) from None
+        except OSError as error:  # names longer than a path may be, links that cannot be read
+            left = f"What the policy left in its files while loading cannot be looked through: {error.strerror}."
+            raise exchange.failure(VerdictCode.SHARED_STATE, left) from None
         self._exits.callback(self._loaded.end)
         sandbox.channel.reset()
         sandbox.forget_statuses()

@@ -156,7 +156,7 @@ class Sandbox:
                 info=info_write,
             )
             self._process = self._spawn(self._command(uid, descriptors), descriptors, output_write)
-        self._exits.callback(self._stop)
+        self._exits.callback(self._stop, ours)
         self.channel = Channel(ours, message_bytes=self.limits.message_bytes)
         self.first_pid = self._read_first_pid(info_read)
         self._wait_for_runtime()
@@ -227,8 +227,8 @@ class Sandbox:
         watchdog = MemoryWatchdog(self.first_pid, memory_bytes=self.limits.memory_bytes)
         return self._exits.enter_context(watchdog)
 
-    def _stop(self) -> None:
-        """Kill all processes and wait for their end; then no process holds the output's other end.
+    def _stop(self, ours: socket.socket) -> None:
+        """Kill all processes and wait for their end; then nothing holds the output's other end.
 
         Raises:
             SandboxFailed: something survived.
@@ -241,6 +241,7 @@ class Sandbox:
                 self._process.wait(_STOP_DEADLINE_S)
         self._process.kill()
         self._process.wait()
+        ours.close()  # Unread messages in it may hold descriptors of the output that the policy has sent along.
         deadline = time.monotonic() + _STOP_DEADLINE_S
         while not self.output.is_closed:
             if time.monotonic() > deadline:

@@ -10,6 +10,7 @@ import platform
 import signal
 import sys
 import time
+from pathlib import Path
 from typing import Final
 
 from ..verdicts import SandboxFailed
@@ -259,11 +260,18 @@ class TracedProcess:
     def _set_registers(self, pid: int, registers: _Registers) -> None:
         self._request(_SETREGS, 0, ctypes.addressof(registers), pid=pid)
 
+    def _is_dead(self) -> bool:
+        try:
+            state = Path(f"/proc/{self.pid}/stat").read_text().rpartition(")")[2].split()[0]
+        except OSError:
+            return True
+        return state in {"Z", "X"}
+
     def _request(self, request: int, address: int = 0, data: int = 0, *, pid: int | None = None) -> None:
         if _ptrace(request, self.pid if pid is None else pid, address, data) != -1:
             return
         number = ctypes.get_errno()
-        if number == _ESRCH:  # ended, or killed and about to end
+        if number == _ESRCH or self._is_dead():  # a zombie is refused as if we had no right to trace it
             raise TracedProcessGone
         raise SandboxFailed(
             f"ptrace request {request} was refused ({os.strerror(number)}); allow the evaluator to trace its own "

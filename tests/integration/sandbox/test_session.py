@@ -489,3 +489,57 @@ def can_set_process_ids() -> bool:
             return True
     except OSError:
         return False
+
+
+HIDES_ITS_OUTPUT = """
+import os, socket
+for descriptor in range(3, 40):
+    try:
+        found = socket.socket(fileno=os.dup(descriptor))
+    except OSError:
+        continue
+    for _ in range(200):
+        try:
+            socket.send_fds(found, [b"x"], [1], socket.MSG_DONTWAIT)
+        except OSError:
+            break
+    found.detach()
+"""
+
+
+def test_descriptors_on_their_way_to_us_do_not_keep_a_sandbox_alive(make: Make) -> None:
+    with pytest.raises(PolicyFailed) as caught:
+        play_one(make("return observation['x']", top=HIDES_ITS_OUTPUT))
+    assert caught.value.verdict is VerdictCode.PROTOCOL_VIOLATION
+
+
+DEEP = """
+import os
+home, depth = os.getcwd(), 20
+os.chdir("/tmp")
+for _ in range(depth):
+    os.mkdir("y" * 255)
+    os.chdir("y" * 255)
+"""
+REMOVED = """
+kept = os.open(".", os.O_RDONLY)
+for _ in range(depth):
+    os.chdir("..")
+    os.rmdir("y" * 255)
+"""
+
+
+@pytest.mark.parametrize("more", ["", REMOVED], ids=["deep folders", "a descriptor of a deep folder"])
+def test_names_too_long_for_a_path_are_the_policys_fault(make: Make, more: str) -> None:
+    with pytest.raises(PolicyFailed) as caught:
+        play_one(make("return observation['x']", top=f"{DEEP}{more}\nos.chdir(home)"))
+    assert caught.value.verdict is VerdictCode.SHARED_STATE
+
+
+def test_the_next_shard_pays_for_the_loading_as_well(make: Make) -> None:
+    folder = make("return [0, 0, 0]", f"import os, time\n{textwrap.dedent(BUSY)}")
+    with PolicySession(folder, limits=Limits(shard_cpu_s=0.1)) as session:
+        session.begin_shard()
+        with pytest.raises(PolicyFailed) as caught:
+            act_once(session)
+    assert caught.value.verdict is VerdictCode.SHARD_TIME

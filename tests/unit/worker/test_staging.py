@@ -62,9 +62,32 @@ def test_only_a_few_idle_submissions_stay_on_disk_and_used_ones_always(
         for digest in digests[1:]:
             with stage.submission(MODEL, digest):
                 pass
-        on_disk = {path.name for path in services.settings.scratch_dir.glob("worker-*/*")}
+        on_disk = {path.name.rpartition("-")[0] for path in services.settings.scratch_dir.glob("worker-*/*")}
         assert on_disk == {f"model-{digest}" for digest in (digests[0], *digests[-KEPT_IDLE:])}
         assert (used / "policy.py").is_file()
+
+
+def test_what_is_unpacked_anew_lies_elsewhere(services: Services, stage: SubmissionStage, tmp_path: Path) -> None:
+    digests = [put(services, tmp_path, f"x = {n}") for n in range(KEPT_IDLE + 1)]
+    with stage.submission(MODEL, digests[0]) as before:
+        pass
+    for digest in digests[1:]:
+        with stage.submission(MODEL, digest):
+            pass
+    assert not before.exists()
+    with stage.submission(MODEL, digests[0]) as again:
+        assert again != before
+
+
+def test_the_submission_used_most_recently_stays(services: Services, stage: SubmissionStage, tmp_path: Path) -> None:
+    first, second, third = (put(services, tmp_path, f"x = {n}") for n in range(3))
+    with stage.submission(MODEL, first) as folder:
+        for digest in (second, third):
+            with stage.submission(MODEL, digest):
+                pass
+    assert folder.exists()
+    with stage.submission(MODEL, first) as again:
+        assert again == folder
 
 
 def test_missing_file_is_refused_and_can_be_staged_later(

@@ -139,3 +139,10 @@ def test_nothing_stays_behind(waiting: Waiting) -> None:
     traced = TracedProcess(waiting.process.pid)
     traced.end()
     assert not Path(f"/proc/{waiting.process.pid}").exists()
+
+
+def test_a_process_that_has_ended_and_was_not_waited_for_is_gone() -> None:
+    with Popen(["true"]) as ended:
+        os.waitid(os.P_PID, ended.pid, os.WEXITED | os.WNOWAIT)
+        with pytest.raises(TracedProcessGone):
+            TracedProcess(ended.pid)
