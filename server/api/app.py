@@ -11,8 +11,8 @@ from vitac.server.operations.exposition import Exposition
 from vitac.server.services import Services, open_services
 from vitac.server.settings import Settings
 
+from ..limiter import ConcurrencyLimiter, WindowLimiter
 from . import health, metrics, problems, submissions, teams, tracks
-from .limiter import ConcurrencyLimiter, WindowLimiter
 from .middleware.body_limit import BodyLimit
 from .middleware.request_head import RequestHead
 from .middleware.request_times import RequestTimes

@@ -10,7 +10,7 @@ from vitac.server.accounts.quotas import exceeded, limit_of
 from vitac.server.db.states import Quota
 from vitac.server.services import Services
 
-from .limiter import ConcurrencyLimiter
+from ..limiter import ConcurrencyLimiter
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -23,8 +23,8 @@ from vitac.server.submissions.watch import watch
 from vitac.server.views.logs import ActionMatchView
 from vitac.server.views.submissions import EpisodeView, OutputView, SensorView, SubmissionListView, SubmissionView
 
+from ..limiter import UPLOADS
 from .access import PrincipalOf, ServicesOf
-from .limiter import UPLOADS
 from .problems import RESPONSES
 from .streams import OpenStreams
 

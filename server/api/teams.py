@@ -16,8 +16,8 @@ from vitac.server.db.states import Quota, Role
 from vitac.server.services import Services
 from vitac.server.views.accounts import MeView, NewTokenView, QuotaView, RegisteredTeamView, TokenListView
 
+from ..limiter import client_key
 from .access import OptionalPrincipalOf, PrincipalOf, ServicesOf
-from .limiter import client_key
 from .problems import RESPONSES
 
 router = APIRouter(tags=["teams"], responses=RESPONSES)

@@ -14,6 +14,7 @@ from vitac.server.uploads.acceptance import accept
 _TRANSIENT = frozenset(
     {
         ProblemCode.QUOTA_EXCEEDED,
+        ProblemCode.SENSOR_CHECKS_UNAVAILABLE,
         ProblemCode.STORAGE_FULL,
         ProblemCode.STORAGE_UNAVAILABLE,
         ProblemCode.TOO_MANY_REQUESTS,

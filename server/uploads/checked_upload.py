@@ -32,7 +32,12 @@ class UploadedFile:
 
 @dataclass(frozen=True, kw_only=True)
 class CheckedUpload:
-    """An upload that passed all checks and is stored."""
+    """An upload that passed all checks and is stored.
+
+    Attributes:
+        files: what is stored beside it.
+        sensor_folder: unpacked submission whose sensor is still to be taken in; None: there is none.
+    """
 
     kind: SubmissionKind
     track: str
@@ -43,3 +48,4 @@ class CheckedUpload:
     archive_bytes: int
     manifest: dict[str, Any]
     files: tuple[UploadedFile, ...] = ()
+    sensor_folder: Path | None = None

@@ -10,7 +10,6 @@ from ..settings import Settings
 from ..tracks import load_known_track
 from .checked_upload import CheckedUpload
 from .intake import ReceivedFile
-from .sensors import sensor_files
 
 _UNPACKED_NAME = "unpacked"
 
@@ -24,7 +23,7 @@ def check_model(received: ReceivedFile, owner: str, settings: Settings) -> Check
         settings: limits on archives.
 
     Raises:
-        ServiceError: the archive, its manifest or its sensor breaks a rule.
+        ServiceError: the archive or its manifest breaks a rule.
     """
     try:
         folder = unpack(received.path, received.path.with_name(_UNPACKED_NAME), settings.limits)
@@ -43,5 +42,5 @@ def check_model(received: ReceivedFile, owner: str, settings: Settings) -> Check
         archive_sha256=received.sha256,
         archive_bytes=received.n_bytes,
         manifest=manifest.model_dump(mode="json"),
-        files=sensor_files(folder) if track.has_sensor else (),
+        sensor_folder=folder if track.has_sensor else None,
     )

@@ -72,12 +72,13 @@ def test_every_reference_has_its_object(manifests: list[dict[str, Any]]) -> None
     )
 
 
-def test_workers_get_no_secret_of_the_servers_and_run_on_gvisor_without_network_of_the_cluster(
+def test_sandboxes_run_on_gvisor_and_workers_have_no_secret_of_the_servers_and_no_network_of_the_cluster(
     manifests: list[dict[str, Any]],
 ) -> None:
     worker = pod(manifests, "worker")
     assert {"secretRef": {"name": "vitac-arena-server"}} not in worker["containers"][0]["envFrom"]
-    assert worker["runtimeClassName"] in of_kind(manifests, "RuntimeClass")
+    for component in COMPONENTS:  # both build sandboxes
+        assert pod(manifests, component)["runtimeClassName"] in of_kind(manifests, "RuntimeClass")
     policy = of_kind(manifests, "NetworkPolicy")["vitac-arena-worker"]["spec"]
     assert policy["policyTypes"] == ["Ingress", "Egress"]
     assert policy["ingress"] == []

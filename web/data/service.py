@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, TypeVar
 from pydantic import ValidationError
 from vitac.server.accounts import registration, tokens
 from vitac.server.accounts.visibility import visible
-from vitac.server.api.limiter import UPLOADS
 from vitac.server.api.teams import NewTeam
 from vitac.server.competition.view import competition_view
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.leaderboards import history, log_boards, standings
+from vitac.server.limiter import UPLOADS
 from vitac.server.logs import action_matches
 from vitac.server.metrics.totals import totals
 from vitac.server.operations.state import operations
@@ -36,9 +36,9 @@ if TYPE_CHECKING:
     from sqlalchemy.orm import Session
     from vitac.evaluator.agent.description import SandboxDescription
     from vitac.server.accounts.principals import Principal
-    from vitac.server.api.limiter import ConcurrencyLimiter, WindowLimiter
     from vitac.server.api.streams import OpenStreams
     from vitac.server.db.engine import Database
+    from vitac.server.limiter import ConcurrencyLimiter, WindowLimiter
     from vitac.server.playbacks.files import PlaybackFile
     from vitac.server.queue.workers import Disk
     from vitac.server.settings import Registration, Settings

@@ -20,8 +20,8 @@ from vitac.server.uploads.kinds import SERVED_KINDS
 from vitac.server.uploads.partial import UploadPlan
 from vitac.server.views.submissions import SubmissionView
 
+from ...limiter import UPLOADS
 from ..access import PrincipalOf, ServicesOf
-from ..limiter import UPLOADS
 from ..problems import RESPONSES, problem
 from . import protocol
 from .pieces import PieceReceiver

@@ -5,8 +5,8 @@ from __future__ import annotations
 from http import HTTPStatus
 from typing import TYPE_CHECKING
 
-from vitac.server.api.limiter import client_key
 from vitac.server.errors import ProblemCode, ServiceError
+from vitac.server.limiter import client_key
 
 from ...session.forms import read_form
 from ...site import page, site_of, viewer_of

@@ -7,6 +7,8 @@ from own_sensors import write_sensor
 from service_client import POLICY, Service, make_archive, problem_of
 from service_factories import play_all
 from sqlalchemy import delete, select, text, update
+from vitac.envs.errors import VitacError
+from vitac.evaluator.agent.verdicts import SandboxFailed
 from vitac.evaluator.sensors.check import design_in
 from vitac.evaluator.sensors.made import read_made_sensor
 from vitac.evaluator.submission.sensor import SensorNotMade
@@ -15,6 +17,7 @@ from vitac.server.accounts.principals import CONSOLE
 from vitac.server.competition import sealing
 from vitac.server.db.models import EpisodeResult, Evaluation, Submission, SubmissionFile
 from vitac.server.db.states import FileRole
+from vitac.server.limiter import ConcurrencyLimiter
 from vitac.server.submissions.files import stored_digests
 
 PDF = b"%PDF-1.7\n1 0 obj << /OpenAction << /S /JavaScript /JS (app.alert(1)) >> >> endobj\n"
@@ -169,10 +172,37 @@ def test_gain_is_not_shown_on_a_sealed_list_nor_of_one_run(service: Service) -> 
         assert (answer.status_code, answer.json()["gain"]) == (200, None)
 
 
-def test_sandbox_that_does_not_work_is_no_fault_of_the_team(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("failure", [SensorNotMade, SandboxFailed])
+def test_sandbox_that_does_not_work_is_no_fault_of_the_team(
+    service: Service, monkeypatch: pytest.MonkeyPatch, failure: type[VitacError]
+) -> None:
     def fail(_: Path) -> None:
-        raise SensorNotMade("The sandbox that makes sensors ended with 1; run `vitac doctor`.")
+        raise failure("bwrap in /srv/secret is missing")
 
     monkeypatch.setattr("vitac.server.uploads.sensors.make_sensor", fail)
-    assert service.upload(package()).status_code >= 500
+    answer = service.upload(package())
+    problem = problem_of(answer, 503, "sensor_checks_unavailable")
+    assert "nothing is wrong with yours" in problem["detail"]
+    assert "secret" not in answer.text
+    assert answer.headers["retry-after"]
     assert_nothing_left(service)
+
+
+def test_one_sensor_is_checked_at_a_time(service: Service) -> None:
+    slot = ConcurrencyLimiter(service.services.settings.state_dir / "limits" / "sensors", 1)
+    with slot.one("all", "check"):
+        answer = service.upload(package())
+        problem_of(answer, 429, "too_many_requests")
+        assert answer.headers["retry-after"]
+        assert_nothing_left(service)
+        assert service.upload(make_archive()).status_code == 202  # others do not wait for it
+    assert service.upload(package()).status_code == 202
+
+
+def test_sensor_for_another_track_is_refused_before_it_is_made(
+    service: Service, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[Path] = []
+    monkeypatch.setattr("vitac.server.uploads.sensors.make_sensor", made.append)
+    problem_of(service.upload(package(), query="?track=track_1"), 422, "manifest_rejected")
+    assert made == []

@@ -6,11 +6,11 @@ import threading
 from pathlib import Path
 
 import pytest
-from vitac.server.api.limiter import ConcurrencyLimiter, WindowLimiter, client_key
 from vitac.server.errors import ProblemCode, ServiceError
+from vitac.server.limiter import ConcurrencyLimiter, WindowLimiter, client_key
 
 HOLDER = (
-    "import sys, time; from pathlib import Path; from vitac.server.api.limiter import ConcurrencyLimiter\n"
+    "import sys, time; from pathlib import Path; from vitac.server.limiter import ConcurrencyLimiter\n"
     "with ConcurrencyLimiter(Path(sys.argv[1]), 1).one('a', 'things'): print('held', flush=True); time.sleep(600)"
 )
 

@@ -16,7 +16,7 @@ from ipaddress import IPv4Address, IPv6Network, ip_address
 from pathlib import Path
 from typing import BinaryIO
 
-from vitac.server.errors import ProblemCode, ServiceError
+from .errors import ProblemCode, ServiceError
 
 UPLOADS = "uploads at the same time"
 """What is counted at the upload routes, in words."""
