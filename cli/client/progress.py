@@ -69,8 +69,11 @@ class EvaluationProgress:
         if self._bar is None:
             self._print_line(progress)
             return
-        several = len(progress["tasks"]) > 1
-        for task in progress["tasks"]:
+        tasks = progress["tasks"]
+        if not tasks or "" in self._tasks:  # of a sealed list only the sum is known before the end
+            tasks = [progress | {"task": ""}]
+        several = len(tasks) > 1
+        for task in tasks:
             self._update_bar(self._bar, task, name=task["task"] if several else "", description=situation(found))
 
     def _update_bar(self, bar: Progress, task: Json, *, name: str, description: str) -> None:

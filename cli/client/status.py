@@ -150,7 +150,7 @@ def _progress_of_tasks(progress: Json) -> dict[str, object]:
     """Return the progress of each task, where there are several."""
     tasks = progress["tasks"]
     return {
-        task["task"]: f"{task['episodes_done']} of {task['episodes_total']}{_successes(task['successes'])}"
+        task["task"]: f"{task['episodes_done']} of {task['episodes_total']}, {task['successes']} successes"
         for task in tasks
         if len(tasks) > 1
     }
@@ -180,7 +180,3 @@ def _row(item: Json) -> list[object]:
         ", ".join(rates),
         format_time(item["submitted_at"]),
     ]
-
-
-def _successes(count: int | None) -> str:
-    return "" if count is None else f", {count} successes"

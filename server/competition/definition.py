@@ -60,7 +60,9 @@ class Advancement(StrictModel):
 class StageQuotas(StrictModel):
     """Most evaluations of a team in a stage; null: any number. What machines failed costs nothing."""
 
-    scored_runs: PositiveInt | None = Field(default=None, description="That have a score or may still get one.")
+    scored_runs: PositiveInt | None = Field(
+        default=None, description="That have a score or may still get one, or saw a sealed list."
+    )
     attempts: PositiveInt | None = Field(default=None, description="However they end.")
 
 

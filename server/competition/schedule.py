@@ -4,13 +4,14 @@ from collections.abc import Mapping
 from datetime import UTC, datetime
 from types import MappingProxyType
 
-from sqlalchemy import func, select
+from sqlalchemy import ColumnElement, and_, exists, func, or_, select
 from sqlalchemy.orm import Session
 from vitac.evaluator.submission_kinds import SubmissionKind
 
 from ..accounts.principals import Principal
 from ..db.models import Competition, Evaluation, Qualification, Submission, Team
 from ..db.states import ACTIVE_EVALUATION_STATES, EvaluationState
+from ..db.stored_episodes import OF_EVALUATION
 from ..errors import ProblemCode, ServiceError
 from .definition import CompetitionDefinition, CompetitionTrack, Stage
 from .sealing import list_of_stage
@@ -164,6 +165,10 @@ def boards_stand_since(session: Session) -> datetime | None:
 
 
 def _used(session: Session, team: Team, track: str, stage: str, quota: str) -> int:
+    counted: ColumnElement[bool] = Evaluation.state.in_(_COUNTED[quota])
+    if quota == "scored_runs":  # what has seen a sealed list was worth a run, also where it was given up
+        begun = exists().where(OF_EVALUATION).correlate(Evaluation, Submission)
+        counted = or_(counted, and_(Evaluation.commitment.is_not(None), begun))
     query = (
         select(func.count())
         .select_from(Evaluation)
@@ -173,7 +178,7 @@ def _used(session: Session, team: Team, track: str, stage: str, quota: str) -> i
             Submission.track == track,
             Submission.stage == stage,
             Evaluation.charged_at.is_not(None),
-            Evaluation.state.in_(_COUNTED[quota]),
+            counted,
         )
     )
     return session.scalars(query).one()

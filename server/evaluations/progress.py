@@ -5,11 +5,12 @@ from datetime import timedelta
 from types import MappingProxyType
 from uuid import UUID
 
-from sqlalchemy import and_, func, select
+from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 from vitac.evaluator.tracks import load_track
 from vitac.server.db.models import EpisodeResult, Evaluation, Shard, Submission
 from vitac.server.db.states import ACTIVE_EVALUATION_STATES, OPEN_SHARD_STATES, EvaluationState
+from vitac.server.db.stored_episodes import OF_EVALUATION
 from vitac.server.views.evaluations import ProgressView, TaskProgressView
 
 EPISODES_FOR_TIMING = 300
@@ -65,17 +66,10 @@ def episode_counts(session: Session, evaluations: Collection[Evaluation]) -> dic
     }
     if not counts:
         return counts
-    of_evaluation = and_(
-        EpisodeResult.submission_digest == Submission.digest,
-        EpisodeResult.evaluator_version == Evaluation.evaluator_version,
-        EpisodeResult.track == Submission.track,
-        EpisodeResult.run == Evaluation.run,
-        EpisodeResult.commitment == func.coalesce(Evaluation.commitment, ""),
-    )
     rows = session.execute(
         select(Evaluation.id, EpisodeResult.task, func.count(), func.count().filter(EpisodeResult.success))
         .join(Evaluation.submission)
-        .join(EpisodeResult, of_evaluation)
+        .join(EpisodeResult, OF_EVALUATION)
         .where(Evaluation.id.in_(counts))
         .group_by(Evaluation.id, EpisodeResult.task)
     )

@@ -40,6 +40,9 @@ from .provenance import isolation_levels
 from .scores import bounds, combination_of, scores_of, task_views
 from .verdicts import sentence_of
 
+PROGRESS_STEPS = 10
+"""On a sealed list a team sees the progress in so many steps."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluationRows:
@@ -127,12 +130,12 @@ def evaluation_view(evaluation: Evaluation, workers: WorkersAlive, rows: Evaluat
         outcome = _Outcome.of(evaluation, rows.counts.get(evaluation.id, {}))
     progress, combined, verdict = outcome.progress, outcome.combined, verdict_view(evaluation)
     if evaluation.id in rows.hidden:
-        progress, verdict = _without_successes(progress, combined), _without_details(verdict)
+        progress, verdict = _coarse(progress, combined), _without_details(verdict)
     return EvaluationView(
         **dict(summary_view(evaluation)),
         started_at=evaluation.started_at,
         queue_position=rows.positions.get(evaluation.id),
-        eta_s=_seconds_to_end(evaluation, progress, workers, rows),
+        eta_s=None if evaluation.id in rows.hidden else _seconds_to_end(evaluation, progress, workers, rows),
         progress=progress,
         verdict=verdict,
         log_tail=rows.output.get(evaluation.id, ""),
@@ -168,12 +171,13 @@ def verdict_view(evaluation: Evaluation) -> VerdictView | None:
     )
 
 
-def _without_successes(progress: ProgressView, combined: CombinedScore | None) -> ProgressView:
-    """Return the progress as a team sees it on a sealed list: before the end, each success would tell of an episode."""
+def _coarse(progress: ProgressView, combined: CombinedScore | None) -> ProgressView:
+    """Return the progress as a team sees it on a sealed list: before the end, when an episode ends would tell of it."""
     if combined is not None:
         return progress
-    tasks = [task.model_copy(update={"successes": None}) for task in progress.tasks]
-    return progress.model_copy(update={"successes": None, "tasks": tasks})
+    total = progress.episodes_total
+    done = PROGRESS_STEPS * progress.episodes_done // total * total // PROGRESS_STEPS
+    return progress.model_copy(update={"episodes_done": done, "successes": None, "tasks": []})
 
 
 def _without_details(verdict: VerdictView | None) -> VerdictView | None:

@@ -17,19 +17,19 @@ class TaskProgressView(View):
     task: str
     episodes_done: int
     episodes_total: int
-    successes: int | None = Field(description="Null before the end on a sealed list.")
+    successes: int
 
 
 class ProgressView(View):
     """Finished episodes of an evaluation."""
 
-    episodes_done: int
+    episodes_done: int = Field(description="In tenths of the total before the end on a sealed list.")
     episodes_total: int
     episodes_reused: int = Field(
         description="Of the finished ones: those that were stored before this evaluation began."
     )
     successes: int | None = Field(description="Null before the end on a sealed list.")
-    tasks: list[TaskProgressView]
+    tasks: list[TaskProgressView] = Field(description="None before the end on a sealed list.")
 
 
 class VerdictView(View):

@@ -39,7 +39,7 @@ class TaskPart:
     """What the page shows of one task: progress, episodes, and once complete, score and rank."""
 
     map: EpisodeMap
-    progress: TaskProgressView
+    progress: TaskProgressView | None
     score: TaskScoreView | None
     rank: RankView | None
 
@@ -159,7 +159,7 @@ def task_part(found: SubmissionView, task: str, ends: Sequence[EpisodeView]) -> 
     evaluation, folder = found.evaluation, f"/submissions/{found.id}/episodes/{task}"
     return TaskPart(
         map=episode_map(found.track, task, {end.episode: end for end in ends if end.task == task}, folder=folder),
-        progress=next(progress for progress in evaluation.progress.tasks if progress.task == task),
+        progress=next((progress for progress in evaluation.progress.tasks if progress.task == task), None),
         score=next((score for score in evaluation.scores if score.task == task), None),
         rank=found.task_ranks.get(task),
     )

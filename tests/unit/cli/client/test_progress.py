@@ -73,6 +73,16 @@ def test_a_terminal_sees_a_bar_with_what_is_done() -> None:
     assert "peg-insertion" not in text
 
 
+def test_a_terminal_sees_one_bar_of_a_sealed_list_to_the_end() -> None:
+    begun, over = state(20, 20), state(50, 50, successes=7)
+    begun["evaluation"]["progress"] |= {"tasks": [], "successes": None}
+    first, text = shown(begun, terminal=True), shown(begun, over, terminal=True)
+    assert "40/100 hidden successes" in first
+    assert "100/100" in text
+    assert "14 successes" in text
+    assert "peg-insertion" not in text
+
+
 def test_a_terminal_sees_a_bar_for_each_of_several_tasks() -> None:
     text = shown(state(50, 10, eta_s=99.0), terminal=True)
     assert "peg-insertion" in text

@@ -2,7 +2,19 @@ import threading
 from datetime import datetime, timedelta
 
 import pytest
-from service_factories import TASK, TRACK, complete_scored, make_principal, make_score, make_upload, submit_scored
+from service_factories import (
+    TASK,
+    TRACK,
+    claim,
+    complete_scored,
+    make_principal,
+    make_record,
+    make_score,
+    make_upload,
+    shard_ids,
+    store,
+    submit_scored,
+)
 from submission_steps import refused
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.accounts import teams
@@ -123,6 +135,24 @@ def test_the_quota_of_a_stage_counts_what_is_or_may_be_scored(database: Database
         create(database, principal, IN_SECOND, content)
     with refused(ProblemCode.QUOTA_EXCEEDED):
         create(database, principal, IN_SECOND, "five")
+
+
+def test_a_run_that_saw_the_sealed_list_counts_also_where_it_was_cancelled(
+    database: Database, principal: Principal
+) -> None:
+    qualify(database, principal)
+    with database.transaction() as session:
+        sealing.seal(session, CONSOLE, TRACK, SECOND)
+    for content, sees in (("one", True), ("two", False), ("three", True)):
+        found = create(database, principal, IN_SECOND, content)
+        with database.transaction() as session:
+            (shard, *_) = shard_ids(session, session.get_one(Submission, found.id))
+        if sees:
+            store(database, claim(database, shard), [make_record(1)])
+        with database.transaction() as session:
+            lifecycle.cancel(session, newest_evaluation(session, session.get_one(Submission, found.id)))
+    with refused(ProblemCode.QUOTA_EXCEEDED):
+        create(database, principal, IN_SECOND, "four")
 
 
 def test_of_many_submissions_at_once_a_stage_takes_as_many_as_its_quota(

@@ -142,6 +142,23 @@ def test_a_team_sees_no_single_episode_of_a_running_evaluation(
     assert view(database, CONSOLE, sealed) == (1, None, "what it observed", 2, False)
 
 
+def test_progress_on_a_sealed_list_is_told_in_tenths(
+    database: Database, principal: Principal, sealed: Submission
+) -> None:
+    shard, *_ = ids(database, sealed)
+    lease = claim(database, shard)
+    shown = []
+    for last in (26, 27):
+        store(database, lease, [make_record(number) for number in lease.episodes if number <= last])
+        with database.transaction() as session:
+            evaluation = listing.get(session, SETTINGS, principal, sealed.id).evaluation
+            assert (evaluation.progress.tasks, evaluation.eta_s) == ([], None)
+            shown.append(evaluation.progress.episodes_done)
+            full = listing.get(session, SETTINGS, CONSOLE, sealed.id).evaluation.progress
+            assert (full.episodes_done, [task.episodes_done for task in full.tasks]) == (last, [last])
+    assert shown == [0, 27]
+
+
 def test_a_verdict_tells_a_team_its_code_only(database: Database, principal: Principal, sealed: Submission) -> None:
     with database.transaction() as session:
         evaluation = newest_evaluation(session, session.get_one(Submission, sealed.id))
