@@ -7,7 +7,7 @@ from axe_playwright_python.sync_playwright import Axe
 from page_fixtures import a_submission
 from PIL import Image
 from played_episodes import a_playback, a_shown_episode, guided
-from playwright.sync_api import Browser, Locator, Page, expect
+from playwright.sync_api import Browser, Locator, Page, Route, expect
 from real_browser import SOFTWARE_WEBGL, launched
 from site_under_test import SiteUnderTest
 from vitac.server.db.states import EvaluationState, PlaybackState
@@ -262,6 +262,36 @@ def test_a_page_asks_by_itself_shows_progress_and_then_plays(site: SiteUnderTest
     assert violations(page) == []
     made(site)
     expect(page.get_by_role("form", name="Playback")).to_be_visible()
+
+
+@pytest.mark.parametrize(("status", "goes_on"), [(401, False), (404, False), (429, True), (503, True)])
+def test_a_page_asks_again_only_where_the_answer_may_change(
+    browser: Browser, site: SiteUnderTest, status: int, goes_on: bool
+) -> None:
+    context = browser.new_context()
+    page = context.new_page()
+    site.sign_in(page)
+    path = site.data.show(submission_id(site), a_shown_episode(None))
+    asked: list[str] = []
+
+    def refuse_once(route: Route) -> None:
+        if route.request.method == "GET":
+            asked.append(route.request.url)
+        if route.request.method == "GET" and len(asked) == 1:
+            route.fulfill(status=status, json={"detail": "Not now."})
+        else:
+            route.continue_()
+
+    page.route("**/playback", refuse_once)
+    site.open(page, path)
+    if goes_on:
+        expect(page.get_by_text("Waiting: 2 shards and playbacks come first")).to_be_visible()
+        assert len(asked) > 1
+    else:
+        expect(page.get_by_text("Not now. Reload the page to go on.")).to_be_visible()
+        page.wait_for_timeout(1500)  # longer than the pause between two questions
+        assert len(asked) == 1
+    context.close()
 
 
 def test_a_failed_playback_says_so(site: SiteUnderTest, page: Page) -> None:

@@ -124,8 +124,8 @@ class PageData(Protocol):
     async def past_results(self, visitor: Visitor, submission_id: UUID) -> Sequence[PastResultView]:
         """Return what the team of a submission has reached in its tasks so far."""
 
-    async def submissions(self, visitor: Visitor, before: UUID | None) -> SubmissionListView:
-        """Return the visitor's submissions (all teams' for an organizer) that are older than a cursor."""
+    async def submissions(self, visitor: Visitor, before: UUID | None, track: str | None = None) -> SubmissionListView:
+        """Return the visitor's submissions (all teams' for an organizer) older than a cursor, of a track or all."""
 
     async def output(self, visitor: Visitor, submission_id: UUID, task: str | None, after: int) -> OutputView:
         """Return what a submission's policy printed in the episodes after one; what is not shown is refused."""

@@ -125,10 +125,12 @@ class ServiceData:
         """Return what the team of a submission has reached."""
         return await self._run(lambda session: history.past_results(session, visitor.principal, submission_id))
 
-    async def submissions(self, visitor: Visitor, before: UUID | None) -> SubmissionListView:
+    async def submissions(self, visitor: Visitor, before: UUID | None, track: str | None = None) -> SubmissionListView:
         """Return a page of submissions."""
         return await self._run(
-            lambda session: listing.list_submissions(session, self.settings, visitor.principal, before=before)
+            lambda session: listing.list_submissions(
+                session, self.settings, visitor.principal, track=track, before=before
+            )
         )
 
     async def output(self, visitor: Visitor, submission_id: UUID, task: str | None, after: int) -> OutputView:

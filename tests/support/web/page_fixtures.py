@@ -496,6 +496,7 @@ class FixedData(FixedPlaybacks):
     task_boards: dict[str, LeaderboardView] = field(default_factory=dict)
     found: list[SubmissionView] = field(default_factory=list)
     next_before: UUID | None = None
+    page_size: int = 50
     logs: LogBoardsView = field(default_factory=some_log_boards)
     matches: list[ActionMatchView] = field(default_factory=list)
     cancelled: list[UUID] = field(default_factory=list)
@@ -553,9 +554,10 @@ class FixedData(FixedPlaybacks):
         await self.submission(visitor, submission_id)
         return self.past
 
-    async def submissions(self, visitor: Visitor, before: UUID | None) -> SubmissionListView:
+    async def submissions(self, visitor: Visitor, before: UUID | None, track: str | None = None) -> SubmissionListView:
         seen = [submission for submission in self.found if visitor.may_see(submission.team.name)]
-        return SubmissionListView(items=seen, next_before=self.next_before)
+        of_track = [submission for submission in seen if track in (None, submission.track)]
+        return SubmissionListView(items=of_track[: self.page_size], next_before=self.next_before)
 
     async def output(self, visitor: Visitor, submission_id: UUID, task: str | None, after: int) -> OutputView:
         tasks = (await self.submission(visitor, submission_id)).submission.tasks

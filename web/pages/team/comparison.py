@@ -27,7 +27,10 @@ async def compare_pages(request: Request) -> Response:
     if isinstance(viewer, Response):
         return viewer
     first, second = await _both(request, viewer)
-    offered = await site_of(request).data.submissions(viewer.visitor, None)
+    newest = await site_of(request).data.submissions(viewer.visitor, None, first.submission.track)
+    offered = [other for other in newest.items if other.id != first.submission.id and other.evaluation.scores]
+    if second and second.submission.id not in {first.submission.id, *(other.id for other in offered)}:
+        offered.append(second.submission)
     return page(
         request,
         "comparison.html",
@@ -36,11 +39,7 @@ async def compare_pages(request: Request) -> Response:
         first=first.submission,
         second=second.submission if second else None,
         found=_compared(first, second),
-        offered=[
-            other
-            for other in offered.items
-            if other.track == first.submission.track and other.id != first.submission.id and other.evaluation.scores
-        ],
+        offered=offered,
     )
 
 

@@ -60,6 +60,19 @@ def test_without_another_one_a_form_offers_those_that_can_be_compared(
         assert f'<option value="{other.id}"' not in html
 
 
+def test_those_of_the_track_are_offered_whatever_was_submitted_since(
+    data: FixedData, browser: AsgiBrowser, ends: dict[UUID, list[EpisodeView]]
+) -> None:
+    assert ends == {}
+    later = [COMPLETED.model_copy(update={"id": an_id(f"log {n}"), "track": "track_2"}) for n in range(2)]
+    data.found, data.page_size = [*later, OTHER, COMPLETED, BOTH], 2
+    html = shown(browser, None)
+    assert f'<option value="{OTHER.id}"' in html
+    assert str(later[0].id) not in html
+    assert str(BOTH.id) not in html  # on a later page, but named by the address
+    assert f'<option value="{BOTH.id}" selected' in shown(browser, BOTH)
+
+
 def test_counts_p_value_and_differing_episodes_are_shown(
     browser: AsgiBrowser, ends: dict[UUID, list[EpisodeView]]
 ) -> None:
