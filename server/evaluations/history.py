@@ -1,13 +1,16 @@
 """The evaluations of a submission, newest first; the newest is the one that it shows."""
 
 from collections.abc import Collection
+from typing import TypeVar
 from uuid import UUID
 
 from sqlalchemy import ScalarSelect, Select, select
-from sqlalchemy.orm import Session, defer
+from sqlalchemy.orm import InstrumentedAttribute, Session, defer
 
 from ..db.models import Evaluation, Submission
 from ..db.states import EvaluationState
+
+ValueT = TypeVar("ValueT")
 
 _NEWEST_FIRST = (Evaluation.created_at.desc(), Evaluation.run.desc(), Evaluation.id)
 
@@ -44,8 +47,13 @@ def histories(session: Session, submissions: Collection[Submission]) -> dict[UUI
 
 def newest_state() -> ScalarSelect[EvaluationState]:
     """Return the state of the newest evaluation of a row of `submissions`, for a query on them."""
+    return of_newest(Evaluation.state)
+
+
+def of_newest(column: InstrumentedAttribute[ValueT]) -> ScalarSelect[ValueT]:
+    """Return a column of the newest evaluation of a row of `submissions`, for a query on them."""
     return (
-        select(Evaluation.state)
+        select(column)
         .where(Evaluation.submission_id == Submission.id)
         .order_by(Evaluation.created_at.desc(), Evaluation.run.desc())
         .limit(1)

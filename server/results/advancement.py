@@ -14,11 +14,11 @@ from ..accounts.audit import record
 from ..accounts.principals import Principal
 from ..competition.definition import Advancement, Stage
 from ..competition.schedule import current, require_over
-from ..db.models import Evaluation, Qualification, Submission, Team
-from ..db.states import ACTIVE_EVALUATION_STATES
+from ..db.models import Qualification, Submission, Team
 from ..errors import ProblemCode, ServiceError
 from ..leaderboards.standings import leaderboard
 from ..views.leaderboards import LeaderboardEntryView
+from .readiness import count_running, require_current, require_scored
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,7 +81,7 @@ def propose(session: Session, track: str, stage: str) -> Proposal:
         registered=registered,
         teams=[_proposed(entry, rule, ranked, n_advancing) for entry in ranked],
         unranked=[entry.team for entry in entries if entry.rank is None],
-        running=_count_running(session, track, before.name),
+        running=count_running(session, track, before.name),
     )
 
 
@@ -101,17 +101,14 @@ def confirm(
         without: names of proposed teams that do not take part.
 
     Raises:
-        ServiceError: not an organizer, the stage before is not over, an evaluation has not ended, a team is unknown or
-            not proposed, or one that would lose its place has submitted already.
+        ServiceError: not an organizer, the stage before is not over, scored and of today's evaluator, a team is unknown
+            or not proposed, or one that would lose its place has submitted already.
     """
     by.require_organizer()
     proposal = propose(session, track, stage)
     require_over(session, track, proposal.before)
-    if proposal.running:
-        raise ServiceError(
-            ProblemCode.STAGE_NOT_OVER,
-            f"{proposal.running} evaluations of stage {proposal.before} of {track} wait or run; wait for their scores.",
-        )
+    require_scored(session, track, proposal.before)
+    require_current(session, track, proposal.before)
     chosen = _chosen(session, proposal, add, without)
     previous = _qualified(session, track, stage)
     _refuse_loss(session, track, stage, previous.keys() - chosen.keys())
@@ -223,13 +220,3 @@ def _refuse_loss(session: Session, track: str, stage: str, leaving: Collection[U
         raise ServiceError(
             ProblemCode.STAGE_IN_USE, f"{name} has submitted to stage {stage} of {track}; disqualify it instead."
         )
-
-
-def _count_running(session: Session, track: str, stage: str) -> int:
-    query = (
-        select(func.count())
-        .select_from(Evaluation)
-        .join(Submission)
-        .where(Submission.track == track, Submission.stage == stage, Evaluation.state.in_(ACTIVE_EVALUATION_STATES))
-    )
-    return session.scalars(query).one()

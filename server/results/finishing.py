@@ -4,17 +4,16 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 
-from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
 from ..accounts.audit import record
 from ..accounts.principals import Principal
 from ..competition.definition import CompetitionDefinition, CompetitionTrack, Prize
 from ..competition.schedule import current
-from ..db.models import Competition, Evaluation, Submission
-from ..db.states import ACTIVE_EVALUATION_STATES
+from ..db.models import Competition
 from ..errors import ProblemCode, ServiceError
 from ..leaderboards.standings import leaderboard
+from .readiness import require_current, require_scored
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,19 +115,14 @@ def _winners_of(
 ) -> list[Winner]:
     """Return the winners of a track; of fewer teams than prizes all win."""
     stage = track.stages[-1].name
-    entries = leaderboard(session, name, stage=stage, live=True).view.entries
-    stale = [entry.team for entry in entries if entry.rank is None]
-    if stale:
-        raise ServiceError(
-            ProblemCode.RESULTS_OUTDATED,
-            f"On the board of {stage} of {name} the results of {', '.join(stale)} were made by another evaluator "
-            "version, so they cannot be compared. Requeue them.",
-        )
+    require_current(session, name, stage)
+    board = leaderboard(session, name, stage=stage, live=True).view
+    entries = [entry for entry in board.entries if entry.rank is not None]
     return [
         Winner(
             track=name,
             place=prize.place,
-            rank=entry.rank or 0,
+            rank=rank,
             team=entry.team,
             amount=prize.amount,
             currency=definition.currency,
@@ -138,7 +132,7 @@ def _winners_of(
             submission=str(entry.submission_id),
             result_hash=entry.result_hash,
         )
-        for prize, entry in zip(_single_prizes(track.prizes), entries, strict=False)
+        for rank, (prize, entry) in enumerate(zip(_single_prizes(track.prizes), entries, strict=False), start=1)
     ]
 
 
@@ -166,16 +160,9 @@ def _require_over(session: Session, definition: CompetitionDefinition, now: date
     last = max(track.stages[-1].closes for track in definition.tracks.values())
     if now < last:
         raise ServiceError(ProblemCode.STAGE_NOT_OVER, f"The last stage closes at {last:%F %T} UTC; wait until then.")
-    waiting = session.scalars(
-        select(func.count())
-        .select_from(Evaluation)
-        .join(Submission)
-        .where(Submission.stage != "", Evaluation.state.in_(ACTIVE_EVALUATION_STATES))
-    ).one()
-    if waiting:
-        raise ServiceError(
-            ProblemCode.STAGE_NOT_OVER, f"Expected no evaluation that waits or runs, got {waiting}; wait or cancel."
-        )
+    for name, track in definition.tracks.items():
+        for stage in track.stages:
+            require_scored(session, name, stage.name)
 
 
 def _subject(row: Competition) -> str:
