@@ -23,6 +23,7 @@ export async function followUntilMade(player) {
   }
   for (let wait = POLL_MS; ; ) {
     const answer = await fetch(player.dataset.playback, { headers: { accept: "application/json" } }).catch(() => null);
+    if (answer?.redirected) break; // the session is over: the page leads to the sign-in
     if (answer?.ok) {
       const found = await answer.json();
       if (ENDED.has(found.state)) break;

@@ -1,4 +1,5 @@
 import io
+import re
 from collections.abc import Iterator
 from typing import Any
 
@@ -292,6 +293,13 @@ def test_a_page_asks_again_only_where_the_answer_may_change(
         page.wait_for_timeout(1500)  # longer than the pause between two questions
         assert len(asked) == 1
     context.close()
+
+
+def test_a_page_whose_session_is_over_leads_to_the_sign_in(site: SiteUnderTest, page: Page) -> None:
+    site.open(page, site.data.show(submission_id(site), a_shown_episode(None)))
+    expect(page.get_by_text("Waiting: 2")).to_be_visible()
+    page.context.clear_cookies()
+    expect(page).to_have_url(re.compile("/sign-in"))
 
 
 def test_a_failed_playback_says_so(site: SiteUnderTest, page: Page) -> None:
