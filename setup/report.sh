@@ -93,6 +93,23 @@ can_set_up() {
   return 1
 }
 
+# Notes that something with this fingerprint could not be fetched, so that each start of the next hour does not try again.
+note_failure() { # name, fingerprint
+  printf '%s %s\n' "$(date +%s)" "$2" >"$root/.system/failed-$1"
+}
+
+# True, with the reason, if that was less than an hour ago.
+failed_lately() { # name, fingerprint
+  read -r failed_at failed_of 2>/dev/null <"$root/.system/failed-$1" || return 1
+  case $failed_at in '' | *[!0-9]*) return 1 ;; esac
+  if [ "$failed_of" != "$2" ] || [ $(($(date +%s) - failed_at)) -ge 3600 ]; then return 1; fi
+  say "what the $1 needs could not be fetched less than an hour ago; remove $root/.system/failed-$1 to try again now."
+}
+
+forget_failures() {
+  rm -f "$root/.system/failed-"*
+}
+
 # Takes the set-up's lock on descriptor 9: two set-ups at once wait for each other.
 lock_setup() { # python
   can_set_up || exit 1

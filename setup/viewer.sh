@@ -19,6 +19,7 @@ ensure_viewer() {
     say "Going on without the 3D player: episode pages show still pictures."
     return
   fi
+  if failed_lately player "$(viewer_fingerprint)"; then return; fi
   lock_setup "$venv/bin/python"
   if ! viewer_is_built; then
     : >"$log"
@@ -26,8 +27,9 @@ ensure_viewer() {
       viewer_fingerprint >"$viewer_stamp"
       end_steps "the 3D player is ready"
     else
+      note_failure player "$(viewer_fingerprint)"
       end_steps "the 3D player could not be built: npm's packages or node cannot be fetched here (log: $log)."
-      say "Going on without it: episode pages show still pictures. The next start tries again."
+      say "Going on without it: episode pages show still pictures. A start in an hour tries again."
     fi
   fi
   unlock_setup

@@ -5,6 +5,7 @@ import shutil
 import stat
 import subprocess
 import sys
+import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -368,8 +369,41 @@ def test_goes_on_without_the_player_where_its_packages_cannot_be_fetched(checkou
     assert "could not be built" in ran.stderr
     assert "pages show still pictures" in ran.stderr
     assert not checkout.player.exists()
+    again = checkout.run(str(checkout.root / "vitac"), "serve")
+    assert "what the player needs could not be fetched less than an hour ago" in again.stderr
+    assert checkout.player_calls == ["npm ci"]
+    mark = checkout.root / ".system" / "failed-player"
+    mark.write_text(f"{int(time.time()) - 3601} {mark.read_text().split()[1]}\n")
     checkout.run(str(checkout.root / "vitac"), "serve")
     assert checkout.player.exists()
+
+
+@pytest.mark.parametrize("mark", ["", "soon {}", "{}"])
+def test_a_mark_of_a_failure_that_says_nothing_is_no_reason_to_wait(checkout: Checkout, mark: str) -> None:
+    checkout.run(str(checkout.root / "vitac"), "serve", FAKE_NPM_ERROR="no network")
+    (checkout.root / ".system" / "failed-player").write_text(mark)
+    checkout.run(str(checkout.root / "vitac"), "serve")
+    assert checkout.player.exists()
+
+
+def test_tests_and_changed_sources_do_not_wait_after_a_failure(checkout: Checkout) -> None:
+    serve = (str(checkout.root / "vitac"), "serve")
+    checkout.run(*serve, FAKE_NPM_ERROR="no network")
+    with (checkout.root / "viewer" / "main.js").open("a") as file:
+        file.write("\n")
+    checkout.run(*serve, FAKE_NPM_ERROR="no network")
+    assert checkout.player_calls == ["npm ci"] * 2
+    checkout.run(str(checkout.root / "vitac"), "test")
+    assert checkout.player.exists()
+
+
+def test_documentation_whose_packages_cannot_be_fetched_is_not_tried_at_each_start(checkout: Checkout) -> None:
+    serve = (str(checkout.root / "vitac"), "serve")
+    checkout.run(*serve[:1], "status")
+    first, second = checkout.run(*serve, FAKE_PIP_ERROR="no network"), checkout.run(*serve)
+    assert "building the documentation failed" in first.stderr
+    assert "what the documentation needs could not be fetched less than an hour ago" in second.stderr
+    assert (second.returncode, checkout.calls.count("pip docs.lock")) == (7, 1)
 
 
 def test_builds_the_player_with_its_builder_also_in_production(checkout: Checkout) -> None:
