@@ -4,7 +4,7 @@ from pathlib import Path
 import drawn_gels
 import pytest
 from own_sensors import write_sensor
-from service_client import POLICY, Service, make_archive, problem_of
+from service_client import API, POLICY, Service, bearer, make_archive, problem_of
 from service_factories import play_all
 from sqlalchemy import delete, select, text, update
 from vitac.envs.errors import VitacError
@@ -186,6 +186,23 @@ def test_sandbox_that_does_not_work_is_no_fault_of_the_team(
     assert "secret" not in answer.text
     assert answer.headers["retry-after"]
     assert_nothing_left(service)
+
+
+def test_upload_in_pieces_stays_until_sensors_can_be_checked(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(_: Path) -> None:
+        raise SensorNotMade("the sandbox does not work")
+
+    archive = package()
+    tus = {"Tus-Resumable": "1.0.0"}
+    place = service.post("/uploads", headers=tus | {"Upload-Length": str(len(archive))}).headers["location"]
+    piece = {"Upload-Offset": "0", "Content-Type": "application/offset+octet-stream"}
+    sent = service.client.patch(place, content=archive, headers=tus | piece | bearer(service.token))
+    assert sent.status_code == 204, sent.text
+    finish = f"{place.removeprefix(API)}/submission"
+    with monkeypatch.context() as patch:
+        patch.setattr("vitac.server.uploads.sensors.make_sensor", fail)
+        problem_of(service.post(finish), 503, "sensor_checks_unavailable")
+    assert service.post(finish).status_code == 202
 
 
 def test_one_sensor_is_checked_at_a_time(service: Service) -> None:
