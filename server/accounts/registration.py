@@ -2,13 +2,13 @@
 
 import hmac
 from dataclasses import dataclass
-from datetime import timedelta
+from datetime import UTC, datetime, timedelta
 
 from sqlalchemy.orm import Session
 from vitac.server.accounts import teams, tokens
 from vitac.server.accounts.principals import CONSOLE, Principal
 from vitac.server.accounts.tokens import IssuedToken
-from vitac.server.db.models import Team
+from vitac.server.db.models import Competition, Team
 from vitac.server.db.states import Role
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.settings import Registration, Settings
@@ -42,13 +42,19 @@ def register(session: Session, settings: Settings, by: Principal | None, new: Ne
         ServiceError: registration is closed or needs another invite code, or the name cannot be used.
     """
     if by is None or not by.is_organizer:
-        _require_open(settings, new.invite)
+        _require_open(session, settings, new.invite)
     team = teams.register(session, by, name=new.name, contact=new.contact)
     lifetime = timedelta(days=settings.token_lifetime_days)
     return team, tokens.issue(session, CONSOLE, role=Role.TEAM, label="first", team=team, lifetime=lifetime)
 
 
-def _require_open(settings: Settings, invite: str | None) -> None:
+def _require_open(session: Session, settings: Settings, invite: str | None) -> None:
+    competition = session.get(Competition, 1)
+    locked = competition.definition.get("teams_locked") if competition else None
+    if locked is not None and (at := datetime.fromisoformat(locked)) <= datetime.now(UTC):
+        raise ServiceError(
+            ProblemCode.REGISTRATION_CLOSED, f"Teams are locked since {at:%F %T} UTC; only organizers register teams."
+        )
     if settings.registration is Registration.CLOSED:
         raise ServiceError(ProblemCode.REGISTRATION_CLOSED, "Only organizers register teams here; ask them.")
     if settings.registration is Registration.INVITE and not _is_invited(settings, invite):

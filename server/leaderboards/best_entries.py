@@ -132,7 +132,7 @@ def ranking_order(
 def _best_of_teams(ranking: tuple[RankingKey, ...]) -> Select[UUID, UUID]:
     """Return the ids of evaluation and submission of each team's best entry of a version, best first."""
     best = _best_result(ranking, bindparam("board"), _of_version(BoardResult), ~BoardResult.is_copy)
-    found = _ids(best).select_from(Team).join(best, true()).where(_takes_part())
+    found = _ids(best).select_from(Team).join(best, true()).where(takes_part())
     return found.order_by(*ranking_order(best, ranking))
 
 
@@ -145,7 +145,7 @@ def _best_of_other_versions(ranking: tuple[RankingKey, ...]) -> Select[UUID, UUI
         .where(*_on(ranked, bindparam("board")), _of_version(ranked), ~ranked.is_copy, ranked.team_id == Team.id)
         .exists()
     )
-    others = _ids(best).select_from(Team).join(best, true()).where(~has_ranked, _takes_part())
+    others = _ids(best).select_from(Team).join(best, true()).where(~has_ranked, takes_part())
     return others.order_by(*ranking_order(best, ranking))
 
 
@@ -169,7 +169,7 @@ def _places_of_submissions(ranking: tuple[RankingKey, ...]) -> Select[str, UUID,
         .select_from(Team)
         .join(board.table, true())
         .join(best, true())
-        .where(_takes_part())
+        .where(takes_part())
         .subquery()
     )
     wanted = func.any(bindparam("submissions", type_=ARRAY(Uuid)))
@@ -203,7 +203,8 @@ def _on(result: type[BoardResult], board: ColumnElement[str]) -> tuple[ColumnEle
     )
 
 
-def _takes_part() -> ColumnElement[bool]:
+def takes_part() -> ColumnElement[bool]:
+    """Return whether a row of `teams` is on boards."""
     return Team.disqualified_at.is_(None)
 
 

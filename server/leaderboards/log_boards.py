@@ -16,10 +16,10 @@ from vitac.evaluator.tracks import Track
 from vitac.evaluator.version import evaluator_version
 from vitac.server.accounts.visibility import played_list_kind
 from vitac.server.competition.schedule import boards_stand_since, shown_stage
-from vitac.server.db.models import BoardResult, Evaluation
+from vitac.server.db.models import BoardResult, Evaluation, Team
 from vitac.server.evaluations.copies import copies_among
 from vitac.server.evaluations.scores import score_views
-from vitac.server.leaderboards.best_entries import EVER, BestEntry, Board, best_entries
+from vitac.server.leaderboards.best_entries import EVER, BestEntry, Board, best_entries, takes_part
 from vitac.server.leaderboards.made_boards import MadeBoard, MadeBoards, revision_of
 from vitac.server.leaderboards.standings import completed_evaluations, made_entries
 from vitac.server.logs.claims import LogClaim
@@ -110,7 +110,9 @@ def _newest_text_logs(session: Session, track: str, stage: str, until: datetime)
     newest_of_each = (
         select(BoardResult.evaluation_id, BoardResult.submitted_at)
         .join(BoardResult.evaluation)
+        .join(Team, Team.id == BoardResult.team_id)
         .where(
+            takes_part(),
             BoardResult.track == track,
             BoardResult.stage == stage,
             BoardResult.kind == SubmissionKind.TEXT_LOG,

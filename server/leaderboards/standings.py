@@ -9,11 +9,12 @@ from uuid import UUID
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session, defer, selectinload
-from vitac.evaluator.tracks import Track
+from vitac.evaluator.tracks import ListKind, Track
 from vitac.evaluator.version import evaluator_version
 from vitac.server.accounts.visibility import played_list_kind
 from vitac.server.competition.definition import DEFAULT_RANKING
 from vitac.server.competition.schedule import boards_stand_since, shown_stage, track_rules
+from vitac.server.competition.sealing import commitment_of_stage
 from vitac.server.db.models import Evaluation, Submission
 from vitac.server.evaluations.scores import bounds, combination_of, scores_of, task_views
 from vitac.server.leaderboards.best_entries import EVER, BestEntry, Board, best_entries
@@ -50,9 +51,11 @@ def leaderboard(
     board = Board(track=track_name, task=task, stage=of_stage, ranking=ranking)
     frozen_at = None if live or not board.stage else boards_stand_since(session)
     best = best_entries(session, board, until=frozen_at or EVER)
-    revision = revision_of(f"{board} {frozen_at}", best)
+    played = track.tasks[task or next(iter(track.tasks))].episode_list.kind
+    list_kind = ListKind.SEALED if commitment_of_stage(session, track_name, of_stage) else played
+    revision = revision_of(f"{board} {frozen_at} {list_kind}", best)
     rule = rules.ranking_sentence if rules else None
-    shown = _Shown(board=board, rule=rule, best=best, frozen_at=frozen_at, revision=revision)
+    shown = _Shown(board=board, list_kind=list_kind, rule=rule, best=best, frozen_at=frozen_at, revision=revision)
     return _made_boards.get((board, live), revision, lambda last: _view(session, track, shown, last))
 
 
@@ -61,11 +64,13 @@ class _Shown:
     """What a revision of a board shows.
 
     Attributes:
+        list_kind: of the episodes that submissions to it play.
         rule: how it is ranked, where that is not what the track's file says.
         frozen_at: since when it stands still; None: it does not.
     """
 
     board: Board
+    list_kind: ListKind
     rule: str | None
     best: Collection[BestEntry]
     frozen_at: datetime | None
@@ -84,6 +89,7 @@ def _view(session: Session, track: Track, shown: _Shown, last: LeaderboardView |
         task=task,
         stage=shown.board.stage or None,
         frozen_at=shown.frozen_at,
+        list_kind=shown.list_kind,
         ranking_rule=shown.rule or (track.ranking_rule if task else track.combination_rule or track.ranking_rule),
         evaluator_version=evaluator_version(),
         revision=shown.revision,

@@ -50,6 +50,7 @@ class LeaderboardView(View):
     task: str | None = Field(description="The task that is ranked; null: all together.")
     stage: str | None = Field(description="Of the competition; null outside of one.")
     frozen_at: datetime | None = Field(description="Results after this moment are not shown; null: all are.")
+    list_kind: ListKind = Field(description="Who can know the episodes that submissions to it play.")
     ranking_rule: str
     evaluator_version: str
     revision: str = Field(description="Changes with the entries; the ETag of the answer.")

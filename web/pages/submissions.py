@@ -158,7 +158,13 @@ def task_part(found: SubmissionView, task: str, ends: Sequence[EpisodeView]) -> 
     """Return the part of the page for one task of a submission."""
     evaluation, folder = found.evaluation, f"/submissions/{found.id}/episodes/{task}"
     return TaskPart(
-        map=episode_map(found.track, task, {end.episode: end for end in ends if end.task == task}, folder=folder),
+        map=episode_map(
+            found.track,
+            task,
+            {end.episode: end for end in ends if end.task == task},
+            folder=folder,
+            known=evaluation.commitment is None,
+        ),
         progress=next((progress for progress in evaluation.progress.tasks if progress.task == task), None),
         score=next((score for score in evaluation.scores if score.task == task), None),
         rank=found.task_ranks.get(task),

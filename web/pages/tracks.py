@@ -218,7 +218,7 @@ async def _leaderboard(request: Request, name: str) -> Response:
         track=track,
         tabs=tabs(track, task),
         track_tabs=track_tabs(site, track),
-        list_kind=counted[0].episode_list.kind.value,
+        list_kind=board.list_kind.value,
         ranked=sum(entry.rank is not None for entry in board.entries),
         episodes=sum(len(definition.episodes) for definition in counted),
     )

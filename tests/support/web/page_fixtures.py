@@ -162,6 +162,7 @@ def a_leaderboard(*entries: LeaderboardEntryView, task: str | None = None) -> Le
         tasks=list(track.tasks),
         task=task,
         stage=None,
+        list_kind=ListKind.PUBLIC,
         frozen_at=None,
         ranking_rule=track.ranking_rule if task else track.combination_rule or "",
         evaluator_version="1+0123456789ab",

@@ -109,7 +109,9 @@ class Place:
     label: str
 
 
-def episode_map(track: str, task: str, ends: Mapping[int, EpisodeView], *, folder: str) -> EpisodeMap:
+def episode_map(
+    track: str, task: str, ends: Mapping[int, EpisodeView], *, folder: str, known: bool = True
+) -> EpisodeMap:
     """Arrange the episodes of a task.
 
     Args:
@@ -117,26 +119,27 @@ def episode_map(track: str, task: str, ends: Mapping[int, EpisodeView], *, folde
         task: its name.
         ends: finished episodes by number; the others are waiting.
         folder: address below which each finished episode has a page.
+        known: the starts are those of the track's file.
     """
     return EpisodeMap(
         task=task,
         title=load_track(track).tasks[task].title,
         shapes=tuple(
             ShapeMap(name=shape, cells=tuple(_cell(place, ends.get(place.number), folder) for place in places))
-            for shape, places in _layout(track, task).items()
+            for shape, places in _layout(track, task, known=known).items()
         ),
         outcomes=dict(Counter(EpisodeOutcome(end.outcome) for end in ends.values()).most_common()),
     )
 
 
 @cache
-def _layout(track: str, task: str) -> Mapping[str, tuple[Place, ...]]:
+def _layout(track: str, task: str, *, known: bool) -> Mapping[str, tuple[Place, ...]]:
     """Return the places of all episodes, by shape."""
     definition = load_track(track).tasks[task]
-    return {shape: _places(shape, definition.episodes) for shape in definition.episode_list.shapes}
+    return {shape: _places(shape, definition.episodes, known=known) for shape in definition.episode_list.shapes}
 
 
-def _places(shape: str, episodes: Sequence[Episode]) -> tuple[Place, ...]:
+def _places(shape: str, episodes: Sequence[Episode], *, known: bool) -> tuple[Place, ...]:
     columns: dict[tuple[float, ...], int] = {}
     repeats: Counter[tuple[float, ...]] = Counter()
     places = []
@@ -144,7 +147,7 @@ def _places(shape: str, episodes: Sequence[Episode]) -> tuple[Place, ...]:
         if episode.shape == shape:
             column = columns.setdefault(episode.offset, len(columns))
             start = ", ".join(f"{value:g}" for value in episode.offset)
-            label = f"Episode {episode.number}, start ({start}): "
+            label = f"Episode {episode.number}, start ({start}): " if known else f"Episode {episode.number}: "
             places.append(Place(number=episode.number, column=column, row=repeats[episode.offset], label=label))
             repeats[episode.offset] += 1
     return tuple(places)

@@ -17,6 +17,7 @@ from service_factories import (
 )
 from submission_steps import refused
 from vitac.evaluator.submission_kinds import SubmissionKind
+from vitac.evaluator.tracks import ListKind
 from vitac.server.accounts import teams
 from vitac.server.accounts.principals import CONSOLE, Principal
 from vitac.server.competition import schedule, sealing
@@ -233,6 +234,10 @@ def test_each_stage_has_its_board_and_disqualified_teams_are_on_none(database: D
         assert names == ["first", "other"]
         view = leaderboard(session, TRACK, stage=SECOND).view
         assert [(entry.submission_name, view.stage) for entry in view.entries] == [("final", SECOND)]
+        assert view.list_kind is ListKind.PUBLIC
+        sealing.seal(session, CONSOLE, TRACK, SECOND)
+        assert leaderboard(session, TRACK, stage=SECOND).view.list_kind is ListKind.SEALED
+        assert leaderboard(session, TRACK, stage=FIRST).view.list_kind is ListKind.PUBLIC
         team = session.get_one(Team, principal.team_id)
         team.disqualified_at, team.disqualified_for = IN_SECOND, "two accounts"
         session.flush()

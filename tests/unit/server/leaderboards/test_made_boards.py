@@ -4,6 +4,7 @@ import json
 from datetime import UTC, datetime
 
 import pytest
+from vitac.evaluator.tracks import ListKind
 from vitac.server.leaderboards import made_boards
 from vitac.server.leaderboards.made_boards import MadeBoards, revision_of
 from vitac.server.views.leaderboards import LeaderboardView
@@ -16,6 +17,7 @@ def view(revision: str, title: str = "Track") -> LeaderboardView:
         tasks=["peg-insertion"],
         task=None,
         stage=None,
+        list_kind=ListKind.PUBLIC,
         frozen_at=None,
         ranking_rule="Most first.",
         evaluator_version="7+abc",

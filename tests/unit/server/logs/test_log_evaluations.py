@@ -1,6 +1,7 @@
 """An uploaded log: from its shards to its verdict, its place among logs, and models that go along with it."""
 
 import io
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +36,7 @@ from vitac.evaluator.version import evaluator_version
 from vitac.server.accounts.principals import CONSOLE
 from vitac.server.competition import sealing
 from vitac.server.db.engine import Database
-from vitac.server.db.models import Evaluation, Submission
+from vitac.server.db.models import Evaluation, Submission, Team
 from vitac.server.evaluations import lifecycle
 from vitac.server.evaluations.verdicts import sentence_of
 from vitac.server.leaderboards import log_boards
@@ -306,6 +307,14 @@ def test_text_log_is_listed_with_both_rates_and_never_ranked(service: Service) -
     assert (entry["claimed_success_rate"], entry["success_rate"]) == (0.0481, 0.5)
     assert entry["problems"] > 0
     assert shown(service, log)["log"]["verdict"] is None
+
+
+def test_text_logs_of_a_disqualified_team_are_not_listed(service: Service) -> None:
+    play_all(service.database, uploaded(service, a_text_log(), "text_log"))
+    with service.database.transaction() as session:
+        assert len(log_boards.log_boards(session, "track_1").view.text_logs) == 1
+        session.execute(update(Team).values(disqualified_at=datetime.now(UTC), disqualified_for="two accounts"))
+        assert log_boards.log_boards(session, "track_1").view.text_logs == []
 
 
 def test_only_the_newest_text_logs_are_loaded(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:

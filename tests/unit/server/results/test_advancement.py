@@ -29,6 +29,13 @@ def begin(database: Database, rule: dict[str, Any], stage: int = 1) -> None:
         for name, successes in SUCCESSES.items():
             submit_scored(session, make_principal(session, name), name, {TASK: make_score(successes, 200)})
         put_in_place(session, open_now(content, stage=stage))
+    register_in_time(database)
+
+
+def register_in_time(database: Database) -> None:
+    """Makes all teams registered long before the first stage closed."""
+    with database.transaction() as session:
+        session.execute(update(Team).values(created_at=datetime(2020, 1, 1, tzinfo=UTC)))
 
 
 def proposed(database: Database) -> Proposal:
@@ -76,11 +83,13 @@ def test_everybody_advances_without_a_border_where_there_are_enough_places(datab
     assert not any(team.at_border for team in proposed(database).teams)
 
 
-def test_a_share_counts_registered_teams_but_disqualified_ones(database: Database) -> None:
+def test_a_share_counts_teams_registered_in_time_but_disqualified_ones(database: Database) -> None:
     begin(database, {"top_share": 0.5})
     with database.transaction() as session:
         for name in ("Eels", "Foxes"):
             make_principal(session, name)
+    assert proposed(database).registered == 4, "Who registers after the stage has closed counts."
+    register_in_time(database)
     assert [team.team for team in proposed(database).teams if team.advances] == ["Ants", "Bees", "Cats"]
     with database.transaction() as session:
         out = {"disqualified_at": datetime.now(UTC), "disqualified_for": "two accounts"}

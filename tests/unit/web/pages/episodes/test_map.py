@@ -51,6 +51,12 @@ def test_shows_how_an_episode_ended() -> None:
     assert laid_out.outcomes == {"success": 1, "tactile": 1}
 
 
+def test_starts_of_another_list_are_not_named() -> None:
+    ends = {1: an_end(1, EpisodeOutcome.SUCCESS, 4)}
+    shape = episode_map("track_1", "peg-insertion", ends, folder=FOLDER, known=False).shapes[0]
+    assert shape.cells[0].label == "Episode 1: success at env step 4. The task was solved."
+
+
 @pytest.mark.parametrize("outcome", list(EpisodeOutcome))
 def test_only_a_success_counts_as_success(outcome: EpisodeOutcome) -> None:
     ends = {episode.number: an_end(episode.number, outcome) for episode in TASK.episodes}
