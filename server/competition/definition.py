@@ -142,7 +142,7 @@ class CompetitionDefinition(StrictModel):
     contact: str | None = None
     rules: tuple[str, ...] = ()
     currency: Word = "USD"
-    teams_locked: Instant | None = Field(default=None, description="From then on members and names do not change.")
+    teams_locked: Instant | None = Field(default=None, description="From then on only organizers register teams.")
     tracks: dict[Word, CompetitionTrack] = Field(min_length=1)
 
     def stage(self, track: str, name: str) -> Stage | None:
