@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 import quick_worker
+import service_factories
 from cli_service import submission_folder
 from databases import fresh_database
 from vitac.cli.demo.command import short_isolation
@@ -61,11 +62,11 @@ class DemoRun:
 
 @pytest.fixture
 def demo(tmp_path: Path) -> Iterator[DemoRun]:
-    support = str(Path(quick_worker.__file__).parent)
+    support = [str(Path(module.__file__ or "").parent) for module in (quick_worker, service_factories)]
     with fresh_database() as address:
         environment = {
             "PATH": "/usr/bin:/bin",
-            "PYTHONPATH": os.pathsep.join([support, os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep),
+            "PYTHONPATH": os.pathsep.join([*support, os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep),
             "PYTHONIOENCODING": "utf-8",
             "VITAC_DATABASE_URL": address,
             "VITAC_STATE_DIR": str(tmp_path / "state"),
