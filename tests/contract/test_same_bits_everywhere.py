@@ -17,7 +17,7 @@ FORBIDDEN_NAMES = {
     *("normal", "standard_normal", "exponential", "standard_exponential"),  # of a generator: libm far out
 }
 # Pictures are drawn from states; nothing of them reaches a state or an observation. A measured pose is privileged.
-OUTSIDE_THE_PATH = ("drawing/", "scene/measured_pose.py", "scene/perspective.py", "scene/still.py")
+OUTSIDE_THE_PATH = ("drawing/", "playback_files/", "scene/measured_pose.py", "scene/perspective.py", "scene/still.py")
 MODULES = sorted(
     name
     for name in (path.relative_to(ENVS).as_posix() for path in ENVS.rglob("*.py"))

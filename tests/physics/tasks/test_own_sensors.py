@@ -50,18 +50,23 @@ def test_highest_point_starts_a_tenth_of_a_millimetre_from_the_peg(name: str) ->
 
 
 def test_flat_gels_touch_at_the_same_grasp_travel() -> None:
-    """Closed by 0.101 mm in all, all of them have come into the barrier's reach (0.1 mm), by the same distance."""
-    gaps_mm = []
+    """Closed by 0.101 mm in all, all of them have come into the barrier's reach (0.1 mm), by about the same distance.
+
+    The peg's upper end lies below that of the gels, where nothing is touched: nodes at the border are left out.
+    """
+    middle_mm = []
     for name in ("2 mm", "4 mm", "8 mm"):
         env = PegInsertionEnv(sensor=design(name), indentation_mm=1e-3)
         env.reset(options={"shape": "cuboid", "offset_mm_deg": (0.0, 0.0, 0.0)})
         peg_y_mm = env.scene.pose.y_m * 1e3
         for index in range(2):
-            sensing_mm = env.scene.gel_nodes_m(index)[env.scene.gel.sensing_nodes, 1] * 1e3
-            gaps_mm.append(float(np.abs(sensing_mm - peg_y_mm).min()) - 0.5 * GRIPPED_WIDTH_MM)
-    assert min(gaps_mm) > 0.0
-    assert max(gaps_mm) < 0.1
-    assert max(gaps_mm) - min(gaps_mm) < 0.02
+            x_mm, y_mm, z_mm = 1e3 * env.scene.gel_nodes_m(index)[env.scene.gel.sensing_nodes].T
+            is_inner = (np.abs(x_mm) < x_mm.max() - 1.0) & (z_mm > z_mm.min() + 1.0) & (z_mm < z_mm.max() - 1.0)
+            gaps_mm = np.abs(y_mm - peg_y_mm)[is_inner] - 0.5 * GRIPPED_WIDTH_MM
+            assert gaps_mm.min() > 0.0
+            middle_mm.append(float(np.median(gaps_mm)))
+    assert max(middle_mm) < 0.1
+    assert max(middle_mm) - min(middle_mm) < 0.02
 
 
 @pytest.mark.parametrize("name", ["4 mm", "dome"])

@@ -13,7 +13,7 @@ def test_healthy_and_ready_service_says_so_without_workers(service: Service) -> 
     assert service.client.get("/health").json()["status"] == "ok"
     answer = service.client.get("/ready")
     assert (answer.status_code, answer.json()["status"]) == (200, "ready")
-    assert answer.json()["workers"] == {"alive": 0, "last_heartbeat_at": None}
+    assert answer.json()["workers"] == {"alive": 0, "last_heartbeat_at": None, "missing_family": None}
 
 
 def test_schema_of_another_version_makes_the_service_unready(service: Service) -> None:
