@@ -109,8 +109,8 @@ class PageData(Protocol):
     async def register(self, *, name: str, contact: str, invite: str, address: str) -> RegisteredTeam:
         """Register a team from a client's address; what cannot be accepted raises the service's refusal."""
 
-    async def leaderboard(self, track: str, task: str | None) -> LeaderboardView:
-        """Return the leaderboard of a track, or of one of its tasks."""
+    async def leaderboard(self, track: str, task: str | None, stage: str | None = None) -> LeaderboardView:
+        """Return the leaderboard of a track, or of one of its tasks; `stage` None is the stage that opened last."""
 
     async def competition(self) -> CompetitionView:
         """Return the competition of this service; where there is none, the service's refusal is raised."""

@@ -94,9 +94,9 @@ class ServiceData:
 
         return await self._run(made)
 
-    async def leaderboard(self, track: str, task: str | None) -> LeaderboardView:
-        """Return the leaderboard of a track, or of one of its tasks."""
-        return await self._run(lambda session: standings.leaderboard(session, track, task=task).view)
+    async def leaderboard(self, track: str, task: str | None, stage: str | None = None) -> LeaderboardView:
+        """Return the leaderboard of a track, or of one of its tasks; `stage` None is the stage that opened last."""
+        return await self._run(lambda session: standings.leaderboard(session, track, task=task, stage=stage).view)
 
     async def competition(self) -> CompetitionView:
         """Return the competition of this service."""

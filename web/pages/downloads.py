@@ -36,8 +36,9 @@ def csv_file(name: str, columns: Sequence[str], rows: Iterable[Sequence[object]]
 
 async def leaderboard(request: Request) -> Response:
     """Return a board with a row for each entry."""
-    track, task = request.path_params["track"], request.query_params.get("task")
-    board = await site_of(request).data.leaderboard(track, task)
+    track, asked = request.path_params["track"], request.query_params
+    task, stage = asked.get("task"), asked.get("stage")
+    board = await site_of(request).data.leaderboard(track, task, stage)
     rows = (
         (
             "" if entry.rank is None else entry.rank,
@@ -58,7 +59,7 @@ async def leaderboard(request: Request) -> Response:
         "rank", "team", "submission", "success_rate", "interval_low", "interval_high", "mean_env_steps", "successes",
         "episodes", "submitted_at", "evaluator_version", "result_hash",
     )  # fmt: skip
-    return csv_file(f"{track}-{task or 'all'}", columns, rows)
+    return csv_file("-".join(filter(None, (track, stage, task or "all"))), columns, rows)
 
 
 async def episodes_csv(request: Request) -> Response:

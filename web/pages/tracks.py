@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol, TypeVar
+from urllib.parse import urlencode
 
 from markupsafe import Markup
 from starlette.exceptions import HTTPException
@@ -91,7 +92,7 @@ async def home(request: Request) -> Response:
 
 
 async def leaderboard(request: Request) -> Response:
-    """Show the leaderboard of a track, or with `?task=` that of one of its tasks."""
+    """Show the leaderboard of a track, or with `?task=` and `?stage=` that of a task or stage."""
     return await _leaderboard(request, request.path_params["track"])
 
 
@@ -147,18 +148,24 @@ def track_tabs(site: Site, shown: Track, page_of_track: str = "") -> tuple[Tab, 
     )
 
 
-def tabs(track: Track, task: str | None, *, logs: bool = False) -> tuple[Tab, ...]:
+def tabs(track: Track, task: str | None, *, logs: bool = False, stage: str | None = None) -> tuple[Tab, ...]:
     """Return the leaderboards of a track: all tasks, each task, and the logs; empty if there is only one."""
     address = f"/tracks/{track.name}"
-    whole = Tab(title="All tasks", target=address, current=task is None and not logs)
+    whole = Tab(title="All tasks", target=address + board_query(None, stage), current=task is None and not logs)
     by_task = (
-        Tab(title=definition.title, target=f"{address}?task={name}", current=name == task)
+        Tab(title=definition.title, target=address + board_query(name, stage), current=name == task)
         for name, definition in track.tasks.items()
     )
     shown = [whole] if len(track.tasks) == 1 else [whole, *by_task]
     if accepts_logs(track):
         shown.append(Tab(title="Logs", target=f"{address}/logs", current=logs))
     return tuple(shown) if len(shown) > 1 else ()
+
+
+def board_query(task: str | None, stage: str | None) -> str:
+    """Return what the address of a board asks for; empty: all tasks, in the stage that opened last."""
+    asked = {name: value for name, value in (("task", task), ("stage", stage)) if value}
+    return f"?{urlencode(asked)}" if asked else ""
 
 
 def accepts_logs(track: Track) -> bool:
@@ -200,11 +207,12 @@ def _is_combined(track: Track, task: str | None) -> bool:
 
 async def _leaderboard(request: Request, name: str) -> Response:
     track = _track(name)
-    site, task = site_of(request), request.query_params.get("task")
-    board = await site.data.leaderboard(name, task)
+    site, asked = site_of(request), request.query_params
+    task, stage = asked.get("task"), asked.get("stage")
+    board = await site.data.leaderboard(name, task, stage)
     viewer = await viewer_of(request)
-    address = f"/tracks/{name}" + (f"?task={task}" if task else "")
-    shown = board_page(request, address, board.entries, viewer.name if viewer else None)
+    query = board_query(task, stage)
+    shown = board_page(request, f"/tracks/{name}{query}", board.entries, viewer.name if viewer else None)
     counted = list(track.tasks.values()) if task is None else [track.tasks[task]]
     return page(
         request,
@@ -212,11 +220,12 @@ async def _leaderboard(request: Request, name: str) -> Response:
         viewer=viewer,
         section="/" if name == site.tracks[0] else "",
         board=board,
+        query=query,
         shown=shown,
         table=_table(request, board, track, viewer, shown.entries),
         dates=_dates(request, board, viewer),
         track=track,
-        tabs=tabs(track, task),
+        tabs=tabs(track, task, stage=stage),
         track_tabs=track_tabs(site, track),
         list_kind=board.list_kind.value,
         ranked=sum(entry.rank is not None for entry in board.entries),

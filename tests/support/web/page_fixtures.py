@@ -526,10 +526,11 @@ class FixedData(FixedPlaybacks):
         visitor = self.visitors[0]
         return RegisteredTeam(team=name, token="vitac_made", token_id=visitor.token_id)  # noqa: S106 - made up
 
-    async def leaderboard(self, track: str, task: str | None) -> LeaderboardView:
+    async def leaderboard(self, track: str, task: str | None, stage: str | None = None) -> LeaderboardView:
         if task is not None and task not in TASKS:
             raise ServiceError(ProblemCode.UNKNOWN_TASK, f"There is no task {task!r}.")
-        return self.board if task is None else self.task_boards.get(task, a_leaderboard(task=task))
+        board = self.board if task is None else self.task_boards.get(task, a_leaderboard(task=task))
+        return board.model_copy(update={"stage": stage})
 
     async def competition(self) -> CompetitionView:
         if self.cup is None:

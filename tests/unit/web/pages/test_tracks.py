@@ -189,3 +189,13 @@ def test_every_track_is_reached_from_the_leaderboard_and_the_rules_of_another() 
 
 def test_a_single_track_needs_no_links_to_tracks(browser: AsgiBrowser) -> None:
     assert 'aria-label="Tracks"' not in browser.get("/").text
+
+
+def test_a_stage_is_kept_by_all_links_of_its_board(data: FixedData, browser: AsgiBrowser) -> None:
+    data.board = a_leaderboard(an_entry(1, "Bears", BEARS_PEG, BEARS_LOCK))
+    html = browser.get("/tracks/track_1?stage=final").text
+    for address in ("/tracks/track_1/leaderboard.csv", "/api/v1/leaderboards/track_1"):
+        assert f'href="{address}?stage=final"' in html
+    assert 'href="/tracks/track_1?task=peg-insertion&amp;stage=final"' in html
+    named = browser.get("/tracks/track_1/leaderboard.csv?stage=final").headers["content-disposition"]
+    assert "track_1-final-all.csv" in named
