@@ -142,12 +142,12 @@ def test_submission_and_its_upload_are_noted_together_or_not_at_all(
     place = begun(service, len(archive))
     send(service, place, 0, archive)
 
-    def die(*_: object) -> None:
-        raise KeyError("killed between the two")
+    def fail(*_: object) -> None:
+        raise ServiceError(ProblemCode.DATABASE_UNAVAILABLE, "The connection is cut between the two.")
 
     with monkeypatch.context() as patch:
-        patch.setattr(partial, "finish", die)
-        assert service.post(f"{place.removeprefix(API)}/submission").status_code == 500
+        patch.setattr(partial, "finish", fail)
+        assert service.post(f"{place.removeprefix(API)}/submission").status_code == 503
     with service.database.transaction() as session:
         assert session.scalar(text("SELECT count(*) FROM submissions")) == 0
     assert service.post(f"{place.removeprefix(API)}/submission").status_code == 202
