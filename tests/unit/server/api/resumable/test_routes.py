@@ -10,11 +10,13 @@ from pathlib import Path
 from typing import Any
 from uuid import UUID
 
+import psycopg
 import pytest
 from database_work import is_waiting_for_a_lock
 from httpx import Response
 from service_client import API, Service, bearer, make_archive, problem_of, running_service
 from sqlalchemy import text, update
+from sqlalchemy.exc import OperationalError
 from vitac.server.api.resumable.pieces import PART_BYTES
 from vitac.server.db.engine import Database
 from vitac.server.db.models import PartialUpload
@@ -143,7 +145,7 @@ def test_submission_and_its_upload_are_noted_together_or_not_at_all(
     send(service, place, 0, archive)
 
     def fail(*_: object) -> None:
-        raise ServiceError(ProblemCode.DATABASE_UNAVAILABLE, "The connection is cut between the two.")
+        raise OperationalError("UPDATE", {}, psycopg.OperationalError("the connection is cut between the two"))
 
     with monkeypatch.context() as patch:
         patch.setattr(partial, "finish", fail)
