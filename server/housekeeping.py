@@ -9,7 +9,6 @@ import structlog
 from sqlalchemy.exc import SQLAlchemyError
 from vitac.envs.errors import VitacError
 
-from .db.advisory_locks import AdvisoryLock, wait_for_turn
 from .evaluations.lifecycle import fail_by_machines
 from .evaluations.superseding import supersede_outdated
 from .metrics.instruments import RetryReason
@@ -18,6 +17,7 @@ from .playbacks import work as playbacks
 from .queue.jobs import prune_finished_jobs
 from .queue.sweep import sweep
 from .services import Services
+from .storage import stored_files
 from .storage.scratch import remove_leftovers
 from .submissions.files import stored_digests
 from .uploads import partial
@@ -92,18 +92,11 @@ def prune(services: Services) -> None:
         known = set(stored_digests(session)) | playbacks.stored_digests(session)
     for digest in services.blobs.list_older_than(ORPHAN_KEPT):
         if digest not in known:
-            _delete_orphan(services, digest)
+            with services.database.transaction() as session:
+                stored_files.remove_if_older(session, services.blobs, digest, ORPHAN_KEPT)
     remove_leftovers(services.settings.scratch_dir, UPLOAD_FOLDER)
     oldest_kept = time.time() - ORPHAN_KEPT.total_seconds()
     for pattern in ("upload-*", "playback-*"):
         for path in services.settings.scratch_dir.glob(pattern):
             if path.lstat().st_mtime < oldest_kept:
                 shutil.rmtree(path, ignore_errors=True)
-
-
-def _delete_orphan(services: Services, digest: str) -> None:
-    """Remove a stored file unless it was uploaded again meanwhile, which makes it a new one."""
-    with services.database.transaction() as session:
-        wait_for_turn(session, AdvisoryLock.STORED_FILE, digest)
-        if services.blobs.is_older_than(digest, ORPHAN_KEPT):
-            services.blobs.delete(digest)

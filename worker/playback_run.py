@@ -19,6 +19,7 @@ from vitac.server.playbacks import work
 from vitac.server.playbacks.work import PlaybackLease
 from vitac.server.queue.leases import LeaseLost
 from vitac.server.services import Services
+from vitac.server.storage import stored_files
 from vitac.server.storage.disk_space import is_disk_full
 
 from .shard_run import DATABASE_PATIENCE_S, FULL_DISK_PAUSE_S, RunEnd
@@ -111,7 +112,7 @@ class PlaybackRun:
 
     def _store(self, path: Path) -> str:
         digest = hashlib.sha256(path.read_bytes()).hexdigest()
-        self._services.blobs.put(path, digest)
+        self._database(lambda session: stored_files.store(session, self._services.blobs, path, digest))
         return digest
 
     def _keep_lease(self) -> None:

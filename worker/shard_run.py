@@ -27,6 +27,7 @@ from vitac.server.evaluations.provenance import known_manifest
 from vitac.server.queue import leases
 from vitac.server.queue.leases import Lease, LeaseLost
 from vitac.server.services import Services
+from vitac.server.storage import stored_files
 from vitac.server.storage.blobs import StoredFileLost
 from vitac.server.storage.disk_space import has_space, is_disk_full
 from vitac.server.submissions.files import add_files
@@ -189,8 +190,11 @@ class ShardRun:
                 name="coefficients.json",
             )
             file.path.write_bytes(content)
-            self._services.blobs.put(file.path, file.sha256)
-        self._database(lambda session: add_files(session, self._lease.submission_id, [file]))
+            self._database(lambda session: self._keep_file(session, file))
+
+    def _keep_file(self, session: Session, file: UploadedFile) -> None:
+        stored_files.store(session, self._services.blobs, file.path, file.sha256)
+        add_files(session, self._lease.submission_id, [file])
 
     def _order(self, path: Path, stored: StoredEpisodes, *, secret: Path | None, sensor: Path | None) -> ShardOrder:
         return ShardOrder(

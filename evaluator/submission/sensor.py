@@ -5,10 +5,8 @@ limits on time and memory.
 """
 
 import contextlib
-import os
 import subprocess
 import tempfile
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import IO, Final
@@ -58,8 +56,8 @@ def make_sensor(folder: Path, *, limits: Limits = LIMITS, wall_s: float = WALL_S
     )
     uid = bubblewrap.sandbox_uid(0)
     with contextlib.ExitStack() as exits:
-        filter_file = exits.enter_context(_file_of(seccomp.filter_program()))
-        passwd = exits.enter_context(_file_of(bubblewrap.passwd_file(uid)))
+        filter_file = exits.enter_context(bubblewrap.file_of(seccomp.filter_program()))
+        passwd = exits.enter_context(bubblewrap.file_of(bubblewrap.passwd_file(uid)))
         command = bubblewrap.tool_command(
             tool, interpreter=interpreter.current(), limits=limits, uid=uid, seccomp=filter_file, passwd=passwd
         )
@@ -100,18 +98,6 @@ def _answer(code: int, output: bytes, errors: bytes) -> MadeSensor:
 def _read(file: IO[bytes], most: int) -> bytes:
     file.seek(0)
     return file.read(most)
-
-
-@contextlib.contextmanager
-def _file_of(data: bytes) -> Iterator[int]:
-    """Return a descriptor from which bubblewrap reads data."""
-    descriptor = os.memfd_create("sandbox")
-    try:
-        os.write(descriptor, data)
-        os.lseek(descriptor, 0, os.SEEK_SET)
-        yield descriptor
-    finally:
-        os.close(descriptor)
 
 
 # Killed for its CPU time or memory, as the process or as bubblewrap reports it.

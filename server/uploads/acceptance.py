@@ -8,10 +8,10 @@ from dataclasses import replace
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import Track
 
-from ..db.advisory_locks import AdvisoryLock, wait_for_turn
 from ..errors import ProblemCode, ServiceError
 from ..limiter import ConcurrencyLimiter
 from ..services import Services
+from ..storage import stored_files
 from ..tracks import load_known_track
 from .checked_upload import CheckedUpload
 from .intake import ReceivedFile
@@ -56,11 +56,10 @@ def accept(
         one_at_a_time = ConcurrencyLimiter(services.settings.state_dir / "limits" / "sensors", 1)
         with one_at_a_time.one("all", "sensor checks at the same time"):
             upload = replace(upload, files=sensor_files(upload.sensor_folder), sensor_folder=None)
-    stored = {received.sha256: received.path} | {file.sha256: file.path for file in upload.files}
-    for digest, path in stored.items():
+    paths = {received.sha256: received.path} | {file.sha256: file.path for file in upload.files}
+    for digest, path in paths.items():
         with services.database.transaction() as session:
-            wait_for_turn(session, AdvisoryLock.STORED_FILE, digest)  # after housekeeping, which may remove it
-            services.blobs.put(path, digest)
+            stored_files.store(session, services.blobs, path, digest)
     return upload
 
 

@@ -3,7 +3,8 @@
 import math
 import os
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -285,3 +286,15 @@ def _python(interpreter: Interpreter, limits: Limits, descriptors: Descriptors) 
 def _cpu_limits(limits: Limits) -> tuple[str, str]:
     """Return soft and hard limit of the loader [s]; its copies' soft limit is set from outside."""
     return str(math.ceil(limits.start_cpu_s)), str(math.ceil(limits.start_cpu_s + limits.episode_cpu_s) + 1)
+
+
+@contextmanager
+def file_of(data: bytes) -> Iterator[int]:
+    """Return a descriptor from which bubblewrap reads data."""
+    descriptor = os.memfd_create("vitac")
+    try:
+        os.write(descriptor, data)
+        os.lseek(descriptor, 0, os.SEEK_SET)
+        yield descriptor
+    finally:
+        os.close(descriptor)

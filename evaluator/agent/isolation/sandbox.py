@@ -9,7 +9,6 @@ import socket
 import struct
 import subprocess
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -151,8 +150,8 @@ class Sandbox:
             descriptors = bubblewrap.Descriptors(
                 channel=theirs.fileno(),
                 status=status_write,
-                seccomp=given_away.enter_context(_file_of(seccomp.filter_program())),
-                passwd=given_away.enter_context(_file_of(bubblewrap.passwd_file(uid))),
+                seccomp=given_away.enter_context(bubblewrap.file_of(seccomp.filter_program())),
+                passwd=given_away.enter_context(bubblewrap.file_of(bubblewrap.passwd_file(uid))),
                 info=info_write,
             )
             self._process = self._spawn(self._command(uid, descriptors), descriptors, output_write)
@@ -258,14 +257,3 @@ class Sandbox:
 
 def _proc_name(descriptor: int, kind: str) -> str:
     return f"{kind}:[{os.fstat(descriptor).st_ino}]"
-
-
-@contextlib.contextmanager
-def _file_of(data: bytes) -> Iterator[int]:
-    descriptor = os.memfd_create("vitac")
-    try:
-        os.write(descriptor, data)
-        os.lseek(descriptor, 0, os.SEEK_SET)
-        yield descriptor
-    finally:
-        os.close(descriptor)
