@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from vitac.evaluator.figures.figures import FigureChoice
 
 from .terminal.output import AsJson, print_json, print_pairs, print_table
 
@@ -94,9 +95,17 @@ def evaluate(
     ] = None,
     episodes: Annotated[str | None, typer.Option(help="Numbers and ranges, such as 1:12,20; all by default.")] = None,
     workers: Annotated[int | None, typer.Option(min=1, help="Number of processes; one per core by default.")] = None,
-    json: Annotated[Path | None, typer.Option(help="Write scores, digests and the sensing gain to this file.")] = None,
+    figures: Annotated[
+        FigureChoice, typer.Option(help="Which figures are measured: all, quick ones that take no episodes, none.")
+    ] = FigureChoice.ALL,
+    json: Annotated[
+        Path | None, typer.Option(help="Write scores, digests, sensing gain and figures to this file.")
+    ] = None,
 ) -> None:
-    """Play the peg task with a sensor: our standard estimator with and without sight of the markers, or a policy."""
+    """Play the peg task with a sensor: our standard estimator with and without sight of the markers, or a policy.
+
+    With the standard estimator, the sensor's figures are measured, and shown beside those of the reference gel.
+    """
     if policy is not None:
         _evaluate_policy(sensor, policy, episodes, workers, json)
         return
@@ -105,6 +114,7 @@ def evaluate(
 
     from .evaluate import Progress, parse_episodes
     from .terminal.compiling import compiling_shown
+    from .terminal.sensor_figures import print_figures
 
     numbers = parse_episodes(episodes)
     with Progress(2 * len(numbers or find_task(_STANDARD)[1].episodes)) as progress, compiling_shown(progress.bar):
@@ -112,12 +122,15 @@ def evaluate(
             sensor,
             episodes=numbers,
             workers=workers or len(os.sched_getaffinity(0)),
+            figures=figures,
             on_episode=progress.advance,
         )
     report = found.report()
     if json:
         json.write_text(report.model_dump_json(indent=1) + "\n", encoding="utf-8")
     _print_report(report)
+    if report.figures is not None:
+        print_figures(report.figures)
 
 
 def _evaluate_policy(sensor: Path, policy: Path, episodes: str | None, workers: int | None, json: Path | None) -> None:

@@ -111,6 +111,7 @@ def make_environment(
     observation_keys: Sequence[str] | None = None,
     *,
     sensor: "SensorDesign | None" = None,
+    settings: Mapping[str, object] | None = None,
 ) -> Environment:
     """Return the environment of a task, as policies are scored in it (nothing privileged).
 
@@ -119,6 +120,7 @@ def make_environment(
         assets_dir: folder with the challenge's own meshes; our own generated ones by default.
         observation_keys: what is observed; all that the track lists by default.
         sensor: design of both sensors; the challenge's by default.
+        settings: in place of the task's own, for measurements.
     """
     if task.definition.family is Family.MANISKILL:
         return _of_maniskill(task, observation_keys)
@@ -126,6 +128,7 @@ def make_environment(
     import vitac.envs  # noqa: F401 - registers the environment ids
 
     arguments: dict[str, Any] = {"assets_dir": assets_dir, "observation_keys": observation_keys, **task.settings}
+    arguments |= settings or {}
     if sensor is not None:
         arguments["sensor"] = sensor
     env = gymnasium.make(task.env_id, disable_env_checker=True, privileged=False, **arguments)

@@ -13,6 +13,7 @@ from ..agent.limits import Limits
 from ..agent.session import Isolation
 from ..episodes.records import EpisodeRecord, Manifest, PolicyFailure, RecordsDisagree, in_order, result_hash
 from ..estimator.regression import Coefficients
+from ..figures.figures import FigureChoice, FiguresPart
 from ..scoring.failures import breaking_failure
 from ..scoring.score import Score, score
 from ..shards.order import ShardOrder
@@ -34,6 +35,8 @@ class Evaluation:
     """How strongly the policy was isolated; None if it never loaded."""
     coefficients: Coefficients | None = None
     """With which the standard estimator played; None where it did not play."""
+    figures: tuple[FiguresPart, ...] = ()
+    """Parts of the figures of the sensor; none where they were not asked for."""
 
     @cached_property
     def failure(self) -> PolicyFailure | None:
@@ -62,6 +65,7 @@ def evaluate(
     assets_dir: Path | None = None,
     secret: Path | None = None,
     sensor: Path | None = None,
+    figures: FigureChoice = FigureChoice.NONE,
     on_episode: Callable[[EpisodeRecord], None] = lambda _: None,
 ) -> Evaluation:
     """Evaluate a submission in processes of its own, one shard at a time in each.
@@ -76,6 +80,7 @@ def evaluate(
         assets_dir: folder with the challenge's own meshes; our own generated ones by default.
         secret: file with the secret of a sealed list.
         sensor: folder with a sensor of a team's own, in place of the challenge's.
+        figures: which of the sensor's figures the blind run measures.
         on_episode: gets each record, in the order in which episodes end.
 
     Raises:
@@ -95,6 +100,7 @@ def evaluate(
             limits=limits or Limits(),
             assets_dir=assets_dir.resolve() if assets_dir else None,
             sensor=sensor.resolve() if sensor else None,
+            figures=figures,
         )
         for shard in shards
     ]
@@ -111,6 +117,7 @@ def evaluate(
         records=tuple(in_order(task.name, records)),
         isolation=next((result.isolation for result in pool.results if result.isolation), None),
         coefficients=next((result.coefficients for result in pool.results if result.coefficients), None),
+        figures=tuple(result.figures for result in pool.results if result.figures),
     )
 
 

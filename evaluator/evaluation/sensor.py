@@ -7,6 +7,7 @@ from pathlib import Path
 
 from ..episodes.records import EpisodeRecord
 from ..estimator.regression import Coefficients
+from ..figures.figures import FigureChoice, SensorFigures, merged
 from ..scoring.gain import SensingGain, sensing_gain
 from ..scoring.score import Rate
 from ..sensors.check import accepted_sensor
@@ -33,6 +34,8 @@ class SensorReport(StrictModel):
     coefficients_digest: str
     runs: tuple[RunReport, ...]
     gain: SensingGain
+    figures: SensorFigures | None = None
+    figures_digest: str | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,12 +47,14 @@ class SensorEvaluation:
         coefficients: what the estimator has learned of it.
         standard: the run that sees the markers.
         blind: the run with all markers at rest.
+        figures: of the sensor; None where they were not asked for.
     """
 
     sensor: MadeSensor
     coefficients: Coefficients
     standard: Evaluation
     blind: Evaluation
+    figures: SensorFigures | None
 
     def report(self) -> SensorReport:
         """Return scores, gain and digests."""
@@ -58,6 +63,8 @@ class SensorEvaluation:
             coefficients_digest=self.coefficients.digest,
             runs=tuple(map(_run, (self.standard, self.blind))),
             gain=sensing_gain(self.standard.records, self.blind.records),
+            figures=self.figures,
+            figures_digest=None if self.figures is None else self.figures.digest,
         )
 
 
@@ -66,6 +73,7 @@ def evaluate_sensor(
     *,
     episodes: Iterable[int] | None = None,
     workers: int = 1,
+    figures: FigureChoice = FigureChoice.NONE,
     on_episode: Callable[[EpisodeRecord], None] = lambda _: None,
 ) -> SensorEvaluation:
     """Make the sensor in a folder and play both runs of the standard estimator.
@@ -74,6 +82,7 @@ def evaluate_sensor(
         folder: with sensor.yaml and gel.stl.
         episodes: numbers to play; all by default.
         workers: processes at once.
+        figures: which of the sensor's figures are measured, too.
         on_episode: gets each record of both runs.
 
     Raises:
@@ -96,12 +105,20 @@ def evaluate_sensor(
                 episodes=chosen,
                 workers=workers,
                 sensor=path,
+                figures=figures,
                 on_episode=on_episode,
             )
             for player in (Player.ESTIMATOR, Player.BLIND)
         )
     assert standard.coefficients is not None  # noqa: S101 - of every run of the estimator
-    return SensorEvaluation(sensor=made, coefficients=standard.coefficients, standard=standard, blind=blind)
+    offsets = [start.offset for start in tasks[Player.BLIND].episode_list.starts]
+    return SensorEvaluation(
+        sensor=made,
+        coefficients=standard.coefficients,
+        standard=standard,
+        blind=blind,
+        figures=merged(blind.figures, offsets),
+    )
 
 
 def _run(evaluation: Evaluation) -> RunReport:

@@ -12,6 +12,8 @@ from ..episodes.reading import reading_of
 from ..episodes.records import EpisodeRecord
 from ..estimator.calibration import calibrated
 from ..estimator.playing import EstimatorSession
+from ..figures.figures import FigureChoice, FiguresPart, StartFigures
+from ..figures.starts import Measurement, measured_episodes
 from ..sensors.check import design_in
 from ..tracks import Player, Task, Track
 from ..tracks.cut import Shard
@@ -29,6 +31,9 @@ def run_estimator(
 ) -> ShardResult:
     """Calibrate the estimator to the order's sensor, or take what this process has, and play the shard.
 
+    The blind run measures the sensor's figures, too, where they are asked for: at the starts of its episodes, so that
+    they are shared out among the workers as the episodes are.
+
     Raises:
         NoSensor: the order has none.
         VitacError: the sensor or the environment broke.
@@ -36,20 +41,58 @@ def run_estimator(
     if order.sensor is None:
         raise NoSensor(f"Expected a sensor for {task.name}, got none.")
     coefficients = calibrated(task, order.sensor)
+    design = design_in(order.sensor)
     session = EstimatorSession(coefficients, task.definition.action_scale, is_blind=task.player is Player.BLIND)
 
     def load(_folder: Path, _limits: object, _slot: int) -> nullcontext[EstimatorSession]:
         return nullcontext(session)
+
+    choice = order.figures if task.player is Player.BLIND else FigureChoice.NONE
+    figures = _Figures(Measurement(task, design, coefficients), task, shard, choice)
+
+    def played(record: EpisodeRecord) -> None:
+        on_episode(record)
+        figures.measure(record.episode)
 
     result = run_shard(
         submission_dir=order.submission,
         track=track,
         task=task,
         shard=shard,
-        on_episode=on_episode,
+        on_episode=played,
         reading=reading_of(task),
         skip=order.skip,
         load_policy=load,
-        make_env=partial(make_environment, sensor=design_in(order.sensor)),
+        make_env=partial(make_environment, sensor=design),
     )
-    return result.model_copy(update={"coefficients": coefficients})
+    return result.model_copy(update={"coefficients": coefficients, "figures": figures.part()})
+
+
+class _Figures:
+    """Measures a shard's part of the figures, start after start as its episodes end."""
+
+    def __init__(self, measurement: Measurement, task: Task, shard: Shard, choice: FigureChoice) -> None:
+        self._measurement = measurement
+        self._choice = choice
+        wanted = measured_episodes(task) if choice is FigureChoice.ALL else frozenset[int]()
+        self._waiting = {episode.number: episode for episode in shard.episodes if episode.number in wanted}
+        self._starts: dict[int, StartFigures] = {}
+
+    def measure(self, number: int) -> None:
+        """Measure at the start of an episode, if it is one of those that figures are taken at."""
+        episode = self._waiting.pop(number, None)
+        if episode is not None:
+            self._starts[number] = self._measurement.start(episode)
+
+    def part(self) -> FiguresPart | None:
+        """Return all that the shard has to measure; what it has not played this time is measured now.
+
+        What takes no episodes is in the part of every shard, so that it is there whichever are played.
+        """
+        if self._choice is FigureChoice.NONE:
+            return None
+        for number in sorted(self._waiting):
+            self.measure(number)
+        return self._measurement.whole().model_copy(
+            update={"starts": tuple(self._starts[number] for number in sorted(self._starts))}
+        )

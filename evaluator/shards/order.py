@@ -8,6 +8,7 @@ from pydantic import NonNegativeInt
 
 from ..agent.limits import Limits
 from ..episodes.records import EpisodeRecord, PolicyFailure
+from ..figures.figures import FigureChoice
 from ..strict_model import StrictModel
 from ..submission_kinds import SubmissionKind
 from .result import ShardResult
@@ -26,7 +27,7 @@ class ShardOrder(StrictModel):
 
     `submission` is the folder of an unpacked archive, or the file of a log; `secret` the file with the secret of a
     sealed list, without which the public one is played; `sensor` a folder with a sensor of a team's own, or the
-    file of a made one.
+    file of a made one. `figures` says which of the sensor's figures its blind run measures a part of.
     """
 
     kind: SubmissionKind
@@ -40,6 +41,7 @@ class ShardOrder(StrictModel):
     limits: Limits = Limits()
     assets_dir: Path | None = None
     sensor: Path | None = None
+    figures: FigureChoice = FigureChoice.NONE
     skip: tuple[int, ...] = ()
     earlier_failures: tuple[PolicyFailure, ...] = ()
 

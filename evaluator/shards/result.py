@@ -5,6 +5,7 @@ from enum import StrEnum
 from ..agent.session import Isolation
 from ..episodes.records import Manifest
 from ..estimator.regression import Coefficients
+from ..figures.figures import FiguresPart
 from ..logs.findings import LogFinding
 from ..strict_model import StrictModel
 
@@ -32,3 +33,5 @@ class ShardResult(StrictModel):
     """Why a log is not true; None for models and as long as the log holds."""
     coefficients: Coefficients | None = None
     """With which the standard estimator played; None where it did not play."""
+    figures: FiguresPart | None = None
+    """This shard's part of the figures of a sensor; None where they were not asked for."""

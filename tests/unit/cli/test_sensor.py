@@ -6,6 +6,7 @@ import drawn_gels
 import pytest
 from PIL import Image
 from vitac.cli import main as cli
+from vitac.evaluator.figures.figures import SensorFigures
 from vitac.evaluator.sensors.check import accepted_sensor
 from vitac.evaluator.sensors.made import made_sensor
 
@@ -106,7 +107,8 @@ def test_evaluate_plays_the_estimator_with_and_without_sight_of_the_markers(
     run: Run, folder: Path, tmp_path: Path
 ) -> None:
     out_file = tmp_path / "report.json"
-    code, out, _ = run("evaluate", folder, "--episodes", "1:2", "--workers", 1, "--json", out_file)
+    quick = ("--figures", "quick")
+    code, out, _ = run("evaluate", folder, "--episodes", "1:2", "--workers", 1, "--json", out_file, *quick)
     assert code == 0
     report = json.loads(out_file.read_text())
     assert [(row["task"], row["episodes"]) for row in report["runs"]] == [("sensor-standard", 2), ("sensor-blind", 2)]
@@ -116,6 +118,12 @@ def test_evaluate_plays_the_estimator_with_and_without_sight_of_the_markers(
     assert f"sensor digest {made.digest}" in out
     assert "sensing gain" in out
     assert report["coefficients_digest"] in out
+    figures = SensorFigures.model_validate(report["figures"])
+    assert report["figures_digest"] == figures.digest
+    assert f"0 starts; digest of the figures {figures.digest}" in out
+    assert f"force at the grasp              {figures.grasp.force_n:.4g}" in out
+    assert "reference gel" in out
+    assert "standard score" not in out
 
 
 def test_evaluate_of_a_broken_sensor_names_the_rule(run: Run, folder: Path) -> None:

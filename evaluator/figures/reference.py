@@ -1,0 +1,40 @@
+"""Figures of the reference gel, beside which those of every sensor are shown."""
+
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..sensors.manifest import SensorManifest
+from .figures import SensorFigures
+
+if TYPE_CHECKING:
+    from vitac.envs.tactile.design import SensorDesign
+
+FILE = Path(__file__).with_name("reference.json")
+"""Made by `benchmarks/reference/sensor_figures.py`."""
+
+
+@cache
+def reference_figures() -> SensorFigures:
+    """Return the figures of the gel of Tracks 1 and 2 with the default camera and markers."""
+    return SensorFigures.model_validate_json(FILE.read_bytes())
+
+
+def reference_design() -> "SensorDesign":
+    """Return that gel as a sensor of Track 3."""
+    from vitac.envs.sensor_design.faces import gel_of
+    from vitac.envs.sensor_design.tetrahedra import Tetrahedra
+    from vitac.envs.tactile.design import SensorDesign
+    from vitac.envs.tactile.gel import gelsight_mini_mesh
+
+    gel = gelsight_mini_mesh()
+    nodes_mm = 1e3 * gel.rest_position_m
+    nodes_mm[:, 2] -= nodes_mm[:, 2].min()
+    placed, sensing = gel_of(Tetrahedra(nodes_mm=nodes_mm, corners=gel.tetrahedra), name="the reference gel")
+    manifest = SensorManifest()
+    return SensorDesign(
+        gel=placed,
+        sensing_triangles=sensing,
+        camera=manifest.camera.intrinsics(),
+        markers_mm=manifest.markers.drawn_mm(),
+    )

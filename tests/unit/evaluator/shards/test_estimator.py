@@ -1,0 +1,88 @@
+from collections.abc import Sequence
+from pathlib import Path
+
+import drawn_gels
+import pytest
+from own_sensors import write_sensor
+from vitac.evaluator.episodes.records import EpisodeRecord
+from vitac.evaluator.estimator import calibration
+from vitac.evaluator.figures.figures import FigureChoice, StartFigures, Variation
+from vitac.evaluator.figures.starts import Measurement
+from vitac.evaluator.shards import estimator
+from vitac.evaluator.shards.order import ShardOrder
+from vitac.evaluator.shards.result import ShardResult
+from vitac.evaluator.submission_kinds import SubmissionKind
+from vitac.evaluator.tracks import Episode, load_track
+from vitac.evaluator.tracks.cut import cut
+
+TRACK = load_track("track_3")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_sensor(tmp_path_factory.mktemp("sensor"), drawn_gels.flat(2.0))
+
+
+@pytest.fixture(autouse=True)
+def _quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Calibrate with few starts, and measure starts without playing them."""
+    calibrate = calibration.calibrate
+    monkeypatch.setattr(calibration, "calibrate", lambda env, task: calibrate(env, task, starts=2))
+    monkeypatch.setattr(Measurement, "start", lambda _, episode: measured(episode))
+
+
+def measured(episode: Episode) -> StartFigures:
+    return StartFigures(
+        episode=episode.number, information=None, smallest_det_f=0.5, successes={Variation.NONE: True}, cpu_s=0.1
+    )
+
+
+def run(
+    folder: Path, task: str, choice: FigureChoice, numbers: Sequence[int], skip: tuple[int, ...] = ()
+) -> tuple[ShardResult, list[EpisodeRecord]]:
+    (shard,) = cut(TRACK.tasks[task], numbers)
+    order = ShardOrder(
+        kind=SubmissionKind.MODEL,
+        submission=folder,
+        track=TRACK.name,
+        task=task,
+        shard=shard.index,
+        sensor=folder,
+        figures=choice,
+        skip=skip,
+    )
+    records: list[EpisodeRecord] = []
+    return estimator.run_estimator(order, TRACK, TRACK.tasks[task], shard, records.append), records
+
+
+def test_blind_run_measures_at_the_starts_of_its_shard(folder: Path) -> None:
+    result, records = run(folder, "sensor-blind", FigureChoice.ALL, [1, 2, 4])
+    assert sorted(record.episode for record in records) == [1, 2, 4]
+    assert result.figures is not None
+    # Of three repeats of the list another one is measured for each start: episodes 1, 4, 7 of the first.
+    assert [start.episode for start in result.figures.starts] == [1, 4]
+    assert result.figures.touch is not None
+    assert result.figures.grasp is not None
+
+
+def test_starts_of_episodes_that_were_played_before_are_measured(folder: Path) -> None:
+    result, records = run(folder, "sensor-blind", FigureChoice.ALL, [1, 2, 4], skip=(1, 2, 4))
+    assert records == []
+    assert result.figures is not None
+    assert [start.episode for start in result.figures.starts] == [1, 4]
+
+
+def test_quick_figures_need_no_starts(folder: Path) -> None:
+    result, _ = run(folder, "sensor-blind", FigureChoice.QUICK, [1])
+    assert result.figures is not None
+    assert result.figures.starts == ()
+    assert result.figures.touch is not None
+
+
+@pytest.mark.parametrize(
+    ("task", "choice"), [("sensor-blind", FigureChoice.NONE), ("sensor-standard", FigureChoice.ALL)]
+)
+def test_other_runs_measure_nothing(folder: Path, task: str, choice: FigureChoice) -> None:
+    result, _ = run(folder, task, choice, [1])
+    assert result.figures is None
+    assert result.coefficients is not None
