@@ -50,6 +50,7 @@ NOUNS = (
     Noun(name="submit", module="client.submit", summary="Upload a submission to a service."),
     Noun(name="status", module="client.status", summary="Show your submissions on a service."),
     Noun(name="compare", module="compare", summary="Compare two submissions episode by episode."),
+    Noun(name="receipt", module="receipt.app", summary="Check receipts of final results, and boards by them."),
     Noun(name="serve", module="service.serve", summary="Run the service: database, API and pages.", extra=_SERVER),
     Noun(name="worker", module="service.worker", summary="Run a worker that evaluates submissions.", extra="worker"),
     Noun(

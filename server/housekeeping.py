@@ -20,6 +20,7 @@ from .services import Services
 from .storage import stored_files
 from .storage.scratch import remove_leftovers
 from .submissions.files import stored_digests
+from .submissions.receipts import ISSUED_TOGETHER, issue_older
 from .uploads import partial
 from .uploads.intake import UPLOAD_FOLDER
 
@@ -59,11 +60,18 @@ class Housekeeping:
                 self._sweep()
                 self._totals.write(self._services.database)
                 if time.monotonic() - pruned_at > PRUNE_EVERY_S:
+                    self._issue_older_receipts()
                     prune(self._services)
                     pruned_at = time.monotonic()
             except (SQLAlchemyError, VitacError, OSError) as error:
                 _postpone(error)
             self._stopping.wait(self._services.settings.sweep_interval_s)
+
+    def _issue_older_receipts(self) -> None:
+        issued = ISSUED_TOGETHER
+        while issued == ISSUED_TOGETHER and not self._stopping.is_set():
+            with self._services.database.transaction() as session:
+                issued = issue_older(session)
 
     def _sweep(self) -> None:
         with self._services.database.transaction() as session:

@@ -5,7 +5,7 @@ import sys
 import typer
 
 from . import audit, backup, evaluation, quota, submission, team, token, worker
-from .contest import advance, competition, results
+from .contest import advance, competition, receipt, results
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
@@ -22,6 +22,7 @@ def log_beside_the_output() -> None:
 app.add_typer(competition.app, name="competition", help="The competition: check, apply, show, lists, reveal.")
 app.add_typer(advance.app, name="advance", help="Who takes part in a later stage: propose, confirm, list.")
 app.add_typer(results.app, name="results", help="The end: freeze, unfreeze, winners, finalize, publish.")
+app.add_typer(receipt.app, name="receipt", help="Receipts of final results: key, export.")
 app.add_typer(team.app, name="team", help="Teams: add, list, show, disqualify, reinstate.")
 app.add_typer(quota.app, name="quota", help="Quotas of teams: list, set.")
 app.add_typer(token.app, name="token", help="API tokens: add, list, revoke.")

@@ -12,7 +12,7 @@ from vitac.server.services import Services, open_services
 from vitac.server.settings import Settings
 
 from ..limiter import ConcurrencyLimiter, WindowLimiter
-from . import health, metrics, problems, submissions, teams, tracks
+from . import health, metrics, problems, receipts, submissions, teams, tracks
 from .middleware.body_limit import BodyLimit
 from .middleware.request_head import RequestHead
 from .middleware.request_times import RequestTimes
@@ -76,7 +76,7 @@ def create_app(
     )
     app.state.upload_limiter = ConcurrencyLimiter(limits / "uploads", settings.uploads_at_once)
     app.state.stream_limiter = ConcurrencyLimiter(limits / "event_streams", settings.event_streams)
-    for router in (teams.router, submissions.router, uploads.router, tracks.router):
+    for router in (teams.router, submissions.router, receipts.router, uploads.router, tracks.router):
         app.include_router(router, prefix=API_PREFIX)
     for router in (health.router, metrics.router, *routers):
         app.include_router(router)

@@ -21,11 +21,12 @@ from vitac.server.db.states import OPEN_SHARD_STATES, EvaluationState, ShardStat
 from vitac.server.evaluations.copies import flag_copies
 from vitac.server.evaluations.episode_store import EpisodeKey, count_stored, missing_episodes, records_of
 from vitac.server.evaluations.provenance import manifest_of
-from vitac.server.evaluations.scores import combine_hashes, store_scores
+from vitac.server.evaluations.scores import combine_hashes, combined_result, store_scores
 from vitac.server.evaluations.verdicts import ServiceVerdict
 from vitac.server.queue.jobs import enqueue_shards, queue_name, withdraw_jobs
 from vitac.server.queue.leases import Lease, end_shard, hand_back, lock_held
 from vitac.server.queue.turns import next_turn
+from vitac.server.receipts.chain import issue
 from vitac.server.settings import Settings
 from vitac.server.tracks import family_of
 
@@ -201,6 +202,7 @@ def _complete(session: Session, evaluation: Evaluation, records: dict[str, list[
     evaluation.finished_at = finished_at
     session.flush()
     flag_copies(session, evaluation)
+    issue(session, evaluation, combined_result(evaluation))
 
 
 def _fail_by_policy(

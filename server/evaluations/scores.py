@@ -8,6 +8,7 @@ from vitac.evaluator.scoring.ranking import CombinedScore, combine
 from vitac.evaluator.scoring.score import Interval, Rate, Score
 from vitac.evaluator.tracks import load_track
 from vitac.server.db.models import ALL_TASKS, BoardResult, Evaluation, Submission
+from vitac.server.receipts.receipt import CombinedResult
 from vitac.server.views.scores import ShapeScoreView, TaskScoreView
 
 
@@ -47,6 +48,12 @@ def scores_of(evaluation: Evaluation) -> dict[str, Score]:
 def combined_score(evaluation: Evaluation) -> CombinedScore | None:
     """Return the score over all tasks of the track, by today's rule; None without a score."""
     return combination_of(evaluation.submission, scores_of(evaluation))
+
+
+def combined_result(evaluation: Evaluation) -> CombinedResult | None:
+    """Return the score over all tasks for the receipt of an evaluation; None for a log, which has none."""
+    found = combined_score(evaluation) if evaluation.submission.kind.form.runs_policy else None
+    return CombinedResult(success_rate=found.success_rate, mean_steps=found.mean_steps) if found else None
 
 
 def combination_of(submission: Submission, scores: Mapping[str, Score]) -> CombinedScore | None:

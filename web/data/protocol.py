@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from vitac.server.accounts.principals import Principal
     from vitac.server.playbacks.files import PlaybackFile
     from vitac.server.queue.workers import Disk
+    from vitac.server.receipts.receipt import Receipt
     from vitac.server.settings import Registration
     from vitac.server.submissions.upload import AnnouncedUpload
     from vitac.server.views.contest.competition import CompetitionView
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from vitac.server.views.logs import ActionMatchView
     from vitac.server.views.operations import OperationsView
     from vitac.server.views.playbacks import PlaybackView, ShownEpisodeView
+    from vitac.server.views.receipts import ChainView
     from vitac.server.views.submissions import EpisodeView, OutputView, SubmissionListView, SubmissionView
 
 
@@ -129,6 +131,12 @@ class PageData(Protocol):
 
     async def output(self, visitor: Visitor, submission_id: UUID, task: str | None, after: int) -> OutputView:
         """Return what a submission's policy printed in the episodes after one; what is not shown is refused."""
+
+    async def receipts(self) -> ChainView:
+        """Return key, length and end of the chain of receipts, without its links."""
+
+    async def receipt(self, visitor: Visitor, submission_id: UUID) -> Receipt:
+        """Return the receipt of a submission's newest result; without one the service's refusal is raised."""
 
     async def episode(self, visitor: Visitor, place: EpisodeAddress) -> ShownEpisodeView:
         """Return a finished episode and how far its playback is."""

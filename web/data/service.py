@@ -23,7 +23,7 @@ from vitac.server.operations.state import operations
 from vitac.server.playbacks import asking, files
 from vitac.server.queue import workers
 from vitac.server.queue.workers import disk_of
-from vitac.server.submissions import listing, output, runs, upload
+from vitac.server.submissions import listing, output, receipts, runs, upload
 
 from .limits import limit_rows, size
 from .protocol import RegisteredTeam, SubmissionDetail, Visitor
@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from vitac.server.limiter import ConcurrencyLimiter, WindowLimiter
     from vitac.server.playbacks.files import PlaybackFile
     from vitac.server.queue.workers import Disk
+    from vitac.server.receipts.receipt import Receipt
     from vitac.server.settings import Registration, Settings
     from vitac.server.storage.blobs import BlobStore
     from vitac.server.submissions.upload import AnnouncedUpload
@@ -48,6 +49,7 @@ if TYPE_CHECKING:
     from vitac.server.views.leaderboards import LeaderboardView, LogBoardsView, PastResultView
     from vitac.server.views.operations import OperationsView
     from vitac.server.views.playbacks import PlaybackView, ShownEpisodeView
+    from vitac.server.views.receipts import ChainView
     from vitac.server.views.submissions import OutputView, SubmissionListView
 
     from .protocol import EpisodeAddress, LimitRow
@@ -137,6 +139,14 @@ class ServiceData:
         """Return a page of what a policy printed."""
         by = visitor.principal
         return await self._run(lambda session: output.episode_outputs(session, by, submission_id, task, after=after))
+
+    async def receipts(self) -> ChainView:
+        """Return the state of the chain of receipts."""
+        return await self._run(lambda session: receipts.chain_view(session, after=0, limit=0))
+
+    async def receipt(self, visitor: Visitor, submission_id: UUID) -> Receipt:
+        """Return the receipt of a submission's newest result."""
+        return await self._run(lambda session: receipts.newest_receipt(session, visitor.principal, submission_id))
 
     async def episode(self, visitor: Visitor, place: EpisodeAddress) -> ShownEpisodeView:
         """Return a finished episode."""

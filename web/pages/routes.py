@@ -10,7 +10,7 @@ from starlette.staticfiles import StaticFiles
 from ..headers import SecurityHeaders
 from ..rendering import STATIC
 from . import documentation, downloads, errors, operations, sandbox, submissions, tracks
-from .contest import competition
+from .contest import competition, receipts
 from .episodes import page as episodes
 from .team import comparison, output, register, sign_in, upload
 
@@ -62,12 +62,14 @@ def _router() -> APIRouter:
         ("/submissions/{submission_id}", submissions.submission, "GET"),
         ("/submissions/{submission_id}/episodes.csv", downloads.episodes_csv, "GET"),
         ("/submissions/{submission_id}/episodes.json", downloads.episodes_json, "GET"),
+        ("/submissions/{submission_id}/receipt.json", receipts.receipt_file, "GET"),
         ("/submissions/{submission_id}/compare", comparison.compare_pages, "GET"),
         ("/submissions/{submission_id}/compare.csv", comparison.compare_csv, "GET"),
         ("/submissions/{submission_id}/output", output.output, "GET"),
         ("/submissions/{submission_id}/events", submissions.events, "GET"),
         ("/submissions/{submission_id}/cancel", submissions.cancel, "POST"),
         ("/competition", competition.competition, "GET"),
+        ("/receipts", receipts.receipts, "GET"),
         ("/sandbox", sandbox.sandbox, "GET"),
         (EPISODE, episodes.episode, "GET"),
         (f"{EPISODE}/playback", episodes.playback, "GET"),

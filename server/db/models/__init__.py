@@ -9,6 +9,7 @@ from .competition import Competition, Qualification, SealedList
 from .evaluations import ALL_TASKS, BoardResult, EpisodeDifference, EpisodeResult, Evaluation, LogCopy, Shard
 from .operations import MetricTotal, Worker
 from .playbacks import Playback
+from .receipts import ReceiptKey, ReceiptRow
 from .submissions import PartialUpload, Submission, SubmissionFile, UploadPart
 
 __all__ = [
@@ -26,6 +27,8 @@ __all__ = [
     "PartialUpload",
     "Playback",
     "Qualification",
+    "ReceiptKey",
+    "ReceiptRow",
     "SealedList",
     "Shard",
     "Submission",

@@ -10,6 +10,7 @@ from typing import Any
 from uuid import UUID, uuid5
 
 from fastapi import FastAPI
+from made_receipts import a_receipt
 from played_episodes import FixedPlaybacks
 from vitac.envs.tasks.definition import Family
 from vitac.evaluator.agent.description import SandboxDescription
@@ -24,6 +25,7 @@ from vitac.server.db.states import EvaluationState, Role, WorkerState
 from vitac.server.errors import ProblemCode, ServiceError, not_found
 from vitac.server.playbacks.files import PlaybackFile
 from vitac.server.queue.workers import Disk
+from vitac.server.receipts.receipt import Receipt
 from vitac.server.settings import Registration, load_settings
 from vitac.server.submissions.upload import AnnouncedUpload
 from vitac.server.views.accounts import TeamView
@@ -47,6 +49,7 @@ from vitac.server.views.leaderboards import (
 from vitac.server.views.logs import ActionMatchView, DivergenceView, LogCopyView, LogView, MatchedEpisodeView
 from vitac.server.views.operations import CountsView, MachineWorkerView, OperationsView, QueueView, StorageView
 from vitac.server.views.playbacks import PlaybackView, ShownEpisodeView
+from vitac.server.views.receipts import ChainView
 from vitac.server.views.scores import ShapeScoreView, TaskScoreView
 from vitac.server.views.submissions import (
     EpisodeOutputView,
@@ -565,6 +568,16 @@ class FixedData(FixedPlaybacks):
         tasks = (await self.submission(visitor, submission_id)).submission.tasks
         later = [item for item in self.printed if item.task == (task or tasks[0]) and item.episode > after]
         return OutputView(items=later[:2], next_after=later[1].episode if len(later) > 2 else None)
+
+    async def receipts(self) -> ChainView:
+        receipt = a_receipt()
+        return ChainView(
+            public_key=receipt.link.public_key, receipts=1, last=receipt.link.digest, items=[], next_after=None
+        )
+
+    async def receipt(self, visitor: Visitor, submission_id: UUID) -> Receipt:
+        await self.submission(visitor, submission_id)
+        return a_receipt()
 
     async def episode(self, visitor: Visitor, place: EpisodeAddress) -> ShownEpisodeView:
         await self.submission(visitor, place.submission_id)

@@ -26,6 +26,7 @@ class SiteUnderTest:
             "/tracks/track_1/logs",
             "/tracks/track_1/rules",
             "/sandbox",
+            "/receipts",
             "/register",
             "/sign-in",
             "/submissions",

@@ -93,7 +93,13 @@ def test_restored_service_shows_the_same_boards_byte_for_byte(
     service: Service, empty: Services, file: Path, tmp_path: Path
 ) -> None:
     digest = upload_and_play(service)
-    pages = ("/leaderboards/track_1", "/leaderboards/track_1?task=peg-insertion", "/submissions", "/tracks")
+    pages = (
+        "/leaderboards/track_1",
+        "/leaderboards/track_1?task=peg-insertion",
+        "/submissions",
+        "/tracks",
+        "/receipts",
+    )
     before = {page: undated(service.get(page).content) for page in pages}
     description = back_up(service.services, file)
     assert description.blobs == (digest,)

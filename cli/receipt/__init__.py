@@ -1,0 +1,1 @@
+"""`vitac receipt`: receipts of final results."""

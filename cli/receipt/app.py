@@ -1,0 +1,156 @@
+"""`vitac receipt`: checks receipts of final results, and whole boards by them, without trusting a server."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from vitac.envs.errors import VitacError
+
+from ..client.http import client_from
+from ..compare import PAGES
+from ..terminal.output import AsJson, moment, percent, print_json, print_pairs
+
+if TYPE_CHECKING:
+    from vitac.server.receipts.audit import Audit, SampledEpisode
+    from vitac.server.receipts.receipt import Receipt
+
+app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, pretty_exceptions_enable=False)
+
+Key = Annotated[
+    str | None, typer.Option(help="Public key of the service, as its page /receipts shows it; keep a copy of it.")
+]
+
+
+class NoReceipt(VitacError):
+    """The service has no receipt of that submission: it has no final result yet."""
+
+
+@app.command()
+def verify(
+    receipt: Annotated[
+        str, typer.Argument(help="File, or id or address of a submission, whose newest one is checked.")
+    ],
+    key: Key = None,
+    server: Annotated[str | None, typer.Option(help="Address of the service for ids; default: VITAC_SERVER.")] = None,
+    token_file: Annotated[Path | None, typer.Option(help="File with the API token; default: VITAC_TOKEN.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Check signature and content of a receipt; the exit code is 0 if they are right.
+
+    A file is checked without any service. Of a submission at a service it is also checked that the receipt is in the
+    chain that the service shows, and signed by the key that it shows.
+    """
+    from vitac.server.receipts.export import read_receipt
+
+    if Path(receipt).is_file():
+        found = read_receipt(Path(receipt))
+    else:
+        found, shown_key = _at_service(receipt, server, token_file)
+        key = key or shown_key
+    found.require_valid(key)
+    if as_json:
+        print_json({"verified": True, "key_given": key is not None, "receipt": found.model_dump(mode="json")})
+        return
+    result = found.result
+    print_pairs(
+        {
+            "receipt": found.link.number,
+            "submission": result.submission,
+            "track": f"{result.track} {result.stage}".strip(),
+            **{
+                task.task: f"{task.successes} of {task.episodes}, {percent(task.success_rate)}, result hash "
+                f"{task.result_hash}"
+                for task in result.tasks
+            },
+            "evaluator": result.evaluator_version,
+            "list": result.commitment or "public",
+            "issued": moment(result.issued_at),
+            "signed by": found.link.public_key,
+        }
+    )
+    print("The receipt is whole and signed by that key.")
+    if key is None:
+        print("Compare the key with the one that the service shows on its page /receipts, or give it as --key.")
+
+
+@app.command()
+def audit(
+    export: Annotated[Path, typer.Argument(help="File of `vitac admin receipt export`.")],
+    episodes: Annotated[int, typer.Option(min=0, help="Run so many episodes again, chosen at random.")] = 10,
+    seed: Annotated[int, typer.Option(min=0, help="Chooses the episodes.")] = 0,
+    key: Key = None,
+    receipt: Annotated[
+        list[Path] | None, typer.Option(help="A receipt that you kept; it must be in the chain. May be repeated.")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Check a board: chain, signatures, scores against receipts, and a sample of its episodes; exit code 0 if right."""
+    from vitac.server.receipts.audit import audit as audit_export
+    from vitac.server.receipts.export import read_receipt
+
+    from ..terminal.compiling import compiling_shown
+
+    held = [read_receipt(path) for path in receipt or ()]
+    for each in held:
+        each.require_valid(key)
+    with compiling_shown():
+        found = audit_export(export, public_key=key, held=held, episodes=episodes, seed=seed, on_episode=_progress)
+    if as_json:
+        print_json(asdict(found))
+    else:
+        _print(found, key)
+    if found.findings:
+        raise typer.Exit(1)
+
+
+def _at_service(named: str, server: str | None, token_file: Path | None) -> tuple[Receipt, str]:
+    """Return the newest receipt of a submission, and the key that the service shows.
+
+    Raises:
+        NoReceipt: the submission has none.
+        ReceiptRejected: it is not in the chain that the service shows.
+    """
+    from vitac.server.receipts.receipt import Receipt, ReceiptRejected
+
+    address, _, submission_id = named.rpartition(PAGES)
+    client = client_from(address.removesuffix("/api/v1") or server, token_file)
+    listed = client.send("GET", f"/api/v1/submissions/{submission_id}/receipts").json()
+    if not listed:
+        raise NoReceipt(f"Submission {submission_id} has no final result, so no receipt.")
+    found = Receipt.model_validate(listed[-1])
+    chain = client.send("GET", "/api/v1/receipts", params={"after": found.link.number - 1, "limit": 1}).json()
+    shown = [link["digest"] for link in chain["items"]]
+    if shown != [found.link.digest]:
+        raise ReceiptRejected(
+            f"Receipt {found.link.number} is not in the chain that the service shows: expected {found.link.digest}, "
+            f"got {', '.join(shown) or 'none'}."
+        )
+    return found, str(chain["public_key"])
+
+
+def _print(found: Audit, key: str | None) -> None:
+    print_pairs(
+        {
+            "signed by": found.public_key,
+            "receipts in the chain": found.links,
+            "entries of the board": found.entries,
+            "logs that agree": found.logs,
+            "episodes run again": len(found.resimulated),
+            "findings": len(found.findings),
+        }
+    )
+    for unchecked in found.unchecked:
+        print(f"not checked: {unchecked}")
+    if key is None:
+        print("not checked: whose key it is. Compare it with the one that you noted, or give it as --key.")
+    for finding in found.findings:
+        print(f"WRONG: {finding}")
+
+
+def _progress(sampled: SampledEpisode) -> None:
+    if sys.stderr.isatty():
+        print(f"\r\x1b[Kran {sampled.task} {sampled.episode} again", end="", file=sys.stderr, flush=True)

@@ -1,0 +1,35 @@
+"""Routes of receipts: the chain, for everybody, and the receipts of a submission."""
+
+from typing import Annotated
+from uuid import UUID
+
+from fastapi import APIRouter, Query
+from vitac.server.receipts.receipt import Receipt
+from vitac.server.submissions import receipts
+from vitac.server.views.receipts import ChainView
+
+from .access import PrincipalOf, ServicesOf
+from .problems import RESPONSES
+
+router = APIRouter(tags=["receipts"], responses=RESPONSES)
+
+PAGE_LINKS = 1000
+
+
+@router.get("/receipts")
+def get_chain(
+    services: ServicesOf,
+    *,
+    after: Annotated[int, Query(ge=0, le=2**53, description="`next_after` of the page before.")] = 0,
+    limit: Annotated[int, Query(ge=1, le=PAGE_LINKS)] = PAGE_LINKS,
+) -> ChainView:
+    """Return the public key that signs receipts, and the chain that they make. `vitac receipt verify` reads it."""
+    with services.database.transaction() as session:
+        return receipts.chain_view(session, after=after, limit=limit)
+
+
+@router.get("/submissions/{submission_id}/receipts")
+def get_receipts(services: ServicesOf, principal: PrincipalOf, submission_id: UUID) -> list[Receipt]:
+    """Return the receipt of each final result of a submission, the first one first."""
+    with services.database.transaction() as session:
+        return receipts.receipts(session, principal, submission_id)

@@ -1,0 +1,310 @@
+"""Checks a board against its receipts and the records behind it, from an export alone: nothing asks a server.
+
+Called by `vitac receipt audit`. Whoever has the database could make a whole new chain with its key. The
+receipts that teams keep (`held`) tell of that: they are not in the new one.
+"""
+
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from math import inf
+from pathlib import Path
+from uuid import UUID
+
+import numpy as np
+from vitac.evaluator.episodes.episode import make_environment
+from vitac.evaluator.episodes.provenance import make_manifest
+from vitac.evaluator.episodes.records import EpisodeRecord, result_hash
+from vitac.evaluator.logs.checks import known_without_running, why_impossible
+from vitac.evaluator.logs.log import LogHeader, LogReader, LogRejected
+from vitac.evaluator.logs.verification import check_episode
+from vitac.evaluator.scoring.score import score
+from vitac.evaluator.tracks import Track, load_track
+from vitac.evaluator.tracks.sealed import commitment_of, sealed_track
+from vitac.evaluator.version import evaluator_version
+from vitac.server.views.leaderboards import LeaderboardEntryView, LeaderboardView
+
+from .export import ExportDescription, ExportReader
+from .receipt import Link, Receipt, ReceiptRejected, Result, TaskResult
+
+
+@dataclass(frozen=True, kw_only=True)
+class SampledEpisode:
+    """An episode that was run through the physics again."""
+
+    evaluation: UUID
+    task: str
+    episode: int
+
+
+@dataclass(kw_only=True)
+class Audit:
+    """What an audit looked at, and what it found.
+
+    Attributes:
+        public_key: that signed the receipts.
+        links: of the chain.
+        entries: of the board.
+        logs: whose records agree with the receipts.
+        resimulated: episodes that were run again.
+        findings: what is wrong; nothing in a board that can be believed.
+        unchecked: what could not be checked, and why.
+    """
+
+    public_key: str
+    links: int = 0
+    entries: int = 0
+    logs: int = 0
+    resimulated: list[SampledEpisode] = field(default_factory=list)
+    findings: list[str] = field(default_factory=list)
+    unchecked: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Log:
+    """A log of an export whose records agree with the receipt."""
+
+    evaluation: UUID
+    task: str
+    header: LogHeader
+    episodes: Sequence[int]
+
+
+def audit(
+    path: Path,
+    *,
+    public_key: str | None = None,
+    held: Collection[Receipt] = (),
+    episodes: int = 10,
+    seed: int = 0,
+    on_episode: Callable[[SampledEpisode], None] = lambda _: None,
+) -> Audit:
+    """Check an export: chain, signatures, board, records, and some episodes through the physics.
+
+    Args:
+        path: the export.
+        public_key: of the service [hex], from elsewhere; None: that of the export.
+        held: receipts that were kept elsewhere and must be in the chain.
+        episodes: how many are run again.
+        seed: chooses them.
+        on_episode: called after each of these.
+
+    Raises:
+        ExportRejected: the file is no export.
+    """
+    with ExportReader.opened(path) as reader:
+        described = reader.description
+        found = Audit(public_key=described.public_key)
+        if public_key is not None and described.public_key != public_key:
+            found.findings.append(f"Expected the key {public_key}, got {described.public_key}.")
+        chain = _check_chain(reader.links(), public_key or described.public_key, found)
+        for receipt in held:
+            if chain.get(receipt.link.number) != receipt.link:
+                found.findings.append(f"Receipt {receipt.link.number}, which was kept elsewhere, is not in the chain.")
+        receipts = _check_receipts(reader.receipts(), chain, found)
+        _check_board(described, receipts, found)
+        logs = list(_check_logs(reader, receipts, found))
+        _resimulate(reader, logs, count=episodes, seed=seed, found=found, on_episode=on_episode)
+        return found
+
+
+def _check_chain(links: Iterator[Link], public_key: str, found: Audit) -> Mapping[int, Link]:
+    """Return the links by number; report gaps, wrong order, other keys and wrong signatures."""
+    by_number: dict[int, Link] = {}
+    number, previous = 0, None
+    for link in links:
+        number += 1
+        if link.number != number:
+            found.findings.append(f"Expected receipt {number} in the chain, got {link.number}.")
+        elif link.previous != previous:
+            found.findings.append(f"Receipt {link.number} does not follow the one before it.")
+        if link.public_key != public_key:
+            found.findings.append(f"Receipt {link.number} is signed by another key, {link.public_key}.")
+        try:
+            link.require_signature()
+        except ReceiptRejected as error:
+            found.findings.append(str(error))
+        by_number[link.number] = link
+        number, previous = link.number, link.digest
+    found.links = len(by_number)
+    return by_number
+
+
+def _check_receipts(receipts: Iterator[Receipt], chain: Mapping[int, Link], found: Audit) -> Mapping[UUID, Receipt]:
+    """Return the receipts that are whole and in the chain, by evaluation."""
+    good: dict[UUID, Receipt] = {}
+    for receipt in receipts:
+        try:
+            receipt.require_valid()
+        except ReceiptRejected as error:
+            found.findings.append(str(error))
+            continue
+        if chain.get(receipt.link.number) == receipt.link:
+            good[receipt.result.evaluation] = receipt
+        else:
+            found.findings.append(f"Receipt {receipt.link.number} is not in the chain.")
+    return good
+
+
+def _check_board(described: ExportDescription, receipts: Mapping[UUID, Receipt], found: Audit) -> None:
+    board = described.board
+    found.entries = len(board.entries)
+    for entry in board.entries:
+        receipt = receipts.get(entry.evaluation_id)
+        if receipt is None:
+            found.findings.append(f"{entry.team}: there is no receipt of evaluation {entry.evaluation_id}.")
+            continue
+        found.findings += [f"{entry.team}: {difference}" for difference in _differences(board, entry, receipt.result)]
+    ranked = [entry for entry in board.entries if entry.rank is not None]
+    if [entry.rank for entry in ranked] != list(range(1, len(ranked) + 1)):
+        found.findings.append("The ranks of the board do not count from 1.")
+    if ranked != sorted(ranked, key=lambda entry: _place(described.ranking, entry)):
+        found.findings.append("The order of the board is not that of its scores.")
+
+
+def _differences(board: LeaderboardView, entry: LeaderboardEntryView, result: Result) -> Iterator[str]:
+    tasks = {task.task: task for task in result.tasks}
+    ranked_by = result.combined if board.task is None else tasks.get(board.task)
+    pairs: list[tuple[str, object, object]] = [
+        ("track", board.track, result.track),
+        ("stage", board.stage or "", result.stage),
+        ("submission", entry.submission_id, result.submission),
+        ("submission time", entry.submitted_at, result.submitted_at),
+        ("evaluator version", entry.evaluator_version, result.evaluator_version),
+        ("success rate", entry.success_rate, ranked_by and ranked_by.success_rate),
+        ("mean env steps", entry.mean_steps, ranked_by and ranked_by.mean_steps),
+    ]
+    for shown in entry.scores:
+        signed = tasks.get(shown.task)
+        pairs += [
+            (f"{name.replace('_', ' ')} of {shown.task}", getattr(shown, name), signed and getattr(signed, name))
+            for name in ("episodes", "successes", "success_rate", "mean_steps", "result_hash")
+        ]
+    for name, on_board, in_receipt in pairs:
+        if on_board != in_receipt:
+            yield f"{name} is {on_board} on the board, {in_receipt} in the receipt."
+
+
+def _place(ranking: Sequence[str], entry: LeaderboardEntryView) -> tuple[float, ...]:
+    steps = inf if entry.mean_steps is None else entry.mean_steps
+    values = {
+        "success_rate": -entry.success_rate,
+        "mean_steps": steps,
+        "submitted_at": entry.submitted_at.timestamp(),
+    }
+    return tuple(values[key] for key in ranking)
+
+
+def _check_logs(reader: ExportReader, receipts: Mapping[UUID, Receipt], found: Audit) -> Iterator[_Log]:
+    """Yield the logs whose records have the result hash and the score of the receipt."""
+    described = reader.description
+    for entry in described.board.entries:
+        receipt = receipts.get(entry.evaluation_id)
+        for task in receipt.result.tasks if receipt else ():
+            if receipt is None or not reader.has_log(entry.evaluation_id, task.task):
+                found.unchecked.append(f"{entry.team}, {task.task}: the records are not in the export.")
+            elif receipt.result.evaluator_version != evaluator_version():
+                found.unchecked.append(
+                    f"{entry.team}, {task.task}: made by evaluator {receipt.result.evaluator_version}, this is "
+                    f"{evaluator_version()}."
+                )
+            else:
+                log = _checked_log(reader, receipt.result, task, entry.team, found)
+                if log is not None:
+                    found.logs += 1
+                    yield log
+
+
+def _checked_log(reader: ExportReader, result: Result, task: TaskResult, team: str, found: Audit) -> _Log | None:
+    track = _track(reader.description, result)
+    if track is None:
+        found.unchecked.append(f"{team}, {task.task}: the secret of its sealed list is not published.")
+        return None
+    try:
+        header, records = _read(reader, result.evaluation, task.task)
+    except LogRejected as error:
+        found.findings.append(f"{team}, {task.task}: the records cannot be read. {error}")
+        return None
+    wrong = _wrong_records(track, header, records, task)
+    if wrong:
+        found.findings.append(f"{team}, {task.task}: {wrong}")
+        return None
+    numbers = [record.episode for record in records]
+    return _Log(evaluation=result.evaluation, task=task.task, header=header, episodes=numbers)
+
+
+def _wrong_records(track: Track, header: LogHeader, records: Sequence[EpisodeRecord], signed: TaskResult) -> str | None:
+    task = track.tasks[signed.task]
+    impossible = why_impossible(known_without_running(track, task), task, header, records)
+    if impossible:
+        return f"the records are of no such evaluation. {impossible.message}"
+    if result_hash(header.manifest, records) != signed.result_hash:
+        return "the records have another result hash than the receipt."
+    earned = score(records)
+    if (earned.successes, earned.mean_steps) != (signed.successes, signed.mean_steps):
+        return f"the records have {earned.successes} successes, the receipt {signed.successes}."
+    return None
+
+
+def _resimulate(
+    reader: ExportReader,
+    logs: Sequence[_Log],
+    *,
+    count: int,
+    seed: int,
+    found: Audit,
+    on_episode: Callable[[SampledEpisode], None],
+) -> None:
+    """Run a sample of all episodes through the physics again, and report those that give other states."""
+    tracks = {log.header.manifest.track: load_track(log.header.manifest.track) for log in logs}
+    playable = [log for log in logs if not tracks[log.header.manifest.track].has_sensor]
+    if len(playable) < len(logs):
+        found.unchecked.append(
+            "Episodes with sensors of teams are not run again: the export does not hold the sensors."
+        )
+    everything = [(log, number) for log in playable for number in log.episodes]
+    chosen = np.random.default_rng(seed).choice(len(everything), size=min(count, len(everything)), replace=False)
+    for log in playable:
+        numbers = {everything[index][1] for index in chosen if everything[index][0] is log}
+        if numbers:
+            _resimulate_log(reader, log, numbers, found, on_episode)
+
+
+def _resimulate_log(
+    reader: ExportReader,
+    log: _Log,
+    numbers: Collection[int],
+    found: Audit,
+    on_episode: Callable[[SampledEpisode], None],
+) -> None:
+    header, records = _read(reader, log.evaluation, log.task)
+    track = load_track(header.manifest.track)
+    if reader.description.secret is not None:
+        track = sealed_track(track, bytes.fromhex(reader.description.secret))
+    task = track.tasks[log.task]
+    env = make_environment(task, None, ())
+    manifest = make_manifest(track, task, env)
+    for record in (record for record in records if record.episode in numbers):
+        sampled = SampledEpisode(evaluation=log.evaluation, task=log.task, episode=record.episode)
+        checked = check_episode(env, task, manifest, header, record)
+        if checked.finding:
+            found.findings.append(
+                f"Evaluation {log.evaluation}, {log.task}, episode {record.episode}: {checked.finding.reason}"
+            )
+        found.resimulated.append(sampled)
+        on_episode(sampled)
+
+
+def _track(described: ExportDescription, result: Result) -> Track | None:
+    """Return the track with the list that a result was made on; None where its secret is not known."""
+    track = load_track(result.track)
+    if result.commitment is None:
+        return track
+    if described.secret is None or commitment_of(bytes.fromhex(described.secret)) != result.commitment:
+        return None
+    return sealed_track(track, bytes.fromhex(described.secret))
+
+
+def _read(reader: ExportReader, evaluation: UUID, task: str) -> tuple[LogHeader, list[EpisodeRecord]]:
+    with reader.log(evaluation, task) as stream:
+        log = LogReader(stream)
+        return log.header, list(log.records())

@@ -1,0 +1,127 @@
+"""A board with its receipts, the chain and the records behind it in one zip, to be audited anywhere.
+
+`export.json` says whose it is and holds the board, `chain.jsonl` all links, `receipts.jsonl` the receipts of entries of
+the board, and `logs/EVALUATION/TASK.jsonl` what was played for them, as `vitac evaluate --log` writes it.
+"""
+
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import datetime
+from pathlib import Path
+from typing import BinaryIO, Final, Literal, TypeVar, cast
+from uuid import UUID
+
+from pydantic import ValidationError
+from vitac.envs.errors import VitacError
+from vitac.evaluator.logs.packing import MAX_UNPACKED_BYTES
+from vitac.evaluator.strict_model import StrictModel, explain
+from vitac.server.views.leaderboards import LeaderboardView
+
+from .receipt import Link, PublicKey, Receipt, Sha256
+
+DESCRIPTION_NAME: Final = "export.json"
+CHAIN_NAME: Final = "chain.jsonl"
+RECEIPTS_NAME: Final = "receipts.jsonl"
+
+ModelT = TypeVar("ModelT", bound=StrictModel)
+
+
+class ExportRejected(VitacError):
+    """A file is no export of a board's receipts, or damaged; make it again with `vitac admin receipt export`."""
+
+
+class ExportDescription(StrictModel):
+    """What an export holds."""
+
+    format: Literal["vitac-receipts-1"] = "vitac-receipts-1"
+    made_at: datetime
+    public_key: PublicKey
+    ranking: tuple[Literal["success_rate", "mean_steps", "submitted_at"], ...]
+    """What entries are compared by, one after the other."""
+    secret: Sha256 | None
+    """Of the stage's sealed list, once published; null for a public list, and before."""
+    board: LeaderboardView
+
+
+def log_name(evaluation: UUID, task: str) -> str:
+    """Return the name of a log in an export."""
+    return f"logs/{evaluation}/{task}.jsonl"
+
+
+class ExportReader:
+    """Reads the members of an export.
+
+    Raises:
+        ExportRejected: here and in all methods, what is read is no part of an export.
+    """
+
+    def __init__(self, archive: zipfile.ZipFile) -> None:
+        self._archive = archive
+        self._names = set(archive.namelist())
+        with self._open(DESCRIPTION_NAME) as stream:
+            self.description = _parsed(ExportDescription, stream.read(), DESCRIPTION_NAME)
+
+    @classmethod
+    @contextmanager
+    def opened(cls, path: Path) -> Iterator["ExportReader"]:
+        """Open an export."""
+        try:
+            with zipfile.ZipFile(path) as archive:
+                yield cls(archive)
+        except (OSError, zipfile.BadZipFile, NotImplementedError, RuntimeError) as error:
+            raise ExportRejected(f"{path} cannot be read as an export of receipts: {error}.") from error
+
+    def links(self) -> Iterator[Link]:
+        """Yield the chain in the order of the file."""
+        return self._lines(Link, CHAIN_NAME)
+
+    def receipts(self) -> Iterator[Receipt]:
+        """Yield the receipts."""
+        return self._lines(Receipt, RECEIPTS_NAME)
+
+    def has_log(self, evaluation: UUID, task: str) -> bool:
+        """Return whether the records of a task are here."""
+        return log_name(evaluation, task) in self._names
+
+    @contextmanager
+    def log(self, evaluation: UUID, task: str) -> Iterator[BinaryIO]:
+        """Open the log of a task."""
+        with self._open(log_name(evaluation, task)) as stream:
+            yield stream
+
+    def _lines(self, model: type[ModelT], name: str) -> Iterator[ModelT]:
+        with self._open(name) as stream:
+            for number, line in enumerate(stream, start=1):
+                yield _parsed(model, line, f"{name}, line {number}")
+
+    @contextmanager
+    def _open(self, name: str) -> Iterator[BinaryIO]:
+        if name not in self._names:
+            raise ExportRejected(f"The export has no {name}; it is incomplete.")
+        n_bytes = self._archive.getinfo(name).file_size  # zipfile gives no more than that, whatever is packed
+        if n_bytes > MAX_UNPACKED_BYTES:
+            raise ExportRejected(f"{name}: expected at most {MAX_UNPACKED_BYTES} bytes, got {n_bytes}.")
+        with self._archive.open(name) as stream:
+            yield cast(BinaryIO, stream)
+
+
+def read_receipt(path: Path) -> Receipt:
+    """Return the receipt in a file.
+
+    Raises:
+        ExportRejected: there is none in it.
+    """
+    try:
+        with path.open("rb") as file:
+            content = file.read(1 << 20)
+    except OSError as error:
+        raise ExportRejected(f"{path} cannot be read: {error.strerror}.") from error
+    return _parsed(Receipt, content, str(path))
+
+
+def _parsed(model: type[ModelT], content: bytes, origin: str) -> ModelT:
+    try:
+        return model.model_validate_json(content)
+    except ValidationError as error:
+        raise ExportRejected(f"{origin}: {explain(model, error)}") from error

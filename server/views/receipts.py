@@ -1,0 +1,26 @@
+"""The chain of receipts as everybody sees it."""
+
+from pydantic import Field
+
+from .base import View
+
+
+class LinkView(View):
+    """One link of the chain; it tells nothing of the result that it stands for."""
+
+    number: int
+    previous: str | None = Field(description="Digest of the link before; null for the first.")
+    result_sha256: str = Field(description="Salted SHA-256 of the result.")
+    public_key: str
+    signature: str = Field(description="Ed25519, by that key.")
+    digest: str = Field(description="SHA-256 of all but the signature.")
+
+
+class ChainView(View):
+    """A page of the chain, from its beginning."""
+
+    public_key: str = Field(description="Ed25519 key of this service (32 bytes, hexadecimal); keep a copy of it.")
+    receipts: int = Field(description="How many there are.")
+    last: str | None = Field(description="Digest of the last link; null without one.")
+    items: list[LinkView]
+    next_after: int | None = Field(description="Give this as `after` for the next page; null on the last one.")

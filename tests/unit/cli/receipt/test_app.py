@@ -1,0 +1,73 @@
+import json
+from pathlib import Path
+
+import pytest
+from cli_service import CliService
+from service_factories import LOCK, TASK, TRACK, play_all, submit
+from typer.testing import Result
+from vitac.server.accounts import teams
+from vitac.server.accounts.principals import Principal
+from vitac.server.db.states import Role
+
+
+@pytest.fixture
+def played(service: CliService) -> tuple[CliService, str]:
+    """A service, and the id of a submission of its team that has a final result."""
+    with service.database.transaction() as session:
+        team = teams.find(session, "Team A")
+        principal = Principal(role=Role.TEAM, team_id=team.id, team_name=team.name)
+        submission = submit(session, principal)
+    play_all(service.database, submission)
+    return service, str(submission.id)
+
+
+def refusal(result: Result) -> str:
+    assert result.exit_code == 1
+    return str(result.exception)
+
+
+def test_a_receipt_is_verified_at_the_service_and_as_a_file(played: tuple[CliService, str], tmp_path: Path) -> None:
+    service, submission_id = played
+    for named in (submission_id, f"{service.address}/submissions/{submission_id}"):
+        shown = service.run("receipt", "verify", named).stdout
+        assert "270 of 270" in shown
+        assert "signed by that key" in shown
+        assert "Compare the key" not in shown
+    told = json.loads(service.run("receipt", "verify", submission_id, "--json").stdout)
+    assert told["verified"] is told["key_given"] is True
+    assert told["receipt"]["result"]["submission"] == submission_id
+    file = tmp_path / "receipt.json"
+    file.write_text(json.dumps(told["receipt"]))
+    assert "Compare the key" in service.run("receipt", "verify", str(file)).stdout
+    key = json.loads(service.run("admin", "receipt", "key", "--json").stdout)
+    assert key["receipts"] == 1
+    assert service.run("receipt", "verify", str(file), "--key", key["public_key"]).exit_code == 0
+    assert "of another service" in refusal(service.run("receipt", "verify", str(file), "--key", "0" * 64))
+    told["receipt"]["result"]["tasks"][0]["successes"] = 1
+    file.write_text(json.dumps(told["receipt"]))
+    assert "was changed" in refusal(service.run("receipt", "verify", str(file)))
+
+
+def test_a_submission_without_a_result_has_no_receipt(service: CliService) -> None:
+    with service.database.transaction() as session:
+        team = teams.find(session, "Team A")
+        waits = submit(session, Principal(role=Role.TEAM, team_id=team.id, team_name=team.name))
+    assert "has no final result" in refusal(service.run("receipt", "verify", str(waits.id)))
+
+
+def test_boards_are_exported_and_audited(played: tuple[CliService, str], tmp_path: Path) -> None:
+    service, _ = played
+    files = {task: str(tmp_path / f"{task}.zip") for task in (TASK, LOCK)}
+    for task, file in files.items():
+        assert service.run("admin", "receipt", "export", TRACK, file, "--task", task).exit_code == 0
+    key = json.loads(service.run("admin", "receipt", "key", "--json").stdout)["public_key"]
+    empty = service.run("receipt", "audit", files[LOCK], "--key", key)
+    assert empty.exit_code == 0, empty.stdout
+    assert "not checked" not in empty.stdout
+    wrong = service.run("receipt", "audit", files[TASK], "--episodes", "0")
+    assert wrong.exit_code == 1
+    assert "WRONG: Team A, peg-insertion: the records are of no such evaluation" in wrong.stdout
+    assert "not checked: whose key it is" in wrong.stdout
+    told = json.loads(service.run("receipt", "audit", files[TASK], "--episodes", "0", "--json").stdout)
+    assert (told["links"], told["entries"], len(told["findings"])) == (1, 1, 1)
+    assert "Name a new file" in refusal(service.run("admin", "receipt", "export", TRACK, files[TASK]))

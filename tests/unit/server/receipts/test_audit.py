@@ -1,0 +1,215 @@
+"""A board is exported from a database, as it is and after somebody has changed something in it, and audited."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from databases import fresh_database
+from made_receipts import KEY
+from service_factories import (
+    ISOLATION,
+    TASK,
+    TRACK,
+    claim,
+    make_principal,
+    make_record,
+    sha256,
+    shard_ids,
+    submit,
+)
+from sqlalchemy import Executable, text, update
+from sqlalchemy.dialects.postgresql import insert
+from sqlalchemy.orm import Session
+from vitac.evaluator.episodes.episode import make_environment
+from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord, Manifest
+from vitac.evaluator.episodes.replay import resimulate
+from vitac.evaluator.logs.checks import known_without_running
+from vitac.evaluator.shards.result import ShardEnd, ShardResult
+from vitac.evaluator.tracks import find_task
+from vitac.evaluator.version import evaluator_hash, platform_class
+from vitac.server.db.engine import Database
+from vitac.server.db.models import EpisodeResult, ReceiptKey, ReceiptRow
+from vitac.server.evaluations import lifecycle
+from vitac.server.evaluations.episode_store import row_values
+from vitac.server.leaderboards import standings
+from vitac.server.leaderboards.made_boards import MadeBoards
+from vitac.server.receipts import chain
+from vitac.server.receipts.audit import Audit, audit
+from vitac.server.receipts.export import ExportRejected, read_receipt
+from vitac.server.receipts.receipt import sign
+from vitac.server.results.exporting import export_receipts
+from vitac.server.results.publishing import ResultsNotWritten
+
+SEED = 1
+EPISODES = 270
+TEAMS = ("Ants", "Bees", "Cats")
+
+
+def sampled(seed: int) -> int:
+    """Which episode an audit of one episode runs again, counted over all entries of the board."""
+    return int(np.random.default_rng(seed).choice(len(TEAMS) * EPISODES, size=1, replace=False)[0])
+
+
+def played_again(number: int) -> EpisodeRecord:
+    """The record of an episode that really happens if the gripper does not move."""
+    task = find_task(TASK)[1]
+    episode = task.episodes[number - 1]
+    steps = np.zeros((task.max_steps, 3), np.float32)
+    played = resimulate(make_environment(task, None, ()), episode, steps)
+    assert played.end_step is not None
+    assert played.outcome is not None
+    made = make_record(number, outcome=played.outcome)
+    n_steps = played.end_step
+    return made.model_copy(
+        update={
+            "env_steps": n_steps,
+            "actions": type(made.actions).from_array(steps[:n_steps]),
+            "state_hashes": played.state_hashes[: n_steps + 1],
+            "infos": played.infos[:n_steps],
+        }
+    )
+
+
+def finish_all(database: Database, team: int, real: EpisodeRecord) -> None:
+    """A submission of a team that fails in the first `team` episodes, complete; one of its records is given."""
+    task = find_task(TASK)[1]
+    manifest = Manifest(
+        **known_without_running(find_task(TASK)[0], task),  # type: ignore[arg-type]
+        evaluator_hash=evaluator_hash(),
+        solver_version="1",
+        mesh_hash=sha256("mesh"),
+        platform_class=platform_class(),
+    )
+    with database.transaction() as session:
+        submission = submit(session, make_principal(session, TEAMS[team]), TEAMS[team])
+        ids = shard_ids(session, submission)
+    for shard_id in ids:
+        lease = claim(database, shard_id)
+        records = [
+            make_record(number, EpisodeOutcome.TACTILE if number <= 5 * team else EpisodeOutcome.SUCCESS)
+            for number in lease.episodes
+        ]
+        records = [real if (team, record.episode) == (1, real.episode) else record for record in records]
+        with database.transaction() as session:
+            session.execute(insert(EpisodeResult), [row_values(lease, record) for record in records])
+            ended = ShardResult(index=lease.number, end=ShardEnd.COMPLETE, manifest=manifest, isolation=ISOLATION)
+            lifecycle.finish_shard(session, lease, ended)
+
+
+@pytest.fixture(scope="module")
+def database() -> Iterator[Database]:
+    """A database with three teams on a board; what a test changes in it is taken back."""
+    assert sampled(SEED) // EPISODES == 1, "the seed samples an episode of the second team"
+    with fresh_database() as address:
+        database = Database(address)
+        real = played_again(sampled(SEED) % EPISODES + 1)
+        for team in range(len(TEAMS)):
+            finish_all(database, team, real)
+        yield database
+        database.dispose()
+
+
+def audited(database: Database, folder: Path, *changes: Executable, **options: Any) -> Audit:
+    """The audit of the board after changes that somebody can make who has the database."""
+    standings._made_boards = MadeBoards()
+    with Session(database.engine) as session:
+        session.execute(text("SET LOCAL session_replication_role = replica"))  # no triggers, no foreign keys
+        for change in changes:
+            session.execute(change)
+        export_receipts(session, folder / "board.zip", TRACK, task=TASK)
+    return audit(folder / "board.zip", **({"episodes": 0} | options))
+
+
+def test_an_untouched_board_is_found_right_and_a_sampled_episode_gives_the_same_states(
+    database: Database, tmp_path: Path
+) -> None:
+    with database.transaction() as session:
+        key = chain.chain_state(session).public_key
+    found = audited(database, tmp_path, episodes=1, seed=SEED, public_key=key)
+    assert found.findings == []
+    assert found.unchecked == []
+    assert (found.links, found.entries, found.logs) == (3, 3, 3)
+    assert [sample.episode for sample in found.resimulated] == [sampled(SEED) % EPISODES + 1]
+    other = audit(tmp_path / "board.zip", episodes=1, seed=SEED + 1)
+    assert len(other.findings) == 1, "the other records are made up, which only the physics tells"
+    assert "diverge" in other.findings[0].lower() or "differs" in other.findings[0].lower()
+    with pytest.raises(ResultsNotWritten, match="Name a new file"), database.transaction() as session:
+        export_receipts(session, tmp_path / "board.zip", TRACK)
+
+
+SCORE = "UPDATE {} SET success_rate = 1, mean_steps = 1 WHERE {}"
+OF_LAST = "evaluation_id = (SELECT evaluation_id FROM receipts ORDER BY number DESC LIMIT 1)"
+RECORD = """
+    UPDATE episode_results SET record = jsonb_set(record, '{outcome}', '"success"'), outcome = 'success', success = true
+    WHERE episode = 1 AND outcome <> 'success'
+"""
+SCORES = """
+    UPDATE evaluations SET scores = jsonb_set(scores, '{0,successes}', '270') WHERE id =
+    (SELECT evaluation_id FROM receipts ORDER BY number DESC LIMIT 1)
+"""
+
+
+@pytest.mark.parametrize(
+    ("statements", "finding"),
+    [
+        ([SCORES], "Cats: successes of peg-insertion is 270 on the board, 260 in the receipt"),
+        (["UPDATE submissions SET submitted_at = '2020-01-01Z' WHERE name = 'zero'"], "submission time"),
+        ([RECORD], "Bees, peg-insertion: the records have another result hash than the receipt"),
+        (["DELETE FROM episode_results WHERE episode = 9"], "the first missing one is 9"),
+        (["DELETE FROM receipts WHERE number = 2"], "Expected receipt 2 in the chain, got 3"),
+        (["DELETE FROM receipts WHERE number = 3"], "Cats: there is no receipt"),
+        (["UPDATE receipts SET result = replace(result, '260', '261')"], "The result of receipt 3 was changed"),
+        (
+            [
+                "UPDATE receipts SET number = 9 WHERE number = 2",
+                "UPDATE receipts SET number = 2 WHERE number = 3",
+                "UPDATE receipts SET number = 3 WHERE number = 9",
+            ],
+            "is not signed by",
+        ),
+        (["UPDATE receipts SET previous = repeat('0', 64) WHERE number = 3"], "does not follow the one before it"),
+        (["UPDATE receipts SET signature = repeat('0', 128) WHERE number = 2"], "Receipt 2 is not signed"),
+        (["UPDATE receipt_key SET public_key = repeat('1', 64)"], "is signed by another key"),
+    ],
+)
+def test_a_tampered_database_is_found(
+    database: Database, tmp_path: Path, statements: Sequence[str], finding: str
+) -> None:
+    findings = audited(database, tmp_path, *map(text, statements)).findings
+    assert any(finding in each for each in findings), findings
+
+
+def test_a_whole_new_chain_is_found_by_its_key_and_by_a_receipt_that_was_kept(
+    database: Database, tmp_path: Path
+) -> None:
+    with database.transaction() as session:
+        key = chain.chain_state(session).public_key
+        kept = tmp_path / "kept.json"
+        evaluation = session.scalar(text("SELECT evaluation_id FROM receipts WHERE number = 2"))
+        kept.write_text(chain.receipts_of(session, [evaluation])[evaluation].model_dump_json())
+        rows = session.execute(text("SELECT evaluation_id FROM receipts ORDER BY number")).scalars().all()
+        old = chain.receipts_of(session, rows)
+    previous: str | None = None
+    statements: list[Executable] = []
+    for number, row in enumerate(rows, start=1):
+        made = sign(KEY, number=number, previous=previous, result=old[row].result)
+        previous = made.link.digest
+        changes = made.link.model_dump(exclude={"number"}) | {"digest": made.link.digest}
+        statements.append(update(ReceiptRow).where(ReceiptRow.number == number).values(changes))
+    statements.append(update(ReceiptKey).values(public_key=made.link.public_key))
+    assert audited(database, tmp_path, *statements).findings == [], "in itself the new chain is right"
+    assert "Expected the key" in audit(tmp_path / "board.zip", episodes=0, public_key=key).findings[0]
+    told = audit(tmp_path / "board.zip", episodes=0, held=[read_receipt(kept)]).findings
+    assert told == ["Receipt 2, which was kept elsewhere, is not in the chain."]
+
+
+def test_what_is_no_export_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "board.zip"
+    for content in (b"", b"PK\3\4 and no more"):
+        file.write_bytes(content)
+        with pytest.raises(ExportRejected, match="cannot be read as an export"):
+            audit(file)
+    with pytest.raises(ExportRejected, match="cannot be read"):
+        audit(tmp_path / "missing.zip")
