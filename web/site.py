@@ -12,23 +12,27 @@ from urllib.parse import quote
 from starlette.exceptions import HTTPException
 from starlette.responses import HTMLResponse, RedirectResponse
 from vitac.server.api.conditional import answer
+from vitac.server.kept import Kept
 
 from .fragments import Fragments
 from .rendering import render
 from .session.signer import COOKIE
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Hashable, Mapping
 
     from starlette.requests import Request
     from starlette.responses import Response
 
     from .data.protocol import PageData, Visitor
+    from .pages.episodes.map import EpisodeMap
     from .session.signer import SessionSigner
 
 HTML = "text/html"
 MAX_PLOTS = 256
 """Those of an evaluation or a board have up to 200 kB."""
+MAX_MAPS = 128
+"""That of a task has up to 200 kB."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,6 +54,7 @@ class Site:
     public_url: str | None = None
     fragments: Fragments = field(default_factory=Fragments)
     plots: Fragments = field(default_factory=lambda: Fragments(at_most=MAX_PLOTS))
+    maps: Kept[Hashable, EpisodeMap] = field(default_factory=lambda: Kept(at_most=MAX_MAPS))
 
     def address(self, request: Request) -> str:
         """Return the address to use on the command line."""

@@ -14,6 +14,7 @@ from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session, aliased
 from vitac.evaluator.submission_kinds import SubmissionKind
 
+from ..db.among import among
 from ..db.models import BoardResult, EpisodeResult, Evaluation, LogCopy, Submission, Team
 from ..db.states import EvaluationState
 from ..views.logs import LogCopyView
@@ -56,7 +57,7 @@ def copies_among(session: Session, evaluations: Collection[UUID]) -> dict[UUID, 
         .join(Submission, Submission.id == LogCopy.earlier_submission_id)
         .join(Team, Team.id == Submission.team_id)
         .join(BoardResult, BoardResult.evaluation_id == LogCopy.evaluation_id)
-        .where(LogCopy.evaluation_id.in_(evaluations))
+        .where(among(LogCopy.evaluation_id, evaluations))
     )
     return {
         evaluation_id: LogCopyView(team=team, episodes=episodes, ranked=not is_copy)

@@ -11,6 +11,7 @@ from sqlalchemy import ScalarSelect, func, select
 from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
 
+from ..db.among import among
 from ..db.models import EpisodeDifference, Evaluation, Shard
 from ..queue.leases import Lease
 from ..views.evaluations import DifferingEpisodeView
@@ -49,7 +50,7 @@ def differing_episodes(session: Session, evaluations: Collection[Evaluation]) ->
     found: dict[UUID, list[DifferingEpisodeView]] = {evaluation.id: [] for evaluation in evaluations}
     rows = session.scalars(
         select(EpisodeDifference)
-        .where(EpisodeDifference.evaluation_id.in_(found))
+        .where(among(EpisodeDifference.evaluation_id, found))
         .order_by(EpisodeDifference.task, EpisodeDifference.episode, EpisodeDifference.id)
     )
     for row in rows:

@@ -6,7 +6,9 @@ from uuid import UUID
 
 from sqlalchemy import ScalarSelect, Select, select
 from sqlalchemy.orm import InstrumentedAttribute, Session, defer
+from sqlalchemy.orm.attributes import set_committed_value
 
+from ..db.among import among
 from ..db.models import Evaluation, Submission
 from ..db.states import EvaluationState
 
@@ -32,15 +34,17 @@ def history(submission: Submission) -> Select[Evaluation]:
 
 def histories(session: Session, submissions: Collection[Submission]) -> dict[UUID, list[Evaluation]]:
     """Return all evaluations of each submission, newest first, without what their policies printed."""
-    found: dict[UUID, list[Evaluation]] = {submission.id: [] for submission in submissions}
+    by_id = {submission.id: submission for submission in submissions}
+    found: dict[UUID, list[Evaluation]] = {submission_id: [] for submission_id in by_id}
     rows = session.scalars(
         select(Evaluation)
-        .where(Evaluation.submission_id.in_(found))
+        .where(among(Evaluation.submission_id, found))
         .options(defer(Evaluation.log_tail))
         .order_by(*_NEWEST_FIRST)
         .execution_options(populate_existing=True)
     )
     for evaluation in rows:
+        set_committed_value(evaluation, "submission", by_id[evaluation.submission_id])
         found[evaluation.submission_id].append(evaluation)
     return found
 

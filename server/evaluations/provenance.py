@@ -7,6 +7,7 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 from vitac.evaluator.episodes.records import Manifest
 
+from ..db.among import among
 from ..db.models import Evaluation, Shard, Submission
 from ..db.states import ShardState
 from ..queue.leases import Lease
@@ -46,7 +47,7 @@ def isolation_levels(session: Session, evaluations: Collection[Evaluation]) -> d
     levels: dict[UUID, list[str]] = {evaluation_id: [] for evaluation_id in ids}
     rows = session.execute(
         select(Shard.evaluation_id, Shard.isolation)
-        .where(Shard.evaluation_id.in_(ids), Shard.isolation.is_not(None))
+        .where(among(Shard.evaluation_id, ids), Shard.isolation.is_not(None))
         .distinct()
         .order_by(Shard.evaluation_id, Shard.isolation)
     )

@@ -3,14 +3,14 @@
 The order is that of `vitac.evaluator.scoring.ranking.rank`, which a test compares on random standings.
 """
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cache
 from typing import Any
 from uuid import UUID
 
-from sqlalchemy import ColumnElement, Select, Text, bindparam, func, lateral, select, true
+from sqlalchemy import CTE, ColumnElement, Select, Text, bindparam, func, lateral, select, true
 from sqlalchemy.dialects.postgresql import ARRAY
 from sqlalchemy.orm import Session, aliased
 from sqlalchemy.types import Uuid
@@ -53,6 +53,10 @@ class BestEntry:
     evaluation_id: UUID
     submission_id: UUID
 
+    def __str__(self) -> str:
+        """Return what tells it from others, briefly: revisions of boards are made of hundreds of them."""
+        return f"{self.rank} {self.evaluation_id.int:x}"
+
 
 def best_entries(session: Session, board: Board, *, until: datetime = EVER) -> list[BestEntry]:
     """Return the best entry of each team, ranked; then those of teams that only have results of other versions.
@@ -78,7 +82,7 @@ def best_entries(session: Session, board: Board, *, until: datetime = EVER) -> l
 def places(
     session: Session,
     track: str,
-    submissions: Collection[UUID],
+    submissions: Mapping[UUID, UUID],
     *,
     stage: str = "",
     ranking: tuple[RankingKey, ...] = DEFAULT_RANKING,
@@ -89,7 +93,7 @@ def places(
     Args:
         session: of the transaction.
         track: whose boards.
-        submissions: which ones.
+        submissions: which ones, each with its team.
         stage: of the competition; empty for results outside of one.
         ranking: what entries are compared by.
         until: results that were complete then count.
@@ -105,6 +109,7 @@ def places(
             "boards": list(boards),
             "version": evaluator_version(),
             "submissions": list(submissions),
+            "teams": list(set(submissions.values())),
         },
     )
     places: dict[str | None, dict[UUID, RankView]] = {board: {} for board in boards.values()}
@@ -151,13 +156,12 @@ def _best_of_other_versions(ranking: tuple[RankingKey, ...]) -> Select[UUID, UUI
 
 @cache
 def _places_of_submissions(ranking: tuple[RankingKey, ...]) -> Select[str, UUID, int, int]:
-    """Return board, submission, rank and number of ranked teams of each best entry among some submissions."""
-    board = (
-        func.unnest(bindparam("boards", type_=ARRAY(Text)))
-        .table_valued("board", name="boards")
-        .render_derived()
-        .c.board
-    )
+    """Return board, submission, rank and number of ranked teams of each best entry among some submissions.
+
+    Most submissions are not the best of their team: where there is none on a board, its teams are not looked through.
+    """
+    wanted = func.any(bindparam("submissions", type_=ARRAY(Uuid)))
+    board = _boards_with_best(ranking, wanted).c.board
     best = _best_result(ranking, board, _of_version(BoardResult))
     ranked = (
         select(
@@ -172,10 +176,23 @@ def _places_of_submissions(ranking: tuple[RankingKey, ...]) -> Select[str, UUID,
         .where(takes_part())
         .subquery()
     )
-    wanted = func.any(bindparam("submissions", type_=ARRAY(Uuid)))
     return select(ranked.c.board, ranked.c.submission_id, ranked.c.rank, ranked.c.of).where(
         ranked.c.submission_id == wanted
     )
+
+
+def _boards_with_best(ranking: tuple[RankingKey, ...], wanted: ColumnElement[UUID]) -> CTE:
+    """Return the boards on which one of the wanted submissions is the best entry of its team."""
+    board = (
+        func.unnest(bindparam("boards", type_=ARRAY(Text)))
+        .table_valued("board", name="boards")
+        .render_derived()
+        .c.board
+    )
+    best = _best_result(ranking, board, _of_version(BoardResult))
+    teams = func.any(bindparam("teams", type_=ARRAY(Uuid)))
+    found = select(board.label("board")).select_from(Team).join(board.table, true()).join(best, true())
+    return found.where(Team.id == teams, best.submission_id == wanted).distinct().cte("boards_with_best")
 
 
 def _best_result(

@@ -1,29 +1,25 @@
 """What a team has reached with its submissions so far; called by the pages."""
 
-from uuid import UUID
-
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from ..accounts.principals import Principal
 from ..accounts.visibility import visible
-from ..db.models import BoardResult, Submission
-from ..evaluations.history import newest_evaluation
+from ..db.models import BoardResult, Evaluation, Submission
 from ..views.leaderboards import PastResultView
 
 MAX_RESULTS = 500
 
 
-def past_results(session: Session, by: Principal, submission_id: UUID) -> list[PastResultView]:
-    """Return what the team of a submission has reached in its tasks, with submissions of its kind, newest first.
+def past_results(session: Session, by: Principal, shown: Evaluation) -> list[PastResultView]:
+    """Return what the team of an evaluation has reached in its tasks, with submissions of its kind, newest first.
 
     Results of other evaluator versions and stages are left out: they are not comparable. Nothing before its own result.
 
     Raises:
-        ServiceError: there is no such submission.
+        ServiceError: there is no such submission for them.
     """
-    submission = visible(session, by, submission_id)
-    shown = newest_evaluation(session, submission)
+    submission = visible(session, by, shown.submission_id)
     stage = select(BoardResult.stage).where(BoardResult.evaluation_id == shown.id).limit(1).scalar_subquery()
     rows = session.execute(
         select(

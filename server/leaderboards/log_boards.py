@@ -6,9 +6,10 @@ A log proves its actions, not that a policy chose them, so it never ranks togeth
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import cache
 from uuid import UUID
 
-from sqlalchemy import select
+from sqlalchemy import Select, bindparam, select
 from sqlalchemy.dialects.postgresql import distinct_on
 from sqlalchemy.orm import Session
 from vitac.evaluator.submission_kinds import SubmissionKind
@@ -54,9 +55,11 @@ def log_boards(session: Session, track_name: str, *, stage: str | None = None) -
     until = (boards_stand_since(session) if of_stage else None) or EVER
     boards = {task: Board(track=track.name, stage=of_stage, kind=SubmissionKind.LOG, task=task) for task in track.tasks}
     best = {task: best_entries(session, board, until=until) for task, board in boards.items()}
-    text_logs = _newest_text_logs(session, track.name, of_stage, until)
+    named = {"track": track.name, "stage": of_stage, "until": until, "at_most": MAX_TEXT_LOGS}
+    text_logs = session.scalars(_newest_text_logs(), named).all()
     copies = copies_among(session, [entry.evaluation_id for entries in best.values() for entry in entries])
-    revision = revision_of(f"logs of {track.name} {of_stage}", [*best.items(), *sorted(copies.items()), *text_logs])
+    ranked = [part for task, entries in best.items() for part in (task, *entries)]
+    revision = revision_of(f"logs of {track.name} {of_stage}", [*ranked, *sorted(copies.items()), *text_logs])
     shown = _Shown(stage=of_stage, best=best, copies=copies, text_logs=text_logs, revision=revision)
     return _made_boards.get((track.name, of_stage), revision, lambda last: _view(session, track, shown, last))
 
@@ -105,28 +108,31 @@ def _text_logs(session: Session, ids: Sequence[UUID], last: Iterable[TextLogEntr
     return [_text_log(new[found]) if found in new else kept[found] for found in ids]
 
 
-def _newest_text_logs(session: Session, track: str, stage: str, until: datetime) -> Sequence[UUID]:
-    """Return the newest completed evaluation of each text log; the newest ones, which are shown."""
+@cache  # building it takes longer than running it
+def _newest_text_logs() -> Select[UUID]:
+    """Return the evaluation of each text log that was completed last; the newest logs, which are shown.
+
+    Their rows in `evaluations` are not looked at: that would read the rows of all.
+    """
     newest_of_each = (
         select(BoardResult.evaluation_id, BoardResult.submitted_at)
-        .join(BoardResult.evaluation)
         .join(Team, Team.id == BoardResult.team_id)
         .where(
             takes_part(),
-            BoardResult.track == track,
-            BoardResult.stage == stage,
+            BoardResult.track == bindparam("track"),
+            BoardResult.stage == bindparam("stage"),
             BoardResult.kind == SubmissionKind.TEXT_LOG,
-            BoardResult.finished_at <= until,
+            BoardResult.finished_at <= bindparam("until"),
         )
         .ext(distinct_on(BoardResult.submission_id))
-        .order_by(BoardResult.submission_id, Evaluation.created_at.desc(), BoardResult.evaluation_id)
+        .order_by(BoardResult.submission_id, BoardResult.finished_at.desc(), BoardResult.evaluation_id)
         .subquery()
     )
-    return session.scalars(
+    return (
         select(newest_of_each.c.evaluation_id)
         .order_by(newest_of_each.c.submitted_at.desc(), newest_of_each.c.evaluation_id)
-        .limit(MAX_TEXT_LOGS)
-    ).all()
+        .limit(bindparam("at_most"))
+    )
 
 
 def _entry(entry: BestEntry, evaluation: Evaluation) -> LogEntryView:

@@ -2,13 +2,13 @@
 
 import json
 import shutil
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from uuid import UUID
 
-from sqlalchemy import delete, func, select, update
+from sqlalchemy import and_, delete, func, select, update
 from sqlalchemy.orm import Session
 from vitac.envs.tasks.definition import Family
 from vitac.evaluator.agent.description import SandboxDescription
@@ -28,6 +28,37 @@ class WorkersAlive:
     alive: int
     slots: int
     last_heartbeat_at: datetime | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class AlikeWorkers:
+    """Workers that can run the same: how many of them take shards and are not lost, and how many shards at once."""
+
+    evaluator_version: str
+    families: Collection[str]
+    alive: int
+    slots: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fleet:
+    """The workers known now, in groups, and the last heartbeat of any."""
+
+    groups: Sequence[AlikeWorkers]
+    last_heartbeat_at: datetime | None
+
+    def alive(self, evaluator_version: str | None = None, family: Family | None = None) -> WorkersAlive:
+        """Return those alive of one evaluator version, of one family; None: of any."""
+        found = [
+            group
+            for group in self.groups
+            if evaluator_version in {None, group.evaluator_version} and (family is None or family in group.families)
+        ]
+        return WorkersAlive(
+            alive=sum(group.alive for group in found),
+            slots=sum(group.slots for group in found),
+            last_heartbeat_at=self.last_heartbeat_at,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,28 +96,29 @@ def heartbeat(session: Session, worker_id: UUID, state: WorkerState, disk: Disk,
     )
 
 
-def workers_alive(
-    session: Session,
-    settings: Settings,
-    evaluator_version: str | None = None,
-    family: Family | None = None,
-) -> WorkersAlive:
-    """Return the workers that take shards (of one evaluator version, of one family) and are not lost."""
-    of_version = (
-        Worker.evaluator_version == evaluator_version if evaluator_version is not None else Worker.id == Worker.id
-    )
+def fleet(session: Session, settings: Settings) -> Fleet:
+    """Return the workers that take shards and are not lost."""
     lost_before = func.clock_timestamp() - timedelta(seconds=settings.worker_lost_after_s)
-    alive, slots = session.execute(
-        select(func.count(), func.coalesce(func.sum(Worker.slots), 0)).where(
-            Worker.state == WorkerState.READY,
-            Worker.heartbeat_at > lost_before,
-            of_version,
-            Worker.families.contains([family] if family else []),
-        )
-    ).one()
-    return WorkersAlive(
-        alive=alive, slots=slots, last_heartbeat_at=session.scalar(select(func.max(Worker.heartbeat_at)))
-    )
+    is_alive = and_(Worker.state == WorkerState.READY, Worker.heartbeat_at > lost_before)
+    rows = session.execute(
+        select(
+            Worker.evaluator_version,
+            Worker.families,
+            func.count().filter(is_alive),
+            func.coalesce(func.sum(Worker.slots).filter(is_alive), 0),
+            func.max(Worker.heartbeat_at),
+        ).group_by(Worker.evaluator_version, Worker.families)
+    ).all()
+    groups = [
+        AlikeWorkers(evaluator_version=version, families=families, alive=alive, slots=slots)
+        for version, families, alive, slots, _ in rows
+    ]
+    return Fleet(groups=groups, last_heartbeat_at=max((row[-1] for row in rows), default=None))
+
+
+def workers_alive(session: Session, settings: Settings, evaluator_version: str | None = None) -> WorkersAlive:
+    """Return the workers that take shards (of one evaluator version) and are not lost."""
+    return fleet(session, settings).alive(evaluator_version)
 
 
 def sandboxes(session: Session, settings: Settings) -> Sequence[SandboxDescription]:

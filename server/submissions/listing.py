@@ -9,10 +9,10 @@ from sqlalchemy.orm import Session, joinedload
 from ..accounts import teams
 from ..accounts.principals import Principal
 from ..accounts.visibility import sight_of, visible
-from ..db.models import EpisodeResult, Submission
+from ..db.models import EpisodeResult, Evaluation, Submission
 from ..db.states import EvaluationState
 from ..evaluations.episode_store import EpisodeKey
-from ..evaluations.history import newest_evaluation, newest_state
+from ..evaluations.history import histories, newest_evaluation, newest_state
 from ..settings import Settings
 from ..views.submissions import EpisodeView, SubmissionListView, SubmissionView
 from .view import submission_views
@@ -26,8 +26,8 @@ def get(session: Session, settings: Settings, by: Principal, submission_id: UUID
     Raises:
         ServiceError: there is none that the principal may see.
     """
-    found = visible(session, by, submission_id)
-    return submission_views(session, settings, [found], by, with_output=True)[0]
+    runs = histories(session, [visible(session, by, submission_id)])
+    return submission_views(session, settings, runs, by, with_output=True)[0]
 
 
 def list_submissions(
@@ -60,7 +60,7 @@ def list_submissions(
         query = query.where(tuple_(Submission.submitted_at, Submission.id) < tuple_(last.submitted_at, last.id))
     found = session.scalars(query.order_by(Submission.submitted_at.desc(), Submission.id.desc()).limit(limit + 1)).all()
     return SubmissionListView(
-        items=submission_views(session, settings, found[:limit], by),
+        items=submission_views(session, settings, histories(session, found[:limit]), by),
         next_before=found[limit - 1].id if len(found) > limit else None,
     )
 
@@ -71,11 +71,14 @@ def episodes(session: Session, by: Principal, submission_id: UUID) -> list[Episo
     Raises:
         ServiceError: there is no such submission.
     """
-    submission = visible(session, by, submission_id)
-    evaluation = newest_evaluation(session, submission)
+    return episodes_of(session, by, newest_evaluation(session, visible(session, by, submission_id)))
+
+
+def episodes_of(session: Session, by: Principal, evaluation: Evaluation) -> list[EpisodeView]:
+    """Return how each finished episode of an evaluation ended, in order; none where they are not shown."""
     if not sight_of(by, evaluation).episodes:
         return []
-    key = EpisodeKey.of(evaluation, submission)
+    key = EpisodeKey.of(evaluation, evaluation.submission)
     rows = session.execute(
         select(
             EpisodeResult.task,

@@ -65,14 +65,8 @@ def episode_outputs(
     )
 
 
-def episodes_with_output(session: Session, by: Principal, submission_id: UUID) -> int:
-    """Return in how many episodes of the newest evaluation the policy printed something; 0 where it is not shown.
-
-    Raises:
-        ServiceError: there is no such submission.
-    """
-    submission = visible(session, by, submission_id)
-    evaluation = newest_evaluation(session, submission)
+def episodes_with_output(session: Session, by: Principal, evaluation: Evaluation) -> int:
+    """Return in how many episodes of an evaluation the policy printed something; 0 where it is not shown."""
     if not sight_of(by, evaluation).output:
         return 0
     query = select(func.count()).select_from(EpisodeResult).where(*_key(evaluation), _PRINTED)

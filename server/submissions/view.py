@@ -6,7 +6,6 @@ from functools import cache, partial
 from uuid import UUID
 
 from sqlalchemy.orm import Session
-from vitac.envs.tasks.definition import Family
 from vitac.evaluator.logs.findings import LogFinding
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import load_track
@@ -18,11 +17,10 @@ from ..competition.definition import DEFAULT_RANKING
 from ..competition.schedule import boards_stand_since, track_rules
 from ..db.models import Evaluation, Submission
 from ..evaluations.copies import copies_among
-from ..evaluations.history import histories
 from ..evaluations.view import EvaluationRows, evaluation_view, summary_view
 from ..leaderboards.best_entries import EVER, PlacesOfBoards, places
 from ..logs.view import findings_of
-from ..queue.workers import WorkersAlive, workers_alive
+from ..queue.workers import Fleet, fleet
 from ..settings import Settings
 from ..tracks import family_of
 from ..uploads.kinds import SERVED_KINDS
@@ -37,7 +35,7 @@ PlacesOf = Callable[[str, str], PlacesOfBoards]
 def submission_views(
     session: Session,
     settings: Settings,
-    submissions: Sequence[Submission],
+    runs: Mapping[UUID, Sequence[Evaluation]],
     by: Principal,
     *,
     with_output: bool = False,
@@ -47,24 +45,26 @@ def submission_views(
     Args:
         session: of the transaction.
         settings: of this process.
-        submissions: whose views.
+        runs: the evaluations of each submission, newest first (`histories`).
         by: who asks, and gets what may be shown to them.
         with_output: show also what the policies printed.
     """
-    runs = histories(session, submissions)
     newest = [found[0] for found in runs.values()]
+    teams = {found.submission_id: found.submission.team_id for found in newest}
     rows = EvaluationRows.read(session, newest, by, with_output=with_output)
     shown = _Shown(
         evaluations=rows,
         findings=findings_of(session, [found for found in newest if found.id not in rows.hidden]),
         copies=copies_among(session, [found.id for found in newest if found.submission.kind is SubmissionKind.LOG]),
-        workers=cache(partial(workers_alive, session, settings)),
-        places=cache(partial(_places, session, by, tuple(runs))),
+        workers=fleet(session, settings),
+        places=cache(partial(_places, session, by, teams)),
     )
-    return [_view(submission, runs[submission.id], shown) for submission in submissions]
+    return [_view(found, shown) for found in runs.values()]
 
 
-def _places(session: Session, by: Principal, submissions: tuple[UUID, ...], track: str, stage: str) -> PlacesOfBoards:
+def _places(
+    session: Session, by: Principal, submissions: Mapping[UUID, UUID], track: str, stage: str
+) -> PlacesOfBoards:
     """Return their places as the boards show them, which may stand still for all but organizers."""
     rules = track_rules(session, track) if stage else None
     frozen_at = boards_stand_since(session) if stage and not by.is_organizer else None
@@ -80,19 +80,19 @@ class _Shown:
         evaluations: of their newest evaluations.
         findings: against logs, by evaluation, where single episodes are shown.
         copies: among logs, by evaluation.
-        workers: those alive of an evaluator version that can run a family, or any.
+        workers: those known now.
         places: of these submissions on the boards of a track.
     """
 
     evaluations: EvaluationRows
     findings: Mapping[UUID, LogFinding]
     copies: Mapping[UUID, LogCopyView]
-    workers: Callable[[str, Family | None], WorkersAlive]
+    workers: Fleet
     places: PlacesOf
 
 
-def _view(submission: Submission, runs: Sequence[Evaluation], shown: _Shown) -> SubmissionView:
-    newest = runs[0]
+def _view(runs: Sequence[Evaluation], shown: _Shown) -> SubmissionView:
+    newest, submission = runs[0], runs[0].submission
     log_view = SERVED_KINDS[submission.kind].log_view
     finding, copy = shown.findings.get(newest.id), shown.copies.get(newest.id)
     ranks = _ranks(submission, newest, shown.places)
@@ -109,7 +109,7 @@ def _view(submission: Submission, runs: Sequence[Evaluation], shown: _Shown) -> 
         archive_sha256=submission.archive_sha256,
         archive_bytes=submission.archive_bytes,
         submitted_at=submission.submitted_at,
-        evaluation=evaluation_view(newest, shown.workers(newest.evaluator_version, None), shown.evaluations),
+        evaluation=evaluation_view(newest, shown.workers.alive(newest.evaluator_version), shown.evaluations),
         evaluations=[summary_view(evaluation) for evaluation in runs],
         workers=_workers(submission, newest, shown),
         rank=ranks.get(None),
@@ -120,9 +120,9 @@ def _view(submission: Submission, runs: Sequence[Evaluation], shown: _Shown) -> 
 
 def _workers(submission: Submission, newest: Evaluation, shown: _Shown) -> WorkersView:
     """Return who can run the submission: its tasks may be of several families, each with workers of its own."""
-    any_family = shown.workers(newest.evaluator_version, None)
+    any_family = shown.workers.alive(newest.evaluator_version)
     families = sorted({family_of(submission.track, task) for task in submission.tasks})
-    alive = {family: shown.workers(newest.evaluator_version, family).alive for family in families}
+    alive = {family: shown.workers.alive(newest.evaluator_version, family).alive for family in families}
     missing = next((family for family in families if not alive[family]), None)
     return WorkersView(
         alive=min(alive.values(), default=any_family.alive),

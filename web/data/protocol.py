@@ -70,12 +70,14 @@ class SubmissionDetail:
         episodes: outcomes of the finished episodes of that evaluation.
         action_matches: how far the team's models go along with a log; nothing for other submissions.
         episodes_with_output: number of episodes whose output the visitor may see.
+        past: what the team has reached in its tasks so far; nothing before the submission's own result.
     """
 
     submission: SubmissionView
     episodes: Sequence[EpisodeView]
     action_matches: Sequence[ActionMatchView]
     episodes_with_output: int
+    past: Sequence[PastResultView]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,9 +124,6 @@ class PageData(Protocol):
 
     async def submission(self, visitor: Visitor, submission_id: UUID) -> SubmissionDetail:
         """Return one submission with its episodes."""
-
-    async def past_results(self, visitor: Visitor, submission_id: UUID) -> Sequence[PastResultView]:
-        """Return what the team of a submission has reached in its tasks so far."""
 
     async def submissions(self, visitor: Visitor, before: UUID | None, track: str | None = None) -> SubmissionListView:
         """Return the visitor's submissions (all teams' for an organizer) older than a cursor, of a track or all."""

@@ -15,6 +15,7 @@ from vitac.server.accounts.visibility import visible
 from vitac.server.api.teams import NewTeam
 from vitac.server.competition.view import competition_view
 from vitac.server.errors import ProblemCode, ServiceError
+from vitac.server.evaluations.history import histories
 from vitac.server.leaderboards import history, log_boards, standings
 from vitac.server.limiter import UPLOADS
 from vitac.server.logs import action_matches
@@ -24,6 +25,7 @@ from vitac.server.playbacks import asking, files
 from vitac.server.queue import workers
 from vitac.server.queue.workers import disk_of
 from vitac.server.submissions import listing, output, receipts, runs, upload
+from vitac.server.submissions.view import submission_views
 
 from .limits import limit_rows, size
 from .protocol import RegisteredTeam, SubmissionDetail, Visitor
@@ -46,7 +48,7 @@ if TYPE_CHECKING:
     from vitac.server.storage.blobs import BlobStore
     from vitac.server.submissions.upload import AnnouncedUpload
     from vitac.server.views.contest.competition import CompetitionView
-    from vitac.server.views.leaderboards import LeaderboardView, LogBoardsView, PastResultView
+    from vitac.server.views.leaderboards import LeaderboardView, LogBoardsView
     from vitac.server.views.operations import OperationsView
     from vitac.server.views.playbacks import PlaybackView, ShownEpisodeView
     from vitac.server.views.receipts import ChainView
@@ -113,19 +115,17 @@ class ServiceData:
         by = visitor.principal
 
         def detail(session: Session) -> SubmissionDetail:
-            found = visible(session, by, submission_id)  # as long as it is held, the others find it in the session
+            evaluations = histories(session, [visible(session, by, submission_id)])
+            shown = evaluations[submission_id][0]
             return SubmissionDetail(
-                submission=listing.get(session, self.settings, by, found.id),
-                episodes=listing.episodes(session, by, found.id),
-                action_matches=action_matches.action_matches(session, by, found.id),
-                episodes_with_output=output.episodes_with_output(session, by, found.id),
+                submission=submission_views(session, self.settings, evaluations, by, with_output=True)[0],
+                episodes=listing.episodes_of(session, by, shown),
+                action_matches=action_matches.matches_of(session, by, shown),
+                episodes_with_output=output.episodes_with_output(session, by, shown),
+                past=history.past_results(session, by, shown),
             )
 
         return await self._run(detail)
-
-    async def past_results(self, visitor: Visitor, submission_id: UUID) -> Sequence[PastResultView]:
-        """Return what the team of a submission has reached."""
-        return await self._run(lambda session: history.past_results(session, visitor.principal, submission_id))
 
     async def submissions(self, visitor: Visitor, before: UUID | None, track: str | None = None) -> SubmissionListView:
         """Return a page of submissions."""

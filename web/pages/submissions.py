@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from vitac.server.views.scores import TaskScoreView
     from vitac.server.views.submissions import EpisodeView, RankView, SubmissionView
 
-    from ..site import Viewer
+    from ..site import Site, Viewer
     from .episodes.map import EpisodeMap
 
 POLL_S = 1.0  # period at which a running evaluation is read and its page updated
@@ -68,7 +68,7 @@ async def submission(request: Request) -> Response:
         return viewer
     values = await _values(request, viewer)
     refresh = request.query_params.get("refresh") != "off"
-    plots, history = await _plots(request, viewer, values)
+    plots, history = _plots(request, values)
     return page(
         request,
         "submission.html",
@@ -81,14 +81,16 @@ async def submission(request: Request) -> Response:
     )
 
 
-async def _plots(request: Request, viewer: Viewer, values: dict[str, Any]) -> tuple[Markup, Markup]:
+def _plots(request: Request, values: dict[str, Any]) -> tuple[Markup, Markup]:
     """Return the plots of a complete evaluation, and those of the team's submissions until now."""
     found: SubmissionView = values["submission"]
     if found.evaluation.state is not EvaluationState.COMPLETED:
         return Markup(), Markup()
     titles = {name: task.title for name, task in load_track(found.track).tasks.items()}
-    past = await site_of(request).data.past_results(viewer.visitor, found.id)
-    return episode_figures(request, found, titles, values["episodes"]), history_figures(request, found, titles, past)
+    return (
+        episode_figures(request, found, titles, values["episodes"]),
+        history_figures(request, found, titles, values["past"]),
+    )
 
 
 async def events(request: Request) -> Response:
@@ -144,9 +146,10 @@ async def _values(request: Request, viewer: Viewer) -> dict[str, Any]:
         "submission": found,
         "track": track,
         "episodes": detail.episodes,
+        "past": detail.past,
         "active": found.evaluation.state not in TERMINAL_EVALUATION_STATES,
         "took": seconds_taken(found),
-        "parts": [task_part(found, name, detail.episodes) for name in found.tasks],
+        "parts": [task_part(site_of(request), found, name, detail.episodes) for name in found.tasks],
         "several": len(found.tasks) + len(found.missing_tasks) > 1,
         "action_matches": detail.action_matches,
         "episodes_with_output": detail.episodes_with_output,
@@ -154,17 +157,17 @@ async def _values(request: Request, viewer: Viewer) -> dict[str, Any]:
     }
 
 
-def task_part(found: SubmissionView, task: str, ends: Sequence[EpisodeView]) -> TaskPart:
-    """Return the part of the page for one task of a submission."""
-    evaluation, folder = found.evaluation, f"/submissions/{found.id}/episodes/{task}"
+def task_part(site: Site, found: SubmissionView, task: str, ends: Sequence[EpisodeView]) -> TaskPart:
+    """Return the part of the page for one task of a submission; the map of a complete evaluation is kept."""
+    evaluation, of_task = found.evaluation, {end.episode: end for end in ends if end.task == task}
+
+    def make() -> EpisodeMap:
+        folder = f"/submissions/{found.id}/episodes/{task}"
+        return episode_map(found.track, task, of_task, folder=folder, known=evaluation.commitment is None)
+
+    is_final = evaluation.state is EvaluationState.COMPLETED
     return TaskPart(
-        map=episode_map(
-            found.track,
-            task,
-            {end.episode: end for end in ends if end.task == task},
-            folder=folder,
-            known=evaluation.commitment is None,
-        ),
+        map=site.maps.get((evaluation.id, task, len(of_task)), make) if is_final else make(),
         progress=next((progress for progress in evaluation.progress.tasks if progress.task == task), None),
         score=next((score for score in evaluation.scores if score.task == task), None),
         rank=found.task_ranks.get(task),

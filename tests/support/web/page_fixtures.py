@@ -552,12 +552,9 @@ class FixedData(FixedPlaybacks):
                     episodes=[end for task in progress.tasks for end in some_episodes(task.task, task.episodes_done)],
                     action_matches=self.matches if submission.log else [],
                     episodes_with_output=len(self.printed),
+                    past=self.past,
                 )
         raise not_found("submission", submission_id)
-
-    async def past_results(self, visitor: Visitor, submission_id: UUID) -> list[PastResultView]:
-        await self.submission(visitor, submission_id)
-        return self.past
 
     async def submissions(self, visitor: Visitor, before: UUID | None, track: str | None = None) -> SubmissionListView:
         seen = [submission for submission in self.found if visitor.may_see(submission.team.name)]

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from typing import TYPE_CHECKING, Literal
 
 from markupsafe import Markup, escape
@@ -53,37 +53,37 @@ class ShapeMap:
     name: str
     cells: tuple[Cell, ...]
 
-    @property
+    @cached_property
     def columns(self) -> int:
         """Number of starts."""
         return 1 + max(cell.column for cell in self.cells)
 
-    @property
+    @cached_property
     def rows(self) -> int:
         """Number of repeats."""
         return 1 + max(cell.row for cell in self.cells)
 
-    @property
+    @cached_property
     def drawing(self) -> Markup:
         """Its cells as SVG; composed here because a template takes several times as long for so many."""
-        return Markup("\n").join(cell.drawing for cell in self.cells)
+        return Markup("\n".join(cell.drawing for cell in self.cells))  # noqa: S704 - each is markup
 
-    @property
+    @cached_property
     def is_linked(self) -> bool:
         """Whether a cell of it leads somewhere."""
         return any(cell.address is not None for cell in self.cells)
 
-    @property
+    @cached_property
     def total(self) -> int:
         """Number of episodes."""
         return len(self.cells)
 
-    @property
+    @cached_property
     def done(self) -> int:
         """Number of finished episodes."""
         return sum(cell.state != "waiting" for cell in self.cells)
 
-    @property
+    @cached_property
     def successes(self) -> int:
         """Number of successful episodes."""
         return sum(cell.state == "success" for cell in self.cells)

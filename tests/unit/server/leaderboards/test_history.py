@@ -3,6 +3,7 @@ from service_factories import LOCK, TASK, make_principal, make_score, outdate, s
 from vitac.server.accounts.principals import Principal
 from vitac.server.db.engine import Database
 from vitac.server.errors import ProblemCode, ServiceError
+from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.leaderboards.history import past_results
 
 
@@ -15,8 +16,8 @@ def test_a_teams_results_in_the_tasks_of_a_submission(database: Database) -> Non
         shown = submit_scored(session, ours, "second", {TASK: make_score(75)})
         submit_scored(session, theirs, "other", {TASK: make_score(99)})
         waiting = submit(session, ours, "waits")
-        found = past_results(session, ours, shown.id)
-        assert past_results(session, ours, waiting.id) == []
+        found = past_results(session, ours, newest_evaluation(session, shown))
+        assert past_results(session, ours, newest_evaluation(session, waiting)) == []
     assert {(result.submission_name, result.task, result.success_rate) for result in found} == {
         ("first", TASK, 0.5),
         ("second", TASK, 0.75),
@@ -28,5 +29,5 @@ def test_foreign_submissions_have_no_history(database: Database) -> None:
         shown = submit_scored(session, make_principal(session), "first", {TASK: make_score(50)})
         other: Principal = make_principal(session, "Team B")
         with pytest.raises(ServiceError) as caught:
-            past_results(session, other, shown.id)
+            past_results(session, other, newest_evaluation(session, shown))
     assert caught.value.code is ProblemCode.NOT_FOUND

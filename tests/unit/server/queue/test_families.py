@@ -19,7 +19,7 @@ from vitac.server.evaluations.lifecycle import fail_by_machines
 from vitac.server.queue import leases
 from vitac.server.queue.jobs import queue_name
 from vitac.server.queue.sweep import sweep
-from vitac.server.queue.workers import workers_alive
+from vitac.server.queue.workers import fleet
 from vitac.server.tracks import family_of
 
 TACTILE, MANISKILL = (queue_name(evaluator_version(), family) for family in Family)
@@ -125,5 +125,6 @@ def test_workers_are_counted_by_family(database: Database) -> None:
     make_worker(database)
     make_worker(database, families=BOTH)
     with database.transaction() as session:
-        counts = [workers_alive(session, make_settings(), None, family).alive for family in (None, *Family)]
-    assert counts == [2, 2, 1]
+        known = fleet(session, make_settings())
+    assert [known.alive(None, family).alive for family in (None, *Family)] == [2, 2, 1]
+    assert [known.alive("another", family).alive for family in (None, *Family)] == [0, 0, 0]

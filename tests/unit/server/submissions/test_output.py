@@ -2,6 +2,7 @@ from uuid import uuid4
 
 import pytest
 from service_factories import LOCK, TASK, TRACK, claim, make_principal, make_record, shard_ids, store, submit
+from sqlalchemy.orm import Session
 from submission_steps import SETTINGS, refused
 from vitac.evaluator.episodes.records import EpisodeRecord
 from vitac.evaluator.submission_kinds import SubmissionKind
@@ -10,7 +11,7 @@ from vitac.server.accounts import visibility
 from vitac.server.accounts.principals import CONSOLE, Principal
 from vitac.server.accounts.visibility import Sight, sight_of
 from vitac.server.db.engine import Database
-from vitac.server.db.models import Submission
+from vitac.server.db.models import Evaluation, Submission
 from vitac.server.errors import ProblemCode
 from vitac.server.evaluations import lifecycle
 from vitac.server.evaluations.history import newest_evaluation
@@ -38,6 +39,10 @@ def output_for(database: Database, by: Principal, submission: Submission, **opti
         return episode_outputs(session, by, submission.id, **options)  # type: ignore[arg-type]
 
 
+def evaluation_of(session: Session, submission: Submission) -> Evaluation:
+    return newest_evaluation(session, session.get_one(Submission, submission.id))
+
+
 def seal(monkeypatch: pytest.MonkeyPatch) -> None:
     """Seals the list of the lock task."""
     track = load_track(TRACK)
@@ -57,16 +62,17 @@ def test_team_and_organizers_read_what_was_printed_page_by_page(
         assert (first.next_after, rest.next_after) == (3, None)
         with database.transaction() as session:
             assert episode_outputs(session, by, submission.id, LOCK).items == []
-            assert episodes_with_output(session, by, submission.id) == 3
+            assert episodes_with_output(session, by, evaluation_of(session, submission)) == 3
 
 
 def test_to_other_teams_there_is_no_such_submission(database: Database, submission: Submission) -> None:
     with database.transaction() as session:
         other = make_principal(session, "Team B")
     for identity in (submission.id, uuid4()):
-        for call in (episode_outputs, episodes_with_output):
-            with refused(ProblemCode.NOT_FOUND), database.transaction() as session:
-                call(session, other, identity)
+        with refused(ProblemCode.NOT_FOUND), database.transaction() as session:
+            episode_outputs(session, other, identity)
+    with database.transaction() as session:
+        assert episodes_with_output(session, other, evaluation_of(session, submission)) == 0
 
 
 def test_a_task_that_it_does_not_play_is_refused(
@@ -83,15 +89,16 @@ def test_output_on_a_sealed_list_is_for_organizers_only(
     with refused(ProblemCode.FORBIDDEN):
         output_for(database, principal, submission)
     with database.transaction() as session:
-        assert episodes_with_output(session, principal, submission.id) == 0
-        assert episodes_with_output(session, CONSOLE, submission.id) == 3
+        evaluation = evaluation_of(session, submission)
+        assert episodes_with_output(session, principal, evaluation) == 0
+        assert episodes_with_output(session, CONSOLE, evaluation) == 3
 
 
 def test_output_of_a_failure_on_a_sealed_list_is_for_organizers_only(
     database: Database, principal: Principal, submission: Submission, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with database.transaction() as session:
-        evaluation = newest_evaluation(session, session.get_one(Submission, submission.id))
+        evaluation = evaluation_of(session, submission)
         lifecycle.cancel(session, evaluation)
         evaluation.log_tail = "it failed"
     tails = []
@@ -106,7 +113,7 @@ def test_output_of_a_failure_on_a_sealed_list_is_for_organizers_only(
 
 def test_a_log_has_no_output(database: Database, principal: Principal, submission: Submission) -> None:
     with database.transaction() as session:
-        evaluation = newest_evaluation(session, session.get_one(Submission, submission.id))
+        evaluation = evaluation_of(session, submission)
         assert sight_of(principal, evaluation) == Sight(episodes=True, output=True)
         session.expunge(evaluation.submission)
         evaluation.submission.kind = SubmissionKind.LOG

@@ -1,4 +1,5 @@
 import re
+from typing import Any
 
 import pytest
 from asgi_browser import AsgiBrowser
@@ -9,7 +10,9 @@ from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.evaluator.logs.findings import VerificationResult
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.db.states import EvaluationState
-from vitac.server.views.evaluations import DifferingEpisodeView
+from vitac.server.views.evaluations import DifferingEpisodeView, EvaluationView
+from vitac.web.pages import submissions
+from vitac.web.pages.episodes.map import EpisodeMap, episode_map
 
 VERIFIED = a_log(EvaluationState.COMPLETED, VerificationResult.VERIFIED, reason="all states are equal")
 DIVERGED = a_log(EvaluationState.FAILED, VerificationResult.DIVERGED, divergence=DIVERGENCE)
@@ -67,6 +70,35 @@ def test_running_submission_updates_itself_with_and_without_script(browser: Asgi
     assert f'data-events="/submissions/{RUNNING.id}/events"' in html
     assert '<noscript><meta http-equiv="refresh" content="5"></noscript>' in html
     assert "http-equiv" not in browser.get(f"/submissions/{RUNNING.id}?refresh=off").text
+
+
+def test_the_map_of_a_completed_evaluation_is_drawn_once_and_that_of_a_running_one_each_time(
+    data: FixedData, browser: AsgiBrowser, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[str] = []
+
+    def draw(track: str, task: str, *ends: Any, **more: Any) -> EpisodeMap:
+        drawn.append(task)
+        return episode_map(track, task, *ends, **more)
+
+    monkeypatch.setattr(submissions, "episode_map", draw)
+    sign_in(browser, "Gelbots")
+    shown = [browser.get(f"/submissions/{COMPLETED.id}").text for _ in range(3)]
+    assert len(drawn) == 1
+    assert shown[0] == shown[1] == shown[2]
+    assert shown[0].count(f'<a href="/submissions/{COMPLETED.id}/episodes/{TASK}/') == 270
+    data.found.append(hidden := COMPLETED.model_copy(update={"evaluation": without_episodes()}))
+    data.found.remove(COMPLETED)
+    assert "episodes/peg-insertion/" not in browser.get(f"/submissions/{hidden.id}").text
+    for _ in range(2):
+        browser.get(f"/submissions/{RUNNING.id}")
+    assert len(drawn) == 4
+
+
+def without_episodes() -> EvaluationView:
+    """The completed evaluation for somebody to whom single episodes are not shown."""
+    progress = COMPLETED.evaluation.progress.model_copy(update={"tasks": []})
+    return COMPLETED.evaluation.model_copy(update={"progress": progress})
 
 
 def test_completed_submission_shows_its_score_and_stands_still(browser: AsgiBrowser) -> None:

@@ -1,0 +1,46 @@
+import asyncio
+from collections.abc import Iterator
+from typing import Any, cast
+
+import pytest
+from databases import fresh_database
+from service_factories import LOCK, TASK, make_principal, make_score, make_settings, submit_scored
+from sqlalchemy import event
+from vitac.server.db.engine import Database
+from vitac.web.data.protocol import Visitor
+from vitac.web.data.service import ServiceData
+
+UNUSED = cast(Any, None)
+
+
+@pytest.fixture
+def database() -> Iterator[Database]:
+    with fresh_database() as address:
+        database = Database(address)
+        yield database
+        database.dispose()
+
+
+def test_a_submission_with_all_that_its_page_shows_is_read_by_few_statements_of_one_transaction(
+    database: Database,
+) -> None:
+    with database.transaction() as session:
+        team = make_principal(session)
+        submit_scored(session, team, "first", {TASK: make_score(50), LOCK: make_score(40)})
+        shown = submit_scored(session, team, "second", {TASK: make_score(75), LOCK: make_score(20)})
+    settings = make_settings()
+    data = ServiceData(
+        database=database, settings=settings, blobs=UNUSED, streams=UNUSED, registrations=UNUSED, uploads=UNUSED
+    )
+    visitor = Visitor(principal=team, token_id=UNUSED)
+    done: list[str] = []
+    event.listen(database.engine, "begin", lambda _: done.append("begin"))
+    event.listen(database.engine, "before_cursor_execute", lambda *given: done.append(given[2]))
+    detail = asyncio.run(data.submission(visitor, shown.id))
+    assert done.count("begin") == 1
+    assert len(done) - 1 <= 9, "\n".join(done)
+    assert (detail.submission.name, detail.episodes_with_output, list(detail.action_matches)) == ("second", 0, [])
+    assert detail.submission.rank is not None
+    assert [(result.submission_name, result.task) for result in detail.past] == [
+        ("second", LOCK), ("second", TASK), ("first", LOCK), ("first", TASK),
+    ]  # fmt: skip
