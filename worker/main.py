@@ -31,7 +31,7 @@ PROBE_AGAIN_S = 60.0
 """Pause of a worker that refuses: what kept it from isolating policies may have been repaired."""
 
 
-def run(settings: Settings) -> None:
+def run(settings: Settings, *, probe: ProbeIsolation = probe_isolation) -> None:
     """Evaluate what is in the queue until SIGTERM or SIGINT; shards at work are given back then.
 
     Raises:
@@ -39,7 +39,7 @@ def run(settings: Settings) -> None:
     """
     with open_services(settings, may_run_database=False) as services, ShardProcesses() as processes:
         processes.prepare()
-        work(services, processes.running_shard)
+        work(services, processes.running_shard, probe=probe)
 
 
 def work(services: Services, start: StartShard, *, probe: ProbeIsolation = probe_isolation) -> None:

@@ -8,16 +8,27 @@ import os
 import platform
 import subprocess
 import sys
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import trajectories
+from cloned_sources import Run, clone, run_with
 from vitac.envs.compilation import kernel
 
 # The oldest of OpenBLAS's x86 kernels that its wheels hold; every present CPU gets another one by default.
 OLD_BLAS_KERNEL = "Nehalem"
+ANY_CPU = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
+ALL_TASKS = """
+import gymnasium
+from vitac.envs import ENVIRONMENTS
+for task in ENVIRONMENTS:
+    env = gymnasium.make(task)
+    env.reset(seed=1)
+    env.step(env.action_space.sample() * 0)
+"""
 
 
 @pytest.fixture(scope="module")
@@ -58,14 +69,29 @@ def test_another_folder_hash_seed_blas_kernel_and_vector_unit_change_no_bit(
     assert found == digests
 
 
-def test_a_cold_cache_and_a_build_for_any_cpu_change_no_bit(tmp_path: Path, digests: dict[str, str]) -> None:
+@pytest.fixture(scope="module")
+def cold_cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("cold") / "cache"
+
+
+@pytest.fixture(scope="module")
+def cold(cold_cache: Path) -> Run:
     """Compiles all kernels anew, without the instructions that only this CPU has; takes half a minute."""
-    cache = tmp_path / "cache"
-    generic = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
-    found, surroundings, _ = played_elsewhere(tmp_path, VITAC_CACHE_DIR=str(cache), **generic)
-    assert surroundings["compiled_for"] == "generic"
-    assert len(list(cache.rglob("*.nbc"))) > 10
-    assert found == digests
+    play = "import trajectories\nresult = trajectories.played()"
+    return run_with(clone(cold_cache.parent / "first"), play, VITAC_CACHE_DIR=str(cold_cache), **ANY_CPU)
+
+
+def test_a_cold_cache_and_a_build_for_any_cpu_change_no_bit(cold: Run, digests: dict[str, str]) -> None:
+    assert cold.result["surroundings"]["compiled_for"] == "generic"
+    assert cold.result["digests"] == digests
+
+
+def test_every_kernel_is_compiled_once_and_a_second_clone_compiles_nothing(cold: Run, cold_cache: Path) -> None:
+    """All tasks; a kernel for one set of argument types, once if Python calls it and once if kernels do."""
+    assert [name for name, count in Counter(cold.compiled).items() if count > 1] == []
+    assert len(cold.compiled) > 100
+    second = clone(cold_cache.parent / "second")
+    assert run_with(second, ALL_TASKS, VITAC_CACHE_DIR=str(cold_cache), **ANY_CPU).compiled == []
 
 
 def test_kernels_round_every_product_before_they_add() -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 import short_evaluation
-from databases import state_directory
+from databases import fresh_database, state_directory
 from honest_policy import HONEST
 from service_client import Service, live_service
 from service_factories import TASK, TRACK
@@ -24,21 +24,30 @@ QUICK = {"lease_s": 3.0, "lease_renewal_s": 0.3, "sweep_interval_s": 0.3, "worke
 
 
 @pytest.fixture
-def live(monkeypatch: pytest.MonkeyPatch) -> Iterator[Service]:
-    """A service with an embedded database of its own, whose evaluations are short."""
+def database_address() -> Iterator[str | None]:
+    """A database for `live`. A test gives None instead where it needs an embedded one, which takes seconds to make."""
+    with fresh_database() as address:
+        yield address
+
+
+@pytest.fixture
+def live(database_address: str | None, monkeypatch: pytest.MonkeyPatch) -> Iterator[Service]:
+    """A service whose evaluations are short."""
     monkeypatch.setattr(lifecycle, "cut", short_evaluation.short_cut)
     folder = state_directory()
-    settings = load_settings(state_dir=folder, database_url=None, **QUICK)
+    settings = load_settings(state_dir=folder, database_url=database_address, **QUICK)
     with live_service(settings) as service:
         yield service
     shutil.rmtree(folder)
 
 
 @pytest.fixture
-def start_worker(live: Service) -> Iterator[StartWorker]:
+def start_worker(live: Service, database_address: str | None) -> Iterator[StartWorker]:
     """Starts real worker processes on the service; whatever still runs at the end is ended."""
     environment = {f"VITAC_{name.upper()}": str(value) for name, value in QUICK.items()}
     environment["VITAC_STATE_DIR"] = str(live.settings.state_dir)
+    if database_address is not None:
+        environment["VITAC_DATABASE_URL"] = database_address
     with ExitStack() as stack:
 
         def start() -> "subprocess.Popen[bytes]":

@@ -89,6 +89,7 @@ def test_kill_of_the_worker_in_the_middle_changes_nothing(
     attempt.assert_same_result()
 
 
+@pytest.mark.parametrize("database_address", [None], ids=["embedded"])
 @pytest.mark.usefixtures("worker")
 def test_kill_of_the_database_in_the_middle_changes_nothing(attempt: Attempt) -> None:
     postgres = attempt.live.services.postgres

@@ -60,7 +60,8 @@ def numpy_simd() -> list[str]:
     return [name for name in __cpu_dispatch__ if __cpu_features__[name]]
 
 
-def main() -> None:
+def played() -> dict[str, Any]:
+    """All digests, and what the surroundings really were."""
     import numba
 
     surroundings = {
@@ -69,8 +70,8 @@ def main() -> None:
         "numpy_simd": numpy_simd(),
         "compiled_for": numba.config.CPU_NAME,  # type: ignore[attr-defined]
     }
-    sys.stdout.write(json.dumps({"digests": digests(), "surroundings": surroundings}))
+    return {"digests": digests(), "surroundings": surroundings}
 
 
 if __name__ == "__main__":
-    main()
+    sys.stdout.write(json.dumps(played()))

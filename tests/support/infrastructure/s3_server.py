@@ -37,10 +37,18 @@ class S3Server:
             assert self.process.poll() is None, "the S3 server did not start"
             assert time.monotonic() < deadline, "the S3 server did not answer in time"
             try:
-                httpx.put(f"{self.endpoint}/{BUCKET}", timeout=10).raise_for_status()
+                self._make_bucket()
                 return
             except httpx.TransportError:
                 time.sleep(0.05)
+
+    def empty(self) -> None:
+        """Forgets everything, as a new start would; starts it where it was killed."""
+        if self.process.poll() is not None:
+            self.start()
+        else:
+            httpx.post(f"{self.endpoint}/moto-api/reset", timeout=10).raise_for_status()
+            self._make_bucket()
 
     def kill(self) -> None:
         """Ends it; ending it again changes nothing."""
@@ -63,6 +71,9 @@ class S3Server:
     def unfinished_uploads(self) -> list[str]:
         """The keys of uploads in parts that were neither completed nor aborted."""
         return self._texts("?uploads", "Key")
+
+    def _make_bucket(self) -> None:
+        httpx.put(f"{self.endpoint}/{BUCKET}", timeout=10).raise_for_status()
 
     def _texts(self, query: str, tag: str) -> list[str]:
         answer = httpx.get(f"{self.endpoint}/{BUCKET}{query}", timeout=30)

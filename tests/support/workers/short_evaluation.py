@@ -1,6 +1,7 @@
 """Shortens evaluations to a few episodes in this process, so that tests with the real simulation stay short.
 
-Also the program of a worker process for such tests: `python short_evaluation.py` runs a worker until SIGTERM.
+Also the program of a worker process for such tests: `python short_evaluation.py` runs a worker until SIGTERM. It does
+not try its sandbox out first, which takes two seconds; `tests/unit/worker/test_isolation` does.
 """
 
 import subprocess
@@ -28,7 +29,8 @@ def shorten() -> None:
 
 if __name__ == "__main__":
     from vitac.server.settings import load_settings
+    from vitac.worker.isolation import IsolationReport
     from vitac.worker.main import run
 
     shorten()
-    run(load_settings())
+    run(load_settings(), probe=lambda: IsolationReport(level="not tried out", problems=()))

@@ -3,7 +3,8 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
@@ -60,8 +61,20 @@ class DemoRun:
         )
 
 
-@pytest.fixture
-def demo(tmp_path: Path) -> Iterator[DemoRun]:
+@dataclass(frozen=True, kw_only=True)
+class FinishedDemo:
+    """A demo and what its first run said."""
+
+    demo: DemoRun
+    first: subprocess.CompletedProcess[str]
+
+    @property
+    def token(self) -> Path:
+        return Path(self.demo.environment["VITAC_STATE_DIR"]) / "demo-token"
+
+
+@contextmanager
+def new_demo(folder: Path) -> Iterator[DemoRun]:
     support = [str(Path(module.__file__ or "").parent) for module in (quick_worker, service_factories)]
     with fresh_database() as address:
         environment = {
@@ -69,14 +82,27 @@ def demo(tmp_path: Path) -> Iterator[DemoRun]:
             "PYTHONPATH": os.pathsep.join([*support, os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep),
             "PYTHONIOENCODING": "utf-8",
             "VITAC_DATABASE_URL": address,
-            "VITAC_STATE_DIR": str(tmp_path / "state"),
+            "VITAC_STATE_DIR": str(folder / "state"),
             "VITAC_PORT": "0",
         }
-        yield DemoRun(folder=submission_folder(tmp_path / "zero"), environment=environment)
+        yield DemoRun(folder=submission_folder(folder / "zero"), environment=environment)
 
 
-def test_evaluates_the_example_and_prints_leaderboard_and_addresses(demo: DemoRun) -> None:
-    done = demo.run("--exit")
+@pytest.fixture
+def demo(tmp_path: Path) -> Iterator[DemoRun]:
+    with new_demo(tmp_path) as demo:
+        yield demo
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Iterator[FinishedDemo]:
+    """A demo that was run once, for tests that look at it or run it another time."""
+    with new_demo(tmp_path_factory.mktemp("finished")) as demo:
+        yield FinishedDemo(demo=demo, first=demo.run("--exit"))
+
+
+def test_evaluates_the_example_and_prints_leaderboard_and_addresses(finished: FinishedDemo) -> None:
+    done = finished.first
     assert done.returncode == 0, done.stdout + done.stderr
     for shown in (
         "zero (0.4 KiB), team demo",
@@ -93,26 +119,22 @@ def test_evaluates_the_example_and_prints_leaderboard_and_addresses(demo: DemoRu
     assert max(len(line) for line in done.stdout.splitlines() if "http" not in line and "/" not in line) <= 80
 
 
-def test_a_second_run_reuses_all_episodes_and_keeps_its_token(demo: DemoRun, tmp_path: Path) -> None:
-    first = demo.run("--exit")
-    token = tmp_path / "state" / "demo-token"
-    secret = token.read_text()
-    demo.warm_up = "raise SystemExit('the physics is not needed')"
-    second = demo.run("--exit")
+def test_a_second_run_reuses_all_episodes_and_keeps_its_token(finished: FinishedDemo) -> None:
+    secret = finished.token.read_text()
+    second = replace(finished.demo, warm_up="raise SystemExit('the physics is not needed')").run("--exit")
     assert second.returncode == 0, second.stderr
-    assert token.read_text() == secret
-    assert token.stat().st_mode & 0o777 == 0o600
+    assert finished.token.read_text() == secret
+    assert finished.token.stat().st_mode & 0o777 == 0o600
     assert "all 270 episodes reused" in second.stdout
     assert "Physics" not in second.stdout
-    assert result_hash(first) == result_hash(second)
+    assert result_hash(second) == result_hash(finished.first)
 
 
-def test_again_runs_all_episodes_once_more(demo: DemoRun) -> None:
-    first = demo.run("--exit")
-    again = demo.run("--exit", "--again")
+def test_again_runs_all_episodes_once_more(finished: FinishedDemo) -> None:
+    again = finished.demo.run("--exit", "--again")
     assert again.returncode == 0, again.stderr
     assert "270 of 270 episodes, 180 successes" in again.stdout
-    assert result_hash(first) == result_hash(again)
+    assert result_hash(again) == result_hash(finished.first)
 
 
 def test_stays_until_ctrl_c(demo: DemoRun) -> None:
@@ -138,11 +160,11 @@ def test_ctrl_c_during_the_evaluation_says_what_is_kept(demo: DemoRun) -> None:
     assert process.returncode == 130
 
 
-def test_takes_another_port_where_its_own_is_taken(demo: DemoRun) -> None:
+def test_takes_another_port_where_its_own_is_taken(finished: FinishedDemo) -> None:
     with bind("127.0.0.1", 0) as taken:
         taken.listen()
         port = taken.getsockname()[1]
-        done = demo.run("--exit", "--port", str(port))
+        done = finished.demo.run("--exit", "--port", str(port))
     assert done.returncode == 0, done.stderr
     assert f"(port {port} is taken)" in done.stdout
 
@@ -161,13 +183,13 @@ def test_physics_that_do_not_compile_end_the_demo_and_name_the_log(demo: DemoRun
     assert "demo.log" in done.stderr
 
 
-def test_a_token_that_is_no_longer_valid_is_replaced(demo: DemoRun, tmp_path: Path) -> None:
-    demo.run("--exit")
-    token = tmp_path / "state" / "demo-token"
-    token.write_text("vitac_" + "x" * 43)
-    done = demo.run("--exit")
+def test_a_token_that_is_no_longer_valid_is_replaced(finished: FinishedDemo) -> None:
+    invalid = "vitac_" + "x" * 43
+    finished.token.write_text(invalid)
+    done = finished.demo.run("--exit")
     assert done.returncode == 0, done.stderr
     assert "270 episodes reused" in done.stdout
+    assert finished.token.read_text() != invalid
 
 
 def test_a_missing_submission_says_what_to_do(demo: DemoRun, tmp_path: Path) -> None:
