@@ -3,7 +3,7 @@
 from dataclasses import asdict
 
 from vitac.envs.tasks.definition import Family
-from vitac.evaluator.tracks import Track, UnknownTrack, list_tracks, load_track
+from vitac.evaluator.tracks import Task, Track, UnknownTrack, list_tracks, load_track
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.settings import Settings
 from vitac.server.views.tracks import TrackListView, TrackTaskView, TrackView
@@ -37,10 +37,16 @@ def require_task(track: Track, task: str) -> None:
 
 def family_of(track: str, task: str) -> Family:
     """Return what a task needs to run; the tactile family where its track file is gone, whose workers then say so."""
+    known = known_task(track, task)
+    return known.definition.family if known else Family.TACTILE
+
+
+def known_task(track: str, task: str) -> Task | None:
+    """Return a task by the name that a submission has kept; None where its track file is gone."""
     try:
-        return load_track(track).tasks[task].definition.family
+        return load_track(track).tasks[task]
     except (UnknownTrack, KeyError):
-        return Family.TACTILE
+        return None
 
 
 def track_views(settings: Settings) -> TrackListView:

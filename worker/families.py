@@ -1,9 +1,16 @@
 """Families of environments that this machine can run; told to the service, and whose queues the worker takes from."""
 
-from vitac.envs.maniskill.env import missing_packages
+from vitac.envs.maniskill.abilities import abilities
 from vitac.envs.tasks.definition import Family
 
 
 def families_here() -> tuple[Family, ...]:
-    """Return the families whose packages are installed."""
-    return (Family.TACTILE,) if missing_packages() else (Family.TACTILE, Family.MANISKILL)
+    """Return the families that have here what they need."""
+    found = abilities()
+    able = {
+        Family.TACTILE: True,
+        Family.MANISKILL: found.physics,
+        Family.MANISKILL_PICTURES: found.physics and found.pictures,
+        Family.MANISKILL_CUDA: found.physics and found.cuda,
+    }
+    return tuple(family for family in Family if able[family])

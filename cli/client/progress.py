@@ -103,7 +103,7 @@ def situation(found: Json) -> str:
     evaluation = found["evaluation"]
     if found["workers"]["alive"] == 0 and evaluation["state"] in {"queued", "running"}:
         missing = found["workers"].get("missing_family")
-        return f"no running worker has the packages of {missing}" if missing else "no worker is running"
+        return f"no running worker has what {missing} needs" if missing else "no worker is running"
     if evaluation["state"] == "queued":
         return f"number {evaluation['queue_position']} in the queue"
     eta = evaluation["eta_s"]

@@ -11,6 +11,9 @@ import yaml
 CATALOGUE_FILE = Path(__file__).with_name("catalogue.yaml")
 """Written by `describing`."""
 
+_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+"""In C where PyYAML has it: every command that looks for a task reads the file."""
+
 MODES = ("state", "rgb", "rgbd", "pointcloud")
 """The `obs_mode` that a task may have."""
 
@@ -59,7 +62,7 @@ class Catalogue:
 @cache
 def catalogue() -> Catalogue:
     """Return what is known of all environments that were tried."""
-    content = yaml.safe_load(CATALOGUE_FILE.read_text(encoding="utf-8"))
+    content = yaml.load(CATALOGUE_FILE.read_text(encoding="utf-8"), Loader=_LOADER)  # noqa: S506 - a safe one
     return Catalogue(
         made_with=content["made_with"],
         environments={env_id: _described(entry) for env_id, entry in content["environments"].items()},

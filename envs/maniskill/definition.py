@@ -13,6 +13,8 @@ from .catalogue import MODES, Described, catalogue
 PREFIX = "ManiSkill/"
 """Of the `env_id` in a track file; ManiSkill's own id follows."""
 
+CPU, CUDA = "physx_cpu", "physx_cuda"
+
 _ENVIRONMENT = "vitac.envs.maniskill.env:ManiSkillEnv"
 
 
@@ -28,11 +30,13 @@ class ManiSkillSettings:
         obs_mode: what is observed: `state`, `rgb`, `rgbd` or `pointcloud`.
         control_mode: what an action moves, by ManiSkill's name.
         success_key: entry of ManiSkill's info that says whether the task is solved.
+        sim_backend: where the physics runs: `physx_cpu`, or `physx_cuda` on a GPU, which does not repeat.
     """
 
     obs_mode: str = "state"
     control_mode: str = "pd_ee_delta_pose"
     success_key: str = "success"
+    sim_backend: str = CPU
 
 
 def is_maniskill(env_id: str) -> bool:
@@ -54,8 +58,17 @@ def definition_of(env_id: str, settings: Mapping[str, Any]) -> TaskDefinition:
         environment=_ENVIRONMENT,
         actions=_actions(env_id, described, chosen.control_mode),
         observables=_observables(env_id, described, chosen.obs_mode),
-        family=Family.MANISKILL,
+        family=_family(env_id, chosen),
+        repeats=chosen.sim_backend == CPU,
     )
+
+
+def _family(env_id: str, chosen: ManiSkillSettings) -> Family:
+    if chosen.sim_backend not in {CPU, CUDA}:
+        raise ManiSkillTaskRejected(f"{env_id}: sim_backend is {chosen.sim_backend!r}, expected {CPU} or {CUDA}.")
+    if chosen.sim_backend == CUDA:
+        return Family.MANISKILL_CUDA
+    return Family.MANISKILL if chosen.obs_mode == "state" else Family.MANISKILL_PICTURES
 
 
 def _described(env_id: str) -> Described:

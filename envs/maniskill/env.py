@@ -24,7 +24,7 @@ from ..tasks.ending import EndReason
 from ..tasks.options import RNG_SEED, refuse_unknown, seeded_generator
 from ..tasks.settings import settings_from
 from .catalogue import catalogue
-from .definition import PREFIX, ManiSkillSettings, definition_of
+from .definition import CPU, PREFIX, ManiSkillSettings, definition_of
 from .observations import flattened, unbatched
 
 Observation = dict[str, NDArray[Any]]
@@ -33,6 +33,8 @@ _PACKAGES = ("mani-skill", "sapien", "torch")
 # Of the option that a list of starts has beside the shape; ManiSkill draws everything from the seed.
 _OPTIONS = ("shape", "variant")
 _LARGEST_SEED = 2**31 - 1
+_SAME_ON_EVERY_CPU = {"ATEN_CPU_CAPABILITY": "default", "MKL_CBWR": "COMPATIBLE", "OMP_NUM_THREADS": "1"}
+"""Read by torch when it is loaded. Its kernels for newer CPUs round otherwise, which moves the arm's controllers."""
 _OTHER_VERSION = (
     f"install mani-skill {catalogue().made_with['mani-skill']}, or make the catalogue anew "
     "(vitac.envs.maniskill.describing)."
@@ -48,7 +50,7 @@ class ManiSkillFailed(VitacError):
 
 
 class ManiSkillEnv:
-    """One environment of ManiSkill on the CPU (`physx_cpu`), alone, in this process.
+    """One environment of ManiSkill, alone, in this process; on the CPU unless the settings name a GPU.
 
     Args:
         env_id: as in the track file.
@@ -93,6 +95,8 @@ class ManiSkillEnv:
     def mesh_hash(self) -> str:
         """Return the SHA-256 [hex] over id and settings; bodies are those of the named versions."""
         named = {"environment": self._name, "control_mode": self._settings.control_mode}
+        if self._settings.sim_backend != CPU:
+            named["sim_backend"] = self._settings.sim_backend
         return hashlib.sha256(json.dumps(named, sort_keys=True).encode()).hexdigest()
 
     def state_hash(self) -> str:
@@ -196,7 +200,7 @@ def _made(name: str, settings: ManiSkillSettings) -> Any:
             f"Tasks of ManiSkill need {', '.join(missing)} (extra maniskill, 3 GB). Install it with: "
             f"{install_command('maniskill')}"
         )
-    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    os.environ.update(_SAME_ON_EVERY_CPU)
     warnings.filterwarnings("ignore", message="Failed to find system libvulkan")  # SAPIEN brings its own
     import gymnasium
     import torch
@@ -204,7 +208,13 @@ def _made(name: str, settings: ManiSkillSettings) -> Any:
     torch.set_num_threads(1)
     import mani_skill.envs  # noqa: F401 - registers the ids
 
-    has_renderer = _has_renderer()
+    on_cpu = settings.sim_backend == CPU
+    if not on_cpu and not has_cuda():
+        raise ManiSkillMissing(
+            f"{PREFIX}{name} with sim_backend {settings.sim_backend} needs an NVIDIA GPU and a torch with CUDA, and "
+            f"torch {torch.__version__} finds none. Run it where both are there."
+        )
+    has_renderer = has_driver()
     if settings.obs_mode != "state" and not has_renderer:
         raise ManiSkillMissing(
             f"{PREFIX}{name} with obs_mode {settings.obs_mode} needs pictures, and SAPIEN finds no Vulkan driver. "
@@ -217,12 +227,20 @@ def _made(name: str, settings: ManiSkillSettings) -> Any:
         name,
         obs_mode=settings.obs_mode,
         control_mode=settings.control_mode,
-        sim_backend="physx_cpu",
-        render_backend="none" if settings.obs_mode == "state" else "cpu",
+        sim_backend=settings.sim_backend,
+        render_backend="none" if settings.obs_mode == "state" else "cpu" if on_cpu else "gpu",
     ).unwrapped
 
 
-def _has_renderer() -> bool:
+def has_cuda() -> bool:
+    """Return whether torch finds a GPU to run physics on."""
+    import torch
+
+    return bool(torch.cuda.is_available())
+
+
+def has_driver() -> bool:
+    """Return whether SAPIEN finds a Vulkan driver to draw with."""
     import sapien
 
     try:

@@ -21,7 +21,11 @@ class Family(StrEnum):
     TACTILE = "tactile"
     """Our own, on the tactile simulation."""
     MANISKILL = "maniskill"
-    """ManiSkill's, with its extra."""
+    """ManiSkill's on the CPU, with its extra."""
+    MANISKILL_PICTURES = "maniskill-pictures"
+    """ManiSkill's on the CPU with cameras, with its extra and a Vulkan driver."""
+    MANISKILL_CUDA = "maniskill-cuda"
+    """ManiSkill's on a GPU, with its extra, CUDA and a torch that has it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,6 +78,8 @@ class TaskDefinition:
         perspective: place of the `Perspective` it is drawn from; None where it is not drawn.
         guided_motion: place of the `NextAction` that goes to its target; None where there is none.
         family: what it needs to run.
+        repeats: whether the same actions give the same states to the last bit; a log is verified within tolerance
+            where they do not.
         accepts_start: place of a function that says of a shape and a drawn offset whether an episode may start there;
             None where it may anywhere.
         info_lengths: numbers of those entries of an info that have more for some shapes than for others, at most.
@@ -88,6 +94,7 @@ class TaskDefinition:
     perspective: str | None = None
     guided_motion: str | None = None
     family: Family = Family.TACTILE
+    repeats: bool = True
     accepts_start: str | None = None
     info_lengths: Mapping[str, int] = field(default_factory=dict)
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import JsonValue
 from vitac.envs.errors import VitacError
-from vitac.envs.tasks.definition import Family
+from vitac.envs.maniskill.definition import is_maniskill
 
 from ..agent.protocol.frames import CloudSpec
 from ..agent.session import Isolation
@@ -122,7 +122,7 @@ def make_environment(
         sensor: design of both sensors; the challenge's by default.
         settings: in place of the task's own, for measurements.
     """
-    if task.definition.family is Family.MANISKILL:
+    if is_maniskill(task.env_id):
         return _of_maniskill(task, observation_keys)
     import gymnasium
     import vitac.envs  # noqa: F401 - registers the environment ids

@@ -9,6 +9,7 @@ from pydantic import JsonValue
 
 from ..episodes.records import SampledPicture
 from ..strict_model import StrictModel
+from ..tracks import Task
 
 _LONGEST_TEXT = 100
 
@@ -19,7 +20,8 @@ class VerificationResult(StrEnum):
     VERIFIED = "verified"
     """Every state hash is equal."""
     WITHIN_TOLERANCE = "verified within tolerance"
-    """Made on another known platform class; states differ, all outcomes and numbers of env steps are equal."""
+    """Made on another known platform class, or of a task that does not repeat to the last bit; states differ, all
+    outcomes and numbers of env steps are equal."""
     DIVERGED = "diverged"
     """The actions lead to other states than the log says."""
     OTHER_PICTURE = "other_picture"
@@ -111,6 +113,12 @@ class LogFinding(StrictModel):
     def impossible(cls, impossibility: Impossibility) -> "LogFinding":
         """Return the finding that no evaluation can have made a log."""
         return cls(verdict=VerificationResult.IMPOSSIBLE, reason=impossibility.message, impossibility=impossibility)
+
+
+def why_tolerated(task: Task, made_on: str) -> str:
+    """Return why a log is accepted whose states differ: its task does not repeat, or it was made on another class."""
+    why = f"made on {made_on}" if task.definition.repeats else "the environment does not repeat to the last bit"
+    return f"{why}; all outcomes are equal"
 
 
 def _named(picture: SampledPicture | None) -> str:

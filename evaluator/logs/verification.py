@@ -15,7 +15,7 @@ from ..strict_model import StrictModel
 from ..tracks import Task, Track
 from ..version import PLATFORM_CLASSES
 from .checks import must_agree, why_impossible
-from .findings import Divergence, LogFinding, OtherPicture, VerificationResult, comparable
+from .findings import Divergence, LogFinding, OtherPicture, VerificationResult, comparable, why_tolerated
 from .log import LogHeader
 from .recordings import recording_of
 
@@ -46,10 +46,10 @@ class CheckedEpisode:
 
     Attributes:
         record: the log's record with the re-simulated states, infos and rewards.
-        divergence: the first state that differs; on another platform class, the different end of the episode if there
+        divergence: the first state that differs; where states may differ, the different end of the episode if there
             is one; None if all states are equal.
-        finding: why the episode is not accepted. It is, if all states and the sampled pictures are equal, or if it is
-            of another platform class, where states differ, and ends alike.
+        finding: why the episode is not accepted. It is, if all states and the sampled pictures are equal, or if it ends
+            alike where states may differ: it is of another platform class, or of a task that does not repeat.
     """
 
     record: EpisodeRecord
@@ -93,7 +93,7 @@ def verify(
         on_episode(played[-1])
     return Verification(
         verdict=VerificationResult.WITHIN_TOLERANCE if first else VerificationResult.VERIFIED,
-        reason=f"made on {header.manifest.platform_class}; all outcomes are equal" if first else "all states are equal",
+        reason=why_tolerated(task, header.manifest.platform_class) if first else "all states are equal",
         manifest=manifest,
         divergence=first,
         records=tuple(played),
@@ -117,13 +117,14 @@ def check_episode(
     divergence = find_divergence(record, played)
     # Of an invented class nothing is tolerated: anybody may write one.
     other_platform = header.manifest.platform_class in PLATFORM_CLASSES - {manifest.platform_class}
+    tolerant = other_platform or not task.definition.repeats
     ended_as_recorded = _ended_as_recorded(record, played)
-    if other_platform and not ended_as_recorded:
+    if tolerant and not ended_as_recorded:
         divergence = _divergence_at(min(record.env_steps, played.end_step or record.env_steps), record, played)
     return CheckedEpisode(
         record=_with_our_states(record, played),
         divergence=divergence,
-        finding=None if divergence and other_platform and ended_as_recorded else _finding(divergence, record, played),
+        finding=None if divergence and tolerant and ended_as_recorded else _finding(divergence, record, played),
     )
 
 

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import NoReturn
 
 import numpy as np
-from vitac.envs.tasks.definition import Family
+from vitac.envs.maniskill.definition import is_maniskill
 
 from ..episodes.episode import make_environment
 from ..estimator.calibration import calibrated
@@ -109,7 +109,7 @@ class SimulationHost:
         # The shard meets the same error and reports it with its result.
         with suppress(Exception):
             listed = load_track(track).tasks[task]
-            if listed.definition.family is not Family.TACTILE:
+            if is_maniskill(listed.env_id):
                 return  # ManiSkill starts threads, which a copy would not have: each shard loads it for itself.
             env = make_environment(listed, assets_dir, sensor=design_in(sensor) if sensor else None)
             env.reset(options=listed.episodes[0].options)

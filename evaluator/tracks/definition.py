@@ -11,6 +11,7 @@ from typing import Any, Self
 
 from pydantic import Field, PositiveInt, model_validator
 from vitac.envs.errors import VitacError
+from vitac.envs.maniskill.definition import is_maniskill
 from vitac.envs.observable import Observable
 from vitac.envs.tasks.definition import ActionComponent, TaskDefinition
 
@@ -232,6 +233,11 @@ class Track(StrictModel):
     def tasks_that_count(self) -> tuple[str, ...]:
         """Return the tasks that the board of the whole track combines."""
         return self.combined_tasks or tuple(self.tasks)
+
+    @property
+    def has_maniskill(self) -> bool:
+        """Return whether a worker needs ManiSkill to play the track, or a part of it."""
+        return any(is_maniskill(task.env_id) for task in self.tasks.values())
 
     def tasks_of(self, named: Collection[str]) -> tuple[str, ...]:
         """Return what a submission plays that names these tasks: them, and what our own estimator plays of each."""

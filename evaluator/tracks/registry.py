@@ -26,8 +26,8 @@ class UnknownTask(VitacError):
 
 
 def list_tracks() -> tuple[str, ...]:
-    """Return the names of all tracks, sorted."""
-    return tuple(sorted(_track_files()))
+    """Return the names of all tracks, sorted; those with an environment of ManiSkill after the others."""
+    return tuple(sorted(_track_files(), key=lambda name: (load_track(name).has_maniskill, name)))
 
 
 def load_track(name: str) -> Track:
@@ -39,7 +39,7 @@ def load_track(name: str) -> Track:
     """
     files = _track_files()
     if name not in files:
-        raise UnknownTrack(f"There is no track {name!r}; the tracks are {', '.join(sorted(files))}.")
+        raise UnknownTrack(f"There is no track {name!r}; the tracks are {', '.join(list_tracks())}.")
     return _read(files[name])
 
 

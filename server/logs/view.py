@@ -6,11 +6,12 @@ from uuid import UUID
 from sqlalchemy import select
 from sqlalchemy.dialects.postgresql import distinct_on
 from sqlalchemy.orm import Session
-from vitac.evaluator.logs.findings import LogFinding, VerificationResult
+from vitac.evaluator.logs.findings import LogFinding, VerificationResult, why_tolerated
 from vitac.server.db.models import Evaluation, Shard, Submission
 from vitac.server.db.states import EvaluationState
 from vitac.server.evaluations.verdicts import REFUTING_RESULTS
 from vitac.server.logs.claims import LogClaim
+from vitac.server.tracks import known_task
 from vitac.server.views.logs import DivergenceView, LogCopyView, LogView
 
 
@@ -33,7 +34,7 @@ def log_view(
     return LogView(
         label=submission.kind.form.worth,
         verdict=verdict,
-        reason=finding.reason if finding else _reason(verdict, claim),
+        reason=finding.reason if finding else _reason(verdict, claim, submission),
         divergence=DivergenceView(**divergence.model_dump()) if divergence else None,
         claimed_episodes=claim.episodes,
         claimed_successes=claim.successes,
@@ -78,9 +79,10 @@ def verification_of(claim: LogClaim, evaluation: Evaluation) -> VerificationResu
     )
 
 
-def _reason(verdict: VerificationResult | None, claim: LogClaim) -> str | None:
+def _reason(verdict: VerificationResult | None, claim: LogClaim, submission: Submission) -> str | None:
     if verdict is VerificationResult.VERIFIED:
         return "all states are equal"
     if verdict is VerificationResult.WITHIN_TOLERANCE and claim.manifest:
-        return f"made on {claim.manifest.platform_class}; all outcomes are equal"
+        task = known_task(submission.track, submission.tasks[0])
+        return why_tolerated(task, claim.manifest.platform_class) if task else None
     return None

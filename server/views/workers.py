@@ -15,7 +15,7 @@ class WorkersView(View):
 
     alive: int = Field(description="Those that can run the tasks of the submission.")
     missing_family: Family | None = Field(
-        default=None, description="A family of its tasks that none of the running workers has the packages for."
+        default=None, description="A family of its tasks that none of the running workers has what it needs for."
     )
     last_heartbeat_at: datetime | None
 

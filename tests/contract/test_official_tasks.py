@@ -5,12 +5,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+from vitac.envs.tasks.definition import Family
 from vitac.evaluator.episodes.episode import json_info, make_environment
 from vitac.evaluator.episodes.records import canonical_json
 from vitac.evaluator.logs.log import MAX_INFO_BYTES, MAX_INFO_VALUES, count_values
 from vitac.evaluator.tracks import Task, list_tracks, load_track
 
-TASKS = [task for track in list_tracks() for task in load_track(track).tasks.values()]
+TASKS = [
+    task
+    for track in list_tracks()
+    for task in load_track(track).tasks.values()
+    if task.definition.family is Family.TACTILE
+]
 
 
 @pytest.fixture(params=TASKS, ids=lambda task: task.name)

@@ -14,7 +14,6 @@ from PIL import Image
 from vitac.cli import main as cli
 from vitac.cli import show
 from vitac.evaluator.logs.log import LogHeader, write_log
-from vitac.evaluator.tracks import find_task
 
 Run = Callable[..., tuple[int, str, str]]
 
@@ -221,10 +220,9 @@ def test_every_task_that_is_scored_can_be_drawn() -> None:
     from vitac.envs.drawing.drawable import perspective_of, straight_to_target
     from vitac.evaluator.tracks import list_tracks, load_track
 
-    tasks = [task for track in list_tracks() for task in load_track(track).tasks]
-    assert tasks
-    for name in tasks:
-        env_id = find_task(name)[1].env_id
+    drawn = [task.env_id for name in list_tracks() if name != "maniskill" for task in load_track(name).tasks.values()]
+    assert drawn
+    for env_id in drawn:
         assert perspective_of(env_id).held_name
         assert callable(straight_to_target(env_id))
 

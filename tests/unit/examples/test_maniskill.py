@@ -1,4 +1,4 @@
-"""The example policy of ManiSkill's PickCube-v1, and the track file beside it."""
+"""The example policy of ManiSkill's PickCube-v1."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from example_policies import imported
 from vitac.envs.tasks.definition import Family
-from vitac.evaluator.strict_model import parse_yaml
-from vitac.evaluator.tracks import Track
+from vitac.evaluator.tracks import load_track
 
 
 @pytest.fixture(scope="module")
@@ -43,9 +42,8 @@ def test_goes_above_the_cube_then_down_then_closes_then_to_the_goal(
     np.testing.assert_allclose(action, expected, atol=1e-6)
 
 
-def test_the_parts_of_the_state_are_where_the_track_says(repository: Path, policy: SimpleNamespace) -> None:
-    path = repository / "examples/maniskill/tracks/maniskill.yaml"
-    task = parse_yaml(Track, path.read_text(), path.name).tasks["pick-cube"]
+def test_the_parts_of_the_state_are_where_the_track_says(policy: SimpleNamespace) -> None:
+    task = load_track("maniskill").tasks["pick-cube"]
     assert (task.definition.family, len(task.episodes), len(task.actions)) == (Family.MANISKILL, 100, 4)
     (observed,) = task.observables
     for part, place in (

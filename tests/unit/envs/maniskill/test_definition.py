@@ -16,7 +16,8 @@ NAMED = (
 def test_the_tasks_of_the_challenge_are_in_the_catalogue_with_all_modes(name: str) -> None:
     for mode in MODES:
         task = definition_of(f"ManiSkill/{name}", {"obs_mode": mode})
-        assert task.family is Family.MANISKILL
+        assert task.family is (Family.MANISKILL if mode == "state" else Family.MANISKILL_PICTURES)
+        assert task.repeats
         assert [row.name for row in task.actions] == ["x", "y", "z", "rx", "ry", "rz", "gripper"]
         assert len({row.name for row in task.observables}) == len(task.observables)
         assert not any(row.privileged for row in task.observables)
@@ -95,3 +96,11 @@ def test_an_unknown_setting_names_the_nearest_one() -> None:
 def test_only_ids_with_the_prefix_are_maniskills() -> None:
     assert is_maniskill("ManiSkill/PickCube-v1")
     assert not is_maniskill("ViTac/PegInsertion-v1")
+
+
+def test_physics_on_a_gpu_is_a_family_of_its_own_that_does_not_repeat() -> None:
+    for mode in MODES:
+        task = definition_of("ManiSkill/PickCube-v1", {"obs_mode": mode, "sim_backend": "physx_cuda"})
+        assert (task.family, task.repeats) == (Family.MANISKILL_CUDA, False)
+    with pytest.raises(ManiSkillTaskRejected, match="sim_backend is 'cuda:0', expected physx_cpu or physx_cuda"):
+        definition_of("ManiSkill/PickCube-v1", {"sim_backend": "cuda:0"})

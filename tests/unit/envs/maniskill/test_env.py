@@ -216,7 +216,7 @@ def test_pictures_without_a_driver_are_refused_with_what_to_install(monkeypatch:
     for name in ("mani_skill", "mani_skill.envs", "torch"):
         monkeypatch.setitem(sys.modules, name, SimpleNamespace(set_num_threads=lambda count: None))
     monkeypatch.setattr(adapter, "missing_packages", tuple)
-    monkeypatch.setattr(adapter, "_has_renderer", lambda: False)
+    monkeypatch.setattr(adapter, "has_driver", lambda: False)
     with pytest.raises(ManiSkillMissing, match=r"obs_mode rgb needs pictures, .* Mesa 24.3 or newer"):
         pick_cube(settings={"obs_mode": "rgb"})
 

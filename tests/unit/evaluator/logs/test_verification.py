@@ -22,6 +22,7 @@ from vitac.evaluator.logs.findings import VerificationResult, comparable
 from vitac.evaluator.logs.log import LogHeader
 from vitac.evaluator.logs.verification import Verification, verify
 from vitac.evaluator.scoring.score import score
+from vitac.evaluator.tracks.families import environment_definition
 from vitac.evaluator.version import PLATFORM_CLASSES, platform_class
 
 TRACK = small_track(offsets=1)
@@ -185,6 +186,20 @@ def test_other_bits_of_other_machines_are_tolerated_while_outcomes_agree() -> No
     assert verification.score == score(RECORDS)
     assert verification.records[1].state_hashes == RECORDS[1].state_hashes
     assert verification.divergence is not None
+
+
+def test_of_a_task_that_does_not_repeat_states_may_differ_but_no_outcome(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        "vitac.evaluator.tracks.definition.environment_definition",
+        lambda env_id, settings, known=environment_definition: replace(known(env_id, settings), repeats=False),
+    )
+    hashes = ("f" * 64,) * len(RECORDS[1].state_hashes)
+    verification = check(with_record(2, state_hashes=hashes))
+    assert verification.verdict is VerificationResult.WITHIN_TOLERANCE
+    assert verification.reason == "the environment does not repeat to the last bit; all outcomes are equal"
+    assert check().verdict is VerificationResult.VERIFIED
+    lie = with_record(2, state_hashes=hashes, outcome=EpisodeOutcome.SUCCESS)
+    assert check(lie).verdict is VerificationResult.DIVERGED
 
 
 def test_of_an_invented_platform_class_every_bit_must_agree() -> None:

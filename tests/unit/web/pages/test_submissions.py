@@ -204,7 +204,7 @@ def test_a_submission_that_no_running_worker_can_play_says_what_is_missing(
     data.found = [QUEUED.model_copy(update={"workers": workers})]
     sign_in(browser, "Bears")
     html = browser.get(f"/submissions/{QUEUED.id}").text
-    assert "No running worker can play these tasks: none has the packages of maniskill." in html
+    assert "No running worker can play these tasks: none has what maniskill needs." in html
     assert "No worker is running" not in html
 
 
