@@ -129,7 +129,10 @@ _POSITION = tuple(
 )
 _ROTATION = tuple(
     ActionComponent(
-        name=f"r{axis}", scale=0.1, unit="rad", meaning=f"Rotation vector of the gripper, along {axis} of the base."
+        name=f"r{axis}",
+        scale=-0.1,
+        unit="rad",
+        meaning=f"Angle about {axis} of the base, against its sign; of the three, the length is at most 1.",
     )
     for axis in "xyz"
 )

@@ -197,8 +197,8 @@ def _made(name: str, settings: ManiSkillSettings) -> Any:
     missing = missing_packages()
     if missing:
         raise ManiSkillMissing(
-            f"Tasks of ManiSkill need {', '.join(missing)} (extra maniskill, 3 GB). Install it with: "
-            f"{install_command('maniskill')}"
+            f"Tasks of ManiSkill need {', '.join(missing)} (extra maniskill, 3 GB). Put `--maniskill` before the "
+            f"command (./vitac --maniskill evaluate ...), or install it with: {install_command('maniskill')}"
         )
     os.environ.update(_SAME_ON_EVERY_CPU)
     warnings.filterwarnings("ignore", message="Failed to find system libvulkan")  # SAPIEN brings its own

@@ -23,11 +23,15 @@ case "$*" in
     echo "pip ${{last##*/}}" >>"$FAKE_CALLS"
     if [ -n "${{FAKE_GATE-}}" ]; then read -r opened <"$FAKE_GATE"; fi
     if [ -n "${{FAKE_PIP_ERROR-}}" ]; then echo "$FAKE_PIP_ERROR"; exit 1; fi
-    case $last in *docs.lock) exit ;; esac
+    case $last in *docs.lock | *maniskill.lock) exit ;; esac
     for program in vitac pytest; do
       printf '#!/bin/sh\\nfor word; do printf "<%%s>" "$word"; done; pwd; exit 7\\n' >"${{0%/*}}/$program"
       chmod +x "${{0%/*}}/$program"
     done ;;
+  *"pip "*"torch=="*)
+    for last; do :; done
+    echo "pip ${{last%%=*}}" >>"$FAKE_CALLS"
+    if [ -n "${{FAKE_TORCH_ERROR-}}" ]; then echo "$FAKE_TORCH_ERROR"; exit 1; fi ;;
   "-m sphinx "*)
     for last; do :; done
     echo "sphinx" >>"$FAKE_CALLS"
@@ -69,7 +73,7 @@ TOOLS = (
         "mv",
         "readlink",
     ),
-    *("rm", "sed", "sh", "sort", "tail", "touch", "tr", "xargs"),
+    *("rm", "sed", "sh", "sort", "tail", "touch", "tr", "uname", "xargs"),
 )
 
 # Stands in for apt-get and dpkg-deb: knows bubblewrap and one library, once the lists have been updated.
@@ -205,6 +209,40 @@ def test_drawing_adds_its_packages_and_later_commands_keep_them(checkout: Checko
     for command in ("status", "show", "status", "test", "show"):
         checkout.run(str(checkout.root / "vitac"), command)
     assert checkout.calls == ["venv", "pip base.lock", "pip show.lock", "pip dev.lock", "sphinx"]
+
+
+def test_maniskill_is_added_once_after_saying_how_large_it_is(checkout: Checkout) -> None:
+    launcher = str(checkout.root / "vitac")
+    first, second = (checkout.run(launcher, "--maniskill", "status") for _ in range(2))
+    assert checkout.calls == ["venv", "pip base.lock", "pip maniskill.lock", "pip torch"]
+    assert first.stderr.index("take 3 GB") < first.stderr.index("installing torch for CPUs")
+    assert (first.returncode, first.stdout) == (7, f"<status>{checkout.root}\n")
+    assert second.stderr == ""
+    checkout.run(launcher, "status")
+    checkout.run(launcher, "--maniskill", "test")
+    assert checkout.calls[4:] == ["pip dev.lock", "sphinx"]
+    with (checkout.root / "requirements" / "maniskill.lock").open("a") as file:
+        file.write("# changed\n")
+    checkout.run(launcher, "--maniskill", "status")
+    assert checkout.calls[6:] == ["pip dev.lock", "pip maniskill.lock", "pip torch"]
+
+
+def test_maniskill_that_was_cut_off_is_added_again_and_too_small_a_disk_refused(
+    checkout: Checkout, tmp_path: Path
+) -> None:
+    launcher = str(checkout.root / "vitac")
+    failed = checkout.run(launcher, "--maniskill", "status", FAKE_TORCH_ERROR="Failed to resolve 'a.host'")
+    assert (failed.returncode, "the package index cannot be reached" in failed.stderr) == (1, True)
+    absent = checkout.run(launcher, "--maniskill", "status", FAKE_TORCH_ERROR="No matching distribution found for it")
+    assert "in PIP_EXTRA_INDEX_URL" in absent.stderr
+    assert len(checkout.calls) == 6
+    (tmp_path / "bin" / "df").unlink()
+    program(tmp_path / "bin" / "df", "#!/bin/sh\necho head\necho disk 0 0 2048000 0% /\n")
+    full = checkout.run(launcher, "--maniskill", "status")
+    assert "the disk has 2000 MiB free" in full.stderr
+    assert (full.returncode, len(checkout.calls)) == (1, 6)
+    program(tmp_path / "bin" / "df", "#!/bin/sh\necho head\necho disk 0 0 9048000 0% /\n")
+    assert checkout.run(launcher, "--maniskill", "status").returncode == 7
 
 
 @pytest.mark.parametrize("changed", ["pyproject.toml", "requirements/base.lock"])

@@ -16,6 +16,7 @@ from typing import Any
 import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
+from vitac.envs.maniskill.catalogue import catalogue
 
 FOLDERS = ("cli", "envs", "evaluator", "migrations", "server", "training", "web", "worker")
 NOT_SHIPPED = {"__pycache__", "node_modules"}
@@ -195,7 +196,7 @@ def test_larger_lock_extends_the_smaller_one(repository: Path, smaller: str, lar
     assert {name: held.get(name) for name in locked(repository, smaller)} == locked(repository, smaller)
 
 
-@pytest.mark.parametrize("profile", ["base", "show", "dev", "node"])
+@pytest.mark.parametrize("profile", ["base", "show", "dev", "maniskill", "node"])
 def test_lock_has_a_hash_for_every_package_and_names_no_index(repository: Path, profile: str) -> None:
     text = (repository / "requirements" / f"{profile}.lock").read_text()
     pinned = re.findall(r"^\S+==.*\\\n    --hash=sha256:[0-9a-f]{64}", text, re.MULTILINE)
@@ -213,6 +214,19 @@ def test_packages_of_the_player_have_a_hash_and_name_no_registry(repository: Pat
     for name, package in packages.items():
         assert not name or package["integrity"].startswith("sha512-"), name
     assert "://" not in text
+
+
+def test_the_lock_of_maniskill_has_no_torch_and_agrees_with_all_profiles_on_what_they_share(
+    repository: Path, project: dict[str, Any]
+) -> None:
+    """It is installed into their environment; torch's build for CPUs is installed apart."""
+    held, dev = locked(repository, "maniskill"), locked(repository, "dev")
+    assert {name: versions for name, versions in held.items() if versions != dev.get(name, versions)} == {}
+    assert not [name for name in held if name in {"torch", "triton", "imageio-ffmpeg"} or name.startswith("cuda")]
+    for requirement in map(Requirement, project["project"]["optional-dependencies"]["maniskill"]):
+        assert all(requirement.specifier.contains(version) for version in held[requirement.name])
+    made_with = catalogue().made_with
+    assert {name: held[name] for name in made_with} == {name: {version} for name, version in made_with.items()}
 
 
 def test_lock_leaves_out_what_only_extras_need(repository: Path) -> None:
