@@ -11,7 +11,7 @@ HOLE = slice(35, 42)
 
 STEP_M, STEP_RAD = 0.1, -0.1  # motion at an action of 1; ManiSkill turns against the sign of the angle
 OPEN, CLOSED = 1.0, -1.0
-GAIN = 1.5  # the arm moves less than it is told to
+GAIN = 1.5  # the arm moves less than commanded
 ABOVE_M = 0.08
 BEFORE_M = 0.03  # between the peg's head and the box
 CLOSING_STEPS = 3

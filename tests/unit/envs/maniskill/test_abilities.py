@@ -29,7 +29,7 @@ def answers(monkeypatch: pytest.MonkeyPatch, answer: str | Exception) -> list[li
         return subprocess.CompletedProcess(command, 0, stdout=answer)
 
     monkeypatch.setattr(module, "missing_packages", tuple)
-    monkeypatch.setattr(module.subprocess, "run", run)
+    monkeypatch.setattr(subprocess, "run", run)
     return commands
 
 

@@ -22,7 +22,7 @@ from vitac.server.queue.sweep import sweep
 from vitac.server.queue.workers import fleet
 from vitac.server.tracks import family_of
 
-TACTILE, MANISKILL = (queue_name(evaluator_version(), family) for family in Family)
+TACTILE, MANISKILL, PICTURES, CUDA = (queue_name(evaluator_version(), family) for family in Family)
 BOTH = ["tactile", "maniskill"]
 
 
@@ -47,7 +47,7 @@ def waiting(session: Session) -> dict[str, int]:
 
 def test_families_have_queues_of_their_own_and_ours_keeps_its_name() -> None:
     assert f"shards {evaluator_version()}" == TACTILE
-    assert f"{TACTILE} maniskill" == MANISKILL
+    assert [f"{TACTILE} {family}" for family in list(Family)[1:]] == [MANISKILL, PICTURES, CUDA]
 
 
 def test_the_family_of_a_task_follows_from_its_track_file(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -113,6 +113,31 @@ def test_a_submission_that_no_running_worker_can_play_says_so(
     assert (shown.alive, shown.missing_family) == (alive, missing)
 
 
+@pytest.mark.parametrize(
+    ("mode", "family", "queue"),
+    [
+        ("obs_mode: rgbd", "maniskill-pictures", PICTURES),
+        ("obs_mode: state, sim_backend: physx_cuda", "maniskill-cuda", CUDA),
+    ],
+)
+def test_pictures_and_physics_on_a_gpu_wait_for_workers_whose_machine_can(
+    database: Database, tmp_path: Path, mode: str, family: str, queue: str
+) -> None:
+    (tmp_path / "cubes.yaml").unlink()
+    folder = tmp_path / "others"
+    folder.mkdir()
+    (folder / "seen.yaml").write_text(FILE.replace("obs_mode: state", mode).replace("name: cubes", "name: seen"))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("VITAC_TRACKS_DIR", str(folder))
+        with database.transaction() as session:
+            seen = submit_to(session, make_principal(session), track="seen", task="pick-cube")
+            assert waiting(session) == {queue: 2}
+        make_worker(database, families=BOTH)
+        assert view_of(database, CONSOLE, seen).workers.missing_family == family
+        make_worker(database, families=["tactile", family])
+        assert view_of(database, CONSOLE, seen).workers.alive == 1
+
+
 def test_tasks_of_ours_need_no_other_family(database: Database) -> None:
     make_worker(database)
     with database.transaction() as session:
@@ -126,5 +151,5 @@ def test_workers_are_counted_by_family(database: Database) -> None:
     make_worker(database, families=BOTH)
     with database.transaction() as session:
         known = fleet(session, make_settings())
-    assert [known.alive(None, family).alive for family in (None, *Family)] == [2, 2, 1]
-    assert [known.alive("another", family).alive for family in (None, *Family)] == [0, 0, 0]
+    assert [known.alive(None, family).alive for family in (None, *Family)] == [2, 2, 1, 0, 0]
+    assert [known.alive("another", family).alive for family in (None, *Family)] == [0, 0, 0, 0, 0]
