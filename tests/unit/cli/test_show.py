@@ -7,7 +7,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from cubes_track import FILE
 from evaluation_records import make_manifest, make_record
 from fake_scene import FakeScene
 from PIL import Image
@@ -205,12 +204,8 @@ def test_missing_extra_is_refused_with_the_command_that_installs_it(
 
 
 @pytest.mark.parametrize("further", [(), ("--actions", "log.jsonl")])
-def test_a_task_of_another_simulation_is_refused(
-    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, further: tuple[str, ...]
-) -> None:
-    (tmp_path / "cubes.yaml").write_text(FILE)
+def test_a_task_of_another_simulation_is_refused(run: Run, tmp_path: Path, further: tuple[str, ...]) -> None:
     (tmp_path / "log.jsonl").write_text("{}")
-    monkeypatch.setenv("VITAC_TRACKS_DIR", str(tmp_path))
     code, _, err = run("pick-cube", "--episode", 1, *further)
     assert code == 1
     assert "ManiSkill/PickCube-v1 is an environment of maniskill: it cannot be drawn" in err
