@@ -14,12 +14,11 @@ import structlog
 from sqlalchemy.orm import Session
 from vitac.envs.errors import VitacError
 from vitac.evaluator.episodes.records import EpisodeRecord, Manifest
-from vitac.evaluator.estimator.regression import Coefficients
+from vitac.evaluator.figures.figures import FigureChoice
 from vitac.evaluator.scoring.failures import is_broken
 from vitac.evaluator.shards.order import ShardOrder
 from vitac.evaluator.shards.result import ShardEnd, ShardResult
 from vitac.server.competition.sealing import secret_of
-from vitac.server.db.states import FileRole
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.evaluations.episode_store import StoredEpisodes, store_episodes, stored_episodes
 from vitac.server.evaluations.lifecycle import finish_shard, report_broken_machine
@@ -30,6 +29,7 @@ from vitac.server.services import Services
 from vitac.server.storage import stored_files
 from vitac.server.storage.blobs import StoredFileLost
 from vitac.server.storage.disk_space import has_space, is_disk_full
+from vitac.server.submissions.figures import coefficients_file, has_part, is_measured_by, part_file
 from vitac.server.submissions.files import add_files
 from vitac.server.uploads.checked_upload import UploadedFile
 
@@ -114,7 +114,7 @@ class ShardRun:
         self._kill()
 
     def _run(self) -> RunEnd:
-        stored = self._database(lambda session: stored_episodes(session, self._lease))
+        stored: StoredEpisodes = self._database(lambda session: stored_episodes(session, self._lease))
         result = self._result_without_running(stored) or self._play(stored)
         self._database(lambda session: finish_shard(session, self._lease, result))
         return RunEnd.FINISHED
@@ -123,6 +123,8 @@ class ShardRun:
         """Return the shard's end if nothing is left to play; None otherwise, or if nobody has played the task yet."""
         broken = is_broken(stored.failures)
         if not broken and not stored.numbers.issuperset(self._lease.episodes):
+            return None
+        if is_measured_by(self._lease) and not self._database(lambda session: has_part(session, self._lease)):
             return None
         manifest: Manifest | None = self._database(lambda session: known_manifest(session, self._lease))
         if manifest is None:
@@ -148,8 +150,7 @@ class ShardRun:
                     store.add(record)
             finally:
                 store.close()
-            if process.result.coefficients is not None:
-                self._keep(process.result.coefficients)
+            self._keep(process.result)
             return process.result
 
     def _fetch(self, stack: ExitStack, stage: Callable[[], AbstractContextManager[Path]]) -> Path:
@@ -178,21 +179,18 @@ class ShardRun:
         file.write_text(secret)
         return file
 
-    def _keep(self, coefficients: Coefficients) -> None:
-        """Store what the standard estimator has learned; every shard learns the same."""
-        content = coefficients.as_bytes()
-        with tempfile.TemporaryDirectory(prefix="upload-", dir=self._services.settings.scratch_dir) as folder:
-            file = UploadedFile(
-                role=FileRole.COEFFICIENTS,
-                path=Path(folder) / "coefficients.json",
-                sha256=coefficients.digest,
-                n_bytes=len(content),
-                name="coefficients.json",
-            )
-            file.path.write_bytes(content)
-            self._database(lambda session: self._keep_file(session, file))
+    def _keep(self, result: ShardResult) -> None:
+        """Store what is known of a sensor after a shard: what the estimator has learned, and a part of the figures."""
+        with tempfile.TemporaryDirectory(prefix="upload-", dir=self._services.settings.scratch_dir) as name:
+            folder, files = Path(name), []
+            if result.coefficients is not None:
+                files.append(coefficients_file(result.coefficients, folder))
+            if result.figures is not None:
+                files.append(part_file(result.figures, self._lease, folder))
+            for file in files:
+                self._database(partial(self._keep_file, file))
 
-    def _keep_file(self, session: Session, file: UploadedFile) -> None:
+    def _keep_file(self, file: UploadedFile, session: Session) -> None:
         stored_files.store(session, self._services.blobs, file.path, file.sha256)
         add_files(session, self._lease.submission_id, [file])
 
@@ -201,6 +199,7 @@ class ShardRun:
             kind=self._lease.kind,
             submission=path,
             sensor=sensor,
+            figures=FigureChoice.ALL if is_measured_by(self._lease) else FigureChoice.NONE,
             track=self._lease.track,
             task=self._lease.task,
             secret=secret,

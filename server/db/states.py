@@ -19,6 +19,7 @@ class FileRole(StrEnum):
     SENSOR = "sensor"  # the sensor as it was made at the upload; only this is scored
     DOCUMENT = "document"  # the design document, as it was brought
     COEFFICIENTS = "coefficients"  # what the standard estimator learned of the sensor
+    FIGURES = "figures"  # the part of the sensor's figures that one shard has measured
 
 
 class Quota(StrEnum):

@@ -14,6 +14,7 @@ from ..db.states import EvaluationState, FileRole
 from ..errors import not_found
 from ..evaluations.history import newest_evaluation
 from ..views.submissions import DocumentView, EpisodeView, SensorView
+from .figures import figures_of
 from .files import file_of
 from .listing import episodes
 
@@ -33,6 +34,7 @@ def sensor(session: Session, by: Principal, submission_id: UUID) -> SensorView:
         document=DocumentView(name=described.name, n_bytes=described.n_bytes, sha256=described.sha256),
         coefficients_sha256=None if learned is None else learned.sha256,
         gain=_gain(session, by, submission),
+        figures=figures_of(session, submission, newest_evaluation(session, submission)),
     )
 
 

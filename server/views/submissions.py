@@ -4,6 +4,7 @@ from datetime import datetime
 from uuid import UUID
 
 from pydantic import Field
+from vitac.evaluator.figures.figures import SensorFigures
 from vitac.evaluator.scoring.gain import SensingGain
 from vitac.evaluator.submission_kinds import SubmissionKind
 
@@ -103,3 +104,6 @@ class SensorView(View):
     document: DocumentView
     coefficients_sha256: str | None = Field(description="Of what the standard estimator has learned; null before.")
     gain: SensingGain | None = Field(description="Standard minus blind; null until both runs are complete.")
+    figures: SensorFigures | None = Field(
+        description="As far as the blind run has measured them (`starts` of 90); null before its first shard."
+    )

@@ -7,6 +7,7 @@ from contextlib import contextmanager
 
 from service_factories import ISOLATION, make_manifest, make_record
 from vitac.evaluator.episodes.records import EpisodeRecord, PolicyFailure
+from vitac.evaluator.figures.figures import FiguresPart
 from vitac.evaluator.scoring.failures import is_broken
 from vitac.evaluator.shards.order import ShardOrder
 from vitac.evaluator.shards.process import ShardProcessFailed
@@ -19,12 +20,17 @@ class FakeShard:
     """Gives a record for each episode that is asked for; `gate` is waited for before each one."""
 
     def __init__(
-        self, order: ShardOrder, record_of: Callable[[int], EpisodeRecord], gate: Callable[[int], None]
+        self,
+        order: ShardOrder,
+        record_of: Callable[[int], EpisodeRecord],
+        gate: Callable[[int], None],
+        figures_of: Callable[[ShardOrder], FiguresPart | None],
     ) -> None:
         self.order = order
         self.killed = threading.Event()
         self._record_of = record_of
         self._gate = gate
+        self._figures_of = figures_of
         self._result: ShardResult | None = None
 
     def records(self) -> Iterator[EpisodeRecord]:
@@ -40,7 +46,13 @@ class FakeShard:
             if is_broken(failures):
                 break
         end = ShardEnd.BROKEN if is_broken(failures) else ShardEnd.COMPLETE
-        self._result = ShardResult(index=self.order.shard, end=end, manifest=make_manifest(), isolation=ISOLATION)
+        self._result = ShardResult(
+            index=self.order.shard,
+            end=end,
+            manifest=make_manifest(self.order.task),
+            isolation=ISOLATION,
+            figures=self._figures_of(self.order),
+        )
 
     @property
     def result(self) -> ShardResult:
@@ -58,14 +70,16 @@ class FakeShards:
         self,
         record_of: Callable[[int], EpisodeRecord] = make_record,
         gate: Callable[[int], None] = lambda number: None,
+        figures_of: Callable[[ShardOrder], FiguresPart | None] = lambda order: None,
     ) -> None:
         self.started: list[FakeShard] = []
         self.record_of = record_of
         self.gate = gate
+        self.figures_of = figures_of
 
     @contextmanager
     def __call__(self, order: ShardOrder) -> Iterator[FakeShard]:
-        shard = FakeShard(order, self.record_of, self.gate)
+        shard = FakeShard(order, self.record_of, self.gate, self.figures_of)
         self.started.append(shard)
         try:
             yield shard

@@ -2,43 +2,17 @@ import itertools
 import math
 
 import pytest
+from measured_figures import GRASP, TOUCH, diagonal, start
 from vitac.evaluator.figures.figures import (
     FiguresPart,
-    GraspFigures,
-    SensitivityMap,
-    StartFigures,
-    Symmetric,
-    TouchFigures,
     Variation,
     expected_information,
     merged,
     rounded,
 )
 
-TOUCH = TouchFigures(
-    sensitivity=SensitivityMap(x_mm=(0.0,), y_mm=(0.0,), normal_px_n=((2.0,),), shear_px_n=((None,),)),
-    normal_px_n=2.0,
-    shear_px_n=9.0,
-    pin_mm=4.0,
-    edge_mm=(3.0, 2.0),
-)
-GRASP = GraspFigures(indentation_mm=0.9, force_n=25.0, smallest_det_f=0.8)
 # Independent axes with variances 4, 1 and 25.
 OFFSETS = [(2.0 * x, float(y), 5.0 * t) for x, y, t in itertools.product((-1, 1), repeat=3)]
-
-
-def diagonal(xx: float, yy: float, tt: float) -> Symmetric:
-    return xx, 0.0, 0.0, yy, 0.0, tt
-
-
-def start(episode: int, *, won: bool, det_f: float = 0.7, cpu_s: float = 0.1) -> StartFigures:
-    return StartFigures(
-        episode=episode,
-        information=tuple(diagonal(k, k, k) for k in (1.0, 2.0, 3.0)),
-        smallest_det_f=det_f,
-        successes={Variation.NONE: True, Variation.NOISE: won},
-        cpu_s=cpu_s,
-    )
 
 
 def test_information_of_independent_axes_is_that_of_each() -> None:

@@ -1,24 +1,34 @@
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 
 import drawn_gels
 import pytest
+from measured_figures import GRASP, TOUCH, start
 from own_sensors import write_sensor
 from service_client import API, POLICY, Service, bearer, make_archive, problem_of
-from service_factories import play_all
+from service_factories import claim, make_record, play_all, shard_ids, store
 from sqlalchemy import delete, select, text, update
 from vitac.envs.errors import VitacError
 from vitac.evaluator.agent.verdicts import SandboxFailed
+from vitac.evaluator.figures.figures import FigureChoice, FiguresPart, SensorFigures, Variation
 from vitac.evaluator.sensors.check import design_in
 from vitac.evaluator.sensors.made import read_made_sensor
+from vitac.evaluator.shards.order import ShardOrder
 from vitac.evaluator.submission.sensor import SensorNotMade
 from vitac.server import housekeeping
 from vitac.server.accounts.principals import CONSOLE
 from vitac.server.competition import sealing
 from vitac.server.db.models import EpisodeResult, Evaluation, Submission, SubmissionFile
 from vitac.server.db.states import FileRole
+from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.limiter import ConcurrencyLimiter
+from vitac.server.queue.leases import Lease
+from vitac.server.submissions.figures import has_part
 from vitac.server.submissions.files import stored_digests
+from vitac.worker.shard_run import RunEnd, ShardRun
+from vitac.worker.staging import SubmissionStage
+from worker_fakes import FakeShards
 
 PDF = b"%PDF-1.7\n1 0 obj << /OpenAction << /S /JavaScript /JS (app.alert(1)) >> >> endobj\n"
 NO_CHANGES: Mapping[str, str | bytes | None] = {}
@@ -223,3 +233,61 @@ def test_sensor_for_another_track_is_refused_before_it_is_made(
     monkeypatch.setattr("vitac.server.uploads.sensors.make_sensor", made.append)
     problem_of(service.upload(package(), query="?track=track_1"), 422, "manifest_rejected")
     assert made == []
+
+
+def measuring(asked: list[ShardOrder]) -> FakeShards:
+    """Fake shards that measure at the start of one episode where they are asked to, and remember their orders."""
+
+    def figures_of(order: ShardOrder) -> FiguresPart | None:
+        asked.append(order)
+        if order.figures is FigureChoice.NONE:
+            return None
+        return FiguresPart(starts=(start(27 * order.shard + 1, won=True),), touch=TOUCH, grasp=GRASP)
+
+    return FakeShards(figures_of=figures_of)
+
+
+def run_shard(service: Service, lease: Lease, shards: FakeShards) -> None:
+    settings = service.services.settings
+    shards.record_of = partial(make_record, task=lease.task)
+    stage = SubmissionStage(service.services.blobs, settings.scratch_dir, settings.limits)
+    assert ShardRun(service.services, stage, lease, shards).run() is RunEnd.FINISHED
+    stage.close()
+
+
+def test_figures_are_put_together_of_what_the_shards_of_the_blind_run_measured(service: Service) -> None:
+    identity = service.upload(package()).json()["id"]
+    with service.database.transaction() as session:
+        shards = shard_ids(session, session.get_one(Submission, identity))
+    asked: list[ShardOrder] = []
+    run_shard(service, claim(service.database, shards[0]), measuring(asked))
+    assert service.get(f"/submissions/{identity}/sensor").json()["figures"] is None
+    for shard in shards[10:12]:
+        run_shard(service, claim(service.database, shard), measuring(asked))
+    assert [(order.task, order.shard, order.figures) for order in asked] == [
+        ("sensor-standard", 0, FigureChoice.NONE),
+        ("sensor-blind", 0, FigureChoice.ALL),
+        ("sensor-blind", 1, FigureChoice.ALL),
+    ]
+    shown = SensorFigures.model_validate(service.get(f"/submissions/{identity}/sensor").json()["figures"])
+    assert (shown.starts, shown.touch) == (2, TOUCH)
+    assert [(row.variation, row.successes) for row in shown.robustness] == [(Variation.NONE, 2), (Variation.NOISE, 2)]
+    with service.database.transaction() as session:
+        evaluation = newest_evaluation(session, session.get_one(Submission, identity))
+        evaluation.evaluator_version = "0+old"
+    assert service.get(f"/submissions/{identity}/sensor").json()["figures"] is None
+
+
+def test_shard_whose_episodes_are_stored_still_measures_its_figures(service: Service) -> None:
+    """Its worker was killed between the last episode and the figures."""
+    identity = service.upload(package()).json()["id"]
+    with service.database.transaction() as session:
+        first, second = shard_ids(session, session.get_one(Submission, identity))[10:12]
+    asked: list[ShardOrder] = []
+    run_shard(service, claim(service.database, first), measuring(asked))
+    lease = claim(service.database, second)
+    store(service.database, lease, [make_record(number, task=lease.task) for number in lease.episodes])
+    run_shard(service, lease, measuring(asked))
+    assert asked[1].skip == lease.episodes
+    with service.database.transaction() as session:
+        assert has_part(session, lease)
