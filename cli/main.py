@@ -47,6 +47,7 @@ NOUNS = (
     Noun(name="login", module="client.account.login", summary="Keep a team's token for the other commands."),
     Noun(name="logout", module="client.account.logout", summary="Forget the kept token."),
     Noun(name="whoami", module="client.account.whoami", summary="Show team, token and quotas."),
+    Noun(name="team", module="client.people.team", summary="Show the team; invite, join, remove members."),
     Noun(name="submit", module="client.submit", summary="Upload a submission to a service."),
     Noun(name="status", module="client.status", summary="Show your submissions on a service."),
     Noun(name="compare", module="compare", summary="Compare two submissions episode by episode."),

@@ -33,6 +33,7 @@ class ProblemCode(StrEnum):
     MANIFEST_REJECTED = "manifest_rejected"
     METHOD_NOT_ALLOWED = "method_not_allowed"
     MISSING_CREDENTIALS = "missing_credentials"
+    NAME_TAKEN = "name_taken"
     NOT_CANCELLABLE = "not_cancellable"
     NOT_FOUND = "not_found"
     NOT_QUALIFIED = "not_qualified"
@@ -51,6 +52,7 @@ class ProblemCode(StrEnum):
     STORAGE_UNAVAILABLE = "storage_unavailable"
     TEAM_DISQUALIFIED = "team_disqualified"
     TEAM_EXISTS = "team_exists"
+    TEAM_NOT_ACCEPTED = "team_not_accepted"
     TEAM_REQUIRED = "team_required"
     TOO_MANY_REQUESTS = "too_many_requests"
     TOO_MANY_UPLOADS = "too_many_uploads"
@@ -88,6 +90,7 @@ STATUS_OF_CODE: Mapping[ProblemCode, HTTPStatus] = MappingProxyType(
         ProblemCode.MANIFEST_REJECTED: HTTPStatus.UNPROCESSABLE_ENTITY,
         ProblemCode.METHOD_NOT_ALLOWED: HTTPStatus.METHOD_NOT_ALLOWED,
         ProblemCode.MISSING_CREDENTIALS: HTTPStatus.UNAUTHORIZED,
+        ProblemCode.NAME_TAKEN: HTTPStatus.CONFLICT,
         ProblemCode.NOT_CANCELLABLE: HTTPStatus.CONFLICT,
         ProblemCode.NOT_FOUND: HTTPStatus.NOT_FOUND,
         ProblemCode.NOT_QUALIFIED: HTTPStatus.FORBIDDEN,
@@ -106,6 +109,7 @@ STATUS_OF_CODE: Mapping[ProblemCode, HTTPStatus] = MappingProxyType(
         ProblemCode.STORAGE_UNAVAILABLE: HTTPStatus.SERVICE_UNAVAILABLE,
         ProblemCode.TEAM_DISQUALIFIED: HTTPStatus.FORBIDDEN,
         ProblemCode.TEAM_EXISTS: HTTPStatus.CONFLICT,
+        ProblemCode.TEAM_NOT_ACCEPTED: HTTPStatus.FORBIDDEN,
         ProblemCode.TEAM_REQUIRED: HTTPStatus.UNPROCESSABLE_ENTITY,
         ProblemCode.TOO_MANY_REQUESTS: HTTPStatus.TOO_MANY_REQUESTS,
         ProblemCode.TOO_MANY_UPLOADS: HTTPStatus.TOO_MANY_REQUESTS,

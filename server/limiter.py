@@ -12,6 +12,7 @@ import time
 from array import array
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from ipaddress import IPv4Address, IPv6Network, ip_address
 from pathlib import Path
 from typing import BinaryIO
@@ -76,6 +77,28 @@ class WindowLimiter:
             with self._locked(path) as file:
                 if all(at <= now - self._window_s for at in _times(file)):
                     path.unlink()
+
+
+@dataclass(frozen=True, kw_only=True)
+class SignInLimiters:
+    """Count tries to sign in with a password: of an address that tries many members, and of a member tried by many.
+
+    Attributes:
+        of_address: of one client.
+        of_member: of one name in one team, whether there is such a member or not.
+    """
+
+    of_address: WindowLimiter
+    of_member: WindowLimiter
+
+    def note(self, address: str, member: str) -> None:
+        """Count one try.
+
+        Raises:
+            ServiceError: too many.
+        """
+        self.of_address.note(address, "tries to sign in from one address")
+        self.of_member.note(member, "tries to sign in as one member")
 
 
 class ConcurrencyLimiter:

@@ -29,6 +29,7 @@ class Registration(StrEnum):
 
     OPEN = "open"  # anybody who reaches the server
     INVITE = "invite"  # whoever has the invite code
+    APPROVAL = "approval"  # anybody, but an organizer has to accept the team before it submits
     CLOSED = "closed"  # organizers only
 
 
@@ -117,6 +118,10 @@ class Settings(BaseSettings):
     )
     registrations_per_hour: PositiveInt = Field(
         default=20, description="Most teams that one client address may register in an hour."
+    )
+    sign_ins_per_hour: PositiveInt = Field(
+        default=60,
+        description="Most tries to sign in with a password of one client address in an hour; of one member a quarter.",
     )
     token_lifetime_days: PositiveInt = 365
     limits: Limits = Field(

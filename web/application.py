@@ -34,6 +34,7 @@ def create(services: Services) -> FastAPI:
             blobs=services.blobs,
             streams=streams,
             registrations=app.state.registration_limiter,
+            sign_ins=app.state.sign_in_limiters,
             uploads=app.state.upload_limiter,
         ),
         signer=SessionSigner(key=signing_key(settings)),

@@ -155,6 +155,8 @@ def navigation(site: Site, viewer: Viewer | None) -> tuple[tuple[str, str], ...]
     links = [("/", "Leaderboard"), (f"/tracks/{site.tracks[0]}/rules", "Rules")]
     if viewer is not None:
         links.append(("/submissions", "Submissions"))
+        if viewer.visitor.has_team:
+            links.append(("/team", "Team"))
         if viewer.is_organizer:
             links.append(("/operations", "Operations"))
     return tuple(links)

@@ -23,7 +23,11 @@ app.add_typer(competition.app, name="competition", help="The competition: check,
 app.add_typer(advance.app, name="advance", help="Who takes part in a later stage: propose, confirm, list.")
 app.add_typer(results.app, name="results", help="The end: freeze, unfreeze, winners, finalize, publish.")
 app.add_typer(receipt.app, name="receipt", help="Receipts of final results: key, export.")
-app.add_typer(team.app, name="team", help="Teams: add, list, show, disqualify, reinstate.")
+app.add_typer(
+    team.app,
+    name="team",
+    help="Teams: add, list, show, accept, refuse, rename, merge, captain, remove-member, disqualify, reinstate.",
+)
 app.add_typer(quota.app, name="quota", help="Quotas of teams: list, set.")
 app.add_typer(token.app, name="token", help="API tokens: add, list, revoke.")
 app.add_typer(submission.app, name="submission", help="Submissions: list, show, requeue, cancel.")

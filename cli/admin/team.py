@@ -1,15 +1,22 @@
 """`vitac admin team`: teams of the competition."""
 
-from datetime import timedelta
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from ..service.database import load_settings, open_service, transaction
 from ..terminal.output import AsJson, print_json, print_pairs, print_record, print_records
-from .consent import Yes, consented_transaction
+from .consent import DryRun, Yes, consented_transaction, require_consent
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from sqlalchemy.orm import Session
+    from vitac.server.db.models import Team
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
+
+TeamName = Annotated[str, typer.Argument(help="Name or id.")]
 
 
 @app.command()
@@ -19,21 +26,13 @@ def add(
     as_json: AsJson = False,
 ) -> None:
     """Add a team and print its API token, which is shown only now."""
-    from vitac.server.accounts import teams, tokens
+    from vitac.server.accounts import teams
     from vitac.server.accounts.principals import CONSOLE
-    from vitac.server.db.states import Role
+    from vitac.server.accounts.registration import NewTeam, register
 
     settings = load_settings()
     with open_service(settings) as services, services.database.transaction() as session:
-        team = teams.register(session, CONSOLE, name=name, contact=contact)
-        issued = tokens.issue(
-            session,
-            CONSOLE,
-            role=Role.TEAM,
-            label="first token",
-            team=team,
-            lifetime=timedelta(days=settings.token_lifetime_days),
-        )
+        team, issued = register(session, settings, CONSOLE, NewTeam(name=name, contact=contact))
         shown = teams.organizer_team_view(team).model_dump()
     if as_json:
         print_json({"team": shown, "secret": issued.secret})
@@ -43,32 +42,143 @@ def add(
 
 
 @app.command("list")
-def list_teams(as_json: AsJson = False) -> None:
+def list_teams(
+    waiting: Annotated[bool, typer.Option("--waiting", help="Only those that wait to be accepted.")] = False,
+    as_json: AsJson = False,
+) -> None:
     """List all teams."""
     from vitac.server.accounts import teams
 
     with transaction() as session:
-        found = [teams.organizer_team_view(team).model_dump() for team in teams.list_teams(session)]
-    none = "No team yet; `vitac admin team add NAME` makes one."
-    print_records(found, ("name", "contact", "created_at", "disqualified_for", "id"), none=none, as_json=as_json)
+        listed = teams.waiting(session) if waiting else teams.list_teams(session)
+        found = [teams.organizer_team_view(team).model_dump() for team in listed]
+    none = "No team waits." if waiting else "No team yet; `vitac admin team add NAME` makes one."
+    columns = ("name", "contact", "created_at", "approved_at", "refused_for", "disqualified_for", "id")
+    print_records(found, columns, none=none, as_json=as_json)
 
 
 @app.command()
 def show(
-    team: Annotated[str, typer.Argument(help="Name or id.")],
+    team: TeamName,
     as_json: AsJson = False,
 ) -> None:
-    """Show one team."""
-    from vitac.server.accounts import teams
+    """Show one team with its members."""
+    from vitac.server.accounts import members, teams
+    from vitac.server.accounts.principals import CONSOLE
 
     with transaction() as session:
-        found = teams.organizer_team_view(teams.find(session, team)).model_dump()
-    print_record(found, as_json=as_json)
+        found = members.own_team_view(session, CONSOLE, teams.find(session, team)).model_dump(mode="json")
+    if as_json:
+        print_json(found)
+        return
+    people = found.pop("members")
+    found["invitations"] = len(found["invitations"])
+    print_pairs(found)
+    print()
+    print_records(people, ("name", "role", "email", "joined_at", "left_at"), none="", as_json=False)
+
+
+@app.command()
+def accept(team: TeamName, dry_run: DryRun = False, as_json: AsJson = False) -> None:
+    """Let a team submit that waits to be accepted, or that was refused."""
+    from vitac.server.accounts import teams
+    from vitac.server.accounts.principals import CONSOLE
+
+    _change(team, lambda session, found: teams.accept(session, CONSOLE, found), dry_run=dry_run, as_json=as_json)
+
+
+@app.command()
+def refuse(
+    team: TeamName,
+    reason: Annotated[str, typer.Option(help="Told to the team.")],
+    dry_run: DryRun = False,
+    as_json: AsJson = False,
+) -> None:
+    """Say no to a team that waits to be accepted."""
+    from vitac.server.accounts import teams
+    from vitac.server.accounts.principals import CONSOLE
+
+    _change(
+        team, lambda session, found: teams.refuse(session, CONSOLE, found, reason), dry_run=dry_run, as_json=as_json
+    )
+
+
+@app.command()
+def rename(
+    team: TeamName,
+    name: Annotated[str, typer.Argument(help="The new name, 2 to 64 characters.")],
+    dry_run: DryRun = False,
+    as_json: AsJson = False,
+) -> None:
+    """Give a team another name."""
+    from vitac.server.accounts import teams
+    from vitac.server.accounts.principals import CONSOLE
+
+    _change(team, lambda session, found: teams.rename(session, CONSOLE, found, name), dry_run=dry_run, as_json=as_json)
+
+
+@app.command()
+def captain(
+    team: TeamName,
+    member: Annotated[str, typer.Argument(help="Name of the member who leads the team from now on.")],
+    dry_run: DryRun = False,
+    as_json: AsJson = False,
+) -> None:
+    """Make another member the captain."""
+    from vitac.server.accounts import members
+    from vitac.server.accounts.principals import CONSOLE
+
+    def change(session: "Session", found: "Team") -> None:
+        members.hand_over(session, CONSOLE, members.find_by_name(session, found, member))
+
+    _change(team, change, dry_run=dry_run, as_json=as_json)
+
+
+@app.command("remove-member")
+def remove_member(
+    team: TeamName,
+    member: Annotated[str, typer.Argument(help="Name of the member.")],
+    yes: Yes = False,
+    dry_run: DryRun = False,
+    as_json: AsJson = False,
+) -> None:
+    """Remove a member from a team; their token ends at once."""
+    from vitac.server.accounts import members
+    from vitac.server.accounts.principals import CONSOLE
+
+    if not dry_run:
+        require_consent(f"Remove {member} from {team}?", yes=yes)
+
+    def change(session: "Session", found: "Team") -> None:
+        members.remove(session, CONSOLE, members.find_by_name(session, found, member))
+
+    _change(team, change, dry_run=dry_run, as_json=as_json)
+
+
+@app.command()
+def merge(
+    team: Annotated[str, typer.Argument(help="Name or id of the team that ends.")],
+    into: Annotated[str, typer.Argument(help="Name or id of the team that gets its submissions and members.")],
+    yes: Yes = False,
+    dry_run: DryRun = False,
+    as_json: AsJson = False,
+) -> None:
+    """Make two teams one, with all submissions and members of both; what both have used of quotas counts together."""
+    from vitac.server.accounts import merging, teams
+    from vitac.server.accounts.principals import CONSOLE
+
+    if not dry_run:
+        require_consent(f"Merge {team} into {into} for good?", yes=yes)
+
+    def change(session: "Session", found: "Team") -> None:
+        merging.merge(session, CONSOLE, teams.find(session, team), found)
+
+    _change(into, change, dry_run=dry_run, as_json=as_json)
 
 
 @app.command()
 def disqualify(
-    team: Annotated[str, typer.Argument(help="Name or id.")],
+    team: TeamName,
     reason: Annotated[str, typer.Option(help="Told to the team when it submits.")],
     yes: Yes = False,
 ) -> None:
@@ -83,7 +193,7 @@ def disqualify(
 
 
 @app.command()
-def reinstate(team: Annotated[str, typer.Argument(help="Name or id.")]) -> None:
+def reinstate(team: TeamName) -> None:
     """Let a disqualified team take part again, with all its results."""
     from vitac.server.accounts import teams
     from vitac.server.accounts.principals import CONSOLE
@@ -92,3 +202,16 @@ def reinstate(team: Annotated[str, typer.Argument(help="Name or id.")]) -> None:
         found = teams.find(session, team)
         teams.reinstate(session, CONSOLE, found)
     print(f"{found.name} takes part")
+
+
+def _change(team: str, change: "Callable[[Session, Team], None]", *, dry_run: bool, as_json: bool) -> None:
+    """Change a team and print what it is then; a dry run takes the change back."""
+    from vitac.server.accounts import teams
+
+    with transaction() as session:
+        found = teams.find(session, team)
+        change(session, found)
+        session.flush()
+        print_record(teams.organizer_team_view(found).model_dump(mode="json"), as_json=as_json)
+        if dry_run:
+            raise typer.Exit  # which takes the change back

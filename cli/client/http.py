@@ -45,12 +45,17 @@ class Client:
         """Return the owner of the token."""
         return self._json("GET", "/api/v1/me")
 
+    def call(self, method: str, path: str, body: Json | None = None) -> Json:
+        """Send JSON and return what is answered; nothing for an answer without content."""
+        content = None if body is None else [json.dumps(body).encode()]
+        headers = {} if body is None else {"Content-Type": "application/json"}
+        answer = self.send(method, path, headers=headers, content=content)
+        return dict(answer.json()) if answer.content else {}
+
     def register(self, name: str, *, contact: str | None, invite: str | None) -> Json:
         """Register a team and return it with its first token."""
         new = {"name": name, "contact": contact, "invite": invite}
-        content = json.dumps({key: value for key, value in new.items() if value is not None}).encode()
-        headers = {"Content-Type": "application/json"}
-        return self._json("POST", "/api/v1/teams", headers=headers, content=[content])
+        return self.call("POST", "/api/v1/teams", {key: value for key, value in new.items() if value is not None})
 
     def revoke(self, token_id: str) -> None:
         """End a token for good."""

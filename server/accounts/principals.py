@@ -4,17 +4,30 @@ from dataclasses import dataclass
 from uuid import UUID
 
 from vitac.server.db.states import Role
-from vitac.server.errors import ProblemCode, ServiceError
+from vitac.server.errors import ProblemCode, ServiceError, not_found
 
 
 @dataclass(frozen=True, kw_only=True)
 class Principal:
-    """A team, a judge or an organizer. `token_id` is None for the organizer's command line on the server machine."""
+    """A member of a team (or whoever has its shared token), a judge or an organizer.
+
+    Attributes:
+        role: what may be done.
+        team_id: of a team's token.
+        team_name: of a team's token.
+        token_id: None for the organizer's command line on the server machine.
+        member_id: whose token it is; None: shared by the team.
+        member_name: name of that member.
+        leads_team: whether members may be invited and removed.
+    """
 
     role: Role
     team_id: UUID | None = None
     team_name: str | None = None
     token_id: UUID | None = None
+    member_id: UUID | None = None
+    member_name: str | None = None
+    leads_team: bool = False
 
     @property
     def is_organizer(self) -> bool:
@@ -29,6 +42,11 @@ class Principal:
     @property
     def actor(self) -> str:
         """Name in the audit log."""
+        return f"{self.account}/{self.member_name}" if self.member_name else self.account
+
+    @property
+    def account(self) -> str:
+        """For whom uploads and event streams are counted: the members of a team share its limits."""
         return f"{self.role.value}:{self.team_name or self.token_id or 'console'}"
 
     def may_see(self, team_id: UUID) -> bool:
@@ -38,6 +56,17 @@ class Principal:
     def may_change(self, team_id: UUID) -> bool:
         """Return whether this principal may change a thing of that team."""
         return self.is_organizer or self.team_id == team_id
+
+    def require_leader(self, team_id: UUID) -> None:
+        """Refuse everybody but the captain of that team and organizers.
+
+        Raises:
+            ServiceError: not_found for other teams, else forbidden.
+        """
+        if not self.may_change(team_id):
+            raise not_found("team", team_id)
+        if not (self.is_organizer or self.leads_team):
+            raise ServiceError(ProblemCode.FORBIDDEN, "Only the team's captain and organizers may do this.")
 
     def require_organizer(self) -> None:
         """Refuse everybody else.

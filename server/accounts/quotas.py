@@ -170,7 +170,7 @@ def _tokens(team_id: UUID) -> Select[int]:
     is_good = ApiToken.revoked_at.is_(None) & or_(
         ApiToken.expires_at.is_(None), ApiToken.expires_at > datetime.now(UTC)
     )
-    return select(func.count()).select_from(ApiToken).where(ApiToken.team_id == team_id, is_good)
+    return select(func.count()).select_from(ApiToken).where(ApiToken.team_id == team_id, ~ApiToken.is_session, is_good)
 
 
 def _evaluations(team_id: UUID, quota: Quota) -> Select[int]:

@@ -2,14 +2,13 @@
 
 import hmac
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import timedelta
 
 from sqlalchemy.orm import Session
-from vitac.server.accounts import teams, tokens
+from vitac.server.accounts import members, teams, tokens
 from vitac.server.accounts.principals import CONSOLE, Principal
 from vitac.server.accounts.tokens import IssuedToken
-from vitac.server.db.models import Competition, Team
-from vitac.server.db.states import Role
+from vitac.server.db.models import Team
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.settings import Registration, Settings
 
@@ -30,7 +29,7 @@ class NewTeam:
 
 
 def register(session: Session, settings: Settings, by: Principal | None, new: NewTeam) -> tuple[Team, IssuedToken]:
-    """Make a team with its first token.
+    """Make a team with its captain's token.
 
     Args:
         session: of the transaction.
@@ -41,20 +40,17 @@ def register(session: Session, settings: Settings, by: Principal | None, new: Ne
     Raises:
         ServiceError: registration is closed or needs another invite code, or the name cannot be used.
     """
-    if by is None or not by.is_organizer:
+    by_organizer = by is not None and by.is_organizer
+    if not by_organizer:
         _require_open(session, settings, new.invite)
-    team = teams.register(session, by, name=new.name, contact=new.contact)
+    waits = not by_organizer and settings.registration is Registration.APPROVAL
+    team = teams.register(session, by, name=new.name, contact=new.contact, waits=waits)
     lifetime = timedelta(days=settings.token_lifetime_days)
-    return team, tokens.issue(session, CONSOLE, role=Role.TEAM, label="first", team=team, lifetime=lifetime)
+    return team, tokens.issue_to_member(session, CONSOLE, members.captain_of(session, team), lifetime)
 
 
 def _require_open(session: Session, settings: Settings, invite: str | None) -> None:
-    competition = session.get(Competition, 1)
-    locked = competition.definition.get("teams_locked") if competition else None
-    if locked is not None and (at := datetime.fromisoformat(locked)) <= datetime.now(UTC):
-        raise ServiceError(
-            ProblemCode.REGISTRATION_CLOSED, f"Teams are locked since {at:%F %T} UTC; only organizers register teams."
-        )
+    teams.require_unlocked(session, None)
     if settings.registration is Registration.CLOSED:
         raise ServiceError(ProblemCode.REGISTRATION_CLOSED, "Only organizers register teams here; ask them.")
     if settings.registration is Registration.INVITE and not _is_invited(settings, invite):

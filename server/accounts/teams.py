@@ -3,12 +3,12 @@
 from datetime import UTC, datetime
 from uuid import UUID
 
-from sqlalchemy import select, text
+from sqlalchemy import func, select, text
 from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
 from vitac.server.accounts.audit import record
-from vitac.server.db.models import Team
-from vitac.server.db.states import Role
+from vitac.server.db.models import Competition, Member, Team
+from vitac.server.db.states import MemberRole, Role
 from vitac.server.errors import ProblemCode, ServiceError, not_found
 
 from ..views.accounts import OrganizerTeamView, TeamView
@@ -22,8 +22,17 @@ _REGISTRATION_LOCK = 0x7E414D5
 """Of two registrations at once the second sees the name of the first."""
 
 
-def register(session: Session, by: Principal | None, *, name: str, contact: str | None = None) -> Team:
-    """Make a team; `by` is None for somebody who registers their own.
+def register(
+    session: Session, by: Principal | None, *, name: str, contact: str | None = None, waits: bool = False
+) -> Team:
+    """Make a team with a captain.
+
+    Args:
+        session: of the transaction.
+        by: None for somebody who registers their own.
+        name: shown on boards.
+        contact: for the organizers.
+        waits: whether an organizer has to accept it before it submits.
 
     Raises:
         ServiceError: the name is taken (or looks like one that is) or cannot be shown.
@@ -32,7 +41,12 @@ def register(session: Session, by: Principal | None, *, name: str, contact: str 
     _refuse_look_alike(session, shown)
     added: Team | None = session.scalar(
         insert(Team)
-        .values(name=shown, name_key=name_key(shown), contact=contact)
+        .values(
+            name=shown,
+            name_key=name_key(shown),
+            contact=contact,
+            approved_at=None if waits else datetime.now(UTC),
+        )
         .on_conflict_do_nothing(index_elements=[Team.name_key])
         .returning(Team)
     )
@@ -40,7 +54,97 @@ def register(session: Session, by: Principal | None, *, name: str, contact: str 
         raise ServiceError(ProblemCode.TEAM_EXISTS, f"There is a team named {shown!r} already; choose another name.")
     actor = by or Principal(role=Role.TEAM, team_id=added.id, team_name=added.name)
     record(session, actor, "team.register", f"team:{added.id}", {"name": shown})
+    session.add(Member(team=added, role=MemberRole.CAPTAIN, name="Captain", name_key="captain"))
+    session.flush()
     return added
+
+
+def rename(session: Session, by: Principal, team: Team, name: str) -> None:
+    """Give a team another name.
+
+    Raises:
+        ServiceError: not an organizer, or the name is taken, looks like one that is, or cannot be shown.
+    """
+    by.require_organizer()
+    shown = names.clean(name, what="A team's name", min_length=2, max_length=NAME_LENGTH)
+    lock(session, team)
+    _refuse_look_alike(session, shown, but=team)
+    if session.scalar(select(Team.id).where(Team.name_key == name_key(shown), Team.id != team.id)) is not None:
+        raise ServiceError(ProblemCode.TEAM_EXISTS, f"There is a team named {shown!r} already; choose another name.")
+    before = {"name": team.name}
+    team.name, team.name_key, team.named_at = shown, name_key(shown), datetime.now(UTC)
+    record(session, by, "team.rename", f"team:{team.id}", {"name": shown}, before=before)
+
+
+def accept(session: Session, by: Principal, team: Team) -> None:
+    """Let a team submit that has waited, or that was refused; doing it again changes nothing.
+
+    Raises:
+        ServiceError: not an organizer.
+    """
+    by.require_organizer()
+    lock(session, team)
+    session.refresh(team)
+    if team.approved_at is None:
+        before = {"accepted": False, "reason": team.refused_for}
+        team.approved_at, team.refused_for = datetime.now(UTC), None
+        record(session, by, "team.accept", f"team:{team.id}", {"accepted": True}, before=before)
+
+
+def refuse(session: Session, by: Principal, team: Team, reason: str) -> None:
+    """Say no to a team that waits to be accepted.
+
+    Raises:
+        ServiceError: not an organizer, the reason cannot be shown, or the team was accepted already.
+    """
+    by.require_organizer()
+    shown = names.clean(reason, what="A reason", min_length=2, max_length=REASON_LENGTH)
+    lock(session, team)
+    session.refresh(team)
+    if team.approved_at is not None:
+        raise ServiceError(
+            ProblemCode.INVALID_REQUEST, f"{team.name} was accepted already; `vitac admin team disqualify` ends it."
+        )
+    before = {"accepted": False, "reason": team.refused_for}
+    team.refused_for = shown
+    record(session, by, "team.refuse", f"team:{team.id}", {"accepted": False, "reason": shown}, before=before)
+
+
+def waiting(session: Session) -> list[Team]:
+    """Return the teams that wait to be accepted, the one that has waited longest first."""
+    is_waiting = Team.approved_at.is_(None), Team.refused_for.is_(None)
+    return list(session.scalars(select(Team).where(*is_waiting).order_by(Team.created_at, Team.id)))
+
+
+def require_taking_part(team: Team) -> None:
+    """Refuse the submissions of a team that may not make any.
+
+    Raises:
+        ServiceError: it is disqualified, waits to be accepted, or was refused.
+    """
+    if team.disqualified_at is not None:
+        raise ServiceError(
+            ProblemCode.TEAM_DISQUALIFIED, f"{team.name} is disqualified: {team.disqualified_for}. Ask the organizers."
+        )
+    if team.approved_at is None:
+        state = f"was refused: {team.refused_for}" if team.refused_for else "waits until an organizer accepts it"
+        raise ServiceError(ProblemCode.TEAM_NOT_ACCEPTED, f"{team.name} {state}, so it cannot submit.")
+
+
+def require_unlocked(session: Session, by: Principal | None) -> None:
+    """Refuse changes of teams after the competition's lock date to everybody but organizers.
+
+    Raises:
+        ServiceError: teams are locked.
+    """
+    if by is not None and by.is_organizer:
+        return
+    competition = session.get(Competition, 1)
+    locked = competition.definition.get("teams_locked") if competition else None
+    if locked is not None and (at := datetime.fromisoformat(locked)) <= datetime.now(UTC):
+        raise ServiceError(
+            ProblemCode.REGISTRATION_CLOSED, f"Teams are locked since {at:%F %T} UTC; only organizers change them."
+        )
 
 
 def find(session: Session, name_or_id: str) -> Team:
@@ -72,8 +176,18 @@ def own(session: Session, by: Principal) -> Team:
 
 
 def lock(session: Session, team: Team) -> None:
-    """Let changes that count what a team has go on one after the other; rows that refer to the team are left alone."""
-    session.execute(select(Team.id).where(Team.id == team.id).with_for_update(key_share=True))
+    """Let changes that count what a team has go on one after the other; rows that refer to the team are left alone.
+
+    Raises:
+        ServiceError: the team was merged with another one meanwhile.
+    """
+    if session.scalar(select(Team.id).where(Team.id == team.id).with_for_update(key_share=True)) is None:
+        raise ServiceError(ProblemCode.UNKNOWN_TEAM, "This team was merged with another one. Try again.")
+
+
+def last_named_at(session: Session) -> datetime | None:
+    """Return when a team was last shown under another name; None: there is no team."""
+    return session.scalar(select(func.max(Team.named_at)))
 
 
 def list_teams(session: Session) -> list[Team]:
@@ -118,7 +232,13 @@ def team_view(team: Team) -> TeamView:
 
 def organizer_team_view(team: Team) -> OrganizerTeamView:
     """Return a team as organizers see it."""
-    return OrganizerTeamView(**dict(team_view(team)), contact=team.contact, disqualified_for=team.disqualified_for)
+    return OrganizerTeamView(
+        **dict(team_view(team)),
+        contact=team.contact,
+        disqualified_for=team.disqualified_for,
+        approved_at=team.approved_at,
+        refused_for=team.refused_for,
+    )
 
 
 def name_key(name: str) -> str:
@@ -126,10 +246,11 @@ def name_key(name: str) -> str:
     return names.key(name, max_length=NAME_LENGTH)
 
 
-def _refuse_look_alike(session: Session, shown: str) -> None:
+def _refuse_look_alike(session: Session, shown: str, *, but: Team | None = None) -> None:
     """Refuse a name that readers would take for another team's."""
     session.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": _REGISTRATION_LOCK})
-    others = session.scalars(select(Team.name).where(Team.name_key != name_key(shown)))
+    query = select(Team.name).where(Team.name_key != name_key(shown))
+    others = session.scalars(query if but is None else query.where(Team.id != but.id))
     taken = next((name for name in others if names.look_alike(shown, name)), None)
     if taken is not None:
         raise ServiceError(

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from uuid import UUID
 
-from sqlalchemy import ColumnElement, select
+from sqlalchemy import ColumnElement, exists, select
 from sqlalchemy.orm import Session, joinedload
 from vitac.server.accounts.audit import record
-from vitac.server.db.models import ApiToken, Team
-from vitac.server.db.states import Role
+from vitac.server.db.models import ApiToken, Member, Team
+from vitac.server.db.states import MemberRole, Role
 from vitac.server.errors import ProblemCode, ServiceError, not_found
 
 from ..views.accounts import NewTokenView, TokenView
@@ -42,7 +42,7 @@ def issue(
     team: Team | None = None,
     lifetime: timedelta | None,
 ) -> IssuedToken:
-    """Make a token for a team, or for an organizer or judge (no team).
+    """Make a token that a team shares, or for an organizer or judge (no team).
 
     Raises:
         ServiceError: the principal may not give such a token, or the label cannot be shown.
@@ -50,18 +50,51 @@ def issue(
     label = names.clean(label, what="A token's label", min_length=1, max_length=LABEL_LENGTH)
     if not by.is_organizer and (role is not Role.TEAM or team is None or by.team_id != team.id):
         raise ServiceError(ProblemCode.FORBIDDEN, "A team may make tokens for itself only; ask an organizer.")
+    if team is not None:
+        by.require_leader(team.id)
+    return _add(session, by, ApiToken(role=role, team=team, label=label), lifetime)
+
+
+def issue_to_member(session: Session, by: Principal, member: Member, lifetime: timedelta) -> IssuedToken:
+    """Give a member a token of their own in place of the one before, which ends; the caller says who may ask."""
+    for old in session.scalars(
+        select(ApiToken).where(
+            ApiToken.member_id == member.id, ApiToken.revoked_at.is_(None), ApiToken.is_session.is_(False)
+        )
+    ):
+        _end(session, by, old)
+    session.flush()
+    return _add(session, by, ApiToken(role=Role.TEAM, team=member.team, member=member, label=member.name), lifetime)
+
+
+def begin_session(session: Session, member: Member, lifetime: timedelta) -> ApiToken:
+    """Note that a browser signed in with a member's password; ending it signs the browser out."""
+    by = Principal(role=Role.TEAM, team_id=member.team_id, team_name=member.team.name, member_name=member.name)
+    made = ApiToken(role=Role.TEAM, team=member.team, member=member, label="signed in with password", is_session=True)
+    return _add(session, by, made, lifetime).token
+
+
+def is_session(session: Session, token_id: UUID) -> bool:
+    """Return whether it stands for a browser that signed in with a password."""
+    return session.get_one(ApiToken, token_id).is_session
+
+
+def end_tokens_of(session: Session, by: Principal, member: Member, *, sessions_only: bool = False) -> None:
+    """End a member's sessions, and unless only these are meant the member's token."""
+    query = select(ApiToken).where(ApiToken.member_id == member.id, ApiToken.revoked_at.is_(None))
+    for token in session.scalars(query.where(ApiToken.is_session) if sessions_only else query):
+        _end(session, by, token)
+
+
+def _add(session: Session, by: Principal, token: ApiToken, lifetime: timedelta | None) -> IssuedToken:
+    """Add a token with a new secret."""
     secret = PREFIX + secrets.token_urlsafe(SECRET_BYTES)
-    token = ApiToken(
-        role=role,
-        team=team,
-        label=label,
-        secret_sha256=hash_secret(secret),
-        created_at=datetime.now(UTC),
-        expires_at=datetime.now(UTC) + lifetime if lifetime is not None else None,
-    )
+    token.secret_sha256 = hash_secret(secret)
+    token.created_at = datetime.now(UTC)
+    token.expires_at = token.created_at + lifetime if lifetime is not None else None
     session.add(token)
     session.flush()
-    record(session, by, "token.issue", f"token:{token.id}", {"role": role.value, "label": label})
+    record(session, by, "token.issue", f"token:{token.id}", {"role": token.role.value, "label": token.label})
     return IssuedToken(token=token, secret=secret)
 
 
@@ -76,7 +109,7 @@ def authenticate(session: Session, secret: str) -> Principal:
             ProblemCode.INVALID_CREDENTIALS,
             f"Expected a token of {PREFIX} and 43 letters, digits, - or _, got another form. Copy it again.",
         )
-    return _principal(_find(session, ApiToken.secret_sha256 == hash_secret(secret)))
+    return _principal(session, _find(session, ApiToken.secret_sha256 == hash_secret(secret)))
 
 
 def principal_of_token_id(session: Session, token_id: UUID) -> Principal:
@@ -85,30 +118,45 @@ def principal_of_token_id(session: Session, token_id: UUID) -> Principal:
     Raises:
         ServiceError: unknown, expired or revoked.
     """
-    return _principal(_find(session, ApiToken.id == token_id))
+    return _principal(session, _find(session, ApiToken.id == token_id))
 
 
 def list_tokens(session: Session, by: Principal) -> list[ApiToken]:
-    """Return the tokens of the principal's team, all for an organizer, a judge's own one; newest first."""
-    query = select(ApiToken).options(joinedload(ApiToken.team)).order_by(ApiToken.created_at.desc(), ApiToken.id)
-    if not by.is_organizer:
-        own = ApiToken.id == by.token_id if by.team_id is None else ApiToken.team_id == by.team_id
-        query = query.where(own)
-    return list(session.scalars(query))
+    """Return the tokens and sessions that the principal may end; newest first.
+
+    An organizer's are all, a captain's those of the team, a member's those of their own; a judge sees their own one.
+    """
+    query = (
+        select(ApiToken)
+        .options(joinedload(ApiToken.team), joinedload(ApiToken.member))
+        .order_by(ApiToken.created_at.desc(), ApiToken.id)
+    )
+    return list(session.scalars(query if by.is_organizer else query.where(_own(by))))
+
+
+def _own(by: Principal) -> ColumnElement[bool]:
+    if by.team_id is None or (by.member_id is None and not by.leads_team):
+        return ApiToken.id == by.token_id
+    return ApiToken.team_id == by.team_id if by.leads_team else ApiToken.member_id == by.member_id
 
 
 def revoke(session: Session, by: Principal, token_id: UUID) -> None:
-    """End a token at once; ending it again changes nothing.
+    """End a token or session at once; ending it again changes nothing.
 
     Raises:
-        ServiceError: there is no such token that the principal may see.
+        ServiceError: there is no such token that the principal may end.
     """
-    token = session.get(ApiToken, token_id, with_for_update=True)
-    if token is None or not (by.is_organizer or (token.team_id is not None and token.team_id == by.team_id)):
+    found = select(ApiToken).where(ApiToken.id == token_id).with_for_update()
+    token = session.scalar(found if by.is_organizer else found.where(_own(by), ApiToken.role == Role.TEAM))
+    if token is None:
         raise not_found("token", token_id)
     if token.revoked_at is None:
-        token.revoked_at = datetime.now(UTC)
-        record(session, by, "token.revoke", f"token:{token.id}", {"label": token.label})
+        _end(session, by, token)
+
+
+def _end(session: Session, by: Principal, token: ApiToken) -> None:
+    token.revoked_at = datetime.now(UTC)
+    record(session, by, "token.revoke", f"token:{token.id}", {"label": token.label})
 
 
 def token_view(token: ApiToken) -> TokenView:
@@ -118,6 +166,8 @@ def token_view(token: ApiToken) -> TokenView:
         label=token.label,
         role=token.role,
         team=token.team.name if token.team is not None else None,
+        member=token.member.name if token.member is not None else None,
+        is_session=token.is_session,
         created_at=token.created_at,
         expires_at=token.expires_at,
         revoked_at=token.revoked_at,
@@ -136,10 +186,11 @@ def hash_secret(secret: str) -> str:
 
 
 def _find(session: Session, condition: ColumnElement[bool]) -> ApiToken | None:
-    return session.scalar(select(ApiToken).options(joinedload(ApiToken.team)).where(condition))
+    joined = joinedload(ApiToken.team), joinedload(ApiToken.member)
+    return session.scalar(select(ApiToken).options(*joined).where(condition))
 
 
-def _principal(token: ApiToken | None) -> Principal:
+def _principal(session: Session, token: ApiToken | None) -> Principal:
     now = datetime.now(UTC)
     if token is None:
         raise ServiceError(ProblemCode.INVALID_CREDENTIALS, "This token is not known here. Check server and token.")
@@ -156,4 +207,24 @@ def _principal(token: ApiToken | None) -> Principal:
         team_id=token.team_id,
         team_name=token.team.name if token.team is not None else None,
         token_id=token.id,
+        member_id=token.member_id,
+        member_name=token.member.name if token.member is not None else None,
+        leads_team=_leads_team(session, token),
+    )
+
+
+def _leads_team(session: Session, token: ApiToken) -> bool:
+    """Return whether it is the captain's, or shared by a team whose captain has never had a token or a password."""
+    if token.member is not None:
+        return token.member.role is MemberRole.CAPTAIN
+    own = exists().where(ApiToken.member_id == Member.id)
+    return token.team_id is not None and not session.scalar(
+        select(
+            exists().where(
+                Member.team_id == token.team_id,
+                Member.role == MemberRole.CAPTAIN,
+                Member.left_at.is_(None),
+                Member.password_hash.is_not(None) | own,
+            )
+        )
     )

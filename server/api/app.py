@@ -11,12 +11,13 @@ from vitac.server.operations.exposition import Exposition
 from vitac.server.services import Services, open_services
 from vitac.server.settings import Settings
 
-from ..limiter import ConcurrencyLimiter, WindowLimiter
+from ..limiter import ConcurrencyLimiter, SignInLimiters, WindowLimiter
 from . import health, metrics, problems, receipts, submissions, teams, tracks
 from .middleware.body_limit import BodyLimit
 from .middleware.request_head import RequestHead
 from .middleware.request_times import RequestTimes
 from .middleware.shutdown import Shutdown
+from .people import members
 from .resumable import routes as uploads
 from .resumable.protocol import ProtocolVersion
 
@@ -74,9 +75,22 @@ def create_app(
     app.state.registration_limiter = WindowLimiter(
         limits / "registrations", limit=settings.registrations_per_hour, window_s=3600.0
     )
+    app.state.sign_in_limiters = SignInLimiters(
+        of_address=WindowLimiter(limits / "sign_ins", limit=settings.sign_ins_per_hour, window_s=3600.0),
+        of_member=WindowLimiter(
+            limits / "sign_ins_of_members", limit=max(1, settings.sign_ins_per_hour // 4), window_s=3600.0
+        ),
+    )
     app.state.upload_limiter = ConcurrencyLimiter(limits / "uploads", settings.uploads_at_once)
     app.state.stream_limiter = ConcurrencyLimiter(limits / "event_streams", settings.event_streams)
-    for router in (teams.router, submissions.router, receipts.router, uploads.router, tracks.router):
+    for router in (
+        teams.router,
+        members.router,
+        submissions.router,
+        receipts.router,
+        uploads.router,
+        tracks.router,
+    ):
         app.include_router(router, prefix=API_PREFIX)
     for router in (health.router, metrics.router, *routers):
         app.include_router(router)

@@ -35,8 +35,8 @@ class OpenStreams:
         limit = await run_in_threadpool(self._limit_of, principal)
         with ExitStack() as stack:
             stack.enter_context(self.limiter.one("all", "event streams"))
-            if limit is not None and not stack.enter_context(self.limiter.place(principal.actor, limit)):
-                raise exceeded(principal.team_name or principal.actor, Quota.EVENT_STREAMS, limit)
+            if limit is not None and not stack.enter_context(self.limiter.place(principal.account, limit)):
+                raise exceeded(principal.team_name or principal.account, Quota.EVENT_STREAMS, limit)
             yield
 
     async def require_place(self, principal: Principal) -> None:

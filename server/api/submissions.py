@@ -75,7 +75,7 @@ async def post_submission(
         sha256=_claimed_sha256(request),
     )
     upload.check(services, announced)
-    with request.app.state.upload_limiter.one(principal.actor, UPLOADS):
+    with request.app.state.upload_limiter.one(principal.account, UPLOADS):
         view, is_new = await upload.receive(services, principal, announced, request.stream())
     response.status_code = HTTPStatus.ACCEPTED if is_new else HTTPStatus.OK
     response.headers["Location"] = f"{request.url.path}/{view.id}"

@@ -22,8 +22,8 @@ from .problems import RESPONSES
 
 router = APIRouter(tags=["teams"], responses=RESPONSES)
 
-_ONE_LINE = r"^[^\x00-\x1f\x7f]+$"
-Label = Annotated[str, Field(min_length=1, max_length=64, pattern=_ONE_LINE)]
+ONE_LINE = r"^[^\x00-\x1f\x7f]+$"
+Label = Annotated[str, Field(min_length=1, max_length=64, pattern=ONE_LINE)]
 
 
 class NewTeam(BaseModel):
@@ -32,7 +32,7 @@ class NewTeam(BaseModel):
     model_config = ConfigDict(extra="forbid")
     name: str = Field(min_length=2, max_length=teams.NAME_LENGTH, description="Shown on the leaderboard.")
     contact: str | None = Field(
-        default=None, max_length=teams.CONTACT_LENGTH, pattern=_ONE_LINE, description="For the organizers."
+        default=None, max_length=teams.CONTACT_LENGTH, pattern=ONE_LINE, description="For the organizers."
     )
     invite: str | None = Field(default=None, max_length=200, description="The invite code, where one is needed.")
 
@@ -43,7 +43,7 @@ class NewToken(BaseModel):
     model_config = ConfigDict(extra="forbid")
     label: Label = Field(description="To tell tokens apart.")
     expires_in_days: int | None = Field(default=None, ge=1, le=3650, description="The server's default if null.")
-    team: str | None = Field(default=None, pattern=_ONE_LINE, description="For organizers: whose token this is.")
+    team: str | None = Field(default=None, pattern=ONE_LINE, description="For organizers: whose token this is.")
 
 
 @router.post("/teams", status_code=HTTPStatus.CREATED)
@@ -52,12 +52,16 @@ def post_team(
 ) -> RegisteredTeamView:
     """Register a team and give it its first token. The secret is shown this once."""
     if principal is None or not principal.is_organizer:
-        request.app.state.registration_limiter.note(_address(request), "registrations from one address")
+        note_registration(request)
     with services.database.transaction() as session:
         team, issued = registration.register(
             session, services.settings, principal, registration.NewTeam(**new.model_dump())
         )
-        return RegisteredTeamView(team=teams.team_view(team), token=tokens.new_token_view(issued))
+        return RegisteredTeamView(
+            team=teams.team_view(team),
+            token=tokens.new_token_view(issued),
+            waits_for_approval=team.approved_at is None,
+        )
 
 
 @router.post("/tokens", status_code=HTTPStatus.CREATED)
@@ -122,5 +126,11 @@ def _lifetime(services: Services, days: int | None) -> timedelta:
     return timedelta(days=days or services.settings.token_lifetime_days)
 
 
-def _address(request: Request) -> str:
-    return client_key(request.client.host if request.client is not None else None)
+def note_registration(request: Request) -> None:
+    """Count a try to register or to join a team.
+
+    Raises:
+        ServiceError: too many from one address.
+    """
+    address = client_key(request.client.host if request.client is not None else None)
+    request.app.state.registration_limiter.note(address, "registrations from one address")

@@ -8,6 +8,7 @@ from sqlalchemy import ColumnElement, and_, exists, func, or_, select
 from sqlalchemy.orm import Session
 from vitac.evaluator.submission_kinds import SubmissionKind
 
+from ..accounts import teams
 from ..accounts.principals import Principal
 from ..db.models import Competition, Evaluation, Qualification, Submission, Team
 from ..db.states import ACTIVE_EVALUATION_STATES, EvaluationState
@@ -48,12 +49,9 @@ def stage_for_submission(
         at: when it is complete; None: now.
 
     Raises:
-        ServiceError: no stage is open, it takes other kinds or qualified teams only, or the team is disqualified.
+        ServiceError: no stage is open, it takes other kinds or qualified teams only, or the team does not take part.
     """
-    if team.disqualified_at is not None:
-        raise ServiceError(
-            ProblemCode.TEAM_DISQUALIFIED, f"{team.name} is disqualified: {team.disqualified_for}. Ask the organizers."
-        )
+    teams.require_taking_part(team)
     found = track_rules(session, track)
     if found is None:
         return NO_STAGE

@@ -13,6 +13,13 @@ class Role(StrEnum):
     ORGANIZER = "organizer"  # everything
 
 
+class MemberRole(StrEnum):
+    """What a member may do in a team."""
+
+    CAPTAIN = "captain"  # invites and removes members; each team has one
+    MEMBER = "member"  # submits
+
+
 class FileRole(StrEnum):
     """What a stored file is to its submission, besides its upload."""
 

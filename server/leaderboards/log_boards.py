@@ -6,7 +6,7 @@ A log proves its actions, not that a policy chose them, so it never ranks togeth
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from functools import cache
+from functools import cache, partial
 from uuid import UUID
 
 from sqlalchemy import Select, bindparam, select
@@ -15,6 +15,7 @@ from sqlalchemy.orm import Session
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import Track
 from vitac.evaluator.version import evaluator_version
+from vitac.server.accounts import teams
 from vitac.server.accounts.visibility import played_list_kind
 from vitac.server.competition.schedule import boards_stand_since, shown_stage
 from vitac.server.db.models import BoardResult, Evaluation, Team
@@ -59,9 +60,12 @@ def log_boards(session: Session, track_name: str, *, stage: str | None = None) -
     text_logs = session.scalars(_newest_text_logs(), named).all()
     copies = copies_among(session, [entry.evaluation_id for entries in best.values() for entry in entries])
     ranked = [part for task, entries in best.items() for part in (task, *entries)]
-    revision = revision_of(f"logs of {track.name} {of_stage}", [*ranked, *sorted(copies.items()), *text_logs])
+    named_at = teams.last_named_at(session)
+    board = f"logs of {track.name} {of_stage} {named_at}"
+    revision = revision_of(board, [*ranked, *sorted(copies.items()), *text_logs])
     shown = _Shown(stage=of_stage, best=best, copies=copies, text_logs=text_logs, revision=revision)
-    return _made_boards.get((track.name, of_stage), revision, lambda last: _view(session, track, shown, last))
+    made = partial(_view, session, track, shown)
+    return _made_boards.get((track.name, of_stage), revision, made, named_at=named_at)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,12 +1,13 @@
 """Boards as they were last made: kept by this process until a new entry changes them.
 
-An entry never changes, since a completed evaluation, its submission's name and its team's name do not. So the ids of
-the entries say whether a board that was made before is still right.
+An entry never changes, since a completed evaluation and its submission's name do not. So the ids of the entries, and
+when a team was last given another name, say whether a board that was made before is still right.
 """
 
 import hashlib
 from collections.abc import Callable, Hashable, Iterable
 from dataclasses import dataclass
+from datetime import datetime
 from functools import cached_property
 from importlib.metadata import version
 from typing import Generic, TypeVar
@@ -20,9 +21,15 @@ BoardT = TypeVar("BoardT", LeaderboardView, LogBoardsView)
 
 @dataclass(frozen=True, kw_only=True)
 class MadeBoard(Generic[BoardT]):
-    """A board, and as the API sends it."""
+    """A board, and as the API sends it.
+
+    Attributes:
+        view: the board.
+        named_at: when a team was last given another name; entries from before then are not used again.
+    """
 
     view: BoardT
+    named_at: datetime | None = None
 
     @cached_property
     def body(self) -> bytes:
@@ -36,11 +43,19 @@ class MadeBoards(Generic[BoardT]):
     def __init__(self) -> None:
         self._made: dict[Hashable, MadeBoard[BoardT]] = {}
 
-    def get(self, board: Hashable, revision: str, make: Callable[[BoardT | None], BoardT]) -> MadeBoard[BoardT]:
+    def get(
+        self,
+        board: Hashable,
+        revision: str,
+        make: Callable[[BoardT | None], BoardT],
+        *,
+        named_at: datetime | None = None,
+    ) -> MadeBoard[BoardT]:
         """Return the board of that revision, made anew out of the one that is kept where that is another one."""
         made = self._made.get(board)
         if made is None or made.view.revision != revision:
-            made = MadeBoard(view=make(made.view if made else None))
+            last = made.view if made is not None and made.named_at == named_at else None
+            made = MadeBoard(view=make(last), named_at=named_at)
             self._made[board] = made
         return made
 

@@ -11,6 +11,7 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session, defer, selectinload
 from vitac.evaluator.tracks import ListKind, Track
 from vitac.evaluator.version import evaluator_version
+from vitac.server.accounts import teams
 from vitac.server.accounts.visibility import played_list_kind
 from vitac.server.competition.definition import DEFAULT_RANKING
 from vitac.server.competition.schedule import boards_stand_since, shown_stage, track_rules
@@ -53,10 +54,12 @@ def leaderboard(
     best = best_entries(session, board, until=frozen_at or EVER)
     played = track.tasks[task or next(iter(track.tasks))].episode_list.kind
     list_kind = ListKind.SEALED if commitment_of_stage(session, track_name, of_stage) else played
-    revision = revision_of(f"{board} {frozen_at} {list_kind}", best)
+    named_at = teams.last_named_at(session)
+    revision = revision_of(f"{board} {frozen_at} {list_kind} {named_at}", best)
     rule = rules.ranking_sentence if rules else None
     shown = _Shown(board=board, list_kind=list_kind, rule=rule, best=best, frozen_at=frozen_at, revision=revision)
-    return _made_boards.get((board, live), revision, lambda last: _view(session, track, shown, last))
+    made = partial(_view, session, track, shown)
+    return _made_boards.get((board, live), revision, made, named_at=named_at)
 
 
 @dataclass(frozen=True, kw_only=True)

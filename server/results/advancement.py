@@ -47,7 +47,7 @@ class Proposal:
     Attributes:
         before: name of the stage whose board decides.
         rule: in words.
-        registered: teams that the rule counts: registered before the stage before closed, and not disqualified.
+        registered: teams that the rule counts: accepted, not disqualified, registered before the stage before closed.
         unranked: teams whose only results are of another evaluator version: evaluate them again first.
         running: evaluations of the stage before that have not ended.
     """
@@ -71,7 +71,7 @@ def propose(session: Session, track: str, stage: str) -> Proposal:
     before, rule = _rule(session, track, stage)
     entries = leaderboard(session, track, stage=before.name, live=True).view.entries
     ranked = [entry for entry in entries if entry.rank is not None]
-    taking_part = (Team.disqualified_at.is_(None), Team.created_at < before.closes)
+    taking_part = (Team.disqualified_at.is_(None), Team.approved_at.is_not(None), Team.created_at < before.closes)
     registered = session.scalars(select(func.count()).select_from(Team).where(*taking_part)).one()
     n_advancing = _count_advancing(rule, ranked, registered)
     return Proposal(

@@ -54,6 +54,7 @@ def create(
             of its quotas.
     """
     team_row = owner(session, by, team)
+    teams.lock(session, team_row)
     stage = stage_for_submission(session, by, team_row, track=upload.track, kind=upload.kind, at=at)
     submission = _find_or_add(session, team_row, upload, stage)
     run = next_run(session, submission, again=again)
@@ -122,7 +123,8 @@ def _find_or_add(session: Session, owner: Team, upload: CheckedUpload, stage: st
                 Submission.stage,
                 Submission.kind,
                 Submission.digest,
-            ]
+            ],
+            index_where=Submission.merged_from.is_(None),
         )
     )
     submission = session.scalars(
@@ -133,6 +135,7 @@ def _find_or_add(session: Session, owner: Team, upload: CheckedUpload, stage: st
             Submission.stage == stage,
             Submission.kind == upload.kind,
             Submission.digest == upload.digest,
+            Submission.merged_from.is_(None),
         )
         .with_for_update(key_share=True)
     ).one()

@@ -6,7 +6,7 @@ from uuid import UUID
 
 from pydantic import Field
 
-from ..db.states import Quota, Role
+from ..db.states import MemberRole, Quota, Role
 from .base import View
 
 
@@ -23,6 +23,41 @@ class OrganizerTeamView(TeamView):
 
     contact: str | None = Field(description="Where organizers reach the team.")
     disqualified_for: str | None = Field(description="Why the team no longer takes part; null: it does.")
+    approved_at: datetime | None = Field(description="When it was accepted; null: it waits, or was refused.")
+    refused_for: str | None = Field(description="Why it was not accepted; null: it was, or it waits.")
+
+
+class MemberView(View):
+    """A member, as the team and organizers see it."""
+
+    id: UUID
+    name: str
+    role: MemberRole
+    email: str | None = Field(description="Where the member gets notices.")
+    has_password: bool
+    joined_at: datetime
+    left_at: datetime | None
+
+
+class InvitationView(View):
+    """An invitation that can still be used."""
+
+    id: UUID
+    created_at: datetime
+    expires_at: datetime
+
+
+class NewInvitationView(InvitationView):
+    """A new invitation; its code is shown this once and stored as a hash only."""
+
+    code: str
+
+
+class OwnTeamView(OrganizerTeamView):
+    """A team as its members and organizers see it."""
+
+    members: list[MemberView]
+    invitations: list[InvitationView]
 
 
 class TokenView(View):
@@ -32,6 +67,8 @@ class TokenView(View):
     label: str
     role: Role
     team: str | None
+    member: str | None = Field(description="Whose token it is; null: shared by the team, or of an organizer or judge.")
+    is_session: bool = Field(description="A browser that signed in with a password; nobody has a secret.")
     created_at: datetime
     expires_at: datetime | None
     revoked_at: datetime | None
@@ -45,10 +82,11 @@ class NewTokenView(TokenView):
 
 
 class RegisteredTeamView(View):
-    """A new team with its first token."""
+    """A new team, or one that somebody has joined, with the new member's token."""
 
     team: TeamView
     token: NewTokenView
+    waits_for_approval: bool = Field(description="Whether an organizer has to accept the team before it submits.")
 
 
 class QuotaView(View):

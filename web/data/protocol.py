@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Sequence
+    from collections.abc import AsyncIterator, Callable, Sequence
     from contextlib import AbstractAsyncContextManager
     from uuid import UUID
 
+    from sqlalchemy.orm import Session
     from vitac.evaluator.agent.description import SandboxDescription
     from vitac.server.accounts.principals import Principal
     from vitac.server.playbacks.files import PlaybackFile
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
     from vitac.server.views.playbacks import PlaybackView, ShownEpisodeView
     from vitac.server.views.receipts import ChainView
     from vitac.server.views.submissions import EpisodeView, OutputView, SubmissionListView, SubmissionView
+
+ResultT = TypeVar("ResultT")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,6 +50,11 @@ class Visitor:
     def is_organizer(self) -> bool:
         """Whether all teams' submissions are shown."""
         return self.principal.is_organizer
+
+    @property
+    def has_team(self) -> bool:
+        """Whether there is a team page to show."""
+        return self.principal.team_id is not None
 
     def may_see(self, team: str) -> bool:
         """Return whether the submissions of a team are shown."""
@@ -96,13 +104,36 @@ class RegisteredTeam:
     team: str
     token: str
     token_id: UUID
+    waits_for_approval: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class PasswordSignIn:
+    """Who says to be a member of a team, from which address."""
+
+    team: str
+    member: str
+    password: str
+    address: str
 
 
 class PageData(Protocol):
     """The pages' reads and writes. What a visitor may not see raises the service's "not found"."""
 
+    async def ask(self, query: Callable[[Session], ResultT]) -> ResultT:
+        """Return what a function of the service layer gives, in one transaction and in a thread."""
+
+    async def note_registration(self, address: str) -> None:
+        """Count a try to register or to join a team from an address; one too many raises the service's refusal."""
+
     async def visitor_with_token(self, token: str) -> Visitor | None:
         """Return the holder of an API token, or None if it is unknown, revoked or expired."""
+
+    async def visitor_with_password(self, given: PasswordSignIn) -> Visitor | None:
+        """Begin a session and return who signed in, or None if nobody has this password; too many tries are refused."""
+
+    async def end_session(self, visitor: Visitor) -> None:
+        """End the session of a browser that signed in with a password; a token stays good."""
 
     async def visitor_with_token_id(self, token_id: UUID) -> Visitor | None:
         """Return the holder of a token that signed in before, or None if it is no longer valid."""

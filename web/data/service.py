@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
 from pydantic import ValidationError
-from vitac.server.accounts import registration, tokens
+from vitac.server.accounts import members, registration, tokens
+from vitac.server.accounts.teams import name_key
 from vitac.server.accounts.visibility import visible
 from vitac.server.api.teams import NewTeam
 from vitac.server.competition.view import competition_view
@@ -27,6 +28,7 @@ from vitac.server.queue.workers import disk_of
 from vitac.server.submissions import listing, output, receipts, runs, upload
 from vitac.server.submissions.view import submission_views
 
+from ..session.signer import LIFETIME
 from .limits import limit_rows, size
 from .protocol import RegisteredTeam, SubmissionDetail, Visitor
 
@@ -40,7 +42,7 @@ if TYPE_CHECKING:
     from vitac.server.accounts.principals import Principal
     from vitac.server.api.streams import OpenStreams
     from vitac.server.db.engine import Database
-    from vitac.server.limiter import ConcurrencyLimiter, WindowLimiter
+    from vitac.server.limiter import ConcurrencyLimiter, SignInLimiters, WindowLimiter
     from vitac.server.playbacks.files import PlaybackFile
     from vitac.server.queue.workers import Disk
     from vitac.server.receipts.receipt import Receipt
@@ -54,7 +56,7 @@ if TYPE_CHECKING:
     from vitac.server.views.receipts import ChainView
     from vitac.server.views.submissions import OutputView, SubmissionListView
 
-    from .protocol import EpisodeAddress, LimitRow
+    from .protocol import EpisodeAddress, LimitRow, PasswordSignIn
 
 ResultT = TypeVar("ResultT")
 
@@ -68,11 +70,32 @@ class ServiceData:
     blobs: BlobStore
     streams: OpenStreams
     registrations: WindowLimiter
+    sign_ins: SignInLimiters
     uploads: ConcurrencyLimiter
 
     async def visitor_with_token(self, token: str) -> Visitor | None:
         """Return the holder of an API token."""
         return await self._visitor(lambda session: tokens.authenticate(session, token))
+
+    async def visitor_with_password(self, given: PasswordSignIn) -> Visitor | None:
+        """Begin a session for who signed in."""
+        member_key = f"{name_key(given.team)}\n{name_key(given.member)}"
+        await asyncio.to_thread(self.sign_ins.note, given.address, member_key)
+
+        def begun(session: Session) -> Principal:
+            made = members.sign_in(session, given.team, given.member, given.password, LIFETIME)
+            return tokens.principal_of_token_id(session, made.id)
+
+        return await self._visitor(begun)
+
+    async def end_session(self, visitor: Visitor) -> None:
+        """End the session of a browser that signed in with a password."""
+
+        def ended(session: Session) -> None:
+            if tokens.is_session(session, visitor.token_id):
+                tokens.revoke(session, visitor.principal, visitor.token_id)
+
+        await self.ask(ended)
 
     async def visitor_with_token_id(self, token_id: UUID) -> Visitor | None:
         """Return the holder of a token that signed in before."""
@@ -89,26 +112,35 @@ class ServiceData:
         except ValidationError as error:
             problems = " ".join(f"{problem['loc'][0]}: {problem['msg']}." for problem in error.errors())
             raise ServiceError(ProblemCode.INVALID_REQUEST, problems) from error
-        await asyncio.to_thread(self.registrations.note, address, "registrations from one address")
+        await self.note_registration(address)
 
         def made(session: Session) -> RegisteredTeam:
             asked = registration.NewTeam(**new.model_dump())
             team, issued = registration.register(session, self.settings, None, asked)
-            return RegisteredTeam(team=team.name, token=issued.secret, token_id=issued.token.id)
+            return RegisteredTeam(
+                team=team.name,
+                token=issued.secret,
+                token_id=issued.token.id,
+                waits_for_approval=team.approved_at is None,
+            )
 
-        return await self._run(made)
+        return await self.ask(made)
+
+    async def note_registration(self, address: str) -> None:
+        """Count a try to register or to join a team."""
+        await asyncio.to_thread(self.registrations.note, address, "registrations from one address")
 
     async def leaderboard(self, track: str, task: str | None, stage: str | None = None) -> LeaderboardView:
         """Return the leaderboard of a track, or of one of its tasks; `stage` None is the stage that opened last."""
-        return await self._run(lambda session: standings.leaderboard(session, track, task=task, stage=stage).view)
+        return await self.ask(lambda session: standings.leaderboard(session, track, task=task, stage=stage).view)
 
     async def competition(self) -> CompetitionView:
         """Return the competition of this service."""
-        return await self._run(competition_view)
+        return await self.ask(competition_view)
 
     async def log_boards(self, track: str) -> LogBoardsView:
         """Return the logs of a track."""
-        return await self._run(lambda session: log_boards.log_boards(session, track).view)
+        return await self.ask(lambda session: log_boards.log_boards(session, track).view)
 
     async def submission(self, visitor: Visitor, submission_id: UUID) -> SubmissionDetail:
         """Return one submission with its episodes, all read in one transaction."""
@@ -125,11 +157,11 @@ class ServiceData:
                 past=history.past_results(session, by, shown),
             )
 
-        return await self._run(detail)
+        return await self.ask(detail)
 
     async def submissions(self, visitor: Visitor, before: UUID | None, track: str | None = None) -> SubmissionListView:
         """Return a page of submissions."""
-        return await self._run(
+        return await self.ask(
             lambda session: listing.list_submissions(
                 session, self.settings, visitor.principal, track=track, before=before
             )
@@ -138,20 +170,20 @@ class ServiceData:
     async def output(self, visitor: Visitor, submission_id: UUID, task: str | None, after: int) -> OutputView:
         """Return a page of what a policy printed."""
         by = visitor.principal
-        return await self._run(lambda session: output.episode_outputs(session, by, submission_id, task, after=after))
+        return await self.ask(lambda session: output.episode_outputs(session, by, submission_id, task, after=after))
 
     async def receipts(self) -> ChainView:
         """Return the state of the chain of receipts."""
-        return await self._run(lambda session: receipts.chain_view(session, after=0, limit=0))
+        return await self.ask(lambda session: receipts.chain_view(session, after=0, limit=0))
 
     async def receipt(self, visitor: Visitor, submission_id: UUID) -> Receipt:
         """Return the receipt of a submission's newest result."""
-        return await self._run(lambda session: receipts.newest_receipt(session, visitor.principal, submission_id))
+        return await self.ask(lambda session: receipts.newest_receipt(session, visitor.principal, submission_id))
 
     async def episode(self, visitor: Visitor, place: EpisodeAddress) -> ShownEpisodeView:
         """Return a finished episode."""
         where = (place.submission_id, place.task, place.number)
-        return await self._run(lambda session: asking.shown_episode(session, self.settings, visitor.principal, *where))
+        return await self.ask(lambda session: asking.shown_episode(session, self.settings, visitor.principal, *where))
 
     async def ask_for_playback(self, visitor: Visitor, place: EpisodeAddress) -> PlaybackView:
         """Have the playback of an episode made."""
@@ -161,27 +193,27 @@ class ServiceData:
             episode = asking.find_episode(session, by, place.submission_id, place.task, place.number)
             return asking.playback_view(session, self.settings, asking.ask(session, self.settings, by, episode))
 
-        return await self._run(asked)
+        return await self.ask(asked)
 
     async def playback_file(self, visitor: Visitor, place: EpisodeAddress, file: PlaybackFile) -> bytes:
         """Return a file of an episode's playback."""
         where = (place.submission_id, place.task, place.number)
-        digest = await self._run(
+        digest = await self.ask(
             lambda session: files.digest_of(session, asking.find_episode(session, visitor.principal, *where), file)
         )
         return await asyncio.to_thread(files.read, self.database, self.blobs, digest)
 
     async def cancel(self, visitor: Visitor, submission_id: UUID) -> None:
         """Cancel an evaluation."""
-        await self._run(lambda session: runs.cancel(session, visitor.principal, submission_id))
+        await self.ask(lambda session: runs.cancel(session, visitor.principal, submission_id))
 
     async def operations(self) -> OperationsView:
         """Return the state of the service."""
-        return await self._run(lambda session: operations(session, self.settings, totals(session)))
+        return await self.ask(lambda session: operations(session, self.settings, totals(session)))
 
     async def sandboxes(self) -> Sequence[SandboxDescription]:
         """Return what policies find in the sandboxes of the workers."""
-        return await self._run(lambda session: workers.sandboxes(session, self.settings))
+        return await self.ask(lambda session: workers.sandboxes(session, self.settings))
 
     def server_disk(self) -> Disk:
         """Return the disk of this server's state directory."""
@@ -195,7 +227,7 @@ class ServiceData:
         """Make a submission out of a body that arrives."""
         by, services = visitor.principal, self.streams.services
         upload.check(services, announced)
-        with self.uploads.one(by.actor, UPLOADS):
+        with self.uploads.one(by.account, UPLOADS):
             made, _ = await upload.receive(services, by, announced, body)
         return made.id
 
@@ -213,14 +245,15 @@ class ServiceData:
 
     async def _visitor(self, authenticate: Callable[[Session], Principal]) -> Visitor | None:
         try:
-            principal = await self._run(authenticate)
+            principal = await self.ask(authenticate)
         except ServiceError as error:
             if error.code is ProblemCode.INVALID_CREDENTIALS:
                 return None
             raise
         return None if principal.token_id is None else Visitor(principal=principal, token_id=principal.token_id)
 
-    async def _run(self, query: Callable[[Session], ResultT]) -> ResultT:
+    async def ask(self, query: Callable[[Session], ResultT]) -> ResultT:
+        """Return what a function of the service layer gives."""
         return await asyncio.to_thread(self._run_in_transaction, query)
 
     def _run_in_transaction(self, query: Callable[[Session], ResultT]) -> ResultT:

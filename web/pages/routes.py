@@ -12,6 +12,7 @@ from ..rendering import STATIC
 from . import documentation, downloads, errors, operations, sandbox, submissions, tracks
 from .contest import competition, receipts
 from .episodes import page as episodes
+from .people import team
 from .team import comparison, output, register, sign_in, upload
 
 if TYPE_CHECKING:
@@ -78,8 +79,15 @@ def _router() -> APIRouter:
         ("/operations", operations.operations, "GET"),
         ("/register", register.register_form, "GET"),
         ("/register", register.register, "POST"),
+        (team.ADDRESS, team.team, "GET"),
+        (f"{team.ADDRESS}/invite", team.invite, "POST"),
+        (f"{team.ADDRESS}/token", team.renew_token, "POST"),
+        (f"{team.ADDRESS}/{{action}}", team.change, "POST"),
+        ("/join", team.join_form, "GET"),
+        ("/join", team.join, "POST"),
         ("/sign-in", sign_in.sign_in_form, "GET"),
         ("/sign-in", sign_in.sign_in, "POST"),
+        ("/sign-in/password", sign_in.sign_in_with_password, "POST"),
         ("/sign-out", sign_in.sign_out, "POST"),
     ):
         router.add_route(path, page, methods=[method], include_in_schema=False)

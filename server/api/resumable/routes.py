@@ -123,7 +123,7 @@ async def patch_upload(
         checksum=checksum,
         expires_at=upload.expires_at,
     )
-    with request.app.state.upload_limiter.one(principal.actor, UPLOADS):
+    with request.app.state.upload_limiter.one(principal.account, UPLOADS):
         try:
             await receiver.receive(request.stream())
         except ServiceError as error:
@@ -158,7 +158,7 @@ def post_submission_of_upload(
     request: Request, response: Response, services: ServicesOf, principal: PrincipalOf, upload_id: UUID
 ) -> SubmissionView:
     """Check a complete upload, as a body sent at once is checked, and start its evaluation. May be repeated."""
-    with request.app.state.upload_limiter.one(principal.actor, UPLOADS):
+    with request.app.state.upload_limiter.one(principal.account, UPLOADS):
         submission_id, is_new = completion.complete(services, principal, upload_id)
     with services.database.transaction() as session:
         view = listing.get(session, services.settings, principal, submission_id)

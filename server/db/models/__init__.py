@@ -3,7 +3,7 @@
 Ids that people see are random UUIDs, times are UTC with zone, states are text under a CHECK with a transition trigger.
 """
 
-from .accounts import ApiToken, AuditEntry, Team, TeamQuota
+from .accounts import ApiToken, AuditEntry, Invitation, Member, Team, TeamQuota
 from .base import Base
 from .competition import Competition, Qualification, SealedList
 from .evaluations import ALL_TASKS, BoardResult, EpisodeDifference, EpisodeResult, Evaluation, LogCopy, Shard
@@ -22,7 +22,9 @@ __all__ = [
     "EpisodeDifference",
     "EpisodeResult",
     "Evaluation",
+    "Invitation",
     "LogCopy",
+    "Member",
     "MetricTotal",
     "PartialUpload",
     "Playback",

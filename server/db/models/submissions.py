@@ -4,7 +4,7 @@ from datetime import datetime
 from typing import Any
 from uuid import UUID, uuid4
 
-from sqlalchemy import BigInteger, CheckConstraint, ForeignKey, Index, String, UniqueConstraint, func, text
+from sqlalchemy import BigInteger, CheckConstraint, ForeignKey, Index, String, func, text
 from sqlalchemy.orm import Mapped, mapped_column, relationship
 from vitac.evaluator.submission_kinds import SubmissionKind
 
@@ -16,12 +16,22 @@ from .base import Base, closed_set, sha256_check
 class Submission(Base):
     """One upload. The same content from the same team for the same stage of a track is the same submission.
 
-    `stage` is empty outside a competition.
+    `stage` is empty outside a competition. `merged_from` is the team that had made it, where its present team had
+    the same content already when the two were merged.
     """
 
     __tablename__ = "submissions"
     __table_args__ = (
-        UniqueConstraint("team_id", "track", "stage", "kind", "digest"),
+        Index(
+            "uq_submissions_content",
+            "team_id",
+            "track",
+            "stage",
+            "kind",
+            "digest",
+            unique=True,
+            postgresql_where=text("merged_from IS NULL"),
+        ),
         sha256_check("digest"),
         sha256_check("archive_sha256"),
         CheckConstraint("archive_bytes > 0", name="archive_is_not_empty"),
@@ -40,6 +50,7 @@ class Submission(Base):
     archive_bytes: Mapped[int] = mapped_column(BigInteger)
     manifest: Mapped[dict[str, Any]]
     submitted_at: Mapped[datetime] = mapped_column(server_default=func.now())
+    merged_from: Mapped[UUID | None]
     team: Mapped[Team] = relationship()
 
 

@@ -66,7 +66,7 @@ def make_settings(**values: Any) -> Settings:
 
 def make_principal(session: Session, team: str = "Team A") -> Principal:
     registered = teams.register(session, CONSOLE, name=team)
-    return Principal(role=Role.TEAM, team_id=registered.id, team_name=registered.name)
+    return Principal(role=Role.TEAM, team_id=registered.id, team_name=registered.name, leads_team=True)
 
 
 def make_secret(session: Session, principal: Principal) -> str:

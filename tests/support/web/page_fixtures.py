@@ -1,7 +1,7 @@
 """Views with made-up but consistent numbers, and a service that answers the pages with them; imported by page tests."""
 
 import random
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import AbstractAsyncContextManager, nullcontext
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
@@ -12,6 +12,7 @@ from uuid import UUID, uuid5
 from fastapi import FastAPI
 from made_receipts import a_receipt
 from played_episodes import FixedPlaybacks
+from sqlalchemy.orm import Session
 from vitac.envs.tasks.definition import Family
 from vitac.evaluator.agent.description import SandboxDescription
 from vitac.evaluator.logs.findings import VerificationResult
@@ -60,7 +61,15 @@ from vitac.server.views.submissions import (
     SubmissionView,
 )
 from vitac.server.views.workers import WorkersView, WorkerView
-from vitac.web.data.protocol import EpisodeAddress, LimitRow, RegisteredTeam, SubmissionDetail, Visitor
+from vitac.web.data.protocol import (
+    EpisodeAddress,
+    LimitRow,
+    PasswordSignIn,
+    RegisteredTeam,
+    ResultT,
+    SubmissionDetail,
+    Visitor,
+)
 from vitac.web.pages import routes
 from vitac.web.session.signer import SessionSigner
 from vitac.web.site import Site
@@ -511,6 +520,24 @@ class FixedData(FixedPlaybacks):
     past: list[PastResultView] = field(default_factory=list)
     described: list[SandboxDescription] = field(default_factory=list)
     uploaded: list[tuple[AnnouncedUpload, bytes]] = field(default_factory=list)
+    tried_from: list[str] = field(default_factory=list)
+    ended: list[UUID] = field(default_factory=list)
+
+    async def ask(self, query: Callable[[Session], ResultT]) -> ResultT:
+        raise LookupError("there is no database behind these pages; tests of pages that ask it start a service")
+
+    async def note_registration(self, address: str) -> None:
+        self.tried_from.append(address)
+
+    async def visitor_with_password(self, given: PasswordSignIn) -> Visitor | None:
+        self.tried_from.append(given.address)
+        if len(self.tried_from) > 3:
+            raise ServiceError(ProblemCode.TOO_MANY_REQUESTS, "At most 3 tries are possible; wait.")
+        known = given.password == f"password-of-{given.member}"
+        return next((visitor for visitor in self.visitors if known and visitor.name == given.team), None)
+
+    async def end_session(self, visitor: Visitor) -> None:
+        self.ended.append(visitor.token_id)
 
     async def visitor_with_token(self, token: str) -> Visitor | None:
         return next((visitor for visitor in self.visitors if token == f"token-of-{visitor.name}"), None)

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 from vitac.server.errors import ProblemCode, ServiceError
-from vitac.server.limiter import ConcurrencyLimiter, WindowLimiter, client_key
+from vitac.server.limiter import ConcurrencyLimiter, SignInLimiters, WindowLimiter, client_key
 
 HOLDER = (
-    "import sys, time; from pathlib import Path; from vitac.server.limiter import ConcurrencyLimiter\n"
+    "import sys, time; from pathlib import Path; from vitac.server.limiter import ConcurrencyLimiter, SignInLimiters\n"
     "with ConcurrencyLimiter(Path(sys.argv[1]), 1).one('a', 'things'): print('held', flush=True); time.sleep(600)"
 )
 
@@ -124,3 +124,18 @@ def test_concurrency_counts_other_processes_until_they_are_killed(tmp_path: Path
 )
 def test_a_client_cannot_change_its_key_within_its_own_network(host: str | None, key: str) -> None:
     assert client_key(host) == key
+
+
+def test_tries_to_sign_in_are_counted_for_the_address_and_for_the_member(tmp_path: Path) -> None:
+    limiters = SignInLimiters(
+        of_address=WindowLimiter(tmp_path / "addresses", limit=3, window_s=60.0),
+        of_member=WindowLimiter(tmp_path / "members", limit=2, window_s=60.0),
+    )
+    limiters.note("here", "ann")
+    limiters.note("there", "ann")
+    with pytest.raises(ServiceError, match="2 tries to sign in as one member"):
+        limiters.note("elsewhere", "ann")
+    limiters.note("here", "bob")
+    limiters.note("here", "cat")
+    with pytest.raises(ServiceError, match="3 tries to sign in from one address"):
+        limiters.note("here", "dan")

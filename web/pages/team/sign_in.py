@@ -1,4 +1,4 @@
-"""Sign in with an API token, and sign out."""
+"""Sign in with an API token or a member's password, and sign out."""
 
 from __future__ import annotations
 
@@ -6,7 +6,10 @@ from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
 from starlette.responses import RedirectResponse
+from vitac.server.errors import ProblemCode, ServiceError
+from vitac.server.limiter import client_key
 
+from ...data.protocol import PasswordSignIn
 from ...session import signer
 from ...session.forms import local_target, read_form
 from ...site import page, require_form_token, site_of, viewer_of
@@ -20,25 +23,54 @@ if TYPE_CHECKING:
 WRONG_TOKEN = "This token is unknown, revoked or expired. Check that you pasted it completely."  # noqa: S105 - a sentence
 
 
+WRONG_PASSWORD = "No member of that name and team has this password. Check all three."  # noqa: S105 - a sentence
+NOBODY = {"team": "", "member": ""}
+
+
 async def sign_in_form(request: Request) -> Response:
     """Show the sign-in form."""
     target = local_target(request.query_params.get("next", ""))
-    return page(request, "sign_in.html", viewer=await viewer_of(request), section="/sign-in", next=target, wrong=None)
+    return _page(request, viewer=await viewer_of(request), next=target)
 
 
 async def sign_in(request: Request) -> Response:
     """Check the token and begin a session."""
     fields = await read_form(request)
-    site = site_of(request)
     target = local_target(fields.get("next", ""))
-    visitor = await site.data.visitor_with_token(fields.get("token", "").strip())
+    visitor = await site_of(request).data.visitor_with_token(fields.get("token", "").strip())
     if visitor is None:
-        return page(
-            request, "sign_in.html", viewer=None, section="/sign-in", status=401, next=target, wrong=WRONG_TOKEN
-        )
+        return _page(request, viewer=None, status=401, next=target, wrong=WRONG_TOKEN)
     answer = RedirectResponse(target, status_code=303)
     begin_session(request, answer, visitor.token_id)
     return answer
+
+
+async def sign_in_with_password(request: Request) -> Response:
+    """Check a member's password and begin a session."""
+    fields = await read_form(request)
+    target = local_target(fields.get("next", ""))
+    shown = {name: fields.get(name, "") for name in NOBODY}
+    given = PasswordSignIn(
+        **shown,
+        password=fields.get("password", ""),
+        address=client_key(request.client.host if request.client is not None else None),
+    )
+    try:
+        visitor = await site_of(request).data.visitor_with_password(given)
+    except ServiceError as error:
+        if error.code is not ProblemCode.TOO_MANY_REQUESTS:
+            raise
+        return _page(request, viewer=None, status=error.status, next=target, wrong_password=error.detail, given=shown)
+    if visitor is None:
+        return _page(request, viewer=None, status=401, next=target, wrong_password=WRONG_PASSWORD, given=shown)
+    answer = RedirectResponse(target, status_code=303)
+    begin_session(request, answer, visitor.token_id)
+    return answer
+
+
+def _page(request: Request, **values: object) -> Response:
+    shown = {"wrong": None, "wrong_password": None, "given": NOBODY, **values}
+    return page(request, "sign_in.html", section="/sign-in", **shown)  # type: ignore[arg-type]
 
 
 def begin_session(request: Request, answer: Response, token_id: UUID) -> None:
@@ -59,6 +91,7 @@ async def sign_out(request: Request) -> Response:
     viewer = await viewer_of(request)
     if viewer is not None:
         require_form_token(request, fields, viewer)
+        await site_of(request).data.end_session(viewer.visitor)
     answer = RedirectResponse("/", status_code=303)
     answer.delete_cookie(signer.COOKIE, httponly=True, samesite="strict", secure=request.url.scheme == "https")
     return answer

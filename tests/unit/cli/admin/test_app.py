@@ -1,6 +1,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import structlog
@@ -55,7 +56,9 @@ def test_an_added_team_can_submit_with_the_printed_token(service: CliService, tm
     token.write_text(added["secret"])
     folder = submission_folder(tmp_path / "mine")
     assert service.run("submit", str(folder), "--token-file", str(token)).exit_code == 0
-    assert read(service, "team", "show", "bears") == added["team"]
+    shown: Any = read(service, "team", "show", "bears")
+    assert [member["role"] for member in shown.pop("members")] == ["captain"]
+    assert shown == added["team"] | {"invitations": []}
     assert "Bears" in admin(service, "team", "list").stdout
 
 

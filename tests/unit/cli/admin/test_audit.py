@@ -2,13 +2,16 @@
 
 import json
 from collections.abc import Iterator
+from datetime import timedelta
 from pathlib import Path
 
 import pytest
 import typer
 from cli_service import CliService, submission_folder
+from sqlalchemy.orm import Session
 from typer.core import TyperGroup
 from vitac.cli.admin.app import app
+from vitac.server.accounts import members, teams
 from vitac.server.accounts.audit import newest_entries
 from vitac.server.accounts.principals import CONSOLE
 from vitac.server.accounts.tokens import list_tokens
@@ -48,6 +51,12 @@ CHANGES = {
     "results finalize": (["--yes"], "competition.finalize"),
     "team disqualify": (["Team A", "--reason", "two accounts", "--yes"], "team.disqualify"),
     "team reinstate": (["Team A"], "team.reinstate"),
+    "team accept": (["Waiting"], "team.accept"),
+    "team refuse": (["Waiting", "--reason", "two accounts"], "team.refuse"),
+    "team rename": (["Team A", "Ants"], "team.rename"),
+    "team captain": (["Team A", "Ann"], "team.captain"),
+    "team remove-member": (["Team A", "Ann", "--yes"], "member.remove"),
+    "team merge": (["Waiting", "Team A", "--yes"], "team.merge"),
     "team add": (["Bears"], "token.issue"),
     "token add": (["--judge"], "token.issue"),
     "token revoke": (["TOKEN", "--yes"], "token.revoke"),
@@ -96,7 +105,9 @@ def there_is(service: CliService, name: str, tmp_path: Path) -> str:
 def prepare(service: CliService, command: str) -> None:
     """Brings a competition to where the command has something to do."""
     with service.database.transaction() as session:
-        if command == "competition reveal":
+        if command.startswith("team"):
+            make_team_to_change(session, waits=command != "team merge")
+        elif command == "competition reveal":
             put_in_place(session, open_now(sealed_competition(), stage=1))
             seal(session, CONSOLE, "track_1", "stage1")
         elif command == "advance confirm":
@@ -105,6 +116,13 @@ def prepare(service: CliService, command: str) -> None:
             put_in_place(session, moved(make_competition(), days=-2000))
             if command == "results unfreeze":
                 freeze(session, CONSOLE)
+
+
+def make_team_to_change(session: Session, *, waits: bool) -> None:
+    """A second member of Team A, and another team."""
+    _, code = members.invite(session, CONSOLE, teams.find(session, "Team A"))
+    members.join(session, members.NewMember(code=code, name="Ann"), timedelta(days=1))
+    teams.register(session, CONSOLE, name="Waiting", waits=waits)
 
 
 @pytest.mark.parametrize("command", CHANGES)
@@ -120,6 +138,10 @@ def test_a_change_is_written_to_the_audit_log(service: CliService, command: str,
         written = [entry for entry in newest_entries(session, 5) if entry.id > last]
     assert action in {entry.action for entry in written}
     assert {entry.actor for entry in written} == {"organizer:console"}
+    by_action = {entry.action: entry for entry in written}
+    if command.startswith("team ") and command not in {"team add", "team reinstate"}:
+        assert by_action[action].before is not None
+        assert by_action[action].before != by_action[action].after
 
 
 def test_reads_write_nothing(service: CliService) -> None:

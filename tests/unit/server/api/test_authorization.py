@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from datetime import timedelta
 from enum import StrEnum
 from typing import Any
 from uuid import UUID, uuid4
@@ -9,10 +10,11 @@ from uuid import UUID, uuid4
 import drawn_gels
 import pytest
 from service_client import POLICY, Service, bearer, make_archive
-from service_factories import TRACK, play_all
-from vitac.server.accounts import tokens
+from service_factories import TRACK, make_principal, play_all
+from sqlalchemy import delete
+from vitac.server.accounts import members, tokens
 from vitac.server.accounts.principals import CONSOLE
-from vitac.server.db.models import Submission
+from vitac.server.db.models import ApiToken, Invitation, Submission, Team
 from vitac.server.db.states import Role
 
 from competitions import make_competition, put_in_place
@@ -34,6 +36,8 @@ TEAMS = frozenset({Who.OWNER, Who.OTHER})
 
 SUBMISSION = "/api/v1/submissions/{submission_id}"
 UPLOAD = "/api/v1/uploads/{upload_id}"
+TEAM = "/api/v1/teams/{team_id}"
+MEMBER = f"{TEAM}/members/{{member_id}}"
 MATRIX: dict[tuple[str, str], frozenset[Who]] = {
     ("get", "/health"): EVERYBODY,
     ("get", "/ready"): EVERYBODY,
@@ -45,6 +49,15 @@ MATRIX: dict[tuple[str, str], frozenset[Who]] = {
     ("get", "/api/v1/leaderboards/{track}"): EVERYBODY,
     ("get", "/api/v1/leaderboards/{track}/logs"): EVERYBODY,
     ("post", "/api/v1/teams"): EVERYBODY,
+    ("post", "/api/v1/teams/join"): EVERYBODY,
+    ("get", TEAM): CHANGERS,
+    ("patch", TEAM): frozenset({Who.ORGANIZER}),
+    ("post", f"{TEAM}/merge"): frozenset({Who.ORGANIZER}),
+    ("post", f"{TEAM}/invitations"): CHANGERS,
+    ("delete", f"{TEAM}/invitations/{{invitation_id}}"): CHANGERS,
+    ("put", f"{TEAM}/captain"): CHANGERS,
+    ("patch", MEMBER): CHANGERS,
+    ("delete", MEMBER): CHANGERS,
     ("get", "/api/v1/me"): SIGNED_IN,
     ("get", "/api/v1/tokens"): SIGNED_IN,
     ("post", "/api/v1/tokens"): TEAMS | {Who.ORGANIZER},
@@ -68,6 +81,7 @@ MATRIX: dict[tuple[str, str], frozenset[Who]] = {
     ("patch", UPLOAD): CHANGERS,
     ("delete", UPLOAD): CHANGERS,
     ("post", f"{UPLOAD}/submission"): CHANGERS,
+    ("post", f"{MEMBER}/token"): CHANGERS,  # last: from then on the shared token no longer leads the team
 }
 """Who gets an answer of the route about a thing of the team OWNER. All others: 401 without a token, else 403 or 404."""
 
@@ -93,11 +107,44 @@ class Setting:
         options = BODIES[method, path](self, who) if (method, path) in BODIES else {}
         headers |= options.pop("headers", {})
         ids = {"submission_id": self.submission_id, "upload_id": "", "token_id": "", "track": "track_1"}
+        if "{team_id}" in path:
+            ids["team_id"] = str(self.service.principal.team_id)
+            if path.endswith("/merge"):
+                ids["team_id"] = self.new_team()
+            elif "{invitation_id}" in path:
+                ids["invitation_id"] = str(self.new_invitation()[0].id)
+            elif "{member_id}" in path:
+                # The captain of a team without a token of its own is who has the team's; who leaves is another one.
+                ids["member_id"] = self.new_member() if method == "delete" else self.captain()
         if "{upload_id}" in path:
             ids["upload_id"] = self.new_upload()
         if "{token_id}" in path:
             ids["token_id"] = self.new_token()
         return self.service.client.request(method, path.format(**ids), headers=headers, **options).status_code
+
+    def new_team(self) -> str:
+        """Id of a further team."""
+        with self.service.database.transaction() as session:
+            return str(make_principal(session, f"Team {uuid4().hex[:12]}").team_id)
+
+    def new_invitation(self) -> tuple[Invitation, str]:
+        """An invitation to the team OWNER, and its code."""
+        with self.service.database.transaction() as session:
+            return members.invite(session, CONSOLE, session.get_one(Team, self.service.principal.team_id))
+
+    def new_member(self) -> str:
+        """Id of a further member of the team OWNER."""
+        new = members.NewMember(code=self.new_invitation()[1], name=uuid4().hex[:12])
+        with self.service.database.transaction() as session:
+            return str(members.join(session, new, timedelta(days=1))[0].id)
+
+    def captain(self) -> str:
+        """Id of the captain of the team OWNER, who has no token yet."""
+        with self.service.database.transaction() as session:
+            captain = members.captain_of(session, session.get_one(Team, self.service.principal.team_id))
+            session.execute(delete(ApiToken).where(ApiToken.member_id == captain.id))
+            captain.password_hash = None
+            return str(captain.id)
 
     def new_upload(self) -> str:
         """A begun upload of the team OWNER."""
@@ -122,6 +169,13 @@ def _as_organizer(who: Who) -> dict[str, str]:
 Options = Callable[[Setting, Who], dict[str, Any]]
 BODIES: dict[tuple[str, str], Options] = {
     ("post", "/api/v1/teams"): lambda *_: {"json": {"name": f"Team {uuid4().hex[:12]}"}},
+    ("post", "/api/v1/teams/join"): lambda setting, _: {
+        "json": {"code": setting.new_invitation()[1], "name": uuid4().hex[:12]}
+    },
+    ("patch", TEAM): lambda *_: {"json": {"accepted": True}},
+    ("post", f"{TEAM}/merge"): lambda setting, _: {"json": {"into": setting.new_team()}},
+    ("put", f"{TEAM}/captain"): lambda setting, _: {"json": {"member_id": setting.captain()}},
+    ("patch", MEMBER): lambda *_: {"json": {"email": "ann@example.org"}},
     ("post", "/api/v1/tokens"): lambda *_: {"json": {"label": "new"}},
     ("post", "/api/v1/submissions"): lambda _, who: {
         "content": make_archive(),

@@ -30,7 +30,13 @@ def test_a_submission_with_all_that_its_page_shows_is_read_by_few_statements_of_
         shown = submit_scored(session, team, "second", {TASK: make_score(75), LOCK: make_score(20)})
     settings = make_settings()
     data = ServiceData(
-        database=database, settings=settings, blobs=UNUSED, streams=UNUSED, registrations=UNUSED, uploads=UNUSED
+        database=database,
+        settings=settings,
+        blobs=UNUSED,
+        streams=UNUSED,
+        registrations=UNUSED,
+        sign_ins=UNUSED,
+        uploads=UNUSED,
     )
     visitor = Visitor(principal=team, token_id=UNUSED)
     done: list[str] = []

@@ -66,3 +66,22 @@ def test_sign_out_ends_the_session(browser: AsgiBrowser) -> None:
     answer = browser.post("/sign-out", data={"form_token": form_token(browser)})
     assert answer.status_code == 303
     assert signer.COOKIE not in browser.cookies
+
+
+def test_a_member_signs_in_with_a_password_and_out_again(data: FixedData, browser: AsgiBrowser) -> None:
+    given = {"team": "Gelbots", "member": "Ann", "password": "password-of-Ann", "next": "/team"}
+    wrong = browser.post("/sign-in/password", data=given | {"password": "guess"})
+    assert wrong.status_code == 401
+    assert 'value="Ann"' in wrong.text
+    assert "guess" not in wrong.text
+    answer = browser.post("/sign-in/password", data=given)
+    assert (answer.status_code, answer.headers["location"]) == (303, "/team")
+    browser.post("/sign-out", data={"form_token": form_token(browser)})
+    assert data.ended == [GELBOTS.token_id]
+
+
+def test_too_many_tries_are_told_in_the_form(data: FixedData, browser: AsgiBrowser) -> None:
+    data.tried_from = ["127.0.0.1"] * 3
+    answer = browser.post("/sign-in/password", data={"team": "Gelbots", "member": "Ann", "password": "guess"})
+    assert answer.status_code == 429
+    assert 'role="alert"' in answer.text

@@ -1,0 +1,1 @@
+"""Routes of the people around a competition: members of teams and what they say to each other."""

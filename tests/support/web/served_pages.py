@@ -1,0 +1,72 @@
+"""Pages over a real service in this process: who visits them, signs in with a token, and sends their forms."""
+
+import re
+import ssl
+from dataclasses import dataclass, field
+from typing import Any
+
+from cli_service import CliService
+from httpx import Client, Cookies, Response
+from service_factories import make_secret
+from vitac.server.accounts import teams, tokens
+from vitac.server.accounts.principals import CONSOLE, Principal
+from vitac.server.db.states import Role
+
+FORM_TOKEN = re.compile(r'name="form_token" value="([^"]+)"')
+
+
+NO_CERTIFICATES = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PageVisitor:
+    """A browser without a window that keeps its cookies and follows no redirect."""
+
+    address: str
+    cookies: Cookies = field(default_factory=Cookies)
+
+    def get(self, path: str) -> Response:
+        return self._request("GET", path)
+
+    def post(self, path: str, **options: Any) -> Response:
+        return self._request("POST", path, **options)
+
+    def send(self, page: str, target: str, **fields: str) -> Response:
+        """Sends a form of a page."""
+        found = FORM_TOKEN.search(self.get(page).text)
+        assert found is not None, f"{page} has no form of a session"
+        return self.post(target, data={"form_token": found[1], **fields})
+
+    def _request(self, method: str, path: str, **options: Any) -> Response:
+        headers = {"accept": "text/html"} | options.pop("headers", {})
+        with Client(base_url=self.address, cookies=self.cookies, trust_env=False, verify=NO_CERTIFICATES) as client:
+            answer = client.request(method, path, headers=headers, **options)
+            for cookie in list(self.cookies.jar):
+                self.cookies.delete(cookie.name)
+            self.cookies.update(client.cookies)
+            return answer
+
+
+def visitor(service: CliService, secret: str | None = None) -> PageVisitor:
+    """Somebody who signs in with a token, or does not."""
+    made = PageVisitor(address=service.address)
+    if secret is not None:
+        assert made.post("/sign-in", data={"token": secret}).status_code == 303
+    return made
+
+
+def team_visitor(service: CliService, team: str = "Team A") -> PageVisitor:
+    """Somebody with a shared token of a team, which is made where there is none."""
+    with service.database.transaction() as session:
+        known = {one.name: one for one in teams.list_teams(session)}
+        found = known.get(team) or teams.register(session, CONSOLE, name=team)
+        by = Principal(role=Role.TEAM, team_id=found.id, team_name=found.name, leads_team=True)
+        secret = make_secret(session, by)
+    return visitor(service, secret)
+
+
+def visitor_of_role(service: CliService, role: Role) -> PageVisitor:
+    """An organizer or a judge."""
+    with service.database.transaction() as session:
+        secret = tokens.issue(session, CONSOLE, role=role, label=role, lifetime=None).secret
+    return visitor(service, secret)

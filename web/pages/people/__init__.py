@@ -1,0 +1,1 @@
+"""Pages of the people around a competition: teams, what they say to each other, the organizers' desk."""

@@ -1,0 +1,192 @@
+"""The team's page: members, invitations, tokens and sessions, each with its forms; and the page that joins a team."""
+
+from __future__ import annotations
+
+from datetime import timedelta
+from http import HTTPStatus
+from typing import TYPE_CHECKING, TypeVar
+
+from pydantic import BaseModel, ValidationError
+from starlette.exceptions import HTTPException
+from starlette.responses import Response
+from vitac.server.accounts import members, teams, tokens
+from vitac.server.api.people.members import MemberChanges, NewMember
+from vitac.server.db.states import MemberRole
+from vitac.server.errors import ProblemCode, ServiceError
+from vitac.server.limiter import client_key
+
+from ...session.forms import read_form
+from ...site import page, require_viewer, site_of, viewer_of
+from ..team.sign_in import begin_session
+from .action import act, id_in, signed_in_form
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+    from uuid import UUID
+
+    from sqlalchemy.orm import Session
+    from starlette.requests import Request
+    from vitac.server.accounts.principals import Principal
+    from vitac.server.db.models import Member
+    from vitac.server.views.accounts import OwnTeamView, TokenView
+
+    Change = Callable[[Session, Principal, Mapping[str, str]], object]
+
+FormT = TypeVar("FormT", bound=BaseModel)
+ADDRESS = "/team"
+
+
+async def team(request: Request) -> Response:
+    """Show the team of a signed-in member.
+
+    Raises:
+        ServiceError: an organizer or judge belongs to none.
+    """
+    viewer = await require_viewer(request)
+    if isinstance(viewer, Response):
+        return viewer
+    by = viewer.visitor.principal
+
+    def read(session: Session) -> tuple[OwnTeamView, list[TokenView]]:
+        good = [tokens.token_view(found) for found in tokens.list_tokens(session, by) if found.revoked_at is None]
+        return members.own_team_view(session, by, teams.own(session, by)), good
+
+    found, good = await site_of(request).data.ask(read)
+    myself = next(
+        (one for one in found.members if one.id == by.member_id or (by.leads_team and one.role is MemberRole.CAPTAIN)),
+        None,
+    )
+    return page(
+        request,
+        "people/team.html",
+        viewer=viewer,
+        section=ADDRESS,
+        found=found,
+        good=good,
+        myself=myself,
+        leads=by.leads_team,
+    )
+
+
+async def change(request: Request) -> Response:
+    """Make one of the changes of the page's forms."""
+    name = request.path_params["action"]
+    if name not in CHANGES:
+        raise HTTPException(404)
+    return await act(request, CHANGES[name], back=ADDRESS)
+
+
+async def invite(request: Request) -> Response:
+    """Make an invitation and show its code, which happens only now."""
+    sent = await signed_in_form(request)
+    if isinstance(sent, Response):
+        return sent
+    by = sent[0].visitor.principal
+    code = await site_of(request).data.ask(lambda session: members.invite(session, by, teams.own(session, by))[1])
+    return page(
+        request, "people/secret.html", viewer=sent[0], section=ADDRESS, status=201, what="invitation", secret=code
+    )
+
+
+async def renew_token(request: Request) -> Response:
+    """Make a new token for the member who asks and show it, which happens only now; the browser stays signed in."""
+    sent = await signed_in_form(request)
+    if isinstance(sent, Response):
+        return sent
+    by, lifetime = sent[0].visitor.principal, _token_lifetime(request)
+
+    def made(session: Session) -> tuple[str, UUID]:
+        issued = members.renew_token(session, by, _self(session, by), lifetime)
+        return issued.secret, issued.token.id
+
+    secret, token_id = await site_of(request).data.ask(made)
+    answer = page(request, "people/secret.html", viewer=None, section=ADDRESS, status=201, what="token", secret=secret)
+    answer.headers["Cache-Control"] = "no-store"
+    begin_session(request, answer, token_id)
+    return answer
+
+
+async def join_form(request: Request) -> Response:
+    """Show the form with which somebody joins a team."""
+    return _join_page(request, viewer=await viewer_of(request))
+
+
+async def join(request: Request) -> Response:
+    """Make somebody with an invitation a member, show their token and begin a session."""
+    fields = await read_form(request)
+    given = {name: fields.get(name, "").strip() for name in ("code", "name", "email")}
+    lifetime = _token_lifetime(request)
+    address = client_key(request.client.host if request.client is not None else None)
+    data = site_of(request).data
+
+    def joined(session: Session) -> tuple[str, str, UUID]:
+        filled = {**given, "password": fields.get("password", "")}
+        checked = _checked(NewMember, {name: value or None for name, value in filled.items()})
+        member, issued = members.join(session, members.NewMember(**checked.model_dump()), lifetime)
+        return member.team.name, issued.secret, issued.token.id
+
+    try:
+        await data.note_registration(address)
+        team_name, secret, token_id = await data.ask(joined)
+    except ServiceError as error:
+        return _join_page(request, viewer=None, wrong=error.detail, given=given, status=error.status)
+    answer = _join_page(request, viewer=None, made=(team_name, secret), status=HTTPStatus.CREATED)
+    answer.headers["Cache-Control"] = "no-store"
+    begin_session(request, answer, token_id)
+    return answer
+
+
+def _self(session: Session, by: Principal) -> Member:
+    """Return the member who asks; who has the shared token of a captain without one of their own is the captain."""
+    own = teams.own(session, by)
+    return members.find(session, by, own.id, by.member_id or members.captain_of(session, own).id)
+
+
+def _change_self(session: Session, by: Principal, fields: Mapping[str, str]) -> None:
+    member = _self(session, by)
+    if "email" in fields:
+        members.set_email(
+            session, by, member, _checked(MemberChanges, {"email": fields["email"].strip() or None}).email
+        )
+    else:
+        password = _checked(MemberChanges, {"password": fields.get("password") or None}).password
+        members.set_password(session, by, member, password)
+
+
+def _member(session: Session, by: Principal, fields: Mapping[str, str]) -> Member:
+    return members.find(session, by, teams.own(session, by).id, id_in(fields, "id"))
+
+
+CHANGES: Mapping[str, Change] = {
+    "me": _change_self,
+    "leave": lambda session, by, _: members.remove(session, by, _self(session, by)),
+    "remove": lambda session, by, fields: members.remove(session, by, _member(session, by, fields)),
+    "captain": lambda session, by, fields: members.hand_over(session, by, _member(session, by, fields)),
+    "withdraw": lambda session, by, fields: members.withdraw_invitation(
+        session, by, teams.own(session, by), id_in(fields, "id")
+    ),
+    "revoke": lambda session, by, fields: tokens.revoke(session, by, id_in(fields, "id")),
+}
+"""What the forms of the page do, by the last part of their address."""
+
+
+def _token_lifetime(request: Request) -> timedelta:
+    return timedelta(days=request.app.state.services.settings.token_lifetime_days)
+
+
+def _checked(form: type[FormT], values: Mapping[str, str | None]) -> FormT:
+    """Return the values of a form as the API takes them.
+
+    Raises:
+        ServiceError: invalid_request, with what is wrong.
+    """
+    try:
+        return form.model_validate(values)
+    except ValidationError as error:
+        problems = " ".join(f"{problem['loc'][0]}: {problem['msg']}." for problem in error.errors())
+        raise ServiceError(ProblemCode.INVALID_REQUEST, problems) from error
+
+
+def _join_page(request: Request, **values: object) -> Response:
+    shown = {"made": None, "wrong": None, "given": {"code": "", "name": "", "email": ""}, **values}
+    return page(request, "people/join.html", section="/register", **shown)  # type: ignore[arg-type]
