@@ -1,5 +1,6 @@
 """One claimed shard: run in a process of its own, each episode stored at once, the lease kept alive meanwhile."""
 
+import errno
 import tempfile
 import threading
 import time
@@ -93,6 +94,7 @@ class ShardRun:
         self._over = threading.Event()
         self._is_idle = threading.Event()
         self._last_record_at = time.monotonic()
+        self._began_with_space = False
 
     def run(self) -> RunEnd:
         """Work until the shard is finished, lost, handed back or reported as broken."""
@@ -133,6 +135,9 @@ class ShardRun:
         return ShardResult(index=self._lease.number, end=end, manifest=manifest, isolation=None)
 
     def _play(self, stored: StoredEpisodes) -> ShardResult:
+        if not self._has_space():
+            raise OSError(errno.ENOSPC, "Expected free space on the disk of the worker's files, got a full one")
+        self._began_with_space = True
         with ExitStack() as stack:
             path = self._fetch(stack, partial(self._stage.submission, self._lease.kind, self._lease.archive_sha256))
             made = self._lease.sensor_sha256
@@ -243,6 +248,7 @@ class ShardRun:
                 return RunEnd.HANDED_BACK
             if self._lacks_space(error):
                 logger.error("disk_full", shard=self._lease.shard_id, error=" ".join(str(error).split())[:300])
+            if self._waits_for_space(error):
                 self._database(
                     lambda session: leases.hand_back(
                         session, self._lease, counts_as_attempt=False, delay_s=FULL_DISK_PAUSE_S
@@ -261,8 +267,18 @@ class ShardRun:
 
     def _lacks_space(self, error: Exception) -> bool:
         """Return whether the disk is full; the process of a shard may end with any error then, so we look."""
-        folders = (self._services.settings.scratch_dir, Path(tempfile.gettempdir()))
-        return is_disk_full(error) or not all(has_space(folder) for folder in folders)
+        return is_disk_full(error) or not self._has_space()
+
+    def _waits_for_space(self, error: Exception) -> bool:
+        """Return whether the shard lacked space that it cannot have used up itself: that counts as no attempt.
+
+        One that began with space may be what filled the disk. It would do so again, for ever if that did not count.
+        """
+        others_disk = isinstance(error, ServiceError)  # that of the stored files
+        return self._lacks_space(error) and (others_disk or not self._began_with_space)
+
+    def _has_space(self) -> bool:
+        return all(has_space(folder) for folder in (self._services.settings.scratch_dir, Path(tempfile.gettempdir())))
 
     def _database(self, work: Callable[[Session], ResultT]) -> ResultT:
         """Run a transaction, again and again while the database is away and the worker is not told to stop."""

@@ -1,9 +1,9 @@
 """Life of an evaluation: started with its shards, ended by its last shard, a cancel, or machines that fail."""
 
 from collections.abc import Sequence
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 
-from sqlalchemy import func, select, update
+from sqlalchemy import ColumnElement, func, select, update
 from sqlalchemy.orm import Session
 from vitac.envs.errors import VitacError
 from vitac.evaluator.episodes.records import EpisodeRecord, PolicyFailure, result_hash
@@ -29,6 +29,9 @@ from vitac.server.queue.turns import next_turn
 from vitac.server.receipts.chain import issue
 from vitac.server.settings import Settings
 from vitac.server.tracks import family_of
+
+FREE_FAILURES_PER_DAY = 5
+"""So many evaluations of a team that machines have ended within 24 hours cost it nothing."""
 
 LOG_TAIL_CHARACTERS = 64 * 1024
 RETRY_DELAY_S = 2.0
@@ -148,10 +151,22 @@ def report_broken_machine(session: Session, settings: Settings, lease: Lease, me
 
 
 def fail_by_machines(session: Session, evaluation: Evaluation, message: str) -> None:
-    """End an evaluation whose shard could not be run in all its attempts; it costs the team nothing."""
-    evaluation.charged_at = None
+    """End an evaluation whose shard could not be run in all its attempts; it costs the team nothing.
+
+    After so many of a team's in a day they do: what makes machines fail would be played for ever otherwise.
+    """
+    if count_machine_failures(session, Submission.team_id == evaluation.submission.team_id) < FREE_FAILURES_PER_DAY:
+        evaluation.charged_at = None
     _cancel_shards(session, evaluation)
     _fail(evaluation, ServiceVerdict.MACHINE_FAILED, message)
+
+
+def count_machine_failures(session: Session, *conditions: ColumnElement[bool]) -> int:
+    """Return how many evaluations of some submissions machines have ended in the last 24 hours."""
+    query = select(func.count()).select_from(Evaluation).join(Submission)
+    by_machines = Evaluation.verdict_code == ServiceVerdict.MACHINE_FAILED
+    since = func.now() - timedelta(days=1)
+    return session.scalar(query.where(by_machines, Evaluation.finished_at > since, *conditions)) or 0
 
 
 def cancel(session: Session, evaluation: Evaluation) -> None:

@@ -18,7 +18,7 @@ from ..evaluations import lifecycle
 from ..settings import Quotas
 from ..uploads.checked_upload import CheckedUpload
 from .files import add_files
-from .runs import next_run
+from .runs import next_run, require_machines_hold
 
 EVALUATION_QUOTAS = (Quota.QUEUED_AT_ONCE, Quota.ATTEMPTS_PER_DAY, Quota.SCORED_RUNS_PER_DAY)
 DEFAULT_QUOTAS = Quotas()
@@ -50,8 +50,8 @@ def create(
         at: when it is complete; None: now.
 
     Raises:
-        ServiceError: an organizer named no team, the stage takes nothing (more) of the team, or the team has used one
-            of its quotas.
+        ServiceError: an organizer named no team, the stage takes nothing (more) of the team, the team has used one
+            of its quotas, or machines have failed at the submission too often.
     """
     team_row = owner(session, by, team)
     teams.lock(session, team_row)
@@ -60,6 +60,7 @@ def create(
     run = next_run(session, submission, again=again)
     if run is None:
         return submission, False
+    require_machines_hold(session, by, submission)
     charged_at = charge(session, quotas, by, team_row, *EVALUATION_QUOTAS)
     check_stage_quotas(session, by, team_row, track=submission.track, stage=stage)
     lifecycle.start(session, submission, run, charged_at=charged_at)

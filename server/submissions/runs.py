@@ -17,6 +17,9 @@ from ..evaluations import lifecycle
 from ..evaluations.history import history, newest_evaluation
 from ..evaluations.verdicts import REFUTING_RESULTS, ServiceVerdict
 
+MACHINE_FAILURES = 3
+"""After so many evaluations of a submission that machines have ended within 24 hours, only organizers start another."""
+
 
 def cancel(session: Session, by: Principal, submission_id: UUID) -> None:
     """End the evaluation of a submission; its workers stop within seconds.
@@ -66,6 +69,21 @@ def run_again(session: Session, by: Principal, submission_id: UUID) -> Submissio
     lifecycle.start(session, submission, run)
     record(session, by, "submission.requeue", f"submission:{submission.id}", {"run": run})
     return submission
+
+
+def require_machines_hold(session: Session, by: Principal, submission: Submission) -> None:
+    """Refuse another evaluation of a submission that machines have failed at again and again, but to organizers.
+
+    Raises:
+        ServiceError: not_requeuable.
+    """
+    failures = lifecycle.count_machine_failures(session, Submission.id == submission.id)
+    if failures >= MACHINE_FAILURES and not by.is_organizer:
+        raise ServiceError(
+            ProblemCode.NOT_REQUEUABLE,
+            f"The machines failed in {failures} evaluations of submission {submission.id} within 24 hours. Ask the "
+            "organizers: they can find out why, and start it again.",
+        )
 
 
 def next_run(session: Session, submission: Submission, *, again: bool) -> int | None:

@@ -159,23 +159,56 @@ def test_half_done_shard_is_resumed_from_its_stored_episodes(
     assert stored_numbers(services) == list(range(1, 28))
 
 
-def test_shards_on_a_full_disk_wait_and_never_fail_an_evaluation(
-    services: Services, stage: SubmissionStage, submission: Submission
-) -> None:
-    @contextmanager
-    def start(order: ShardOrder) -> Iterator[FakeShard]:
-        raise OSError(errno.ENOSPC, "No space left on device")
-        yield
+@contextmanager
+def without_space(order: ShardOrder) -> Iterator[FakeShard]:
+    """A process that comes to the end of the disk."""
+    raise OSError(errno.ENOSPC, "No space left on device")
+    yield
 
+
+def test_shards_on_a_full_disk_wait_and_never_fail_an_evaluation(
+    services: Services, stage: SubmissionStage, submission: Submission, monkeypatch: pytest.MonkeyPatch
+) -> None:
     shard_id = first_shard(services, submission)
-    for _ in range(2 * services.settings.shard_attempts):
-        lease = claim(services.database, shard_id, lease_s=services.settings.lease_s)
-        assert ShardRun(services, stage, lease, start).run() is RunEnd.HANDED_BACK
+    with monkeypatch.context() as full:
+        full.setattr(shard_run, "has_space", lambda _: False)
+        for _ in range(2 * services.settings.shard_attempts):
+            lease = claim(services.database, shard_id, lease_s=services.settings.lease_s)
+            shards = FakeShards()
+            assert ShardRun(services, stage, lease, shards).run() is RunEnd.HANDED_BACK
+            assert shards.started == []
     with services.database.transaction() as session:
         assert newest_evaluation(session, submission).state is EvaluationState.RUNNING
     lease = claim(services.database, shard_id, lease_s=services.settings.lease_s)
     assert lease.attempt == 1
     assert ShardRun(services, stage, lease, FakeShards()).run() is RunEnd.FINISHED
+
+
+def test_a_shard_that_fills_the_disk_each_time_ends_its_evaluation_by_name(
+    services: Services, stage: SubmissionStage, submission: Submission
+) -> None:
+    shard_id = first_shard(services, submission)
+    for _ in range(services.settings.shard_attempts):
+        lease = claim(services.database, shard_id, lease_s=services.settings.lease_s)
+        assert ShardRun(services, stage, lease, without_space).run() is RunEnd.BROKE
+    with services.database.transaction() as session:
+        ended = newest_evaluation(session, submission)
+        assert (ended.verdict_code, ended.charged_at) == ("machine_failed", None)
+        assert "No space left on device" in str(ended.verdict_message)
+
+
+def test_a_shard_waits_while_the_storage_has_no_space(
+    services: Services, stage: SubmissionStage, submission: Submission
+) -> None:
+    @contextmanager
+    def start(order: ShardOrder) -> Iterator[FakeShard]:
+        full = ServiceError(ProblemCode.STORAGE_FULL, "The storage is full.")
+        raise full from OSError(errno.ENOSPC, "No space left on device")
+        yield
+
+    for _ in range(2 * services.settings.shard_attempts):
+        lease = claim(services.database, first_shard(services, submission), lease_s=services.settings.lease_s)
+        assert ShardRun(services, stage, lease, start).run() is RunEnd.HANDED_BACK
 
 
 def test_shard_whose_process_says_nothing_of_the_disk_waits_as_well_while_it_is_full(

@@ -12,7 +12,7 @@ from vitac.server.db.models import AuditEntry, Evaluation, Submission
 from vitac.server.db.states import Quota
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.evaluations.history import newest_evaluation
-from vitac.server.evaluations.lifecycle import fail_by_machines
+from vitac.server.evaluations.lifecycle import FREE_FAILURES_PER_DAY, fail_by_machines
 from vitac.server.settings import Quotas
 from vitac.server.submissions import runs
 
@@ -97,6 +97,26 @@ def test_what_machines_failed_costs_nothing(database: Database, principal: Princ
     again = submit(database, principal, "one", scored_runs_per_day=1, attempts_per_day=1, queued_at_once=1)
     assert again.id == submission.id
     assert used(database, principal)["attempts_per_day"] == 1
+
+
+def test_after_so_many_failures_of_the_machines_within_a_day_they_cost_an_attempt_each(
+    database: Database, principal: Principal
+) -> None:
+    """A team that makes machines fail with one submission after the other comes to the end of its quota."""
+    for number in range(FREE_FAILURES_PER_DAY + 2):
+        fail_machines(database, submit(database, principal, f"content {number}"))
+    counts = used(database, principal)
+    assert (counts["attempts_per_day"], counts["scored_runs_per_day"], counts["queued_at_once"]) == (2, 0, 0)
+    with refused(ProblemCode.QUOTA_EXCEEDED):
+        submit(database, principal, "another", attempts_per_day=2)
+    with database.transaction() as session:
+        other = make_principal(session, "Team B")
+    fail_machines(database, submit(database, other, "content"))
+    assert used(database, other)["attempts_per_day"] == 0
+    with database.transaction() as session:
+        session.execute(update(Evaluation).values(finished_at=datetime.now(UTC) - timedelta(hours=25)))
+    fail_machines(database, submit(database, principal, "the day after"))
+    assert used(database, principal)["attempts_per_day"] == 2
 
 
 def test_what_organizers_start_costs_nothing(database: Database, principal: Principal) -> None:

@@ -93,6 +93,26 @@ def test_upload_after_the_machines_failed_takes_the_run_up(database: Database, p
     assert (view.evaluation.run, view.evaluation.progress.episodes_done) == (1, 27)
 
 
+def test_a_submission_that_machines_fail_at_again_and_again_is_started_by_organizers_only(
+    database: Database, principal: Principal
+) -> None:
+    submission, _ = create(database, principal)
+    for failures in range(1, runs.MACHINE_FAILURES + 1):
+        with database.transaction() as session:
+            lifecycle.fail_by_machines(session, newest_evaluation(session, submission), "lost")
+        if failures < runs.MACHINE_FAILURES:
+            assert create(database, principal)[1]
+    for again in (False, True):
+        with refused(ProblemCode.NOT_REQUEUABLE):
+            create(database, principal, again=again)
+    assert len(view_of(database, principal, submission).evaluations) == runs.MACHINE_FAILURES
+    assert create(database, principal, "other content")[1]
+    with database.transaction() as session:
+        runs.run_again(session, CONSOLE, submission.id)
+    evaluation = view_of(database, principal, submission).evaluation
+    assert (evaluation.state, evaluation.run) == (EvaluationState.QUEUED, 2)
+
+
 def test_organizer_submits_for_a_named_team_only(database: Database, principal: Principal) -> None:
     with refused(ProblemCode.TEAM_REQUIRED):
         create(database, CONSOLE)
