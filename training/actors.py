@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .critic import Critic, states_of
 from .episodes import Actor, FloatArray, MakeActor, Moment
+from .learning.critic import Critic, states_of
 from .submission.policy import CANDIDATES, candidate_actions, values
 
 

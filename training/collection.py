@@ -5,10 +5,12 @@ where it was stopped, and episodes of another recipe, actor or version of the si
 """
 
 import hashlib
+import inspect
 import json
 import os
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
+from functools import cache
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -16,10 +18,11 @@ from typing import Any
 from vitac.evaluator.version import evaluator_hash
 
 from .actors import ActorKind, critic_actor, guided_actor, random_actor, student_actor
-from .critic import Critic, CriticPlan
 from .episodes import TASK, Episodes, MakeActor, joined, make_environment, play
 from .files import FileDamaged, digest, load, save
+from .learning.critic import Critic, CriticPlan
 from .streams import Use, stream
+from .submission.policy import felt_motion
 
 FILE_EPISODES = 50
 
@@ -109,9 +112,16 @@ def _works(batch: Batch, folder: Path, networks: Networks | None) -> Iterator[_W
     known = {name: digest(arrays) for name, arrays in acted_by.items() if name == batch.kind}
     for first in range(batch.first, batch.first + batch.count, FILE_EPISODES):
         count = min(FILE_EPISODES, batch.first + batch.count - first)
-        decides = {**asdict(batch), **known, "first": first, "count": count, "task": TASK, "made_by": evaluator_hash()}
+        decides = {**asdict(batch), **known, "first": first, "count": count, **_versions()}
         name = hashlib.sha256(json.dumps(decides, sort_keys=True).encode()).hexdigest()
         yield _Work(batch=batch, networks=networks, first=first, count=count, path=folder / f"{name}.npz")
+
+
+@cache
+def _versions() -> dict[str, str]:
+    """Return what else decides what is in a file: the task, the simulation, and how markers become what was felt."""
+    felt_by = hashlib.sha256(inspect.getsource(felt_motion).encode()).hexdigest()
+    return {"task": TASK, "made_by": evaluator_hash(), "felt_by": felt_by}
 
 
 def _is_whole(path: Path) -> bool:

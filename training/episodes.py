@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .submission.policy import History, motion_field
+from .submission.policy import History, felt_motion
 
 FloatArray = NDArray[np.float32]
 IndexArray = NDArray[np.int64]
@@ -26,8 +26,8 @@ class Episodes:
         lengths: env steps of each episode, shape [e].
         shapes: number of the shape of each, shape [e].
         solved: whether each ended with success, shape [e].
-        felt: motion fields of the observations, shape [o, f].
-        motions: `relative_motion` over its scale, shape [o, 4].
+        felt: `felt_motion` of the observations [mm, deg], shape [o, 6].
+        motions: `relative_motion` of the observations [mm, mm, deg, mm], shape [o, 4].
         truths: offset and measured pose [mm, deg], shape [o, 9].
         actions: shape [a, 3].
     """
@@ -131,19 +131,20 @@ def _play_one(env: Any, make_actor: MakeActor, seed: int, number: int) -> Episod
     actions: list[FloatArray] = []
     shape, ended = int(observation["shape"][0]), False
     while True:
-        history.add(motion_field(observation["marker_flow"]), observation["relative_motion"])
+        history.observed(felt_motion(observation["marker_flow"]), observation["relative_motion"])
         truths.append(np.concatenate([observation[key] for key in TRUTHS]))
         if ended:
             break
         action = actor(Moment(history=history, truth=truths[-1], shape=shape, step=len(actions)))
         observation, _, terminated, truncated, info = env.step(action)
+        history.acted(action)
         actions.append(action)
         ended = terminated or truncated
     return Episodes(
         lengths=np.array([len(actions)]),
         shapes=np.array([shape]),
         solved=np.array([bool(info["is_success"])]),
-        felt=np.array(history.fields, dtype=np.float32),
+        felt=np.array(history.felt, dtype=np.float32),
         motions=np.array(history.motions, dtype=np.float32),
         truths=np.array(truths, dtype=np.float32),
         actions=np.array(actions, dtype=np.float32),

@@ -7,8 +7,8 @@ by Ctrl-C or killed, ends with the same bits as one that was not.
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from vitac.envs.errors import VitacError
@@ -17,12 +17,11 @@ from vitac.evaluator.version import evaluator_hash
 
 from .actors import ActorKind
 from .collection import Batch, Networks, collect
-from .critic import Critic
-from .episodes import Episodes, joined
-from .files import Arrays, load, save, write_text
+from .episodes import Episodes
+from .files import load, save, write_text
+from .learning.learners import Learners
 from .recipe import Recipe
 from .streams import Use
-from .student import Student, histories_of
 
 _ROUND_NUMBERS = 100_000
 """Numbers of episodes that each round has of its own."""
@@ -149,21 +148,17 @@ class Run:
 
     def _learned(self, number: int) -> Networks:
         """Learn from all episodes, or read what was learned."""
-        path, recipe = self.folder.networks(number), self.recipe
-        random = np.random.default_rng((recipe.seed, number))
-        critic, student = Critic(recipe.critic.plan(), random), Student(recipe.student.plan(), random)
+        path = self.folder.networks(number)
+        random = np.random.default_rng((self.recipe.seed, number))
+        learners = Learners(self.recipe, random)
         if path.exists():
-            stored = load(path)
+            learners.restore(load(path))
         else:
             if number > 1:
-                critic.restore(_part(load(self.folder.networks(number - 1)), "critic"))
-            critic.learn(joined([played for _, played in self._known]), random, self._teller(number, "critic"))
-            felt = [played for kind, played in self._known if not kind.knows_truth]
-            student.learn(histories_of(joined(felt)), critic, random, self._teller(number, "student"))
-            stored = {f"critic.{name}": value for name, value in critic.state().items()}
-            stored |= {f"student.{name}": value for name, value in student.weights().items()}
-            save(path, stored)
-        return Networks(plan=recipe.critic.plan(), critic=_part(stored, "critic"), student=_part(stored, "student"))
+                learners.restore(load(self.folder.networks(number - 1)))
+            learners.learn(self._known, number, random, partial(self._tell_turn, number))
+            save(path, learners.state())
+        return learners.networks()
 
     def _judged(self, number: int, networks: Networks) -> RoundResult:
         rates = []
@@ -196,8 +191,8 @@ class Run:
 
         return collect(batch, self.folder.episodes, networks=networks, processes=self.processes, after_file=after_file)
 
-    def _teller(self, number: int, who: str) -> Callable[[int, float], None]:
-        return lambda turn, loss: self.tell(f"round {number}, {who}: turn {turn + 1}, loss {loss:.4f}")
+    def _tell_turn(self, number: int, who: str, turn: int, loss: float) -> None:
+        self.tell(f"round {number}, {who}: turn {turn + 1}, loss {loss:.4f}")
 
 
 def results_of(folder: Folder) -> list[RoundResult]:
@@ -228,7 +223,3 @@ def told(found: Rate) -> str:
 def best(results: Sequence[RoundResult]) -> RoundResult:
     """Return the round whose student solved the most held-out starts, the latest of equals."""
     return max(results, key=lambda result: (result.student.successes, result.number))
-
-
-def _part(stored: Arrays, name: str) -> dict[str, Any]:
-    return {key.removeprefix(f"{name}."): value for key, value in stored.items() if key.startswith(f"{name}.")}

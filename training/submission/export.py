@@ -9,6 +9,8 @@ from vitac.envs.errors import VitacError
 
 from ..episodes import TASK
 from ..files import load, write_bytes, write_text
+from ..learning.learners import part
+from ..learning.student import weights_of
 from ..run import Folder, RoundResult
 from . import policy
 
@@ -40,12 +42,8 @@ def export(folder: Folder, chosen: RoundResult, destination: Path) -> Path:
     """
     if destination.exists():
         raise NotExportable(f"{destination} is there already; expected a new folder.")
-    stored = load(folder.networks(chosen.number))
-    student = {
-        name.removeprefix("student."): array.astype(np.float16)
-        for name, array in stored.items()
-        if name.startswith("student.")
-    }
+    state = part(load(folder.networks(chosen.number)), "student")
+    student = {name: array.astype(np.float16) for name, array in weights_of(state).items()}
     packed = io.BytesIO()
     np.savez_compressed(packed, **student)  # type: ignore[arg-type]
     if len(packed.getvalue()) > LARGEST_BYTES:

@@ -13,15 +13,18 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float32]
 
-GRID_U_PX = (50.0, 123.0, 197.0, 270.0)
-GRID_V_PX = (45.0, 125.0, 205.0)  # symmetric about the picture's middle, so that mirrored fields are fields
-REACH_PX = 32.0  # of a marker around its place
-FIELD_PX = 10.0  # motions are divided by it
-MOTION_SCALE = np.array([4.0, 4.0, 8.0, 1.0], dtype=np.float32)  # mm, mm, degrees, mm
+FOCAL_PX = np.array([340.0, 325.0])  # of a sensor's camera, along u and v
+CENTRE_PX = np.array([160.0, 125.0])
+EYE_MM = 21.125  # from the camera to the side of the gripped peg
+HALF_WIDTH_MM = 15.0  # of the gripped peg
+FELT_SIZE = 6
+FELT_SCALE = np.array([0.05, 0.05, 0.05, 0.1, 0.1, 0.1], dtype=np.float32)  # mm, degrees; below it all is noise
+MOTION_SCALE_MM, ANGLE_SCALE_DEG = 4.0, 8.0
+ACTION_MM = 2.0  # motion of an action of 1 along x and y
 MOST_STEPS = 8
+MOMENT_SIZE = FELT_SIZE + 4  # what was felt, where the gripper is: x, y, theta, and whether theta is known
 CANDIDATES = 512
-FIELD_SIZE = 2 * len(GRID_U_PX) * len(GRID_V_PX) * 2  # gel, place, u and v
-HISTORY_SIZE = 3 * FIELD_SIZE + 2 * len(MOTION_SCALE) + MOST_STEPS
+HISTORY_SIZE = (MOST_STEPS + 1) * MOMENT_SIZE + MOST_STEPS
 
 
 class Policy:
@@ -38,58 +41,98 @@ class Policy:
 
     def act(self, observation: Mapping[str, NDArray[Any]]) -> FloatArray:
         """Return the candidate that the network thinks most of."""
-        self.history.add(motion_field(observation["marker_flow"]), observation["relative_motion"])
+        self.history.observed(felt_motion(observation["marker_flow"]), observation["relative_motion"])
         best = int(np.argmax(values(self.weights, self.history.features(), self.candidates)))
+        self.history.acted(self.candidates[best])
         return np.asarray(self.candidates[best])
 
 
 class History:
-    """What the network is told of an episode: fields now, before and at the first touch, motions now and before."""
+    """All that was felt and done in an episode so far."""
 
     def __init__(self) -> None:
-        self.fields: list[FloatArray] = []
-        self.motions: list[FloatArray] = []
+        self.felt: list[FloatArray] = []
+        self.motions: list[NDArray[Any]] = []
+        self.actions: list[FloatArray] = []
 
-    def add(self, field: FloatArray, motion: NDArray[Any]) -> None:
-        """Add an observation."""
-        self.fields.append(field)
-        self.motions.append(np.asarray(motion, dtype=np.float32) / MOTION_SCALE)
+    def observed(self, felt: FloatArray, motion: NDArray[Any]) -> None:
+        """Add what was felt and how far the gripper has moved [mm, mm, deg, mm]."""
+        self.felt.append(felt)
+        self.motions.append(np.asarray(motion, dtype=np.float32))
+
+    def acted(self, action: FloatArray) -> None:
+        """Add what was done then."""
+        self.actions.append(action)
 
     def features(self) -> FloatArray:
         """Return what the network is told, shape [HISTORY_SIZE]."""
-        return history_features(np.array(self.fields), np.array(self.motions), len(self.fields) - 1)
+        told = history_features(np.array(self.felt), np.array(self.motions), np.array(self.actions).reshape(-1, 3))
+        return np.asarray(told[-1])
 
 
-def history_features(fields: FloatArray, motions: FloatArray, step: int) -> FloatArray:
-    """Return what the network is told after so many env steps.
+def history_features(felt: FloatArray, motions: FloatArray, actions: FloatArray) -> FloatArray:
+    """Return what the network is told at every moment of an episode, shape [n, HISTORY_SIZE].
 
     Args:
-        fields: of the observations of an episode, shape [n, FIELD_SIZE].
-        motions: divided by their scale, shape [n, 4].
-        step: env steps played so far, less than n.
+        felt: of the observations, shape [n, FELT_SIZE] [mm, deg].
+        motions: of the gripper since the reset [mm, mm, deg, mm], shape [n, 4].
+        actions: between them, shape [n - 1, 3] or more.
     """
-    before = max(step - 1, 0)
-    count = np.zeros(MOST_STEPS, dtype=np.float32)
-    count[min(step, MOST_STEPS - 1)] = 1.0
-    parts = [fields[step], fields[before], fields[0], motions[step], motions[before], count]
-    return np.asarray(np.concatenate(parts), dtype=np.float32)
+    count = len(felt)
+    start_deg, known = start_angles_deg(motions, actions[: count - 1])
+    moments = np.column_stack(
+        [
+            0.5 * np.arcsinh(felt / FELT_SCALE),
+            motions[:, :2] / MOTION_SCALE_MM,
+            (start_deg + motions[:, 2]) / ANGLE_SCALE_DEG,
+            known,
+        ]
+    )
+    told = np.zeros((count, HISTORY_SIZE), dtype=np.float32)
+    for number in range(min(count, MOST_STEPS)):
+        told[number, :MOMENT_SIZE] = moments[number]
+        told[number, MOMENT_SIZE : (number + 2) * MOMENT_SIZE] = moments[: number + 1].ravel()
+        told[number, (MOST_STEPS + 1) * MOMENT_SIZE + number] = 1.0
+    return told
 
 
-def motion_field(marker_flow: NDArray[Any]) -> FloatArray:
-    """Return the motion of both gels' markers at the places of a grid, shape [FIELD_SIZE].
+def start_angles_deg(motions: FloatArray, actions: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return theta at the reset as far as it is known at every moment [deg], or 0, and whether it is, shapes [n].
 
-    Every observation has markers of its own, so what is compared is the field that they sample: at each place the mean
-    motion of the markers around it, the nearer the more. The last marker is repeated to fill the array; it counts once.
+    An action moves the gripper along its own axes, but `relative_motion` is told along those of the hole: the angle
+    between both is the gripper's. The first motion that is long enough tells it; before, nothing does.
     """
-    places = np.array([(u, v) for v in GRID_V_PX for u in GRID_U_PX])
-    fields = []
-    for reference, current in np.asarray(marker_flow, dtype=np.float64):
-        count = 1 + int(np.argmax((reference == reference[-1]).all(axis=1)))
-        away = reference[:count, None, :] - places[None, :, :]
-        nearness = np.exp(-0.5 * (away**2).sum(axis=2) / REACH_PX**2) + 1e-9
-        motion = (current - reference)[:count]
-        fields.append((nearness[:, :, None] * motion[:, None, :]).sum(axis=0) / nearness.sum(axis=0)[:, None])
-    return np.asarray((np.array(fields) / FIELD_PX).ravel(), dtype=np.float32)
+    angles, known = np.zeros(len(motions)), np.zeros(len(motions))
+    for number, action in enumerate(np.asarray(actions, dtype=np.float64)):
+        if known[number] or np.hypot(*action[:2]) < 0.02:
+            angles[number + 1], known[number + 1] = angles[number], known[number]
+            continue
+        moved = motions[number + 1, :2] - motions[number, :2]
+        turned = np.degrees(np.arctan2(moved[1], moved[0]) - np.arctan2(action[1], action[0]))
+        angles[number + 1] = (turned + 180.0) % 360.0 - 180.0 - motions[number, 2]
+        known[number + 1] = 1.0
+    return angles.astype(np.float32), known.astype(np.float32)
+
+
+def felt_motion(marker_flow: NDArray[Any]) -> FloatArray:
+    """Return how the peg has moved in the grip since the grasp, shape [FELT_SIZE].
+
+    The gels stick to the peg, so that their markers move as its sides do: as a rigid body. Its small motion, along the
+    gripper's axes x, y, z [mm] and about them [deg], is fitted to all markers of both gels by least squares.
+    """
+    rows, moved = [], []
+    for side, (reference, current) in zip((1.0, -1.0), np.asarray(marker_flow, dtype=np.float64), strict=True):
+        count = 1 + int(np.argmax((reference == reference[-1]).all(axis=1)))  # the last marker is repeated to fill
+        before, now = (reference[:count] - CENTRE_PX) / FOCAL_PX, (current[:count] - CENTRE_PX) / FOCAL_PX
+        x, y, z = -side * EYE_MM * before[:, 1], side * HALF_WIDTH_MM + 0.0 * before[:, 0], EYE_MM * before[:, 0]
+        none, one = np.zeros(count), np.ones(count)
+        along_x = np.column_stack([one, none, none, none, z, -y])
+        along_y = np.column_stack([none, one, none, -z, none, x])
+        along_z = np.column_stack([none, none, one, y, -x, none])
+        rows += [along_z + side * now[:, :1] * along_y, -side * along_x + side * now[:, 1:] * along_y]
+        moved += [EYE_MM * (now - before)[:, 0], EYE_MM * (now - before)[:, 1]]
+    found = np.linalg.lstsq(np.concatenate(rows), np.concatenate(moved), rcond=None)[0]
+    return np.concatenate([found[:3], np.degrees(found[3:])]).astype(np.float32)
 
 
 def candidate_actions(count: int) -> FloatArray:

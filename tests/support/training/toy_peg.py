@@ -25,7 +25,9 @@ class ToyPeg:
         return self.observation(), {"is_success": False}
 
     def step(self, action: np.ndarray) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
-        self.offset = self.offset + np.clip(action, -1, 1) * [2.0, 2.0, 4.0]
+        x, y, turn = np.clip(action, -1, 1) * [2.0, 2.0, 4.0]
+        sine, cosine = np.sin(np.radians(self.offset[2])), np.cos(np.radians(self.offset[2]))
+        self.offset = self.offset + np.array([cosine * x - sine * y, sine * x + cosine * y, turn])
         self.steps += 1
         solved = bool(np.abs(self.offset[:2]).max() < 2.0)
         return self.observation(), 0.0, solved, self.steps >= MAX_STEPS, {"is_success": solved}

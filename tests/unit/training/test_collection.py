@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from toy_peg import ToyPeg
 from vitac.training.actors import ActorKind
-from vitac.training.collection import FILE_EPISODES, Batch, Networks, collect
-from vitac.training.critic import Critic, CriticPlan
+from vitac.training.collection import FILE_EPISODES, Batch, Networks, _versions, collect
 from vitac.training.episodes import TASK
+from vitac.training.learning.critic import Critic, CriticPlan
+from vitac.training.learning.student import Student, StudentPlan, weights_of
 from vitac.training.streams import Use, stream
-from vitac.training.student import Student, StudentPlan
 
 BATCH = Batch(kind=ActorKind.RANDOM, seed=1, use=Use.COLLECT, first=0, count=FILE_EPISODES + 10)
 PLAN = CriticPlan(networks=1, hidden=8)
@@ -20,7 +20,7 @@ PLAN = CriticPlan(networks=1, hidden=8)
 def networks(seed: int = 0) -> Networks:
     random = np.random.default_rng(seed)
     critic, student = Critic(PLAN, random), Student(StudentPlan(networks=1, hidden=8), random)
-    return Networks(plan=PLAN, critic=critic.state(), student=student.weights())
+    return Networks(plan=PLAN, critic=critic.state(), student=weights_of(student.state()))
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -92,6 +92,7 @@ def test_another_version_of_the_simulation_has_other_files(tmp_path: Path, monke
     batch = replace(BATCH, count=2)
     collect(batch, tmp_path)
     monkeypatch.setattr("vitac.training.collection.evaluator_hash", lambda: "another")
+    _versions.cache_clear()
     collect(batch, tmp_path)
     assert len(contents(tmp_path)) == 2
 

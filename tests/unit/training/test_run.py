@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from toy_peg import ToyPeg
 from vitac.evaluator.scoring.score import rate
-from vitac.training.actors import ActorKind
-from vitac.training.network import Learner, TrainingDiverged
-from vitac.training.recipe import CriticRecipe, Recipe, StudentRecipe
+from vitac.training.learning.network import Learner, TrainingDiverged
+from vitac.training.recipe import CriticRecipe, JudgeRecipe, Recipe, StudentRecipe
 from vitac.training.run import Folder, OtherRun, RoundResult, Run, best, results_of, told
 from vitac.training.streams import Use, stream
 
@@ -24,6 +23,9 @@ RECIPE = Recipe(
     critic_episodes=10,
     chosen_by=10,
     critic=CriticRecipe(networks=1, hidden=16, sweeps=2, epochs=1),
+    judge=JudgeRecipe(networks=1, hidden=16, sweeps=2, epochs=1),
+    judged_from=2,
+    judgings=2,
     student=StudentRecipe(networks=1, hidden=16, epochs=2),
 )
 
@@ -61,7 +63,14 @@ def test_finished_run_is_not_made_again(tmp_path: Path, toy: list[ToyPeg]) -> No
 
 
 @pytest.mark.parametrize(
-    "stop_at", ["student episodes: 1", "round 1, critic: turn 2", "round 2, student: turn 1", "round 2: "]
+    "stop_at",
+    [
+        "student episodes: 1",
+        "round 1, critic: turn 2",
+        "round 2, judge: turn 2",
+        "round 2, student: turn 1",
+        "round 2: ",
+    ],
 )
 def test_stopped_run_ends_with_the_same_bits(tmp_path: Path, stop_at: str) -> None:
     run(tmp_path / "whole").go()
@@ -127,23 +136,6 @@ def test_starts_that_choose_are_not_learned_from_and_none_is_reported(tmp_path: 
     assert len(used[Use.COLLECT]) == len(set(used[Use.COLLECT])) == 60 + 30
     assert set(used[Use.CHOOSE]) == set(range(10))
     assert used[Use.REPORT] == []
-
-
-def test_student_never_learns_from_an_actor_that_knows_the_truth(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    learned: list[int] = []
-
-    def counted(episodes: Any) -> Any:
-        from vitac.training.student import histories_of
-
-        learned.append(len(episodes))
-        return histories_of(episodes)
-
-    monkeypatch.setattr("vitac.training.run.histories_of", counted)
-    run(tmp_path).go()
-    assert learned == [30, 30 + 20]
-    assert ActorKind.GUIDED.knows_truth
 
 
 def test_best_round_solves_the_most_and_is_the_latest_of_equals() -> None:

@@ -9,8 +9,8 @@ from toy_peg import ToyPeg
 from vitac.evaluator.scoring.score import rate
 from vitac.evaluator.submission.manifest import load_manifest
 from vitac.training.files import save
+from vitac.training.learning.student import Student, StudentPlan
 from vitac.training.run import Folder, RoundResult
-from vitac.training.student import Student, StudentPlan
 from vitac.training.submission.export import NotExportable, export
 
 CHOSEN = RoundResult(number=3, student=rate(7, 10), critic=rate(9, 10), env_steps=100)
@@ -20,7 +20,7 @@ CHOSEN = RoundResult(number=3, student=rate(7, 10), critic=rate(9, 10), env_step
 def folder(tmp_path: Path) -> Folder:
     made = Folder(path=tmp_path / "run")
     student = Student(StudentPlan(networks=2, hidden=16), np.random.default_rng(0))
-    stored = {f"student.{name}": value for name, value in student.weights().items()}
+    stored = {f"student.{name}": value for name, value in student.state().items()}
     save(made.networks(3), {**stored, "critic.0.p.bias0": np.zeros(4, dtype=np.float32)})
     return made
 

@@ -4,25 +4,24 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from vitac.training.network import Layout, logits, new_parameters
+from vitac.training.learning.network import Layout, logits, new_parameters
 from vitac.training.submission import policy as module
 from vitac.training.submission.policy import (
     CANDIDATES,
-    FIELD_SIZE,
+    EYE_MM,
+    FELT_SIZE,
+    HALF_WIDTH_MM,
     HISTORY_SIZE,
+    MOMENT_SIZE,
+    MOST_STEPS,
     History,
     Policy,
     candidate_actions,
-    motion_field,
+    felt_motion,
+    history_features,
+    start_angles_deg,
     values,
 )
-
-
-def flow(motion: tuple[float, float], count: int = 60) -> np.ndarray:
-    random = np.random.default_rng(0)
-    reference = random.uniform([10, 20], [310, 230], (2, 128, 2))
-    reference[:, count:] = reference[:, count - 1 : count]
-    return np.stack([reference, reference + motion], axis=1).astype(np.float32)
 
 
 def networks(copies: int = 2) -> list[dict[str, np.ndarray]]:
@@ -34,30 +33,52 @@ def stored(copies: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
     return {f"{number}_{name}": value for number, each in enumerate(copies) for name, value in each.items()}
 
 
-def test_field_of_an_even_motion_is_even() -> None:
-    field = motion_field(flow((3.0, -2.0)))
-    assert field.shape == (FIELD_SIZE,)
-    assert field.dtype == np.float32
-    assert field.reshape(-1, 2) == pytest.approx(np.tile([0.3, -0.2], (FIELD_SIZE // 2, 1)), abs=1e-5)
+# Where the camera of a sensor sees the peg's side, in the gripper's axes: x, y, z of a pixel's rays (facts 4.2).
+def seen_by(side: float, peg_points_mm: np.ndarray) -> np.ndarray:
+    x, y, z = peg_points_mm.T
+    depth = EYE_MM - side * (y - side * HALF_WIDTH_MM)
+    return np.column_stack([340.0 * z / depth + 160.0, -side * 325.0 * x / depth + 125.0])
+
+
+def flow_of(shift_mm: np.ndarray, turn_deg: np.ndarray, noise_px: float = 0.0, count: int = 65) -> np.ndarray:
+    """What the sensors show when the peg has moved a little as a rigid body."""
+    random = np.random.default_rng(0)
+    flows = []
+    for side in (1.0, -1.0):
+        places = np.column_stack(
+            [random.uniform(-7, 7, 128), np.full(128, side * HALF_WIDTH_MM), random.uniform(-9, 9, 128)]
+        )
+        places[count:] = places[count - 1]
+        moved = places + shift_mm + np.cross(np.radians(turn_deg), places)
+        flow = np.stack([seen_by(side, places), seen_by(side, moved)])
+        flow[:, :count] += noise_px * random.standard_normal((2, count, 2))
+        flow[:, count:] = flow[:, count - 1 : count]
+        flows.append(flow)
+    return np.array(flows).astype(np.float32)
+
+
+@pytest.mark.parametrize("number", range(6))
+def test_small_motions_of_the_peg_are_felt(number: int) -> None:
+    motion = np.zeros(6)
+    motion[number] = 0.3
+    found = felt_motion(flow_of(motion[:3], motion[3:]))
+    assert found.shape == (FELT_SIZE,)
+    assert found.dtype == np.float32
+    assert found == pytest.approx(motion, abs=2e-3)
+
+
+def test_noise_is_averaged_over_the_markers() -> None:
+    motion = np.array([0.2, -0.1, 0.15, 0.5, -0.4, 0.3])
+    found = felt_motion(flow_of(motion[:3], motion[3:], noise_px=0.5))
+    assert np.abs(found[:3] - motion[:3]).max() < 0.05
+    assert np.abs(found[3:] - motion[3:]).max() < 0.15
 
 
 def test_repeated_marker_counts_once() -> None:
-    few = flow((0.0, 0.0), count=30)
-    few[:, 1, 29:, 0] += 50.0
-    once = motion_field(few)
-    assert np.abs(once).max() < 5.0
-    more = few.copy()
-    more[:, :, 30:] = few[:, :, 29:30]
-    np.testing.assert_array_equal(motion_field(more), once)
-
-
-def test_field_shows_where_the_motion_is() -> None:
-    seen = flow((0.0, 0.0))
-    lower = seen[0, 0, :, 1] > 125
-    seen[0, 1, lower, 0] += 4.0
-    left, right = motion_field(seen).reshape(2, 3, 4, 2)
-    assert left[2, :, 0].min() > 0.3 > 0.1 > left[0, :, 0].max()
-    assert np.abs(right).max() == 0.0
+    few = flow_of(np.array([0.1, 0.0, 0.2]), np.zeros(3), noise_px=3.0, count=20)
+    once = felt_motion(few)
+    many = np.concatenate([few, few[:, :, -1:]], axis=2)
+    np.testing.assert_array_equal(felt_motion(many), once)
 
 
 def test_values_are_the_mean_of_the_networks() -> None:
@@ -80,16 +101,50 @@ def test_candidates_fill_the_cube() -> None:
     assert octants.min() > 0.8 * CANDIDATES / 8
 
 
-def test_history_has_now_before_and_first() -> None:
+def test_history_has_all_that_was_felt_and_where_the_gripper_was() -> None:
     history = History()
-    fields = [np.full(FIELD_SIZE, value, dtype=np.float32) for value in (1.0, 2.0, 3.0)]
-    for number, field in enumerate(fields):
-        history.add(field, np.array([4.0, 0.0, 0.0, 0.0]) * number)
+    for number in range(3):
+        history.observed(np.full(FELT_SIZE, number, dtype=np.float32), np.array([4.0, 0.0, 8.0, 0.0]) * number)
+        if number < 2:
+            history.acted(np.array([1.0, 0.0, 1.0], dtype=np.float32))
     found = history.features()
     assert found.shape == (HISTORY_SIZE,)
-    assert found[[0, FIELD_SIZE, 2 * FIELD_SIZE]].tolist() == [3.0, 2.0, 1.0]
-    assert found[[3 * FIELD_SIZE, 3 * FIELD_SIZE + 4]].tolist() == [2.0, 1.0]
-    assert found[3 * FIELD_SIZE + 8 :].tolist() == [0, 0, 1, 0, 0, 0, 0, 0]
+    moments = found[: 9 * MOMENT_SIZE].reshape(9, MOMENT_SIZE)
+    np.testing.assert_array_equal(moments[0], moments[3])
+    assert moments[1:5, FELT_SIZE].tolist() == [0.0, 1.0, 2.0, 0.0]
+    assert moments[1:4, 0].tolist() == pytest.approx((0.5 * np.arcsinh(np.array([0, 1, 2]) / 0.05)).tolist())
+    assert moments[1:5, -1].tolist() == [0, 1, 1, 0]
+    assert moments[4:].any() == np.False_
+    assert found[9 * MOMENT_SIZE :].tolist() == [0, 0, 1, 0, 0, 0, 0, 0]
+
+
+def test_history_of_a_whole_episode_is_what_a_policy_had_at_each_moment() -> None:
+    random = np.random.default_rng(0)
+    felt = random.standard_normal((MOST_STEPS + 1, FELT_SIZE)).astype(np.float32)
+    motions = random.standard_normal((MOST_STEPS + 1, 4)).astype(np.float32)
+    actions = random.uniform(-1, 1, (MOST_STEPS, 3)).astype(np.float32)
+    whole = history_features(felt, motions, actions)
+    history = History()
+    for number in range(MOST_STEPS):
+        history.observed(felt[number], motions[number])
+        np.testing.assert_array_equal(whole[number], history.features())
+        history.acted(actions[number])
+    assert not whole[MOST_STEPS].any()
+
+
+def test_motion_tells_the_angle_of_the_gripper() -> None:
+    start, action = np.radians(7.0), np.array([0.5, -0.25, 0.5], dtype=np.float32)
+    sine, cosine = np.sin(start), np.cos(start)
+    moved = 2.0 * np.array([cosine * 0.5 + sine * 0.25, sine * 0.5 - cosine * 0.25])
+    motions = np.array([[0, 0, 0, 0], [*moved, 2.0, -0.125], [*moved, 2.0, -0.25]], dtype=np.float32)
+    angles, known = start_angles_deg(motions, np.array([action, np.zeros(3)]))
+    assert angles.tolist() == pytest.approx([0.0, 7.0, 7.0], abs=1e-4)
+    assert known.tolist() == [0, 1, 1]
+    later, known = start_angles_deg(
+        np.array([[0, 0, 0, 0], [0, 0, 3.0, 0], [*moved, 5.0, 0]], dtype=np.float32), np.array([[0, 0, 0.75], action])
+    )
+    assert later.tolist() == pytest.approx([0.0, 0.0, 4.0], abs=1e-4)
+    assert known.tolist() == [0, 0, 1]
 
 
 def test_policy_takes_the_best_candidate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -99,8 +154,11 @@ def test_policy_takes_the_best_candidate(tmp_path: Path, monkeypatch: pytest.Mon
     policy = Policy()
     for _ in range(2):
         policy.reset("peg-insertion")
-        seen = {"marker_flow": flow((1.0, 2.0)), "relative_motion": np.zeros(4, dtype=np.float32)}
+        seen = {"marker_flow": flow_of(np.ones(3), np.ones(3)), "relative_motion": np.zeros(4, dtype=np.float32)}
         action = policy.act(seen)
-        scores = values(stored(copies), policy.history.features(), policy.candidates)
+        history = History()
+        history.observed(felt_motion(seen["marker_flow"]), seen["relative_motion"])
+        scores = values(stored(copies), history.features(), policy.candidates)
         np.testing.assert_array_equal(action, policy.candidates[scores.argmax()])
-        assert len(policy.history.fields) == 1
+        assert len(policy.history.felt) == 1
+        np.testing.assert_array_equal(policy.history.actions, [action])

@@ -1,55 +1,17 @@
-"""The critic: what it is shown, what looks the same, what it learns."""
+"""The critic: what it is shown and what it learns."""
 
 import numpy as np
 import pytest
 from toy_peg import ToyPeg
 from vitac.training.actors import critic_actor, guided_actor, random_actor
-from vitac.training.critic import STATE_SIZE, Critic, CriticPlan, half_turned, mirrored, states_of, transitions
 from vitac.training.episodes import Episodes, joined, play
+from vitac.training.learning.critic import STATE_SIZE, Critic, CriticPlan, states_of, transitions
 
 PLAN = CriticPlan(networks=2, hidden=32, sweeps=4, epochs=2, batch=64)
 
 
 def episodes(count: int = 60) -> Episodes:
     return joined([play(ToyPeg(), actor, 7, range(count)) for actor in (random_actor, guided_actor)])
-
-
-def told(x: float, y: float, theta: float, tilt: tuple[float, float, float]) -> np.ndarray:
-    """State of a peg that slipped by 0.3 mm and -0.2 mm."""
-    roll, pitch, yaw = tilt
-    truth = np.array([[x, y, theta, x + 0.3, y - 0.2, 19.5, roll, pitch, theta + yaw]], dtype=np.float32)
-    return states_of(truth, np.array([0]), np.array([2]))
-
-
-def test_mirror_image_is_the_state_of_the_mirrored_world() -> None:
-    state = told(2.0, -1.0, 6.0, (1.0, 2.0, 0.5))
-    turned = np.array([[-2.0, -1.0, -6.0, -2.3, -1.2, 19.5, 1.0, -2.0, -6.5]], dtype=np.float32)
-    expected = states_of(turned, np.array([0]), np.array([2]))
-    action = np.array([[0.1, 0.2, 0.3]], dtype=np.float32)
-    found, mirrored_action = mirrored(state, action, np.array([True]))
-    np.testing.assert_allclose(found, expected, atol=1e-6)
-    assert mirrored_action.tolist() == (action * [-1, 1, -1]).tolist()
-
-
-def test_half_a_turn_is_the_state_of_the_turned_world() -> None:
-    state = told(2.0, -1.0, 6.0, (1.0, 2.0, 0.5))
-    turned = np.array([[-2.0, 1.0, 6.0, -2.3, 1.2, 19.5, -1.0, -2.0, 6.5]], dtype=np.float32)
-    expected = states_of(turned, np.array([0]), np.array([2]))
-    found, action = half_turned(state, np.ones((1, 3), dtype=np.float32), np.array([True]))
-    np.testing.assert_allclose(found, expected, atol=1e-6)
-    assert action.tolist() == [[-1, -1, 1]]
-
-
-@pytest.mark.parametrize("change", [mirrored, half_turned])
-def test_only_chosen_rows_are_changed_and_twice_is_as_before(change: object) -> None:
-    states = np.random.default_rng(0).standard_normal((6, STATE_SIZE)).astype(np.float32)
-    actions = states[:, :3]
-    chosen = np.array([True, False] * 3)
-    once = change(states, actions, chosen)  # type: ignore[operator]
-    assert [(row == other).all() for row, other in zip(once[0], states, strict=True)] == [False, True] * 3
-    twice = change(*once, chosen)  # type: ignore[operator]
-    np.testing.assert_array_equal(twice[0], states)
-    np.testing.assert_array_equal(twice[1], actions)
 
 
 def test_state_has_the_offset_in_the_grippers_own_axes_and_the_shape() -> None:

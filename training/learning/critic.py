@@ -10,13 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .episodes import Episodes
-from .network import FloatArray, Layout, Learner, logits, probability
+from ..episodes import Episodes
+from .ensemble import Ensemble, Samples
+from .network import FloatArray, Layout, probability
+from .symmetry import STATE, TURNABLE
 
 STATE_SIZE = 15
 SHAPES = 3
-_TURNABLE = (0, 2)
-"""Shapes that look the same after half a turn: cuboid and bow tie."""
 _FIRST_LOWER_END_MM, _Z_STEP_MM = 19.875, 0.125
 _CHUNK = 4096
 
@@ -64,7 +64,7 @@ class Critic:
     def __init__(self, plan: CriticPlan, random: np.random.Generator) -> None:
         self._plan = plan
         layout = Layout(inputs=STATE_SIZE, actions=3, hidden=plan.hidden)
-        self._learners = [Learner(layout, random) for _ in range(plan.networks)]
+        self._ensemble = Ensemble(layout, plan.networks, random)
 
     def learn(self, episodes: Episodes, random: np.random.Generator, after_sweep: Callable[[int, float], None]) -> None:
         """Learn from episodes, starting from what is known.
@@ -77,29 +77,27 @@ class Critic:
         Raises:
             TrainingDiverged: a loss is no finite number.
         """
-        known = transitions(episodes)
-        for sweep in range(self._plan.sweeps):
+        known, plan = transitions(episodes), self._plan
+        samples = Samples(inputs=known.before, actions=known.actions, turnable=known.turnable)
+        for sweep in range(plan.sweeps):
             targets = self._targets(known, random)
-            losses = [self._epoch(known, targets, random) for _ in range(self._plan.epochs)]
+            losses = [
+                self._ensemble.epoch(samples, targets, STATE, random, batch=plan.batch, rate=plan.rate)
+                for _ in range(plan.epochs)
+            ]
             after_sweep(sweep, float(np.mean(losses)))
 
     def log_odds(self, states: FloatArray, actions: FloatArray) -> FloatArray:
-        """Return the lowest log-odds of success of actions, shape [n, k]; see `network.logits`."""
-        return np.asarray(np.minimum.reduce([logits(each.parameters, states, actions) for each in self._learners]))
+        """Return the log-odds of success of actions, shape [n, k]."""
+        return self._ensemble.lowest(states, actions)
 
     def state(self) -> dict[str, FloatArray]:
         """Return all that learning goes on from."""
-        return {
-            f"{number}.{name}": value
-            for number, each in enumerate(self._learners)
-            for name, value in each.state().items()
-        }
+        return self._ensemble.state()
 
     def restore(self, state: Mapping[str, FloatArray]) -> None:
         """Go on from a state."""
-        for number, each in enumerate(self._learners):
-            own = f"{number}."
-            each.restore({name.removeprefix(own): value for name, value in state.items() if name.startswith(own)})
+        self._ensemble.restore(state)
 
     @classmethod
     def of_state(cls, plan: CriticPlan, state: Mapping[str, FloatArray]) -> "Critic":
@@ -117,19 +115,6 @@ class Critic:
             best[rows] = probability(self.log_odds(known.after[rows], candidates).max(axis=1))
         return np.where(known.reached, np.float32(1.0), np.float32(self._plan.discount) * best)
 
-    def _epoch(self, known: Transitions, targets: FloatArray, random: np.random.Generator) -> float:
-        losses = []
-        for learner in self._learners:
-            order = random.permutation(len(targets))
-            for start in range(0, len(order), self._plan.batch):
-                rows = order[start : start + self._plan.batch]
-                states, actions = known.before[rows], known.actions[rows]
-                flips, turns = random.integers(2, size=(2, len(rows))) == 1
-                states, actions = mirrored(states, actions, flips)
-                states, actions = half_turned(states, actions, turns & known.turnable[rows])
-                losses.append(learner.learn(states, actions[:, None], targets[rows, None], rate=self._plan.rate))
-        return float(np.mean(losses))
-
 
 def transitions(episodes: Episodes) -> Transitions:
     """Return what a critic learns from episodes."""
@@ -140,7 +125,7 @@ def transitions(episodes: Episodes) -> Transitions:
         actions=episodes.actions,
         reached=episodes.reached,
         last=episodes.last,
-        turnable=np.isin(shapes, _TURNABLE),
+        turnable=np.isin(shapes, TURNABLE),
     )
 
 
@@ -164,24 +149,3 @@ def states_of(truths: FloatArray, shapes: NDArray[np.int64], steps: NDArray[np.i
         *(shapes == number for number in range(SHAPES)),
     ]
     return np.column_stack(columns).astype(np.float32)
-
-
-# Numbers of a state and of an action that change their sign: in a mirror with normal x, and by half a turn about z.
-_MIRROR_STATE = np.array([-1, 1, -1, -1, 1, -1, 1, 1, 1, -1, -1, 1, 1, 1, 1], dtype=np.float32)
-_TURN_STATE = np.array([-1, -1, 1, -1, -1, -1, -1, 1, -1, -1, 1, 1, 1, 1, 1], dtype=np.float32)
-MIRROR_ACTION = np.array([-1, 1, -1], dtype=np.float32)
-_TURN_ACTION = np.array([-1, -1, 1], dtype=np.float32)
-
-
-def mirrored(states: FloatArray, actions: FloatArray, chosen: NDArray[np.bool_]) -> tuple[FloatArray, FloatArray]:
-    """Return states and actions, the chosen ones as a mirror with normal x shows them; every shape is symmetric so."""
-    return _signed(states, chosen, _MIRROR_STATE), _signed(actions, chosen, MIRROR_ACTION)
-
-
-def half_turned(states: FloatArray, actions: FloatArray, chosen: NDArray[np.bool_]) -> tuple[FloatArray, FloatArray]:
-    """Return states and actions, the chosen ones after half a turn about the vertical."""
-    return _signed(states, chosen, _TURN_STATE), _signed(actions, chosen, _TURN_ACTION)
-
-
-def _signed(rows: FloatArray, chosen: NDArray[np.bool_], signs: FloatArray) -> FloatArray:
-    return np.where(chosen[:, None], rows * signs, rows)

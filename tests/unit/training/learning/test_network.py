@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from vitac.training.network import (
+from vitac.training.learning.network import (
     Layout,
     Learner,
     TrainingDiverged,

@@ -1,0 +1,1 @@
+"""What learns from episodes: the networks, who has them, and how what looks the same is used."""

@@ -1,0 +1,128 @@
+"""The judge: probability that the student succeeds after an action, where the truth is known too.
+
+It evaluates the student's policy by temporal differences: the value of the next action is that of the one which the
+student would take, by what it would have felt. So what an action tells about the hole has its value, which a critic
+that always knows the truth does not see (asymmetric actor-critic: Pinto et al. 2018, Baisero and Amato 2022).
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..episodes import Episodes
+from ..submission.policy import HISTORY_SIZE
+from .critic import STATE_SIZE, transitions
+from .ensemble import Ensemble, Samples
+from .network import FloatArray, Layout, probability
+from .student import told_of
+from .symmetry import HISTORY, STATE, both
+
+_SIGNS = both(STATE, HISTORY)
+
+
+@dataclass(frozen=True, kw_only=True)
+class JudgePlan:
+    """How a judge is learned.
+
+    Attributes:
+        networks: whose lowest value counts.
+        hidden: units of both layers.
+        sweeps: of targets.
+        epochs: over all transitions, in each sweep.
+        batch: transitions of a gradient step.
+        rate: of learning.
+        discount: of an env step, so that sooner is better.
+    """
+
+    networks: int = 2
+    hidden: int = 128
+    sweeps: int = 6
+    epochs: int = 2
+    batch: int = 256
+    rate: float = 1e-3
+    discount: float = 0.98
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Judged:
+    """What a judge learns from: transitions with what the student would be told before and after them.
+
+    Attributes:
+        before: inputs before the actions.
+        felt: what the student is told after them, shape [n, HISTORY_SIZE].
+        after: inputs after them, shape [n, i].
+        reached: whether they led to success, shape [n].
+        last: whether the episode ended with them, shape [n].
+    """
+
+    before: Samples
+    felt: FloatArray
+    after: FloatArray
+    reached: NDArray[np.bool_]
+    last: NDArray[np.bool_]
+
+
+def judged(episodes: Episodes) -> Judged:
+    """Return what a judge learns from episodes; whose they are does not matter."""
+    known, told, rows = transitions(episodes), told_of(episodes), episodes.observations
+    return Judged(
+        before=Samples(
+            inputs=np.concatenate([known.before, told[rows]], axis=1), actions=known.actions, turnable=known.turnable
+        ),
+        felt=told[rows + 1],
+        after=np.concatenate([known.after, told[rows + 1]], axis=1),
+        reached=known.reached,
+        last=known.last,
+    )
+
+
+class Judge:
+    """Networks that see the truth and what the student is told."""
+
+    def __init__(self, plan: JudgePlan, random: np.random.Generator) -> None:
+        self._plan = plan
+        layout = Layout(inputs=STATE_SIZE + HISTORY_SIZE, actions=3, hidden=plan.hidden)
+        self._ensemble = Ensemble(layout, plan.networks, random)
+
+    def learn(
+        self,
+        known: Judged,
+        next_actions: FloatArray,
+        random: np.random.Generator,
+        after_sweep: Callable[[int, float], None],
+    ) -> None:
+        """Learn the value of a student, starting from what is known.
+
+        Args:
+            known: all transitions that there are.
+            next_actions: what the student would do after each, shape [n, 3].
+            random: of the batches.
+            after_sweep: is told the number of each sweep and its mean loss.
+
+        Raises:
+            TrainingDiverged: a loss is no finite number.
+        """
+        plan = self._plan
+        for sweep in range(plan.sweeps):
+            following = probability(self.log_odds(known.after, next_actions[:, None])[:, 0])
+            going_on = np.where(known.last, np.float32(0.0), np.float32(plan.discount) * following)
+            targets = np.where(known.reached, np.float32(1.0), going_on)
+            losses = [
+                self._ensemble.epoch(known.before, targets, _SIGNS, random, batch=plan.batch, rate=plan.rate)
+                for _ in range(plan.epochs)
+            ]
+            after_sweep(sweep, float(np.mean(losses)))
+
+    def log_odds(self, inputs: FloatArray, actions: FloatArray) -> FloatArray:
+        """Return the log-odds of the student's success after actions, shape [n, k]."""
+        return self._ensemble.lowest(inputs, actions)
+
+    def state(self) -> dict[str, FloatArray]:
+        """Return all that learning goes on from."""
+        return self._ensemble.state()
+
+    def restore(self, state: Mapping[str, FloatArray]) -> None:
+        """Go on from a state."""
+        self._ensemble.restore(state)

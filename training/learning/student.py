@@ -1,0 +1,155 @@
+"""The student: value of an action by what was felt so far, distilled from the critic's value of it.
+
+It learns only from histories whose actions no truth has chosen: those of a privileged actor give the offset away by
+where the gripper has gone.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..episodes import Episodes
+from ..submission.policy import HISTORY_SIZE, history_features
+from .critic import states_of
+from .ensemble import Ensemble
+from .network import FloatArray, Layout, Learner, probability
+from .symmetry import HISTORY, TURNABLE
+
+
+@dataclass(frozen=True, kw_only=True)
+class StudentPlan:
+    """How a student is learned.
+
+    Attributes:
+        networks: whose mean counts.
+        hidden: units of both layers.
+        epochs: over all histories.
+        batch: histories of a gradient step.
+        actions: of each history in a gradient step, random ones and some near the critic's best.
+        rate: of learning at the start; it falls to a tenth.
+        candidates: actions among which the best is looked for.
+    """
+
+    networks: int = 2
+    hidden: int = 128
+    epochs: int = 30
+    batch: int = 128
+    actions: int = 16
+    rate: float = 1.5e-3
+    candidates: int = 128
+
+
+_CHUNK = 2048
+
+
+Teacher = Callable[[NDArray[np.int64], FloatArray], FloatArray]
+"""Log-odds of success, shape [n, k], of actions, shape [n, k, 3], at histories given by their numbers, shape [n]."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Histories:
+    """What a student learns from.
+
+    Attributes:
+        felt: what a policy is told, shape [n, HISTORY_SIZE].
+        states: the critic's of the same moments, shape [n, STATE_SIZE].
+        turnable: whether half a turn changes nothing, shape [n].
+    """
+
+    felt: FloatArray
+    states: FloatArray
+    turnable: NDArray[np.bool_]
+
+
+class Student:
+    """Networks that know what a policy knows."""
+
+    def __init__(self, plan: StudentPlan, random: np.random.Generator) -> None:
+        self._plan = plan
+        layout = Layout(inputs=HISTORY_SIZE, actions=3, hidden=plan.hidden)
+        self._ensemble = Ensemble(layout, plan.networks, random)
+
+    def learn(
+        self,
+        histories: Histories,
+        teacher: Teacher,
+        random: np.random.Generator,
+        after_epoch: Callable[[int, float], None],
+    ) -> None:
+        """Learn a teacher's values from histories, starting from what is known.
+
+        Raises:
+            TrainingDiverged: a loss is no finite number.
+        """
+        for epoch in range(self._plan.epochs):
+            rate = self._plan.rate * 0.1 ** (epoch / self._plan.epochs)
+            losses = [self._epoch(learner, histories, teacher, random, rate) for learner in self._ensemble.learners]
+            after_epoch(epoch, float(np.mean(losses)))
+
+    def best(self, felt: FloatArray, random: np.random.Generator) -> FloatArray:
+        """Return the best of some random actions after each history, shape [n, 3]."""
+        chosen = np.empty((len(felt), 3), dtype=np.float32)
+        for start in range(0, len(felt), _CHUNK):
+            rows = slice(start, start + _CHUNK)
+            candidates = random.uniform(-1, 1, (self._plan.candidates, 3)).astype(np.float32)
+            chosen[rows] = candidates[self._ensemble.mean(felt[rows], candidates).argmax(axis=1)]
+        return chosen
+
+    def state(self) -> dict[str, FloatArray]:
+        """Return all that learning goes on from."""
+        return self._ensemble.state()
+
+    def restore(self, state: Mapping[str, FloatArray]) -> None:
+        """Go on from a state."""
+        self._ensemble.restore(state)
+
+    def _epoch(
+        self, learner: Learner, histories: Histories, teacher: Teacher, random: np.random.Generator, rate: float
+    ) -> float:
+        losses, order = [], random.permutation(len(histories.felt))
+        for start in range(0, len(order), self._plan.batch):
+            rows = order[start : start + self._plan.batch]
+            actions = self._actions(rows, teacher, random)
+            targets = probability(teacher(rows, actions))
+            felt, actions = HISTORY.drawn(histories.felt[rows], actions, histories.turnable[rows], random)
+            losses.append(learner.learn(felt, actions, targets, rate=rate))
+        return float(np.mean(losses))
+
+    def _actions(self, rows: NDArray[np.int64], teacher: Teacher, random: np.random.Generator) -> FloatArray:
+        """Draw the actions whose values are learned: a third of them near the best that the teacher sees."""
+        near = self._plan.actions // 3
+        drawn = random.uniform(-1, 1, (len(rows), self._plan.actions, 3)).astype(np.float32)
+        best = drawn[np.arange(len(rows)), teacher(rows, drawn).argmax(axis=1)]
+        noise = 0.25 * random.standard_normal((len(rows), near, 3)).astype(np.float32)
+        drawn[:, :near] = np.clip(best[:, None] + noise, -1, 1)
+        return drawn
+
+
+def weights_of(state: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """Return the networks of a student's state as `submission.policy.values` takes them."""
+    named = {tuple(name.split(".")): value for name, value in state.items()}
+    return {f"{number}_{name[1]}": value for (number, *name), value in named.items() if name[0] == "p"}
+
+
+def histories_of(episodes: Episodes) -> Histories:
+    """Return what a student learns from episodes: every moment at which an action was chosen."""
+    shapes = np.repeat(episodes.shapes, episodes.lengths)
+    states = states_of(episodes.truths[episodes.observations], shapes, episodes.step)
+    return Histories(felt=told_of(episodes)[episodes.observations], states=states, turnable=np.isin(shapes, TURNABLE))
+
+
+def told_of(episodes: Episodes) -> FloatArray:
+    """Return what a policy is told at every observation, shape [o, HISTORY_SIZE]."""
+    ends, action_ends = np.cumsum(episodes.lengths + 1), np.cumsum(episodes.lengths)
+    told = [
+        history_features(
+            episodes.felt[end - length - 1 : end],
+            episodes.motions[end - length - 1 : end],
+            episodes.actions[action_end - length : action_end],
+        )
+        for length, end, action_end in zip(episodes.lengths, ends, action_ends, strict=True)
+    ]
+    return np.concatenate(told)
