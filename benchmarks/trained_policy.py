@@ -1,21 +1,32 @@
 """Counts the successes of a trained peg policy from fresh starts, which neither taught it nor chose it.
 
-python benchmarks/trained_policy.py examples/peg_insertion_trained/Track_1 [--starts 300] [--seed 1] [--json FILE]
+python benchmarks/trained_policy.py examples/peg_insertion_trained/Track_1 [--starts 300] [--seed 1] [--public]
+                                    [--critic RUN] [--json FILE]
 
-The public list is played by `vitac evaluate`, in the sandbox.
+`--public` plays the public list instead, whose official score is that of `vitac evaluate`, in the sandbox. `--critic`
+lets the best round's critic act, which sees the true offset: what is lost by sensing is the difference.
 """
 
 import argparse
 import json
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from runpy import run_path
 from typing import Any
 
 import numpy as np
-from vitac.evaluator.episodes.episode import make_environment
 from vitac.evaluator.scoring.score import rate
 from vitac.evaluator.tracks import load_track
+from vitac.training.actors import critic_actor
+from vitac.training.collection import Networks
+from vitac.training.episodes import TASK, TRUTHS, Actor, Moment, make_environment
+from vitac.training.files import load
+from vitac.training.learning.critic import Critic
+from vitac.training.learning.learners import Learners
+from vitac.training.recipe import Recipe
+from vitac.training.run import Folder, best, results_of
 from vitac.training.streams import Use, stream
+from vitac.training.submission.policy import History
 
 
 def main() -> None:
@@ -24,42 +35,82 @@ def main() -> None:
     parser.add_argument("submission", type=Path, help="folder with policy.py")
     parser.add_argument("--starts", type=int, default=300)
     parser.add_argument("--seed", type=int, default=1, help="of the training run")
+    parser.add_argument("--public", action="store_true", help="play the public list instead")
+    parser.add_argument("--critic", type=Path, help="folder of the run whose critic acts instead")
     parser.add_argument("--json", type=Path, help="write the figures to this file")
     chosen = parser.parse_args()
-    found = figures(chosen.submission, chosen.seed, chosen.starts)
+    policy: Any = (
+        KnowsTruth(chosen.critic) if chosen.critic else run_path(str(chosen.submission / "policy.py"))["Policy"]()
+    )
+    starts = public_starts() if chosen.public else fresh_starts(chosen.seed, chosen.starts)
+    found = {"starts": "public list" if chosen.public else f"stream {stream(chosen.seed, Use.REPORT)}"}
+    found |= figures(policy, starts)
     print(json.dumps(found, indent=1))
     if chosen.json:
         chosen.json.write_text(json.dumps(found, indent=1) + "\n")
 
 
-def figures(submission: Path, seed: int, starts: int) -> dict[str, Any]:
+def fresh_starts(seed: int, count: int) -> Iterator[Mapping[str, Any]]:
+    """Give the reset options of random starts of the stream for reports."""
+    return ({"rng_seed": (stream(seed, Use.REPORT), number)} for number in range(count))
+
+
+def public_starts() -> Iterator[Mapping[str, Any]]:
+    """Give the reset options of the public list."""
+    return (episode.options for episode in load_track("track_1").tasks[TASK].episodes)
+
+
+class KnowsTruth:
+    """Plays as the critic of a run's best round does, which sees the truth.
+
+    Args:
+        folder: of the run.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        recipe = Recipe.model_validate(json.loads((folder / "run.json").read_text())["recipe"])
+        kept = Folder(path=folder)
+        learners = Learners(recipe, np.random.default_rng(0))
+        learners.restore(load(kept.networks(best(results_of(kept)).number)))
+        networks: Networks = learners.networks()
+        critic = Critic.of_state(networks.plan, networks.critic)
+        self._actor: Actor = critic_actor(critic, 0.0)(np.random.default_rng(0))
+
+    def reset(self, task: str) -> None:
+        """Begin an episode."""
+        self._env_steps = 0
+
+    def act(self, observation: Mapping[str, Any]) -> Any:
+        """Return the action that the critic values most."""
+        truth = np.concatenate([observation[key] for key in TRUTHS])
+        moment = Moment(history=History(), truth=truth, shape=int(observation["shape"][0]), step=self._env_steps)
+        self._env_steps += 1
+        return self._actor(moment)
+
+
+def figures(policy: Any, starts: Iterator[Mapping[str, Any]]) -> dict[str, Any]:
     """Return successes with their interval, also by shape, the mean env steps of successes, and how episodes ended."""
-    task = load_track("track_1").tasks["peg-insertion"]
-    env: Any = make_environment(task)
-    policy = run_path(str(submission / "policy.py"))["Policy"]()
-    rows = [played(env, policy, (stream(seed, Use.REPORT), number)) for number in range(starts)]
+    env = make_environment()
+    rows = [played(env, policy, options) for options in starts]
     solved = [row["end"] == "success" for row in rows]
-    shapes = sorted({row["shape"] for row in rows})
     return {
-        "starts": starts,
-        "stream": stream(seed, Use.REPORT),
-        **rate(sum(solved), starts).model_dump(),
+        **rate(sum(solved), len(rows)).model_dump(),
         "mean_steps": float(np.mean([row["env_steps"] for row in rows if row["end"] == "success"] or [0])),
         "by_shape": {
             shape: rate(
                 sum(row["end"] == "success" for row in rows if row["shape"] == shape),
                 sum(row["shape"] == shape for row in rows),
             ).model_dump()
-            for shape in shapes
+            for shape in sorted({row["shape"] for row in rows})
         },
         "ends": {end: sum(row["end"] == end for row in rows) for end in sorted({row["end"] for row in rows})},
     }
 
 
-def played(env: Any, policy: Any, rng_seed: tuple[int, int]) -> dict[str, Any]:
+def played(env: Any, policy: Any, options: Mapping[str, Any]) -> dict[str, Any]:
     """Return the shape of an episode, how it ended, and after how many env steps."""
-    observation, info = env.reset(options={"rng_seed": rng_seed})
-    policy.reset("peg-insertion")
+    observation, info = env.reset(options=options)
+    policy.reset(TASK)
     while info["end_reason"] is None:
         observation, _, _, _, info = env.step(policy.act(observation))
     return {"shape": str(env.task_scene.shape), "end": info["end_reason"], "env_steps": info["steps"]}

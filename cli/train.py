@@ -77,6 +77,19 @@ def export(
     print_pairs({"round": chosen.number, "submission": exported(kept, chosen, submission)})
 
 
+@app.command()
+def reference(
+    task: Annotated[str, typer.Argument(help="peg-insertion or lock-opening.")],
+    out: Annotated[Path, typer.Option("--out", help="Folder for checkpoints, log and submission.")],
+    env_steps: Annotated[int | None, typer.Option(min=1, help="In place of the published number.")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of the training.")] = 0,
+) -> None:
+    """Train as the challenge did: PointNet and TD3 at the published hyperparameters; needs the extra `training`."""
+    from vitac.training.reference.method import train_reference
+
+    print_pairs({"submission": train_reference(task, out, env_steps=env_steps, seed=seed)})
+
+
 def _one_thread() -> None:
     """Let linear algebra use one thread; it must be said before NumPy is imported."""
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):

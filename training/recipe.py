@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 from pydantic import Field
 from vitac.evaluator.strict_model import StrictModel, parse_yaml
 
+from .learning.assessor import AssessorPlan
 from .learning.critic import CriticPlan
-from .learning.judge import JudgePlan
 from .learning.student import StudentPlan
 
 Count = Annotated[int, Field(ge=1, le=1_000_000)]
@@ -46,8 +46,8 @@ class StudentRecipe(StrictModel):
         return StudentPlan(networks=self.networks, hidden=self.hidden, epochs=self.epochs)
 
 
-class JudgeRecipe(StrictModel):
-    """How the judge is learned; see `JudgePlan`."""
+class AssessorRecipe(StrictModel):
+    """How the assessor is learned; see `AssessorPlan`."""
 
     networks: Count = 2
     """Networks whose lowest value counts."""
@@ -58,9 +58,9 @@ class JudgeRecipe(StrictModel):
     epochs: Count = 2
     """Over all transitions, in each sweep."""
 
-    def plan(self) -> JudgePlan:
+    def plan(self) -> AssessorPlan:
         """Return the plan that the learner takes."""
-        return JudgePlan(networks=self.networks, hidden=self.hidden, sweeps=self.sweeps, epochs=self.epochs)
+        return AssessorPlan(networks=self.networks, hidden=self.hidden, sweeps=self.sweeps, epochs=self.epochs)
 
 
 class Recipe(StrictModel):
@@ -90,12 +90,12 @@ class Recipe(StrictModel):
     """Held-out episodes by which the best round is chosen."""
     critic: CriticRecipe = CriticRecipe()
     """How the critic is learned."""
-    judge: JudgeRecipe = JudgeRecipe()
-    """How the judge is learned."""
-    judged_from: Count = 4
-    """First round in which the student learns of the judge; before, of the critic."""
-    judgings: Count = 2
-    """How often the judge judges the student, and the student learns of it, in a round."""
+    assessor: AssessorRecipe = AssessorRecipe()
+    """How the assessor is learned."""
+    assessed_from: Count = 4
+    """First round in which the student learns of the assessor; before, of the critic."""
+    assessments: Count = 2
+    """How often the assessor assesses the student, and the student learns of it, in a round."""
     student: StudentRecipe = StudentRecipe()
     """How the student is learned."""
 

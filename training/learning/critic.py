@@ -130,7 +130,7 @@ def transitions(episodes: Episodes) -> Transitions:
 
 
 def states_of(truths: FloatArray, shapes: NDArray[np.int64], steps: NDArray[np.int64]) -> FloatArray:
-    """Return what a critic is told, shape [n, STATE_SIZE].
+    """Return what a critic sees, shape [n, STATE_SIZE].
 
     Args:
         truths: offset (x, y, theta) and measured pose (x, y, z, roll, pitch, yaw) [mm, deg], shape [n, 9].

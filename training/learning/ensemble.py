@@ -1,6 +1,6 @@
 """Several networks for one value, and how they learn it from samples with their mirror images.
 
-Critic, judge and student are such ensembles.
+Critic, assessor and student are such ensembles.
 """
 
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""What a round learns: the critic, the judge and the student, each going on from the round before."""
+"""What a round learns: the critic, the assessor and the student, each going on from the round before."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -9,8 +9,8 @@ from ..actors import ActorKind
 from ..collection import Networks
 from ..episodes import Episodes, joined
 from ..recipe import Recipe
+from .assessor import Assessor, assessed
 from .critic import Critic
-from .judge import Judge, judged
 from .network import FloatArray
 from .student import Student, histories_of, weights_of
 
@@ -21,7 +21,7 @@ TellTurn = Callable[[str, int, float], None]
 
 
 class Learners:
-    """Critic, judge and student of a run.
+    """Critic, assessor and student of a run.
 
     Args:
         recipe: of the run.
@@ -31,7 +31,7 @@ class Learners:
     def __init__(self, recipe: Recipe, random: np.random.Generator) -> None:
         self._recipe = recipe
         self._critic = Critic(recipe.critic.plan(), random)
-        self._judge = Judge(recipe.judge.plan(), random)
+        self._assessor = Assessor(recipe.assessor.plan(), random)
         self._student = Student(recipe.student.plan(), random)
 
     def learn(self, known: Known, number: int, random: np.random.Generator, tell: TellTurn) -> None:
@@ -42,10 +42,10 @@ class Learners:
         """
         played = joined([episodes for _, episodes in known])
         self._critic.learn(played, random, lambda turn, loss: tell("critic", turn, loss))
-        if number < self._recipe.judged_from:
+        if number < self._recipe.assessed_from:
             self._learn_of_critic(known, random, tell)
         else:
-            self._learn_of_judge(known, played, random, tell)
+            self._learn_of_assessor(known, played, random, tell)
 
     def networks(self) -> Networks:
         """Return what actors act by."""
@@ -54,43 +54,43 @@ class Learners:
 
     def state(self) -> dict[str, FloatArray]:
         """Return all that the next round goes on from."""
-        learners = (("critic", self._critic), ("judge", self._judge), ("student", self._student))
+        learners = (("critic", self._critic), ("assessor", self._assessor), ("student", self._student))
         return {f"{name}.{key}": value for name, learner in learners for key, value in learner.state().items()}
 
     def restore(self, stored: Mapping[str, Any]) -> None:
         """Go on from a state."""
         self._critic.restore(part(stored, "critic"))
-        self._judge.restore(part(stored, "judge"))
+        self._assessor.restore(part(stored, "assessor"))
         self._student.restore(part(stored, "student"))
 
     def _learn_of_critic(self, known: Known, random: np.random.Generator, tell: TellTurn) -> None:
         """Give the student the values of one who will know the truth from now on."""
-        histories = histories_of(_teaching(known))
+        histories = histories_of(_of_actors_without_truth(known))
 
-        def teacher(rows: Any, actions: FloatArray) -> FloatArray:
+        def value_of(rows: Any, actions: FloatArray) -> FloatArray:
             return self._critic.log_odds(histories.states[rows], actions)
 
-        self._student.learn(histories, teacher, random, lambda turn, loss: tell("student", turn, loss))
+        self._student.learn(histories, value_of, random, lambda turn, loss: tell("student", turn, loss))
 
-    def _learn_of_judge(self, known: Known, played: Episodes, random: np.random.Generator, tell: TellTurn) -> None:
+    def _learn_of_assessor(self, known: Known, played: Episodes, random: np.random.Generator, tell: TellTurn) -> None:
         """Give the student the values of one who goes on as the student does, which change what the student does."""
-        histories, transitions = histories_of(_teaching(known)), judged(played)
+        histories, transitions = histories_of(_of_actors_without_truth(known)), assessed(played)
         inputs = np.concatenate([histories.states, histories.felt], axis=1)
 
-        def teacher(rows: Any, actions: FloatArray) -> FloatArray:
-            return self._judge.log_odds(inputs[rows], actions)
+        def value_of(rows: Any, actions: FloatArray) -> FloatArray:
+            return self._assessor.log_odds(inputs[rows], actions)
 
-        for _ in range(self._recipe.judgings):
+        for _ in range(self._recipe.assessments):
             following = self._student.best(transitions.felt, random)
-            self._judge.learn(transitions, following, random, lambda turn, loss: tell("judge", turn, loss))
-            self._student.learn(histories, teacher, random, lambda turn, loss: tell("student", turn, loss))
+            self._assessor.learn(transitions, following, random, lambda turn, loss: tell("assessor", turn, loss))
+            self._student.learn(histories, value_of, random, lambda turn, loss: tell("student", turn, loss))
 
 
-def _teaching(known: Known) -> Episodes:
+def _of_actors_without_truth(known: Known) -> Episodes:
     """Return the episodes whose actions no truth has chosen."""
     return joined([episodes for kind, episodes in known if not kind.knows_truth])
 
 
 def part(stored: Mapping[str, Any], name: str) -> dict[str, Any]:
-    """Return what a state holds of the critic, the judge or the student."""
+    """Return what a state holds of the critic, the assessor or the student."""
     return {key.removeprefix(f"{name}."): value for key, value in stored.items() if key.startswith(f"{name}.")}

@@ -45,7 +45,7 @@ class StudentPlan:
 _CHUNK = 2048
 
 
-Teacher = Callable[[NDArray[np.int64], FloatArray], FloatArray]
+ValueOf = Callable[[NDArray[np.int64], FloatArray], FloatArray]
 """Log-odds of success, shape [n, k], of actions, shape [n, k, 3], at histories given by their numbers, shape [n]."""
 
 
@@ -54,7 +54,7 @@ class Histories:
     """What a student learns from.
 
     Attributes:
-        felt: what a policy is told, shape [n, HISTORY_SIZE].
+        felt: what a policy knows, shape [n, HISTORY_SIZE].
         states: the critic's of the same moments, shape [n, STATE_SIZE].
         turnable: whether half a turn changes nothing, shape [n].
     """
@@ -75,18 +75,18 @@ class Student:
     def learn(
         self,
         histories: Histories,
-        teacher: Teacher,
+        value_of: ValueOf,
         random: np.random.Generator,
         after_epoch: Callable[[int, float], None],
     ) -> None:
-        """Learn a teacher's values from histories, starting from what is known.
+        """Learn values of actions from histories, starting from what is known.
 
         Raises:
             TrainingDiverged: a loss is no finite number.
         """
         for epoch in range(self._plan.epochs):
             rate = self._plan.rate * 0.1 ** (epoch / self._plan.epochs)
-            losses = [self._epoch(learner, histories, teacher, random, rate) for learner in self._ensemble.learners]
+            losses = [self._epoch(learner, histories, value_of, random, rate) for learner in self._ensemble.learners]
             after_epoch(epoch, float(np.mean(losses)))
 
     def best(self, felt: FloatArray, random: np.random.Generator) -> FloatArray:
@@ -107,22 +107,22 @@ class Student:
         self._ensemble.restore(state)
 
     def _epoch(
-        self, learner: Learner, histories: Histories, teacher: Teacher, random: np.random.Generator, rate: float
+        self, learner: Learner, histories: Histories, value_of: ValueOf, random: np.random.Generator, rate: float
     ) -> float:
         losses, order = [], random.permutation(len(histories.felt))
         for start in range(0, len(order), self._plan.batch):
             rows = order[start : start + self._plan.batch]
-            actions = self._actions(rows, teacher, random)
-            targets = probability(teacher(rows, actions))
+            actions = self._actions(rows, value_of, random)
+            targets = probability(value_of(rows, actions))
             felt, actions = HISTORY.drawn(histories.felt[rows], actions, histories.turnable[rows], random)
             losses.append(learner.learn(felt, actions, targets, rate=rate))
         return float(np.mean(losses))
 
-    def _actions(self, rows: NDArray[np.int64], teacher: Teacher, random: np.random.Generator) -> FloatArray:
-        """Draw the actions whose values are learned: a third of them near the best that the teacher sees."""
+    def _actions(self, rows: NDArray[np.int64], value_of: ValueOf, random: np.random.Generator) -> FloatArray:
+        """Draw the actions whose values are learned: a third of them near the best by these values."""
         near = self._plan.actions // 3
         drawn = random.uniform(-1, 1, (len(rows), self._plan.actions, 3)).astype(np.float32)
-        best = drawn[np.arange(len(rows)), teacher(rows, drawn).argmax(axis=1)]
+        best = drawn[np.arange(len(rows)), value_of(rows, drawn).argmax(axis=1)]
         noise = 0.25 * random.standard_normal((len(rows), near, 3)).astype(np.float32)
         drawn[:, :near] = np.clip(best[:, None] + noise, -1, 1)
         return drawn
@@ -142,7 +142,7 @@ def histories_of(episodes: Episodes) -> Histories:
 
 
 def told_of(episodes: Episodes) -> FloatArray:
-    """Return what a policy is told at every observation, shape [o, HISTORY_SIZE]."""
+    """Return what a policy knows at every observation, shape [o, HISTORY_SIZE]."""
     ends, action_ends = np.cumsum(episodes.lengths + 1), np.cumsum(episodes.lengths)
     told = [
         history_features(

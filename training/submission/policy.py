@@ -1,4 +1,4 @@
-"""Acts by the best of many candidate actions, judged by a network on what both gels have felt so far.
+"""Acts by the best of many candidate actions, assessed by a network on what both gels have felt so far.
 
 This file is a whole submission with `weights.npz` beside it, and needs only NumPy. Training imports the same file, so
 that what is learned is what is played. `vitac train export` copies it.
@@ -65,13 +65,13 @@ class History:
         self.actions.append(action)
 
     def features(self) -> FloatArray:
-        """Return what the network is told, shape [HISTORY_SIZE]."""
+        """Return what the network gets, shape [HISTORY_SIZE]."""
         told = history_features(np.array(self.felt), np.array(self.motions), np.array(self.actions).reshape(-1, 3))
         return np.asarray(told[-1])
 
 
 def history_features(felt: FloatArray, motions: FloatArray, actions: FloatArray) -> FloatArray:
-    """Return what the network is told at every moment of an episode, shape [n, HISTORY_SIZE].
+    """Return what the network gets at every moment of an episode, shape [n, HISTORY_SIZE].
 
     Args:
         felt: of the observations, shape [n, FELT_SIZE] [mm, deg].
@@ -99,7 +99,7 @@ def history_features(felt: FloatArray, motions: FloatArray, actions: FloatArray)
 def start_angles_deg(motions: FloatArray, actions: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return theta at the reset as far as it is known at every moment [deg], or 0, and whether it is, shapes [n].
 
-    An action moves the gripper along its own axes, but `relative_motion` is told along those of the hole: the angle
+    An action moves the gripper along its own axes, but `relative_motion` has it along those of the hole: the angle
     between both is the gripper's. The first motion that is long enough tells it; before, nothing does.
     """
     angles, known = np.zeros(len(motions)), np.zeros(len(motions))

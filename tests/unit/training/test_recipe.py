@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 from vitac.evaluator.strict_model import DocumentRejected
+from vitac.training.learning.assessor import AssessorPlan
 from vitac.training.learning.critic import CriticPlan
-from vitac.training.learning.judge import JudgePlan
 from vitac.training.learning.student import StudentPlan
-from vitac.training.recipe import CriticRecipe, JudgeRecipe, Recipe, StudentRecipe, read_recipe
+from vitac.training.recipe import AssessorRecipe, CriticRecipe, Recipe, StudentRecipe, read_recipe
 
 
 def read(tmp_path: Path, text: str) -> Recipe:
@@ -51,5 +51,5 @@ def test_mistakes_are_named(tmp_path: Path, text: str, told: str) -> None:
 
 def test_defaults_are_stated_once() -> None:
     assert CriticRecipe().plan() == CriticPlan()
-    assert JudgeRecipe().plan() == JudgePlan()
+    assert AssessorRecipe().plan() == AssessorPlan()
     assert StudentRecipe().plan() == StudentPlan()

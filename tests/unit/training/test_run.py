@@ -9,7 +9,7 @@ import pytest
 from toy_peg import ToyPeg
 from vitac.evaluator.scoring.score import rate
 from vitac.training.learning.network import Learner, TrainingDiverged
-from vitac.training.recipe import CriticRecipe, JudgeRecipe, Recipe, StudentRecipe
+from vitac.training.recipe import AssessorRecipe, CriticRecipe, Recipe, StudentRecipe
 from vitac.training.run import Folder, OtherRun, RoundResult, Run, best, results_of, told
 from vitac.training.streams import Use, stream
 
@@ -23,9 +23,9 @@ RECIPE = Recipe(
     critic_episodes=10,
     chosen_by=10,
     critic=CriticRecipe(networks=1, hidden=16, sweeps=2, epochs=1),
-    judge=JudgeRecipe(networks=1, hidden=16, sweeps=2, epochs=1),
-    judged_from=2,
-    judgings=2,
+    assessor=AssessorRecipe(networks=1, hidden=16, sweeps=2, epochs=1),
+    assessed_from=2,
+    assessments=2,
     student=StudentRecipe(networks=1, hidden=16, epochs=2),
 )
 
@@ -43,7 +43,7 @@ class Stopped(BaseException):
     """Like Ctrl-C or a kill: nobody in the run catches it."""
 
 
-def test_each_round_is_judged_and_logged(tmp_path: Path) -> None:
+def test_each_round_is_assessord_and_logged(tmp_path: Path) -> None:
     lines: list[str] = []
     results = run(tmp_path, lines=lines).go()
     assert [result.number for result in results] == [1, 2]
@@ -67,7 +67,7 @@ def test_finished_run_is_not_made_again(tmp_path: Path, toy: list[ToyPeg]) -> No
     [
         "student episodes: 1",
         "round 1, critic: turn 2",
-        "round 2, judge: turn 2",
+        "round 2, assessor: turn 2",
         "round 2, student: turn 1",
         "round 2: ",
     ],

@@ -8,15 +8,15 @@ from toy_peg import ToyPeg
 from vitac.training.actors import ActorKind, guided_actor, random_actor
 from vitac.training.episodes import play
 from vitac.training.learning.learners import Known, Learners
-from vitac.training.recipe import CriticRecipe, JudgeRecipe, Recipe, StudentRecipe
+from vitac.training.recipe import AssessorRecipe, CriticRecipe, Recipe, StudentRecipe
 
 RECIPE = Recipe(
     task="peg-insertion",
     seed=2,
     critic=CriticRecipe(networks=1, hidden=32, sweeps=6, epochs=3),
-    judge=JudgeRecipe(networks=1, hidden=32, sweeps=4, epochs=2),
-    judged_from=2,
-    judgings=2,
+    assessor=AssessorRecipe(networks=1, hidden=32, sweeps=4, epochs=2),
+    assessed_from=2,
+    assessments=2,
     student=StudentRecipe(networks=1, hidden=32, epochs=3),
 )
 
@@ -36,9 +36,9 @@ def learned(number: int, played: Known, told: list[str]) -> Learners:
 
 @pytest.mark.parametrize(
     ("number", "expected"),
-    [(1, ["critic"] * 6 + ["student"] * 3), (2, ["critic"] * 6 + (["judge"] * 4 + ["student"] * 3) * 2)],
+    [(1, ["critic"] * 6 + ["student"] * 3), (2, ["critic"] * 6 + (["assessor"] * 4 + ["student"] * 3) * 2)],
 )
-def test_the_critic_teaches_first_and_the_judge_later(number: int, expected: list[str]) -> None:
+def test_student_learns_of_the_critic_first_and_of_the_assessor_later(number: int, expected: list[str]) -> None:
     told: list[str] = []
     learned(number, known(), told)
     assert [line.split()[0] for line in told] == expected

@@ -1,4 +1,4 @@
-"""The student: its histories, and what it learns of a teacher."""
+"""The student: its histories, and what it learns."""
 
 import numpy as np
 import pytest
@@ -40,10 +40,10 @@ def test_learns_from_what_is_felt_what_the_critic_sees() -> None:
     losses: list[float] = []
     histories = histories_of(blind)
 
-    def teacher(rows: np.ndarray, actions: np.ndarray) -> np.ndarray:
+    def value_of(rows: np.ndarray, actions: np.ndarray) -> np.ndarray:
         return critic.log_odds(histories.states[rows], actions)
 
-    student.learn(histories, teacher, random, lambda _, loss: losses.append(loss))
+    student.learn(histories, value_of, random, lambda _, loss: losses.append(loss))
     assert losses[-1] < losses[0]
     solved = play(ToyPeg(), student_actor(weights_of(student.state()), 0.0), 8, range(40)).solved.mean()
     assert solved > 0.6 > 2 * play(ToyPeg(), random_actor, 8, range(40)).solved.mean()
@@ -71,12 +71,12 @@ def test_continued_student_has_the_same_bits() -> None:
     plan = StudentPlan(networks=1, hidden=8, epochs=2, batch=16)
     first, other = (Student(plan, np.random.default_rng(seed)) for seed in (1, 2))
 
-    def teacher(rows: np.ndarray, actions: np.ndarray) -> np.ndarray:
+    def value_of(rows: np.ndarray, actions: np.ndarray) -> np.ndarray:
         return np.asarray(actions.sum(axis=2) * felt[rows, :1])
 
-    first.learn(histories, teacher, np.random.default_rng(3), lambda _, __: None)
+    first.learn(histories, value_of, np.random.default_rng(3), lambda _, __: None)
     other.restore(first.state())
     for each in (first, other):
-        each.learn(histories, teacher, np.random.default_rng(4), lambda _, __: None)
+        each.learn(histories, value_of, np.random.default_rng(4), lambda _, __: None)
     for name, value in first.state().items():
         np.testing.assert_array_equal(value, other.state()[name])

@@ -1,4 +1,4 @@
-"""The judge: probability that the student succeeds after an action, where the truth is known too.
+"""The assessor: probability that the student succeeds after an action, where the truth is known too.
 
 It evaluates the student's policy by temporal differences: the value of the next action is that of the one which the
 student would take, by what it would have felt. So what an action tells about the hole has its value, which a critic
@@ -23,8 +23,8 @@ _SIGNS = both(STATE, HISTORY)
 
 
 @dataclass(frozen=True, kw_only=True)
-class JudgePlan:
-    """How a judge is learned.
+class AssessorPlan:
+    """How an assessor is learned.
 
     Attributes:
         networks: whose lowest value counts.
@@ -46,12 +46,12 @@ class JudgePlan:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Judged:
-    """What a judge learns from: transitions with what the student would be told before and after them.
+class Assessed:
+    """What an assessor learns from: transitions with what the student would be told before and after them.
 
     Attributes:
         before: inputs before the actions.
-        felt: what the student is told after them, shape [n, HISTORY_SIZE].
+        felt: what the student knows after them, shape [n, HISTORY_SIZE].
         after: inputs after them, shape [n, i].
         reached: whether they led to success, shape [n].
         last: whether the episode ended with them, shape [n].
@@ -64,10 +64,10 @@ class Judged:
     last: NDArray[np.bool_]
 
 
-def judged(episodes: Episodes) -> Judged:
-    """Return what a judge learns from episodes; whose they are does not matter."""
+def assessed(episodes: Episodes) -> Assessed:
+    """Return what an assessor learns from episodes; whose they are does not matter."""
     known, told, rows = transitions(episodes), told_of(episodes), episodes.observations
-    return Judged(
+    return Assessed(
         before=Samples(
             inputs=np.concatenate([known.before, told[rows]], axis=1), actions=known.actions, turnable=known.turnable
         ),
@@ -78,17 +78,17 @@ def judged(episodes: Episodes) -> Judged:
     )
 
 
-class Judge:
-    """Networks that see the truth and what the student is told."""
+class Assessor:
+    """Networks that see the truth and what the student knows."""
 
-    def __init__(self, plan: JudgePlan, random: np.random.Generator) -> None:
+    def __init__(self, plan: AssessorPlan, random: np.random.Generator) -> None:
         self._plan = plan
         layout = Layout(inputs=STATE_SIZE + HISTORY_SIZE, actions=3, hidden=plan.hidden)
         self._ensemble = Ensemble(layout, plan.networks, random)
 
     def learn(
         self,
-        known: Judged,
+        known: Assessed,
         next_actions: FloatArray,
         random: np.random.Generator,
         after_sweep: Callable[[int, float], None],

@@ -1,34 +1,34 @@
-"""The judge: how good the student is after an action, by what the student does next."""
+"""The assessor: how good the student is after an action, by what the student does next."""
 
 import numpy as np
 from toy_peg import ToyPeg
 from vitac.training.actors import guided_actor, random_actor
 from vitac.training.episodes import Episodes, joined, play
+from vitac.training.learning.assessor import Assessed, Assessor, AssessorPlan, assessed
 from vitac.training.learning.critic import STATE_SIZE, transitions
-from vitac.training.learning.judge import Judge, Judged, JudgePlan, judged
 from vitac.training.learning.student import told_of
 from vitac.training.submission.policy import HISTORY_SIZE
 
-PLAN = JudgePlan(networks=1, hidden=32, sweeps=6, epochs=4, batch=64, rate=3e-3)
+PLAN = AssessorPlan(networks=1, hidden=32, sweeps=6, epochs=4, batch=64, rate=3e-3)
 
 
 def episodes(count: int = 60) -> Episodes:
     return joined([play(ToyPeg(), actor, 7, range(count)) for actor in (random_actor, guided_actor)])
 
 
-def towards_the_hole(known: Judged, played: Episodes) -> np.ndarray:
+def towards_the_hole(known: Assessed, played: Episodes) -> np.ndarray:
     """What a student would do next that goes straight to the hole."""
     offset = played.truths[played.observations + 1, :3]
     return np.clip(-offset / [2.0, 2.0, 4.0], -1, 1).astype(np.float32)
 
 
-def mean_value(judge: Judge, known: Judged) -> float:
-    return float(judge.log_odds(known.before.inputs, known.before.actions[:, None]).mean())
+def mean_value(assessor: Assessor, known: Assessed) -> float:
+    return float(assessor.log_odds(known.before.inputs, known.before.actions[:, None]).mean())
 
 
 def test_transitions_have_what_the_student_is_told_before_and_after() -> None:
     played = episodes(6)
-    known, told, truths = judged(played), told_of(played), transitions(played)
+    known, told, truths = assessed(played), told_of(played), transitions(played)
     assert known.before.inputs.shape == (len(played.actions), STATE_SIZE + HISTORY_SIZE)
     np.testing.assert_array_equal(known.before.inputs[:, :STATE_SIZE], truths.before)
     np.testing.assert_array_equal(known.before.inputs[:, STATE_SIZE:], told[played.observations])
@@ -38,24 +38,24 @@ def test_transitions_have_what_the_student_is_told_before_and_after() -> None:
     assert known.reached.sum() == played.solved.sum()
 
 
-def test_a_student_that_goes_on_well_is_judged_better() -> None:
+def test_a_student_that_goes_on_well_is_assessord_better() -> None:
     played = episodes()
-    known = judged(played)
+    known = assessed(played)
     well = towards_the_hole(known, played)
     values, losses = [], []
     for following in (well, -well):
-        judge = Judge(PLAN, np.random.default_rng(0))
-        judge.learn(known, following, np.random.default_rng(1), lambda _, loss: losses.append(loss))
-        values.append(mean_value(judge, known))
+        assessor = Assessor(PLAN, np.random.default_rng(0))
+        assessor.learn(known, following, np.random.default_rng(1), lambda _, loss: losses.append(loss))
+        values.append(mean_value(assessor, known))
     assert len(losses) == 2 * PLAN.sweeps
     assert values[0] > values[1] + 0.3
 
 
-def test_continued_judge_has_the_same_bits() -> None:
+def test_continued_assessor_has_the_same_bits() -> None:
     played = episodes(20)
-    known = judged(played)
+    known = assessed(played)
     following = towards_the_hole(known, played)
-    first, other = (Judge(PLAN, np.random.default_rng(seed)) for seed in (0, 1))
+    first, other = (Assessor(PLAN, np.random.default_rng(seed)) for seed in (0, 1))
     first.learn(known, following, np.random.default_rng(2), lambda _, __: None)
     other.restore(first.state())
     for each in (first, other):

@@ -1,0 +1,167 @@
+"""Acts by an actor of the challenge's own shape: PointNet encoders of both gels' markers, in torch.
+
+This file is a whole submission with weights beside it: for each task that it plays, `<task>.zip` as Stable-Baselines3
+saves a model, or the `policy.pth` of such a file as `<task>.pth`. Only the state dict is read, as tensors and nothing
+else; the pickled rest of a zip is never opened. Training imports the same file, so that what is learned is what is
+played.
+"""
+
+import io
+import zipfile
+from collections.abc import Mapping
+from itertools import pairwise, permutations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import nn
+
+HIDDEN = 256
+FELT = 32  # numbers that the encoder makes of one gel
+OF_ACTOR = "actor."
+NOT_PLAYED = ("mu.", "features_extractor.")  # Stable-Baselines3's own network, which is built and never used
+
+
+class PointNet(nn.Module):  # type: ignore[misc] # torch is not there when types are checked
+    """Numbers from a set of points, whatever their order (Qi et al. 2017)."""
+
+    def __init__(self, channels: int, outputs: int) -> None:
+        super().__init__()
+        self.points = _perceptron([channels, 64, 64, 64, 128, 512], last_relu_after=4)
+        self.whole = _perceptron([512, HIDDEN, HIDDEN, outputs], last_relu_after=2)
+
+    def forward(self, points: Any) -> Any:
+        """Return numbers of shape [..., outputs] from points of shape [..., n, channels]."""
+        return self.whole(self.points(points).max(dim=-2).values)
+
+
+class TactileActor(nn.Module):  # type: ignore[misc]
+    """Action from both gels' markers and the gripper's motion."""
+
+    def __init__(self, motion: int, actions: int) -> None:
+        super().__init__()
+        self.encoder = PointNet(4, FELT)
+        self.head = nn.Sequential(
+            *(nn.Linear(2 * FELT + motion, HIDDEN), nn.LayerNorm(HIDDEN), nn.ReLU()),
+            *(nn.Linear(HIDDEN, HIDDEN), nn.LayerNorm(HIDDEN), nn.ReLU()),
+            nn.Linear(HIDDEN, actions),
+        )
+        with torch.no_grad():
+            self.head[-1].weight *= 0.01
+            self.head[-1].bias.zero_()
+
+    def forward(self, marker_flow: Any, relative_motion: Any) -> Any:
+        """Return actions of shape [b, actions].
+
+        Args:
+            marker_flow: pixels, shape [b, 2, 2, n, 2]: gel, reference and current, marker, u and v.
+            relative_motion: shape [b, motion].
+        """
+        moved = marker_flow.permute(0, 1, 3, 2, 4).flatten(-2)
+        felt = self.encoder(moved).flatten(1)
+        return torch.tanh(self.head(torch.cat([felt, relative_motion], dim=1)))
+
+
+def peg_actor() -> TactileActor:
+    """Return the challenge's TD3PolicyForPointFlowEnv actor."""
+    return TactileActor(motion=4, actions=3)
+
+
+def lock_actor() -> TactileActor:
+    """Return the challenge's TD3PolicyForLongOpenLockPointFlowEnv actor."""
+    return TactileActor(motion=3, actions=2)
+
+
+ACTORS = {"peg-insertion": peg_actor, "lock-opening": lock_actor}
+
+
+class Policy:
+    """Plays every task whose weights are beside this file."""
+
+    def __init__(self) -> None:
+        torch.set_num_threads(1)
+        folder = Path(__file__).parent
+        self.actors = {}
+        for task, make in ACTORS.items():
+            for path in (folder / f"{task}.zip", folder / f"{task}.pth"):
+                if path.exists():
+                    self.actors[task] = make()
+                    load_actor(self.actors[task], read_state(path))
+        if not self.actors:
+            raise ValueError(f"No weights are beside {__file__}; expected {' or '.join(ACTORS)} with .zip or .pth.")
+
+    def reset(self, task: str) -> None:
+        """Begin an episode."""
+        if task not in self.actors:
+            raise ValueError(f"There are no weights for {task}, only for {', '.join(self.actors)}.")
+        self.actor = self.actors[task]
+
+    def act(self, observation: Mapping[str, Any]) -> Any:
+        """Return the actor's action."""
+        seen = [torch.as_tensor(np.asarray(observation[key]))[None] for key in ("marker_flow", "relative_motion")]
+        with torch.no_grad():
+            return self.actor(*seen)[0].numpy()
+
+
+def read_state(path: Path) -> Mapping[str, Any]:
+    """Return the state dict of a `.pth` file, or of the one in a zip of Stable-Baselines3.
+
+    Raises:
+        ValueError: there is none, or it holds something else than tensors.
+    """
+    data = path.read_bytes()
+    if path.suffix == ".zip":
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            if "policy.pth" not in archive.namelist():
+                raise ValueError(f"{path.name} holds no policy.pth; expected a model that Stable-Baselines3 saved.")
+            data = archive.read("policy.pth")
+    try:
+        state = torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
+    except Exception as error:
+        raise ValueError(
+            f"{path.name} holds no plain state dict ({type(error).__name__}); expected tensors."
+        ) from error
+    if not isinstance(state, Mapping) or not all(isinstance(value, torch.Tensor) for value in state.values()):
+        raise ValueError(f"{path.name} holds no state dict; expected tensors by name.")
+    return state
+
+
+def load_actor(actor: TactileActor, state: Mapping[str, Any]) -> None:
+    """Give an actor the weights of a state dict, its own or one with other names for the same layers.
+
+    Only the order and the sizes of an actor's layers are published, not what its modules are called; so layers are
+    matched by their order, with encoder and head either way round. A convolution over points of width 1 is a layer too.
+
+    Raises:
+        ValueError: the sizes are not those of this actor.
+    """
+    told = {
+        name.removeprefix(OF_ACTOR): value.squeeze(-1) if value.ndim == 3 else value
+        for name, value in state.items()
+        if name.startswith(OF_ACTOR) and not name.removeprefix(OF_ACTOR).startswith(NOT_PLAYED)
+    }
+    for parts in permutations([("encoder", actor.encoder), ("head", actor.head)]):
+        names = [f"{part}.{name}" for part, module in parts for name in module.state_dict()]
+        own = actor.state_dict()
+        if [own[name].shape for name in names] == [value.shape for value in told.values()]:
+            actor.load_state_dict(dict(zip(names, told.values(), strict=True)))
+            return
+    sizes = ", ".join(f"{name} {tuple(value.shape)}" for name, value in list(told.items())[:4])
+    raise ValueError(
+        f"The weights are not those of this actor: expected {_sizes(actor)}, got {sizes or 'no actor'} ..."
+    )
+
+
+def _sizes(actor: TactileActor) -> str:
+    return ", ".join(f"{name} {tuple(value.shape)}" for name, value in list(actor.state_dict().items())[:4]) + " ..."
+
+
+def _perceptron(sizes: list[int], last_relu_after: int) -> Any:
+    """Return linear layers with a ReLU after each of the first ones."""
+    layers: list[Any] = []
+    for number, (inputs, outputs) in enumerate(pairwise(sizes), start=1):
+        layers.append(nn.Linear(inputs, outputs))
+        if number <= last_relu_after:
+            layers.append(nn.ReLU())
+    return nn.Sequential(*layers)
