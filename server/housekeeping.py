@@ -32,10 +32,16 @@ ORPHAN_KEPT = timedelta(hours=24)
 
 
 class Housekeeping:
-    """A thread that sweeps and prunes from `start` to `stop`; it outlives restarts of the database."""
+    """A thread that sweeps and prunes from `start` to `stop`; it outlives restarts of the database.
 
-    def __init__(self, services: Services) -> None:
+    Args:
+        services: of this process.
+        sweeps: False in one of several processes that share a parent, which sweeps: it only writes its totals.
+    """
+
+    def __init__(self, services: Services, *, sweeps: bool = True) -> None:
         self._services = services
+        self._sweeps = sweeps
         self._totals = TotalsWriter(services.instruments)
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="housekeeping", daemon=True)
@@ -57,9 +63,10 @@ class Housekeeping:
         pruned_at = float("-inf")
         while not self._stopping.is_set():
             try:
-                self._sweep()
+                if self._sweeps:
+                    self._sweep()
                 self._totals.write(self._services.database)
-                if time.monotonic() - pruned_at > PRUNE_EVERY_S:
+                if self._sweeps and time.monotonic() - pruned_at > PRUNE_EVERY_S:
                     self._issue_older_receipts()
                     prune(self._services)
                     pruned_at = time.monotonic()

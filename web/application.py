@@ -22,10 +22,15 @@ if TYPE_CHECKING:
 KEY_FILE = "session.key"
 
 
-def create(services: Services) -> FastAPI:
-    """Return the application on open services; the caller closes them."""
+def create(services: Services, *, sweeps: bool = True) -> FastAPI:
+    """Return the application on open services; the caller closes them.
+
+    Args:
+        services: what it works with.
+        sweeps: look for lost work; False where the process that started this one does.
+    """
     settings = services.settings
-    app = create_app(settings, services=services, uploads_at=routes.UPLOADS)
+    app = create_app(settings, services=services, uploads_at=routes.UPLOADS, sweeps=sweeps)
     streams = OpenStreams(services=services, limiter=app.state.stream_limiter)
     site = Site(
         data=ServiceData(

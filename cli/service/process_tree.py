@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from vitac.server.db.engine import Database
+    from vitac.server.services import Services
     from vitac.server.settings import Settings
 
 
@@ -67,6 +68,7 @@ def running_service(
             inherited=[listener.fileno()],
         )
         if servers.count:
+            stack.enter_context(_housekeeping(services))
             stack.callback(servers.stop)
             servers.start()
             web_process.wait_until_answering(listener, servers)
@@ -75,6 +77,19 @@ def running_service(
         pool = ProcessPool(count=workers, log=log, environment=environment, notify=notify, command=process_pool.COMMAND)
         stack.callback(pool.stop)
         yield RunningService(address=address_of(listener), database=services.database, workers=pool, servers=servers)
+
+
+@contextmanager
+def _housekeeping(services: Services) -> Iterator[None]:
+    """Sweep and prune while the block runs: one process does it for all that answer requests."""
+    from vitac.server.housekeeping import Housekeeping
+
+    housekeeping = Housekeeping(services)
+    housekeeping.start()
+    try:
+        yield
+    finally:
+        housekeeping.stop()
 
 
 def _environment(settings: Settings) -> dict[str, str]:

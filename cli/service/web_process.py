@@ -46,19 +46,25 @@ def main(listener: int, parent: int) -> None:
     with (
         open_services(settings, may_run_database=False) as services,
         StopRequest().listening() as stop,
-        serving(services, socket.socket(fileno=listener)),
+        serving(services, socket.socket(fileno=listener), sweeps=False),
     ):
         while not stop.wait(3600.0):
             continue
 
 
 @contextmanager
-def serving(services: Services, listener: socket.socket) -> Iterator[None]:
-    """Answer requests in a thread of this process while the block runs; close the socket after it."""
+def serving(services: Services, listener: socket.socket, *, sweeps: bool = True) -> Iterator[None]:
+    """Answer requests in a thread of this process while the block runs; close the socket after it.
+
+    Args:
+        services: what the application works with.
+        listener: bound socket.
+        sweeps: look for lost work; False where the process that started this one does.
+    """
     from vitac.web.application import create
 
     trusted = services.settings.trusted_proxy_networks
-    server = WebServer(app=create(services), listener=listener, trusted_proxies=trusted)
+    server = WebServer(app=create(services, sweeps=sweeps), listener=listener, trusted_proxies=trusted)
     try:
         server.start()
         yield

@@ -40,6 +40,7 @@ def create_app(
     routers: Sequence[APIRouter] = (),
     services: Services | None = None,
     uploads_at: Sequence[tuple[str, str]] = (),
+    sweeps: bool = True,
 ) -> FastAPI:
     """Return the application. It opens database and files at its start, unless open `services` are given.
 
@@ -48,6 +49,7 @@ def create_app(
         routers: further routes, such as the pages.
         services: already open ones; they are left open at the end.
         uploads_at: methods and paths of further routes that take uploads.
+        sweeps: look for lost work; False where the process that started this one does.
     """
 
     @asynccontextmanager
@@ -55,7 +57,7 @@ def create_app(
         with ExitStack() as stack:
             app.state.services = services or await run_in_threadpool(stack.enter_context, open_services(settings))
             app.state.exposition = Exposition(app.state.services)
-            housekeeping = Housekeeping(app.state.services)
+            housekeeping = Housekeeping(app.state.services, sweeps=sweeps)
             housekeeping.start()
             stack.callback(housekeeping.stop)
             yield

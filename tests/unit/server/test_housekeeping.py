@@ -18,6 +18,7 @@ from vitac.server.db.engine import Database
 from vitac.server.db.states import PlaybackState, ShardState
 from vitac.server.errors import ServiceError
 from vitac.server.housekeeping import Housekeeping, prune
+from vitac.server.metrics.totals import SeriesKey, totals
 from vitac.server.playbacks import work
 from vitac.server.services import Services
 from vitac.server.storage.blobs import BlobStore
@@ -63,6 +64,27 @@ def test_lost_shards_are_found_in_the_background_also_after_the_database_was_awa
 
     eventually(is_queued_again)
     keeper.stop()
+
+
+def test_one_of_several_server_processes_writes_what_it_counts_and_leaves_the_sweep_to_its_starter(
+    services: Services, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    swept: list[bool] = []
+    monkeypatch.setattr(Housekeeping, "_sweep", lambda _: swept.append(True))
+    monkeypatch.setattr(housekeeping, "prune", lambda _: swept.append(True))
+    for sweeps in (False, True):
+        services.instruments.leases_lost.inc()
+        before = leases_lost(services)
+        keeper = Housekeeping(services, sweeps=sweeps)
+        keeper.start()
+        eventually(lambda before=before: leases_lost(services) > before)
+        keeper.stop()
+        assert bool(swept) is sweeps
+
+
+def leases_lost(services: Services) -> float:
+    with services.database.transaction() as session:
+        return totals(session).get(SeriesKey("vitac_leases_lost_total"), 0.0)
 
 
 def test_files_without_a_submission_are_removed_once_the_store_works_again(

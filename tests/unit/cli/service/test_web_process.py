@@ -6,14 +6,17 @@ import socket
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 import httpx
 import pytest
 from databases import fresh_database
+from service_factories import claim, make_principal, shard_ids, state_of, submit
 from vitac.cli.service import web_process
+from vitac.server.db.engine import Database
+from vitac.server.db.states import ShardState
 from worker_fakes import eventually
 
 SERVE = "from vitac.cli.main import main; main(['serve', '--port', '0'])"
@@ -26,6 +29,7 @@ class Servers:
 
     process: "subprocess.Popen[str]"
     address: str
+    database: Database
 
     @property
     def pids(self) -> list[int]:
@@ -58,17 +62,18 @@ def command_of(pid: int) -> bytes:
 @pytest.fixture
 def servers(tmp_path: Path) -> Iterator[Servers]:
     limits = {"VITAC_REGISTRATIONS_PER_HOUR": "3", "VITAC_UPLOADS_AT_ONCE": "1"}
-    with fresh_database() as address:
-        environment = os.environ | limits | {"VITAC_DATABASE_URL": address, "VITAC_STATE_DIR": str(tmp_path / "state")}
+    with fresh_database() as url:
+        environment = os.environ | limits | {"VITAC_DATABASE_URL": url, "VITAC_STATE_DIR": str(tmp_path / "state")}
         environment["VITAC_SERVER_PROCESSES"] = "2"
         with subprocess.Popen(
             [sys.executable, "-c", SERVE], env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         ) as process:
             assert process.stdout is not None
             address = process.stdout.readline().split()[-1]
-            servers = Servers(process=process, address=address)
+            servers = Servers(process=process, address=address, database=Database(url))
             eventually(lambda: all_answer(servers))
             yield servers
+            servers.database.dispose()
             process.send_signal(signal.SIGTERM)
             _, complaints = process.communicate(timeout=60)
         assert process.returncode == 0, complaints
@@ -145,6 +150,22 @@ def test_kill_of_one_process_leaves_the_service_answering_and_another_one_is_sta
     eventually(lambda: len(servers.pids) == 2 and killed not in servers.pids)
     assert other in servers.pids
     assert "No complete evaluation yet" in httpx.get(servers.address, timeout=60).text
+    assert_only_the_starter_looks_for_lost_work(servers)
+
+
+def assert_only_the_starter_looks_for_lost_work(servers: Servers) -> None:
+    def is_queued_again(shard_id: int) -> bool:
+        with servers.database.transaction() as session:
+            return bool(state_of(session, shard_id) is ShardState.QUEUED)
+
+    with servers.database.transaction() as session:
+        lost = shard_ids(session, submit(session, make_principal(session)))[0]
+    claim(servers.database, lost, lease_s=0.1)
+    with ExitStack() as stack:
+        for pid in servers.pids:
+            os.kill(pid, signal.SIGSTOP)
+            stack.callback(os.kill, pid, signal.SIGCONT)
+        eventually(lambda: is_queued_again(lost))
 
 
 def test_a_page_session_of_one_process_holds_at_the_other(servers: Servers) -> None:
