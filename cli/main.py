@@ -50,6 +50,7 @@ NOUNS = (
     Noun(name="team", module="client.people.team", summary="Show the team; invite, join, remove members."),
     Noun(name="submit", module="client.submit", summary="Upload a submission to a service."),
     Noun(name="status", module="client.status", summary="Show your submissions on a service."),
+    Noun(name="publish", module="client.publish", summary="Let everybody see a submission's result."),
     Noun(name="compare", module="compare", summary="Compare two submissions episode by episode."),
     Noun(name="receipt", module="receipt.app", summary="Check receipts of final results, and boards by them."),
     Noun(name="serve", module="service.serve", summary="Run the service: database, API and pages.", extra=_SERVER),

@@ -154,6 +154,13 @@ def not_found(noun: str, name: object) -> ServiceError:
     )
 
 
+def token_missing() -> ServiceError:
+    """Return the refusal of what only somebody with a token may do."""
+    return ServiceError(
+        ProblemCode.MISSING_CREDENTIALS, "This needs a token; send the header `Authorization: Bearer vitac_...`."
+    )
+
+
 def storage_full() -> ServiceError:
     """Return the refusal of a request for which the service has no disk space left."""
     return ServiceError(

@@ -150,10 +150,15 @@ class Settings(BaseSettings):
     event_streams: PositiveInt = Field(default=200, description="Event streams that a server keeps open.")
 
     playbacks_at_once: PositiveInt = Field(
-        default=4, description="Playbacks of episodes that one team may have waiting or being made."
+        default=4,
+        description="Playbacks of episodes that one team, or all visitors together, may have waiting or being made.",
     )
     playbacks_per_hour: PositiveInt = Field(
-        default=60, description="New playbacks of episodes that one team may ask for in an hour."
+        default=60,
+        description="New playbacks of episodes that one team, or all visitors together, may ask for in an hour.",
+    )
+    playbacks_per_address: PositiveInt = Field(
+        default=10, description="Playbacks that visitors of one address may ask for in an hour."
     )
     playbacks_kept_days: PositiveInt = Field(
         default=30, description="Playbacks asked for longer ago are removed, and made again when somebody asks."

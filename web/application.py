@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from vitac.evaluator.tracks import list_tracks
 from vitac.server.api.app import create_app
 from vitac.server.api.streams import OpenStreams
+from vitac.server.limiter import WindowLimiter
 
 from .data.service import ServiceData
 from .pages import routes
@@ -40,6 +41,9 @@ def create(services: Services, *, sweeps: bool = True) -> FastAPI:
             streams=streams,
             registrations=app.state.registration_limiter,
             sign_ins=app.state.sign_in_limiters,
+            playbacks=WindowLimiter(
+                settings.state_dir / "limits" / "playbacks", limit=settings.playbacks_per_address, window_s=3600.0
+            ),
             uploads=app.state.upload_limiter,
         ),
         signer=SessionSigner(key=signing_key(settings)),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from functools import wraps
 from hashlib import sha256
 from http import HTTPStatus
 from typing import TYPE_CHECKING, Any, cast
@@ -12,6 +13,7 @@ from urllib.parse import quote
 from starlette.exceptions import HTTPException
 from starlette.responses import HTMLResponse, RedirectResponse
 from vitac.server.api.conditional import answer
+from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.kept import Kept
 
 from .fragments import Fragments
@@ -19,7 +21,7 @@ from .rendering import render
 from .session.signer import COOKIE
 
 if TYPE_CHECKING:
-    from collections.abc import Hashable, Mapping
+    from collections.abc import Awaitable, Callable, Hashable, Mapping
 
     from starlette.requests import Request
     from starlette.responses import Response
@@ -27,6 +29,8 @@ if TYPE_CHECKING:
     from .data.protocol import PageData, Visitor
     from .pages.episodes.map import EpisodeMap
     from .session.signer import SessionSigner
+
+    Page = Callable[[Request], Awaitable[Response]]
 
 HTML = "text/html"
 MAX_PLOTS = 256
@@ -45,6 +49,10 @@ class Site:
         version: the distribution's version, shown in the footer.
         tracks: names of the tracks, the first one is the home page.
         public_url: address that people use; None: that of the request.
+        fragments: parts of pages as they were last rendered.
+        plots: of evaluations and boards.
+        maps: of episodes of complete evaluations.
+        previews: pictures that links to submissions are shown with.
     """
 
     data: PageData
@@ -55,6 +63,7 @@ class Site:
     fragments: Fragments = field(default_factory=Fragments)
     plots: Fragments = field(default_factory=lambda: Fragments(at_most=MAX_PLOTS))
     maps: Kept[Hashable, EpisodeMap] = field(default_factory=lambda: Kept(at_most=MAX_MAPS))
+    previews: Kept[str, bytes] = field(default_factory=lambda: Kept(at_most=MAX_PLOTS))
 
     def address(self, request: Request) -> str:
         """Return the address to use on the command line."""
@@ -82,6 +91,10 @@ class Viewer:
         """Return whether the submissions of a team are shown."""
         return self.visitor.may_see(team)
 
+    def may_change(self, team: str) -> bool:
+        """Return whether the submissions of a team may be changed."""
+        return self.is_organizer or self.name == team
+
 
 @dataclass(frozen=True, kw_only=True)
 class Tab:
@@ -108,10 +121,38 @@ async def viewer_of(request: Request) -> Viewer | None:
     return None if visitor is None else Viewer(visitor=visitor, form_token=site.signer.form_token(cookie))
 
 
+def visitor_of(viewer: Viewer | None) -> Visitor | None:
+    """Return a signed-in visitor as the data of the pages know them."""
+    return None if viewer is None else viewer.visitor
+
+
 async def require_viewer(request: Request) -> Viewer | RedirectResponse:
     """Return the signed-in visitor, or a redirect to the sign-in page."""
     viewer = await viewer_of(request)
-    return viewer or RedirectResponse(f"/sign-in?next={quote(request.url.path)}", status_code=303)
+    return viewer or sign_in_first(request)
+
+
+def sign_in_first(request: Request) -> RedirectResponse:
+    """Return a redirect to the sign-in page, which leads back."""
+    return RedirectResponse(f"/sign-in?next={quote(request.url.path)}", status_code=303)
+
+
+def open_to_all(show: Page) -> Page:
+    """Make a page one that also those see who are not signed in, where there is something public for them.
+
+    What is not public, or not there, leads them to the sign-in page: nobody learns which of the two it is.
+    """
+
+    @wraps(show)
+    async def shown(request: Request) -> Response:
+        try:
+            return await show(request)
+        except ServiceError as error:
+            if error.code is ProblemCode.MISSING_CREDENTIALS:
+                return sign_in_first(request)
+            raise
+
+    return shown
 
 
 def require_form_token(request: Request, fields: Mapping[str, str], viewer: Viewer) -> None:

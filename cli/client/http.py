@@ -65,6 +65,12 @@ class Client:
         """Return one submission."""
         return self._json("GET", f"/api/v1/submissions/{submission_id}")
 
+    def set_public(self, submission_id: str, *, public: bool) -> Json:
+        """Let everybody see the result of a submission, or its team only; return it."""
+        content = json.dumps({"public": public}).encode()
+        headers = {"Content-Type": "application/json"}
+        return self._json("PUT", f"/api/v1/submissions/{submission_id}/public", content=content, headers=headers)
+
     def episodes(self, submission_id: str) -> list[Json]:
         """Return how each finished episode of a submission ended."""
         return list(self.send("GET", f"/api/v1/submissions/{submission_id}/episodes").json())

@@ -9,19 +9,19 @@ from vitac.server.errors import ProblemCode, ServiceError, not_found
 
 @dataclass(frozen=True, kw_only=True)
 class Principal:
-    """A member of a team (or whoever has its shared token), a judge or an organizer.
+    """Who asks: a member of a team (or whoever has its shared token), a judge, an organizer, or a visitor.
 
     Attributes:
-        role: what may be done.
+        role: what may be done; None for a visitor without a token.
         team_id: of a team's token.
         team_name: of a team's token.
-        token_id: None for the organizer's command line on the server machine.
+        token_id: None for a visitor, and for the organizer's command line on the server machine.
         member_id: whose token it is; None: shared by the team.
         member_name: name of that member.
         leads_team: whether members may be invited and removed.
     """
 
-    role: Role
+    role: Role | None
     team_id: UUID | None = None
     team_name: str | None = None
     token_id: UUID | None = None
@@ -47,7 +47,7 @@ class Principal:
     @property
     def account(self) -> str:
         """For whom uploads and event streams are counted: the members of a team share its limits."""
-        return f"{self.role.value}:{self.team_name or self.token_id or 'console'}"
+        return f"{self.role}:{self.team_name or self.token_id or 'console'}"
 
     def may_see(self, team_id: UUID) -> bool:
         """Return whether a thing of that team exists for this principal."""
@@ -78,5 +78,7 @@ class Principal:
             raise ServiceError(ProblemCode.FORBIDDEN, "Only organizers may do this; use an organizer's token.")
 
 
+VISITOR = Principal(role=None)
+"""Whoever asks without a token."""
 CONSOLE = Principal(role=Role.ORGANIZER)
 """Whoever runs commands on the server machine: has the database's password, so may do everything."""

@@ -1,6 +1,6 @@
 """Which submissions exist for whom, who may change them, and what of them is shown.
 
-Another team's is answered as if there were none.
+Another team's is answered as if there were none; `vitac.server.sharing` knows of those that are public.
 """
 
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ def visible(session: Session, by: Principal, submission_id: UUID) -> Submission:
 
 @dataclass(frozen=True, kw_only=True)
 class Sight:
-    """What of an evaluation is shown to somebody who may see its submission; its state and score always are.
+    """What of an evaluation is shown to somebody who may see its result; its state and score always are.
 
     Attributes:
         episodes: single episodes: outcomes, records, logs, playback, pictures, and how many succeeded before the end.
@@ -46,8 +46,9 @@ def sight_of(by: Principal, evaluation: Evaluation) -> Sight:
     what it observes. A log ran no policy here: the output that it names could be anything.
     """
     submission = evaluation.submission
-    episodes = by.is_organizer or (by.may_see(submission.team_id) and not is_sealed(evaluation))
-    return Sight(episodes=episodes, output=episodes and submission.kind.form.runs_policy)
+    is_own = by.may_see(submission.team_id)
+    episodes = by.is_organizer or ((is_own or submission.is_public) and not is_sealed(evaluation))
+    return Sight(episodes=episodes, output=episodes and is_own and submission.kind.form.runs_policy)
 
 
 def is_sealed(evaluation: Evaluation) -> bool:

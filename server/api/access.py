@@ -5,8 +5,8 @@ from typing import Annotated
 from fastapi import Depends, Request
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 from vitac.server.accounts import tokens
-from vitac.server.accounts.principals import Principal
-from vitac.server.errors import ProblemCode, ServiceError
+from vitac.server.accounts.principals import VISITOR, Principal
+from vitac.server.errors import token_missing
 from vitac.server.services import Services
 
 bearer = HTTPBearer(auto_error=False, description="An API token: `vitac_` and 43 characters.")
@@ -28,9 +28,7 @@ def principal_of(
     """
     principal = optional_principal_of(request, credentials)
     if principal is None:
-        raise ServiceError(
-            ProblemCode.MISSING_CREDENTIALS, "This needs a token; send the header `Authorization: Bearer vitac_...`."
-        )
+        raise token_missing()
     return principal
 
 
@@ -48,6 +46,12 @@ def optional_principal_of(
         return tokens.authenticate(session, credentials.credentials)
 
 
+def reader_of(principal: Annotated[Principal | None, Depends(optional_principal_of)]) -> Principal:
+    """Return who reads; without a token a visitor, who may see what is public."""
+    return principal or VISITOR
+
+
 ServicesOf = Annotated[Services, Depends(services_of)]
 PrincipalOf = Annotated[Principal, Depends(principal_of)]
 OptionalPrincipalOf = Annotated[Principal | None, Depends(optional_principal_of)]
+ReaderOf = Annotated[Principal, Depends(reader_of)]

@@ -11,20 +11,24 @@ from uuid import UUID
 
 from fastapi import APIRouter, Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
+from pydantic import BaseModel, ConfigDict, Field
 from sse_starlette import EventSourceResponse, ServerSentEvent
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.accounts.principals import Principal
+from vitac.server.accounts.visibility import visible
 from vitac.server.db.states import EvaluationState
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.logs import action_matches
 from vitac.server.logs.export import export_log
+from vitac.server.services import Services
+from vitac.server.sharing import public_pages
 from vitac.server.submissions import listing, output, runs, sensors, upload
 from vitac.server.submissions.watch import watch
 from vitac.server.views.logs import ActionMatchView
 from vitac.server.views.submissions import EpisodeView, OutputView, SensorView, SubmissionListView, SubmissionView
 
 from ..limiter import UPLOADS
-from .access import PrincipalOf, ServicesOf
+from .access import PrincipalOf, ReaderOf, ServicesOf
 from .problems import RESPONSES
 from .streams import OpenStreams
 
@@ -34,6 +38,13 @@ LOG_TYPE = SubmissionKind.LOG.form.content_types[0]
 PING_S = 15
 _BINARY = {"schema": {"type": "string", "format": "binary"}}
 _BODY = {"required": True, "content": {name: _BINARY for kind in SubmissionKind for name in kind.form.content_types}}
+
+
+class Publicity(BaseModel):
+    """Who may see the result of a submission."""
+
+    model_config = ConfigDict(extra="forbid")
+    public: bool = Field(description="Everybody; else its team, judges and organizers.")
 
 
 @router.post(
@@ -101,15 +112,18 @@ def list_submissions(
 
 
 @router.get("/{submission_id}")
-def get_submission(services: ServicesOf, principal: PrincipalOf, submission_id: UUID) -> SubmissionView:
-    """Return a submission: state, place in the queue, progress, verdict, score. Another team's is answered with 404."""
+def get_submission(services: ServicesOf, principal: ReaderOf, submission_id: UUID) -> SubmissionView:
+    """Return a submission: state, place in the queue, progress, verdict, score.
+
+    One that is public and complete is for everybody; every other one of another team is answered with 404.
+    """
     with services.database.transaction() as session:
         return listing.get(session, services.settings, principal, submission_id)
 
 
 @router.get("/{submission_id}/episodes")
-def get_episodes(services: ServicesOf, principal: PrincipalOf, submission_id: UUID) -> list[EpisodeView]:
-    """Return how each finished episode ended; none for a team as long as the list is sealed (`episodes_hidden`)."""
+def get_episodes(services: ServicesOf, principal: ReaderOf, submission_id: UUID) -> list[EpisodeView]:
+    """Return how each finished episode ended, also of a public submission; none while the list is sealed."""
     with services.database.transaction() as session:
         return listing.episodes(session, principal, submission_id)
 
@@ -181,6 +195,15 @@ def get_log(
     return Response(content, media_type=LOG_TYPE, headers={"Content-Disposition": f'attachment; filename="{name}"'})
 
 
+@router.put("/{submission_id}/public")
+def put_public(services: ServicesOf, principal: PrincipalOf, submission_id: UUID, wanted: Publicity) -> SubmissionView:
+    """Let everybody see the result of a submission, once its evaluation is complete, or its team only."""
+    with services.database.transaction() as session:
+        public_pages.set_public(session, principal, submission_id, public=wanted.public)
+    with services.database.transaction() as session:
+        return listing.get(session, services.settings, principal, submission_id)
+
+
 @router.post("/{submission_id}/cancel")
 def cancel_submission(services: ServicesOf, principal: PrincipalOf, submission_id: UUID) -> SubmissionView:
     """End a queued or running evaluation. Finished episodes stay stored: uploading again takes it up."""
@@ -209,10 +232,16 @@ async def follow_submission(
 ) -> EventSourceResponse:
     """Return the submission as server-sent events: now, after each change, and `end` when its evaluation has ended."""
     # Before the stream begins, so that a foreign id is answered with 404 and not with an empty stream.
-    await run_in_threadpool(get_submission, services, principal, submission_id)
+    await run_in_threadpool(_require_own, services, principal, submission_id)
     streams = OpenStreams(services=services, limiter=request.app.state.stream_limiter)
     await streams.require_place(principal)
     return EventSourceResponse(_events(streams, principal, submission_id), ping=PING_S)
+
+
+def _require_own(services: Services, principal: Principal, submission_id: UUID) -> None:
+    """Refuse whoever may not see a submission before it is complete, also if it is public."""
+    with services.database.transaction() as session:
+        visible(session, principal, submission_id)
 
 
 async def _events(streams: OpenStreams, principal: Principal, submission_id: UUID) -> AsyncIterator[ServerSentEvent]:

@@ -2,7 +2,7 @@
 
 from datetime import timedelta
 from http import HTTPStatus
-from typing import Annotated
+from typing import Annotated, cast
 from uuid import UUID
 
 from fastapi import APIRouter, Request, Response
@@ -102,7 +102,7 @@ def get_me(services: ServicesOf, principal: PrincipalOf) -> MeView:
     with services.database.transaction() as session:
         token = session.get(ApiToken, principal.token_id)
         return MeView(
-            role=principal.role,
+            role=cast("Role", principal.role),  # a visitor without a token does not come here
             team=teams.team_view(teams.own(session, principal)) if principal.team_id is not None else None,
             token=tokens.token_view(token) if token is not None else None,
             quotas=_quotas(session, services, principal),

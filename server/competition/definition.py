@@ -76,6 +76,9 @@ class Stage(StrictModel):
     accepts: tuple[SubmissionKind, ...] = ()
     list: ListKind = Field(default=ListKind.SEALED, description="Who may know its episodes.")
     quotas: StageQuotas = StageQuotas()
+    public_pages: bool = Field(
+        default=False, description="Everybody may see the results of its submissions, unless their team says otherwise."
+    )
     qualified: Advancement | None = Field(default=None, description="Only teams that advance by this rule.")
 
     def is_open(self, now: datetime) -> bool:

@@ -1,7 +1,8 @@
 """Asks for the playback of an episode; called by the pages.
 
 A playback is computed once, whoever asks for it, and comes after all evaluations in the queue. What one team may have
-in the queue and ask for in an hour is limited, so that nobody can keep the workers busy with playbacks.
+in the queue and ask for in an hour is limited, so that nobody can keep the workers busy with playbacks. Visitors may
+ask for those of public submissions and have one such limit together.
 """
 
 import hashlib
@@ -15,7 +16,7 @@ from vitac.evaluator.playback.order import FORMAT
 from vitac.evaluator.version import evaluator_version
 
 from ..accounts.principals import Principal
-from ..accounts.visibility import sight_of, visible
+from ..accounts.visibility import sight_of
 from ..db.advisory_locks import AdvisoryLock, wait_for_turn
 from ..db.models import EpisodeResult, Playback, Shard
 from ..db.states import OPEN_PLAYBACK_STATES, PlaybackState, ShardState
@@ -25,6 +26,7 @@ from ..evaluations.history import newest_evaluation
 from ..queue.jobs import enqueue_playback
 from ..queue.workers import workers_alive
 from ..settings import Settings
+from ..sharing.public_pages import readable
 from ..views.playbacks import PlaybackView, ShownEpisodeView
 
 FAILED_KEPT = timedelta(hours=1)
@@ -37,7 +39,7 @@ def find_episode(session: Session, by: Principal, submission_id: UUID, task: str
     Raises:
         ServiceError: there is none that the principal may see.
     """
-    submission = visible(session, by, submission_id)
+    submission = readable(session, by, submission_id)
     evaluation = newest_evaluation(session, submission)
     key = EpisodeKey.of(evaluation, submission)
     wanted = (EpisodeResult.task == task, EpisodeResult.episode == number)
@@ -97,7 +99,7 @@ def playback_key(episode: EpisodeResult) -> str:
 
 def requester(by: Principal) -> str:
     """Return whose limits count what somebody asks for."""
-    return f"team:{by.team_id}" if by.team_id is not None else by.role.value
+    return f"team:{by.team_id}" if by.team_id is not None else (by.role or "visitor")
 
 
 def shown_episode(
@@ -108,7 +110,7 @@ def shown_episode(
     Raises:
         ServiceError: there is none that the principal may see.
     """
-    submission = visible(session, by, submission_id)
+    submission = readable(session, by, submission_id)
     episode = find_episode(session, by, submission_id, task, number)
     record = EpisodeRecord.model_validate(episode.record)
     playback = find_playback(session, episode)

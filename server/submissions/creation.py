@@ -16,6 +16,7 @@ from ..db.states import Quota
 from ..errors import ProblemCode, ServiceError
 from ..evaluations import lifecycle
 from ..settings import Quotas
+from ..sharing.public_pages import is_public_from_the_start
 from ..uploads.checked_upload import CheckedUpload
 from .files import add_files
 from .runs import next_run, require_machines_hold
@@ -116,6 +117,7 @@ def _find_or_add(session: Session, owner: Team, upload: CheckedUpload, stage: st
             archive_sha256=upload.archive_sha256,
             archive_bytes=upload.archive_bytes,
             manifest=upload.manifest,
+            is_public=is_public_from_the_start(session, upload.track, stage),
         )
         .on_conflict_do_nothing(
             index_elements=[

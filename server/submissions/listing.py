@@ -1,4 +1,4 @@
-"""Submissions as their team and the organizers read them: one, a page of them, the episodes of one."""
+"""Submissions as those read them who may: one, a page of them, the episodes of one."""
 
 from uuid import UUID
 
@@ -14,6 +14,7 @@ from ..db.states import EvaluationState
 from ..evaluations.episode_store import EpisodeKey
 from ..evaluations.history import histories, newest_evaluation, newest_state
 from ..settings import Settings
+from ..sharing.public_pages import readable
 from ..views.submissions import EpisodeView, SubmissionListView, SubmissionView
 from .view import submission_views
 
@@ -26,7 +27,7 @@ def get(session: Session, settings: Settings, by: Principal, submission_id: UUID
     Raises:
         ServiceError: there is none that the principal may see.
     """
-    runs = histories(session, [visible(session, by, submission_id)])
+    runs = histories(session, [readable(session, by, submission_id)])
     return submission_views(session, settings, runs, by, with_output=True)[0]
 
 
@@ -71,7 +72,7 @@ def episodes(session: Session, by: Principal, submission_id: UUID) -> list[Episo
     Raises:
         ServiceError: there is no such submission.
     """
-    return episodes_of(session, by, newest_evaluation(session, visible(session, by, submission_id)))
+    return episodes_of(session, by, newest_evaluation(session, readable(session, by, submission_id)))
 
 
 def episodes_of(session: Session, by: Principal, evaluation: Evaluation) -> list[EpisodeView]:

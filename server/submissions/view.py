@@ -54,6 +54,7 @@ def submission_views(
     rows = EvaluationRows.read(session, newest, by, with_output=with_output)
     shown = _Shown(
         evaluations=rows,
+        by=by,
         findings=findings_of(session, [found for found in newest if found.id not in rows.hidden]),
         copies=copies_among(session, [found.id for found in newest if found.submission.kind is SubmissionKind.LOG]),
         workers=fleet(session, settings),
@@ -77,6 +78,7 @@ class _Shown:
     """What submissions are shown with.
 
     Attributes:
+        by: who asks.
         evaluations: of their newest evaluations.
         findings: against logs, by evaluation, where single episodes are shown.
         copies: among logs, by evaluation.
@@ -84,6 +86,7 @@ class _Shown:
         places: of these submissions on the boards of a track.
     """
 
+    by: Principal
     evaluations: EvaluationRows
     findings: Mapping[UUID, LogFinding]
     copies: Mapping[UUID, LogCopyView]
@@ -96,6 +99,7 @@ def _view(runs: Sequence[Evaluation], shown: _Shown) -> SubmissionView:
     log_view = SERVED_KINDS[submission.kind].log_view
     finding, copy = shown.findings.get(newest.id), shown.copies.get(newest.id)
     ranks = _ranks(submission, newest, shown.places)
+    shown_runs = runs if shown.by.may_see(submission.team_id) else runs[:1]
     return SubmissionView(
         id=submission.id,
         team=team_view(submission.team),
@@ -109,8 +113,9 @@ def _view(runs: Sequence[Evaluation], shown: _Shown) -> SubmissionView:
         archive_sha256=submission.archive_sha256,
         archive_bytes=submission.archive_bytes,
         submitted_at=submission.submitted_at,
+        public=submission.is_public,
         evaluation=evaluation_view(newest, shown.workers.alive(newest.evaluator_version), shown.evaluations),
-        evaluations=[summary_view(evaluation) for evaluation in runs],
+        evaluations=[summary_view(evaluation) for evaluation in shown_runs],
         workers=_workers(submission, newest, shown),
         rank=ranks.get(None),
         task_ranks={task: place for task, place in ranks.items() if task is not None},

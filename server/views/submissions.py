@@ -37,8 +37,11 @@ class SubmissionView(View):
     archive_sha256: str
     archive_bytes: int
     submitted_at: datetime
+    public: bool = Field(description="Everybody may see its result, once its evaluation is complete.")
     evaluation: EvaluationView
-    evaluations: list[EvaluationSummaryView] = Field(description="All runs, newest first.")
+    evaluations: list[EvaluationSummaryView] = Field(
+        description="All runs, newest first; of another team's, the newest."
+    )
     workers: WorkersView
     rank: RankView | None = Field(description="On the leaderboard of all tasks together.")
     task_ranks: dict[str, RankView] = Field(description="On the leaderboards of single tasks.")

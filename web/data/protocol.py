@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Callable, Sequence
+    from collections.abc import AsyncIterator, Callable, Collection, Sequence
     from contextlib import AbstractAsyncContextManager
     from uuid import UUID
 
@@ -153,8 +153,14 @@ class PageData(Protocol):
     async def log_boards(self, track: str) -> LogBoardsView:
         """Return the verified logs and the 2025 text logs of a track."""
 
-    async def submission(self, visitor: Visitor, submission_id: UUID) -> SubmissionDetail:
-        """Return one submission with its episodes."""
+    async def submission(self, visitor: Visitor | None, submission_id: UUID) -> SubmissionDetail:
+        """Return one submission with its episodes; for None only a public one, else a token is asked for."""
+
+    async def public_among(self, submissions: Collection[UUID]) -> Collection[UUID]:
+        """Return those of some submissions that everybody may see."""
+
+    async def set_public(self, visitor: Visitor, submission_id: UUID, *, public: bool) -> None:
+        """Let everybody see the result of a submission, or its team only."""
 
     async def submissions(self, visitor: Visitor, before: UUID | None, track: str | None = None) -> SubmissionListView:
         """Return the visitor's submissions (all teams' for an organizer) older than a cursor, of a track or all."""
@@ -168,13 +174,13 @@ class PageData(Protocol):
     async def receipt(self, visitor: Visitor, submission_id: UUID) -> Receipt:
         """Return the receipt of a submission's newest result; without one the service's refusal is raised."""
 
-    async def episode(self, visitor: Visitor, place: EpisodeAddress) -> ShownEpisodeView:
+    async def episode(self, visitor: Visitor | None, place: EpisodeAddress) -> ShownEpisodeView:
         """Return a finished episode and how far its playback is."""
 
-    async def ask_for_playback(self, visitor: Visitor, place: EpisodeAddress) -> PlaybackView:
-        """Have the playback of an episode made; one too many raises the service's refusal."""
+    async def ask_for_playback(self, visitor: Visitor | None, place: EpisodeAddress, address: str) -> PlaybackView:
+        """Have the playback of an episode made for a client's address; one too many raises the service's refusal."""
 
-    async def playback_file(self, visitor: Visitor, place: EpisodeAddress, file: PlaybackFile) -> bytes:
+    async def playback_file(self, visitor: Visitor | None, place: EpisodeAddress, file: PlaybackFile) -> bytes:
         """Return a file of an episode's playback."""
 
     async def cancel(self, visitor: Visitor, submission_id: UUID) -> None:

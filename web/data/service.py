@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, TypeVar
 
 from pydantic import ValidationError
 from vitac.server.accounts import members, registration, tokens
+from vitac.server.accounts.principals import VISITOR
 from vitac.server.accounts.teams import name_key
-from vitac.server.accounts.visibility import visible
 from vitac.server.api.teams import NewTeam
 from vitac.server.competition.view import competition_view
 from vitac.server.errors import ProblemCode, ServiceError
@@ -25,6 +25,8 @@ from vitac.server.operations.state import operations
 from vitac.server.playbacks import asking, files
 from vitac.server.queue import workers
 from vitac.server.queue.workers import disk_of
+from vitac.server.sharing import public_pages
+from vitac.server.sharing.public_pages import readable
 from vitac.server.submissions import listing, output, receipts, runs, upload
 from vitac.server.submissions.view import submission_views
 
@@ -33,7 +35,7 @@ from .limits import limit_rows, size
 from .protocol import RegisteredTeam, SubmissionDetail, Visitor
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Callable, Sequence
+    from collections.abc import AsyncIterator, Callable, Collection, Sequence
     from contextlib import AbstractAsyncContextManager
     from uuid import UUID
 
@@ -71,6 +73,7 @@ class ServiceData:
     streams: OpenStreams
     registrations: WindowLimiter
     sign_ins: SignInLimiters
+    playbacks: WindowLimiter
     uploads: ConcurrencyLimiter
 
     async def visitor_with_token(self, token: str) -> Visitor | None:
@@ -142,22 +145,32 @@ class ServiceData:
         """Return the logs of a track."""
         return await self.ask(lambda session: log_boards.log_boards(session, track).view)
 
-    async def submission(self, visitor: Visitor, submission_id: UUID) -> SubmissionDetail:
+    async def submission(self, visitor: Visitor | None, submission_id: UUID) -> SubmissionDetail:
         """Return one submission with its episodes, all read in one transaction."""
-        by = visitor.principal
+        by = _principal(visitor)
 
         def detail(session: Session) -> SubmissionDetail:
-            evaluations = histories(session, [visible(session, by, submission_id)])
-            shown = evaluations[submission_id][0]
+            found = readable(session, by, submission_id)
+            evaluations = histories(session, [found])
+            shown, is_own = evaluations[submission_id][0], by.may_see(found.team_id)
             return SubmissionDetail(
                 submission=submission_views(session, self.settings, evaluations, by, with_output=True)[0],
                 episodes=listing.episodes_of(session, by, shown),
-                action_matches=action_matches.matches_of(session, by, shown),
+                action_matches=action_matches.matches_of(session, by, shown) if is_own else (),
                 episodes_with_output=output.episodes_with_output(session, by, shown),
-                past=history.past_results(session, by, shown),
+                past=history.past_results(session, by, shown) if is_own else (),
             )
 
         return await self.ask(detail)
+
+    async def public_among(self, submissions: Collection[UUID]) -> Collection[UUID]:
+        """Return those of some submissions that everybody may see."""
+        return await self.ask(lambda session: public_pages.public_among(session, submissions)) if submissions else ()
+
+    async def set_public(self, visitor: Visitor, submission_id: UUID, *, public: bool) -> None:
+        """Let everybody see the result of a submission, or its team only."""
+        by = visitor.principal
+        await self.ask(lambda session: public_pages.set_public(session, by, submission_id, public=public))
 
     async def submissions(self, visitor: Visitor, before: UUID | None, track: str | None = None) -> SubmissionListView:
         """Return a page of submissions."""
@@ -180,14 +193,16 @@ class ServiceData:
         """Return the receipt of a submission's newest result."""
         return await self.ask(lambda session: receipts.newest_receipt(session, visitor.principal, submission_id))
 
-    async def episode(self, visitor: Visitor, place: EpisodeAddress) -> ShownEpisodeView:
+    async def episode(self, visitor: Visitor | None, place: EpisodeAddress) -> ShownEpisodeView:
         """Return a finished episode."""
-        where = (place.submission_id, place.task, place.number)
-        return await self.ask(lambda session: asking.shown_episode(session, self.settings, visitor.principal, *where))
+        by, where = _principal(visitor), (place.submission_id, place.task, place.number)
+        return await self.ask(lambda session: asking.shown_episode(session, self.settings, by, *where))
 
-    async def ask_for_playback(self, visitor: Visitor, place: EpisodeAddress) -> PlaybackView:
-        """Have the playback of an episode made."""
-        by = visitor.principal
+    async def ask_for_playback(self, visitor: Visitor | None, place: EpisodeAddress, address: str) -> PlaybackView:
+        """Have the playback of an episode made; requests of visitors count for their address, too."""
+        by = _principal(visitor)
+        if visitor is None:
+            await asyncio.to_thread(self.playbacks.note, address, "playbacks from one address")
 
         def asked(session: Session) -> PlaybackView:
             episode = asking.find_episode(session, by, place.submission_id, place.task, place.number)
@@ -195,11 +210,11 @@ class ServiceData:
 
         return await self.ask(asked)
 
-    async def playback_file(self, visitor: Visitor, place: EpisodeAddress, file: PlaybackFile) -> bytes:
+    async def playback_file(self, visitor: Visitor | None, place: EpisodeAddress, file: PlaybackFile) -> bytes:
         """Return a file of an episode's playback."""
-        where = (place.submission_id, place.task, place.number)
+        by, where = _principal(visitor), (place.submission_id, place.task, place.number)
         digest = await self.ask(
-            lambda session: files.digest_of(session, asking.find_episode(session, visitor.principal, *where), file)
+            lambda session: files.digest_of(session, asking.find_episode(session, by, *where), file)
         )
         return await asyncio.to_thread(files.read, self.database, self.blobs, digest)
 
@@ -259,3 +274,8 @@ class ServiceData:
     def _run_in_transaction(self, query: Callable[[Session], ResultT]) -> ResultT:
         with self.database.transaction() as session:
             return query(session)
+
+
+def _principal(visitor: Visitor | None) -> Principal:
+    """Return who asks, for the service."""
+    return VISITOR if visitor is None else visitor.principal

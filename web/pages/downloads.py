@@ -9,16 +9,14 @@ from typing import TYPE_CHECKING
 from starlette.responses import JSONResponse, Response
 from vitac.evaluator.tracks import load_track
 
-from ..site import require_viewer, site_of
-from .submissions import as_id
+from ..site import open_to_all, site_of, viewer_of, visitor_of
+from .addresses import as_id
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from starlette.requests import Request
     from vitac.server.views.submissions import EpisodeView
-
-    from ..site import Viewer
 
 FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r")
 """How a text begins that a spreadsheet would run."""
@@ -62,28 +60,25 @@ async def leaderboard(request: Request) -> Response:
     return csv_file("-".join(filter(None, (track, stage, task or "all"))), columns, rows)
 
 
+@open_to_all
 async def episodes_csv(request: Request) -> Response:
     """Return how the episodes of a submission ended, a row for each."""
-    viewer = await require_viewer(request)
-    if isinstance(viewer, Response):
-        return viewer
-    rows = await _episodes(request, viewer)
+    rows = await _episodes(request)
     name = as_id(request.path_params["submission_id"])
     return csv_file(f"{name}-episodes", EPISODE_COLUMNS, ([*row.values()] for row in rows))
 
 
+@open_to_all
 async def episodes_json(request: Request) -> Response:
     """Return how the episodes of a submission ended, an object for each."""
-    viewer = await require_viewer(request)
-    if isinstance(viewer, Response):
-        return viewer
-    rows = await _episodes(request, viewer)
+    rows = await _episodes(request)
     return _attached(JSONResponse(rows), f"{as_id(request.path_params['submission_id'])}-episodes.json")
 
 
-async def _episodes(request: Request, viewer: Viewer) -> list[dict[str, object]]:
+async def _episodes(request: Request) -> list[dict[str, object]]:
     submission_id = as_id(request.path_params["submission_id"])
-    detail = await site_of(request).data.submission(viewer.visitor, submission_id)
+    viewer = visitor_of(await viewer_of(request))
+    detail = await site_of(request).data.submission(viewer, submission_id)
     tasks = load_track(detail.submission.track).tasks
     # A stage's own list has other starts than the track file.
     known = detail.submission.evaluation.commitment is None

@@ -13,7 +13,7 @@ from . import documentation, downloads, errors, operations, sandbox, submissions
 from .contest import competition, receipts
 from .episodes import page as episodes
 from .people import team
-from .team import comparison, output, register, sign_in, upload
+from .team import comparison, output, register, sharing, sign_in, upload
 
 if TYPE_CHECKING:
     from fastapi import FastAPI
@@ -69,6 +69,8 @@ def _router() -> APIRouter:
         ("/submissions/{submission_id}/output", output.output, "GET"),
         ("/submissions/{submission_id}/events", submissions.events, "GET"),
         ("/submissions/{submission_id}/cancel", submissions.cancel, "POST"),
+        ("/submissions/{submission_id}/public", sharing.set_public, "POST"),
+        ("/submissions/{submission_id}/preview.png", sharing.preview, "GET"),
         ("/competition", competition.competition, "GET"),
         ("/receipts", receipts.receipts, "GET"),
         ("/sandbox", sandbox.sandbox, "GET"),

@@ -5,20 +5,20 @@ from __future__ import annotations
 import asyncio
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
-from uuid import UUID
 
 from markupsafe import Markup
 from sse_starlette import EventSourceResponse, ServerSentEvent
 from starlette.responses import RedirectResponse, Response
 from vitac.evaluator.tracks import load_track
 from vitac.server.db.states import TERMINAL_EVALUATION_STATES, EvaluationState
-from vitac.server.errors import not_found
 
 from ..rendering import render
 from ..session.forms import read_form
-from ..site import page, require_form_token, require_viewer, site_of, viewer_of
+from ..site import open_to_all, page, require_form_token, require_viewer, site_of, viewer_of, visitor_of
+from .addresses import as_id
 from .episodes.map import episode_map
 from .team.figures import episode_figures, history_figures
+from .team.sharing import shared
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Sequence
@@ -61,11 +61,10 @@ async def submissions(request: Request) -> Response:
     )
 
 
+@open_to_all
 async def submission(request: Request) -> Response:
-    """Show one submission; the page updates itself while the evaluation runs."""
-    viewer = await require_viewer(request)
-    if isinstance(viewer, Response):
-        return viewer
+    """Show one submission, a public one to everybody; the page updates itself while the evaluation runs."""
+    viewer = await viewer_of(request)
     values = await _values(request, viewer)
     refresh = request.query_params.get("refresh") != "off"
     plots, history = _plots(request, values)
@@ -73,7 +72,7 @@ async def submission(request: Request) -> Response:
         request,
         "submission.html",
         viewer=viewer,
-        section="/submissions",
+        section="/submissions" if values["is_own"] else "",
         refresh=refresh,
         plots=plots,
         history=history,
@@ -137,12 +136,14 @@ async def _views(request: Request) -> AsyncIterator[ServerSentEvent]:
     yield ServerSentEvent(event="end", data="")
 
 
-async def _values(request: Request, viewer: Viewer) -> dict[str, Any]:
+async def _values(request: Request, viewer: Viewer | None) -> dict[str, Any]:
     submission_id = as_id(request.path_params["submission_id"])
-    detail = await site_of(request).data.submission(viewer.visitor, submission_id)
+    detail = await site_of(request).data.submission(visitor_of(viewer), submission_id)
     found = detail.submission
     track = load_track(found.track)
     return {
+        "is_own": viewer is not None and viewer.may_see(found.team.name),
+        "shared": shared(request, viewer, found, track.title),
         "submission": found,
         "track": track,
         "episodes": detail.episodes,
@@ -172,21 +173,6 @@ def task_part(site: Site, found: SubmissionView, task: str, ends: Sequence[Episo
         score=next((score for score in evaluation.scores if score.task == task), None),
         rank=found.task_ranks.get(task),
     )
-
-
-def as_id(text: str) -> UUID:
-    """Return the id in an address.
-
-    Raises:
-        ServiceError: it is not an id, so there is no such submission.
-    """
-    try:
-        found = UUID(text)
-    except ValueError as error:
-        raise not_found("submission", text) from error
-    if str(found) != text.lower():  # UUID also reads braces and digits of other scripts
-        raise not_found("submission", text)
-    return found
 
 
 def seconds_taken(found: SubmissionView) -> float | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Protocol, TypeVar
 from urllib.parse import urlencode
 
@@ -17,7 +18,7 @@ from ..site import Tab, page, site_of, viewer_of
 from .paging import board_page
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable, Mapping, Sequence
+    from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
     from uuid import UUID
 
     from starlette.requests import Request
@@ -38,6 +39,10 @@ class Entry(Protocol):
     @property
     def evaluation_id(self) -> UUID:
         """What it shows; that never changes."""
+
+    @property
+    def submission_id(self) -> UUID:
+        """What its link leads to."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,6 +106,9 @@ async def logs(request: Request) -> Response:
     track = _track(request.path_params["track"])
     site, viewer = site_of(request), await viewer_of(request)
     found = await site.data.log_boards(track.name)
+    shown = [entry.submission_id for board in found.boards for entry in board.entries]
+    public = await site.data.public_among([*shown, *(entry.submission_id for entry in found.text_logs)])
+    rows = partial(_rows, request, viewer, public)
     return page(
         request,
         "logs.html",
@@ -110,12 +118,10 @@ async def logs(request: Request) -> Response:
         tabs=tabs(track, None, logs=True),
         found=found,
         rows={
-            board.task: _rows(
-                request, viewer, "log_row.html", board.entries, of=lambda entry: (entry.rank, entry.copy_of)
-            )
+            board.task: rows("log_row.html", board.entries, of=lambda entry: (entry.rank, entry.copy_of))
             for board in found.boards
         },
-        text_log_rows=_rows(request, viewer, "text_log_row.html", found.text_logs),
+        text_log_rows=rows("text_log_row.html", found.text_logs),
     )
 
 
@@ -213,6 +219,7 @@ async def _leaderboard(request: Request, name: str) -> Response:
     viewer = await viewer_of(request)
     query = board_query(task, stage)
     shown = board_page(request, f"/tracks/{name}{query}", board.entries, viewer.name if viewer else None)
+    public = await site.data.public_among([entry.submission_id for entry in shown.entries])
     counted = list(track.tasks.values()) if task is None else [track.tasks[task]]
     return page(
         request,
@@ -222,7 +229,7 @@ async def _leaderboard(request: Request, name: str) -> Response:
         board=board,
         query=query,
         shown=shown,
-        table=_table(request, board, track, viewer, shown.entries),
+        table=_table(request, board, viewer, public, shown.entries),
         dates=_dates(request, board, viewer),
         track=track,
         tabs=tabs(track, task, stage=stage),
@@ -253,17 +260,20 @@ def _dates(request: Request, board: LeaderboardView, viewer: Viewer | None) -> M
 def _table(
     request: Request,
     board: LeaderboardView,
-    track: Track,
     viewer: Viewer | None,
+    public: Collection[UUID],
     entries: Sequence[LeaderboardEntryView],
 ) -> Markup:
-    """Return entries as a table."""
+    """Return entries as a table; the public ones are links for everybody."""
+    track = _track(board.track)
     shown, combined = columns(track, board.task), _is_combined(track, board.task)
 
     def values(entry: LeaderboardEntryView) -> dict[str, object]:
         return {"combined": combined, "columns": shown, "cells": cells(shown, entry)}
 
-    rows = _rows(request, viewer, "leaderboard_row.html", entries, values, of=lambda entry: (board.task, entry.rank))
+    rows = _rows(
+        request, viewer, public, "leaderboard_row.html", entries, values, of=lambda entry: (board.task, entry.rank)
+    )
     return Markup(  # noqa: S704 - a rendered template, whose values are escaped
         render("leaderboard_table.html", request, board=board, combined=combined, columns=shown, rows=rows)
     )
@@ -272,6 +282,7 @@ def _table(
 def _rows(
     request: Request,
     viewer: Viewer | None,
+    public: Collection[UUID],
     template: str,
     entries: Sequence[EntryT],
     values: Callable[[EntryT], Mapping[str, object]] = lambda _: {},
@@ -283,6 +294,7 @@ def _rows(
     Args:
         request: the request being answered.
         viewer: who sees them.
+        public: submissions that everybody may see.
         template: of a row.
         entries: each with what identifies it.
         values: what the template shows of an entry beside it.
@@ -293,7 +305,7 @@ def _rows(
 
     def row(entry: EntryT) -> Markup:
         own = name == entry.team
-        linked = viewer is not None and viewer.may_see(entry.team)
+        linked = entry.submission_id in public or (viewer is not None and viewer.may_see(entry.team))
         return fragments.get(
             (template, of(entry), entry.evaluation_id, own, linked),
             lambda: render(template, request, entry=entry, own=own, linked=linked, **values(entry)),

@@ -4,7 +4,7 @@ from datetime import datetime
 from typing import Any
 from uuid import UUID, uuid4
 
-from sqlalchemy import BigInteger, CheckConstraint, ForeignKey, Index, String, func, text
+from sqlalchemy import BigInteger, CheckConstraint, ForeignKey, Index, String, false, func, text
 from sqlalchemy.orm import Mapped, mapped_column, relationship
 from vitac.evaluator.submission_kinds import SubmissionKind
 
@@ -17,7 +17,7 @@ class Submission(Base):
     """One upload. The same content from the same team for the same stage of a track is the same submission.
 
     `stage` is empty outside a competition. `merged_from` is the team that had made it, where its present team had
-    the same content already when the two were merged.
+    the same content already when the two were merged. `is_public` says whether everybody may see its result.
     """
 
     __tablename__ = "submissions"
@@ -51,6 +51,7 @@ class Submission(Base):
     manifest: Mapped[dict[str, Any]]
     submitted_at: Mapped[datetime] = mapped_column(server_default=func.now())
     merged_from: Mapped[UUID | None]
+    is_public: Mapped[bool] = mapped_column(default=False, server_default=false())
     team: Mapped[Team] = relationship()
 
 

@@ -71,6 +71,7 @@ def make_principal(session: Session, team: str = "Team A") -> Principal:
 
 def make_secret(session: Session, principal: Principal) -> str:
     owner = teams.own(session, principal) if principal.team_id is not None else None
+    assert principal.role is not None
     return tokens.issue(session, CONSOLE, role=principal.role, label="test", team=owner, lifetime=None).secret
 
 

@@ -1,7 +1,7 @@
 """Views with made-up but consistent numbers, and a service that answers the pages with them; imported by page tests."""
 
 import random
-from collections.abc import AsyncIterator, Callable, Sequence
+from collections.abc import AsyncIterator, Callable, Collection, Sequence
 from contextlib import AbstractAsyncContextManager, nullcontext
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
@@ -23,7 +23,7 @@ from vitac.evaluator.tracks import ListKind, load_track
 from vitac.server.accounts.principals import Principal
 from vitac.server.api import problems
 from vitac.server.db.states import EvaluationState, Role, WorkerState
-from vitac.server.errors import ProblemCode, ServiceError, not_found
+from vitac.server.errors import ProblemCode, ServiceError, not_found, token_missing
 from vitac.server.playbacks.files import PlaybackFile
 from vitac.server.queue.workers import Disk
 from vitac.server.receipts.receipt import Receipt
@@ -244,6 +244,7 @@ def a_submission(
         archive_sha256="00" * 32,
         archive_bytes=1234,
         submitted_at=NOW,
+        public=False,
         evaluation=evaluation,
         evaluations=[summary],
         workers=WorkersView(alive=workers, last_heartbeat_at=NOW),
@@ -570,18 +571,28 @@ class FixedData(FixedPlaybacks):
     async def log_boards(self, track: str) -> LogBoardsView:
         return self.logs
 
-    async def submission(self, visitor: Visitor, submission_id: UUID) -> SubmissionDetail:
+    async def public_among(self, submissions: Collection[UUID]) -> frozenset[UUID]:
+        return frozenset(found.id for found in self.found if found.public and found.id in submissions)
+
+    async def set_public(self, visitor: Visitor, submission_id: UUID, *, public: bool) -> None:
+        await self.submission(visitor, submission_id)
+        self.found = [
+            found.model_copy(update={"public": public}) if found.id == submission_id else found for found in self.found
+        ]
+
+    async def submission(self, visitor: Visitor | None, submission_id: UUID) -> SubmissionDetail:
         for submission in self.found:
-            if submission.id == submission_id and visitor.may_see(submission.team.name):
+            is_own = visitor is not None and visitor.may_see(submission.team.name)
+            if submission.id == submission_id and (is_own or submission.public):
                 progress = submission.evaluation.progress
                 return SubmissionDetail(
                     submission=submission,
                     episodes=[end for task in progress.tasks for end in some_episodes(task.task, task.episodes_done)],
                     action_matches=self.matches if submission.log else [],
-                    episodes_with_output=len(self.printed),
-                    past=self.past,
+                    episodes_with_output=len(self.printed) if is_own else 0,
+                    past=self.past if is_own else [],
                 )
-        raise not_found("submission", submission_id)
+        raise token_missing() if visitor is None else not_found("submission", submission_id)
 
     async def submissions(self, visitor: Visitor, before: UUID | None, track: str | None = None) -> SubmissionListView:
         seen = [submission for submission in self.found if visitor.may_see(submission.team.name)]
@@ -603,15 +614,15 @@ class FixedData(FixedPlaybacks):
         await self.submission(visitor, submission_id)
         return a_receipt()
 
-    async def episode(self, visitor: Visitor, place: EpisodeAddress) -> ShownEpisodeView:
+    async def episode(self, visitor: Visitor | None, place: EpisodeAddress) -> ShownEpisodeView:
         await self.submission(visitor, place.submission_id)
         return self.shown_at(place)
 
-    async def ask_for_playback(self, visitor: Visitor, place: EpisodeAddress) -> PlaybackView:
+    async def ask_for_playback(self, visitor: Visitor | None, place: EpisodeAddress, address: str) -> PlaybackView:
         await self.submission(visitor, place.submission_id)
         return self.ask_at(place)
 
-    async def playback_file(self, visitor: Visitor, place: EpisodeAddress, file: PlaybackFile) -> bytes:
+    async def playback_file(self, visitor: Visitor | None, place: EpisodeAddress, file: PlaybackFile) -> bytes:
         await self.submission(visitor, place.submission_id)
         return self.file_at(place, file)
 

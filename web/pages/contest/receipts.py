@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from starlette.responses import Response
 
 from ...site import page, require_viewer, site_of, viewer_of
-from ..submissions import as_id
+from ..addresses import as_id
 
 if TYPE_CHECKING:
     from starlette.requests import Request

@@ -12,13 +12,14 @@ from starlette.responses import JSONResponse, RedirectResponse, Response
 from vitac.evaluator.tracks import load_track
 from vitac.server.db.states import OPEN_PLAYBACK_STATES, PlaybackState
 from vitac.server.errors import ServiceError
+from vitac.server.limiter import client_key
 from vitac.server.playbacks.files import PlaybackFile
 
 from ...data.protocol import EpisodeAddress
 from ...rendering import STATIC, words
 from ...session.forms import read_form
-from ...site import page, require_form_token, require_viewer, site_of
-from ..submissions import as_id
+from ...site import open_to_all, page, require_form_token, site_of, viewer_of, visitor_of
+from ..addresses import as_id
 
 if TYPE_CHECKING:
     from starlette.requests import Request
@@ -61,11 +62,10 @@ class Player:
         return "" if self.shown.playback is None else progress(self.shown.playback)
 
 
+@open_to_all
 async def episode(request: Request) -> Response:
     """Show an episode, beside another one if the address names one; nothing is computed by looking."""
-    viewer = await require_viewer(request)
-    if isinstance(viewer, Response):
-        return viewer
+    viewer = await viewer_of(request)
     place = _place(request)
     players = [await _player(request, viewer, place)]
     beside = request.query_params.get("beside", "").strip()
@@ -76,7 +76,7 @@ async def episode(request: Request) -> Response:
         request,
         "episode.html",
         viewer=viewer,
-        section="/submissions",
+        section="" if viewer is None else "/submissions",
         players=players,
         beside=beside,
         title=f"{task.title}, episode {place.number}",
@@ -87,42 +87,41 @@ async def episode(request: Request) -> Response:
     )
 
 
+@open_to_all
 async def ask(request: Request) -> Response:
-    """Ask for the playback of an episode."""
-    viewer = await require_viewer(request)
-    if isinstance(viewer, Response):
-        return viewer
+    """Ask for the playback of an episode; for a public one a visitor may, too, who has no session and so no token."""
+    viewer = await viewer_of(request)
     fields = await read_form(request)
-    require_form_token(request, fields, viewer)
+    if viewer is not None:
+        require_form_token(request, fields, viewer)
     place = _place(request)
-    asked = await site_of(request).data.ask_for_playback(viewer.visitor, place)
+    address = client_key(request.client.host if request.client is not None else None)
+    asked = await site_of(request).data.ask_for_playback(visitor_of(viewer), place, address)
     if "text/html" not in request.headers.get("accept", ""):
         return _state(asked)
     beside = fields.get("beside", "")
     return RedirectResponse(f"{_address(place)}?beside={beside}" if _is_place(beside) else _address(place), 303)
 
 
+@open_to_all
 async def playback(request: Request) -> Response:
     """Answer how far a playback is, as JSON, for the page's script."""
-    viewer = await require_viewer(request)
-    if isinstance(viewer, Response):
-        return viewer
-    shown = await site_of(request).data.episode(viewer.visitor, _place(request))
+    viewer = await viewer_of(request)
+    shown = await site_of(request).data.episode(visitor_of(viewer), _place(request))
     if shown.playback is None:
         raise HTTPException(404)
     return _state(shown.playback)
 
 
+@open_to_all
 async def playback_file(request: Request) -> Response:
     """Answer with a file of a playback; under its key it never changes."""
-    viewer = await require_viewer(request)
-    if isinstance(viewer, Response):
-        return viewer
+    viewer = await viewer_of(request)
     try:
         file = PlaybackFile(request.path_params["file"])
     except ValueError as error:
         raise HTTPException(404) from error
-    content = await site_of(request).data.playback_file(viewer.visitor, _place(request), file)
+    content = await site_of(request).data.playback_file(visitor_of(viewer), _place(request), file)
     is_named = "v" in request.query_params
     headers = {
         "Cache-Control": f"private, max-age={ONE_YEAR_S}, immutable" if is_named else "no-cache",
@@ -155,8 +154,8 @@ def player_script() -> str | None:
     return PLAYER if (STATIC / PLAYER).is_file() else None
 
 
-async def _player(request: Request, viewer: Viewer, place: EpisodeAddress) -> Player:
-    return Player(address=_address(place), shown=await site_of(request).data.episode(viewer.visitor, place))
+async def _player(request: Request, viewer: Viewer | None, place: EpisodeAddress) -> Player:
+    return Player(address=_address(place), shown=await site_of(request).data.episode(visitor_of(viewer), place))
 
 
 def _state(found: PlaybackView) -> JSONResponse:

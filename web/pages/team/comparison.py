@@ -8,8 +8,8 @@ from starlette.responses import Response
 from vitac.evaluator.scoring.comparison import NothingToCompare, compare
 
 from ...site import page, require_viewer, site_of
+from ..addresses import as_id
 from ..downloads import csv_file
-from ..submissions import as_id
 
 if TYPE_CHECKING:
     from starlette.requests import Request

@@ -9,7 +9,7 @@ from starlette.responses import Response
 from vitac.evaluator.tracks import load_track
 
 from ...site import Tab, page, require_viewer, site_of
-from ..submissions import as_id
+from ..addresses import as_id
 
 if TYPE_CHECKING:
     from starlette.requests import Request

@@ -1,7 +1,7 @@
 """Who may call which route: one table over all routes of the API's description, tried whole."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import timedelta
 from enum import StrEnum
 from typing import Any
@@ -73,6 +73,7 @@ MATRIX: dict[tuple[str, str], frozenset[Who]] = {
     ("get", f"{SUBMISSION}/log"): READERS,
     ("get", f"{SUBMISSION}/receipts"): READERS,
     ("get", f"{SUBMISSION}/events"): READERS,
+    ("put", f"{SUBMISSION}/public"): CHANGERS,
     ("post", f"{SUBMISSION}/cancel"): CHANGERS,
     ("post", f"{SUBMISSION}/requeue"): frozenset({Who.ORGANIZER}),
     ("options", "/api/v1/uploads"): EVERYBODY,
@@ -84,6 +85,14 @@ MATRIX: dict[tuple[str, str], frozenset[Who]] = {
     ("post", f"{MEMBER}/token"): CHANGERS,  # last: from then on the shared token no longer leads the team
 }
 """Who gets an answer of the route about a thing of the team OWNER. All others: 401 without a token, else 403 or 404."""
+
+FOR_EVERYBODY_IF_PUBLIC = {("get", SUBMISSION), ("get", f"{SUBMISSION}/episodes")}
+OF_A_PUBLIC_SUBMISSION = {
+    (method, path): EVERYBODY if (method, path) in FOR_EVERYBODY_IF_PUBLIC else allowed
+    for (method, path), allowed in MATRIX.items()
+    if path.startswith(SUBMISSION)
+}
+"""The same of the routes of one submission when it is public."""
 
 REFUSED = {401, 403, 404}
 UPLOAD_HEADERS = {"Tus-Resumable": "1.0.0"}
@@ -97,6 +106,7 @@ class Setting:
     service: Service
     submission_id: str
     tokens: dict[Who, str | None]
+    is_public: bool = False
 
     def ask(self, method: str, path: str, who: Who) -> int:
         """Status of a request that would succeed for whoever may make it."""
@@ -176,6 +186,7 @@ BODIES: dict[tuple[str, str], Options] = {
     ("post", f"{TEAM}/merge"): lambda setting, _: {"json": {"into": setting.new_team()}},
     ("put", f"{TEAM}/captain"): lambda setting, _: {"json": {"member_id": setting.captain()}},
     ("patch", MEMBER): lambda *_: {"json": {"email": "ann@example.org"}},
+    ("put", f"{SUBMISSION}/public"): lambda setting, _: {"json": {"public": setting.is_public}},
     ("post", "/api/v1/tokens"): lambda *_: {"json": {"label": "new"}},
     ("post", "/api/v1/submissions"): lambda _, who: {
         "content": make_archive(),
@@ -231,14 +242,22 @@ def test_every_route_has_an_entry_and_every_entry_a_route(service: Service) -> N
 
 @pytest.mark.parametrize("who", Who)
 def test_a_role_gets_exactly_what_the_matrix_gives_it(setting: Setting, who: Who) -> None:
+    assert wrong_answers(setting, MATRIX, who) == []
+    if who in {Who.VISITOR, Who.OTHER}:  # who have not changed the submission until here
+        public = replace(setting, is_public=True)
+        assert public.ask("put", f"{SUBMISSION}/public", Who.OWNER) == 200
+        assert wrong_answers(public, OF_A_PUBLIC_SUBMISSION, who) == []
+
+
+def wrong_answers(setting: Setting, matrix: dict[tuple[str, str], frozenset[Who]], who: Who) -> list[str]:
     wrong = []
-    for (method, path), allowed in MATRIX.items():
+    for (method, path), allowed in matrix.items():
         status = setting.ask(method, path, who)
         is_refused = status in ({401} if who is Who.VISITOR else REFUSED)
         is_answered = status not in REFUSED and status < 500
         if not (is_answered if who in allowed else is_refused):
             wrong.append(f"{method} {path}: {status}")
-    assert wrong == []
+    return wrong
 
 
 def test_a_judge_reads_all_teams_submissions_and_no_tokens(setting: Setting) -> None:

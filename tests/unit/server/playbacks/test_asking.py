@@ -4,18 +4,19 @@ from typing import Any
 
 import pytest
 from asked_playbacks import SETTINGS, Played, played
-from service_factories import TASK, make_principal
+from service_factories import TASK, make_principal, make_score, submit_scored
 from sqlalchemy import text, update
 from vitac.evaluator.tracks import ListKind, load_track
 from vitac.server.accounts import visibility
-from vitac.server.accounts.principals import CONSOLE, Principal
+from vitac.server.accounts.principals import CONSOLE, VISITOR, Principal
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Playback, Shard
 from vitac.server.db.states import PlaybackState, Role, ShardState
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.playbacks import asking
-from vitac.server.playbacks.asking import find_episode, playback_key, playback_view, requester
+from vitac.server.playbacks.asking import ask, find_episode, playback_key, playback_view, requester
 from vitac.server.queue.jobs import MAKE_PLAYBACK, RUN_SHARD
+from vitac.server.sharing.public_pages import set_public
 
 JUDGE = Principal(role=Role.JUDGE)
 
@@ -136,6 +137,26 @@ def test_organizers_have_no_limit(team_a: Played) -> None:
     assert requester(CONSOLE) == "organizer"
     assert requester(team_a.by) == f"team:{team_a.by.team_id}"
     assert requester(JUDGE) == "judge"
+
+
+def test_visitors_ask_for_playbacks_of_public_submissions_and_have_one_limit_together(team_a: Played) -> None:
+    with team_a.database.transaction() as session:
+        public = submit_scored(session, team_a.by, "public", {TASK: make_score(80)})
+        set_public(session, team_a.by, public.id, public=True)
+    with pytest.raises(ServiceError) as refused:
+        team_a.ask(1, by=VISITOR)
+    assert refused.value.code is ProblemCode.MISSING_CREDENTIALS
+    for by, number in ((VISITOR, 1), (VISITOR, 2), (team_a.by, 3)):
+        with team_a.database.transaction() as session:
+            episode = find_episode(session, team_a.by, team_a.submission.id, TASK, number)
+            settings = SETTINGS.model_copy(update={"playbacks_at_once": 2})
+            assert ask(session, settings, by, episode).asked_by == requester(by)
+    with team_a.database.transaction() as session, pytest.raises(ServiceError) as too_many:
+        ask(session, settings, VISITOR, find_episode(session, team_a.by, team_a.submission.id, TASK, 4))
+    assert too_many.value.code is ProblemCode.TOO_MANY_REQUESTS
+    with team_a.database.transaction() as session, pytest.raises(ServiceError) as missing:
+        find_episode(session, VISITOR, public.id, TASK, 1)
+    assert missing.value.code is ProblemCode.NOT_FOUND, "it is public, but has no such episode"
 
 
 def test_a_failed_one_is_tried_again_after_an_hour(team_a: Played) -> None:

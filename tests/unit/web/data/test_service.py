@@ -36,6 +36,7 @@ def test_a_submission_with_all_that_its_page_shows_is_read_by_few_statements_of_
         streams=UNUSED,
         registrations=UNUSED,
         sign_ins=UNUSED,
+        playbacks=UNUSED,
         uploads=UNUSED,
     )
     visitor = Visitor(principal=team, token_id=UNUSED)

@@ -11,7 +11,7 @@ def test_a_complete_submission_has_plots_with_tables(data: FixedData, browser: A
     for key in (f"offsets-{TASK}-cuboid", f"offsets-{LOCK}-key4", f"shapes-{TASK}", f"steps-{LOCK}"):
         assert f'<figcaption id="{key}">' in html
         assert f'aria-labelledby="{key}"' in html
-    assert html.count("<figure") == html.count("<details>") == 3 + 4 + 2 + 2
+    assert html.count("<figure") == html.count("<summary>Table") == 3 + 4 + 2 + 2
     assert "style=" not in html
 
 

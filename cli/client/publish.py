@@ -1,0 +1,31 @@
+"""`vitac publish`: makes the result of a submission public, or private again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ..terminal.output import print_json
+from .http import client_from
+
+
+def command(
+    submission: Annotated[str, typer.Argument(help="Id of a submission.")],
+    off: Annotated[bool, typer.Option("--off", help="Make it private again.")] = False,
+    server: Annotated[str | None, typer.Option(help="Address of the service; default: VITAC_SERVER.")] = None,
+    token_file: Annotated[Path | None, typer.Option(help="File with the API token; default: VITAC_TOKEN.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the service's answer as JSON.")] = False,
+) -> None:
+    """Let everybody see the page of a submission: score, episodes and playbacks, nothing that the policy printed."""
+    client = client_from(server, token_file)
+    found = client.set_public(submission, public=not off)
+    if as_json:
+        print_json(found)
+    elif not found["public"]:
+        print("private: only your team, judges and organizers see it")
+    elif found["evaluation"]["state"] != "completed":
+        print(f"public as soon as its evaluation is complete: {client.server}/submissions/{found['id']}")
+    else:
+        print(f"public: {client.server}/submissions/{found['id']}")

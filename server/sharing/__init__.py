@@ -1,0 +1,1 @@
+"""Results that everybody may see: a team makes its submission public, or the rules of a stage do."""

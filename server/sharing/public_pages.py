@@ -1,0 +1,81 @@
+"""Which submissions everybody may see, and their team's say in it; called by API, pages and playbacks.
+
+A public submission is shown to others when its newest evaluation is complete: nobody else sees it wait, run or fail.
+"""
+
+from collections.abc import Collection
+from uuid import UUID
+
+from sqlalchemy import or_, select
+from sqlalchemy.orm import Session, joinedload
+
+from ..accounts.audit import record
+from ..accounts.principals import VISITOR, Principal
+from ..accounts.visibility import changeable
+from ..competition.schedule import NO_STAGE, boards_stand_since, current
+from ..db.models import Evaluation, Submission, Team
+from ..db.states import EvaluationState
+from ..errors import not_found, token_missing
+from ..evaluations.history import newest_state, of_newest
+
+
+def readable(session: Session, by: Principal, submission_id: UUID) -> Submission:
+    """Return the submission of that id for somebody who reads its result; a public one is for everybody.
+
+    Raises:
+        ServiceError: there is none that the principal may see; visitors are asked for a token, whatever there is.
+    """
+    submission = session.get(Submission, submission_id, options=[joinedload(Submission.team)])
+    if submission is not None and (by.may_see(submission.team_id) or public_among(session, [submission.id])):
+        return submission
+    raise token_missing() if by == VISITOR else not_found("submission", submission_id)
+
+
+def public_among(session: Session, submissions: Collection[UUID]) -> frozenset[UUID]:
+    """Return those of some submissions that everybody may see.
+
+    Left out are those of disqualified teams, and, while boards are frozen, results that these do not show.
+    """
+    query = (
+        select(Submission.id)
+        .join(Team)
+        .where(
+            Submission.id.in_(submissions),
+            Submission.is_public,
+            Team.disqualified_at.is_(None),
+            newest_state() == EvaluationState.COMPLETED,
+        )
+    )
+    frozen_at = boards_stand_since(session)
+    if frozen_at is not None:
+        query = query.where(or_(Submission.stage == NO_STAGE, of_newest(Evaluation.finished_at) <= frozen_at))
+    return frozenset(session.scalars(query))
+
+
+def set_public(session: Session, by: Principal, submission_id: UUID, *, public: bool) -> None:
+    """Let everybody see the result of a submission, or its team only.
+
+    Raises:
+        ServiceError: there is no such submission, or it may only be read.
+    """
+    submission = changeable(session, by, submission_id)
+    session.execute(select(Submission.id).where(Submission.id == submission.id).with_for_update(key_share=True))
+    session.refresh(submission, ["is_public"])
+    if submission.is_public == public:
+        return
+    submission.is_public = public
+    record(
+        session,
+        by,
+        "submission.publish" if public else "submission.unpublish",
+        f"submission:{submission.id}",
+        {"public": public},
+        before={"public": not public},
+    )
+
+
+def is_public_from_the_start(session: Session, track: str, stage: str) -> bool:
+    """Return what the competition says of the submissions of a stage; outside of one they are the team's own."""
+    competition = current(session) if stage else None
+    found = competition.stage(track, stage) if competition else None
+    return found is not None and found.public_pages

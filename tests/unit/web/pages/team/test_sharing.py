@@ -1,0 +1,112 @@
+import re
+
+import pytest
+from asgi_browser import AsgiBrowser
+from page_fixtures import LOCK, MADE_UP_SCORES, TASK, FixedData, a_leaderboard, an_application, an_entry, an_id
+from played_episodes import a_shown_episode
+from visits import BEARS, BOTH, COMPLETED, GELBOTS, RUNNING, form_token, sign_in
+from vitac.server.views.submissions import EpisodeOutputView
+
+PAGE = f"/submissions/{COMPLETED.id}"
+
+
+@pytest.fixture
+def public(data: FixedData) -> FixedData:
+    """The same, with one submission that everybody may see."""
+    data.found = [found.model_copy(update={"public": found.id == COMPLETED.id}) for found in data.found]
+    data.printed = [EpisodeOutputView(task=TASK, episode=1, outcome="success", output="a secret")]
+    return data
+
+
+@pytest.mark.usefixtures("public")
+def test_everybody_sees_the_result_and_nothing_of_the_team(browser: AsgiBrowser) -> None:
+    for reader in ("nobody", "Bears"):
+        if reader == "Bears":
+            sign_in(browser, reader)
+        html = browser.get(PAGE).text.replace("\N{NO-BREAK SPACE}", " ")
+        for shown in ("86.7 %", "Outcome by start offset", "episodes.csv", "Cite this result", "@misc{vitac_"):
+            assert shown in html
+        for hidden in (
+            "Make it private",
+            "Submissions so far",
+            "/compare",
+            "/output",
+            "/api/v1/submissions/",
+            "Cancel",
+        ):
+            assert hidden not in html, hidden
+        assert f'<a href="/tracks/{COMPLETED.track}">' in html
+        assert browser.get(f"{PAGE}/episodes.csv").text.startswith("task,episode,shape")
+        assert len(browser.get(f"{PAGE}/episodes.json").json()) == 270
+
+
+@pytest.mark.usefixtures("public")
+def test_what_is_private_and_what_is_not_there_look_alike(browser: AsgiBrowser) -> None:
+    for path in (f"/submissions/{BOTH.id}", f"/submissions/{an_id('nobody')}"):
+        for part in ("", "/preview.png", "/episodes.csv", "/episodes.json", f"/episodes/{TASK}/5"):
+            answer = browser.get(path + part)
+            assert answer.status_code == 303
+            assert answer.headers["location"].startswith("/sign-in?next=")
+    for part in ("/output", "/compare", "/events"):
+        assert browser.get(PAGE + part).status_code in {204, 303}, part
+    sign_in(browser, "Bears")
+    for part in ("", "/episodes.csv", f"/episodes/{TASK}/5"):
+        assert browser.get(f"/submissions/{BOTH.id}{part}").status_code == 404
+
+
+def test_a_link_is_shown_with_a_picture_once_it_is_public(public: FixedData) -> None:
+    browser = AsgiBrowser(an_application(public))
+    html = browser.get(PAGE).text
+    named = dict(re.findall(r'<meta property="og:(\w+)" content="([^"]*)">', html))
+    assert named["url"] == f"http://testserver{PAGE}"
+    assert named["image"] == f"http://testserver{PAGE}/preview.png"
+    assert named["title"] == "done · Gelbots"
+    picture = browser.get(f"{PAGE}/preview.png")
+    assert picture.headers["content-type"] == "image/png"
+    assert picture.headers["cache-control"] == "public, max-age=300"
+    assert picture.headers["cross-origin-resource-policy"] == "cross-origin"
+    assert picture.content.startswith(b"\x89PNG")
+    again = browser.get(f"{PAGE}/preview.png", headers={"if-none-match": picture.headers["etag"]})
+    assert again.status_code == 304
+    sign_in(browser, "Gelbots")
+    assert "og:image" not in browser.get(f"/submissions/{BOTH.id}").text
+
+
+def test_a_team_makes_its_submission_public_and_private_by_a_button(data: FixedData, browser: AsgiBrowser) -> None:
+    sign_in(browser, "Gelbots")
+    assert "Make it public" in browser.get(PAGE).text
+    assert browser.post(f"{PAGE}/public", data={"public": "yes"}).status_code == 403
+    for public, button in (("yes", "Make it private"), ("no", "Make it public")):
+        answer = browser.post(f"{PAGE}/public", data={"public": public, "form_token": form_token(browser)})
+        assert (answer.status_code, answer.headers["location"]) == (303, f"{PAGE}#sharing")
+        assert button in browser.get(PAGE).text
+        assert [found.public for found in data.found if found.id == COMPLETED.id] == [public == "yes"]
+    browser.post(f"/submissions/{RUNNING.id}/public", data={"public": "yes", "form_token": form_token(browser)})
+    assert "as soon as the evaluation is complete" in browser.get(f"/submissions/{RUNNING.id}").text
+    assert AsgiBrowser(an_application(data)).post(f"{PAGE}/public", data={"public": "yes"}).status_code == 303
+
+
+def test_a_visitor_watches_an_episode_and_asks_for_its_playback(public: FixedData, browser: AsgiBrowser) -> None:
+    address = public.show(COMPLETED.id, a_shown_episode())
+    assert "Make the playback" in browser.get(address).text
+    asked = browser.post(f"{address}/playback", data={"beside": ""})
+    assert (asked.status_code, asked.headers["location"]) == (303, address)
+    assert len(public.asked) == 1
+    hidden = public.show(BOTH.id, a_shown_episode())
+    assert browser.post(f"{hidden}/playback", data={"beside": ""}).headers["location"].startswith("/sign-in")
+    assert len(public.asked) == 1
+    sign_in(browser, "Bears")
+    assert browser.post(f"{address}/playback", data={"beside": ""}).status_code == 403, (
+        "who is signed in has a token to send"
+    )
+
+
+def test_boards_link_public_results_for_everybody(public: FixedData, browser: AsgiBrowser) -> None:
+    scores = (MADE_UP_SCORES[TASK], MADE_UP_SCORES[LOCK])
+    ours = an_entry(1, "Gelbots", *scores).model_copy(update={"submission_id": COMPLETED.id})
+    theirs = an_entry(2, "Bears", *scores)
+    public.board = a_leaderboard(ours, theirs)
+    html = browser.get("/tracks/track_1").text
+    assert f'href="/submissions/{COMPLETED.id}"' in html
+    assert f'href="/submissions/{theirs.submission_id}"' not in html
+    assert {GELBOTS.name, BEARS.name} == {entry.team for entry in public.board.entries}

@@ -1,0 +1,87 @@
+"""Sharing a result: a team makes its submission public, and others get a picture and a citation."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import dataclass
+from hashlib import sha256
+from typing import TYPE_CHECKING
+
+from starlette.responses import RedirectResponse, Response
+from vitac.evaluator.tracks import load_track
+from vitac.server.api.conditional import answer
+from vitac.server.db.states import EvaluationState
+
+from ...session.forms import read_form
+from ...sharing.citation import cite
+from ...sharing.preview import draw_preview
+from ...site import open_to_all, require_form_token, require_viewer, site_of
+from ..addresses import as_id
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+    from vitac.server.views.submissions import SubmissionView
+
+    from ...sharing.citation import Citation
+    from ...site import Viewer
+
+KEPT_S = 300
+"""So long others may show a picture without asking for it again [s]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shared:
+    """How a submission is shared on its page.
+
+    Attributes:
+        address: of its page.
+        may_change: whether the visitor decides who sees it.
+        is_public: whether everybody sees it now.
+        citation: of a complete one.
+    """
+
+    address: str
+    may_change: bool
+    is_public: bool
+    citation: Citation | None
+
+
+def shared(request: Request, viewer: Viewer | None, found: SubmissionView, track: str) -> Shared:
+    """Return how a submission of a track with that title is shared."""
+    is_complete = found.evaluation.state is EvaluationState.COMPLETED
+    address = f"{site_of(request).address(request)}/submissions/{found.id}"
+    return Shared(
+        address=address,
+        may_change=viewer is not None and viewer.may_change(found.team.name),
+        is_public=found.public and is_complete,
+        citation=cite(found, track, address) if is_complete else None,
+    )
+
+
+async def set_public(request: Request) -> Response:
+    """Let everybody see the result of a submission, or its team only."""
+    viewer = await require_viewer(request)
+    if isinstance(viewer, Response):
+        return viewer
+    fields = await read_form(request)
+    require_form_token(request, fields, viewer)
+    submission_id = as_id(request.path_params["submission_id"])
+    await site_of(request).data.set_public(viewer.visitor, submission_id, public=fields.get("public") == "yes")
+    return RedirectResponse(f"/submissions/{submission_id}#sharing", status_code=303)
+
+
+@open_to_all
+async def preview(request: Request) -> Response:
+    """Answer with the picture that a link to a public submission is shown with elsewhere; for everybody the same."""
+    site, submission_id = site_of(request), as_id(request.path_params["submission_id"])
+    detail = await site.data.submission(None, submission_id)
+    found, title = detail.submission, load_track(detail.submission.track).title
+    shown = f"{found.evaluation.id} {found.rank} {len(detail.episodes)}"
+    picture = await asyncio.to_thread(site.previews.get, shown, lambda: draw_preview(found, title, detail.episodes))
+    return answer(
+        request,
+        picture,
+        revision=sha256(picture).hexdigest()[:32],
+        media_type="image/png",
+        headers={"Cache-Control": f"public, max-age={KEPT_S}", "Cross-Origin-Resource-Policy": "cross-origin"},
+    )
