@@ -5,6 +5,7 @@ from functools import cached_property
 from ipaddress import ip_network
 from pathlib import Path
 from typing import Annotated, Any, Self
+from urllib.parse import urlsplit
 
 from pydantic import (
     BaseModel,
@@ -31,6 +32,10 @@ class Registration(StrEnum):
     INVITE = "invite"  # whoever has the invite code
     APPROVAL = "approval"  # anybody, but an organizer has to accept the team before it submits
     CLOSED = "closed"  # organizers only
+
+
+MAIL_SCHEMES = ("smtp", "smtps", "smtp+starttls", "file")
+"""Of `mail_url`."""
 
 
 class LogFormat(StrEnum):
@@ -132,6 +137,20 @@ class Settings(BaseSettings):
         default_factory=Quotas,
         description="Of each team; one by one (VITAC_QUOTAS__ATTEMPTS_PER_DAY) or as JSON (VITAC_QUOTAS).",
     )
+    mail_url: SecretStr | None = Field(
+        default=None,
+        description="Where e-mails leave: smtp://, smtps:// or smtp+starttls://USER:PASSWORD@HOST:PORT, or "
+        "file:///folder, which keeps them. Not set: none are sent.",
+    )
+    mail_from: str = Field(
+        default="vitac-arena@localhost",
+        pattern=r"^[^\s@<>]+@[^\s@<>]+$",
+        description="Sender of the e-mails; only its address.",
+    )
+    webhooks_may_lead_inside: bool = Field(
+        default=False,
+        description="Whether webhooks may use http and hosts that are not of the internet.",
+    )
     log_bytes: PositiveInt = Field(
         default=32 << 20,
         description="Largest log that may be uploaded, packed and unpacked; a whole one has about 2 MB. "
@@ -198,6 +217,13 @@ class Settings(BaseSettings):
         if self.registration is Registration.INVITE and self.invite_code is None:
             raise ValueError("VITAC_REGISTRATION is invite, so set VITAC_INVITE_CODE, too")
         return self
+
+    @field_validator("mail_url")
+    @classmethod
+    def _is_known_kind_of_mail(cls, url: SecretStr | None) -> SecretStr | None:
+        if url is not None and urlsplit(url.get_secret_value()).scheme not in MAIL_SCHEMES:
+            raise ValueError(f"expected a scheme of {', '.join(MAIL_SCHEMES)}")
+        return url
 
     @field_validator("trusted_proxies")
     @classmethod

@@ -1,6 +1,7 @@
 """Members of teams: invited, joined, removed; who leads the team; how they sign in. Called by API, pages and CLI."""
 
 import secrets
+from collections.abc import Collection
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from uuid import UUID
@@ -12,7 +13,7 @@ from vitac.server.accounts.audit import record
 from vitac.server.accounts.principals import Principal
 from vitac.server.accounts.tokens import IssuedToken
 from vitac.server.db.models import ApiToken, Invitation, Member, Team
-from vitac.server.db.states import MemberRole, Role
+from vitac.server.db.states import MemberRole, NoticeKind, Role
 from vitac.server.errors import ProblemCode, ServiceError, not_found
 
 from ..views.accounts import InvitationView, MemberView, NewInvitationView, OwnTeamView
@@ -193,16 +194,32 @@ def set_email(session: Session, by: Principal, member: Member, email: str | None
     record(session, by, "member.email", f"member:{member.id}", {"email": email is not None}, before=before)
 
 
+def mute(session: Session, by: Principal, member: Member, kinds: Collection[NoticeKind]) -> None:
+    """Send a member no further e-mails of these kinds, and again those of all others.
+
+    Raises:
+        ServiceError: as `renew_token`.
+    """
+    _require_own(by, member)
+    before = {"muted": list(member.muted)}
+    member.muted = sorted({kind.value for kind in kinds})
+    record(session, by, "member.mute", f"member:{member.id}", {"muted": member.muted}, before=before)
+
+
 def sign_in(session: Session, team: str, name: str, password: str, lifetime: timedelta) -> ApiToken:
     """Begin the session of a browser with a member's password.
 
     Raises:
         ServiceError: no member of that name and team has this password.
     """
-    found = session.scalar(
+    found = session.scalar(  # PostgreSQL takes no NUL, and no name has one
         select(Member)
         .join(Team)
-        .where(Team.name_key == teams.name_key(team), Member.name_key == teams.name_key(name), Member.left_at.is_(None))
+        .where(
+            Team.name_key == teams.name_key(team.replace("\0", " ")),
+            Member.name_key == teams.name_key(name.replace("\0", " ")),
+            Member.left_at.is_(None),
+        )
     )
     if not passwords.is_right(password, found.password_hash if found is not None else None) or found is None:
         raise ServiceError(ProblemCode.INVALID_CREDENTIALS, WRONG_PASSWORD)
@@ -273,6 +290,7 @@ def _member_view(member: Member) -> MemberView:
         role=member.role,
         email=member.email,
         has_password=member.password_hash is not None,
+        muted=[NoticeKind(kind) for kind in member.muted],
         joined_at=member.joined_at,
         left_at=member.left_at,
     )

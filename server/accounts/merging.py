@@ -17,6 +17,7 @@ from vitac.server.db.models import (
     Qualification,
     Submission,
     Team,
+    Webhook,
 )
 from vitac.server.db.states import MemberRole
 from vitac.server.errors import ProblemCode, ServiceError
@@ -46,7 +47,7 @@ def merge(session: Session, by: Principal, team: Team, into: Team) -> None:
     moved = _move_submissions(session, team, into)
     _move_members(session, team, into)
     _move_qualifications(session, team, into)
-    for table in (ApiToken, BoardResult, Invitation, PartialUpload):
+    for table in (ApiToken, BoardResult, Invitation, PartialUpload, Webhook):
         session.execute(update(table).where(table.team_id == team.id).values(team_id=into.id))
     session.expire_all()
     after = {"teams": [into.name], "submissions": moved}

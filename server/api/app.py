@@ -7,6 +7,7 @@ from importlib.metadata import version
 from fastapi import APIRouter, FastAPI
 from fastapi.concurrency import run_in_threadpool
 from vitac.server.housekeeping import Housekeeping
+from vitac.server.notices.sending import NoticeSender
 from vitac.server.operations.exposition import Exposition
 from vitac.server.services import Services, open_services
 from vitac.server.settings import Settings
@@ -60,6 +61,9 @@ def create_app(
             housekeeping = Housekeeping(app.state.services, sweeps=sweeps)
             housekeeping.start()
             stack.callback(housekeeping.stop)
+            notices = NoticeSender(app.state.services.database, app.state.services.settings)
+            notices.start()
+            stack.callback(notices.stop)
             yield
             await run_in_threadpool(stack.close)
 

@@ -20,6 +20,24 @@ class MemberRole(StrEnum):
     MEMBER = "member"  # submits
 
 
+class NoticeKind(StrEnum):
+    """What a notice tells a team."""
+
+    ACCEPTED = "accepted"  # a submission, which waits for its evaluation
+    FINISHED = "finished"  # an evaluation with a score
+    FAILED = "failed"  # an evaluation without one
+    PROMOTED = "promoted"  # the team takes part in a further stage
+    DEADLINE = "deadline"  # a stage closes soon
+    ANNOUNCEMENT = "announcement"  # organizers say something to all teams
+
+
+class NoticeChannel(StrEnum):
+    """How a notice is sent."""
+
+    MAIL = "mail"
+    WEBHOOK = "webhook"
+
+
 class FileRole(StrEnum):
     """What a stored file is to its submission, besides its upload."""
 

@@ -17,12 +17,13 @@ from vitac.evaluator.version import evaluator_hash, evaluator_version
 from vitac.server.competition.sealing import commitment_of_stage
 from vitac.server.db.models import Evaluation, Shard, Submission
 from vitac.server.db.row_locks import lock_evaluation
-from vitac.server.db.states import OPEN_SHARD_STATES, EvaluationState, ShardState
+from vitac.server.db.states import OPEN_SHARD_STATES, EvaluationState, NoticeKind, ShardState
 from vitac.server.evaluations.copies import flag_copies
 from vitac.server.evaluations.episode_store import EpisodeKey, count_stored, missing_episodes, records_of
 from vitac.server.evaluations.provenance import manifest_of
 from vitac.server.evaluations.scores import combine_hashes, combined_result, store_scores
 from vitac.server.evaluations.verdicts import ServiceVerdict
+from vitac.server.notices.outbox import announce_evaluation
 from vitac.server.queue.jobs import enqueue_shards, queue_name, withdraw_jobs
 from vitac.server.queue.leases import Lease, end_shard, hand_back, lock_held
 from vitac.server.queue.turns import next_turn
@@ -158,7 +159,7 @@ def fail_by_machines(session: Session, evaluation: Evaluation, message: str) -> 
     if count_machine_failures(session, Submission.team_id == evaluation.submission.team_id) < FREE_FAILURES_PER_DAY:
         evaluation.charged_at = None
     _cancel_shards(session, evaluation)
-    _fail(evaluation, ServiceVerdict.MACHINE_FAILED, message)
+    _fail(session, evaluation, ServiceVerdict.MACHINE_FAILED, message)
 
 
 def count_machine_failures(session: Session, *conditions: ColumnElement[bool]) -> int:
@@ -191,7 +192,7 @@ def _conclude(session: Session, evaluation: Evaluation) -> None:
     """Score a finished evaluation, or give it the verdict of its first shard that broke a policy or refuted a log."""
     refuted = first_refuted_shard(session, evaluation)
     if refuted is not None:
-        _fail_by_log(evaluation, refuted)
+        _fail_by_log(session, evaluation, refuted)
         return
     submission = evaluation.submission
     track = load_track(submission.track)
@@ -201,7 +202,7 @@ def _conclude(session: Session, evaluation: Evaluation) -> None:
     for task in submission.tasks:
         failure = breaking_failure(cut(track.tasks[task]), records[task])
         if failure is not None:
-            _fail_by_policy(evaluation, task, failure, records[task])
+            _fail_by_policy(session, evaluation, task, failure, records[task])
             return
     _complete(session, evaluation, records)
 
@@ -217,31 +218,33 @@ def _complete(session: Session, evaluation: Evaluation, records: dict[str, list[
     evaluation.finished_at = finished_at
     session.flush()
     flag_copies(session, evaluation)
+    announce_evaluation(session, NoticeKind.FINISHED, evaluation)
     issue(session, evaluation, combined_result(evaluation))
 
 
 def _fail_by_policy(
-    evaluation: Evaluation, task: str, failure: PolicyFailure, records: Sequence[EpisodeRecord]
+    session: Session, evaluation: Evaluation, task: str, failure: PolicyFailure, records: Sequence[EpisodeRecord]
 ) -> None:
     episode = next(record.episode for record in records if record.failure == failure)
     evaluation.verdict_task = task
     evaluation.verdict_episode = episode
     evaluation.log_tail = failure.output_tail[-LOG_TAIL_CHARACTERS:]
-    _fail(evaluation, failure.code.value, failure.message)
+    _fail(session, evaluation, failure.code.value, failure.message)
 
 
-def _fail_by_log(evaluation: Evaluation, shard: Shard) -> None:
+def _fail_by_log(session: Session, evaluation: Evaluation, shard: Shard) -> None:
     finding = LogFinding.model_validate(shard.finding)
     evaluation.verdict_task = shard.task
     evaluation.verdict_episode = finding.episode
-    _fail(evaluation, ServiceVerdict(finding.verdict.value), finding.reason)
+    _fail(session, evaluation, ServiceVerdict(finding.verdict.value), finding.reason)
 
 
-def _fail(evaluation: Evaluation, code: str, message: str) -> None:
+def _fail(session: Session, evaluation: Evaluation, code: str, message: str) -> None:
     evaluation.verdict_code = code
     evaluation.verdict_message = message
     evaluation.state = EvaluationState.FAILED
     evaluation.finished_at = datetime.now(UTC)
+    announce_evaluation(session, NoticeKind.FAILED, evaluation)
 
 
 def _output_of(records: dict[str, list[EpisodeRecord]]) -> str:

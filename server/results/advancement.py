@@ -15,8 +15,10 @@ from ..accounts.principals import Principal
 from ..competition.definition import Advancement, Stage
 from ..competition.schedule import current, require_over
 from ..db.models import Qualification, Submission, Team
+from ..db.states import NoticeKind
 from ..errors import ProblemCode, ServiceError
 from ..leaderboards.standings import leaderboard
+from ..notices.outbox import announce
 from ..views.leaderboards import LeaderboardEntryView
 from .readiness import count_running, require_current, require_scored
 
@@ -114,6 +116,9 @@ def confirm(
     previous = _qualified(session, track, stage)
     _refuse_loss(session, track, stage, previous.keys() - chosen.keys())
     session.execute(delete(Qualification).where(Qualification.track == track, Qualification.stage == stage))
+    for team_id in chosen.keys() - previous.keys():
+        facts = {"team": chosen[team_id], "track": track, "stage": stage, "page": "/competition"}
+        announce(session, NoticeKind.PROMOTED, team_id, f"stage:{track}/{stage}", facts)
     session.add_all(Qualification(track=track, stage=stage, team_id=team_id) for team_id in chosen)
     session.flush()
     after = {

@@ -12,9 +12,10 @@ from ..accounts.principals import Principal
 from ..accounts.quotas import charge, check
 from ..competition.schedule import check_stage_quotas, stage_for_submission
 from ..db.models import Submission, Team
-from ..db.states import Quota
+from ..db.states import NoticeKind, Quota
 from ..errors import ProblemCode, ServiceError
 from ..evaluations import lifecycle
+from ..notices.outbox import announce_evaluation
 from ..settings import Quotas
 from ..sharing.public_pages import is_public_from_the_start
 from ..uploads.checked_upload import CheckedUpload
@@ -64,8 +65,9 @@ def create(
     require_machines_hold(session, by, submission)
     charged_at = charge(session, quotas, by, team_row, *EVALUATION_QUOTAS)
     check_stage_quotas(session, by, team_row, track=submission.track, stage=stage)
-    lifecycle.start(session, submission, run, charged_at=charged_at)
+    evaluation = lifecycle.start(session, submission, run, charged_at=charged_at)
     record(session, by, "submission.evaluate", f"submission:{submission.id}", {"run": run, "digest": upload.digest})
+    announce_evaluation(session, NoticeKind.ACCEPTED, evaluation)
     return submission, True
 
 

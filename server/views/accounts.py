@@ -6,7 +6,7 @@ from uuid import UUID
 
 from pydantic import Field
 
-from ..db.states import MemberRole, Quota, Role
+from ..db.states import MemberRole, NoticeKind, Quota, Role
 from .base import View
 
 
@@ -35,6 +35,7 @@ class MemberView(View):
     role: MemberRole
     email: str | None = Field(description="Where the member gets notices.")
     has_password: bool
+    muted: list[NoticeKind] = Field(description="Kinds of notices that the member does not want.")
     joined_at: datetime
     left_at: datetime | None
 

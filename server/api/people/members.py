@@ -12,8 +12,11 @@ from vitac.server.accounts import members, merging, teams, tokens
 from vitac.server.accounts.passwords import MAX_LENGTH, MIN_LENGTH
 from vitac.server.accounts.principals import Principal
 from vitac.server.db.models import Team
+from vitac.server.db.states import NoticeKind
+from vitac.server.notices import webhooks
 from vitac.server.services import Services
 from vitac.server.views.accounts import NewInvitationView, NewTokenView, OwnTeamView, RegisteredTeamView
+from vitac.server.views.contest.people import NewWebhookView, WebhookListView
 
 from ...errors import not_found
 from ..access import PrincipalOf, ServicesOf
@@ -43,6 +46,14 @@ class MemberChanges(BaseModel):
     model_config = ConfigDict(extra="forbid")
     email: Email | None = None
     password: Password | None = None
+    muted: list[NoticeKind] | None = Field(default=None, max_length=20, description="Notices that are not wanted.")
+
+
+class NewWebhook(BaseModel):
+    """Where notices are sent."""
+
+    model_config = ConfigDict(extra="forbid")
+    address: str = Field(max_length=500, description="An https address of the internet.")
 
 
 class NewCaptain(BaseModel):
@@ -151,7 +162,32 @@ def change_member(
             members.set_email(session, principal, member, changes.email)
         if "password" in changes.model_fields_set:
             members.set_password(session, principal, member, changes.password)
+        if changes.muted is not None:
+            members.mute(session, principal, member, changes.muted)
         return members.own_team_view(session, principal, member.team)
+
+
+@router.get("/{team_id}/webhooks")
+def list_webhooks(services: ServicesOf, principal: PrincipalOf, team_id: UUID) -> WebhookListView:
+    """Return the team's webhooks; for its captain."""
+    with services.database.transaction() as session:
+        return WebhookListView(items=webhooks.of_team(session, principal, _team(session, principal, team_id)))
+
+
+@router.post("/{team_id}/webhooks", status_code=HTTPStatus.CREATED)
+def add_webhook(services: ServicesOf, principal: PrincipalOf, team_id: UUID, new: NewWebhook) -> NewWebhookView:
+    """Have the team's notices sent to an address; the secret that signs them is shown this once."""
+    inside = services.settings.webhooks_may_lead_inside
+    with services.database.transaction() as session:
+        team = _team(session, principal, team_id)
+        return webhooks.add(session, principal, team, new.address, inside_allowed=inside)
+
+
+@router.delete("/{team_id}/webhooks/{webhook_id}", status_code=HTTPStatus.NO_CONTENT, response_class=Response)
+def remove_webhook(services: ServicesOf, principal: PrincipalOf, team_id: UUID, webhook_id: UUID) -> None:
+    """Send no further notices to an address."""
+    with services.database.transaction() as session:
+        webhooks.remove(session, principal, _team(session, principal, team_id), webhook_id)
 
 
 @router.delete("/{team_id}/members/{member_id}", status_code=HTTPStatus.NO_CONTENT, response_class=Response)

@@ -7,6 +7,7 @@ from .accounts import ApiToken, AuditEntry, Invitation, Member, Team, TeamQuota
 from .base import Base
 from .competition import Competition, Qualification, SealedList
 from .evaluations import ALL_TASKS, BoardResult, EpisodeDifference, EpisodeResult, Evaluation, LogCopy, Shard
+from .notices import Notice, Webhook
 from .operations import MetricTotal, Worker
 from .playbacks import Playback
 from .receipts import ReceiptKey, ReceiptRow
@@ -26,6 +27,7 @@ __all__ = [
     "LogCopy",
     "Member",
     "MetricTotal",
+    "Notice",
     "PartialUpload",
     "Playback",
     "Qualification",
@@ -38,5 +40,6 @@ __all__ = [
     "Team",
     "TeamQuota",
     "UploadPart",
+    "Webhook",
     "Worker",
 ]

@@ -51,7 +51,8 @@ class Team(Base):
 class Member(Base):
     """A person of a team. One who has left keeps the row, without address and password.
 
-    `name_key` tells the members of a team apart. `password_hash` is NULL for who signs in with a token only.
+    `name_key` tells the members of a team apart. `password_hash` is NULL for who signs in with a token only. `muted`
+    are kinds of notices that they do not want.
     """
 
     __tablename__ = "members"
@@ -71,6 +72,7 @@ class Member(Base):
     name_key: Mapped[str] = mapped_column(String(64))
     email: Mapped[str | None] = mapped_column(String(254))
     password_hash: Mapped[str | None]
+    muted: Mapped[list[str]] = mapped_column(default=list, server_default=text("'{}'"))
     joined_at: Mapped[datetime] = mapped_column(server_default=func.now())
     left_at: Mapped[datetime | None]
     team: Mapped[Team] = relationship()

@@ -24,7 +24,7 @@ def test_values_come_from_the_environment_and_arguments_win(monkeypatch: pytest.
     ("name", "value", "says"),
     [
         ("VITAC_PORT", "many", "VITAC_PORT is 'many'"),
-        ("VITAC_REGISTRATION", "maybe", "'open', 'invite' or 'closed'"),
+        ("VITAC_REGISTRATION", "maybe", "'open', 'invite', 'approval' or 'closed'"),
         ("VITAC_LEASE_S", "2", "at least three renewals"),
         ("VITAC_TRUSTED_PROXIES", "10.0.0.1, proxy", "VITAC_TRUSTED_PROXIES is '10.0.0.1, proxy'"),
     ],

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 import typer
 from cli_service import CliService, submission_folder
+from sqlalchemy import func, select, update
 from sqlalchemy.orm import Session
 from typer.core import TyperGroup
 from vitac.cli.admin.app import app
@@ -16,7 +17,9 @@ from vitac.server.accounts.audit import newest_entries
 from vitac.server.accounts.principals import CONSOLE
 from vitac.server.accounts.tokens import list_tokens
 from vitac.server.competition.sealing import seal
-from vitac.server.db.models import Team
+from vitac.server.db.models import Notice, Team
+from vitac.server.db.states import NoticeKind
+from vitac.server.notices.outbox import announce
 from vitac.server.results.finishing import freeze
 
 from competitions import make_competition, moved, open_now, put_in_place, sealed_competition, write_competition
@@ -30,7 +33,10 @@ READS = {
     "competition show",
     "evaluation list",
     "evaluation show",
+    "notice list",
     "quota list",
+    "receipt export",
+    "receipt key",
     "results publish",
     "results winners",
     "submission list",
@@ -60,6 +66,7 @@ CHANGES = {
     "team add": (["Bears"], "token.issue"),
     "token add": (["--judge"], "token.issue"),
     "token revoke": (["TOKEN", "--yes"], "token.revoke"),
+    "notice retry": (["NOTICE"], "notice.retry"),
     "quota set": (["Team A", "tokens", "7"], "team.quota"),
     "submission cancel": (["SUBMISSION", "--yes"], "submission.cancel"),
     "submission requeue": (["CANCELLED", "--yes"], "submission.requeue"),
@@ -91,6 +98,13 @@ def there_is(service: CliService, name: str, tmp_path: Path) -> str:
         return str(tmp_path / "file.tar")
     if name == "COMPETITION":
         return str(write_competition(tmp_path, make_competition()))
+    if name == "NOTICE":
+        with service.database.transaction() as session:
+            own = teams.find(session, "Team A")
+            members.set_email(session, CONSOLE, members.captain_of(session, own), "a@example.org")
+            announce(session, NoticeKind.FINISHED, own.id, "evaluation:1", {"page": "/"})
+            session.execute(update(Notice).values(given_up_at=func.now()))
+            return str(session.scalars(select(Notice.id)).one())
     if name == "TOKEN":
         with service.database.transaction() as session:
             return str(list_tokens(session, CONSOLE)[0].id)

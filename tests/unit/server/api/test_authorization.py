@@ -14,7 +14,7 @@ from service_factories import TRACK, make_principal, play_all
 from sqlalchemy import delete
 from vitac.server.accounts import members, tokens
 from vitac.server.accounts.principals import CONSOLE
-from vitac.server.db.models import ApiToken, Invitation, Submission, Team
+from vitac.server.db.models import ApiToken, Invitation, Submission, Team, Webhook
 from vitac.server.db.states import Role
 
 from competitions import make_competition, put_in_place
@@ -55,6 +55,9 @@ MATRIX: dict[tuple[str, str], frozenset[Who]] = {
     ("post", f"{TEAM}/merge"): frozenset({Who.ORGANIZER}),
     ("post", f"{TEAM}/invitations"): CHANGERS,
     ("delete", f"{TEAM}/invitations/{{invitation_id}}"): CHANGERS,
+    ("get", f"{TEAM}/webhooks"): CHANGERS,
+    ("post", f"{TEAM}/webhooks"): CHANGERS,
+    ("delete", f"{TEAM}/webhooks/{{webhook_id}}"): CHANGERS,
     ("put", f"{TEAM}/captain"): CHANGERS,
     ("patch", MEMBER): CHANGERS,
     ("delete", MEMBER): CHANGERS,
@@ -123,6 +126,8 @@ class Setting:
                 ids["team_id"] = self.new_team()
             elif "{invitation_id}" in path:
                 ids["invitation_id"] = str(self.new_invitation()[0].id)
+            elif "{webhook_id}" in path:
+                ids["webhook_id"] = self.new_webhook()
             elif "{member_id}" in path:
                 # The captain of a team without a token of its own is who has the team's; who leaves is another one.
                 ids["member_id"] = self.new_member() if method == "delete" else self.captain()
@@ -141,6 +146,15 @@ class Setting:
         """An invitation to the team OWNER, and its code."""
         with self.service.database.transaction() as session:
             return members.invite(session, CONSOLE, session.get_one(Team, self.service.principal.team_id))
+
+    def new_webhook(self) -> str:
+        """Id of a webhook of the team OWNER."""
+        address = "https://hook.example.org/"
+        with self.service.database.transaction() as session:
+            made = Webhook(team_id=self.service.principal.team_id, address=address, secret="0" * 64)
+            session.add(made)
+            session.flush()
+            return str(made.id)
 
     def new_member(self) -> str:
         """Id of a further member of the team OWNER."""
@@ -185,6 +199,7 @@ BODIES: dict[tuple[str, str], Options] = {
     ("patch", TEAM): lambda *_: {"json": {"accepted": True}},
     ("post", f"{TEAM}/merge"): lambda setting, _: {"json": {"into": setting.new_team()}},
     ("put", f"{TEAM}/captain"): lambda setting, _: {"json": {"member_id": setting.captain()}},
+    ("post", f"{TEAM}/webhooks"): lambda *_: {"json": {"address": "https://hook.example.org/"}},
     ("patch", MEMBER): lambda *_: {"json": {"email": "ann@example.org"}},
     ("put", f"{SUBMISSION}/public"): lambda setting, _: {"json": {"public": setting.is_public}},
     ("post", "/api/v1/tokens"): lambda *_: {"json": {"label": "new"}},

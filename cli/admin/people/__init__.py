@@ -1,0 +1,1 @@
+"""Nouns of `vitac admin` about notices, announcements, questions and appeals."""

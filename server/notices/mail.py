@@ -1,0 +1,80 @@
+"""E-mails: what a notice says, and how it leaves: over SMTP, or as a file in a folder."""
+
+import smtplib
+import ssl
+from email.message import EmailMessage
+from email.utils import format_datetime
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+from vitac.server.db.models import Notice
+from vitac.server.db.states import NoticeKind
+from vitac.server.settings import Settings
+
+from .webhooks import Undelivered
+
+TIMEOUT_S = 20.0
+_SENTENCES = {
+    NoticeKind.ACCEPTED: "Submission {name} to {track} was accepted and waits for its evaluation.",
+    NoticeKind.FINISHED: "Submission {name} to {track} is evaluated.",
+    NoticeKind.FAILED: "The evaluation of submission {name} to {track} has ended without a score ({verdict}).",
+    NoticeKind.PROMOTED: "{team} takes part in stage {stage} of {track}.",
+    NoticeKind.DEADLINE: "Stage {stage} of {track} closes at {closes}.",
+    NoticeKind.ANNOUNCEMENT: "{title}\n\n{text}",
+}
+
+
+def message_of(notice: Notice, settings: Settings) -> EmailMessage:
+    """Return a notice as an e-mail; the same notice has the same Message-ID, by which receivers see a repeat."""
+    made = EmailMessage()
+    text = _SENTENCES[notice.kind].format_map(notice.facts)
+    made["From"] = settings.mail_from
+    made["To"] = notice.target
+    made["Subject"] = _one_line(f"ViTac Arena: {text}")
+    made["Date"] = format_datetime(notice.created_at)
+    made["Message-ID"] = f"<{notice.id}@{settings.mail_from.rpartition('@')[2]}>"
+    made["Auto-Submitted"] = "auto-generated"
+    link = f"\n\n{settings.public_url.rstrip('/')}{notice.facts['page']}" if settings.public_url else ""
+    stop = (
+        "You get this because your team named this address. Take it away on the team's page, or mute this kind there."
+    )
+    made.set_content(f"{text}{link}\n\n-- \n{stop}\n")
+    return made
+
+
+def send(notice: Notice, settings: Settings) -> None:
+    """Hand an e-mail over.
+
+    Raises:
+        Undelivered: the server of the settings does not take it, or the settings name none.
+    """
+    if settings.mail_url is None:
+        raise Undelivered("VITAC_MAIL_URL is not set, so no e-mail is sent.")
+    parts = urlsplit(settings.mail_url.get_secret_value())
+    try:
+        message = message_of(notice, settings)
+        if parts.scheme == "file":
+            _write(message, Path(unquote(parts.path)), str(notice.id))
+            return
+        kind = smtplib.SMTP_SSL if parts.scheme == "smtps" else smtplib.SMTP
+        with kind(parts.hostname or "", parts.port or 0, timeout=TIMEOUT_S) as server:
+            if parts.scheme == "smtp+starttls":
+                server.starttls(context=ssl.create_default_context())
+            if parts.username:
+                server.login(unquote(parts.username), unquote(parts.password or ""))
+            server.send_message(message)
+    except (OSError, smtplib.SMTPException, ValueError) as error:
+        raise Undelivered(f"{type(error).__name__}: {error}") from error
+
+
+def _write(message: EmailMessage, folder: Path, name: str) -> None:
+    """Write it as a whole or not at all; a repeat writes the same file."""
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    draft = folder / f".{name}"
+    draft.write_bytes(bytes(message))
+    draft.rename(folder / f"{name}.eml")
+
+
+def _one_line(text: str) -> str:
+    """Return a header's value: one line of at most 150 characters without controls."""
+    return "".join(character if character.isprintable() else " " for character in text)[:150]

@@ -1,0 +1,97 @@
+"""The outbox: notices are written in the transaction of what they tell, and sent later by `sending`."""
+
+from collections.abc import Mapping
+from datetime import UTC, datetime, timedelta
+from typing import Any
+from uuid import UUID
+
+from sqlalchemy import func, select
+from sqlalchemy.dialects.postgresql import insert
+from sqlalchemy.orm import Session
+from vitac.server.accounts.audit import record
+from vitac.server.accounts.principals import Principal
+from vitac.server.db.models import Evaluation, Member, Notice, Webhook
+from vitac.server.db.states import NoticeChannel, NoticeKind
+from vitac.server.errors import ProblemCode, ServiceError, not_found
+from vitac.server.views.contest.people import NoticeView
+
+MAX_MAILS_A_DAY = 200
+"""To the members of one team: an address may be somebody else's, who did not ask for mails."""
+
+
+def announce(session: Session, kind: NoticeKind, team_id: UUID, subject: str, facts: Mapping[str, Any]) -> None:
+    """Write a notice to all members and webhooks of a team who want notices of this kind.
+
+    Args:
+        session: of the transaction in which it happens; without its commit nothing is sent.
+        kind: what happened.
+        team_id: to whose team.
+        subject: of which thing, `noun:id`: a second notice of the same kind and thing is not written.
+        facts: what a webhook gets, as JSON.
+    """
+    found = session.scalars(
+        select(Member).where(Member.team_id == team_id, Member.left_at.is_(None), Member.email.is_not(None))
+    )
+    targets = [(NoticeChannel.MAIL, member.email) for member in found if kind.value not in member.muted]
+    day = datetime.now(UTC) - timedelta(days=1)
+    if targets:
+        mails = Notice.team_id == team_id, Notice.channel == NoticeChannel.MAIL, Notice.created_at > day
+        left = MAX_MAILS_A_DAY - (session.scalar(select(func.count()).select_from(Notice).where(*mails)) or 0)
+        targets = targets[: max(0, left)]
+    hooks = session.scalars(select(Webhook.id).where(Webhook.team_id == team_id))
+    targets += [(NoticeChannel.WEBHOOK, str(hook)) for hook in hooks]
+    if not targets:
+        return
+    rows = [
+        {"kind": kind, "team_id": team_id, "subject": subject, "channel": channel, "target": target, "facts": facts}
+        for channel, target in targets
+    ]
+    session.execute(insert(Notice).values(rows).on_conflict_do_nothing(constraint="uq_notices_once"))
+
+
+def announce_evaluation(session: Session, kind: NoticeKind, evaluation: Evaluation) -> None:
+    """Say how far an evaluation is; how good it is, the page says to whom may see that."""
+    submission = evaluation.submission
+    facts = {
+        "submission": str(submission.id),
+        "name": submission.name,
+        "track": submission.track,
+        "stage": submission.stage or None,
+        "evaluation": str(evaluation.id),
+        "state": evaluation.state.value,
+        "verdict": evaluation.verdict_code,
+        "page": f"/submissions/{submission.id}",
+    }
+    announce(session, kind, submission.team_id, f"evaluation:{evaluation.id}", facts)
+
+
+def newest(session: Session, limit: int = 100, *, unsent_only: bool = False) -> list[Notice]:
+    """Return the newest notices, for organizers."""
+    query = select(Notice).order_by(Notice.created_at.desc(), Notice.id).limit(limit)
+    return list(session.scalars(query.where(Notice.sent_at.is_(None)) if unsent_only else query))
+
+
+def notice_view(notice: Notice) -> NoticeView:
+    """Return a notice as organizers see it."""
+    return NoticeView.model_validate(notice, from_attributes=True)
+
+
+def retry(session: Session, by: Principal, notice_id: UUID) -> Notice:
+    """Send a notice again that was given up.
+
+    Raises:
+        ServiceError: not an organizer, there is no such notice, or it was not given up.
+    """
+    by.require_organizer()
+    found = session.get(Notice, notice_id, with_for_update=True)
+    if found is None:
+        raise not_found("notice", notice_id)
+    if found.given_up_at is None:
+        raise ServiceError(
+            ProblemCode.INVALID_REQUEST,
+            f"Notice {notice_id} was {'sent' if found.sent_at else 'not given up yet'}; there is nothing to repeat.",
+        )
+    before = {"given_up": True, "problem": found.problem}
+    found.given_up_at, found.attempts, found.due_at = None, 0, datetime.now(UTC)
+    record(session, by, "notice.retry", f"notice:{found.id}", {"given_up": False}, before=before)
+    return found

@@ -1,0 +1,34 @@
+from datetime import timedelta
+
+from service_factories import TRACK, make_principal
+from vitac.server.accounts import members, teams
+from vitac.server.accounts.principals import CONSOLE
+from vitac.server.db.engine import Database
+from vitac.server.db.models import Qualification
+from vitac.server.notices import outbox
+from vitac.server.notices.deadlines import announce_near
+
+from competitions import CLOSES, LATER_CLOSES, SECOND, make_competition, put_in_place
+
+
+def test_each_team_that_may_submit_is_told_once_a_day_before(database: Database) -> None:
+    with database.transaction() as session:
+        announce_near(session, CLOSES)
+        put_in_place(session, make_competition())
+        ants, bees = make_principal(session, "Ants"), make_principal(session, "Bees")
+        for by in (ants, bees):
+            captain = members.captain_of(session, teams.own(session, by))
+            members.set_email(session, CONSOLE, captain, f"{by.team_name}@example.org")
+        waiting = teams.register(session, CONSOLE, name="Waiting", waits=True)
+        members.set_email(session, CONSOLE, members.captain_of(session, waiting), "w@example.org")
+        session.add(Qualification(track=TRACK, stage=SECOND, team_id=bees.team_id))
+        session.flush()
+        for too_early_or_late in (CLOSES - timedelta(hours=24, seconds=1), CLOSES, LATER_CLOSES):
+            announce_near(session, too_early_or_late)
+        assert outbox.newest(session) == []
+        for _ in range(2):
+            announce_near(session, CLOSES - timedelta(hours=24))
+        assert sorted(notice.target for notice in outbox.newest(session)) == ["Ants@example.org", "Bees@example.org"]
+        announce_near(session, LATER_CLOSES - timedelta(seconds=1))
+        told = [notice.target for notice in outbox.newest(session) if SECOND in notice.subject]
+        assert told == ["Bees@example.org"]

@@ -1,0 +1,88 @@
+import smtplib
+from datetime import UTC, datetime
+from typing import Any
+from uuid import UUID
+
+import pytest
+from service_factories import make_settings
+from vitac.server.db.models import Notice
+from vitac.server.db.states import NoticeChannel, NoticeKind
+from vitac.server.notices import mail
+from vitac.server.notices.webhooks import Undelivered
+
+HOSTILE = "x\r\nBcc: victim@example.org\r\n\r\nbody"
+
+
+def a_notice(**changes: Any) -> Notice:
+    values: dict[str, Any] = {
+        "id": UUID(int=1),
+        "kind": NoticeKind.FAILED,
+        "channel": NoticeChannel.MAIL,
+        "target": "ann@example.org",
+        "subject": "evaluation:1",
+        "facts": {"name": "zero", "track": "track_1", "verdict": "crashed", "page": "/submissions/1"},
+        "created_at": datetime(2031, 1, 1, tzinfo=UTC),
+    }
+    return Notice(**(values | changes))
+
+
+class FakeServer:
+    """Takes what is sent; the last one made is kept."""
+
+    last: "FakeServer"
+
+    def __init__(self, host: str, port: int, timeout: float) -> None:
+        self.where, self.done = (host, port), list[str]()
+        FakeServer.last = self
+
+    def __enter__(self) -> "FakeServer":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.done.append("quit")
+
+    def starttls(self, context: object) -> None:
+        self.done.append("encrypted")
+
+    def login(self, user: str, password: str) -> None:
+        self.done.append(f"{user} {password}")
+
+    def send_message(self, message: object) -> None:
+        self.done.append("sent")
+
+
+def test_what_a_team_wrote_makes_no_further_header() -> None:
+    facts = {"name": HOSTILE, "track": "track_1", "verdict": "crashed", "page": "/submissions/1"}
+    made = mail.message_of(a_notice(facts=facts), make_settings(mail_from="arena@example.org"))
+    assert made["Bcc"] is None
+    assert made["Message-ID"] == "<00000000-0000-0000-0000-000000000001@example.org>"
+    headers = bytes(made).partition(b"\n\n")[0]
+    assert b"\nBcc" not in headers
+    assert "Bcc: victim" in made.get_content()
+
+
+@pytest.mark.parametrize("target", [HOSTILE, "ann@example.org\nBcc: victim@example.org"])
+def test_an_address_with_a_line_end_is_not_sent_to(target: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(smtplib, "SMTP", FakeServer)
+    with pytest.raises(Undelivered):
+        mail.send(a_notice(target=target), make_settings(mail_url="smtp://mail.example.org:25"))
+
+
+def test_leaves_over_the_server_of_the_settings(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("SMTP", "SMTP_SSL"):
+        monkeypatch.setattr(smtplib, name, FakeServer)
+    mail.send(a_notice(), make_settings(mail_url="smtp+starttls://us%40er:w%3Ard@mail.example.org:587"))
+    assert FakeServer.last.where == ("mail.example.org", 587)
+    assert FakeServer.last.done == ["encrypted", "us@er w:rd", "sent", "quit"]
+    mail.send(a_notice(), make_settings(mail_url="smtps://mail.example.org"))
+    assert FakeServer.last.done == ["sent", "quit"]
+
+
+def test_a_server_that_does_not_answer_is_named() -> None:
+    with pytest.raises(Undelivered, match="Error"):
+        mail.send(a_notice(), make_settings(mail_url="smtp://127.0.0.1:1"))
+
+
+def test_another_scheme_is_no_setting() -> None:
+    with pytest.raises(ValueError, match="expected a scheme of smtp, smtps"):
+        make_settings(mail_url="https://mail.example.org")

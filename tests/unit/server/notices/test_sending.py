@@ -1,0 +1,253 @@
+import email
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
+from email import policy
+from http.server import BaseHTTPRequestHandler, HTTPServer
+from pathlib import Path
+
+import pytest
+from service_factories import TRACK, make_principal, make_settings, play_all, submit
+from sqlalchemy import update
+from sqlalchemy.orm import Session
+from submission_steps import refused
+from vitac.server.accounts import members, teams
+from vitac.server.accounts.principals import CONSOLE, Principal
+from vitac.server.db.engine import Database
+from vitac.server.db.models import Notice, Webhook
+from vitac.server.db.states import NoticeChannel, NoticeKind
+from vitac.server.errors import ProblemCode
+from vitac.server.notices import outbox, sending, webhooks
+from vitac.server.settings import Settings
+
+FACTS = {"name": "zero", "track": TRACK, "page": "/submissions/1"}
+
+
+@dataclass
+class Receiver:
+    """What a team's program got, and with which status it answers."""
+
+    address: str = ""
+    status: int = 204
+    got: list[tuple[dict[str, str], bytes]] = field(default_factory=list)
+
+
+@contextmanager
+def receiving() -> Iterator[Receiver]:
+    receiver = Receiver()
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_POST(self) -> None:
+            body = self.rfile.read(int(self.headers["Content-Length"]))
+            receiver.got.append((dict(self.headers), body))
+            self.send_response(receiver.status)
+            self.send_header("Location", "http://127.0.0.1:1/elsewhere")
+            self.end_headers()
+
+        def log_message(self, *_: object) -> None: ...
+
+    server = HTTPServer(("127.0.0.1", 0), Handler)
+    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
+    thread.start()
+    receiver.address = f"http://127.0.0.1:{server.server_port}/hook?team=a"
+    try:
+        yield receiver
+    finally:
+        server.shutdown()
+        thread.join()
+        server.server_close()
+
+
+def settings_with(tmp_path: Path) -> Settings:
+    return make_settings(
+        mail_url=f"file://{tmp_path / 'mails'}",
+        mail_from="arena@example.org",
+        webhooks_may_lead_inside=True,
+        public_url="https://arena.example.org/",
+    )
+
+
+def with_address(session: Session, by: Principal, address: str = "ann@example.org") -> None:
+    members.set_email(session, CONSOLE, members.captain_of(session, teams.own(session, by)), address)
+
+
+def due_again(database: Database) -> None:
+    """Lets the pause before the next try pass."""
+    with database.transaction() as session:
+        session.execute(update(Notice).values(due_at=datetime.now(UTC)))
+
+
+def test_a_submission_is_told_from_acceptance_to_its_end_and_each_only_once(database: Database, tmp_path: Path) -> None:
+    settings = settings_with(tmp_path)
+    with database.transaction() as session:
+        team = make_principal(session)
+        with_address(session, team)
+        submission = submit(session, team)
+        outbox.announce(session, NoticeKind.ACCEPTED, submission.team_id, "other:1", FACTS)
+    play_all(database, submission)
+    while sending.send_one(database, settings):
+        pass
+    mails = [
+        email.message_from_bytes(path.read_bytes(), policy=policy.default)
+        for path in (tmp_path / "mails").glob("*.eml")
+    ]
+    subjects = sorted(str(mail["Subject"]) for mail in mails)
+    assert subjects == [
+        f"ViTac Arena: Submission zero to {TRACK} is evaluated.",
+        *[f"ViTac Arena: Submission zero to {TRACK} was accepted and waits for its evaluation."] * 2,
+    ]
+    assert {str(mail["To"]) for mail in mails} == {"ann@example.org"}
+    assert len({mail["Message-ID"] for mail in mails}) == 3
+    text = next(mail.get_body().get_content() for mail in mails if "evaluated" in str(mail["Subject"]))  # type: ignore[union-attr]
+    assert f"https://arena.example.org/submissions/{submission.id}" in text
+    with database.transaction() as session:
+        outbox.announce(session, NoticeKind.ACCEPTED, submission.team_id, "other:1", FACTS)
+        assert all(notice.sent_at and notice.attempts == 1 for notice in outbox.newest(session))
+    assert not sending.send_one(database, settings)
+
+
+def test_what_is_rolled_back_muted_or_of_who_has_left_is_not_told(database: Database) -> None:
+    with database.transaction() as session:
+        team = make_principal(session)
+        with_address(session, team)
+        own = teams.own(session, team)
+        captain = members.captain_of(session, own)
+        members.mute(session, CONSOLE, captain, [NoticeKind.FINISHED])
+        outbox.announce(session, NoticeKind.FINISHED, own.id, "evaluation:1", FACTS)
+        assert outbox.newest(session) == []
+    with database.transaction() as session:
+        outbox.announce(session, NoticeKind.FAILED, own.id, "evaluation:1", FACTS)
+        assert len(outbox.newest(session)) == 1
+        session.rollback()
+    with database.transaction() as session:
+        assert outbox.newest(session) == []
+        members.set_email(session, CONSOLE, members.captain_of(session, teams.own(session, team)), None)
+        outbox.announce(session, NoticeKind.FAILED, own.id, "evaluation:1", FACTS)
+        assert outbox.newest(session) == []
+
+
+def test_mails_to_a_team_are_bounded_and_webhooks_are_not(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(outbox, "MAX_MAILS_A_DAY", 2)
+    with database.transaction() as session:
+        team = make_principal(session)
+        with_address(session, team)
+        own = teams.own(session, team)
+        webhooks.add(session, team, own, "https://hook.example.org/", inside_allowed=False)
+        for number in range(4):
+            outbox.announce(session, NoticeKind.FINISHED, own.id, f"evaluation:{number}", FACTS)
+        channels = [notice.channel for notice in outbox.newest(session)]
+    assert (channels.count(NoticeChannel.MAIL), channels.count(NoticeChannel.WEBHOOK)) == (2, 4)
+
+
+def test_a_webhook_is_signed_retried_with_the_same_id_and_follows_no_redirect(
+    database: Database, tmp_path: Path
+) -> None:
+    settings = settings_with(tmp_path)
+    with receiving() as receiver:
+        with database.transaction() as session:
+            team = make_principal(session)
+            own = teams.own(session, team)
+            hook = webhooks.add(session, team, own, receiver.address, inside_allowed=True)
+            outbox.announce(session, NoticeKind.FINISHED, own.id, "evaluation:1", FACTS)
+        receiver.status = 302
+        assert sending.send_one(database, settings)
+        assert not sending.send_one(database, settings), "the next try waits"
+        with database.transaction() as session:
+            notice = outbox.newest(session, unsent_only=True)[0]
+            assert notice.problem == "It answered with status 302, expected 2xx."
+            assert timedelta(seconds=20) < notice.due_at - datetime.now(UTC) <= sending.FIRST_PAUSE
+        receiver.status = 200
+        due_again(database)
+        assert sending.send_one(database, settings)
+    (first, body), (second, repeated) = receiver.got
+    assert (first["Vitac-Notice-Id"], body) == (second["Vitac-Notice-Id"], repeated)
+    for headers, sent in receiver.got:
+        assert headers["Vitac-Signature"] == webhooks.signature(hook.secret, int(headers["Vitac-Time"]), sent)
+    assert webhooks.signature("0" * 64, int(first["Vitac-Time"]), body) != first["Vitac-Signature"]
+    with database.transaction() as session:
+        assert outbox.newest(session, unsent_only=True) == []
+
+
+def test_a_notice_that_cannot_be_sent_is_given_up_and_sent_again_by_an_organizer(
+    database: Database, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sending, "MAX_ATTEMPTS", 2)
+    settings = make_settings()  # neither e-mails nor hosts inside
+    with database.transaction() as session:
+        team = make_principal(session)
+        with_address(session, team)
+        own = teams.own(session, team)
+        session.add(Webhook(team_id=own.id, address="https://127.0.0.1:1/", secret="0" * 64))
+        session.flush()
+        outbox.announce(session, NoticeKind.FINISHED, own.id, "evaluation:1", FACTS)
+    for _ in range(2):
+        due_again(database)
+        assert [sending.send_one(database, settings) for _ in range(3)] == [True, True, False]
+    due_again(database)
+    assert not sending.send_one(database, settings)
+    with database.transaction() as session:
+        found = {notice.channel: notice for notice in outbox.newest(session)}
+        assert "VITAC_MAIL_URL is not set" in str(found[NoticeChannel.MAIL].problem)
+        assert "no address of the internet" in str(found[NoticeChannel.WEBHOOK].problem)
+        assert all(notice.given_up_at for notice in found.values())
+        with refused(ProblemCode.FORBIDDEN):
+            outbox.retry(session, team, found[NoticeChannel.MAIL].id)
+        outbox.retry(session, CONSOLE, found[NoticeChannel.MAIL].id)
+        with refused(ProblemCode.INVALID_REQUEST):
+            outbox.retry(session, CONSOLE, found[NoticeChannel.MAIL].id)
+    assert [sending.send_one(database, settings) for _ in range(2)] == [True, False]
+
+
+def test_who_was_killed_while_sending_loses_nothing_and_who_was_late_says_nothing(
+    database: Database, tmp_path: Path
+) -> None:
+    with database.transaction() as session:
+        team = make_principal(session)
+        with_address(session, team)
+        outbox.announce(session, NoticeKind.FINISHED, teams.own(session, team).id, "evaluation:1", FACTS)
+    claimed = sending._claim(database)
+    assert claimed is not None
+    assert sending._claim(database) is None
+    due_again(database)  # the claim has ended
+    assert sending.send_one(database, settings_with(tmp_path))
+    sending._note(database, claimed.notice, "too late")
+    with database.transaction() as session:
+        (notice,) = outbox.newest(session)
+        assert (notice.problem, notice.attempts, notice.sent_at is None) == (None, 2, False)
+
+
+def test_the_sender_works_until_it_is_stopped(database: Database, tmp_path: Path) -> None:
+    with database.transaction() as session:
+        team = make_principal(session)
+        with_address(session, team)
+        outbox.announce(session, NoticeKind.FINISHED, teams.own(session, team).id, "evaluation:1", FACTS)
+    written = threading.Event()
+    sender = sending.NoticeSender(database, settings_with(tmp_path).model_copy(update={"sweep_interval_s": 0.02}))
+    sender.start()
+    for _ in range(1000):
+        if list((tmp_path / "mails").glob("*.eml")):
+            break
+        written.wait(0.02)
+    sender.stop()
+    assert len(list((tmp_path / "mails").glob("*.eml"))) == 1
+
+
+def test_webhooks_are_the_captains_and_few(database: Database) -> None:
+    with database.transaction() as session:
+        team, other = make_principal(session), make_principal(session, "Team B")
+        own = teams.own(session, team)
+        made = [
+            webhooks.add(session, team, own, "https://hook.example.org/", inside_allowed=False)
+            for _ in range(webhooks.MAX_WEBHOOKS)
+        ]
+        with refused(ProblemCode.INVALID_REQUEST):
+            webhooks.add(session, team, own, "https://hook.example.org/", inside_allowed=False)
+        for not_leading in (other, Principal(role=team.role, team_id=team.team_id)):
+            with pytest.raises(Exception, match=r"captain|There is no team"):
+                webhooks.of_team(session, not_leading, own)
+        with refused(ProblemCode.NOT_FOUND):
+            webhooks.remove(session, other, teams.own(session, other), made[0].id)
+        webhooks.remove(session, team, own, made[0].id)
+        assert {hook.id for hook in webhooks.of_team(session, team, own)} == {hook.id for hook in made[1:]}
