@@ -20,8 +20,9 @@ from vitac.server.queue.leases import Lease
 from vitac.server.services import Services
 
 from .families import families_here
+from .leased_run import DATABASE_PATIENCE_S, RunEnd
 from .playback_run import PlaybackRun, StartPlayback
-from .shard_run import DATABASE_PATIENCE_S, RunEnd, ShardRun, StartShard
+from .shard_run import ShardRun, StartShard
 from .staging import SubmissionStage
 
 logger = structlog.get_logger(__name__)

@@ -195,20 +195,22 @@ def test_runs_through_symlinks(checkout: Checkout, tmp_path: Path) -> None:
 def test_test_command_adds_the_dev_packages_and_runs_in_the_repository(checkout: Checkout, tmp_path: Path) -> None:
     checkout.run()
     ran = checkout.run(str(checkout.root / "vitac"), "test", "-k", "two words", cwd=tmp_path)
-    assert checkout.calls == ["venv", "pip base.lock", "pip dev.lock", "sphinx"]
+    assert checkout.calls == ["venv", "pip base.lock", "pip dev.lock"]
     assert ran.stdout == f"<-k><two words>{checkout.root}\n"
 
 
-def test_base_commands_are_content_with_the_dev_packages(checkout: Checkout) -> None:
+def test_base_commands_and_the_documentation_are_content_with_the_dev_packages(checkout: Checkout) -> None:
     checkout.run(str(checkout.root / "vitac"), "test")
     checkout.run()
+    assert checkout.calls == ["venv", "pip dev.lock"]
+    checkout.run(str(checkout.root / "vitac"), "serve")
     assert checkout.calls == ["venv", "pip dev.lock", "sphinx"]
 
 
 def test_drawing_adds_its_packages_and_later_commands_keep_them(checkout: Checkout) -> None:
     for command in ("status", "show", "status", "test", "show"):
         checkout.run(str(checkout.root / "vitac"), command)
-    assert checkout.calls == ["venv", "pip base.lock", "pip show.lock", "pip dev.lock", "sphinx"]
+    assert checkout.calls == ["venv", "pip base.lock", "pip show.lock", "pip dev.lock"]
 
 
 def test_maniskill_is_added_once_after_saying_how_large_it_is(checkout: Checkout) -> None:
@@ -259,7 +261,7 @@ def test_an_update_keeps_the_dev_packages(checkout: Checkout) -> None:
     with (checkout.root / "pyproject.toml").open("a") as file:
         file.write("# changed\n")
     checkout.run()
-    assert checkout.calls == ["venv", "pip dev.lock", "sphinx", "pip dev.lock"]
+    assert checkout.calls == ["venv", "pip dev.lock", "pip dev.lock"]
 
 
 def test_remakes_an_environment_that_was_cut_off(checkout: Checkout) -> None:

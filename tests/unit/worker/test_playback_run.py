@@ -13,8 +13,8 @@ from vitac.server.db.states import PlaybackState
 from vitac.server.playbacks import work
 from vitac.server.playbacks.work import PlaybackLease
 from vitac.server.services import Services
+from vitac.worker.leased_run import RunEnd
 from vitac.worker.playback_run import PlaybackRun
-from vitac.worker.shard_run import RunEnd
 from worker_fakes import eventually
 
 

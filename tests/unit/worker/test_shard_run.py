@@ -36,7 +36,8 @@ from vitac.server.services import Services
 from vitac.server.storage.blobs import BlobStore, StoredFileLost
 from vitac.server.submissions import creation, runs
 from vitac.worker import shard_run
-from vitac.worker.shard_run import RunEnd, ShardRun
+from vitac.worker.leased_run import RunEnd
+from vitac.worker.shard_run import ShardRun
 from vitac.worker.staging import SubmissionStage
 from worker_fakes import FakeShard, FakeShards, eventually
 

@@ -1,0 +1,179 @@
+"""What all work on a lease has in common: a process of its own, the lease kept alive meanwhile, and how it ends."""
+
+import tempfile
+import threading
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from enum import StrEnum
+from pathlib import Path
+from typing import ClassVar, Generic, Protocol, TypeVar
+
+import structlog
+from sqlalchemy.orm import Session
+from vitac.envs.errors import VitacError
+from vitac.server.queue.leases import LeaseLost
+from vitac.server.services import Services
+from vitac.server.storage.disk_space import has_space, is_disk_full
+
+DATABASE_PATIENCE_S = 600.0
+"""So long a worker keeps what it has while the database is away."""
+
+
+FULL_DISK_PAUSE_S = 5.0
+"""So long waits what a worker gave back because its disk was full."""
+
+
+class RunEnd(StrEnum):
+    """How the work on a lease ended."""
+
+    FINISHED = "finished"  # the result is stored
+    LOST = "lost"  # another worker has it, or it was ended from outside
+    HANDED_BACK = "handed_back"  # this worker stops or has no disk space left
+    BROKE = "broke"  # this machine could not do it; reported
+
+
+class RunningProcess(Protocol):
+    """What every process that works for a lease offers."""
+
+    def kill(self) -> None:
+        """End it at once."""
+
+
+ProcessT = TypeVar("ProcessT", bound=RunningProcess)
+ResultT = TypeVar("ResultT")
+
+
+class LeasedRun(ABC, Generic[ProcessT]):
+    """The work on one lease. `run` does it; `stop` may be called from any thread."""
+
+    step: ClassVar[str]
+    """What has to happen now and then, or the process counts as one that hangs: `episode ended`."""
+
+    def __init__(self, services: Services, **names: int) -> None:
+        """Prepare; nothing is started.
+
+        Args:
+            services: open services.
+            names: what the lease is on, for log lines.
+        """
+        self._services = services
+        self._logger = structlog.get_logger(type(self).__module__).bind(**names)
+        self._thread_name = "lease-" + "-".join(f"{name}-{number}" for name, number in names.items())
+        self._lock = threading.Lock()
+        self._process: ProcessT | None = None
+        self._stopping = threading.Event()
+        self._lost = threading.Event()
+        self._over = threading.Event()
+        self._is_idle = threading.Event()
+        self._moved_at = time.monotonic()
+
+    def run(self) -> RunEnd:
+        """Work until it is finished, lost, handed back or reported as broken."""
+        renewing = threading.Thread(target=self._keep_lease, name=self._thread_name, daemon=True)
+        renewing.start()
+        try:
+            return self._work_or_end_early()
+        except LeaseLost:
+            return RunEnd.LOST
+        finally:
+            self._over.set()
+            renewing.join()
+
+    def stop(self) -> None:
+        """End the process; `run` gives the work back."""
+        self._stopping.set()
+        self._kill()
+
+    @abstractmethod
+    def _work(self) -> None:
+        """Do it and store the result; call `_watch` on the process and `_advance` after each step."""
+
+    @abstractmethod
+    def _renew(self, session: Session) -> None:
+        """Keep the lease for another while."""
+
+    @abstractmethod
+    def _hand_back(self, session: Session, delay_s: float = 0.0) -> None:
+        """Let another worker do it (after a while); this was no attempt."""
+
+    @abstractmethod
+    def _report_broken(self, session: Session, message: str) -> None:
+        """Say that this machine could not do it, which counts as an attempt."""
+
+    def _watch(self, process: ProcessT) -> None:
+        """Have the process killed when the work has to end, which may be so already."""
+        with self._lock:
+            self._process = process
+        if self._stopping.is_set() or self._lost.is_set():
+            process.kill()
+
+    def _advance(self) -> None:
+        self._moved_at = time.monotonic()
+
+    def _database(self, change: Callable[[Session], ResultT]) -> ResultT:
+        """Run a transaction, again and again while the database is away and the worker is not told to stop."""
+        patience_s = 5.0 if self._stopping.is_set() else DATABASE_PATIENCE_S
+        return self._services.database.retrying(change, give_up_after_s=patience_s)
+
+    def _work_or_end_early(self) -> RunEnd:
+        try:
+            self._work()
+        except LeaseLost:
+            raise
+        except (VitacError, OSError) as error:
+            return self._end_early(error)
+        return RunEnd.FINISHED
+
+    def _end_early(self, error: Exception) -> RunEnd:
+        """Say what became of work whose process ended before its time, or whose result could not be stored."""
+        if self._lost.is_set():
+            return RunEnd.LOST
+        message = " ".join(str(error).split())[:1000]
+        if self._stopping.is_set():
+            self._database(self._hand_back)
+            return RunEnd.HANDED_BACK
+        if self._lacks_space(error):
+            self._logger.error("disk_full", error=message)
+        if self._waits_for_space(error):
+            self._database(lambda session: self._hand_back(session, FULL_DISK_PAUSE_S))
+            return RunEnd.HANDED_BACK
+        if self._is_idle.is_set():
+            message = f"No {self.step} within {self._services.settings.shard_idle_timeout_s:g} s."
+        self._logger.error("work_broke", error=message)
+        self._database(lambda session: self._report_broken(session, message))
+        return RunEnd.BROKE
+
+    def _lacks_space(self, error: Exception) -> bool:
+        """Return whether the disk is full; a process may end with any error then, so we look."""
+        return is_disk_full(error) or not self._has_space()
+
+    def _waits_for_space(self, error: Exception) -> bool:
+        """Return whether the work ended for lack of space in a way that counts as no attempt."""
+        return self._lacks_space(error)
+
+    def _has_space(self) -> bool:
+        return all(has_space(folder) for folder in (self._services.settings.scratch_dir, Path(tempfile.gettempdir())))
+
+    def _keep_lease(self) -> None:
+        while not self._over.wait(self._services.settings.lease_renewal_s):
+            try:
+                self._database(self._renew)
+                self._end_if_idle()
+            except LeaseLost:
+                self._lost.set()
+                self._kill()
+                return
+            except Exception as error:  # noqa: BLE001 - whatever it is, the work itself goes on and will tell
+                self._logger.warning("lease_not_renewed", error=str(error))
+
+    def _end_if_idle(self) -> None:
+        """End a process that hangs: its limits bound the policy, but nothing else bounds the simulation."""
+        if time.monotonic() - self._moved_at > self._services.settings.shard_idle_timeout_s:
+            self._is_idle.set()
+            self._kill()
+
+    def _kill(self) -> None:
+        with self._lock:
+            if self._process is not None:
+                self._process.kill()
