@@ -26,7 +26,8 @@ from vitac.server.limiter import ConcurrencyLimiter
 from vitac.server.queue.leases import Lease
 from vitac.server.submissions.figures import has_part
 from vitac.server.submissions.files import stored_digests
-from vitac.worker.shard_run import RunEnd, ShardRun
+from vitac.worker.leased_run import RunEnd
+from vitac.worker.shard_run import ShardRun
 from vitac.worker.staging import SubmissionStage
 from worker_fakes import FakeShards
 
