@@ -77,7 +77,7 @@ def test_one_of_several_server_processes_writes_what_it_counts_and_leaves_the_sw
         before = leases_lost(services)
         keeper = Housekeeping(services, sweeps=sweeps)
         keeper.start()
-        eventually(lambda before=before: leases_lost(services) > before)
+        eventually(lambda before=before: leases_lost(services) > before)  # type: ignore[misc]
         keeper.stop()
         assert bool(swept) is sweeps
 
