@@ -35,7 +35,7 @@ from vitac.server.queue.leases import Lease
 from vitac.server.services import Services
 from vitac.server.storage.blobs import BlobStore, StoredFileLost
 from vitac.server.submissions import creation, runs
-from vitac.worker import shard_run
+from vitac.worker import leased_run, shard_run
 from vitac.worker.leased_run import RunEnd
 from vitac.worker.shard_run import ShardRun
 from vitac.worker.staging import SubmissionStage
@@ -172,7 +172,7 @@ def test_shards_on_a_full_disk_wait_and_never_fail_an_evaluation(
 ) -> None:
     shard_id = first_shard(services, submission)
     with monkeypatch.context() as full:
-        full.setattr(shard_run, "has_space", lambda _: False)
+        full.setattr(leased_run, "has_space", lambda _: False)
         for _ in range(2 * services.settings.shard_attempts):
             lease = claim(services.database, shard_id, lease_s=services.settings.lease_s)
             shards = FakeShards()
