@@ -59,6 +59,16 @@ def calibrated(task: Task, sensor: Path) -> Coefficients:
     return _calibrated[key]
 
 
+def is_calibrated(task: Task, sensor: Path) -> bool:
+    """Return whether this process has the coefficients of a sensor."""
+    return (task.env_id, sensor) in _calibrated
+
+
+def take(task: Task, sensor: Path, coefficients: Coefficients) -> None:
+    """Use coefficients that another process has found for a sensor."""
+    _calibrated[task.env_id, sensor] = coefficients
+
+
 def _episode(env: Environment, task: Task, number: int) -> Iterator[Sample]:
     shapes, scale = task.episode_list.shapes, task.definition.action_scale
     random = np.random.Generator(np.random.PCG64([SEED, number, 1]))

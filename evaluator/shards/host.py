@@ -4,6 +4,8 @@ Importing the environments and loading their kernels takes most of a second, whi
 every time. Nothing of a shard remains here: it runs in the copy, which ends with its submission. Run as
 `python -m vitac.evaluator.shards.host CONTROL [load-all]`, where CONTROL is the descriptor of a socket. Each message on
 it carries two descriptors: a socket for orders, one line each, and their answers, and a pipe that gets the exit code.
+
+A sensor is calibrated in a copy of its own, which takes half a minute; meanwhile other orders are carried out.
 """
 
 import ctypes
@@ -14,17 +16,22 @@ import selectors
 import signal
 import socket
 import sys
+from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import NoReturn
 
 import numpy as np
+from vitac.envs.errors import VitacError
 from vitac.envs.maniskill.definition import is_maniskill
 
 from ..episodes.episode import make_environment
-from ..estimator.calibration import calibrated
+from ..estimator.calibration import calibrated, is_calibrated, take
+from ..estimator.regression import Coefficients
 from ..sensors.check import design_in
-from ..tracks import Player
+from ..tracks import Player, Task
 from ..tracks.registry import list_tracks, load_track
 from ..version import evaluator_hash
 from .execution import execute
@@ -35,6 +42,30 @@ _PR_SET_PDEATHSIG = 1
 _DESCRIPTORS_PER_SHARD = 2
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Ordered:
+    """An order whose shard is not forked yet, and the descriptors that came with it."""
+
+    order: ShardOrder
+    connection: socket.socket
+    exit_pipe: int
+
+    def close(self) -> None:
+        """Close the descriptors; the other end then sees that no process will answer."""
+        self.connection.close()
+        os.close(self.exit_pipe)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Calibration:
+    """A calibration at work: the memory file that gets the coefficients, and the orders that wait for them."""
+
+    task: Task
+    sensor: Path
+    memory: int
+    waiting: list[_Ordered] = field(default_factory=list)
+
+
 class SimulationHost:
     """Forks a process for each order that arrives on the control socket, until the other end closes it."""
 
@@ -43,6 +74,8 @@ class SimulationHost:
         self._selector = selectors.DefaultSelector()
         self._selector.register(control, selectors.EVENT_READ)
         self._loaded: set[tuple[str, str, Path | None, Path | None]] = set()
+        self._calibrations: dict[tuple[str, Path], _Calibration] = {}
+        """Those at work, and those that failed: their shards calibrate for themselves, and report the error."""
 
     def load_all(self) -> None:
         """Load every task of every track, as long as no order waits."""
@@ -57,52 +90,83 @@ class SimulationHost:
         while True:
             for key, _ in self._selector.select():
                 if key.fileobj is not self._control:
-                    self._report_end(key)
-                elif not self._start_shard():
+                    self._reap(key)
+                elif not self._take_order():
                     return
 
-    def _start_shard(self) -> bool:
-        """Read one order and fork; False if the other end is gone."""
+    def _take_order(self) -> bool:
+        """Read one order and fork, or let it wait for a calibration; False if the other end is gone."""
         _, descriptors, _, _ = socket.recv_fds(self._control, 1, _DESCRIPTORS_PER_SHARD)
         if len(descriptors) != _DESCRIPTORS_PER_SHARD:
             return False
         answers, exit_pipe = descriptors
-        with socket.socket(fileno=answers) as connection:
-            try:
-                pid, pidfd = self._fork(connection)
-            except (ValueError, OSError):
-                # The order was cut off, or the machine is out of processes. The other end sees the socket close, and
-                # the shards that run already go on.
-                sys.excepthook(*sys.exc_info())
-                os.close(exit_pipe)
-                return True
-        self._selector.register(pidfd, selectors.EVENT_READ, (pid, exit_pipe))
+        connection = socket.socket(fileno=answers)
+        try:
+            order = ShardOrder.model_validate_json(_read_line(connection))
+        except (ValueError, OSError):  # The order was cut off. The shards that run already go on.
+            sys.excepthook(*sys.exc_info())
+            connection.close()
+            os.close(exit_pipe)
+            return True
+        self._load_task(order.track, order.task, order.assets_dir, order.sensor)
+        ordered = _Ordered(order=order, connection=connection, exit_pipe=exit_pipe)
+        if not self._waits_for_calibration(ordered):
+            self._start_shard(ordered)
         return True
 
-    def _fork(self, connection: socket.socket) -> tuple[int, int]:
-        """Return process id and pidfd of the shard."""
-        order = ShardOrder.model_validate_json(_read_line(connection))
-        self._load(order)
+    def _start_shard(self, ordered: _Ordered) -> None:
+        started = self._fork(partial(self._be_shard, ordered), partial(_report_end, ordered.exit_pipe))
+        ordered.connection.close()
+        if not started:
+            os.close(ordered.exit_pipe)
+
+    def _waits_for_calibration(self, ordered: _Ordered) -> bool:
+        """Have the order of the standard estimator wait for the coefficients of its sensor; False if it need not."""
+        sensor, task = ordered.order.sensor, _known_task(ordered.order)
+        if sensor is None or task is None or task.player is Player.POLICY or is_calibrated(task, sensor):
+            return False
+        key = (task.env_id, sensor)
+        if key not in self._calibrations:
+            found = _Calibration(task=task, sensor=sensor, memory=os.memfd_create("coefficients"))
+            self._calibrations[key] = found
+            found.waiting.append(ordered)
+            if not self._fork(partial(_calibrate, found), partial(self._end_calibration, found)):
+                os.close(found.memory)
+                found.waiting.clear()
+        elif self._calibrations[key].waiting:
+            self._calibrations[key].waiting.append(ordered)
+        return bool(self._calibrations[key].waiting)
+
+    def _end_calibration(self, ended: _Calibration, exit_code: int) -> None:
+        """Take the coefficients, and fork the shards that waited for them."""
+        with open(ended.memory, "rb") as memory:  # noqa: PTH123 - a descriptor
+            memory.seek(0)  # the copy has left it at the end
+            content = memory.read()
+        if exit_code == 0:
+            take(ended.task, ended.sensor, Coefficients.model_validate_json(content))
+            del self._calibrations[ended.task.env_id, ended.sensor]
+        waiting = ended.waiting[:]
+        ended.waiting.clear()
+        for ordered in waiting:
+            self._start_shard(ordered)
+
+    def _fork(self, work: Callable[[], None], ended: Callable[[int], None]) -> bool:
+        """Do work in a copy of this process; `ended` gets its exit code. False where there is no process left."""
         gc.freeze()  # the copies' collections then leave the loaded modules alone, which they would copy otherwise
         host_pid = os.getpid()
-        pid = os.fork()
-        if pid == 0:
-            self._become_shard(host_pid, connection, order)
         try:
-            return pid, os.pidfd_open(pid)
-        except OSError:
-            os.kill(pid, signal.SIGKILL)
-            os.waitpid(pid, 0)
-            raise
-
-    def _load(self, order: ShardOrder) -> None:
-        self._load_task(order.track, order.task, order.assets_dir, order.sensor)
+            pid = os.fork()
+            if pid == 0:
+                self._become_copy(host_pid, work)
+            pidfd = _opened(pid)
+        except OSError:  # The other end sees the socket close, and the shards that run already go on.
+            sys.excepthook(*sys.exc_info())
+            return False
+        self._selector.register(pidfd, selectors.EVENT_READ, (pid, ended))
+        return True
 
     def _load_task(self, track: str, task: str, assets_dir: Path | None = None, sensor: Path | None = None) -> None:
-        """Play one env step of a task, so that copies have all kernels and know the evaluator's hash.
-
-        For the standard estimator a sensor is calibrated here, once for all its shards.
-        """
+        """Play one env step of a task, so that copies have all kernels and know the evaluator's hash."""
         what = (track, task, assets_dir, sensor)
         if what in self._loaded:
             return
@@ -114,38 +178,73 @@ class SimulationHost:
             env = make_environment(listed, assets_dir, sensor=design_in(sensor) if sensor else None)
             env.reset(options=listed.episodes[0].options)
             env.step(np.zeros(len(listed.actions), dtype=np.float32))
-            if sensor and listed.player is not Player.POLICY:
-                calibrated(listed, sensor)
             evaluator_hash()
             self._loaded.add(what)
 
-    def _become_shard(self, host_pid: int, connection: socket.socket, order: ShardOrder) -> NoReturn:
-        """Run the shard, and those that are ordered after it, in the forked process, which never returns."""
+    def _become_copy(self, host_pid: int, work: Callable[[], None]) -> NoReturn:
+        """Do work in the forked process, which never returns."""
         exit_code = 1
         try:
             _die_with(host_pid)
             os.setsid()
             self._control.close()
             self._selector.close()
-            socket.send_fds(connection, [PROCESS_ID.pack(os.getpid())], [os.pidfd_open(os.getpid())])
-            with connection.makefile("rw", encoding="utf-8") as stream, Preparation() as preparation:
-                execute(order, stream, preparation)
-                for line in stream:
-                    execute(ShardOrder.model_validate_json(line), stream, preparation)
+            for calibration in self._calibrations.values():
+                for ordered in calibration.waiting:  # else the other end would not see the end of its own process
+                    ordered.close()
+            work()
             exit_code = 0
         except BaseException:  # noqa: BLE001 - the process ends here, and its parent sees the exit code
             sys.excepthook(*sys.exc_info())
         finally:
             os._exit(exit_code)
 
-    def _report_end(self, key: selectors.SelectorKey) -> None:
-        pid, exit_pipe = key.data
+    def _be_shard(self, ordered: _Ordered) -> None:
+        """Run the shard, and those that are ordered after it."""
+        connection = ordered.connection
+        socket.send_fds(connection, [PROCESS_ID.pack(os.getpid())], [os.pidfd_open(os.getpid())])
+        with connection.makefile("rw", encoding="utf-8") as stream, Preparation() as preparation:
+            execute(ordered.order, stream, preparation)
+            for line in stream:
+                execute(ShardOrder.model_validate_json(line), stream, preparation)
+
+    def _reap(self, key: selectors.SelectorKey) -> None:
+        """Collect a copy that has ended."""
+        pid, ended = key.data
         self._selector.unregister(key.fileobj)
         os.close(key.fd)
         _, status = os.waitpid(pid, 0)
-        with suppress(BrokenPipeError):
-            os.write(exit_pipe, str(os.waitstatus_to_exitcode(status)).encode())
-        os.close(exit_pipe)
+        ended(os.waitstatus_to_exitcode(status))
+
+
+def _known_task(order: ShardOrder) -> Task | None:
+    """Return the task of an order; None where there is none, which the shard reports."""
+    with suppress(VitacError):
+        return load_track(order.track).tasks.get(order.task)
+    return None
+
+
+def _calibrate(calibration: _Calibration) -> None:
+    """Calibrate in a copy of the host."""
+    coefficients = calibrated(calibration.task, calibration.sensor)
+    with open(calibration.memory, "wb") as memory:  # noqa: PTH123 - a descriptor
+        memory.write(coefficients.as_bytes())
+
+
+def _report_end(exit_pipe: int, exit_code: int) -> None:
+    with suppress(BrokenPipeError):
+        os.write(exit_pipe, str(exit_code).encode())
+    os.close(exit_pipe)
+
+
+def _opened(pid: int) -> int:
+    """Return the pidfd of a copy; without one it is ended."""
+    try:
+        return os.pidfd_open(pid)
+    except OSError:
+        os.kill(pid, signal.SIGKILL)
+        os.waitpid(pid, 0)
+        raise
 
 
 def _read_line(connection: socket.socket) -> bytes:

@@ -11,10 +11,17 @@ from pathlib import Path
 from typing import Any
 
 from evaluation_fakes import FakeEnvironment, FakeSession, action, cannot_load, fail, succeed
+from evaluation_records import make_manifest
 from vitac.evaluator.agent.limits import Limits
 from vitac.evaluator.agent.verdicts import SandboxFailed
+from vitac.evaluator.estimator import calibration
+from vitac.evaluator.estimator.regression import Coefficients
 from vitac.evaluator.shards import execution, host
+from vitac.evaluator.shards.order import ShardOrder
+from vitac.evaluator.shards.result import ShardEnd, ShardResult
 from vitac.evaluator.submission.manifest import SubmissionManifest
+from vitac.evaluator.tracks import Task
+from vitac.evaluator.tracks.cut import Shard
 
 
 def hang(_: int, step: int) -> Any:
@@ -72,7 +79,28 @@ def load_policy(submission_dir: Path, limits: Limits, slot: int) -> Any:
     return FakeSession(answers[behaviour]).load()
 
 
+def calibrated(_: Task, sensor: Path) -> Coefficients:
+    """Has found the coefficients once somebody writes how many starts were played into the sensor's folder."""
+    (sensor / "begun").touch()
+    while not (sensor / "starts").exists():
+        time.sleep(0.01)
+    return Coefficients(mesh_hash="0" * 64, starts=int((sensor / "starts").read_text()), regressions=())
+
+
+def run_estimator(order: ShardOrder, _track: object, task: Task, shard: Shard, _on_episode: object) -> ShardResult:
+    """Plays nothing, and tells with what it would have played."""
+    assert order.sensor is not None
+    manifest, handed_over = make_manifest(task=task.name), calibration.is_calibrated(task, order.sensor)
+    coefficients = calibration.calibrated(task, order.sensor) if handed_over else None
+    return ShardResult(
+        index=shard.index, end=ShardEnd.COMPLETE, manifest=manifest, isolation=None, coefficients=coefficients
+    )
+
+
 if __name__ == "__main__":
+    host.calibrated = calibrated  # type: ignore[attr-defined, assignment]
+    host.design_in = lambda _: None  # type: ignore[attr-defined, assignment]
+    execution.run_estimator = run_estimator  # type: ignore[attr-defined, assignment]
     execution.load_in_sandbox = load_policy  # type: ignore[attr-defined]
     for module in (execution, host):
         module.make_environment = lambda *_, **__: FakeEnvironment()  # type: ignore[attr-defined]

@@ -4,6 +4,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 import fake_shard_process
@@ -11,8 +12,9 @@ import pytest
 from vitac.evaluator.episodes.records import EpisodeRecord
 from vitac.evaluator.shards import process as shard_process
 from vitac.evaluator.shards.order import ShardOrder
-from vitac.evaluator.shards.process import ShardProcesses, ShardProcessFailed
+from vitac.evaluator.shards.process import ShardProcess, ShardProcesses, ShardProcessFailed
 from vitac.evaluator.shards.result import ShardEnd, ShardResult
+from worker_fakes import eventually
 
 FAKE = (sys.executable, fake_shard_process.__file__)
 
@@ -244,6 +246,55 @@ def test_order_without_sense_leaves_other_shards_alone(processes: ShardProcesses
         with processes.running_shard(wrong) as refused, pytest.raises(ShardProcessFailed):
             list(refused.records())
         assert is_alive(process.pid)
+
+
+def of_sensor(sensor: Path, task: str = "sensor-standard", shard: int = 0) -> ShardOrder:
+    changes = {"track": "track_3", "task": task, "sensor": sensor, "shard": shard, "episodes": None}
+    return order("succeed", **changes)
+
+
+def test_while_a_sensor_is_calibrated_other_shards_run_and_its_own_wait(
+    processes: ShardProcesses, tmp_path: Path
+) -> None:
+    """The shards of both runs of a sensor, and one of another sensor, which is calibrated at the same time."""
+    first, second = tmp_path / "first", tmp_path / "second"
+    first.mkdir()
+    second.mkdir()
+    with ExitStack() as stack:
+        waiting = [
+            stack.enter_context(processes.running_shard(given))
+            for given in (of_sensor(first), of_sensor(first, "sensor-blind"), of_sensor(second))
+        ]
+        with processes.running_shard(order("succeed")) as other:
+            assert len(list(other.records())) == 3
+        eventually((first / "begun").exists)
+        eventually((second / "begun").exists)
+        (first / "starts").write_text("1")
+        assert [starts_of(process) for process in waiting[:2]] == [1, 1]
+        (second / "starts").write_text("2")
+        assert starts_of(waiting[2]) == 2
+    (first / "begun").unlink()
+    with processes.running_shard(order("succeed")), processes.running_shard(of_sensor(first, shard=1)) as later:
+        assert starts_of(later) == 1
+    assert not (first / "begun").exists()
+
+
+def starts_of(process: ShardProcess) -> int | None:
+    """Of the calibration that a shard found in its process."""
+    assert list(process.records()) == []
+    coefficients = process.result.coefficients
+    return None if coefficients is None else coefficients.starts
+
+
+def test_shards_of_a_sensor_whose_calibration_failed_are_left_to_themselves(
+    processes: ShardProcesses, tmp_path: Path
+) -> None:
+    (tmp_path / "starts").write_text("not a number")
+    for shard in (0, 1):
+        with processes.running_shard(of_sensor(tmp_path, shard=shard)) as process:
+            assert starts_of(process) is None
+    with processes.running_shard(order("succeed")) as other:
+        assert len(list(other.records())) == 3
 
 
 def test_leaving_the_block_of_all_ends_every_process() -> None:
