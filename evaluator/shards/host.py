@@ -44,7 +44,7 @@ _DESCRIPTORS_PER_SHARD = 2
 
 @dataclass(frozen=True, kw_only=True)
 class _Ordered:
-    """An order whose shard is not forked yet, and the descriptors that came with it."""
+    """An order whose shard is not forked yet, and the descriptors that were sent with it."""
 
     order: ShardOrder
     connection: socket.socket
