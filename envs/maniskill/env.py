@@ -126,7 +126,11 @@ class ManiSkillEnv:
         return self._plain(observation), self._info(info, None)
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Play one env step; actions outside [-1, 1] are clipped."""
+        """Play one env step; actions outside [-1, 1] are clipped.
+
+        Raises:
+            ManiSkillFailed: it raised an error, or gave NaN or infinity for actions that are finite.
+        """
         command = np.clip(np.asarray(action, dtype=np.float32), -1.0, 1.0)
         with self._working("step"):
             observation, reward, *_, info = self._env.step(command)
@@ -134,7 +138,19 @@ class ManiSkillEnv:
         reason = self._end_reason(info)
         succeeded = reason is EndReason.SUCCESS
         truncated = reason is not None and not succeeded
-        return self._plain(observation), float(reward), succeeded, truncated, self._info(info, reason)
+        shown = self._info(info, reason)
+        self._require_finite({"reward": float(reward)} | shown)
+        return self._plain(observation), float(reward), succeeded, truncated, shown
+
+    def _require_finite(self, values: Mapping[str, Any]) -> None:
+        """Refuse what a record cannot hold: the actions were finite, so this is no failure of the policy."""
+        numbers = {name: value for name, value in values.items() if isinstance(value, float | np.ndarray)}
+        wrong = [name for name, value in numbers.items() if not np.isfinite(value).all()]
+        if wrong:
+            raise ManiSkillFailed(
+                f"{self._task.env_id} gave {numbers[wrong[0]]} as {wrong[0]} at env step {self._env_steps}, expected "
+                "finite numbers."
+            )
 
     def _end_reason(self, info: Mapping[str, Any]) -> EndReason | None:
         key = self._settings.success_key

@@ -46,6 +46,7 @@ class FakePickCube:
         self.resets: list[tuple[int, dict[str, bool]]] = []
         self.commands: list[np.ndarray] = []
         self.solves, self.fails, self.raises = False, False, False
+        self.reward, self.force = 0.25, 1.0
         self.state_size = 42
 
     def reset(self, *, seed: int, options: dict[str, bool]) -> tuple[Tensor, dict[str, Any]]:
@@ -62,9 +63,9 @@ class FakePickCube:
         info = {
             "success": Tensor(self.solves and self.steps == 3),
             "fail": Tensor(self.fails),
-            "force": Tensor([1.0, 2.0]),
+            "force": Tensor([self.force, 2.0]),
         }
-        return self._observation(), Tensor(0.25), Tensor(False), Tensor(False), info
+        return self._observation(), Tensor(self.reward), Tensor(False), Tensor(False), info
 
     def get_state(self) -> Tensor:
         return Tensor(self.state)
@@ -146,6 +147,18 @@ def test_the_track_names_what_counts_as_success(fake: FakePickCube) -> None:
     other.reset(options=START)
     with pytest.raises(ManiSkillFailed, match="has no 'solved' in its info"):
         other.step(HOLD)
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+@pytest.mark.parametrize("name", ["reward", "force"])
+def test_numbers_that_are_not_finite_are_the_environments_failure(fake: FakePickCube, name: str, value: float) -> None:
+    """Records cannot hold them, and finite actions have led there."""
+    env = pick_cube()
+    env.reset(options=START)
+    env.step(HOLD)
+    setattr(fake, name, value)
+    with pytest.raises(ManiSkillFailed, match=rf"gave .*{value}.* as {name} at env step 2, expected finite numbers"):
+        env.step(HOLD)
 
 
 def test_actions_outside_the_box_are_clipped(fake: FakePickCube) -> None:
