@@ -14,6 +14,7 @@ from vitac.envs.errors import VitacError
 class ProblemCode(StrEnum):
     """Stable names of refusals; clients may rely on them, so a code is never renamed or reused."""
 
+    APPEAL_TOO_LATE = "appeal_too_late"
     ARCHIVE_REJECTED = "archive_rejected"
     BODY_TOO_LARGE = "body_too_large"
     CHECKSUM_MISMATCH = "checksum_mismatch"
@@ -71,6 +72,7 @@ class ProblemCode(StrEnum):
 
 STATUS_OF_CODE: Mapping[ProblemCode, HTTPStatus] = MappingProxyType(
     {
+        ProblemCode.APPEAL_TOO_LATE: HTTPStatus.CONFLICT,
         ProblemCode.ARCHIVE_REJECTED: HTTPStatus.UNPROCESSABLE_ENTITY,
         ProblemCode.BODY_TOO_LARGE: HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
         ProblemCode.CHECKSUM_MISMATCH: HTTPStatus.BAD_REQUEST,

@@ -199,5 +199,5 @@ def navigation(site: Site, viewer: Viewer | None) -> tuple[tuple[str, str], ...]
         if viewer.visitor.has_team:
             links.append(("/team", "Team"))
         if viewer.is_organizer:
-            links.append(("/operations", "Operations"))
+            links += [("/desk", "Desk"), ("/operations", "Operations")]
     return tuple(links)

@@ -6,7 +6,7 @@ import typer
 
 from . import audit, backup, evaluation, quota, submission, team, token, worker
 from .contest import advance, competition, receipt, results
-from .people import notice
+from .people import announcement, appeal, notice, question
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
@@ -35,6 +35,9 @@ app.add_typer(submission.app, name="submission", help="Submissions: list, show, 
 app.add_typer(evaluation.app, name="evaluation", help="Evaluations: list, show, requeue, cancel.")
 app.add_typer(worker.app, name="worker", help="Workers: list, show.")
 app.add_typer(audit.app, name="audit", help="The audit log: list.")
+app.add_typer(announcement.app, name="announcement", help="Announcements to everybody: publish, list, withdraw.")
+app.add_typer(question.app, name="question", help="Questions of teams: list, answer, hide.")
+app.add_typer(appeal.app, name="appeal", help="Appeals of teams: list, show, replay, rule.")
 app.add_typer(notice.app, name="notice", help="E-mails and webhooks to teams: list, retry.")
 app.command("backup")(backup.back_up)
 app.command("restore")(backup.restore)

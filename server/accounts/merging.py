@@ -10,11 +10,13 @@ from vitac.server.accounts.audit import record
 from vitac.server.accounts.principals import Principal
 from vitac.server.db.models import (
     ApiToken,
+    Appeal,
     BoardResult,
     Invitation,
     Member,
     PartialUpload,
     Qualification,
+    Question,
     Submission,
     Team,
     Webhook,
@@ -47,6 +49,8 @@ def merge(session: Session, by: Principal, team: Team, into: Team) -> None:
     moved = _move_submissions(session, team, into)
     _move_members(session, team, into)
     _move_qualifications(session, team, into)
+    for said in (Appeal, Question):
+        session.execute(update(said).where(said.team_id == team.id).values(team_id=into.id))
     for table in (ApiToken, BoardResult, Invitation, PartialUpload, Webhook):
         session.execute(update(table).where(table.team_id == team.id).values(team_id=into.id))
     session.expire_all()

@@ -2,7 +2,7 @@
 
 from typing import Annotated
 
-from fastapi import Depends, Request
+from fastapi import Depends, Path, Request
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 from vitac.server.accounts import tokens
 from vitac.server.accounts.principals import VISITOR, Principal
@@ -51,6 +51,7 @@ def reader_of(principal: Annotated[Principal | None, Depends(optional_principal_
     return principal or VISITOR
 
 
+RowNumber = Annotated[int, Path(ge=1, le=2_147_483_647)]
 ServicesOf = Annotated[Services, Depends(services_of)]
 PrincipalOf = Annotated[Principal, Depends(principal_of)]
 OptionalPrincipalOf = Annotated[Principal | None, Depends(optional_principal_of)]

@@ -18,7 +18,7 @@ from .middleware.body_limit import BodyLimit
 from .middleware.request_head import RequestHead
 from .middleware.request_times import RequestTimes
 from .middleware.shutdown import Shutdown
-from .people import members
+from .people import appeals, members, messages
 from .resumable import routes as uploads
 from .resumable.protocol import ProtocolVersion
 
@@ -92,6 +92,8 @@ def create_app(
     for router in (
         teams.router,
         members.router,
+        messages.router,
+        appeals.router,
         submissions.router,
         receipts.router,
         uploads.router,

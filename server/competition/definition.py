@@ -146,6 +146,9 @@ class CompetitionDefinition(StrictModel):
     rules: tuple[str, ...] = ()
     currency: Word = "USD"
     teams_locked: Instant | None = Field(default=None, description="From then on only organizers register teams.")
+    appeal_days: PositiveInt | None = Field(
+        default=None, description="So long after the end of an evaluation its team may appeal; null: no appeals."
+    )
     tracks: dict[Word, CompetitionTrack] = Field(min_length=1)
 
     def stage(self, track: str, name: str) -> Stage | None:

@@ -38,6 +38,15 @@ class NoticeChannel(StrEnum):
     WEBHOOK = "webhook"
 
 
+class AppealState(StrEnum):
+    """Life of an appeal."""
+
+    OPEN = "open"  # no organizer has ruled on it
+    UPHELD = "upheld"  # the team is right
+    REJECTED = "rejected"  # the result stands
+    WITHDRAWN = "withdrawn"  # taken back by the team
+
+
 class FileRole(StrEnum):
     """What a stored file is to its submission, besides its upload."""
 

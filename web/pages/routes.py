@@ -12,7 +12,7 @@ from ..rendering import STATIC
 from . import documentation, downloads, errors, operations, sandbox, submissions, tracks
 from .contest import competition, receipts
 from .episodes import page as episodes
-from .people import team
+from .people import appeals, desk, messages, team
 from .team import comparison, output, register, sharing, sign_in, upload
 
 if TYPE_CHECKING:
@@ -85,6 +85,13 @@ def _router() -> APIRouter:
         (f"{team.ADDRESS}/invite", team.invite, "POST"),
         (f"{team.ADDRESS}/token", team.renew_token, "POST"),
         (f"{team.ADDRESS}/{{action}}", team.change, "POST"),
+        (messages.ADDRESS, messages.messages, "GET"),
+        (f"{messages.ADDRESS}/ask", messages.ask, "POST"),
+        (appeals.ADDRESS, appeals.list_appeals, "GET"),
+        (f"{appeals.ADDRESS}/open", appeals.open_appeal, "POST"),
+        (f"{appeals.ADDRESS}/withdraw", appeals.withdraw, "POST"),
+        (desk.ADDRESS, desk.desk, "GET"),
+        (f"{desk.ADDRESS}/{{action}}", desk.change, "POST"),
         ("/join", team.join_form, "GET"),
         ("/join", team.join, "POST"),
         ("/sign-in", sign_in.sign_in_form, "GET"),

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
     from starlette.requests import Request
 
-FORM_LIMIT_BYTES = 8192
+FORM_LIMIT_BYTES = 1 << 16
 MEDIA_TYPE = "application/x-www-form-urlencoded"
 
 

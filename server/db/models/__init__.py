@@ -9,13 +9,17 @@ from .competition import Competition, Qualification, SealedList
 from .evaluations import ALL_TASKS, BoardResult, EpisodeDifference, EpisodeResult, Evaluation, LogCopy, Shard
 from .notices import Notice, Webhook
 from .operations import MetricTotal, Worker
+from .people import Announcement, Appeal, AppealReplay, Question
 from .playbacks import Playback
 from .receipts import ReceiptKey, ReceiptRow
 from .submissions import PartialUpload, Submission, SubmissionFile, UploadPart
 
 __all__ = [
     "ALL_TASKS",
+    "Announcement",
     "ApiToken",
+    "Appeal",
+    "AppealReplay",
     "AuditEntry",
     "Base",
     "BoardResult",
@@ -31,6 +35,7 @@ __all__ = [
     "PartialUpload",
     "Playback",
     "Qualification",
+    "Question",
     "ReceiptKey",
     "ReceiptRow",
     "SealedList",

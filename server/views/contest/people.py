@@ -5,7 +5,7 @@ from uuid import UUID
 
 from pydantic import Field
 
-from ...db.states import NoticeChannel, NoticeKind
+from ...db.states import AppealState, NoticeChannel, NoticeKind
 from ..base import View
 
 
@@ -43,3 +43,77 @@ class NoticeView(View):
     sent_at: datetime | None
     given_up_at: datetime | None
     problem: str | None = Field(description="Why the last try failed.")
+
+
+class AnnouncementView(View):
+    """What organizers say to everybody."""
+
+    id: int
+    title: str
+    text: str = Field(description="Plain text.")
+    published_at: datetime
+
+
+class AnnouncementListView(View):
+    """Announcements, newest first."""
+
+    items: list[AnnouncementView]
+
+
+class QuestionView(View):
+    """A question to the organizers, with its answer."""
+
+    id: int
+    team: str | None = Field(description="Who asks; null for everybody but the team and organizers.")
+    text: str = Field(description="Plain text.")
+    public: bool = Field(description="Whether everybody sees it once it is answered.")
+    asked_at: datetime
+    answer: str | None = Field(description="Plain text; null: not answered yet.")
+    answered_at: datetime | None
+    hidden: bool = Field(description="Organizers answer it no longer, and show it to nobody else.")
+
+
+class QuestionListView(View):
+    """Questions, newest first."""
+
+    items: list[QuestionView]
+
+
+class AppealReplayView(View):
+    """What an episode gave when it was played again, beside the stored result."""
+
+    task: str
+    episode: int
+    policy_sha256: str = Field(description="SHA-256 of the archive that was played.")
+    corrected: bool = Field(description="Whether that is another one than the submission's.")
+    outcome: str
+    env_steps: int
+    same_states: bool = Field(description="Whether every env step had the state of the stored record.")
+    old_outcome: str
+    old_env_steps: int
+    played_at: datetime
+
+
+class AppealView(View):
+    """An appeal against an evaluation."""
+
+    id: int
+    team: str
+    submission_id: UUID
+    submission_name: str
+    track: str
+    evaluation_id: UUID
+    task: str | None = Field(description="Null: all of the evaluation.")
+    episode: int | None
+    text: str = Field(description="Plain text.")
+    state: AppealState
+    ruling: str | None
+    opened_at: datetime
+    ended_at: datetime | None
+    replays: list[AppealReplayView]
+
+
+class AppealListView(View):
+    """Appeals, newest first."""
+
+    items: list[AppealView]

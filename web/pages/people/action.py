@@ -53,6 +53,20 @@ async def act(
     return RedirectResponse(back, status_code=303)
 
 
+def number_in(fields: Mapping[str, str], name: str) -> int:
+    """Return the number of a row out of a form.
+
+    Raises:
+        ServiceError: there is none.
+    """
+    given = fields.get(name, "")
+    if not (given.isascii() and given.isdigit() and len(given) < 10 and int(given)):
+        raise ServiceError(
+            ProblemCode.INVALID_REQUEST, f"Expected a number as {name}, got {given!r:.40}. Reload the page."
+        )
+    return int(given)
+
+
 def id_in(fields: Mapping[str, str], name: str) -> UUID:
     """Return an id out of a form.
 

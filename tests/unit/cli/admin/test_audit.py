@@ -8,24 +8,30 @@ from pathlib import Path
 import pytest
 import typer
 from cli_service import CliService, submission_folder
+from service_factories import TASK, make_record, play_all, submit
 from sqlalchemy import func, select, update
 from sqlalchemy.orm import Session
 from typer.core import TyperGroup
 from vitac.cli.admin.app import app
 from vitac.server.accounts import members, teams
 from vitac.server.accounts.audit import newest_entries
-from vitac.server.accounts.principals import CONSOLE
+from vitac.server.accounts.principals import CONSOLE, Principal
 from vitac.server.accounts.tokens import list_tokens
 from vitac.server.competition.sealing import seal
 from vitac.server.db.models import Notice, Team
-from vitac.server.db.states import NoticeKind
+from vitac.server.db.states import NoticeKind, Role
 from vitac.server.notices.outbox import announce
+from vitac.server.people import announcements, appeals, questions
 from vitac.server.results.finishing import freeze
+from vitac.worker import appeal_replay
 
 from competitions import make_competition, moved, open_now, put_in_place, sealed_competition, write_competition
 
 READS = {
     "advance list",
+    "announcement list",
+    "appeal list",
+    "appeal show",
     "advance propose",
     "audit list",
     "competition check",
@@ -34,6 +40,7 @@ READS = {
     "evaluation list",
     "evaluation show",
     "notice list",
+    "question list",
     "quota list",
     "receipt export",
     "receipt key",
@@ -67,6 +74,12 @@ CHANGES = {
     "token add": (["--judge"], "token.issue"),
     "token revoke": (["TOKEN", "--yes"], "token.revoke"),
     "notice retry": (["NOTICE"], "notice.retry"),
+    "announcement publish": (["News", "All is well.", "--notify"], "announcement.publish"),
+    "announcement withdraw": (["ANNOUNCEMENT"], "announcement.withdraw"),
+    "question answer": (["QUESTION", "So.", "--public"], "question.answer"),
+    "question hide": (["QUESTION"], "question.hide"),
+    "appeal rule": (["APPEAL", "So.", "--reject"], "appeal.rule"),
+    "appeal replay": (["APPEAL", TASK, "3"], "appeal.replay"),
     "quota set": (["Team A", "tokens", "7"], "team.quota"),
     "submission cancel": (["SUBMISSION", "--yes"], "submission.cancel"),
     "submission requeue": (["CANCELLED", "--yes"], "submission.requeue"),
@@ -98,6 +111,8 @@ def there_is(service: CliService, name: str, tmp_path: Path) -> str:
         return str(tmp_path / "file.tar")
     if name == "COMPETITION":
         return str(write_competition(tmp_path, make_competition()))
+    if name in {"ANNOUNCEMENT", "QUESTION", "APPEAL"}:
+        return said(service, name)
     if name == "NOTICE":
         with service.database.transaction() as session:
             own = teams.find(session, "Team A")
@@ -114,6 +129,24 @@ def there_is(service: CliService, name: str, tmp_path: Path) -> str:
     if name.endswith("EVALUATION"):
         return str(json.loads(service.run("admin", "evaluation", "list", "--json").stdout)[0]["id"])
     return str(submission)
+
+
+def said(service: CliService, name: str) -> str:
+    """Number of something that somebody has said."""
+    with service.database.transaction() as session:
+        own = teams.find(session, "Team A")
+        by = Principal(role=Role.TEAM, team_id=own.id, team_name=own.name)
+        if name == "ANNOUNCEMENT":
+            return str(announcements.publish(session, CONSOLE, title="News", text="Text", notify=False).id)
+        if name == "QUESTION":
+            return str(questions.ask(session, by, "Why?", public=True).id)
+        content = make_competition(appeal_days=7)
+        content["tracks"] = {"mail": content["tracks"]["track_1"] | {"taken_here": False}}
+        put_in_place(session, content)
+        submission = submit(session, by)
+    play_all(service.database, submission)
+    with service.database.transaction() as session:
+        return str(appeals.open_appeal(session, by, submission.id, "Look again.").id)
 
 
 def prepare(service: CliService, command: str) -> None:
@@ -140,8 +173,12 @@ def make_team_to_change(session: Session, *, waits: bool) -> None:
 
 
 @pytest.mark.parametrize("command", CHANGES)
-def test_a_change_is_written_to_the_audit_log(service: CliService, command: str, tmp_path: Path) -> None:
+def test_a_change_is_written_to_the_audit_log(
+    service: CliService, command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     arguments, action = CHANGES[command]
+    played = appeal_replay.Replay(record=make_record(3), policy_sha256="0" * 64, corrected=False)
+    monkeypatch.setattr(appeal_replay, "replay", lambda *_, **__: played)  # the episode itself takes seconds
     prepare(service, command)
     given = [there_is(service, name, tmp_path) if name.isupper() else name for name in arguments]
     with service.database.transaction() as session:

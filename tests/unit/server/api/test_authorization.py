@@ -14,8 +14,9 @@ from service_factories import TRACK, make_principal, play_all
 from sqlalchemy import delete
 from vitac.server.accounts import members, tokens
 from vitac.server.accounts.principals import CONSOLE
-from vitac.server.db.models import ApiToken, Invitation, Submission, Team, Webhook
+from vitac.server.db.models import ApiToken, Appeal, Invitation, Question, Submission, Team, Webhook
 from vitac.server.db.states import Role
+from vitac.server.people import announcements, appeals, questions
 
 from competitions import make_competition, put_in_place
 
@@ -37,6 +38,7 @@ TEAMS = frozenset({Who.OWNER, Who.OTHER})
 SUBMISSION = "/api/v1/submissions/{submission_id}"
 UPLOAD = "/api/v1/uploads/{upload_id}"
 TEAM = "/api/v1/teams/{team_id}"
+APPEAL = "/api/v1/appeals/{appeal_id}"
 MEMBER = f"{TEAM}/members/{{member_id}}"
 MATRIX: dict[tuple[str, str], frozenset[Who]] = {
     ("get", "/health"): EVERYBODY,
@@ -61,6 +63,18 @@ MATRIX: dict[tuple[str, str], frozenset[Who]] = {
     ("put", f"{TEAM}/captain"): CHANGERS,
     ("patch", MEMBER): CHANGERS,
     ("delete", MEMBER): CHANGERS,
+    ("get", "/api/v1/announcements"): EVERYBODY,
+    ("post", "/api/v1/announcements"): frozenset({Who.ORGANIZER}),
+    ("delete", "/api/v1/announcements/{announcement_id}"): frozenset({Who.ORGANIZER}),
+    ("get", "/api/v1/questions"): EVERYBODY,
+    ("post", "/api/v1/questions"): TEAMS,
+    ("put", "/api/v1/questions/{question_id}/answer"): frozenset({Who.ORGANIZER}),
+    ("delete", "/api/v1/questions/{question_id}"): frozenset({Who.ORGANIZER}),
+    ("get", "/api/v1/appeals"): SIGNED_IN,
+    ("post", "/api/v1/appeals"): CHANGERS,
+    ("get", APPEAL): READERS,
+    ("post", f"{APPEAL}/withdraw"): CHANGERS,
+    ("put", f"{APPEAL}/ruling"): frozenset({Who.ORGANIZER}),
     ("get", "/api/v1/me"): SIGNED_IN,
     ("get", "/api/v1/tokens"): SIGNED_IN,
     ("post", "/api/v1/tokens"): TEAMS | {Who.ORGANIZER},
@@ -120,6 +134,12 @@ class Setting:
         options = BODIES[method, path](self, who) if (method, path) in BODIES else {}
         headers |= options.pop("headers", {})
         ids = {"submission_id": self.submission_id, "upload_id": "", "token_id": "", "track": "track_1"}
+        if "{announcement_id}" in path:
+            ids["announcement_id"] = self.new_announcement()
+        if "{question_id}" in path:
+            ids["question_id"] = self.new_question()
+        if "{appeal_id}" in path:
+            ids["appeal_id"] = self.new_appeal()
         if "{team_id}" in path:
             ids["team_id"] = str(self.service.principal.team_id)
             if path.endswith("/merge"):
@@ -146,6 +166,29 @@ class Setting:
         """An invitation to the team OWNER, and its code."""
         with self.service.database.transaction() as session:
             return members.invite(session, CONSOLE, session.get_one(Team, self.service.principal.team_id))
+
+    def new_announcement(self) -> str:
+        """Number of an announcement."""
+        with self.service.database.transaction() as session:
+            return str(announcements.publish(session, CONSOLE, title="News", text="Text", notify=False).id)
+
+    def new_question(self) -> str:
+        """Number of a question of the team OWNER."""
+        with self.service.database.transaction() as session:
+            session.execute(delete(Question))
+            return str(questions.ask(session, self.service.principal, "Why?", public=True).id)
+
+    def new_appeal(self) -> str:
+        """Number of an open appeal of the team OWNER."""
+        self.forget_appeals()
+        with self.service.database.transaction() as session:
+            by, submission_id = self.service.principal, UUID(self.submission_id)
+            return str(appeals.open_appeal(session, by, submission_id, "Look again.").id)
+
+    def forget_appeals(self) -> None:
+        """Removes all, so that the submission can be appealed against."""
+        with self.service.database.transaction() as session:
+            session.execute(delete(Appeal))
 
     def new_webhook(self) -> str:
         """Id of a webhook of the team OWNER."""
@@ -202,6 +245,13 @@ BODIES: dict[tuple[str, str], Options] = {
     ("post", f"{TEAM}/webhooks"): lambda *_: {"json": {"address": "https://hook.example.org/"}},
     ("patch", MEMBER): lambda *_: {"json": {"email": "ann@example.org"}},
     ("put", f"{SUBMISSION}/public"): lambda setting, _: {"json": {"public": setting.is_public}},
+    ("post", "/api/v1/announcements"): lambda *_: {"json": {"title": "News", "text": "Text"}},
+    ("post", "/api/v1/questions"): lambda *_: {"json": {"text": "Why?", "public": True}},
+    ("put", "/api/v1/questions/{question_id}/answer"): lambda *_: {"json": {"text": "So.", "public": True}},
+    ("post", "/api/v1/appeals"): lambda setting, _: {
+        "json": {"submission_id": setting.submission_id, "text": "Look again."}
+    },
+    ("put", f"{APPEAL}/ruling"): lambda *_: {"json": {"upheld": True, "text": "So."}},
     ("post", "/api/v1/tokens"): lambda *_: {"json": {"label": "new"}},
     ("post", "/api/v1/submissions"): lambda _, who: {
         "content": make_archive(),
@@ -230,7 +280,7 @@ def setting(service: Service) -> Setting:
     }
     submission_id = service.upload(make_archive(sensor)).json()["id"]
     with service.services.database.transaction() as session:
-        content = make_competition()
+        content = make_competition(appeal_days=7)
         content["tracks"] = {"mail": content["tracks"][TRACK] | {"taken_here": False}}
         put_in_place(session, content)
         submission = session.get_one(Submission, UUID(submission_id))

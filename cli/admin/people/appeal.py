@@ -1,0 +1,102 @@
+"""`vitac admin appeal`: appeals of teams; an episode is played again beside its result, and the appeal decided."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ...service.database import load_settings, open_service, transaction
+from ...terminal.output import AsJson, print_json, print_pairs, print_record, print_records
+from ..consent import DryRun
+
+app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
+
+AppealNumber = Annotated[int, typer.Argument(min=1, max=2_147_483_647, help="Number of the appeal.")]
+
+
+@app.command("list")
+def list_appeals(
+    open_only: Annotated[bool, typer.Option("--open", help="Only those that are not decided.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """List the appeals of all teams, newest first."""
+    from vitac.server.accounts.principals import CONSOLE
+    from vitac.server.people.appeals import visible
+
+    with transaction() as session:
+        found = [one.model_dump(mode="json") for one in visible(session, CONSOLE, open_only=open_only)]
+    columns = ("id", "state", "team", "submission_name", "task", "episode", "opened_at")
+    print_records(found, columns, none="No appeal.", as_json=as_json)
+
+
+@app.command()
+def show(appeal: AppealNumber, as_json: AsJson = False) -> None:
+    """Show an appeal, and what was played again for it."""
+    from vitac.server.accounts.principals import CONSOLE
+    from vitac.server.people.appeals import appeal_view, find
+
+    with transaction() as session:
+        found = appeal_view(find(session, CONSOLE, appeal)).model_dump(mode="json")
+    if as_json:
+        print_json(found)
+        return
+    replays = found.pop("replays")
+    print_pairs(found)
+    print()
+    columns = ("task", "episode", "corrected", "old_outcome", "outcome", "old_env_steps", "env_steps", "same_states")
+    print_records(replays, columns, none="No episode was played again.", as_json=False)
+
+
+@app.command()
+def replay(
+    appeal: AppealNumber,
+    task: Annotated[str, typer.Argument(help="Task of the episode.")],
+    episode: Annotated[int, typer.Argument(min=1, max=2_147_483_647, help="Number of the episode.")],
+    corrected: Annotated[
+        Path | None, typer.Option(exists=True, dir_okay=False, help="Zip with another policy than the submission's.")
+    ] = None,
+    dry_run: DryRun = False,
+    as_json: AsJson = False,
+) -> None:
+    """Play an episode again on this machine; the stored result and the boards stay as they are."""
+    from vitac.server.accounts.principals import CONSOLE
+    from vitac.server.people.appeals import note_replay
+    from vitac.server.views.contest.people import AppealReplayView
+    from vitac.worker.appeal_replay import replay as play_again
+
+    with open_service(load_settings()) as services:
+        played = play_again(services, CONSOLE, appeal, task=task, episode=episode, corrected=corrected)
+        with services.database.transaction() as session:
+            made = note_replay(
+                session,
+                CONSOLE,
+                appeal,
+                played.record,
+                policy_sha256=played.policy_sha256,
+                corrected=played.corrected,
+            )
+            shown = AppealReplayView.model_validate(made, from_attributes=True).model_dump(mode="json")
+            print_record(shown, as_json=as_json)
+            if dry_run:
+                raise typer.Exit  # which takes the note back
+
+
+@app.command()
+def rule(
+    appeal: AppealNumber,
+    text: Annotated[str, typer.Argument(help="The ruling, as plain text for the team.")],
+    upheld: Annotated[bool, typer.Option("--uphold/--reject", help="Whether the team is right.")],
+    dry_run: DryRun = False,
+    as_json: AsJson = False,
+) -> None:
+    """Decide an appeal; no result changes by it, `vitac admin submission requeue` evaluates again."""
+    from vitac.server.accounts.principals import CONSOLE
+    from vitac.server.people.appeals import appeal_view
+    from vitac.server.people.appeals import rule as rule_on
+
+    with transaction() as session:
+        found = rule_on(session, CONSOLE, appeal, text, upheld=upheld)
+        session.flush()
+        print_record(appeal_view(found).model_dump(mode="json", exclude={"replays"}), as_json=as_json)
+        if dry_run:
+            raise typer.Exit  # which takes the change back

@@ -1,0 +1,86 @@
+"""What organizers and teams say to each other: announcements, questions, appeals."""
+
+from datetime import datetime
+from uuid import UUID
+
+from sqlalchemy import CheckConstraint, ForeignKey, Index, String, func, text
+from sqlalchemy.orm import Mapped, mapped_column, relationship
+
+from ..states import AppealState
+from .accounts import Team
+from .base import Base, closed_set, sha256_check
+from .evaluations import Evaluation
+
+
+class Announcement(Base):
+    """What organizers say to everybody."""
+
+    __tablename__ = "announcements"
+    id: Mapped[int] = mapped_column(primary_key=True)
+    title: Mapped[str] = mapped_column(String(120))
+    text: Mapped[str]
+    published_at: Mapped[datetime] = mapped_column(server_default=func.now())
+    withdrawn_at: Mapped[datetime | None]
+
+
+class Question(Base):
+    """A question of a team to the organizers; a `public` one is everybody's once it is answered."""
+
+    __tablename__ = "questions"
+    __table_args__ = (CheckConstraint("(answer IS NULL) = (answered_at IS NULL)", name="answer_has_a_time"),)
+    id: Mapped[int] = mapped_column(primary_key=True)
+    team_id: Mapped[UUID | None] = mapped_column(ForeignKey("teams.id", ondelete="SET NULL"), index=True)
+    text: Mapped[str]
+    public: Mapped[bool]
+    asked_at: Mapped[datetime] = mapped_column(server_default=func.now())
+    answer: Mapped[str | None]
+    answered_at: Mapped[datetime | None]
+    hidden_at: Mapped[datetime | None]
+    team: Mapped[Team | None] = relationship()
+
+
+class Appeal(Base):
+    """A team says that an evaluation, or one episode of it, went wrong. An organizer rules on it."""
+
+    __tablename__ = "appeals"
+    __table_args__ = (
+        CheckConstraint("(task IS NULL) = (episode IS NULL)", name="episodes_have_a_task"),
+        CheckConstraint("(state = 'open') = (ended_at IS NULL)", name="ended_has_a_time"),
+        CheckConstraint("(state IN ('upheld', 'rejected')) = (ruling IS NOT NULL)", name="ruled_on_has_a_ruling"),
+        Index("uq_appeals_open", "evaluation_id", unique=True, postgresql_where=text("state = 'open'")),
+    )
+    id: Mapped[int] = mapped_column(primary_key=True)
+    team_id: Mapped[UUID] = mapped_column(ForeignKey("teams.id", ondelete="CASCADE"), index=True)
+    evaluation_id: Mapped[UUID] = mapped_column(ForeignKey("evaluations.id", ondelete="CASCADE"))
+    task: Mapped[str | None]
+    episode: Mapped[int | None]
+    text: Mapped[str]
+    state: Mapped[AppealState] = mapped_column(closed_set(AppealState, "state"))
+    opened_at: Mapped[datetime] = mapped_column(server_default=func.now())
+    ended_at: Mapped[datetime | None]
+    ruling: Mapped[str | None]
+    team: Mapped[Team] = relationship()
+    evaluation: Mapped[Evaluation] = relationship()
+    replays: Mapped[list["AppealReplay"]] = relationship(order_by="AppealReplay.id")
+
+
+class AppealReplay(Base):
+    """What an episode gave when an organizer played it again for an appeal, beside the stored result.
+
+    `corrected` is one that was played with another policy than the submission's, `policy_sha256` its archive.
+    """
+
+    __tablename__ = "appeal_replays"
+    __table_args__ = (sha256_check("policy_sha256"),)
+    id: Mapped[int] = mapped_column(primary_key=True)
+    appeal_id: Mapped[int] = mapped_column(ForeignKey("appeals.id", ondelete="CASCADE"), index=True)
+    task: Mapped[str]
+    episode: Mapped[int]
+    policy_sha256: Mapped[str] = mapped_column(String(64))
+    corrected: Mapped[bool]
+    outcome: Mapped[str]
+    env_steps: Mapped[int]
+    same_states: Mapped[bool]
+    old_outcome: Mapped[str]
+    old_env_steps: Mapped[int]
+    played_at: Mapped[datetime] = mapped_column(server_default=func.now())

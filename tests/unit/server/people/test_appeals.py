@@ -1,0 +1,138 @@
+from datetime import UTC, datetime, timedelta
+
+import pytest
+from service_factories import TASK, make_principal, make_record, play_all, sha256, submit
+from sqlalchemy import select, update
+from sqlalchemy.orm import Session
+from submission_steps import refused
+from vitac.evaluator.episodes.records import EpisodeOutcome
+from vitac.server.accounts.audit import newest_entries
+from vitac.server.accounts.principals import CONSOLE, Principal
+from vitac.server.db.engine import Database
+from vitac.server.db.models import BoardResult, EpisodeResult, Evaluation, Submission
+from vitac.server.db.states import AppealState, Role
+from vitac.server.errors import ProblemCode
+from vitac.server.people import appeals
+
+from competitions import make_competition, put_in_place
+
+JUDGE = Principal(role=Role.JUDGE)
+TEXT = "The peg was in the hole."
+
+
+def with_appeals(session: Session, days: int | None = 7) -> None:
+    content = make_competition(**({} if days is None else {"appeal_days": days}))
+    content["tracks"] = {"mail": content["tracks"]["track_1"] | {"taken_here": False}}
+    put_in_place(session, content)
+
+
+def results(session: Session) -> list[object]:
+    """All that boards and records say."""
+    rates = session.scalars(select(BoardResult.success_rate).order_by(BoardResult.board))
+    return [*rates, *session.scalars(select(EpisodeResult.record_digest).order_by(EpisodeResult.id))]
+
+
+@pytest.fixture
+def played(database: Database) -> tuple[Principal, Submission]:
+    """A team and its finished submission, where appeals are possible for a week."""
+    with database.transaction() as session:
+        with_appeals(session)
+        team = make_principal(session, "Ants")
+        submission = submit(session, team)
+    play_all(database, submission)
+    return team, submission
+
+
+def test_an_appeal_is_opened_seen_and_ruled_on(database: Database, played: tuple[Principal, Submission]) -> None:
+    team, submission = played
+    with database.transaction() as session:
+        other = make_principal(session, "Bees")
+        made = appeals.open_appeal(session, team, submission.id, TEXT, task=TASK, episode=3)
+        with refused(ProblemCode.INVALID_REQUEST):
+            appeals.open_appeal(session, team, submission.id, TEXT)
+        for by, seen in ((team, 1), (CONSOLE, 1), (JUDGE, 1), (other, 0)):
+            assert len(appeals.visible(session, by)) == seen
+        with refused(ProblemCode.NOT_FOUND):
+            appeals.find(session, other, made.id)
+        for by in (team, JUDGE):
+            with refused(ProblemCode.FORBIDDEN):
+                appeals.rule(session, by, made.id, "No.", upheld=False)
+        with refused(ProblemCode.FORBIDDEN):
+            appeals.withdraw(session, JUDGE, made.id)
+        appeals.rule(session, CONSOLE, made.id, "Yes, it was.", upheld=True)
+        view = appeals.appeal_view(made)
+        assert (view.state, view.ruling, view.task, view.episode) == (AppealState.UPHELD, "Yes, it was.", TASK, 3)
+        with refused(ProblemCode.INVALID_REQUEST):
+            appeals.rule(session, CONSOLE, made.id, "Or not.", upheld=False)
+        with refused(ProblemCode.INVALID_REQUEST):
+            appeals.withdraw(session, team, made.id)
+        again = appeals.open_appeal(session, team, submission.id, TEXT)
+        appeals.withdraw(session, team, again.id)
+        assert [one.state for one in appeals.visible(session, CONSOLE)] == [AppealState.WITHDRAWN, AppealState.UPHELD]
+        assert appeals.visible(session, CONSOLE, open_only=True) == []
+        found = newest_entries(session, 4)
+    assert [entry.action for entry in found] == ["appeal.withdraw", "appeal.open", "appeal.rule", "appeal.open"]
+    assert (found[2].before, found[2].after) == ({"state": "open"}, {"state": "upheld", "ruling": "Yes, it was."})
+
+
+def test_what_cannot_be_appealed_against_is_refused(database: Database, played: tuple[Principal, Submission]) -> None:
+    team, submission = played
+    with database.transaction() as session:
+        waiting = submit(session, team, "waits")
+        with refused(ProblemCode.APPEAL_TOO_LATE):
+            appeals.open_appeal(session, team, waiting.id, TEXT)
+        for by in (make_principal(session, "Bees"), Principal(role=Role.TEAM)):
+            with refused(ProblemCode.NOT_FOUND):
+                appeals.open_appeal(session, by, submission.id, TEXT)
+        with refused(ProblemCode.FORBIDDEN):
+            appeals.open_appeal(session, JUDGE, submission.id, TEXT)
+        for task, episode in ((TASK, 10_000), ("nothing", 1), (TASK, None), (None, 1)):
+            with refused(ProblemCode.NOT_FOUND):
+                appeals.open_appeal(session, team, submission.id, TEXT, task=task, episode=episode)
+        session.execute(update(Evaluation).values(created_at=Evaluation.created_at))
+        week_ago = datetime.now(UTC) - timedelta(days=7)
+        newest = select(Evaluation.id).where(Evaluation.submission_id == submission.id)
+        session.execute(update(Evaluation).where(Evaluation.id.in_(newest)).values(finished_at=week_ago))
+        session.expire_all()
+        with refused(ProblemCode.APPEAL_TOO_LATE):
+            appeals.open_appeal(session, team, submission.id, TEXT)
+        with_appeals(session, days=8)
+        session.expire_all()
+        appeals.open_appeal(session, team, submission.id, TEXT)
+        with_appeals(session, days=None)
+        session.expire_all()
+        with refused(ProblemCode.APPEAL_TOO_LATE):
+            appeals.open_appeal(session, team, submission.id, TEXT)
+
+
+def test_a_team_has_so_many_open_appeals(
+    database: Database, played: tuple[Principal, Submission], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(appeals, "MAX_OPEN", 0)
+    team, submission = played
+    with database.transaction() as session, refused(ProblemCode.TOO_MANY_REQUESTS):
+        appeals.open_appeal(session, team, submission.id, TEXT)
+
+
+def test_what_an_episode_gives_again_stands_beside_its_result(
+    database: Database, played: tuple[Principal, Submission]
+) -> None:
+    team, submission = played
+    with database.transaction() as session:
+        made = appeals.open_appeal(session, team, submission.id, TEXT)
+        before = results(session)
+        same, other = make_record(3), make_record(3, EpisodeOutcome.TACTILE, state_hashes=(sha256("x"),) * 4)
+        for record, corrected in ((same, False), (other, True)):
+            appeals.note_replay(session, CONSOLE, made.id, record, policy_sha256=sha256("policy"), corrected=corrected)
+        for wrong in (team, JUDGE):
+            with refused(ProblemCode.FORBIDDEN):
+                appeals.note_replay(session, wrong, made.id, same, policy_sha256=sha256("policy"), corrected=False)
+        session.expire_all()
+        replays = appeals.appeal_view(appeals.find(session, team, made.id)).replays
+        assert [(one.corrected, one.same_states, one.old_outcome, one.outcome) for one in replays] == [
+            (False, True, "success", "success"),
+            (True, False, "success", "tactile"),
+        ]
+        assert results(session) == before
+        found = newest_entries(session, 1)[0]
+        assert (found.action, found.before) == ("appeal.replay", {"outcome": "success", "env_steps": 3})

@@ -1,0 +1,109 @@
+"""Plays an episode of an appeal again on this machine, with the submission's policy or a corrected one.
+
+Called by `vitac admin appeal replay`. Nothing of the queue, the stored records or the boards is touched.
+"""
+
+import hashlib
+import tempfile
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+from vitac.evaluator.episodes.records import EpisodeRecord
+from vitac.evaluator.evaluation.local import evaluate
+from vitac.evaluator.submission.manifest import load_manifest
+from vitac.evaluator.submission.staging import staged
+from vitac.evaluator.submission_kinds import SubmissionKind
+from vitac.evaluator.tracks import load_track
+from vitac.evaluator.tracks.sealed import read_secret, sealed_track
+from vitac.server.accounts.principals import Principal
+from vitac.server.competition.sealing import secret_of
+from vitac.server.db.models import Submission
+from vitac.server.errors import ProblemCode, ServiceError
+from vitac.server.people import appeals
+from vitac.server.services import Services
+from vitac.server.storage.blobs import BlobStore
+
+
+@dataclass(frozen=True, kw_only=True)
+class Replay:
+    """An episode that was played again.
+
+    Attributes:
+        record: what it gave.
+        policy_sha256: of the archive that was played.
+        corrected: whether that is another one than the submission's.
+    """
+
+    record: EpisodeRecord
+    policy_sha256: str
+    corrected: bool
+
+
+def replay(
+    services: Services, by: Principal, appeal_id: int, *, task: str, episode: int, corrected: Path | None
+) -> Replay:
+    """Play one episode as `vitac evaluate` does.
+
+    Args:
+        services: open ones.
+        by: an organizer.
+        appeal_id: for which appeal.
+        task: of the submission.
+        episode: number in the list that the evaluation played.
+        corrected: zip with another policy; None: the submission's.
+
+    Raises:
+        ServiceError: not an organizer, or there is no such appeal, or it is about a log or a sensor.
+    """
+    by.require_organizer()
+    with services.database.transaction() as session:
+        evaluation = appeals.find(session, by, appeal_id).evaluation
+        appeals.require_episode(session, evaluation, task, episode)
+        submission = evaluation.submission
+        _require_policy(submission)
+        secret = secret_of(session, evaluation.commitment) if evaluation.commitment is not None else None
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(dir=services.settings.scratch_dir)))
+        archive = corrected or _fetched(services.blobs, submission, folder)
+        track = load_track(submission.track)
+        secret_file = None
+        if secret is not None:
+            secret_file = folder / "secret"
+            secret_file.touch(mode=0o600)
+            secret_file.write_text(f"{secret}\n")
+            track = sealed_track(track, read_secret(secret_file))
+        unpacked = stack.enter_context(staged(archive))
+        if load_manifest(unpacked).track != submission.track:
+            raise ServiceError(ProblemCode.MANIFEST_REJECTED, f"Expected a submission to {submission.track}.")
+        played = evaluate(
+            submission_dir=unpacked,
+            track=track,
+            task=track.tasks[task],
+            episodes=[episode],
+            limits=services.settings.limits,
+            secret=secret_file,
+        )
+        return Replay(
+            record=played.records[0],
+            policy_sha256=submission.archive_sha256 if corrected is None else _sha256(corrected),
+            corrected=corrected is not None,
+        )
+
+
+def _require_policy(submission: Submission) -> None:
+    if submission.kind is not SubmissionKind.MODEL or load_track(submission.track).has_sensor:
+        raise ServiceError(
+            ProblemCode.UNSUPPORTED_SUBMISSION_KIND, "Expected a submission with a policy; a log or a sensor has none."
+        )
+
+
+def _fetched(blobs: BlobStore, submission: Submission, folder: Path) -> Path:
+    archive = folder / "submission.zip"
+    blobs.fetch(submission.archive_sha256, archive)
+    return archive
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
