@@ -4,11 +4,13 @@ from pathlib import Path
 
 import drawn_gels
 import pytest
+import short_calibration
 from PIL import Image
 from vitac.cli import main as cli
 from vitac.evaluator.figures.figures import SensorFigures
 from vitac.evaluator.sensors.check import accepted_sensor
 from vitac.evaluator.sensors.made import made_sensor
+from vitac.evaluator.shards import process as shard_process
 
 Run = Callable[..., tuple[int, str, str]]
 
@@ -104,8 +106,9 @@ def test_evaluate_refuses_a_broken_sensor_before_it_plays(run: Run, folder: Path
 
 
 def test_evaluate_plays_the_estimator_with_and_without_sight_of_the_markers(
-    run: Run, folder: Path, tmp_path: Path
+    run: Run, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(shard_process, "COMMAND", short_calibration.COMMAND)
     out_file = tmp_path / "report.json"
     quick = ("--figures", "quick")
     code, out, _ = run("evaluate", folder, "--episodes", "1:2", "--workers", 1, "--json", out_file, *quick)
