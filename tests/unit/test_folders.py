@@ -1,5 +1,7 @@
 """The plan of the tree holds: few modules in a folder, and a folder for each family of names."""
 
+import re
+import tomllib
 from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
@@ -56,3 +58,43 @@ def test_no_three_siblings_share_a_first_word(repository: Path) -> None:
 )
 def test_families_are_seen(names: list[str], words: list[str]) -> None:
     assert sorted(families(names)) == words
+
+
+def rows_of_the_architecture(repository: Path) -> dict[str, list[str]]:
+    """Return what the page says of each folder's inside: groups of folders, from top to bottom."""
+    page = (repository / "docs" / "architecture.md").read_text()
+    table = page.partition("## Inside each folder")[2].partition("\n\nTests stand")[0]
+    rows = re.findall(r"^\| `([a-z_/]+)/` \| (.+) \|$", table, re.MULTILINE)
+    return {folder: row.split(" · ") for folder, row in rows}
+
+
+def names_in(group: str) -> set[str]:
+    return {name.partition("/")[0] for name in re.findall(r"`([a-z_0-9/]+)", group)}
+
+
+def test_the_architecture_names_every_folder(repository: Path) -> None:
+    rows = rows_of_the_architecture(repository)
+    assert set(rows) >= {*PRODUCT, "envs/fem", "evaluator/agent"} - {"worker"}
+    for folder, groups in rows.items():
+        inner = {path.parent.name for path in (repository / folder).glob("*/*.py")}
+        assert inner - set().union(*map(names_in, groups)) == set(), f"name them in the row of {folder}/"
+
+
+def test_the_architecture_has_the_order_of_the_contracts(repository: Path) -> None:
+    rows = rows_of_the_architecture(repository)
+    settings = tomllib.loads((repository / "pyproject.toml").read_text())
+    compared = []
+    for contract in settings["tool"]["importlinter"]["contracts"]:
+        (container,) = contract.get("containers", [""])
+        folder = container.removeprefix("vitac.").replace(".", "/")
+        if folder in rows:
+            layers = [set(re.findall(r"\w+", layer)) for layer in contract["layers"]]
+            inner = {path.parent.name for path in (repository / folder).glob("*/*.py")}
+            in_row = [layer_of(layers, name) for group in rows[folder] for name in sorted(names_in(group) & inner)]
+            assert in_row == sorted(in_row), f"expected the row of {folder}/ in the order of its contract"
+            compared.append(folder)
+    assert {"cli", "envs", "envs/fem", "evaluator", "server"} <= set(compared)
+
+
+def layer_of(layers: list[set[str]], name: str) -> int:
+    return next(number for number, layer in enumerate(layers) if name in layer)
