@@ -2,18 +2,18 @@
 
 import os
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from vitac.evaluator.episodes.records import EpisodeRecord
     from vitac.evaluator.evaluation.local import Evaluation
     from vitac.evaluator.scoring.score import Rate
     from vitac.evaluator.submission.manifest import SubmissionManifest
+    from vitac.evaluator.tracks import Track
 
 
 def parse_episodes(text: str | None) -> tuple[int, ...] | None:
@@ -57,22 +57,19 @@ def command(
     from vitac.evaluator.sensors.check import accepted_sensor
     from vitac.evaluator.submission.manifest import load_manifest, submission_digest
     from vitac.evaluator.submission.staging import staged
-    from vitac.evaluator.tracks import load_track
-    from vitac.evaluator.tracks.sealed import read_secret, sealed_track
 
     from .terminal.compiling import compiling_shown
 
     numbers = parse_episodes(episodes)
-    _check_outputs({"--json": json, "--log": log, "--output": output}, team)
+    outputs = _Outputs(json=json, log=log, printed=output, team=team)
+    outputs.check()
     _check_secret(secret, submission)
     if sensor is not None:
         accepted_sensor(sensor)
     with staged(submission) as folder:
         manifest = load_manifest(folder)
         digest = submission_digest(submission)
-        track = load_track(manifest.track)
-        if secret is not None:
-            track = sealed_track(track, read_secret(secret))
+        track = _track(manifest, secret)
         definition = track.tasks[_chosen_task(manifest, task)]
         with Progress(len(numbers or definition.episodes)) as progress, compiling_shown(progress.bar):
             evaluation = evaluate(
@@ -86,32 +83,57 @@ def command(
                 sensor=folder if sensor is None and track.has_sensor else sensor,
                 on_episode=progress.advance,
             )
-    if json:
-        json.write_text(_report(evaluation, manifest, digest), encoding="utf-8")
-    if log:
-        _write_log(log, evaluation, team, digest)
-    if output:
-        output.write_text("".join(map(_printed, evaluation.records)), encoding="utf-8")
+    outputs.write(evaluation, manifest, digest)
     _print_summary(evaluation, manifest)
     if evaluation.failure:
         raise typer.Exit(1)
 
 
-def _check_outputs(files: "Mapping[str, Path | None]", team: str | None) -> None:
-    """Refuse unusable outputs before the evaluation rather than after it."""
-    from vitac.evaluator.logs.log import is_team_name
+@dataclass(frozen=True, kw_only=True)
+class _Outputs:
+    """Files that an evaluation is written to; None where nobody wants one."""
 
-    for option, path in files.items():
-        if path is not None and (path.is_dir() or not path.absolute().parent.is_dir()):
-            raise typer.BadParameter(f"expected a file in an existing folder, got {path}.", param_hint=option)
-    if team is not None and not is_team_name(team):
-        raise typer.BadParameter(f"expected one line of at most 200 characters, got {team!r:.80}.", param_hint="--team")
+    json: Path | None
+    log: Path | None
+    printed: Path | None
+    team: str | None
+    """Team named in the log."""
+
+    def check(self) -> None:
+        """Refuse unusable outputs before the evaluation rather than after it."""
+        from vitac.evaluator.logs.log import is_team_name
+
+        for option, path in {"--json": self.json, "--log": self.log, "--output": self.printed}.items():
+            if path is not None and (path.is_dir() or not path.absolute().parent.is_dir()):
+                raise typer.BadParameter(f"expected a file in an existing folder, got {path}.", param_hint=option)
+        if self.team is not None and not is_team_name(self.team):
+            raise typer.BadParameter(
+                f"expected one line of at most 200 characters, got {self.team!r:.80}.", param_hint="--team"
+            )
+
+    def write(self, evaluation: "Evaluation", manifest: "SubmissionManifest", digest: str) -> None:
+        """Write those that are wanted."""
+        if self.json:
+            self.json.write_text(_report(evaluation, manifest, digest), encoding="utf-8")
+        if self.log:
+            _write_log(self.log, evaluation, self.team, digest)
+        if self.printed:
+            self.printed.write_text("".join(map(_printed, evaluation.records)), encoding="utf-8")
 
 
 def _check_secret(secret: Path | None, submission: Path) -> None:
     """Refuse a secret that the policy could read."""
     if secret is not None and secret.resolve().is_relative_to(submission.resolve()):
         raise typer.BadParameter("the secret lies in the submission; move it elsewhere.", param_hint="--secret")
+
+
+def _track(manifest: "SubmissionManifest", secret: Path | None) -> "Track":
+    """Return the track of a submission, with the sealed lists of the secret if there is one."""
+    from vitac.evaluator.tracks import load_track
+    from vitac.evaluator.tracks.sealed import read_secret, sealed_track
+
+    track = load_track(manifest.track)
+    return track if secret is None else sealed_track(track, read_secret(secret))
 
 
 def _chosen_task(manifest: "SubmissionManifest", task: str | None) -> str:
