@@ -91,13 +91,19 @@ def command(
 
 @dataclass(frozen=True, kw_only=True)
 class _Outputs:
-    """Files that an evaluation is written to; None where nobody wants one."""
+    """Files that an evaluation is written to; None where nobody wants one.
+
+    Attributes:
+        json: score, result hash and all records.
+        log: a log that can be verified.
+        printed: what the policy printed.
+        team: named in the log.
+    """
 
     json: Path | None
     log: Path | None
     printed: Path | None
     team: str | None
-    """Team named in the log."""
 
     def check(self) -> None:
         """Refuse unusable outputs before the evaluation rather than after it."""
