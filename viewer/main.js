@@ -1,4 +1,4 @@
-// The player of the episode pages: one or two episodes, played by the same controls. See docs/architecture.md.
+// The player of the episode pages: one or two episodes, played by the same controls. It also shows sensors' gels. See docs/architecture.md.
 
 import { followUntilMade } from "./asking.js";
 import { Cameras } from "./cameras.js";
@@ -6,6 +6,7 @@ import { drawScale } from "./colours.js";
 import { fetchFile } from "./container.js";
 import { element } from "./elements.js";
 import { Episode } from "./episode.js";
+import { showGel } from "./gel.js";
 import { Plots } from "./plots.js";
 import { drawFlow, magnification } from "./sensors.js";
 import { Stage } from "./stage.js";
@@ -98,7 +99,10 @@ class Player {
 }
 
 async function start() {
-  const sections = [...document.querySelectorAll(".player")];
+  document.querySelectorAll("[data-shape]").forEach((section) => {
+    showGel(section).catch((error) => say(section, `The gel cannot be shown in 3D: ${error.message}`));
+  });
+  const sections = [...document.querySelectorAll("[data-playback]")];
   for (const section of sections.filter(({ dataset }) => ["", "queued", "running"].includes(dataset.state))) {
     followUntilMade(section).catch(() => say(section, "The server cannot be reached. Reload this page to see how far the playback is."));
   }
@@ -119,5 +123,5 @@ function say(section, text) {
 }
 
 start().catch((error) => {
-  document.querySelectorAll(".player").forEach((section) => say(section, `The playback cannot be shown: ${error.message}`));
+  document.querySelectorAll("[data-playback]").forEach((section) => say(section, `The playback cannot be shown: ${error.message}`));
 });

@@ -11,6 +11,7 @@ from typing import Protocol
 from sqlalchemy.orm import Session
 from vitac.evaluator.playback.order import CAMERAS_FILE, SCENE_FILE, STILL_FILE, PlaybackOrder
 from vitac.evaluator.playback.process import PlaybackFailed
+from vitac.evaluator.sensors.made import read_made_sensor
 from vitac.server.playbacks import work
 from vitac.server.playbacks.work import PlaybackLease
 from vitac.server.services import Services
@@ -60,8 +61,13 @@ class PlaybackRun(LeasedRun[RunningPlayback]):
 
     def _make(self, folder: Path) -> Mapping[str, str]:
         """Return the digests of the stored files by column."""
+        made = self._lease.sensor_sha256
         order = PlaybackOrder(
-            track=self._lease.track, record=self._lease.record, list_seed=self._lease.list_seed, folder=folder
+            track=self._lease.track,
+            record=self._lease.record,
+            list_seed=self._lease.list_seed,
+            sensor=None if made is None else read_made_sensor(self._services.blobs.read(made)),
+            folder=folder,
         )
         with self._start(order) as process:
             self._watch(process)

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
     from vitac.envs.drawing.playback import Playback
+    from vitac.envs.tactile.design import SensorDesign
 
 OnStep = Callable[[int], None]
 """Gets the number of env steps that are played."""
@@ -47,7 +48,8 @@ def make(order: PlaybackOrder, on_step: OnStep) -> None:
     from vitac.envs.playback_files.scene import pack_scene
 
     task = load_track(order.track).tasks[order.record.task]
-    playback = replay(task, order.record, on_step, order.list_seed)
+    sensor = None if order.sensor is None else order.sensor.design()
+    playback = replay(task, order.record, on_step, order.list_seed, sensor)
     (order.folder / SCENE_FILE).write_bytes(pack_scene(playback))
     cameras = pack_cameras(playback)
     if cameras is not None:
@@ -56,7 +58,13 @@ def make(order: PlaybackOrder, on_step: OnStep) -> None:
         _draw_still(playback, f"{task.title}, episode {order.record.episode}: {order.record.shape}", order.folder)
 
 
-def replay(task: Task, record: EpisodeRecord, on_step: OnStep, list_seed: int | None = None) -> "Playback":
+def replay(
+    task: Task,
+    record: EpisodeRecord,
+    on_step: OnStep,
+    list_seed: int | None = None,
+    sensor: "SensorDesign | None" = None,
+) -> "Playback":
     """Return the re-simulated episode of a record.
 
     Raises:
@@ -67,7 +75,7 @@ def replay(task: Task, record: EpisodeRecord, on_step: OnStep, list_seed: int | 
     from vitac.envs.drawing.playback import record as play
     from vitac.envs.tasks.task_env import TactileTaskEnv
 
-    env = make_environment(task)
+    env = make_environment(task, sensor=sensor)
     if not isinstance(env, TactileTaskEnv):
         raise NotPlayable(
             f"Episodes of {task.env_id} are not shown in 3D: a playback shows two gels and what they hold."
@@ -113,7 +121,7 @@ def _require_same_state(found: str, record: EpisodeRecord, env_step: int) -> Non
     if env_step >= len(record.state_hashes) or found != record.state_hashes[env_step]:
         raise StatesDiffer(
             f"The state after env step {env_step} is not the recorded one: the episode was recorded with another "
-            "evaluator, on another platform class or with a sensor of the team's own, so it cannot be shown here."
+            "evaluator or on another platform class, so it cannot be shown here."
         )
 
 

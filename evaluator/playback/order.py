@@ -6,6 +6,7 @@ from typing import Final
 from pydantic import NonNegativeInt
 
 from ..episodes.records import EpisodeRecord
+from ..sensors.made import MadeSensor
 from ..strict_model import StrictModel
 
 FORMAT: Final = 1
@@ -17,12 +18,14 @@ SCENE_FILE, CAMERAS_FILE, STILL_FILE = "scene.bin.gz", "cameras.bin.gz", "still.
 class PlaybackOrder(StrictModel):
     """What is to be made: the files of one finished episode, in a folder.
 
-    `list_seed` is that of a sealed list; None: the one in the track's file.
+    `list_seed` is that of a sealed list; None: the one in the track's file. `sensor` is a team's own; None: the
+    challenge's.
     """
 
     track: str
     record: EpisodeRecord
     list_seed: int | None = None
+    sensor: MadeSensor | None = None
     folder: Path
 
 

@@ -14,6 +14,7 @@ from .limits import sensor_limits
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
+    from vitac.envs.sensor_design.tetrahedra import Tetrahedra
     from vitac.envs.tactile.design import SensorDesign
 
     from .check import SensorCheck
@@ -59,6 +60,21 @@ class MadeSensor(StrictModel):
         """SHA-256 [hex] of what is stored."""
         return hashlib.sha256(self.as_bytes()).hexdigest()
 
+    def mesh(self) -> "Tetrahedra":
+        """Return the tetrahedra, with the base at z = 0.
+
+        Raises:
+            MadeSensorDamaged: they are not those of their digest.
+        """
+        from vitac.envs.sensor_design.tetrahedra import Tetrahedra
+
+        mesh = Tetrahedra(
+            nodes_mm=_array(self.nodes_mm, "<f8", 3).astype("f8"), corners=_array(self.corners, "<i8", 4).astype("i8")
+        )
+        if hashlib.sha256(mesh.as_bytes()).hexdigest() != self.mesh_digest:
+            raise MadeSensorDamaged(f"The mesh of a stored sensor is not that of its digest {self.mesh_digest}.")
+        return mesh
+
     def design(self) -> "SensorDesign":
         """Return what is simulated.
 
@@ -66,16 +82,10 @@ class MadeSensor(StrictModel):
             MadeSensorDamaged: the mesh is not the one of its digest.
         """
         from vitac.envs.sensor_design.faces import gel_of
-        from vitac.envs.sensor_design.tetrahedra import Tetrahedra
         from vitac.envs.tactile.camera import CameraIntrinsics
         from vitac.envs.tactile.design import SensorDesign
 
-        mesh = Tetrahedra(
-            nodes_mm=_array(self.nodes_mm, "<f8", 3).astype("f8"), corners=_array(self.corners, "<i8", 4).astype("i8")
-        )
-        if hashlib.sha256(mesh.as_bytes()).hexdigest() != self.mesh_digest:
-            raise MadeSensorDamaged(f"The mesh of a stored sensor is not that of its digest {self.mesh_digest}.")
-        gel, sensing = gel_of(mesh, name="the gel")
+        gel, sensing = gel_of(self.mesh(), name="the gel")
         return SensorDesign(
             gel=gel,
             sensing_triangles=sensing,

@@ -14,8 +14,8 @@ from sqlalchemy.orm import Session
 from vitac.evaluator.episodes.records import EpisodeRecord
 
 from ..competition.sealing import list_seed_of
-from ..db.models import Playback
-from ..db.states import OPEN_PLAYBACK_STATES, PlaybackState
+from ..db.models import EpisodeResult, Playback, Submission, SubmissionFile
+from ..db.states import OPEN_PLAYBACK_STATES, FileRole, PlaybackState
 from ..queue.jobs import enqueue_playback, forget_jobs_of_ended_playbacks, has_waiting_playback_job
 from ..queue.leases import LeaseLost, lease_end
 from ..settings import Settings
@@ -29,6 +29,7 @@ class PlaybackLease:
 
     Attributes:
         list_seed: of the sealed list that was played; None for the public one.
+        sensor_sha256: of the sensor that was played with; None for the challenge's.
     """
 
     playback_id: int
@@ -38,6 +39,7 @@ class PlaybackLease:
     track: str
     record: EpisodeRecord
     list_seed: int | None = None
+    sensor_sha256: str | None = None
 
 
 def claim(session: Session, playback_id: int, lease_s: float) -> PlaybackLease | None:
@@ -59,6 +61,7 @@ def claim(session: Session, playback_id: int, lease_s: float) -> PlaybackLease |
         track=episode.track,
         record=EpisodeRecord.model_validate(episode.record),
         list_seed=list_seed_of(session, episode.commitment, episode.track, episode.task),
+        sensor_sha256=_sensor_of(session, episode),
     )
 
 
@@ -151,6 +154,13 @@ def stored_digests(session: Session) -> set[str]:
     """Return the SHA-256 of all files of playbacks."""
     rows = session.execute(select(Playback.scene_sha256, Playback.cameras_sha256, Playback.still_sha256)).all()
     return {digest for row in rows for digest in row if digest is not None}
+
+
+def _sensor_of(session: Session, episode: EpisodeResult) -> str | None:
+    """Return the digest of the sensor of an episode; equal submissions have the same one."""
+    found = select(SubmissionFile.sha256).join(Submission, Submission.id == SubmissionFile.submission_id)
+    of_episode = (Submission.digest == episode.submission_digest, Submission.track == episode.track)
+    return session.scalar(found.where(*of_episode, SubmissionFile.role == FileRole.SENSOR).limit(1))
 
 
 def _end(session: Session, lease: PlaybackLease, **values: Any) -> None:

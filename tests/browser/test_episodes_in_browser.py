@@ -9,7 +9,7 @@ from page_fixtures import a_submission
 from PIL import Image
 from played_episodes import a_playback, a_shown_episode, guided
 from playwright.sync_api import Browser, Locator, Page, Route, expect
-from real_browser import SOFTWARE_WEBGL, launched
+from real_browser import NO_WEBGL, SOFTWARE_WEBGL, launched
 from site_under_test import SiteUnderTest
 from vitac.server.db.states import EvaluationState, PlaybackState
 from vitac.web.pages.episodes.page import player_script
@@ -18,12 +18,6 @@ DESK = {"width": 1280, "height": 900}
 PHONE = {"width": 375, "height": 740}
 WCAG = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "best-practice"]
 PEG, LOCK, FUSION = "peg-insertion", "lock-opening", "fusion-insertion"
-NO_WEBGL = """
-    const { getContext } = HTMLCanvasElement.prototype;
-    HTMLCanvasElement.prototype.getContext = function (kind, ...rest) {
-      return kind.startsWith("webgl") ? null : getContext.call(this, kind, ...rest);
-    };
-"""
 
 
 @pytest.fixture(scope="module")

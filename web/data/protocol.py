@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 
     from sqlalchemy.orm import Session
     from vitac.evaluator.agent.description import SandboxDescription
+    from vitac.evaluator.sensors.appearance import Appearance
     from vitac.server.accounts.principals import Principal
     from vitac.server.playbacks.files import PlaybackFile
     from vitac.server.queue.workers import Disk
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from vitac.server.views.operations import OperationsView
     from vitac.server.views.playbacks import PlaybackView, ShownEpisodeView
     from vitac.server.views.receipts import ChainView
-    from vitac.server.views.submissions import EpisodeView, OutputView, SubmissionListView, SubmissionView
+    from vitac.server.views.submissions import EpisodeView, OutputView, SensorView, SubmissionListView, SubmissionView
 
 ResultT = TypeVar("ResultT")
 
@@ -67,6 +68,25 @@ class LimitRow:
 
     title: str
     value: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShownSensor:
+    """What a page shows of the sensor of a submission.
+
+    Attributes:
+        submission_id: whose.
+        name: of the submission.
+        team: of the submission.
+        view: mesh, document, gain and figures.
+        looks: gel, quality and markers.
+    """
+
+    submission_id: UUID
+    name: str
+    team: str
+    view: SensorView
+    looks: Appearance
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -182,6 +202,9 @@ class PageData(Protocol):
 
     async def playback_file(self, visitor: Visitor | None, place: EpisodeAddress, file: PlaybackFile) -> bytes:
         """Return a file of an episode's playback."""
+
+    async def sensor(self, visitor: Visitor, submission_id: UUID) -> ShownSensor:
+        """Return the sensor of a submission."""
 
     async def cancel(self, visitor: Visitor, submission_id: UUID) -> None:
         """Cancel the queued or running evaluation of a submission."""

@@ -10,9 +10,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
 from pydantic import ValidationError
+from vitac.evaluator.sensors.appearance import appearance
+from vitac.evaluator.sensors.made import read_made_sensor
 from vitac.server.accounts import members, registration, tokens
 from vitac.server.accounts.principals import VISITOR
 from vitac.server.accounts.teams import name_key
+from vitac.server.accounts.visibility import visible
 from vitac.server.api.teams import NewTeam
 from vitac.server.competition.view import competition_view
 from vitac.server.errors import ProblemCode, ServiceError
@@ -27,12 +30,12 @@ from vitac.server.queue import workers
 from vitac.server.queue.workers import disk_of
 from vitac.server.sharing import public_pages
 from vitac.server.sharing.public_pages import readable
-from vitac.server.submissions import listing, output, receipts, runs, upload
+from vitac.server.submissions import listing, output, receipts, runs, sensors, upload
 from vitac.server.submissions.view import submission_views
 
 from ..session.signer import LIFETIME
 from .limits import limit_rows, size
-from .protocol import RegisteredTeam, SubmissionDetail, Visitor
+from .protocol import RegisteredTeam, ShownSensor, SubmissionDetail, Visitor
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable, Collection, Sequence
@@ -56,7 +59,7 @@ if TYPE_CHECKING:
     from vitac.server.views.operations import OperationsView
     from vitac.server.views.playbacks import PlaybackView, ShownEpisodeView
     from vitac.server.views.receipts import ChainView
-    from vitac.server.views.submissions import OutputView, SubmissionListView
+    from vitac.server.views.submissions import OutputView, SensorView, SubmissionListView
 
     from .protocol import EpisodeAddress, LimitRow, PasswordSignIn
 
@@ -217,6 +220,19 @@ class ServiceData:
             lambda session: files.digest_of(session, asking.find_episode(session, by, *where), file)
         )
         return await asyncio.to_thread(files.read, self.database, self.blobs, digest)
+
+    async def sensor(self, visitor: Visitor, submission_id: UUID) -> ShownSensor:
+        """Return the sensor of a submission; its file is read outside the transaction."""
+        by = visitor.principal
+
+        def found(session: Session) -> tuple[SensorView, str, str]:
+            submission = visible(session, by, submission_id)
+            return sensors.sensor(session, by, submission_id), submission.name, submission.team.name
+
+        view, name, team = await self.ask(found)
+        content = await asyncio.to_thread(self.blobs.read, view.digest)
+        looks = await asyncio.to_thread(lambda: appearance(read_made_sensor(content)))
+        return ShownSensor(submission_id=submission_id, name=name, team=team, view=view, looks=looks)
 
     async def cancel(self, visitor: Visitor, submission_id: UUID) -> None:
         """Cancel an evaluation."""

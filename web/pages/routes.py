@@ -9,7 +9,7 @@ from starlette.staticfiles import StaticFiles
 
 from ..headers import SecurityHeaders
 from ..rendering import STATIC
-from . import documentation, downloads, errors, operations, sandbox, submissions, tracks
+from . import documentation, downloads, errors, operations, sandbox, sensors, submissions, tracks
 from .contest import competition, receipts
 from .episodes import page as episodes
 from .people import appeals, desk, messages, team
@@ -67,6 +67,8 @@ def _router() -> APIRouter:
         ("/submissions/{submission_id}/compare", comparison.compare_pages, "GET"),
         ("/submissions/{submission_id}/compare.csv", comparison.compare_csv, "GET"),
         ("/submissions/{submission_id}/output", output.output, "GET"),
+        ("/submissions/{submission_id}/sensor", sensors.sensor, "GET"),
+        ("/submissions/{submission_id}/sensor/shape", sensors.shape, "GET"),
         ("/submissions/{submission_id}/events", submissions.events, "GET"),
         ("/submissions/{submission_id}/cancel", submissions.cancel, "POST"),
         ("/submissions/{submission_id}/public", sharing.set_public, "POST"),

@@ -67,6 +67,7 @@ from vitac.web.data.protocol import (
     PasswordSignIn,
     RegisteredTeam,
     ResultT,
+    ShownSensor,
     SubmissionDetail,
     Visitor,
 )
@@ -521,6 +522,7 @@ class FixedData(FixedPlaybacks):
     past: list[PastResultView] = field(default_factory=list)
     described: list[SandboxDescription] = field(default_factory=list)
     uploaded: list[tuple[AnnouncedUpload, bytes]] = field(default_factory=list)
+    sensors: dict[UUID, ShownSensor] = field(default_factory=dict)
     tried_from: list[str] = field(default_factory=list)
     ended: list[UUID] = field(default_factory=list)
 
@@ -625,6 +627,12 @@ class FixedData(FixedPlaybacks):
     async def playback_file(self, visitor: Visitor | None, place: EpisodeAddress, file: PlaybackFile) -> bytes:
         await self.submission(visitor, place.submission_id)
         return self.file_at(place, file)
+
+    async def sensor(self, visitor: Visitor, submission_id: UUID) -> ShownSensor:
+        await self.submission(visitor, submission_id)
+        if submission_id not in self.sensors:
+            raise not_found("sensor of submission", submission_id)
+        return self.sensors[submission_id]
 
     async def cancel(self, visitor: Visitor, submission_id: UUID) -> None:
         submission = (await self.submission(visitor, submission_id)).submission

@@ -4,13 +4,20 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import drawn_gels
 import numpy as np
 import pytest
+from evaluation_records import make_record
+from own_sensors import write_sensor
 from unpacked_files import unpack
-from vitac.evaluator.episodes.records import EpisodeRecord
+from vitac.evaluator.episodes.episode import make_environment
+from vitac.evaluator.episodes.records import ActionSequence, EpisodeOutcome, EpisodeRecord
+from vitac.evaluator.episodes.replay import resimulate
 from vitac.evaluator.playback import making
 from vitac.evaluator.playback.making import NotPlayable, StatesDiffer, make, replay, serve, start_of
 from vitac.evaluator.playback.order import CAMERAS_FILE, SCENE_FILE, STILL_FILE, PlaybackOrder
+from vitac.evaluator.sensors.check import accepted_sensor
+from vitac.evaluator.sensors.made import made_sensor
 from vitac.evaluator.tracks import find_task
 
 Recorded = Callable[..., EpisodeRecord]
@@ -86,7 +93,7 @@ def test_an_episode_that_ends_before_its_record_is_not_shown(
 def test_an_environment_of_another_kind_is_not_shown(recorded: Recorded, monkeypatch: pytest.MonkeyPatch) -> None:
     _, task = find_task("peg-insertion")
     record = recorded(env_steps=1)
-    monkeypatch.setattr(making, "make_environment", lambda _: object())
+    monkeypatch.setattr(making, "make_environment", lambda _, **__: object())
     with pytest.raises(NotPlayable, match=r"Episodes of ViTac/PegInsertion-v1 are not shown in 3D"):
         replay(task, record, ignore)
 
@@ -108,3 +115,29 @@ def test_why_there_is_none_is_told(recorded: Recorded, tmp_path: Path) -> None:
     told = messages(an_order(record, tmp_path))
     assert "not the recorded one" in told[-1]["error"]
     assert not (tmp_path / SCENE_FILE).exists()
+
+
+def test_episode_with_a_sensor_of_a_team_is_shown_with_its_gel(tmp_path: Path) -> None:
+    made = made_sensor(accepted_sensor(write_sensor(tmp_path, drawn_gels.flat(2.0))))
+    track, task = find_task("sensor-blind")
+    episode = task.episodes[2]
+    played = resimulate(make_environment(task, sensor=made.design()), episode, np.zeros((1, 3), dtype=np.float32))
+    record = make_record(
+        episode.number,
+        EpisodeOutcome.ACTIONS_ENDED,
+        1,
+        task=task.name,
+        shape=episode.shape,
+        initial_offset=episode.offset,
+        actions=ActionSequence.from_array(np.zeros((1, 3), dtype=np.float32)),
+        state_hashes=played.state_hashes,
+        infos=played.infos,
+    )
+    order = PlaybackOrder(track=track.name, record=record, sensor=made, folder=tmp_path)
+    assert messages(order)[-1] == {"is_made": True}
+    found = unpack((tmp_path / SCENE_FILE).read_bytes())
+    heights_mm = found.arrays["gel_nodes_mm"].reshape(-1, 3)[:, 2]
+    assert heights_mm.max() - heights_mm.min() == pytest.approx(2.0, abs=1e-3)
+    assert (tmp_path / STILL_FILE).exists()
+    without = order.model_copy(update={"sensor": None})
+    assert "is not the recorded one" in messages(without)[-1]["error"]

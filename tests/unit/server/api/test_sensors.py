@@ -1,4 +1,5 @@
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from sqlalchemy import delete, select, text, update
 from vitac.envs.errors import VitacError
 from vitac.evaluator.agent.verdicts import SandboxFailed
 from vitac.evaluator.figures.figures import FigureChoice, FiguresPart, SensorFigures, Variation
+from vitac.evaluator.playback.order import SCENE_FILE, PlaybackOrder
 from vitac.evaluator.sensors.check import design_in
 from vitac.evaluator.sensors.made import read_made_sensor
 from vitac.evaluator.shards.order import ShardOrder
@@ -23,10 +25,12 @@ from vitac.server.db.models import EpisodeResult, Evaluation, Submission, Submis
 from vitac.server.db.states import FileRole
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.limiter import ConcurrencyLimiter
+from vitac.server.playbacks import asking, work
 from vitac.server.queue.leases import Lease
 from vitac.server.submissions.figures import has_part
 from vitac.server.submissions.files import stored_digests
 from vitac.worker.leased_run import RunEnd
+from vitac.worker.playback_run import PlaybackRun
 from vitac.worker.shard_run import ShardRun
 from vitac.worker.staging import SubmissionStage
 from worker_fakes import FakeShards
@@ -292,3 +296,44 @@ def test_shard_whose_episodes_are_stored_still_measures_its_figures(service: Ser
     assert asked[1].skip == lease.episodes
     with service.database.transaction() as session:
         assert has_part(session, lease)
+
+
+def test_playback_of_an_episode_is_made_with_the_sensor_of_its_submission(service: Service) -> None:
+    """Two sensors with the same records, such as blind runs with other markers, have playbacks of their own."""
+    other_markers = {"sensor.yaml": "markers: {points_mm: [[0, 0], [1, 2]]}"}
+    identities = [service.upload(package(files)).json()["id"] for files in (NO_CHANGES, other_markers)]
+    making = PlaybackOrders()
+    for identity in identities:
+        with service.database.transaction() as session:
+            shard = shard_ids(session, session.get_one(Submission, identity))[10]
+        lease = claim(service.database, shard)
+        store(service.database, lease, [make_record(lease.episodes[0], task=lease.task)])
+        with service.database.transaction() as session:
+            episode = asking.find_episode(session, CONSOLE, identity, lease.task, lease.episodes[0])
+            asked = asking.ask(session, service.services.settings, CONSOLE, episode)
+            claimed = work.claim(session, asked.id, 60.0)
+        assert claimed is not None
+        assert PlaybackRun(service.services, claimed, making).run() is RunEnd.FINISHED
+    made = [order.sensor for order in making.orders]
+    assert [None if it is None else it.digest for it in made] == [
+        service.get(f"/submissions/{identity}/sensor").json()["digest"] for identity in identities
+    ]
+
+
+class PlaybackOrders:
+    """Makes playbacks of nothing, and remembers the orders."""
+
+    def __init__(self) -> None:
+        self.orders: list[PlaybackOrder] = []
+
+    @contextmanager
+    def __call__(self, order: PlaybackOrder) -> Iterator["PlaybackOrders"]:
+        self.orders.append(order)
+        yield self
+
+    def played(self) -> Iterator[int]:
+        (self.orders[-1].folder / SCENE_FILE).write_bytes(b"scene")
+        yield self.orders[-1].record.env_steps
+
+    def kill(self) -> None:
+        """Nothing runs."""

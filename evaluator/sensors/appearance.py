@@ -1,0 +1,67 @@
+"""How a made sensor looks: faces of its gel, quality of its mesh, markers in the picture. Called by the pages.
+
+Nothing of the simulation is loaded.
+"""
+
+from typing import Annotated
+
+from pydantic import Field
+
+from ..strict_model import StrictModel
+from .made import MadeSensor
+
+Point = tuple[float, float, float]
+
+DRIVEN, SENSING = 1, 2
+"""Kinds of faces; all others are 0."""
+QUALITY_BINS = 10
+# From the optical centre to the base of every gel (challenge-facts 9).
+_EYE_TO_BASE_MM = 18.0
+
+
+class Appearance(StrictModel):
+    """What is drawn of a sensor; the gel stands on its base at z = 0, in millimetres."""
+
+    vertices_mm: tuple[Point, ...]
+    triangles: tuple[tuple[int, int, int], ...]
+    kinds: tuple[Annotated[int, Field(ge=0, le=2)], ...]
+    """0, `DRIVEN` or `SENSING` of each triangle."""
+    qualities: tuple[int, ...]
+    """Tetrahedra with a quality of 0 to 0.1, of 0.1 to 0.2 and so on."""
+    markers_px: tuple[tuple[float, float], ...]
+    """Where the camera sees the markers of the undeformed gel."""
+
+
+def appearance(made: MadeSensor) -> Appearance:
+    """Return how a sensor looks.
+
+    Raises:
+        MadeSensorDamaged: the mesh is not the one of its digest.
+    """
+    import numpy as np
+    from vitac.envs.sensor_design.faces import gel_of
+
+    mesh = made.mesh()
+    gel, sensing = gel_of(mesh, name="the gel")
+    triangles = gel.surface_triangles
+    kinds = np.where(gel.driven[triangles].all(axis=1), DRIVEN, 0)
+    rows = {tuple(sorted(row)) for row in sensing.tolist()}
+    kinds[[tuple(sorted(row)) in rows for row in triangles.tolist()]] = SENSING
+    used, numbers = np.unique(triangles, return_inverse=True)
+    counts = np.bincount(
+        np.minimum((QUALITY_BINS * mesh.qualities).astype(int), QUALITY_BINS - 1), minlength=QUALITY_BINS
+    )
+    return Appearance(
+        vertices_mm=tuple((x, y, z) for x, y, z in mesh.nodes_mm[used].round(3).tolist()),
+        triangles=tuple((a, b, c) for a, b, c in numbers.reshape(-1, 3).tolist()),
+        kinds=tuple(kinds.tolist()),
+        qualities=tuple(counts.tolist()),
+        markers_px=tuple(_markers_px(made)),
+    )
+
+
+def _markers_px(made: MadeSensor) -> list[tuple[float, float]]:
+    """Return the markers' pixels: they are drawn in the plane of the highest point, with x and y against the gel's."""
+    focal_u, focal_v, centre_u, centre_v = made.camera
+    depth_mm = _EYE_TO_BASE_MM + made.facts.thickness_mm
+    return [(centre_u - focal_u * x / depth_mm, centre_v - focal_v * y / depth_mm) for x, y in made.markers_mm]

@@ -1,0 +1,75 @@
+import io
+from collections.abc import Iterator
+
+import pytest
+from browser_checks import DESK, PHONE, violations
+from page_fixtures import a_submission
+from PIL import Image
+from playwright.sync_api import Browser, Locator, Page, expect
+from real_browser import NO_WEBGL, SOFTWARE_WEBGL, launched
+from shown_sensors import a_shown_sensor
+from site_under_test import SiteUnderTest
+from vitac.server.db.states import EvaluationState
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    """A browser that renders WebGL in software."""
+    with launched(*SOFTWARE_WEBGL) as browser:
+        yield browser
+
+
+@pytest.fixture
+def page(browser: Browser, site: SiteUnderTest) -> Iterator[Page]:
+    """A page of somebody who is signed in, with two sensors to look at; it may complain of nothing."""
+    for name, gel in (("ridge", "ridge"), ("dome", "dome")):
+        site.data.found.append(a_submission("Gelbots", EvaluationState.COMPLETED, name=name))
+        identity = site.data.found[-1].id
+        site.data.sensors[identity] = a_shown_sensor(identity, name=name, gel=gel)
+    context = browser.new_context(viewport=DESK)  # type: ignore[arg-type]
+    page = context.new_page()
+    complaints: list[str] = []
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    page.on("console", lambda message: complaints.append(message.text) if message.type == "error" else None)
+    site.sign_in(page)
+    yield page
+    assert complaints == []
+    context.close()
+
+
+def address(site: SiteUnderTest, *, beside: bool = False) -> str:
+    first, second = list(site.data.sensors)
+    return f"/submissions/{first}/sensor" + (f"?beside={second}" if beside else "")
+
+
+def picture(canvas: Locator) -> Image.Image:
+    return Image.open(io.BytesIO(canvas.screenshot())).convert("RGB")
+
+
+def test_gels_are_turned_by_keys_and_nothing_is_against_accessibility(page: Page, site: SiteUnderTest) -> None:
+    site.open(page, address(site, beside=True))
+    canvases = page.locator("canvas.scene")
+    expect(canvases).to_have_count(2)
+    expect(page.locator(".still")).to_have_count(0)
+    before = picture(canvases.first)
+    assert len(before.getcolors(2**20) or ()) > 50
+    canvases.first.focus()
+    for _ in range(4):
+        page.keyboard.press("ArrowRight")
+    assert picture(canvases.first).tobytes() != before.tobytes()
+    assert violations(page) == []
+
+
+def test_gel_is_a_still_drawing_without_webgl(page: Page, site: SiteUnderTest) -> None:
+    page.add_init_script(NO_WEBGL)
+    site.open(page, address(site))
+    expect(page.locator(".player-status")).to_contain_text("no WebGL")
+    expect(page.locator("svg.still polygon").first).to_be_visible()
+    expect(page.locator("canvas.scene")).to_be_hidden()
+
+
+def test_page_fits_a_phone(page: Page, site: SiteUnderTest) -> None:
+    page.set_viewport_size(PHONE)  # type: ignore[arg-type]
+    site.open(page, address(site, beside=True))
+    expect(page.locator("canvas.scene")).to_have_count(2)
+    assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]

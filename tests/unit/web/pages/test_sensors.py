@@ -1,0 +1,67 @@
+import pytest
+from asgi_browser import AsgiBrowser
+from page_fixtures import FixedData, an_id
+from shown_sensors import a_shown_sensor
+from visits import COMPLETED, QUEUED, RUNNING, sign_in
+
+ADDRESS = f"/submissions/{COMPLETED.id}/sensor"
+
+
+@pytest.fixture
+def shown(data: FixedData, browser: AsgiBrowser) -> AsgiBrowser:
+    """Somebody of the Gelbots, whose submissions have sensors; the second one is not measured yet."""
+    data.sensors[COMPLETED.id] = a_shown_sensor(COMPLETED.id)
+    data.sensors[RUNNING.id] = a_shown_sensor(RUNNING.id, name="runs", gel="dome", figures=None, gain=None)
+    sign_in(browser, "Gelbots")
+    return browser
+
+
+def test_page_shows_gel_mesh_markers_maps_and_figures(shown: AsgiBrowser) -> None:
+    html = shown.get(ADDRESS).text
+    for said in (
+        "Quality of the tetrahedra",
+        "Markers in the camera",
+        "Sensitivity to normal force",
+        "Sensitivity to shear force",
+        "force at the grasp [N]",
+        "standard score, friction -30 % [%]",
+        "Reference gel",
+        "measured at 90 starts",
+        "+6.7",
+        f'data-shape="{ADDRESS}/shape"',
+    ):
+        assert said in html
+    assert html.count('<polygon points="') > 50
+    assert 'class="players"' in html
+
+
+def test_two_sensors_stand_side_by_side(shown: AsgiBrowser) -> None:
+    html = shown.get(f"{ADDRESS}?beside={RUNNING.id}").text
+    assert 'class="players two"' in html
+    assert html.count('class="player gel"') == 2
+    assert "runs: not measured yet." in html
+    assert html.count("Sensitivity to normal force</figcaption>") == 1
+    assert html.count('<th scope="col">runs</th>') == 1
+
+
+def test_shape_for_the_script_has_vertices_triangles_and_kinds(shown: AsgiBrowser) -> None:
+    answer = shown.get(f"{ADDRESS}/shape")
+    found = answer.json()
+    assert set(found) == {"vertices_mm", "triangles", "kinds"}
+    assert len(found["triangles"]) == len(found["kinds"])
+    assert max(max(row) for row in found["triangles"]) == len(found["vertices_mm"]) - 1
+    assert answer.headers["vary"] == "Cookie"
+
+
+@pytest.mark.parametrize("beside", [str(QUEUED.id), str(an_id("nobody")), "not-an-id", "<script>"])
+def test_sensor_of_others_is_as_if_missing(shown: AsgiBrowser, beside: str) -> None:
+    assert shown.get(ADDRESS, params={"beside": beside}).status_code == 404
+    assert shown.get(f"/submissions/{beside}/sensor").status_code == 404
+    assert shown.get(f"/submissions/{beside}/sensor/shape").status_code == 404
+
+
+def test_who_is_not_signed_in_is_sent_to_the_sign_in(browser: AsgiBrowser) -> None:
+    for address in (ADDRESS, f"{ADDRESS}/shape"):
+        answer = browser.get(address)
+        assert answer.status_code == 303
+        assert answer.headers["location"].startswith("/sign-in")

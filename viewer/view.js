@@ -1,0 +1,104 @@
+// A turnable picture of a scene: camera, light, pointer and keys. What is in it is added by stage.js and gel.js.
+
+import {
+  BufferAttribute,
+  BufferGeometry,
+  DirectionalLight,
+  HemisphereLight,
+  PerspectiveCamera,
+  Scene,
+  Vector3,
+  WebGLRenderer,
+} from "three";
+import { OrbitControls } from "three/addons/controls/OrbitControls.js";
+
+const FIELD_OF_VIEW_DEG = 28;
+const TURN_RAD = Math.PI / 36;
+const FILLED = 0.9; // of the picture by the sphere around all
+const LOWEST_RAD = 0.05;
+const ZOOM = 1.1;
+export const INK = 0x22262b;
+
+export class View {
+  /** Throws where the browser has no WebGL. */
+  constructor(canvas) {
+    this.canvas = canvas;
+    const context = canvas.getContext("webgl2", { alpha: true, antialias: true });
+    if (!context) throw new Error("no WebGL");
+    this.renderer = new WebGLRenderer({ canvas, context });
+    this.camera = new PerspectiveCamera(FIELD_OF_VIEW_DEG, 4 / 3, 1, 2000);
+    this.camera.up.set(0, 0, 1);
+    this.scene = new Scene();
+    this.scene.add(new HemisphereLight(0xffffff, 0x8a8f96, 1.6), this.camera);
+    const light = new DirectionalLight(0xffffff, 1.8);
+    light.position.set(0.4, 0.8, 1);
+    this.camera.add(light);
+    this.controls = new OrbitControls(this.camera, canvas);
+    this.controls.listenToKeyEvents(canvas);
+    this.controls.keys = {}; // ours turn instead of moving
+    this.controls.addEventListener("change", () => this.draw());
+    canvas.addEventListener("keydown", (event) => this.#turnByKey(event));
+    new ResizeObserver(() => this.#fit()).observe(canvas.parentElement);
+  }
+
+  draw() {
+    this.renderer.render(this.scene, this.camera);
+  }
+
+  /** Looks at a sphere from an azimuth and an elevation [degree], with room for all of it. */
+  lookAt(around, view) {
+    const [azimuth, elevation] = view.map((angle) => (angle * Math.PI) / 180);
+    const away = new Vector3(
+      Math.cos(azimuth) * Math.cos(elevation),
+      Math.sin(azimuth) * Math.cos(elevation),
+      Math.sin(elevation),
+    );
+    const distance = (FILLED * around.radius) / Math.sin((0.5 * FIELD_OF_VIEW_DEG * Math.PI) / 180);
+    this.camera.position.copy(around.center).addScaledVector(away, distance);
+    this.controls.target.copy(around.center);
+    this.controls.update();
+  }
+
+  #turnByKey(event) {
+    const turns = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
+    const zooms = { "+": 1 / ZOOM, "=": 1 / ZOOM, "-": ZOOM };
+    const offset = this.camera.position.clone().sub(this.controls.target);
+    if (event.key in turns) {
+      const [around, up] = turns[event.key];
+      const distance = offset.length();
+      const azimuth = Math.atan2(offset.y, offset.x) + around * TURN_RAD;
+      const highest = 0.5 * Math.PI - LOWEST_RAD;
+      const elevation = Math.min(highest, Math.max(-highest, Math.asin(offset.z / distance) + up * TURN_RAD));
+      offset.set(
+        distance * Math.cos(elevation) * Math.cos(azimuth),
+        distance * Math.cos(elevation) * Math.sin(azimuth),
+        distance * Math.sin(elevation),
+      );
+    } else if (event.key in zooms) {
+      offset.multiplyScalar(zooms[event.key]);
+    } else {
+      return;
+    }
+    event.preventDefault();
+    event.stopPropagation();
+    this.camera.position.copy(this.controls.target).add(offset);
+    this.controls.update();
+  }
+
+  #fit() {
+    const { clientWidth: width, clientHeight: height } = this.canvas.parentElement;
+    if (!width || !height) return;
+    this.renderer.setPixelRatio(Math.min(2, window.devicePixelRatio));
+    this.renderer.setSize(width, height, false);
+    this.camera.aspect = width / height;
+    this.camera.updateProjectionMatrix();
+    this.draw();
+  }
+}
+
+export function geometryOf(vertices, triangles) {
+  const geometry = new BufferGeometry();
+  geometry.setAttribute("position", new BufferAttribute(vertices.values, 3));
+  geometry.setIndex(new BufferAttribute(triangles.values, 1));
+  return geometry;
+}
