@@ -11,8 +11,8 @@ from vitac.evaluator.figures.table import rows_of
 
 from ..plots.sensors import largest_of, marker_picture, quality_histogram, sensitivity_maps, still
 from ..site import page, require_viewer, site_of
+from .addresses import as_id
 from .episodes.page import player_script
-from .submissions import as_id
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
