@@ -3,12 +3,14 @@
 import os
 import platform
 import threading
+from collections.abc import Callable
 from uuid import UUID, uuid4
 
 import structlog
 from sqlalchemy.exc import SQLAlchemyError
 from vitac.evaluator.version import evaluator_version, platform_class
 from vitac.server.db.models import Worker
+from vitac.server.db.schema import is_current
 from vitac.server.db.states import WorkerState
 from vitac.server.queue import workers
 from vitac.server.services import Services
@@ -23,14 +25,32 @@ START_PATIENCE_S = 60.0
 
 
 class Heartbeat:
-    """The regular sign that this worker runs, from `start` to `stop`."""
+    """The regular sign that this worker runs, from `start` to `stop`.
 
-    def __init__(self, services: Services, *, state: WorkerState, report: IsolationReport, message: str = "") -> None:
+    Args:
+        services: of this process.
+        state: of the worker.
+        report: how it isolates policies.
+        message: for organizers.
+        on_upgrade: called when the database has another schema than this release's: what the worker stores would be
+            refused, and its shards given up after some attempts.
+    """
+
+    def __init__(
+        self,
+        services: Services,
+        *,
+        state: WorkerState,
+        report: IsolationReport,
+        message: str = "",
+        on_upgrade: Callable[[], None],
+    ) -> None:
         self.worker_id: UUID = uuid4()
         self._services = services
         self._state = state
         self._report = report
         self._message = message
+        self._on_upgrade = on_upgrade
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="heartbeat", daemon=True)
 
@@ -49,6 +69,18 @@ class Heartbeat:
     def _run(self) -> None:
         while not self._stopping.wait(self._services.settings.worker_heartbeat_s):
             self._beat(self._state)
+            if self._has_other_schema():
+                logger.error(
+                    "database_upgraded", message="Another release upgraded the database. Start its worker instead."
+                )
+                self._on_upgrade()
+                return
+
+    def _has_other_schema(self) -> bool:
+        try:
+            return not is_current(self._services.database)
+        except SQLAlchemyError:  # It is away; the next look will tell.
+            return False
 
     def _beat(self, state: WorkerState) -> None:
         try:

@@ -63,7 +63,7 @@ def work(services: Services, start: StartShard, *, probe: ProbeIsolation = probe
 def _take_shards(services: Services, report: IsolationReport, start: StartShard, stopping: threading.Event) -> None:
     """Take and run shards until a request to stop."""
     with ExitStack() as stack:
-        heartbeat = Heartbeat(services, state=WorkerState.READY, report=report)
+        heartbeat = Heartbeat(services, state=WorkerState.READY, report=report, on_upgrade=stopping.set)
         heartbeat.start()
         stack.callback(heartbeat.stop)
         stage = SubmissionStage(services.blobs, services.settings.scratch_dir, services.settings.limits)
@@ -83,7 +83,7 @@ def _refuse(services: Services, report: IsolationReport, stopping: threading.Eve
     """Say on the organizers' pages why nothing is taken here, until it is time to probe again."""
     message = f"The sandbox of this machine is not sound: {' '.join(report.problems)} Run `vitac doctor`."
     logger.error("worker_refuses", message=message)
-    heartbeat = Heartbeat(services, state=WorkerState.REFUSING, report=report, message=message)
+    heartbeat = Heartbeat(services, state=WorkerState.REFUSING, report=report, message=message, on_upgrade=stopping.set)
     heartbeat.start()
     stopping.wait(PROBE_AGAIN_S)
     heartbeat.stop()

@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 from service_factories import make_principal, make_upload
-from sqlalchemy import select
+from sqlalchemy import select, text
 from vitac.evaluator.version import evaluator_version
 from vitac.server.db.models import Worker
-from vitac.server.db.states import EvaluationState, WorkerState
+from vitac.server.db.states import EvaluationState, ShardState, WorkerState
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.queue.workers import workers_alive
 from vitac.server.services import Services
@@ -81,6 +81,27 @@ def test_living_worker_is_counted_and_its_heartbeat_goes_on(services: Services) 
     with signalled_when(beats):
         main.work(services, FakeShards(), probe=lambda: SOUND)
     assert len(seen) == 3
+
+
+def test_worker_beside_a_database_that_another_release_upgrades_gives_its_shard_back_and_ends(
+    services: Services, archive_sha256: str
+) -> None:
+    with services.database.transaction() as session:
+        submission = creation.create(session, make_principal(session), make_upload(archive_sha256=archive_sha256))[0]
+
+    def upgrade_meanwhile(_: int) -> None:
+        with services.database.transaction() as session:
+            session.execute(text("UPDATE alembic_version SET version_num = 'later'"))
+        shards.started[0].killed.wait()
+
+    shards = FakeShards(gate=upgrade_meanwhile)
+    main.work(services, shards, probe=lambda: SOUND)
+    assert rows(services)[0].state is WorkerState.STOPPED
+    with services.database.transaction() as session:
+        evaluation = newest_evaluation(session, submission)
+        assert evaluation.state is EvaluationState.RUNNING
+        assert ShardState.RUNNING not in {shard.state for shard in evaluation.shards}
+        assert [shard.attempts for shard in evaluation.shards] == [0] * len(evaluation.shards)
 
 
 def test_worker_on_a_machine_that_leaks_takes_nothing_and_says_why(services: Services, archive_sha256: str) -> None:
