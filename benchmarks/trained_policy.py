@@ -44,7 +44,7 @@ def main() -> None:
     )
     starts = public_starts() if chosen.public else fresh_starts(chosen.seed, chosen.starts)
     found = {"starts": "public list" if chosen.public else f"stream {stream(chosen.seed, Use.REPORT)}"}
-    found |= figures(policy, starts)
+    found |= figures(make_environment(), policy, starts)
     print(json.dumps(found, indent=1))
     if chosen.json:
         chosen.json.write_text(json.dumps(found, indent=1) + "\n")
@@ -88,9 +88,8 @@ class KnowsTruth:
         return self._actor(moment)
 
 
-def figures(policy: Any, starts: Iterator[Mapping[str, Any]]) -> dict[str, Any]:
+def figures(env: Any, policy: Any, starts: Iterator[Mapping[str, Any]]) -> dict[str, Any]:
     """Return successes with their interval, also by shape, the mean env steps of successes, and how episodes ended."""
-    env = make_environment()
     rows = [played(env, policy, options) for options in starts]
     solved = [row["end"] == "success" for row in rows]
     return {

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from ..client.http import Json
     from ..service.process_tree import RunningService
 
-EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "peg_insertion_heuristic"
+EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "peg_insertion_trained"
 MAX_SLOTS = 4
 WORKER_START_LIMIT_S = 120.0
 POLL_S = 0.25

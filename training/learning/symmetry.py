@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..submission.policy import MOST_STEPS
+from ..submission.policy import MAX_STEPS
 from .network import FloatArray
 
 TURNABLE = (0, 2)
@@ -64,7 +64,5 @@ STATE = _signs(
 )
 # shift x, y, z and turn about x, y, z that were felt; the gripper's x, y, theta; whether theta is known
 _MOMENT = _signs([-1, 1, 1, 1, -1, -1, -1, 1, -1, 1], [-1, -1, 1, -1, -1, 1, -1, -1, 1, 1])
-_STEPS = _signs([1] * MOST_STEPS, [1] * MOST_STEPS)
-HISTORY = both(
-    Signs(mirror=np.tile(_MOMENT.mirror, MOST_STEPS + 1), turn=np.tile(_MOMENT.turn, MOST_STEPS + 1)), _STEPS
-)
+_STEPS = _signs([1] * MAX_STEPS, [1] * MAX_STEPS)
+HISTORY = both(Signs(mirror=np.tile(_MOMENT.mirror, MAX_STEPS + 1), turn=np.tile(_MOMENT.turn, MAX_STEPS + 1)), _STEPS)

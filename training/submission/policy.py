@@ -21,10 +21,10 @@ FELT_SIZE = 6
 FELT_SCALE = np.array([0.05, 0.05, 0.05, 0.1, 0.1, 0.1], dtype=np.float32)  # mm, degrees; below it all is noise
 MOTION_SCALE_MM, ANGLE_SCALE_DEG = 4.0, 8.0
 ACTION_MM = 2.0  # motion of an action of 1 along x and y
-MOST_STEPS = 8
+MAX_STEPS = 8
 MOMENT_SIZE = FELT_SIZE + 4  # what was felt, where the gripper is: x, y, theta, and whether theta is known
 CANDIDATES = 512
-HISTORY_SIZE = (MOST_STEPS + 1) * MOMENT_SIZE + MOST_STEPS
+HISTORY_SIZE = (MAX_STEPS + 1) * MOMENT_SIZE + MAX_STEPS
 
 
 class Policy:
@@ -89,10 +89,10 @@ def history_features(felt: FloatArray, motions: FloatArray, actions: FloatArray)
         ]
     )
     told = np.zeros((count, HISTORY_SIZE), dtype=np.float32)
-    for number in range(min(count, MOST_STEPS)):
+    for number in range(min(count, MAX_STEPS)):
         told[number, :MOMENT_SIZE] = moments[number]
         told[number, MOMENT_SIZE : (number + 2) * MOMENT_SIZE] = moments[: number + 1].ravel()
-        told[number, (MOST_STEPS + 1) * MOMENT_SIZE + number] = 1.0
+        told[number, (MAX_STEPS + 1) * MOMENT_SIZE + number] = 1.0
     return told
 
 

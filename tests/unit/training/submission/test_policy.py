@@ -12,8 +12,8 @@ from vitac.training.submission.policy import (
     FELT_SIZE,
     HALF_WIDTH_MM,
     HISTORY_SIZE,
+    MAX_STEPS,
     MOMENT_SIZE,
-    MOST_STEPS,
     History,
     Policy,
     candidate_actions,
@@ -120,16 +120,16 @@ def test_history_has_all_that_was_felt_and_where_the_gripper_was() -> None:
 
 def test_history_of_a_whole_episode_is_what_a_policy_had_at_each_moment() -> None:
     random = np.random.default_rng(0)
-    felt = random.standard_normal((MOST_STEPS + 1, FELT_SIZE)).astype(np.float32)
-    motions = random.standard_normal((MOST_STEPS + 1, 4)).astype(np.float32)
-    actions = random.uniform(-1, 1, (MOST_STEPS, 3)).astype(np.float32)
+    felt = random.standard_normal((MAX_STEPS + 1, FELT_SIZE)).astype(np.float32)
+    motions = random.standard_normal((MAX_STEPS + 1, 4)).astype(np.float32)
+    actions = random.uniform(-1, 1, (MAX_STEPS, 3)).astype(np.float32)
     whole = history_features(felt, motions, actions)
     history = History()
-    for number in range(MOST_STEPS):
+    for number in range(MAX_STEPS):
         history.observed(felt[number], motions[number])
         np.testing.assert_array_equal(whole[number], history.features())
         history.acted(actions[number])
-    assert not whole[MOST_STEPS].any()
+    assert not whole[MAX_STEPS].any()
 
 
 def test_motion_tells_the_angle_of_the_gripper() -> None:

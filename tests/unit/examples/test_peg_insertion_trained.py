@@ -1,0 +1,78 @@
+"""The trained peg policy: it is what its recipe and training make, and its card tells what was measured."""
+
+import json
+from pathlib import Path
+from runpy import run_path
+from typing import Any
+
+import numpy as np
+import pytest
+from example_policies import flow
+from vitac.evaluator.submission.manifest import load_manifest
+from vitac.training.recipe import read_recipe
+from vitac.training.streams import Use, stream
+from vitac.training.submission.export import LARGEST_BYTES
+from vitac.training.submission.policy import HISTORY_SIZE
+
+
+@pytest.fixture(scope="module")
+def example(repository: Path) -> Path:
+    return repository / "examples" / "peg_insertion_trained"
+
+
+@pytest.fixture(scope="module")
+def policy(example: Path) -> Any:
+    return run_path(str(example / "Track_1" / "policy.py"))["Policy"]()
+
+
+@pytest.fixture(scope="module")
+def figures(example: Path) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((example / "figures.json").read_text())
+    return found
+
+
+def test_is_a_valid_submission_with_the_policy_of_the_training(example: Path, repository: Path) -> None:
+    manifest = load_manifest(example / "Track_1")
+    assert (manifest.tasks, manifest.entry_point) == (("peg-insertion",), "policy:Policy")
+    assert manifest.observation_keys == ("marker_flow", "relative_motion")
+    trained = repository / "training" / "submission" / "policy.py"
+    assert (example / "Track_1" / "policy.py").read_bytes() == trained.read_bytes()
+
+
+def test_weights_are_small_and_without_pickle(example: Path, policy: Any) -> None:
+    assert (example / "Track_1" / "weights.npz").stat().st_size < LARGEST_BYTES
+    assert policy.weights["0_history"].shape[0] == HISTORY_SIZE
+    assert all(np.isfinite(value).all() for value in policy.weights.values())
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_actions_are_finite_and_within_bounds(policy: Any, seed: int) -> None:
+    policy.reset("peg-insertion")
+    motion = np.zeros(4, np.float32)
+    for _ in range(3):
+        seen = np.stack([flow(np.array([[2.9, 0], [0, 0], [0, 0]]), 0.5, seed + side) for side in (0, 1)])
+        action = policy.act({"marker_flow": seen, "relative_motion": motion})
+        assert (action.dtype, action.shape) == (np.float32, (3,))
+        assert np.abs(action).max() <= 1
+        motion = motion + np.array([*(2 * action[:2]), 4 * action[2], -0.125], np.float32)
+
+
+def test_log_is_that_of_its_recipe(example: Path, figures: dict[str, Any]) -> None:
+    recipe = read_recipe(example / "recipe.yaml")
+    rows = [json.loads(line) for line in (example / "log.jsonl").read_text().splitlines()]
+    assert [row["round"] for row in rows] == list(range(1, len(rows) + 1))
+    assert len(rows) <= recipe.rounds
+    assert figures["fresh"]["starts"] == f"stream {stream(recipe.seed, Use.REPORT)}"
+    assert figures["round"] == max(rows, key=lambda row: (row["student"]["successes"], row["round"]))["round"]
+
+
+def test_card_tells_the_measured_figures(example: Path, figures: dict[str, Any]) -> None:
+    card = (example / "README.md").read_text()
+    for part in ("public", "fresh", "public_with_truth"):
+        found = figures[part]
+        low, high = 100 * found["interval"]["low"], 100 * found["interval"]["high"]
+        told = (
+            f"{found['successes']} of {found['episodes']} ({100 * found['success_rate']:.1f} % [{low:.1f}, {high:.1f}])"
+        )
+        assert told in card, told
+        assert sum(shape["episodes"] for shape in found["by_shape"].values()) == found["episodes"]
