@@ -21,6 +21,7 @@ class ProblemCode(StrEnum):
     COMPETITION_FINAL = "competition_final"
     DATABASE_UNAVAILABLE = "database_unavailable"
     DIGEST_MISMATCH = "digest_mismatch"
+    FILE_NAME_MISMATCH = "file_name_mismatch"
     FORBIDDEN = "forbidden"
     INTERNAL_ERROR = "internal_error"
     INVALID_CREDENTIALS = "invalid_credentials"
@@ -79,6 +80,7 @@ STATUS_OF_CODE: Mapping[ProblemCode, HTTPStatus] = MappingProxyType(
         ProblemCode.COMPETITION_FINAL: HTTPStatus.CONFLICT,
         ProblemCode.DATABASE_UNAVAILABLE: HTTPStatus.SERVICE_UNAVAILABLE,
         ProblemCode.DIGEST_MISMATCH: HTTPStatus.BAD_REQUEST,
+        ProblemCode.FILE_NAME_MISMATCH: HTTPStatus.UNPROCESSABLE_ENTITY,
         ProblemCode.FORBIDDEN: HTTPStatus.FORBIDDEN,
         ProblemCode.INTERNAL_ERROR: HTTPStatus.INTERNAL_SERVER_ERROR,
         ProblemCode.INVALID_CREDENTIALS: HTTPStatus.UNAUTHORIZED,

@@ -5,7 +5,7 @@ import sys
 import typer
 
 from . import audit, backup, evaluation, quota, submission, team, token, worker
-from .contest import advance, competition, receipt, results
+from .contest import advance, competition, receipt, rejudge, results, track
 from .people import announcement, appeal, notice, question
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
@@ -24,6 +24,12 @@ app.add_typer(competition.app, name="competition", help="The competition: check,
 app.add_typer(advance.app, name="advance", help="Who takes part in a later stage: propose, confirm, list.")
 app.add_typer(results.app, name="results", help="The end: freeze, unfreeze, winners, finalize, publish.")
 app.add_typer(receipt.app, name="receipt", help="Receipts of final results: key, export.")
+app.add_typer(
+    rejudge.app,
+    name="rejudge",
+    help="Results of another evaluator beside the present ones: start, show, apply, discard.",
+)
+app.add_typer(track.app, name="track", help="Track files of your own: check.")
 app.add_typer(
     team.app,
     name="team",

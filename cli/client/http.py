@@ -91,6 +91,7 @@ class Client:
         kind: SubmissionKind = SubmissionKind.MODEL,
         team: str | None = None,
         again: bool = False,
+        file_name: str | None = None,
         on_position: Callable[[int], None],
     ) -> Json:
         """Upload an archive or a log with its SHA-256, which the server checks; cuts on the way are mended.
@@ -101,6 +102,7 @@ class Client:
             kind: what the file is.
             team: for an organizer's token: the team that submits.
             again: run all episodes, also those that were evaluated before.
+            file_name: as the user names it; None: not told.
             on_position: told how many bytes are sent; after a cut it may be fewer than before.
         """
         with archive.open("rb") as file:
@@ -109,6 +111,7 @@ class Client:
             {"kind": kind.value, "track": track, "sha256": digest}
             | ({"team": team} if team else {})
             | ({"again": "true"} if again else {})
+            | ({"filename": file_name} if file_name else {})
         )
         return PieceSender(send=self.send, file=archive, metadata=metadata, on_position=on_position).run()
 

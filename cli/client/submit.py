@@ -54,7 +54,15 @@ def command(
     kind = kind or kind_of(submission)
     track = track or _track_of(submission, kind)
     with packed(submission) as archive, upload_bar(archive.stat().st_size, shown=not as_json) as on_position:
-        answer = client.upload(archive, track=track, kind=kind, team=team, again=again, on_position=on_position)
+        answer = client.upload(
+            archive,
+            track=track,
+            kind=kind,
+            team=team,
+            again=again,
+            file_name=submission.resolve().name,
+            on_position=on_position,
+        )
     if as_json and not watch:
         print_json(answer)
     if not as_json:

@@ -64,6 +64,10 @@ async def post_submission(
     track: Annotated[str | None, Query(description="Must agree with submission.yaml or the log's header.")] = None,
     kind: Annotated[SubmissionKind, Query(description="What the body is.")] = SubmissionKind.MODEL,
     team: Annotated[str | None, Query(description="For organizers: whose submission this is.")] = None,
+    file_name: Annotated[
+        str | None,
+        Query(max_length=255, description="One in the challenge's form must agree with team, track and stage."),
+    ] = None,
     again: Annotated[bool, Query(description="Play all episodes anew although results are stored.")] = False,
 ) -> SubmissionView:
     """Upload a submission and start its evaluation.
@@ -84,6 +88,7 @@ async def post_submission(
         again=again,
         n_bytes=_announced_bytes(request),
         sha256=_claimed_sha256(request),
+        file_name=file_name,
     )
     upload.check(services, announced)
     with request.app.state.upload_limiter.one(principal.account, UPLOADS):

@@ -11,10 +11,18 @@ from sqlalchemy.orm import Session
 from vitac.server.accounts import registration, teams, tokens
 from vitac.server.accounts.principals import Principal
 from vitac.server.accounts.quotas import charge, uses
+from vitac.server.competition.schedule import stage_quota_uses
 from vitac.server.db.models import ApiToken, Team
 from vitac.server.db.states import Quota, Role
 from vitac.server.services import Services
-from vitac.server.views.accounts import MeView, NewTokenView, QuotaView, RegisteredTeamView, TokenListView
+from vitac.server.views.accounts import (
+    MeView,
+    NewTokenView,
+    QuotaView,
+    RegisteredTeamView,
+    StageQuotaView,
+    TokenListView,
+)
 
 from ..limiter import client_key
 from .access import OptionalPrincipalOf, PrincipalOf, ServicesOf
@@ -101,11 +109,14 @@ def get_me(services: ServicesOf, principal: PrincipalOf) -> MeView:
     """Return who the token belongs to and until when it is good."""
     with services.database.transaction() as session:
         token = session.get(ApiToken, principal.token_id)
+        team = teams.own(session, principal) if principal.team_id is not None else None
+        stage_uses = stage_quota_uses(session, team) if team is not None else []
         return MeView(
             role=cast("Role", principal.role),  # a visitor without a token does not come here
-            team=teams.team_view(teams.own(session, principal)) if principal.team_id is not None else None,
+            team=teams.team_view(team) if team is not None else None,
             token=tokens.token_view(token) if token is not None else None,
             quotas=_quotas(session, services, principal),
+            stage_quotas=[StageQuotaView(**vars(use)) for use in stage_uses],
         )
 
 

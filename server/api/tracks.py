@@ -7,7 +7,9 @@ from vitac.server.competition.view import competition_view
 from vitac.server.leaderboards.log_boards import log_boards
 from vitac.server.leaderboards.made_boards import MadeBoard
 from vitac.server.leaderboards.standings import leaderboard
+from vitac.server.results.archive import archive_view
 from vitac.server.tracks import load_known_track, track_view, track_views
+from vitac.server.views.contest.archive import ArchiveView
 from vitac.server.views.contest.competition import CompetitionView
 from vitac.server.views.leaderboards import LeaderboardView, LogBoardsView
 from vitac.server.views.tracks import TrackListView, TrackView
@@ -41,6 +43,13 @@ def get_competition(services: ServicesOf) -> CompetitionView:
     """Return the competition of this service: schedule, rules, prizes, commitments, at the end winners; else 404."""
     with services.database.transaction() as session:
         return competition_view(session)
+
+
+@router.get("/competition/archive")
+def get_archive(services: ServicesOf) -> ArchiveView:
+    """Return winners and boards as they were when the competition was finalized, and how to cite; before that 404."""
+    with services.database.transaction() as session:
+        return archive_view(session)
 
 
 @router.get("/leaderboards/{track}", response_model=LeaderboardView, responses=UNCHANGED)

@@ -80,6 +80,23 @@ def apply(session: Session, by: Principal, definition: CompetitionDefinition) ->
     return found
 
 
+def warnings_about(definition: CompetitionDefinition, at: datetime | None = None) -> list[str]:
+    """Return what takes effect at once where a file is applied, because its moment is over; `at` None: now."""
+    now = at or datetime.now(UTC)
+    found = []
+    if definition.teams_locked is not None and definition.teams_locked <= now:
+        found.append(
+            f"teams_locked is {definition.teams_locked:%F %T} UTC, which is over: from now on only organizers register "
+            "teams."
+        )
+    for name, track in definition.tracks.items():
+        if track.taken_here and track.stages[-1].closes <= now:
+            found.append(
+                f"The last stage of {name} closed at {track.stages[-1].closes:%F %T} UTC: it takes no submissions."
+            )
+    return found
+
+
 def _refuse_loss(session: Session, definition: CompetitionDefinition) -> None:
     """Refuse to take away a stage that has submissions, and to change its list."""
     used = session.execute(

@@ -1,6 +1,7 @@
 """Which stage is open now, and who may submit to it; asked by whatever takes or shows submissions."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from types import MappingProxyType
 
@@ -98,6 +99,38 @@ def check_stage_quotas(session: Session, by: Principal, team: Team, *, track: st
                 quota=f"stage_{quota}",
                 limit=limit,
             )
+
+
+@dataclass(frozen=True, kw_only=True)
+class StageQuotaUse:
+    """How much of a quota of an open stage a team has used; `limit` None: any number."""
+
+    track: str
+    stage: str
+    closes: datetime
+    quota: str
+    limit: int | None
+    used: int
+
+
+def stage_quota_uses(session: Session, team: Team, at: datetime | None = None) -> list[StageQuotaUse]:
+    """Return what a team may still have in each open stage that it takes part in; `at` None: now."""
+    competition, now = current(session), at or datetime.now(UTC)
+    tracks = competition.tracks.items() if competition else ()
+    opened = [(name, _open_stage(track, now)) for name, track in tracks if track.taken_here]
+    return [
+        StageQuotaUse(
+            track=track,
+            stage=stage.name,
+            closes=stage.closes,
+            quota=quota,
+            limit=limit,
+            used=_used(session, team, track, stage.name, quota),
+        )
+        for track, stage in opened
+        if stage is not None and (stage.qualified is None or is_qualified(session, team, track, stage.name))
+        for quota, limit in stage.quotas
+    ]
 
 
 def is_qualified(session: Session, team: Team, track: str, stage: str) -> bool:

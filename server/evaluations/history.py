@@ -1,4 +1,7 @@
-"""The evaluations of a submission, newest first; the newest is the one that it shows."""
+"""The evaluations of a submission, newest first; the newest is the one that it shows.
+
+Those that a rejudgement only proposes are left out.
+"""
 
 from collections.abc import Collection
 from typing import TypeVar
@@ -23,7 +26,12 @@ def newest_evaluation(session: Session, submission: Submission) -> Evaluation:
 
 
 def history(submission: Submission) -> Select[Evaluation]:
-    """Return all evaluations of a submission, newest first."""
+    """Return the evaluations of a submission, newest first."""
+    return all_runs(submission).where(~Evaluation.is_proposed)
+
+
+def all_runs(submission: Submission) -> Select[Evaluation]:
+    """Return the evaluations of a submission with those that are only proposed, newest first."""
     return (
         select(Evaluation)
         .where(Evaluation.submission_id == submission.id)
@@ -38,7 +46,7 @@ def histories(session: Session, submissions: Collection[Submission]) -> dict[UUI
     found: dict[UUID, list[Evaluation]] = {submission_id: [] for submission_id in by_id}
     rows = session.scalars(
         select(Evaluation)
-        .where(among(Evaluation.submission_id, found))
+        .where(among(Evaluation.submission_id, found), ~Evaluation.is_proposed)
         .options(defer(Evaluation.log_tail))
         .order_by(*_NEWEST_FIRST)
         .execution_options(populate_existing=True)
@@ -58,7 +66,7 @@ def of_newest(column: InstrumentedAttribute[ValueT]) -> ScalarSelect[ValueT]:
     """Return a column of the newest evaluation of a row of `submissions`, for a query on them."""
     return (
         select(column)
-        .where(Evaluation.submission_id == Submission.id)
+        .where(Evaluation.submission_id == Submission.id, ~Evaluation.is_proposed)
         .order_by(Evaluation.created_at.desc(), Evaluation.run.desc())
         .limit(1)
         .scalar_subquery()

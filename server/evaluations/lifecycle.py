@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
+from uuid import UUID
 
 from sqlalchemy import ColumnElement, func, select, update
 from sqlalchemy.orm import Session
@@ -48,7 +49,13 @@ class WrongEvaluator(VitacError):
 
 
 def start(
-    session: Session, submission: Submission, run: int, *, charged_at: datetime | None = None, turn: int | None = None
+    session: Session,
+    submission: Submission,
+    run: int,
+    *,
+    charged_at: datetime | None = None,
+    turn: int | None = None,
+    rejudgement_id: UUID | None = None,
 ) -> Evaluation:
     """Make an evaluation with its shards and their jobs, all in the caller's transaction.
 
@@ -58,6 +65,7 @@ def start(
         run: number of the run.
         charged_at: when the team's quotas counted it; None: it costs nothing.
         turn: its turn; None: the team's next one.
+        rejudgement_id: that proposes it; None: it will be the submission's result.
     """
     evaluation = Evaluation(
         submission=submission,
@@ -70,6 +78,8 @@ def start(
         turn=next_turn(session, submission.team_id) if turn is None else turn,
         log_tail="",
         charged_at=charged_at,
+        rejudgement_id=rejudgement_id,
+        is_proposed=rejudgement_id is not None,
         created_at=datetime.now(UTC),
     )
     track = load_track(submission.track)
@@ -217,9 +227,10 @@ def _complete(session: Session, evaluation: Evaluation, records: dict[str, list[
     evaluation.state = EvaluationState.COMPLETED
     evaluation.finished_at = finished_at
     session.flush()
-    flag_copies(session, evaluation)
-    announce_evaluation(session, NoticeKind.FINISHED, evaluation)
-    issue(session, evaluation, combined_result(evaluation))
+    if not evaluation.is_proposed:
+        flag_copies(session, evaluation)
+        announce_evaluation(session, NoticeKind.FINISHED, evaluation)
+        issue(session, evaluation, combined_result(evaluation))
 
 
 def _fail_by_policy(
@@ -244,7 +255,8 @@ def _fail(session: Session, evaluation: Evaluation, code: str, message: str) -> 
     evaluation.verdict_message = message
     evaluation.state = EvaluationState.FAILED
     evaluation.finished_at = datetime.now(UTC)
-    announce_evaluation(session, NoticeKind.FAILED, evaluation)
+    if not evaluation.is_proposed:
+        announce_evaluation(session, NoticeKind.FAILED, evaluation)
 
 
 def _output_of(records: dict[str, list[EpisodeRecord]]) -> str:

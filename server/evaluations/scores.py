@@ -15,14 +15,21 @@ from vitac.server.views.scores import ShapeScoreView, TaskScoreView
 def store_scores(
     evaluation: Evaluation, scores: Mapping[str, Score], hashes: Mapping[str, str], *, finished_at: datetime
 ) -> None:
-    """Write the score of each task into the row of an evaluation, and what it is ranked by on each board.
+    """Write the score of each task into the row of an evaluation; one that is not only proposed goes on the boards."""
+    evaluation.scores = [
+        {"task": task, "result_hash": hashes[task], **score.model_dump(mode="json")} for task, score in scores.items()
+    ]
+    if not evaluation.is_proposed:
+        add_to_boards(evaluation, finished_at)
+
+
+def add_to_boards(evaluation: Evaluation, finished_at: datetime) -> None:
+    """Write what a scored evaluation is ranked by on each board, from a moment on.
 
     A combination is stored by the rule of the evaluation's version only, as it ranks among results of this one only.
     Where it is shown, it is derived from the scores by today's rule.
     """
-    evaluation.scores = [
-        {"task": task, "result_hash": hashes[task], **score.model_dump(mode="json")} for task, score in scores.items()
-    ]
+    scores = scores_of(evaluation)
     evaluation.board_results = [_board_result(evaluation, task, score, finished_at) for task, score in scores.items()]
     combined = combined_score(evaluation)
     if combined is not None and evaluation.submission.kind.form.runs_policy:

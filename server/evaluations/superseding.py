@@ -66,6 +66,13 @@ def _begin_again(session: Session, evaluation_id: UUID, current: str) -> bool:
     )
     charged_at, evaluation.charged_at = evaluation.charged_at, None
     run = 1 + (done_before or 0)
-    lifecycle.start(session, evaluation.submission, run, charged_at=charged_at, turn=evaluation.turn)
+    lifecycle.start(
+        session,
+        evaluation.submission,
+        run,
+        charged_at=charged_at,
+        turn=evaluation.turn,
+        rejudgement_id=evaluation.rejudgement_id if evaluation.is_proposed else None,
+    )
     logger.warning("evaluation_superseded", evaluation=str(evaluation_id), version=evaluation.evaluator_version)
     return True

@@ -13,6 +13,7 @@ from ..competition.schedule import current
 from ..db.models import Competition
 from ..errors import ProblemCode, ServiceError
 from ..leaderboards.standings import leaderboard
+from ..views.leaderboards import LeaderboardView
 from .readiness import require_current, require_scored
 
 
@@ -86,6 +87,7 @@ def finalize(session: Session, by: Principal, *, at: datetime | None = None) -> 
     found = winners(session)
     row.finalized_at, row.frozen_at = now, None
     row.winners = [asdict(winner) for winner in found]
+    row.boards = [board.model_dump(mode="json") for board in boards_of(session, definition)]
     record(session, by, "competition.finalize", _subject(row), {"winners": row.winners})
     return found
 
@@ -107,6 +109,16 @@ def winners(session: Session) -> list[Winner]:
         for name, track in definition.tracks.items()
         if track.taken_here
         for winner in _winners_of(session, definition, name, track)
+    ]
+
+
+def boards_of(session: Session, definition: CompetitionDefinition) -> list[LeaderboardView]:
+    """Return the board of every stage that is held here, as organizers see it now."""
+    return [
+        leaderboard(session, name, stage=stage.name, live=True).view
+        for name, track in definition.tracks.items()
+        if track.taken_here
+        for stage in track.stages
     ]
 
 

@@ -15,9 +15,8 @@ from ..competition.definition import CompetitionDefinition
 from ..competition.schedule import current
 from ..db.models import Competition
 from ..errors import ProblemCode, ServiceError
-from ..leaderboards.standings import leaderboard
 from ..views.leaderboards import LeaderboardView
-from .finishing import Winner, winners
+from .finishing import Winner, boards_of, winners
 
 _COLUMNS = (
     "track",
@@ -111,12 +110,7 @@ def result_files(session: Session) -> Mapping[str, str]:
     definition, row = current(session), session.get(Competition, 1)
     if definition is None or row is None:
         raise ServiceError(ProblemCode.NOT_FOUND, "There is no competition, so it has no results.")
-    boards = [
-        leaderboard(session, name, stage=stage.name, live=True).view
-        for name, track in definition.tracks.items()
-        if track.taken_here
-        for stage in track.stages
-    ]
+    boards = boards_of(session, definition)
     found = winners(session)
     is_final = row.finalized_at is not None
     return {

@@ -1,6 +1,7 @@
 """Makes the submission out of an upload in pieces; called by the API."""
 
 from contextlib import suppress
+from dataclasses import replace
 from uuid import UUID
 
 from vitac.server.accounts.principals import Principal
@@ -52,6 +53,7 @@ def _make(services: Services, by: Principal, upload: PartialUpload) -> tuple[UUI
         received = partial.put_together(services, upload.id, folder)
         intake.check_digest(received, upload.sha256)
         checked = accept(services, received, kind=upload.kind, track=upload.track, owner=upload.team.name)
+    checked = replace(checked, file_name=upload.file_name)
     with services.database.transaction() as session:
         locked = partial.lock(session, upload.id)
         if locked.submission_id is not None:

@@ -5,6 +5,7 @@ from datetime import datetime
 from sqlalchemy import select
 from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
+from vitac.evaluator.tracks import load_track
 
 from ..accounts import teams
 from ..accounts.audit import record
@@ -19,6 +20,7 @@ from ..notices.outbox import announce_evaluation
 from ..settings import Quotas
 from ..sharing.public_pages import is_public_from_the_start
 from ..uploads.checked_upload import CheckedUpload
+from ..uploads.file_names import check_file_name
 from .files import add_files
 from .runs import next_run, require_machines_hold
 
@@ -52,12 +54,14 @@ def create(
         at: when it is complete; None: now.
 
     Raises:
-        ServiceError: an organizer named no team, the stage takes nothing (more) of the team, the team has used one
-            of its quotas, or machines have failed at the submission too often.
+        ServiceError: an organizer named no team, the stage takes nothing (more) of the team, the file is named for
+            another team, track or stage, the team has used one of its quotas, or machines have failed at the submission
+            too often.
     """
     team_row = owner(session, by, team)
     teams.lock(session, team_row)
     stage = stage_for_submission(session, by, team_row, track=upload.track, kind=upload.kind, at=at)
+    check_file_name(upload.file_name, team=team_row.name, track=load_track(upload.track), stage=stage)
     submission = _find_or_add(session, team_row, upload, stage)
     run = next_run(session, submission, again=again)
     if run is None:

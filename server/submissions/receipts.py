@@ -64,6 +64,7 @@ def issue_older(session: Session) -> int:
         .where(
             Evaluation.state == EvaluationState.COMPLETED,
             Evaluation.finished_at < key.made_at,
+            ~Evaluation.is_proposed,
             ReceiptRow.number.is_(None),
         )
         .order_by(Evaluation.finished_at, Evaluation.id)

@@ -14,7 +14,7 @@ from ..db.row_locks import lock_evaluation
 from ..db.states import ACTIVE_EVALUATION_STATES, TERMINAL_EVALUATION_STATES, EvaluationState
 from ..errors import ProblemCode, ServiceError
 from ..evaluations import lifecycle
-from ..evaluations.history import history, newest_evaluation
+from ..evaluations.history import all_runs, newest_evaluation
 from ..evaluations.verdicts import REFUTING_RESULTS, ServiceVerdict
 
 MACHINE_FAILURES = 3
@@ -92,13 +92,15 @@ def next_run(session: Session, submission: Submission, *, again: bool) -> int | 
     A score answers it, and so does what was found against a log: its actions would lead to the same states again.
     """
     current = evaluator_version()
-    runs = session.scalars(history(submission)).all()
+    runs = session.scalars(all_runs(submission)).all()
     if any(evaluation.state in ACTIVE_EVALUATION_STATES for evaluation in runs):
         return None
     same_version = [evaluation for evaluation in runs if evaluation.evaluator_version == current]
     if not same_version:
         return 1
-    newest = same_version[0]
+    newest = next((evaluation for evaluation in same_version if not evaluation.is_proposed), None)
+    if newest is None:
+        return 1 + max(evaluation.run for evaluation in same_version)
     if not again and (newest.state is EvaluationState.COMPLETED or newest.verdict_code in REFUTING_RESULTS):
         return None
     if not again and _can_be_taken_up(newest):

@@ -2,7 +2,7 @@
 
 import asyncio
 from collections.abc import AsyncIterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from starlette.requests import ClientDisconnect
 from vitac.evaluator.submission_kinds import SubmissionKind
@@ -13,6 +13,7 @@ from ..tracks import load_known_track
 from ..uploads import intake
 from ..uploads.acceptance import accept, check_kind
 from ..uploads.checked_upload import CheckedUpload
+from ..uploads.file_names import check_file_name
 from ..uploads.kinds import SERVED_KINDS
 from ..views.submissions import SubmissionView
 from . import creation, listing
@@ -29,6 +30,7 @@ class AnnouncedUpload:
         again: play all episodes anew although results are stored.
         n_bytes: length of the body; None: not told.
         sha256: digest of the body, hex; None: not told.
+        file_name: of the body; None: not told.
     """
 
     kind: SubmissionKind
@@ -37,6 +39,7 @@ class AnnouncedUpload:
     again: bool = False
     n_bytes: int | None = None
     sha256: str | None = None
+    file_name: str | None = None
 
 
 def check(services: Services, upload: AnnouncedUpload) -> None:
@@ -78,12 +81,14 @@ async def receive(
             raise intake.truncated("the connection was closed") from error
         intake.check_digest(received, upload.sha256)
         checked = await asyncio.to_thread(accept, services, received, kind=upload.kind, track=upload.track, owner=owner)
-    return await asyncio.to_thread(_create, services, by, upload, checked)
+    return await asyncio.to_thread(_create, services, by, upload, replace(checked, file_name=upload.file_name))
 
 
 def _owner(services: Services, by: Principal, upload: AnnouncedUpload) -> str:
     with services.database.transaction() as session:
-        return creation.expect_upload(session, services.settings.quotas, by, upload.team, upload.sha256).name
+        owner = creation.expect_upload(session, services.settings.quotas, by, upload.team, upload.sha256)
+        check_file_name(upload.file_name, team=owner.name)
+        return owner.name
 
 
 def _create(

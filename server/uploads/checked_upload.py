@@ -36,6 +36,7 @@ class CheckedUpload:
 
     Attributes:
         files: what is stored beside it.
+        file_name: as the client names it; None: not told.
         sensor_folder: unpacked submission whose sensor is still to be taken in; None: there is none.
     """
 
@@ -48,4 +49,5 @@ class CheckedUpload:
     archive_bytes: int
     manifest: dict[str, Any]
     files: tuple[UploadedFile, ...] = ()
+    file_name: str | None = None
     sensor_folder: Path | None = None

@@ -37,6 +37,7 @@ class UploadPlan:
         kind: what the body is.
         track: that the body must name; None: whatever it names.
         again: whether all episodes are to be played anew.
+        file_name: as the client names it; None: not told.
         total_bytes: length of the body.
         sha256: digest of the body, hex; None: not told.
     """
@@ -44,6 +45,7 @@ class UploadPlan:
     kind: SubmissionKind
     track: str | None
     again: bool
+    file_name: str | None
     total_bytes: int
     sha256: str | None
 

@@ -99,6 +99,17 @@ class QuotaView(View):
     opens_at: datetime | None = Field(description="When a daily quota counts from zero again.")
 
 
+class StageQuotaView(View):
+    """How much of a quota of an open stage a team has used."""
+
+    track: str
+    stage: str
+    closes: datetime
+    quota: str
+    limit: int | None = Field(description="Null: any number.")
+    used: int
+
+
 class MeView(View):
     """Who the token belongs to."""
 
@@ -106,6 +117,9 @@ class MeView(View):
     team: TeamView | None
     token: TokenView | None
     quotas: list[QuotaView] = Field(description="Of the team; empty for organizers and judges.")
+    stage_quotas: list[StageQuotaView] = Field(
+        description="Of the open stages of the competition that it takes part in."
+    )
 
 
 class TokenListView(View):

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from vitac.server.receipts.receipt import Receipt
     from vitac.server.settings import Registration
     from vitac.server.submissions.upload import AnnouncedUpload
+    from vitac.server.views.contest.archive import ArchiveView
     from vitac.server.views.contest.competition import CompetitionView
     from vitac.server.views.leaderboards import LeaderboardView, LogBoardsView, PastResultView
     from vitac.server.views.logs import ActionMatchView
@@ -170,8 +171,11 @@ class PageData(Protocol):
     async def competition(self) -> CompetitionView:
         """Return the competition of this service; where there is none, the service's refusal is raised."""
 
-    async def log_boards(self, track: str) -> LogBoardsView:
-        """Return the verified logs and the 2025 text logs of a track."""
+    async def archive(self) -> ArchiveView:
+        """Return the archive of a competition that is final; else the service's refusal is raised."""
+
+    async def log_boards(self, track: str, stage: str | None = None) -> LogBoardsView:
+        """Return the verified logs and the 2025 text logs of a track; `stage` as for `leaderboard`."""
 
     async def submission(self, visitor: Visitor | None, submission_id: UUID) -> SubmissionDetail:
         """Return one submission with its episodes; for None only a public one, else a token is asked for."""

@@ -28,6 +28,7 @@ from vitac.server.operations.state import operations
 from vitac.server.playbacks import asking, files
 from vitac.server.queue import workers
 from vitac.server.queue.workers import disk_of
+from vitac.server.results.archive import archive_view
 from vitac.server.sharing import public_pages
 from vitac.server.sharing.public_pages import readable
 from vitac.server.submissions import listing, output, receipts, runs, sensors, upload
@@ -54,6 +55,7 @@ if TYPE_CHECKING:
     from vitac.server.settings import Registration, Settings
     from vitac.server.storage.blobs import BlobStore
     from vitac.server.submissions.upload import AnnouncedUpload
+    from vitac.server.views.contest.archive import ArchiveView
     from vitac.server.views.contest.competition import CompetitionView
     from vitac.server.views.leaderboards import LeaderboardView, LogBoardsView
     from vitac.server.views.operations import OperationsView
@@ -144,9 +146,13 @@ class ServiceData:
         """Return the competition of this service."""
         return await self.ask(competition_view)
 
-    async def log_boards(self, track: str) -> LogBoardsView:
+    async def archive(self) -> ArchiveView:
+        """Return the archive of the competition."""
+        return await self.ask(archive_view)
+
+    async def log_boards(self, track: str, stage: str | None = None) -> LogBoardsView:
         """Return the logs of a track."""
-        return await self.ask(lambda session: log_boards.log_boards(session, track).view)
+        return await self.ask(lambda session: log_boards.log_boards(session, track, stage=stage).view)
 
     async def submission(self, visitor: Visitor | None, submission_id: UUID) -> SubmissionDetail:
         """Return one submission with its episodes, all read in one transaction."""

@@ -10,7 +10,7 @@ from starlette.staticfiles import StaticFiles
 from ..headers import SecurityHeaders
 from ..rendering import STATIC
 from . import documentation, downloads, errors, operations, sandbox, sensors, submissions, tracks
-from .contest import competition, receipts
+from .contest import archive, competition, receipts
 from .episodes import page as episodes
 from .people import appeals, desk, messages, team
 from .team import comparison, output, register, sharing, sign_in, upload
@@ -75,6 +75,7 @@ def _router() -> APIRouter:
         ("/submissions/{submission_id}/preview.png", sharing.preview, "GET"),
         ("/competition", competition.competition, "GET"),
         ("/receipts", receipts.receipts, "GET"),
+        ("/competition/archive", archive.archive, "GET"),
         ("/sandbox", sandbox.sandbox, "GET"),
         (EPISODE, episodes.episode, "GET"),
         (f"{EPISODE}/playback", episodes.playback, "GET"),

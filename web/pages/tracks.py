@@ -102,10 +102,11 @@ async def leaderboard(request: Request) -> Response:
 
 
 async def logs(request: Request) -> Response:
-    """Show the logs of a track: verified logs by task, and 2025 text logs with their claims."""
+    """Show the logs of a track, with `?stage=` of a stage: verified logs by task, 2025 text logs with their claims."""
     track = _track(request.path_params["track"])
     site, viewer = site_of(request), await viewer_of(request)
-    found = await site.data.log_boards(track.name)
+    stage = request.query_params.get("stage")
+    found = await site.data.log_boards(track.name, stage)
     shown = [entry.submission_id for board in found.boards for entry in board.entries]
     public = await site.data.public_among([*shown, *(entry.submission_id for entry in found.text_logs)])
     rows = partial(_rows, request, viewer, public)
@@ -115,7 +116,7 @@ async def logs(request: Request) -> Response:
         viewer=viewer,
         section="/" if track.name == site.tracks[0] else "",
         track=track,
-        tabs=tabs(track, None, logs=True),
+        tabs=tabs(track, None, logs=True, stage=stage),
         found=found,
         rows={
             board.task: rows("log_row.html", board.entries, of=lambda entry: (entry.rank, entry.copy_of))
@@ -164,7 +165,7 @@ def tabs(track: Track, task: str | None, *, logs: bool = False, stage: str | Non
     )
     shown = [whole] if len(track.tasks) == 1 else [whole, *by_task]
     if accepts_logs(track):
-        shown.append(Tab(title="Logs", target=f"{address}/logs", current=logs))
+        shown.append(Tab(title="Logs", target=f"{address}/logs{board_query(None, stage)}", current=logs))
     return tuple(shown) if len(shown) > 1 else ()
 
 
@@ -272,7 +273,13 @@ def _table(
         return {"combined": combined, "columns": shown, "cells": cells(shown, entry)}
 
     rows = _rows(
-        request, viewer, public, "leaderboard_row.html", entries, values, of=lambda entry: (board.task, entry.rank)
+        request,
+        viewer,
+        public,
+        "leaderboard_row.html",
+        entries,
+        values,
+        of=lambda entry: (board.task, entry.rank, entry.rank_range),
     )
     return Markup(  # noqa: S704 - a rendered template, whose values are escaped
         render("leaderboard_table.html", request, board=board, combined=combined, columns=shown, rows=rows)

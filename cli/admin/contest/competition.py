@@ -1,5 +1,6 @@
 """`vitac admin competition`: the competition's file, its stages and their sealed lists."""
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -54,13 +55,15 @@ def apply(file: CompetitionFile, yes: Yes = False, dry_run: DryRun = False, as_j
     """Show what a competition's file changes, and make it the competition of this service."""
     from vitac.server.accounts.principals import CONSOLE
     from vitac.server.competition.applying import apply as apply_definition
-    from vitac.server.competition.applying import changes_by
+    from vitac.server.competition.applying import changes_by, warnings_about
     from vitac.server.competition.definition import read_competition
 
     definition = read_competition(file)
     with transaction() as session:
         found = changes_by(session, definition)
         _print_changes(found, as_json=as_json)
+        for warning in warnings_about(definition) if found else ():
+            print(f"WARNING: {warning}", file=sys.stderr)
         if dry_run:
             return
         if found:

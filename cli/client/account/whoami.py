@@ -37,6 +37,10 @@ def command(
     if me["quotas"]:
         print()
         print_records(me["quotas"], ("quota", "limit", "used", "opens_at"), none="", as_json=False)
+    if me.get("stage_quotas"):
+        print()
+        columns = ("track", "stage", "quota", "limit", "used", "closes")
+        print_records(me["stage_quotas"], columns, none="", as_json=False)
 
 
 def owner_of(me: Json) -> str:

@@ -16,6 +16,7 @@ from vitac.server.submissions import completion, creation, listing
 from vitac.server.tracks import load_known_track
 from vitac.server.uploads import partial
 from vitac.server.uploads.acceptance import check_kind
+from vitac.server.uploads.file_names import check_file_name
 from vitac.server.uploads.kinds import SERVED_KINDS
 from vitac.server.uploads.partial import UploadPlan
 from vitac.server.views.submissions import SubmissionView
@@ -36,7 +37,7 @@ Length = Annotated[str | None, Header(description="Length of the whole body in b
 Offset = Annotated[str | None, Header(description="First byte of the piece; how far the upload is, as HEAD says.")]
 Metadata = Annotated[
     str | None,
-    Header(description="`kind`, `track`, `team`, `again` as for a submission, `sha256` of the body; each in base64."),
+    Header(description="`kind`, `track`, `team`, `again` as for a submission; `sha256`, `filename`; each in base64."),
 ]
 PieceChecksum = Annotated[str | None, Header(description="`sha256` or `sha1` and the piece's digest in base64.")]
 
@@ -73,6 +74,7 @@ def post_upload(
     plan = _plan(metadata, protocol.read_number(request, "Upload-Length"))
     with services.database.transaction() as session:
         owner = creation.expect_upload(session, services.settings.quotas, principal, metadata.get("team"), plan.sha256)
+        check_file_name(plan.file_name, team=owner.name)
         upload = partial.begin(session, services.settings, owner, plan)
     response.headers["Location"] = f"{request.url.path.rstrip('/')}/{upload.id}"
     _tell(response, upload.received_bytes, upload.expires_at)
@@ -181,7 +183,14 @@ def _plan(metadata: dict[str, str], total_bytes: int) -> UploadPlan:
     if total_bytes == 0:
         raise ServiceError(ProblemCode.LENGTH_INVALID, "Expected an upload of at least one byte, got Upload-Length: 0.")
     again = metadata.get("again") == _TRUE
-    return UploadPlan(kind=kind, track=track, again=again, total_bytes=total_bytes, sha256=sha256)
+    return UploadPlan(
+        kind=kind,
+        track=track,
+        again=again,
+        file_name=metadata.get("filename"),
+        total_bytes=total_bytes,
+        sha256=sha256,
+    )
 
 
 def _find(services: Services, principal: Principal, upload_id: UUID) -> PartialUpload:

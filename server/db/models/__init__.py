@@ -5,7 +5,7 @@ Ids that people see are random UUIDs, times are UTC with zone, states are text u
 
 from .accounts import ApiToken, AuditEntry, Invitation, Member, Team, TeamQuota
 from .base import Base
-from .competition import Competition, Qualification, SealedList
+from .competition import Competition, Qualification, Rejudgement, SealedList
 from .evaluations import ALL_TASKS, BoardResult, EpisodeDifference, EpisodeResult, Evaluation, LogCopy, Shard
 from .notices import Notice, Webhook
 from .operations import MetricTotal, Worker
@@ -38,6 +38,7 @@ __all__ = [
     "Question",
     "ReceiptKey",
     "ReceiptRow",
+    "Rejudgement",
     "SealedList",
     "Shard",
     "Submission",

@@ -2,7 +2,7 @@
 
 from datetime import datetime
 from typing import Any
-from uuid import UUID
+from uuid import UUID, uuid4
 
 from sqlalchemy import CheckConstraint, ForeignKey, String, UniqueConstraint, func, text
 from sqlalchemy.dialects.postgresql import JSONB
@@ -19,12 +19,14 @@ class Competition(Base):
         frozen_at: since then boards stand still for everybody but organizers; NULL: they do not.
         finalized_at: since then nothing of it changes.
         winners: as they were finalized.
+        boards: as they were then (`LeaderboardView`); NULL before, and of one that was final before they were kept.
     """
 
     __tablename__ = "competition"
     __table_args__ = (
         CheckConstraint("id = 1", name="is_the_only_one"),
         CheckConstraint("(finalized_at IS NULL) = (winners IS NULL)", name="final_has_winners"),
+        CheckConstraint("boards IS NULL OR finalized_at IS NOT NULL", name="only_final_has_boards"),
     )
     id: Mapped[int] = mapped_column(primary_key=True, autoincrement=False, default=1, server_default=text("1"))
     definition: Mapped[dict[str, Any]]
@@ -32,6 +34,7 @@ class Competition(Base):
     frozen_at: Mapped[datetime | None]
     finalized_at: Mapped[datetime | None]
     winners: Mapped[list[dict[str, Any]] | None] = mapped_column(JSONB(none_as_null=True))
+    boards: Mapped[list[dict[str, Any]] | None] = mapped_column(JSONB(none_as_null=True))
 
 
 class SealedList(Base):
@@ -49,6 +52,25 @@ class SealedList(Base):
     secret: Mapped[str] = mapped_column(String(64))
     made_at: Mapped[datetime] = mapped_column(server_default=func.now())
     revealed_at: Mapped[datetime | None]
+
+
+class Rejudgement(Base):
+    """Submissions that are evaluated again beside their present results, until this is applied or discarded.
+
+    Attributes:
+        stage: of the competition; empty outside of one.
+        reason: why, as the organizer says it.
+    """
+
+    __tablename__ = "rejudgements"
+    __table_args__ = (CheckConstraint("applied_at IS NULL OR discarded_at IS NULL", name="ends_in_one_way"),)
+    id: Mapped[UUID] = mapped_column(primary_key=True, default=uuid4)
+    track: Mapped[str]
+    stage: Mapped[str]
+    reason: Mapped[str]
+    started_at: Mapped[datetime] = mapped_column(server_default=func.now())
+    applied_at: Mapped[datetime | None]
+    discarded_at: Mapped[datetime | None]
 
 
 class Qualification(Base):

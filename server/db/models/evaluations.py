@@ -37,6 +37,7 @@ _RANKING = (text("success_rate DESC"), text("mean_steps"), text("submitted_at"),
 class Evaluation(Base):
     """One run of the evaluator over a submission. Run 1 uses stored episodes; a higher run has records of its own.
 
+    One that `is_proposed` belongs to a rejudgement that was not applied: it is no result of its submission.
     `commitment` names the sealed list that is played; NULL: the public one. `turn` orders those that wait, see
     `server.queue.turns`. `charged_at` says when the team's quotas counted it; NULL
     where it costs nothing.
@@ -53,6 +54,7 @@ class Evaluation(Base):
             name="only_completed_has_a_score",
         ),
         CheckConstraint("(state = 'failed') = (verdict_code IS NOT NULL)", name="only_failed_has_a_verdict"),
+        CheckConstraint("NOT is_proposed OR rejudgement_id IS NOT NULL", name="proposed_by_a_rejudgement"),
         sha256_check("result_hash"),
         sha256_check("evaluator_hash"),
         Index(
@@ -70,6 +72,7 @@ class Evaluation(Base):
             postgresql_where=text("state IN ('queued', 'running', 'completed')"),
         ),
         Index("ix_evaluations_state_created_at", "state", "created_at"),
+        Index("ix_evaluations_rejudgement_id", "rejudgement_id", postgresql_where=text("rejudgement_id IS NOT NULL")),
         Index("ix_evaluations_charged_at", "charged_at", postgresql_where=text("charged_at IS NOT NULL")),
     )
     id: Mapped[UUID] = mapped_column(primary_key=True, default=uuid4)
@@ -81,6 +84,8 @@ class Evaluation(Base):
     commitment: Mapped[str | None] = mapped_column(ForeignKey("sealed_lists.commitment", ondelete="RESTRICT"))
     state: Mapped[EvaluationState] = mapped_column(closed_set(EvaluationState, "state"))
     episodes_reused: Mapped[int] = mapped_column(default=0)
+    rejudgement_id: Mapped[UUID | None] = mapped_column(ForeignKey("rejudgements.id", ondelete="RESTRICT"))
+    is_proposed: Mapped[bool] = mapped_column(default=False, server_default=false())
     turn: Mapped[int] = mapped_column(default=0, server_default=text("0"))
     charged_at: Mapped[datetime | None]
     created_at: Mapped[datetime] = mapped_column(server_default=func.now())

@@ -85,6 +85,7 @@ class PartialUpload(Base):
     kind: Mapped[SubmissionKind] = mapped_column(closed_set(SubmissionKind, "kind"))
     track: Mapped[str | None]
     again: Mapped[bool]
+    file_name: Mapped[str | None]
     total_bytes: Mapped[int] = mapped_column(BigInteger)
     received_bytes: Mapped[int] = mapped_column(BigInteger, default=0)
     sha256: Mapped[str | None] = mapped_column(String(64))

@@ -30,6 +30,7 @@ from vitac.server.receipts.receipt import Receipt
 from vitac.server.settings import Registration, load_settings
 from vitac.server.submissions.upload import AnnouncedUpload
 from vitac.server.views.accounts import TeamView
+from vitac.server.views.contest.archive import ArchiveView
 from vitac.server.views.contest.competition import CompetitionView
 from vitac.server.views.evaluations import (
     EvaluationSummaryView,
@@ -570,8 +571,13 @@ class FixedData(FixedPlaybacks):
             raise ServiceError(ProblemCode.NOT_FOUND, "This service runs no competition.")
         return self.cup
 
-    async def log_boards(self, track: str) -> LogBoardsView:
-        return self.logs
+    async def archive(self) -> ArchiveView:
+        found = await self.competition()
+        key = a_receipt().link.public_key
+        return ArchiveView(competition=found, boards=[self.board], public_key=key, citation="@misc{cup}")
+
+    async def log_boards(self, track: str, stage: str | None = None) -> LogBoardsView:
+        return self.logs.model_copy(update={"stage": stage})
 
     async def public_among(self, submissions: Collection[UUID]) -> frozenset[UUID]:
         return frozenset(found.id for found in self.found if found.public and found.id in submissions)

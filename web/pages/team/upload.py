@@ -41,6 +41,7 @@ async def upload(request: Request) -> Response:
         kind=kind_of_file(form.file_name),
         team=form.fields.get("team", "").strip() or None,
         again="again" in form.fields,
+        file_name=form.file_name,
     )
     try:
         submission_id = await site_of(request).data.upload(viewer.visitor, announced, form.pieces)

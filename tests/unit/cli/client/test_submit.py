@@ -139,3 +139,12 @@ def test_a_refused_log_tells_line_and_hint(service: CliService, tmp_path: Path) 
 )  # fmt: skip
 def test_a_file_is_told_by_its_name(tmp_path: Path, name: str, kind: str) -> None:
     assert kind_of(tmp_path / name) == kind
+
+
+def test_the_name_of_the_folder_is_sent_along(service: CliService, tmp_path: Path) -> None:
+    folder = submission_folder(tmp_path / "Ants-Track_1-stage1-result")
+    refused = service.run("submit", str(folder))
+    assert isinstance(refused.exception, RequestRefused)
+    assert "file_name_mismatch" in str(refused.exception)
+    mine = folder.rename(tmp_path / "Team_A-Track_1-stage1-result")
+    assert service.run("submit", str(mine)).exit_code == 0

@@ -14,7 +14,7 @@ from service_factories import TRACK, make_principal, play_all
 from sqlalchemy import delete
 from vitac.server.accounts import members, tokens
 from vitac.server.accounts.principals import CONSOLE
-from vitac.server.db.models import ApiToken, Appeal, Invitation, Question, Submission, Team, Webhook
+from vitac.server.db.models import ApiToken, Appeal, Competition, Invitation, Question, Submission, Team, Webhook
 from vitac.server.db.states import Role
 from vitac.server.people import announcements, appeals, questions
 
@@ -47,6 +47,7 @@ MATRIX: dict[tuple[str, str], frozenset[Who]] = {
     ("get", "/api/v1/tracks"): EVERYBODY,
     ("get", "/api/v1/tracks/{track}"): EVERYBODY,
     ("get", "/api/v1/competition"): EVERYBODY,
+    ("get", "/api/v1/competition/archive"): EVERYBODY,
     ("get", "/api/v1/receipts"): EVERYBODY,
     ("get", "/api/v1/leaderboards/{track}"): EVERYBODY,
     ("get", "/api/v1/leaderboards/{track}/logs"): EVERYBODY,
@@ -283,6 +284,8 @@ def setting(service: Service) -> Setting:
         content = make_competition(appeal_days=7)
         content["tracks"] = {"mail": content["tracks"][TRACK] | {"taken_here": False}}
         put_in_place(session, content)
+        row = session.get_one(Competition, 1)
+        row.finalized_at, row.winners, row.boards = row.applied_at, [], []
         submission = session.get_one(Submission, UUID(submission_id))
         judge = tokens.issue(session, CONSOLE, role=Role.JUDGE, label="judge", lifetime=None).secret
     play_all(service.services.database, submission)

@@ -410,3 +410,14 @@ def test_output_of_the_policy_is_read_page_by_page(service: Service) -> None:
     assert page["next_after"] == 5
     problem_of(service.get(path, params={"task": "none"}), 404, "unknown_task")
     assert service.get(path, service.other_token).status_code == 404
+
+
+def test_a_file_named_for_another_team_or_track_is_refused(service: Service) -> None:
+    def uploaded(name: str) -> tuple[int, str | None]:
+        answer = service.upload(make_archive(), query=f"?file_name={name}")
+        return answer.status_code, answer.json().get("code")
+
+    assert uploaded("Team B-Track_1-stage1-result.zip") == (422, "file_name_mismatch")
+    assert uploaded("Team A-Track_2-stage1-result.zip") == (422, "file_name_mismatch")
+    assert service.get("/submissions").json()["items"] == []
+    assert uploaded("team_a-Track_1-stage1-result.zip") == (202, None)

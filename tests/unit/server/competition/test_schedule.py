@@ -243,3 +243,17 @@ def test_each_stage_has_its_board_and_disqualified_teams_are_on_none(database: D
         session.flush()
         names = [entry.submission_name for entry in leaderboard(session, TRACK, stage=FIRST).view.entries]
         assert names == ["other"]
+
+
+def test_a_team_learns_what_it_may_still_have_in_the_open_stages(database: Database, principal: Principal) -> None:
+    def uses(at: datetime) -> list[tuple[str, str, int | None, int]]:
+        with database.transaction() as session:
+            found = schedule.stage_quota_uses(session, teams.own(session, principal), at)
+        return [(use.stage, use.quota, use.limit, use.used) for use in found]
+
+    assert uses(OPENS - SECOND_LONG) == uses(CLOSES) == []
+    assert uses(IN_FIRST) == [(FIRST, "scored_runs", None, 0), (FIRST, "attempts", None, 0)]
+    assert uses(IN_SECOND) == [], "it is not qualified"
+    qualify(database, principal)
+    create(database, principal, IN_SECOND)
+    assert uses(IN_SECOND) == [(SECOND, "scored_runs", 2, 1), (SECOND, "attempts", None, 1)]

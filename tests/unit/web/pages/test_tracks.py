@@ -199,3 +199,19 @@ def test_a_stage_is_kept_by_all_links_of_its_board(data: FixedData, browser: Asg
     assert 'href="/tracks/track_1?task=peg-insertion&amp;stage=final"' in html
     named = browser.get("/tracks/track_1/leaderboard.csv?stage=final").headers["content-disposition"]
     assert "track_1-final-all.csv" in named
+
+
+def test_rows_show_the_ranks_that_chance_allows_as_they_are_now(data: FixedData, browser: AsgiBrowser) -> None:
+    entry = an_entry(1, "Bears", BEARS_PEG, task=TASK)
+    for rank_range, shown in (((1, 3), "by chance rank 1 to 3"), ((1, 2), "by chance rank 1 to 2"), ((1, 1), None)):
+        data.task_boards[TASK] = a_leaderboard(entry.model_copy(update={"rank_range": rank_range}), task=TASK)
+        html = browser.get(f"/tracks/track_1?task={TASK}").text
+        assert shown in html if shown else "by chance rank" not in html
+
+
+def test_the_tab_of_logs_keeps_the_stage(browser: AsgiBrowser) -> None:
+    assert 'href="/tracks/track_1/logs?stage=stage1"' in browser.get("/tracks/track_1?stage=stage1").text
+    html = browser.get("/tracks/track_1/logs?stage=stage1").text
+    assert ">stage1</a>" in html
+    assert 'href="/tracks/track_1?stage=stage1"' in html
+    assert "?stage=" not in browser.get("/tracks/track_1/logs").text

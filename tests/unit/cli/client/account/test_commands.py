@@ -1,11 +1,15 @@
 import json
+import re
 import stat
 from pathlib import Path
 
 import pytest
 from cli_service import CliService, cli_service, submission_folder
+from service_factories import TRACK
 from vitac.cli.client.account.register import LoggedIn
 from vitac.cli.client.refusals import RequestRefused
+
+from competitions import make_competition, open_now, put_in_place
 
 INVITE = "come and see"
 
@@ -118,3 +122,15 @@ def test_closed_registration_says_what_to_do(tmp_path: Path) -> None:
         refused = service.run_with_input("", "register", "Newcomers", token=None)
     assert "registration_closed" in str(refused.exception)
     assert "vitac login" in str(refused.exception)
+
+
+def test_the_quotas_of_an_open_stage_are_shown(service: CliService) -> None:
+    assert "stage1" not in service.run("whoami").stdout
+    content = make_competition()
+    content["tracks"][TRACK]["stages"][0]["quotas"] = {"attempts": 7}
+    with service.database.transaction() as session:
+        put_in_place(session, open_now(content))
+    shown = service.run("whoami").stdout
+    assert re.search(r"track_1 +stage1 +attempts +7 +0 ", shown), shown
+    (of_runs, _) = json.loads(service.run("whoami", "--json").stdout)["stage_quotas"]
+    assert (of_runs["quota"], of_runs["limit"], of_runs["used"]) == ("scored_runs", None, 0)

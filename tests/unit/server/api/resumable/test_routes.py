@@ -440,3 +440,14 @@ def test_an_upload_of_too_many_pieces_is_refused(service: Service, monkeypatch: 
 def test_without_a_token_nothing_is_begun(service: Service) -> None:
     answer = service.client.post(f"{API}/uploads", headers=TUS | {"Upload-Length": "5"})
     problem_of(answer, 401, "missing_credentials")
+
+
+def test_the_name_of_a_file_is_compared_when_all_of_it_is_there(service: Service) -> None:
+    body = make_archive()
+    early = begin(service, len(body), filename="Team B-Track_1-stage1-result.zip")
+    problem_of(early, 422, "file_name_mismatch")
+    for name, status in (("Team A-Track_3-stage1-result.zip", 422), ("Team A-Track_1-stage1-result.zip", 202)):
+        place = begun(service, len(body), filename=name)
+        assert send(service, place, 0, body).status_code == 204
+        assert ask(service, "POST", f"{place}/submission").status_code == status
+    assert len(service.get("/submissions").json()["items"]) == 1

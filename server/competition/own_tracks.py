@@ -1,0 +1,156 @@
+"""Checks a track file that an organizer wrote, and measures what an evaluation on it costs; needs no service."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from time import process_time
+
+import numpy as np
+from vitac.envs.errors import VitacError
+from vitac.envs.tasks.definition import Family
+from vitac.evaluator.episodes.episode import Environment, make_environment
+from vitac.evaluator.strict_model import DocumentRejected, parse_yaml
+from vitac.evaluator.submission_kinds import SubmissionKind
+from vitac.evaluator.tracks import Episode, ListKind, Player, Task, Track, list_tracks, load_track
+from vitac.evaluator.tracks.cut import cut
+
+CORES = 2
+"""The wall time is that with so many cores."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TaskCost:
+    """What it costs to evaluate a submission on one task, besides what its policy computes.
+
+    Attributes:
+        shards: that workers take one by one.
+        played: episodes that were played to measure it.
+        cpu_s: of all episodes [s]; None where it cannot be measured here.
+        wall_s: with `CORES` cores [s].
+        note: why it was not measured.
+    """
+
+    task: str
+    env_id: str
+    episodes: int
+    shapes: tuple[str, ...]
+    list_kind: ListKind
+    shards: int
+    played: int
+    cpu_s_per_episode: float | None
+    cpu_s: float | None
+    wall_s: float | None
+    note: str | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckedTrack:
+    """A track file that can be put into VITAC_TRACKS_DIR."""
+
+    name: str
+    title: str
+    accepts: tuple[SubmissionKind, ...]
+    tasks: tuple[TaskCost, ...]
+
+
+def check_track(path: Path) -> CheckedTrack:
+    """Check a track file by playing a few of its episodes: every shape once, and the largest offsets.
+
+    Raises:
+        DocumentRejected: with one sentence for each thing that is wrong.
+    """
+    try:
+        track = parse_yaml(Track, path.read_text(encoding="utf-8"), path.name)
+    except (OSError, UnicodeDecodeError) as error:
+        raise DocumentRejected(f"{path} cannot be read: {error}.") from error
+    problems = list(_problems(track, path))
+    costs = []
+    for task in track.tasks.values():
+        try:
+            costs.append(_cost(track, task))
+        except VitacError as error:
+            problems.append(f"tasks.{task.name}: {error}")
+    if problems:
+        raise DocumentRejected(f"{path.name}: {' '.join(problems)}")
+    return CheckedTrack(name=track.name, title=track.title, accepts=track.accepts, tasks=tuple(costs))
+
+
+def _problems(track: Track, path: Path) -> Iterator[str]:
+    if track.name != path.stem:
+        yield f"name is {track.name!r}, expected {path.stem!r}, as the file is called."
+    others = [load_track(name) for name in list_tracks()]
+    same = next((other for other in others if other.name == track.name), None)
+    if same is not None and same != track:
+        yield f"name: there is a track {track.name!r} already; choose another name."
+    taken = {task: other.name for other in others if other.name != track.name for task in other.tasks}
+    for task in track.tasks.keys() & taken.keys():
+        yield f"tasks.{task}: {taken[task]} has a task of that name; choose another one."
+    lists = {task.episode_list.kind for task in track.tasks.values()}
+    if ListKind.SEALED in lists and set(track.accepts) - {SubmissionKind.MODEL}:
+        yield "accepts: a sealed list takes models only; a log would need the episodes that nobody knows."
+    if SubmissionKind.TEXT_LOG in track.accepts and not any(task.name_2025 for task in track.tasks.values()):
+        yield "accepts: text_log needs a task with name_2025, which text logs name."
+
+
+def _cost(track: Track, task: Task) -> TaskCost:
+    shards, sample = len(cut(task)), _sample(task)
+    note = _why_not_played(track, task)
+    each = _seconds(task, sample) if note is None else None
+    total = None if each is None else each * len(task.episodes)
+    return TaskCost(
+        task=task.name,
+        env_id=task.env_id,
+        episodes=len(task.episodes),
+        shapes=task.episode_list.shapes,
+        list_kind=task.episode_list.kind,
+        shards=shards,
+        played=len(sample) if each is not None else 0,
+        cpu_s_per_episode=each,
+        cpu_s=total,
+        wall_s=None if total is None else total / min(CORES, shards),
+        note=note,
+    )
+
+
+def _why_not_played(track: Track, task: Task) -> str | None:
+    if track.has_sensor or task.player is not Player.POLICY:
+        return "it depends on the sensors that teams bring"
+    if task.definition.family is Family.MANISKILL:
+        return "environments of ManiSkill are measured where they are installed"
+    return None
+
+
+def _sample(task: Task) -> list[Episode]:
+    """Return the first episode of every shape, and those with the smallest and largest of each number of the offset."""
+    chosen: dict[int, Episode] = {}
+    for shape in task.episode_list.shapes:
+        first = next(episode for episode in task.episodes if episode.shape == shape)
+        chosen[first.number] = first
+    for index in range(len(task.episodes[0].offset)):
+        for extreme in (min, max):
+            found = extreme(task.episodes, key=lambda episode: episode.offset[index])
+            chosen[found.number] = found
+    return [chosen[number] for number in sorted(chosen)]
+
+
+def _seconds(task: Task, sample: list[Episode]) -> float:
+    """Return the CPU time of an episode [s]; the gripper takes no action of its own, so it lasts as long as it can."""
+    env = make_environment(task, None, ())
+    _play(env, task, sample[0])  # compiles what is not compiled yet
+    started = process_time()
+    for episode in sample:
+        _play(env, task, episode)
+    return (process_time() - started) / len(sample)
+
+
+def _play(env: Environment, task: Task, episode: Episode) -> None:
+    action = np.zeros(len(task.actions), np.float32)
+    env.reset(options=episode.options)
+    for _ in range(task.max_steps):
+        _, _, terminated, truncated, _ = env.step(action)
+        if terminated or truncated:
+            return
+    raise DocumentRejected(
+        f"Episode {episode.number} does not end within max_steps = {task.max_steps} env steps; give the environment's "
+        "own limit, or set it among the settings, too."
+    )

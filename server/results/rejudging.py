@@ -1,0 +1,353 @@
+"""Submissions evaluated again, beside their results, with the present evaluator; applied or discarded together."""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from uuid import UUID
+
+from sqlalchemy import delete, exists, select
+from sqlalchemy.orm import Session, defer, joinedload
+from vitac.evaluator.scoring.ranking import CombinedScore
+from vitac.evaluator.submission_kinds import SubmissionKind
+from vitac.evaluator.version import evaluator_version
+
+from ..accounts.audit import record
+from ..accounts.principals import Principal
+from ..competition.definition import DEFAULT_RANKING, RankingKey
+from ..competition.schedule import shown_stage, track_rules
+from ..db.models import BoardResult, Competition, Evaluation, Rejudgement, Submission, Team
+from ..db.row_locks import lock_evaluation
+from ..db.states import ACTIVE_EVALUATION_STATES, TERMINAL_EVALUATION_STATES, EvaluationState, NoticeKind
+from ..errors import ProblemCode, ServiceError, not_found
+from ..evaluations import lifecycle
+from ..evaluations.copies import flag_copies
+from ..evaluations.history import all_runs
+from ..evaluations.scores import add_to_boards, combined_result, combined_score
+from ..evaluations.verdicts import ServiceVerdict
+from ..leaderboards.best_entries import takes_part
+from ..notices.outbox import announce_evaluation
+from ..receipts.chain import issue
+from ..tracks import load_known_track
+
+
+@dataclass(frozen=True, kw_only=True)
+class Standing:
+    """What a submission reaches over all tasks of its track; without a score all but the verdict is None.
+
+    Attributes:
+        rank: of its team's best entry, where it is that.
+        verdict: why there is no score.
+    """
+
+    success_rate: float | None = None
+    mean_steps: float | None = None
+    rank: int | None = None
+    evaluator_version: str | None = None
+    verdict: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class RejudgedSubmission:
+    """A submission before and after its rejudgement.
+
+    Attributes:
+        state: of the new evaluation.
+        changes: whether score or rank would be another one; False before the end.
+        is_left_out: whether it keeps its present result: machines failed it, or it was cancelled.
+    """
+
+    team: str
+    submission: UUID
+    name: str
+    state: EvaluationState
+    before: Standing
+    after: Standing
+    changes: bool
+    is_left_out: bool
+
+
+def start(
+    session: Session,
+    by: Principal,
+    *,
+    track: str,
+    stage: str | None = None,
+    submissions: Collection[UUID] = (),
+    reason: str,
+) -> Rejudgement:
+    """Evaluate models of a stage again with the present evaluator, beside the results that they have.
+
+    Args:
+        session: of the transaction.
+        by: an organizer.
+        track: of the submissions.
+        stage: of the competition; None: the one that opened last.
+        submissions: which ones; none: all models of the stage whose team takes part.
+        reason: for the audit log.
+
+    Raises:
+        ServiceError: not an organizer, the competition is final, nothing is to be evaluated, a submission is none of
+            the stage's models, or is being evaluated.
+    """
+    by.require_organizer()
+    load_known_track(track)
+    of_stage = shown_stage(session, track, stage)
+    _require_going_on(session, of_stage)
+    chosen = _chosen(session, track, of_stage, submissions)
+    made = Rejudgement(track=track, stage=of_stage, reason=reason)
+    session.add(made)
+    session.flush()
+    for submission in chosen:
+        runs = session.scalars(all_runs(submission)).all()
+        if any(run.state in ACTIVE_EVALUATION_STATES for run in runs):
+            raise ServiceError(
+                ProblemCode.NOT_REQUEUABLE,
+                f"Submission {submission.id} of {submission.team.name} is being evaluated; wait or cancel.",
+            )
+        run = 1 + max((run.run for run in runs if run.evaluator_version == evaluator_version()), default=0)
+        lifecycle.start(session, submission, run, rejudgement_id=made.id)
+    after = {
+        "track": track,
+        "stage": of_stage,
+        "submissions": [str(submission.id) for submission in chosen],
+        "evaluator_version": evaluator_version(),
+        "reason": reason,
+    }
+    record(session, by, "rejudgement.start", _subject(made), after)
+    return made
+
+
+def find(session: Session, rejudgement_id: UUID) -> Rejudgement:
+    """Return a rejudgement.
+
+    Raises:
+        ServiceError: there is none of that id.
+    """
+    found = session.get(Rejudgement, rejudgement_id)
+    if found is None:
+        raise not_found("rejudgement", rejudgement_id)
+    return found
+
+
+def rejudgements(session: Session) -> Sequence[Rejudgement]:
+    """Return all rejudgements, newest first."""
+    return session.scalars(select(Rejudgement).order_by(Rejudgement.started_at.desc(), Rejudgement.id)).all()
+
+
+def comparison(session: Session, rejudgement: Rejudgement) -> list[RejudgedSubmission]:
+    """Return each submission before and after, those that change first.
+
+    Ranks are those among all models of the stage as if every evaluator version counted alike, so that a board from
+    before an upgrade can be compared with the one after it.
+    """
+    new = _newest_of(session, rejudgement)
+    present = {
+        submission: evaluation
+        for submission, evaluation in _present(session, rejudgement).items()
+        if evaluation.rejudgement_id != rejudgement.id
+    }
+    rules = track_rules(session, rejudgement.track)
+    keys = rules.ranking if rules else DEFAULT_RANKING
+    replaced = {submission: run for submission, run in new.items() if not _is_left_out(run)}
+    ranks_before, ranks_after = _ranks(present, keys), _ranks(present | replaced, keys)
+    rows = [
+        _compared(evaluation, present.get(submission), ranks_before.get(submission), ranks_after.get(submission))
+        for submission, evaluation in new.items()
+    ]
+    return sorted(
+        rows, key=lambda row: (not row.changes, row.after.rank or len(rows) + 1, row.team, str(row.submission))
+    )
+
+
+def apply(session: Session, by: Principal, rejudgement_id: UUID) -> list[RejudgedSubmission]:
+    """Make the new results those of their submissions, with a receipt each; the present ones leave the boards.
+
+    What machines failed or somebody cancelled keeps its present result.
+
+    Raises:
+        ServiceError: not an organizer, no such rejudgement, it has ended, the competition is final, or an evaluation
+            goes on.
+    """
+    found = _lock_open(session, by, rejudgement_id)
+    _require_going_on(session, found.stage)
+    rows = comparison(session, found)
+    going_on = [row.team for row in rows if row.state not in TERMINAL_EVALUATION_STATES]
+    if going_on:
+        raise ServiceError(
+            ProblemCode.STAGE_NOT_OVER,
+            f"Expected no evaluation of the rejudgement that waits or runs, got {len(going_on)}; wait, or discard it.",
+        )
+    now = datetime.now(UTC)
+    # By id: an evaluation of another rejudgement is locked in the same order.
+    chosen = sorted(_newest_of(session, found).values(), key=lambda evaluation: evaluation.id)
+    replacing = [lock_evaluation(session, evaluation.id) for evaluation in chosen if not _is_left_out(evaluation)]
+    completed = [evaluation for evaluation in replacing if evaluation.state is EvaluationState.COMPLETED]
+    for evaluation in replacing:
+        evaluation.is_proposed = False
+        session.execute(delete(BoardResult).where(BoardResult.submission_id == evaluation.submission_id))
+        kind = NoticeKind.FINISHED if evaluation.state is EvaluationState.COMPLETED else NoticeKind.FAILED
+        announce_evaluation(session, kind, evaluation)
+    for evaluation in completed:
+        add_to_boards(evaluation, now)
+        session.flush()
+        flag_copies(session, evaluation)
+    found.applied_at = now
+    record(session, by, "rejudgement.apply", _subject(found), _audited(rows, "after"), before=_audited(rows, "before"))
+    for evaluation in completed:  # last of all: a receipt locks out all others
+        issue(session, evaluation, combined_result(evaluation))
+    return rows
+
+
+def discard(session: Session, by: Principal, rejudgement_id: UUID) -> None:
+    """Leave all present results as they are; what still waits or runs is cancelled.
+
+    Raises:
+        ServiceError: not an organizer, no such rejudgement, or it has ended.
+    """
+    found = _lock_open(session, by, rejudgement_id)
+    for evaluation in sorted(_newest_of(session, found).values(), key=lambda evaluation: evaluation.id):
+        locked = lock_evaluation(session, evaluation.id)
+        if locked.state in ACTIVE_EVALUATION_STATES:
+            lifecycle.cancel(session, locked)
+    found.discarded_at = datetime.now(UTC)
+    record(session, by, "rejudgement.discard", _subject(found), {"discarded": True})
+
+
+def _chosen(session: Session, track: str, stage: str, ids: Collection[UUID]) -> Sequence[Submission]:
+    query = (
+        select(Submission)
+        .join(Team)
+        .where(
+            Submission.track == track,
+            Submission.stage == stage,
+            Submission.kind == SubmissionKind.MODEL,
+            exists().where(Evaluation.submission_id == Submission.id),
+        )
+        .order_by(Submission.submitted_at, Submission.id)
+        .with_for_update(key_share=True, of=Submission)
+    )
+    found = session.scalars(query.where(Submission.id.in_(ids)) if ids else query.where(takes_part())).all()
+    missing = set(ids) - {submission.id for submission in found}
+    if missing or not found:
+        what = f"submission {min(missing)}" if missing else "any submission"
+        where = f"stage {stage} of {track}" if stage else track
+        raise ServiceError(
+            ProblemCode.NOT_FOUND, f"Expected models of {where}, but {what} is none; logs cannot be evaluated again."
+        )
+    return found
+
+
+def _newest_of(session: Session, rejudgement: Rejudgement) -> Mapping[UUID, Evaluation]:
+    """Return the newest evaluation of each submission in a rejudgement: one may have begun again after an upgrade."""
+    rows = session.scalars(
+        select(Evaluation)
+        .where(Evaluation.rejudgement_id == rejudgement.id)
+        .options(defer(Evaluation.log_tail), joinedload(Evaluation.submission).joinedload(Submission.team))
+        .order_by(Evaluation.created_at, Evaluation.run)
+        .execution_options(populate_existing=True)
+    )
+    return {evaluation.submission_id: evaluation for evaluation in rows}
+
+
+def _present(session: Session, rejudgement: Rejudgement) -> Mapping[UUID, Evaluation]:
+    """Return the newest result of each model of the stage whose team takes part."""
+    rows = session.scalars(
+        select(Evaluation)
+        .join(Submission)
+        .join(Team)
+        .where(
+            Submission.track == rejudgement.track,
+            Submission.stage == rejudgement.stage,
+            Submission.kind == SubmissionKind.MODEL,
+            Evaluation.state == EvaluationState.COMPLETED,
+            ~Evaluation.is_proposed,
+            takes_part(),
+        )
+        .options(defer(Evaluation.log_tail), joinedload(Evaluation.submission).joinedload(Submission.team))
+        .order_by(Evaluation.created_at, Evaluation.run)
+    )
+    return {evaluation.submission_id: evaluation for evaluation in rows}
+
+
+def _ranks(results: Mapping[UUID, Evaluation], keys: Sequence[RankingKey]) -> dict[UUID, int]:
+    """Return the rank of each submission that is its team's best."""
+    scored = [(evaluation, combined_score(evaluation)) for evaluation in results.values()]
+    in_order = sorted(
+        ((evaluation, score) for evaluation, score in scored if score is not None),
+        key=lambda pair: (*(_key(key, *pair) for key in keys), str(pair[0].id)),
+    )
+    best: dict[UUID, UUID] = {}
+    for evaluation, _ in in_order:
+        best.setdefault(evaluation.submission.team_id, evaluation.submission_id)
+    return {submission: rank for rank, submission in enumerate(best.values(), start=1)}
+
+
+def _key(key: RankingKey, evaluation: Evaluation, score: CombinedScore) -> float:
+    if key is RankingKey.SUCCESS_RATE:
+        return -score.success_rate
+    if key is RankingKey.MEAN_STEPS:
+        return float("inf") if score.mean_steps is None else score.mean_steps
+    return evaluation.submission.submitted_at.timestamp()
+
+
+def _compared(
+    new: Evaluation, old: Evaluation | None, rank_before: int | None, rank_after: int | None
+) -> RejudgedSubmission:
+    before, after = _standing(old, rank_before), _standing(new, rank_after)
+    is_left_out = _is_left_out(new)
+    same = all(
+        getattr(before, name) == getattr(after, name) for name in ("success_rate", "mean_steps", "rank", "verdict")
+    )
+    return RejudgedSubmission(
+        team=new.submission.team.name,
+        submission=new.submission_id,
+        name=new.submission.name,
+        state=new.state,
+        before=before,
+        after=after,
+        changes=new.state in TERMINAL_EVALUATION_STATES and not is_left_out and not same,
+        is_left_out=is_left_out,
+    )
+
+
+def _standing(evaluation: Evaluation | None, rank: int | None) -> Standing:
+    score = combined_score(evaluation) if evaluation else None
+    return Standing(
+        success_rate=score.success_rate if score else None,
+        mean_steps=score.mean_steps if score else None,
+        rank=rank,
+        evaluator_version=evaluation.evaluator_version if evaluation else None,
+        verdict=evaluation.verdict_code if evaluation else None,
+    )
+
+
+def _is_left_out(evaluation: Evaluation) -> bool:
+    by_machines = evaluation.verdict_code == ServiceVerdict.MACHINE_FAILED.value
+    return evaluation.state is EvaluationState.CANCELLED or by_machines
+
+
+def _lock_open(session: Session, by: Principal, rejudgement_id: UUID) -> Rejudgement:
+    by.require_organizer()
+    found = session.get(Rejudgement, rejudgement_id, with_for_update=True, populate_existing=True)
+    if found is None:
+        raise not_found("rejudgement", rejudgement_id)
+    if found.applied_at or found.discarded_at:
+        how = "applied" if found.applied_at else "discarded"
+        raise ServiceError(ProblemCode.NOT_REQUEUABLE, f"Rejudgement {found.id} was {how} already; start another one.")
+    return found
+
+
+def _require_going_on(session: Session, stage: str) -> None:
+    row = session.get(Competition, 1)
+    if stage and row is not None and row.finalized_at is not None:
+        raise ServiceError(
+            ProblemCode.COMPETITION_FINAL, f"{row.definition['title']} is final since {row.finalized_at:%F %T} UTC."
+        )
+
+
+def _audited(rows: Sequence[RejudgedSubmission], side: str) -> dict[str, object]:
+    return {str(row.submission): asdict(getattr(row, side)) for row in rows if not row.is_left_out}
+
+
+def _subject(rejudgement: Rejudgement) -> str:
+    return f"rejudgement:{rejudgement.id}"

@@ -1,0 +1,53 @@
+"""Names of uploaded files in the challenge's form, checked against the upload; any other name is fine."""
+
+import re
+import unicodedata
+
+from vitac.evaluator.tracks import Track
+
+from ..errors import ProblemCode, ServiceError
+
+MAX_CHARACTERS = 255
+"""A longer name is none that a file can have."""
+_FORM = re.compile(
+    r"(?P<team>.+)-Track_(?P<track>\d+)-(?P<stage>stage\d+)-result(?![^\W_]).*", re.IGNORECASE | re.DOTALL
+)
+"""`teamname-Track_1-stage1-result` and whatever follows, as the organizers of 2025 asked for it."""
+
+
+def check_file_name(name: str | None, *, team: str, track: Track | None = None, stage: str = "") -> None:
+    """Refuse a file whose name says another team, track or stage than it is uploaded for.
+
+    Args:
+        name: of the file; None: not told.
+        team: whose submission it becomes.
+        track: of the submission; None: not known yet.
+        stage: of the competition; empty outside of one, or where it is not known yet.
+
+    Raises:
+        ServiceError: file_name_mismatch.
+    """
+    found = _FORM.fullmatch(name[:MAX_CHARACTERS]) if name is not None else None
+    if found is None:
+        return
+    _require(name, "team", found["team"], team, agrees=_folded(found["team"]) == _folded(team))
+    if track is not None:
+        named = f"Track_{found['track']}"
+        _require(name, "track", named, track.folder, agrees=named.casefold() == track.folder.casefold())
+    if stage:
+        _require(name, "stage", found["stage"], stage, agrees=found["stage"].casefold() == stage.casefold())
+
+
+def _require(name: str | None, what: str, named: str, expected: str, *, agrees: bool) -> None:
+    if not agrees:
+        raise ServiceError(
+            ProblemCode.FILE_NAME_MISMATCH,
+            f"The file's name {name!r:.120} says the {what} {named!r:.80}, expected {expected!r}. Rename the file, or "
+            f"upload it as that {what}'s.",
+            part=what,
+        )
+
+
+def _folded(name: str) -> str:
+    """Return a team's name as it may be written in a file's name: blanks, _ and - are alike, and so are all cases."""
+    return re.sub(r"[\s_-]+", " ", unicodedata.normalize("NFKC", name)).strip().casefold()

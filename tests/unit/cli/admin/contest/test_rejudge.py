@@ -1,0 +1,41 @@
+import json
+
+from cli_service import CliService
+from service_factories import TASK, TRACK, make_principal, make_score, outdate, submit_scored
+from vitac.cli.admin.consent import ConsentMissing
+from vitac.server.errors import ServiceError
+
+
+def test_a_rejudgement_is_started_shown_and_applied(service: CliService) -> None:
+    with service.database.transaction() as session:
+        for name, successes in (("Ants", 80), ("Bees", 78)):
+            submit_scored(session, make_principal(session, name), name, {TASK: make_score(successes)})
+        outdate(session)
+    assert service.run("admin", "rejudge", "list").stdout.strip() == "There is none."
+    started = service.run("admin", "rejudge", "start", "--track", TRACK, "--reason", "upgrade", "--json")
+    made = json.loads(started.stdout)
+    assert made["submissions"] == 2
+    assert "2 would change" not in service.run("admin", "rejudge", "show", made["id"]).stdout
+    early = service.run("admin", "rejudge", "apply", made["id"], "--yes")
+    assert isinstance(early.exception, ServiceError)
+    listed = json.loads(service.run("admin", "rejudge", "list", "--json").stdout)
+    assert [(row["id"], row["reason"], row["applied_at"]) for row in listed] == [(made["id"], "upgrade", None)]
+    with service.playing():
+        while "queued" in service.run("admin", "rejudge", "show", made["id"]).stdout:
+            pass
+    assert "2 of 2 submissions would change" in service.run("admin", "rejudge", "apply", made["id"], "--dry-run").stdout
+    assert isinstance(service.run("admin", "rejudge", "apply", made["id"]).exception, ConsentMissing)
+    rows = json.loads(service.run("admin", "rejudge", "apply", made["id"], "--yes", "--json").stdout)
+    assert {row["team"] for row in rows} == {"Ants", "Bees"}
+    assert all(row["changes"] and row["before"]["evaluator_version"] == "0+old" for row in rows)
+    assert json.loads(service.run("admin", "rejudge", "list", "--json").stdout)[0]["applied_at"]
+
+
+def test_a_rejudgement_is_discarded(service: CliService) -> None:
+    with service.database.transaction() as session:
+        submit_scored(session, make_principal(session, "Ants"), "Ants", {TASK: make_score(80)})
+    arguments = ("--track", TRACK, "--reason", "doubt")
+    made = json.loads(service.run("admin", "rejudge", "start", *arguments, "--json").stdout)["id"]
+    assert isinstance(service.run("admin", "rejudge", "discard", made).exception, ConsentMissing)
+    assert service.run("admin", "rejudge", "discard", made, "--yes").stdout.strip() == f"discarded {made}"
+    assert "cancelled" in service.run("admin", "rejudge", "show", made).stdout

@@ -1,0 +1,101 @@
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from vitac.envs.errors import VitacError
+from vitac.evaluator.strict_model import DocumentRejected
+from vitac.evaluator.tracks import ListKind, load_track
+from vitac.server.competition.own_tracks import CheckedTrack, check_track
+
+OFFSETS = [[-3.0, 2.0, 5.0], [1.0, -4.0, -8.0]]
+
+
+def content(**task: Any) -> dict[str, Any]:
+    """A track of one's own: six episodes of the peg task, two shards."""
+    listed = {
+        "list_seed": 5,
+        "offset_option": "offset_mm_deg",
+        "blocks": [{"repeats": 1, "shapes": ["cuboid", "trapezoid", "concave1"], "offsets": OFFSETS}],
+    }
+    own: dict[str, Any] = {
+        "name": "short-peg",
+        "env_id": "ViTac/PegInsertion-v1",
+        "title": "Peg",
+        "description": "A few pegs.",
+        "success_rule": "As in track 1.",
+        "max_steps": 8,
+        "shard_size": 3,
+        "episode_list": listed,
+    }
+    return {
+        "name": "mine",
+        "folder": "Mine",
+        "title": "My track",
+        "summary": "Short.",
+        "ranking_rule": "Higher success rate first.",
+        "accepts": ["model"],
+        "tasks": {"short-peg": own | task},
+    }
+
+
+def checked(folder: Path, track: dict[str, Any], name: str = "mine.yaml") -> CheckedTrack:
+    path = folder / name
+    path.write_text(yaml.safe_dump(track))
+    return check_track(path)
+
+
+def test_a_good_file_tells_its_cost(tmp_path: Path) -> None:
+    found = checked(tmp_path, content())
+    (task,) = found.tasks
+    assert (found.name, task.episodes, task.shards, task.list_kind) == ("mine", 6, 2, ListKind.PUBLIC)
+    assert task.shapes == ("cuboid", "trapezoid", "concave1")
+    assert 3 <= task.played <= 6, "every shape, and the ends of the offsets' ranges"
+    assert task.cpu_s_per_episode is not None
+    assert task.cpu_s is not None
+    assert task.wall_s is not None
+    assert task.cpu_s == pytest.approx(6 * task.cpu_s_per_episode)
+    assert task.wall_s == pytest.approx(task.cpu_s / 2)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"settings": {"peg_frictoin": 1.0}}, "peg_friction"),
+        ({"settings": {"z_step_mm": 9.0}}, "z_step_mm"),
+        ({"max_steps": 2}, "does not end within max_steps = 2"),
+        ({"env_id": "ViTac/Nothing-v1"}, "Nothing"),
+        ({"title_": "x"}, "did you mean 'title'"),
+    ],
+)
+def test_what_is_wrong_in_a_task_is_named(tmp_path: Path, change: dict[str, Any], reason: str) -> None:
+    with pytest.raises(DocumentRejected, match=reason):
+        checked(tmp_path, content(**change))
+
+
+@pytest.mark.parametrize("start", [{"shape": "cube", "offset": OFFSETS[0]}, {"shape": "cuboid", "offset": [99, 0, 0]}])
+def test_a_start_that_the_environment_refuses_is_named(tmp_path: Path, start: dict[str, Any]) -> None:
+    listed = content()["tasks"]["short-peg"]["episode_list"] | {"blocks": [{"starts": [start]}]}
+    with pytest.raises(VitacError, match=r"tasks\.short-peg: .*expected"):
+        checked(tmp_path, content(episode_list=listed))
+
+
+def test_all_that_is_wrong_in_a_track_is_told_at_once(tmp_path: Path) -> None:
+    track = content(name="peg-insertion")
+    track["tasks"] = {"peg-insertion": track["tasks"]["short-peg"]}
+    track["accepts"] = ["model", "text_log"]
+    with pytest.raises(DocumentRejected) as caught:
+        checked(tmp_path, track | {"name": "track_1"})
+    for part in ("expected 'mine'", "there is a track 'track_1' already", "text_log needs a task with name_2025"):
+        assert part in str(caught.value)
+    with pytest.raises(DocumentRejected, match="track_1 has a task of that name"):
+        checked(tmp_path, track)
+    with pytest.raises(DocumentRejected, match="cannot be read"):
+        check_track(tmp_path / "missing.yaml")
+
+
+def test_what_depends_on_the_teams_sensors_is_not_measured(tmp_path: Path) -> None:
+    track = load_track("track_3").model_dump(mode="json", exclude_unset=True)
+    found = checked(tmp_path, track, "track_3.yaml")
+    assert {task.cpu_s for task in found.tasks} == {None}
+    assert all("sensors" in (task.note or "") for task in found.tasks)

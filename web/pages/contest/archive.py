@@ -1,0 +1,31 @@
+"""The archive of a competition that is final: winners, boards as they were, how to cite; nothing on it changes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from ...site import page, site_of, viewer_of
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+    from starlette.responses import Response
+
+
+async def archive(request: Request) -> Response:
+    """Show the archive to everybody.
+
+    Raises:
+        ServiceError: there is no competition that is final.
+    """
+    found = await site_of(request).data.archive()
+    return page(
+        request,
+        "archive.html",
+        viewer=await viewer_of(request),
+        section="/competition",
+        found=found.competition,
+        boards=found.boards,
+        public_key=found.public_key,
+        citation=found.citation,
+        titles={track.name: track.title for track in found.competition.tracks},
+    )
