@@ -2,20 +2,24 @@
 
 import os
 from dataclasses import asdict
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 from vitac.evaluator.figures.figures import FigureChoice
 
-from .terminal.output import AsJson, print_json, print_pairs, print_table
+from .terminal.output import AsJson, print_json, print_record, print_table
 
 if TYPE_CHECKING:
     from vitac.evaluator.evaluation.sensor import SensorReport
     from vitac.evaluator.sensors.check import SensorCheck
+    from vitac.evaluator.sensors.findings import Finding
 
 app = typer.Typer(no_args_is_help=True)
 
+# In the list of each run; `vitac sensor mesh` says what one costs.
+_EPISODES = 270
 _TASK, _OWN, _STANDARD = "peg-insertion", "sensor-design", "sensor-standard"
 
 Folder = Annotated[Path, typer.Argument(help="Folder with sensor.yaml and gel.stl.", exists=True, file_okay=False)]
@@ -36,11 +40,30 @@ def check(sensor: FolderOrStl, as_json: AsJson = False) -> None:
         raise typer.Exit(1)
 
 
+class Mesher(StrEnum):
+    """Who meshes the gel."""
+
+    OURS = "ours"
+    """Our own mesher, or tet.msh: what is scored."""
+    FTETWILD = "ftetwild"
+    """fTetWild by `pytetwild`, where it is installed: to look at, never scored."""
+
+
 @app.command("mesh")
-def mesh(sensor: Folder, as_json: AsJson = False) -> None:
+def mesh(
+    sensor: Folder,
+    mesher: Annotated[
+        Mesher, typer.Option(help="Ours, as the service does, or ftetwild, which is never scored.")
+    ] = Mesher.OURS,
+    as_json: AsJson = False,
+) -> None:
     """Mesh the gel of a sensor as the service does, and print what comes of it."""
     from vitac.evaluator.sensors.check import accepted_sensor
+    from vitac.evaluator.sensors.cost import expected_cpu_s
 
+    if mesher is Mesher.FTETWILD:
+        _mesh_with_ftetwild(sensor, as_json=as_json)
+        return
     found = accepted_sensor(sensor)
     assert found.meshed is not None  # noqa: S101 - of every accepted sensor
     meshed = found.meshed
@@ -53,11 +76,25 @@ def mesh(sensor: Folder, as_json: AsJson = False) -> None:
         "volume_error": round(meshed.volume_error, 6),
         "distance_mm": round(meshed.distance_mm, 4),
         "worst_quality": round(float(meshed.mesh.qualities.min()), 4),
+        "expected_cpu_s": round(expected_cpu_s(len(meshed.mesh.nodes_mm), episodes=_EPISODES)),
     }
-    if as_json:
-        print_json(facts)
-    else:
-        print_pairs(facts)
+    print_record(facts, as_json=as_json)
+
+
+def _mesh_with_ftetwild(sensor: Path, *, as_json: bool) -> None:
+    from vitac.evaluator.sensors.ftetwild import mesh_with_ftetwild
+    from vitac.evaluator.sensors.limits import sensor_limits
+    from vitac.evaluator.sensors.package import GEL_NAME
+
+    made = mesh_with_ftetwild(sensor / GEL_NAME, sensor_limits())
+    facts = {
+        "mesh": "ftetwild: never scored, other nodes on every run",
+        "nodes": len(made.nodes_mm),
+        "tetrahedra": len(made.corners),
+        "volume_mm3": round(made.volume_mm3, 3),
+        "worst_quality": round(float(made.qualities.min()), 4),
+    }
+    print_record(facts, as_json=as_json)
 
 
 @app.command("show")
@@ -158,10 +195,16 @@ def _digest(found: "SensorCheck") -> str | None:
     return None if found.meshed is None else found.meshed.digest
 
 
+def _verdict(finding: "Finding") -> str:
+    if not finding.ok:
+        return "refused"
+    return "warning" if finding.is_warning else "ok"
+
+
 def _print_findings(found: "SensorCheck") -> None:
-    rows = [("ok" if it.ok else "refused", str(it.rule), it.value, it.limit) for it in found.findings]
+    rows = [(_verdict(it), str(it.rule), it.value, it.limit) for it in found.findings]
     print_table(("", "rule", "value", "limit"), rows, none="")
     for finding in found.findings:
-        if not finding.ok:
+        if finding.is_warning or not finding.ok:
             print(f"{finding.rule}: {finding.problem}")
     print(f"All rules are kept. Mesh digest {_digest(found)}" if found.ok else "This sensor would be refused.")

@@ -18,6 +18,10 @@ if TYPE_CHECKING:
 
     from .meshing import MeshedGel
 
+# The grasp closes so far after it has touched the highest point.
+_REACHED_MM = 0.875
+_FEWEST_INSIDE = 20
+
 
 class SensorRefused(VitacError):
     """A sensor breaks a rule; `vitac sensor check` lists all rules with their values."""
@@ -66,8 +70,9 @@ def check_sensor(path: Path, limits: SensorLimits | None = None) -> SensorCheck:
     if mesh.meshed is None:
         return SensorCheck(findings=tuple(findings))
     design = mesh.meshed.design(manifest)
-    findings.append(_markers(design))
-    return SensorCheck(findings=tuple(findings), meshed=mesh.meshed, design=design if findings[-1].ok else None)
+    markers = _markers(design)
+    findings += [_touching_faces(design), markers]
+    return SensorCheck(findings=tuple(findings), meshed=mesh.meshed, design=design if markers.ok else None)
 
 
 def accepted_sensor(path: Path) -> SensorCheck:
@@ -108,6 +113,29 @@ def _files(path: Path) -> tuple[SensorManifest, Path, Path | None]:
         return SensorManifest(), path, None
     own = path / MESH_NAME
     return read_sensor(path), path / GEL_NAME, own if own.exists() else None
+
+
+def _touching_faces(design: "SensorDesign") -> Finding:
+    """Count the nodes inside the faces that the grasp reaches: none in a ridge or a tip of one cell's width."""
+    import numpy as np
+
+    heights_mm = 1e3 * design.gel.rest_position_m[:, 2]
+    faces = design.sensing_triangles
+    touching = faces[heights_mm[faces].min(axis=1) >= heights_mm.max() - _REACHED_MM]
+    edges = np.sort(np.concatenate([touching[:, [i, (i + 1) % 3]] for i in range(3)]), axis=1)
+    sides, uses = np.unique(edges, axis=0, return_counts=True)
+    inside = len(np.setdiff1d(touching, sides[uses == 1]))
+    return Finding(
+        rule=Rule.TOUCHING_FACES,
+        ok=True,
+        value=f"{inside} nodes inside",
+        limit=f"better {_FEWEST_INSIDE} or more",
+        problem=(
+            "What touches first is about one cell wide. Around it the motion of the surface depends on the mesh, and "
+            "another mesh may change surface_diff by half. What touches moves alike; make it wider if this matters."
+        ),
+        is_warning=inside < _FEWEST_INSIDE,
+    )
 
 
 def _markers(design: "SensorDesign") -> Finding:

@@ -56,6 +56,8 @@ class Rule(StrEnum):
     """Between the surfaces of the mesh and of the STL."""
     BASE_NODES = "base_nodes"
     """The base of the mesh is exactly the case's."""
+    TOUCHING_FACES = "touching_faces"
+    """What touches first is a few nodes wide, so that `surface_diff` does not depend on the mesh; only warned of."""
     MARKERS = "markers"
     """All markers are on the sensing face and in the picture."""
 
@@ -70,6 +72,7 @@ class Finding:
         value: what was measured.
         limit: what it may be.
         problem: what to do where it is not kept.
+        is_warning: the sensor is scored all the same, but the problem should be known.
     """
 
     rule: Rule
@@ -77,6 +80,7 @@ class Finding:
     value: str
     limit: str
     problem: str = ""
+    is_warning: bool = False
 
     @classmethod
     def at_most_mm(cls, rule: Rule, value_mm: float, limit_mm: float, problem: str) -> Self:

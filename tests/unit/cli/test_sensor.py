@@ -1,8 +1,11 @@
 import json
+import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import drawn_gels
+import numpy as np
 import pytest
 import short_calibration
 from PIL import Image
@@ -39,7 +42,7 @@ def folder(tmp_path: Path) -> Path:
 def test_check_prints_every_rule_with_value_and_limit(run: Run, folder: Path) -> None:
     code, out, _ = run("check", folder)
     assert code == 0
-    assert "ok  thickness" in out
+    assert "ok       thickness" in out
     assert "4.000 mm" in out
     assert "2 to 8 mm" in out
     assert "48 of 48 attached" in out
@@ -71,7 +74,40 @@ def test_mesh_prints_digest_and_figures(run: Run, folder: Path) -> None:
     assert figures["volume_mm3"] == pytest.approx(1351.844)
     assert figures["worst_quality"] > 0.1
     assert figures["digest"] in run("check", folder)[1]
-    assert f"digest         {figures['digest']}" in run("mesh", folder)[1]
+    assert figures["expected_cpu_s"] == 24
+    assert f"digest          {figures['digest']}" in run("mesh", folder)[1]
+
+
+def test_mesh_of_another_mesher_is_named_and_has_no_digest(
+    run: Run, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "pytetwild", SimpleNamespace(tetrahedralize=one_tetrahedron))
+    code, out, _ = run("mesh", folder, "--mesher", "ftetwild", "--json")
+    assert code == 0
+    assert json.loads(out) == {
+        "mesh": "ftetwild: never scored, other nodes on every run",
+        "nodes": 4,
+        "tetrahedra": 1,
+        "volume_mm3": 1.0,
+        "worst_quality": 0.181,
+    }
+    monkeypatch.setitem(sys.modules, "pytetwild", None)
+    code, _, err = run("mesh", folder, "--mesher", "ftetwild")
+    assert code == 1
+    assert "pip install pytetwild" in err
+
+
+def one_tetrahedron(*_: object, **__: object) -> tuple[object, object]:
+    return np.array([[0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 3]], float), np.array([[0, 1, 2, 3]])
+
+
+def test_check_warns_of_a_feature_of_one_cell_and_accepts_it(run: Run, folder: Path) -> None:
+    code, out, _ = run("check", folder)
+    assert code == 0
+    assert "warning  touching_faces" in out
+    assert "touching_faces: What touches first is about one cell wide." in out
+    findings = json.loads(run("check", folder, "--json")[1])["findings"]
+    assert [it["rule"] for it in findings if it["is_warning"]] == ["touching_faces"]
 
 
 def test_mesh_of_a_broken_gel_names_the_rule(run: Run, folder: Path) -> None:

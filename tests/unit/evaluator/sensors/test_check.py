@@ -4,6 +4,7 @@ from pathlib import Path
 
 import drawn_gels
 import numpy as np
+import own_sensors
 import pytest
 from own_sensors import msh, write_sensor
 from vitac.envs.sensor_design.surface import DrawnSurface
@@ -166,3 +167,13 @@ def test_pipe_in_place_of_the_mesh_is_refused_without_waiting_for_it(tmp_path: P
     check = check_sensor(folder)
     assert broken(check) == [Rule.TET_MSH]
     assert "no regular file" in problem(check)
+
+
+@pytest.mark.parametrize(("gel", "is_narrow"), [("4 mm", False), ("dome", False), ("ridge", True), ("pyramids", True)])
+def test_features_of_one_cell_are_warned_of_and_accepted(gel: str, is_narrow: bool, tmp_path: Path) -> None:
+    yaml = f"markers: {own_sensors.MARKERS}\n"
+    found = check_sensor(own_sensors.write_sensor(tmp_path, own_sensors.GELS[gel](), yaml))
+    (touching,) = [finding for finding in found.findings if finding.rule is Rule.TOUCHING_FACES]
+    assert found.ok
+    assert touching.ok
+    assert touching.is_warning is is_narrow
