@@ -13,6 +13,7 @@ from .evaluations.lifecycle import fail_by_machines
 from .evaluations.superseding import supersede_outdated
 from .metrics.instruments import RetryReason
 from .metrics.totals import TotalsWriter
+from .people.team_data import forget_contacts
 from .playbacks import work as playbacks
 from .queue.jobs import prune_finished_jobs
 from .queue.sweep import sweep
@@ -104,6 +105,7 @@ def prune(services: Services) -> None:
     with services.database.transaction() as session:
         prune_finished_jobs(session, timedelta(hours=services.settings.finished_jobs_kept_h))
         playbacks.remove_old(session, services.settings)
+        forget_contacts(session, services.settings)
         known = set(stored_digests(session)) | playbacks.stored_digests(session)
     for digest in services.blobs.list_older_than(ORPHAN_KEPT):
         if digest not in known:

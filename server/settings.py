@@ -151,6 +151,11 @@ class Settings(BaseSettings):
         default=False,
         description="Whether webhooks may use http and hosts that are not of the internet.",
     )
+    contacts_kept_days: PositiveInt | None = Field(
+        default=None,
+        description="So long after the end of the competition the addresses of teams and members are kept. Not set: "
+        "without limit.",
+    )
     log_bytes: PositiveInt = Field(
         default=32 << 20,
         description="Largest log that may be uploaded, packed and unpacked; a whole one has about 2 MB. "

@@ -33,7 +33,7 @@ app.add_typer(track.app, name="track", help="Track files of your own: check.")
 app.add_typer(
     team.app,
     name="team",
-    help="Teams: add, list, show, accept, refuse, rename, merge, captain, remove-member, disqualify, reinstate.",
+    help="Teams: add, list, show, accept, refuse, rename, merge, disqualify, reinstate, data, delete, and members.",
 )
 app.add_typer(quota.app, name="quota", help="Quotas of teams: list, set.")
 app.add_typer(token.app, name="token", help="API tokens: add, list, revoke.")

@@ -156,6 +156,29 @@ def remove_member(
 
 
 @app.command()
+def data(team: TeamName) -> None:
+    """Print everything that the service has of a team, as JSON."""
+    from vitac.server.accounts import teams
+    from vitac.server.accounts.principals import CONSOLE
+    from vitac.server.people.team_data import export
+
+    settings = load_settings()
+    with open_service(settings) as services, services.database.transaction() as session:
+        print_json(export(session, settings, CONSOLE, teams.find(session, team)).model_dump(mode="json"))
+
+
+@app.command()
+def delete(team: TeamName, yes: Yes = False, dry_run: DryRun = False, as_json: AsJson = False) -> None:
+    """Remove a team's name, people, texts and uploads for good; its scores stay."""
+    from vitac.server.accounts.principals import CONSOLE
+    from vitac.server.people.team_data import erase
+
+    if not dry_run:
+        require_consent(f"Remove {team} with all that it uploaded for good?", yes=yes)
+    _change(team, lambda session, found: erase(session, CONSOLE, found), dry_run=dry_run, as_json=as_json)
+
+
+@app.command()
 def merge(
     team: Annotated[str, typer.Argument(help="Name or id of the team that ends.")],
     into: Annotated[str, typer.Argument(help="Name or id of the team that gets its submissions and members.")],

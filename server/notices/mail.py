@@ -63,7 +63,7 @@ def send(notice: Notice, settings: Settings) -> None:
             if parts.username:
                 server.login(unquote(parts.username), unquote(parts.password or ""))
             server.send_message(message)
-    except (OSError, smtplib.SMTPException, ValueError) as error:
+    except (OSError, smtplib.SMTPException, ValueError, LookupError) as error:
         raise Undelivered(f"{type(error).__name__}: {error}") from error
 
 

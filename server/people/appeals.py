@@ -10,7 +10,7 @@ from vitac.evaluator.episodes.records import EpisodeRecord
 
 from ..accounts.audit import record
 from ..accounts.principals import Principal
-from ..accounts.visibility import changeable
+from ..accounts.visibility import changeable, sight_of
 from ..competition.schedule import current
 from ..db.models import Appeal, AppealReplay, EpisodeResult, Evaluation
 from ..db.states import TERMINAL_EVALUATION_STATES, AppealState
@@ -184,12 +184,13 @@ def visible(session: Session, by: Principal, *, open_only: bool = False) -> list
         query = query.where(Appeal.team_id == by.team_id)
     if open_only:
         query = query.where(Appeal.state == AppealState.OPEN)
-    return [appeal_view(one) for one in session.scalars(query)]
+    return [appeal_view(one, by) for one in session.scalars(query)]
 
 
-def appeal_view(appeal: Appeal) -> AppealView:
-    """Return an appeal with what was played again."""
+def appeal_view(appeal: Appeal, by: Principal) -> AppealView:
+    """Return an appeal with what was played again, as far as its episodes are not sealed to who asks."""
     submission = appeal.evaluation.submission
+    replays = appeal.replays if sight_of(by, appeal.evaluation).episodes else []
     return AppealView(
         id=appeal.id,
         team=appeal.team.name,
@@ -204,7 +205,7 @@ def appeal_view(appeal: Appeal) -> AppealView:
         ruling=appeal.ruling,
         opened_at=appeal.opened_at,
         ended_at=appeal.ended_at,
-        replays=[AppealReplayView.model_validate(one, from_attributes=True) for one in appeal.replays],
+        replays=[AppealReplayView.model_validate(one, from_attributes=True) for one in replays],
     )
 
 

@@ -7,7 +7,7 @@ from sqlalchemy import Connection, select, union
 from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
 
-from ..db.models import Submission, SubmissionFile
+from ..db.models import Submission, SubmissionFile, Team
 from ..db.states import FileRole
 from ..uploads.checked_upload import UploadedFile
 
@@ -40,6 +40,14 @@ def file_of(session: Session, submission_id: UUID, role: FileRole) -> Submission
 
 
 def stored_digests(connection: Connection | Session) -> list[str]:
-    """Return the digests of all stored files that a submission has, sorted, each once."""
-    found = union(select(Submission.archive_sha256), select(SubmissionFile.sha256)).subquery()
+    """Return the digests of all stored files that a submission has, sorted, each once; not of removed teams."""
+    is_kept = Team.erased_at.is_(None)
+    uploads = select(Submission.archive_sha256).join(Submission.team).where(is_kept)
+    others = (
+        select(SubmissionFile.sha256)
+        .join(Submission, Submission.id == SubmissionFile.submission_id)
+        .join(Submission.team)
+        .where(is_kept)
+    )
+    found = union(uploads, others).subquery()
     return sorted(connection.scalars(select(found.c[0])))

@@ -61,6 +61,10 @@ def run_again(session: Session, by: Principal, submission_id: UUID) -> Submissio
     by.require_organizer()
     submission = visible(session, by, submission_id)
     session.execute(select(Submission.id).where(Submission.id == submission.id).with_for_update(key_share=True))
+    if submission.team.erased_at is not None:
+        raise ServiceError(
+            ProblemCode.NOT_REQUEUABLE, f"The upload of submission {submission.id} was removed with its team."
+        )
     run = next_run(session, submission, again=True)
     if run is None:
         raise ServiceError(

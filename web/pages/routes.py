@@ -85,6 +85,7 @@ def _router() -> APIRouter:
         ("/register", register.register_form, "GET"),
         ("/register", register.register, "POST"),
         (team.ADDRESS, team.team, "GET"),
+        (f"{team.ADDRESS}/data.json", team.data, "GET"),
         (f"{team.ADDRESS}/invite", team.invite, "POST"),
         (f"{team.ADDRESS}/token", team.renew_token, "POST"),
         (f"{team.ADDRESS}/{{action}}", team.change, "POST"),

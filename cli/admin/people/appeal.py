@@ -36,7 +36,7 @@ def show(appeal: AppealNumber, as_json: AsJson = False) -> None:
     from vitac.server.people.appeals import appeal_view, find
 
     with transaction() as session:
-        found = appeal_view(find(session, CONSOLE, appeal)).model_dump(mode="json")
+        found = appeal_view(find(session, CONSOLE, appeal), CONSOLE).model_dump(mode="json")
     if as_json:
         print_json(found)
         return
@@ -97,6 +97,6 @@ def rule(
     with transaction() as session:
         found = rule_on(session, CONSOLE, appeal, text, upheld=upheld)
         session.flush()
-        print_record(appeal_view(found).model_dump(mode="json", exclude={"replays"}), as_json=as_json)
+        print_record(appeal_view(found, CONSOLE).model_dump(mode="json", exclude={"replays"}), as_json=as_json)
         if dry_run:
             raise typer.Exit  # which takes the change back

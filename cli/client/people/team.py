@@ -39,6 +39,13 @@ def show(server: Server = None, as_json: AsJson = False) -> None:
 
 
 @app.command()
+def data(server: Server = None) -> None:
+    """Print everything that the service has of the team, as JSON."""
+    client = client_from(server, None)
+    print_json(client.call("GET", f"{_path(client)}/data"))
+
+
+@app.command()
 def invite(server: Server = None, as_json: AsJson = False) -> None:
     """Print a code with which one person joins the team; for its captain."""
     client = client_from(server, None)

@@ -45,14 +45,14 @@ def post_appeal(services: ServicesOf, principal: PrincipalOf, new: NewAppeal) ->
     """Appeal against the newest evaluation of an own submission."""
     with services.database.transaction() as session:
         made = appeals.open_appeal(session, principal, new.submission_id, new.text, task=new.task, episode=new.episode)
-        return appeals.appeal_view(made)
+        return appeals.appeal_view(made, principal)
 
 
 @router.get("/{appeal_id}")
 def get_appeal(services: ServicesOf, principal: PrincipalOf, appeal_id: RowNumber) -> AppealView:
     """Return an appeal with the episodes that were played again for it."""
     with services.database.transaction() as session:
-        return appeals.appeal_view(appeals.find(session, principal, appeal_id))
+        return appeals.appeal_view(appeals.find(session, principal, appeal_id), principal)
 
 
 @router.post("/{appeal_id}/withdraw")
@@ -60,11 +60,13 @@ def withdraw_appeal(services: ServicesOf, principal: PrincipalOf, appeal_id: Row
     """Take an own appeal back."""
     with services.database.transaction() as session:
         appeals.withdraw(session, principal, appeal_id)
-        return appeals.appeal_view(appeals.find(session, principal, appeal_id))
+        return appeals.appeal_view(appeals.find(session, principal, appeal_id), principal)
 
 
 @router.put("/{appeal_id}/ruling")
 def put_ruling(services: ServicesOf, principal: PrincipalOf, appeal_id: RowNumber, ruling: Ruling) -> AppealView:
     """Decide an appeal; for organizers. No result changes by it."""
     with services.database.transaction() as session:
-        return appeals.appeal_view(appeals.rule(session, principal, appeal_id, ruling.text, upheld=ruling.upheld))
+        return appeals.appeal_view(
+            appeals.rule(session, principal, appeal_id, ruling.text, upheld=ruling.upheld), principal
+        )

@@ -14,9 +14,10 @@ from vitac.server.accounts.principals import Principal
 from vitac.server.db.models import Team
 from vitac.server.db.states import NoticeKind
 from vitac.server.notices import webhooks
+from vitac.server.people import team_data
 from vitac.server.services import Services
 from vitac.server.views.accounts import NewInvitationView, NewTokenView, OwnTeamView, RegisteredTeamView
-from vitac.server.views.contest.people import NewWebhookView, WebhookListView
+from vitac.server.views.contest.people import NewWebhookView, TeamDataView, WebhookListView
 
 from ...errors import not_found
 from ..access import PrincipalOf, ServicesOf
@@ -99,6 +100,21 @@ def get_team(services: ServicesOf, principal: PrincipalOf, team_id: UUID) -> Own
     """Return a team with its members and open invitations."""
     with services.database.transaction() as session:
         return members.own_team_view(session, principal, _team(session, principal, team_id))
+
+
+@router.get("/{team_id}/data")
+def get_team_data(services: ServicesOf, principal: PrincipalOf, team_id: UUID) -> TeamDataView:
+    """Return everything that the service has of the team."""
+    with services.database.transaction() as session:
+        team = _team(session, principal, team_id)
+        return team_data.export(session, services.settings, principal, team)
+
+
+@router.delete("/{team_id}", status_code=HTTPStatus.NO_CONTENT, response_class=Response)
+def delete_team(services: ServicesOf, principal: PrincipalOf, team_id: UUID) -> None:
+    """Remove a team's name, people, texts and uploads for good; scores stay. For organizers."""
+    with services.database.transaction() as session:
+        team_data.erase(session, principal, _team(session, principal, team_id))
 
 
 @router.patch("/{team_id}")

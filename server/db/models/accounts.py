@@ -28,7 +28,7 @@ class Team(Base):
 
     A disqualified team is on no board and submits nothing; `disqualified_for` says why. A team submits once an
     organizer has accepted it (`approved_at`); a refused one never does. `named_at` is when it was last shown under
-    another name.
+    another name. Of a team that was removed (`erased_at`) only its submissions' names and scores are left.
     """
 
     __tablename__ = "teams"
@@ -46,6 +46,7 @@ class Team(Base):
     approved_at: Mapped[datetime | None]
     refused_for: Mapped[str | None]
     named_at: Mapped[datetime] = mapped_column(server_default=func.now())
+    erased_at: Mapped[datetime | None]
 
 
 class Member(Base):

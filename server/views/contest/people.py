@@ -6,7 +6,9 @@ from uuid import UUID
 from pydantic import Field
 
 from ...db.states import AppealState, NoticeChannel, NoticeKind
+from ..accounts import AuditEntryView, OwnTeamView, TokenView
 from ..base import View
+from ..submissions import SubmissionView
 
 
 class WebhookView(View):
@@ -117,3 +119,17 @@ class AppealListView(View):
     """Appeals, newest first."""
 
     items: list[AppealView]
+
+
+class TeamDataView(View):
+    """Everything that the service has of a team, as far as the team may see it."""
+
+    made_at: datetime
+    team: OwnTeamView
+    tokens: list[TokenView]
+    submissions: list[SubmissionView]
+    webhooks: list[WebhookView]
+    notices: list[NoticeView]
+    questions: list[QuestionView]
+    appeals: list[AppealView]
+    audit_log: list[AuditEntryView] = Field(description="What people changed of the team.")

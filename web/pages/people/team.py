@@ -14,6 +14,7 @@ from vitac.server.api.people.members import MemberChanges, NewMember
 from vitac.server.db.states import MemberRole
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.limiter import client_key
+from vitac.server.people import team_data
 
 from ...session.forms import read_form
 from ...site import page, require_viewer, site_of, viewer_of
@@ -66,6 +67,19 @@ async def team(request: Request) -> Response:
         myself=myself,
         leads=by.leads_team,
     )
+
+
+async def data(request: Request) -> Response:
+    """Download everything that the service has of the team."""
+    viewer = await require_viewer(request)
+    if isinstance(viewer, Response):
+        return viewer
+    by, settings = viewer.visitor.principal, request.app.state.services.settings
+    found = await site_of(request).data.ask(
+        lambda session: team_data.export(session, settings, by, teams.own(session, by))
+    )
+    headers = {"Cache-Control": "no-store", "Content-Disposition": 'attachment; filename="team.json"'}
+    return Response(found.model_dump_json(indent=1), media_type="application/json", headers=headers)
 
 
 async def change(request: Request) -> Response:

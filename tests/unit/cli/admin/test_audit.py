@@ -48,6 +48,7 @@ READS = {
     "results winners",
     "submission list",
     "submission show",
+    "team data",
     "team list",
     "team show",
     "token list",
@@ -69,6 +70,7 @@ CHANGES = {
     "team rename": (["Team A", "Ants"], "team.rename"),
     "team captain": (["Team A", "Ann"], "team.captain"),
     "team remove-member": (["Team A", "Ann", "--yes"], "member.remove"),
+    "team delete": (["Waiting", "--yes"], "team.delete"),
     "team merge": (["Waiting", "Team A", "--yes"], "team.merge"),
     "team add": (["Bears"], "token.issue"),
     "token add": (["--judge"], "token.issue"),
@@ -199,7 +201,9 @@ def test_reads_write_nothing(service: CliService) -> None:
     with service.database.transaction() as session:
         last = newest_entries(session, 1)[0].id
     for command in READS:
-        service.run("admin", *command.split(), *(["Team A"] if command in {"quota list", "team show"} else []))
+        service.run(
+            "admin", *command.split(), *(["Team A"] if command in {"quota list", "team data", "team show"} else [])
+        )
     with service.database.transaction() as session:
         assert newest_entries(session, 1)[0].id == last
 

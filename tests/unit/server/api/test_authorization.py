@@ -56,6 +56,8 @@ MATRIX: dict[tuple[str, str], frozenset[Who]] = {
     ("get", TEAM): CHANGERS,
     ("patch", TEAM): frozenset({Who.ORGANIZER}),
     ("post", f"{TEAM}/merge"): frozenset({Who.ORGANIZER}),
+    ("get", f"{TEAM}/data"): CHANGERS,
+    ("delete", TEAM): frozenset({Who.ORGANIZER}),
     ("post", f"{TEAM}/invitations"): CHANGERS,
     ("delete", f"{TEAM}/invitations/{{invitation_id}}"): CHANGERS,
     ("get", f"{TEAM}/webhooks"): CHANGERS,
@@ -143,7 +145,7 @@ class Setting:
             ids["appeal_id"] = self.new_appeal()
         if "{team_id}" in path:
             ids["team_id"] = str(self.service.principal.team_id)
-            if path.endswith("/merge"):
+            if path.endswith("/merge") or (method, path) == ("delete", TEAM):
                 ids["team_id"] = self.new_team()
             elif "{invitation_id}" in path:
                 ids["invitation_id"] = str(self.new_invitation()[0].id)

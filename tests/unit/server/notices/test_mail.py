@@ -78,6 +78,11 @@ def test_leaves_over_the_server_of_the_settings(monkeypatch: pytest.MonkeyPatch)
     assert FakeServer.last.done == ["sent", "quit"]
 
 
+def test_facts_that_are_not_there_are_a_named_failure() -> None:
+    with pytest.raises(Undelivered, match="KeyError"):
+        mail.send(a_notice(facts={}), make_settings(mail_url="file:///nowhere"))
+
+
 def test_a_server_that_does_not_answer_is_named() -> None:
     with pytest.raises(Undelivered, match="Error"):
         mail.send(a_notice(), make_settings(mail_url="smtp://127.0.0.1:1"))

@@ -8,6 +8,7 @@ from submission_steps import refused
 from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.server.accounts.audit import newest_entries
 from vitac.server.accounts.principals import CONSOLE, Principal
+from vitac.server.competition.sealing import seal
 from vitac.server.db.engine import Database
 from vitac.server.db.models import BoardResult, EpisodeResult, Evaluation, Submission
 from vitac.server.db.states import AppealState, Role
@@ -60,7 +61,7 @@ def test_an_appeal_is_opened_seen_and_ruled_on(database: Database, played: tuple
         with refused(ProblemCode.FORBIDDEN):
             appeals.withdraw(session, JUDGE, made.id)
         appeals.rule(session, CONSOLE, made.id, "Yes, it was.", upheld=True)
-        view = appeals.appeal_view(made)
+        view = appeals.appeal_view(made, team)
         assert (view.state, view.ruling, view.task, view.episode) == (AppealState.UPHELD, "Yes, it was.", TASK, 3)
         with refused(ProblemCode.INVALID_REQUEST):
             appeals.rule(session, CONSOLE, made.id, "Or not.", upheld=False)
@@ -128,11 +129,17 @@ def test_what_an_episode_gives_again_stands_beside_its_result(
             with refused(ProblemCode.FORBIDDEN):
                 appeals.note_replay(session, wrong, made.id, same, policy_sha256=sha256("policy"), corrected=False)
         session.expire_all()
-        replays = appeals.appeal_view(appeals.find(session, team, made.id)).replays
+        replays = appeals.appeal_view(appeals.find(session, team, made.id), team).replays
         assert [(one.corrected, one.same_states, one.old_outcome, one.outcome) for one in replays] == [
             (False, True, "success", "success"),
             (True, False, "success", "tactile"),
         ]
         assert results(session) == before
-        found = newest_entries(session, 1)[0]
+        sealed = seal(session, CONSOLE, "track_1", "stage1")
+        session.execute(update(Evaluation).values(commitment=sealed.commitment))
+        session.expire_all()
+        for by, seen in ((team, 0), (JUDGE, 0), (CONSOLE, 2)):
+            (view,) = appeals.visible(session, by)
+            assert len(view.replays) == seen, "of a sealed list nobody but organizers sees episodes"
+        found = newest_entries(session, 1, action="appeal.replay")[0]
         assert (found.action, found.before) == ("appeal.replay", {"outcome": "success", "env_steps": 3})

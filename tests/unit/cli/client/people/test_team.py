@@ -9,6 +9,7 @@ def test_a_team_is_run_from_the_command_line(service: CliService) -> None:
     shown = service.run("team", "show").stdout
     assert "takes part" in shown
     assert "Captain" in shown
+    assert json.loads(service.run("team", "data").stdout)["team"]["name"] == "Team A"
     code = json.loads(service.run("team", "invite", "--json").stdout)["code"]
     assert code.startswith("vitac-join-")
     joined = json.loads(service.run("team", "join", code, "Ann", "--email", "ann@example.org", "--json").stdout)

@@ -87,6 +87,8 @@ def test_a_member_is_invited_joins_signs_in_leads_and_leaves(service: CliService
     with service.database.transaction() as session:
         assert teams.find(session, "Team A").name == "Team A"
     assert captain.send("/team", "/team/remove", id="x").status_code == 422
+    data = captain.get("/team/data.json")
+    assert (data.headers["cache-control"], data.json()["team"]["name"]) == ("no-store", "Team A")
     assert captain.send("/team", "/team/nothing").status_code == 404
 
 

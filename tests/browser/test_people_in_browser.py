@@ -1,0 +1,97 @@
+"""One evaluation and what is said about it, through the eyes of each role."""
+
+from collections.abc import Iterator
+from datetime import timedelta
+
+import pytest
+from browser_checks import DESK, Complaints, violations
+from cli_service import CliService, cli_service
+from playwright.sync_api import Page, expect
+from service_factories import make_principal, make_secret, play_all, submit
+from vitac.server.accounts import members, teams, tokens
+from vitac.server.accounts.principals import CONSOLE, Principal
+from vitac.server.db.states import Role
+from vitac.server.people import announcements, appeals, questions
+
+from competitions import make_competition, put_in_place
+
+WEEK = timedelta(days=7)
+PAGES = {
+    "visitor": ("/announcements", "/join", "/sign-in"),
+    "other": ("/appeals",),
+    "judge": ("/appeals", "SUBMISSION"),
+    "participant": ("/team", "/announcements", "/appeals", "SUBMISSION"),
+    "organizer": ("/desk", "/appeals", "SUBMISSION"),
+}
+"""What each role looks at."""
+SEES = {"/appeals": "The peg was in the hole.", "SUBMISSION": "100.0", "/desk": "May we ask?", "/team": "Ann"}
+"""Words that the page shows to whom it concerns."""
+
+
+@pytest.fixture(scope="module")
+def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[CliService]:
+    with cli_service(tmp_path_factory.mktemp("service") / "state") as service:
+        yield service
+
+
+@pytest.fixture(scope="module")
+def secrets(service: CliService) -> dict[str, str]:
+    """Tokens of each role, after something has happened that all of them may look at."""
+    with service.database.transaction() as session:
+        content = make_competition(appeal_days=7)
+        content["tracks"] = {"mail": content["tracks"]["track_1"] | {"taken_here": False}}
+        put_in_place(session, content)
+        own = teams.find(session, "Team A")
+        team = Principal(role=Role.TEAM, team_id=own.id, team_name=own.name, leads_team=True)
+        members.join(session, members.NewMember(code=members.invite(session, team, own)[1], name="Ann"), WEEK)
+        members.invite(session, team, own)
+        submission = submit(session, team)
+        announcements.publish(session, CONSOLE, title="News", text="All is well.", notify=False)
+        questions.ask(session, team, "May we ask?", public=True)
+        teams.register(session, CONSOLE, name="Waiting", waits=True)
+        other = make_secret(session, make_principal(session, "Bears"))
+    play_all(service.database, submission)
+    with service.database.transaction() as session:
+        appeals.open_appeal(session, team, submission.id, "The peg was in the hole.")
+        return {
+            "submission": str(submission.id),
+            "participant": make_secret(session, team),
+            "other": other,
+            "judge": tokens.issue(session, CONSOLE, role=Role.JUDGE, label="judge", lifetime=None).secret,
+            "organizer": make_secret(session, CONSOLE),
+        }
+
+
+@pytest.mark.parametrize("role", PAGES)
+def test_each_role_sees_its_pages_without_a_barrier(
+    page: Page, service: CliService, secrets: dict[str, str], role: str
+) -> None:
+    complaints = Complaints(page)
+    page.set_viewport_size({"width": DESK["width"], "height": DESK["height"]})
+    if role != "visitor":
+        page.goto(f"{service.address}/sign-in")
+        page.get_by_label("API token").fill(secrets[role])
+        page.get_by_role("button", name="Sign in").click()
+        page.wait_for_url(f"{service.address}/submissions")
+    for path in PAGES[role]:
+        page.goto(service.address + (f"/submissions/{secrets['submission']}" if path == "SUBMISSION" else path))
+        assert violations(page) == [], path
+        if path in SEES and role != "other":
+            expect(page.get_by_text(SEES[path]).first).to_be_attached()
+        elif path in SEES:
+            assert SEES[path] not in page.content(), "what another team says is not shown"
+    assert complaints.heard == []
+
+
+def test_an_organizer_rules_with_the_form_and_the_team_reads_it(
+    page: Page, service: CliService, secrets: dict[str, str]
+) -> None:
+    page.goto(f"{service.address}/sign-in?next=/desk")
+    page.get_by_label("API token").fill(secrets["organizer"])
+    page.get_by_role("button", name="Sign in").click()
+    page.get_by_label("Ruling on appeal 1").fill("It was not.")
+    page.get_by_role("button", name="Reject appeal 1").click()
+    page.wait_for_url(f"{service.address}/desk")
+    page.goto(f"{service.address}/appeals")
+    expect(page.get_by_text("It was not.")).to_be_visible()
+    expect(page.get_by_text("Rejected")).to_be_visible()

@@ -1,0 +1,109 @@
+from datetime import UTC, datetime, timedelta
+
+from service_factories import (
+    TASK,
+    TRACK,
+    make_principal,
+    make_score,
+    make_secret,
+    make_settings,
+    play_all,
+    submit,
+    submit_scored,
+)
+from sqlalchemy import select, update
+from submission_steps import refused
+from vitac.server.accounts import members, teams, tokens
+from vitac.server.accounts.audit import newest_entries
+from vitac.server.accounts.principals import CONSOLE
+from vitac.server.db.engine import Database
+from vitac.server.db.models import Competition, EpisodeResult, Question
+from vitac.server.errors import ProblemCode
+from vitac.server.leaderboards.standings import leaderboard
+from vitac.server.people import announcements, questions, team_data
+from vitac.server.submissions import runs
+from vitac.server.submissions.files import stored_digests
+
+from competitions import make_competition, put_in_place
+
+SETTINGS = make_settings()
+
+
+def test_a_team_takes_all_of_its_data_and_nobody_elses(database: Database) -> None:
+    with database.transaction() as session:
+        ants, bees = make_principal(session, "Ants"), make_principal(session, "Bees")
+        make_secret(session, ants)
+        submit(session, ants)
+        submit(session, bees, "theirs")
+        questions.ask(session, ants, "Why?", public=False)
+        announcements.publish(session, CONSOLE, title="News", text="Text", notify=True)
+        own = teams.own(session, ants)
+        found = team_data.export(session, SETTINGS, ants, own)
+        assert (found.team.name, len(found.tokens), len(found.submissions)) == ("Ants", 1, 1)
+        assert [one.text for one in found.questions] == ["Why?"]
+        assert "team.register" in {line.action for line in found.audit_log}
+        empty = team_data.export(session, SETTINGS, CONSOLE, teams.register(session, CONSOLE, name="Cats"))
+        assert (empty.submissions, empty.questions, empty.appeals) == ([], [], [])
+        with refused(ProblemCode.NOT_FOUND):
+            team_data.export(session, SETTINGS, bees, own)
+
+
+def test_a_removed_team_leaves_its_scores_and_nothing_else(database: Database) -> None:
+    with database.transaction() as session:
+        ants, bees = make_principal(session, "Ants"), make_principal(session, "Bees")
+        secret = make_secret(session, ants)
+        submit_scored(session, ants, "best", {TASK: make_score(90)})
+        shared = [submit(session, by, "the same") for by in (ants, bees)]
+        mine = submit(session, ants, "mine")
+        submission_id, public = mine.id, questions.ask(session, ants, "Public?", public=True).id
+        questions.ask(session, ants, "Private?", public=False)
+        members.set_email(session, CONSOLE, members.captain_of(session, teams.own(session, ants)), "a@example.org")
+        with refused(ProblemCode.INVALID_REQUEST):
+            team_data.erase(session, CONSOLE, teams.own(session, ants))
+    for submission in (*shared, mine):
+        play_all(database, submission)
+    with database.transaction() as session:
+        session.execute(update(EpisodeResult).values(output="I am Ann"))
+        team = teams.own(session, ants)
+        with refused(ProblemCode.FORBIDDEN):
+            team_data.erase(session, ants, team)
+        kept = set(stored_digests(session))
+        for _ in range(2):
+            team_data.erase(session, CONSOLE, team)
+    with database.transaction() as session:
+        team = teams.own(session, ants)
+        assert team.name.startswith("Deleted team ")
+        assert members.of_team(session, team.id) == []
+        with refused(ProblemCode.INVALID_CREDENTIALS):
+            tokens.authenticate(session, secret)
+        names = [entry.team for entry in leaderboard(session, TRACK, task=TASK).view.entries]
+        assert team.name in names
+        printed = session.execute(select(EpisodeResult.submission_digest, EpisodeResult.output).distinct()).all()
+        assert sorted(output for _, output in printed) == ["", "I am Ann"], "what Bees have, too, stays theirs"
+        assert [one.id for one in session.query(Question)] == [public]
+        assert len(set(stored_digests(session))) < len(kept)
+        with refused(ProblemCode.NOT_REQUEUABLE):
+            runs.run_again(session, CONSOLE, submission_id)
+        found = newest_entries(session, 5, action="team.delete")
+        assert [(line.before, line.after) for line in found] == [({"erased": False}, {"erased": True})]
+
+
+def test_addresses_are_forgotten_so_long_after_the_end(database: Database) -> None:
+    settings = make_settings(contacts_kept_days=30)
+    with database.transaction() as session:
+        team = teams.register(session, CONSOLE, name="Ants", contact="a@example.org")
+        captain = members.captain_of(session, team)
+        members.set_email(session, CONSOLE, captain, "a@example.org")
+        assert team_data.forget_contacts(session, settings) == 0
+        put_in_place(session, make_competition())
+        row = session.get_one(Competition, 1)
+        row.finalized_at, row.winners = datetime(2031, 1, 1, tzinfo=UTC), []
+        session.flush()
+        later = row.finalized_at + timedelta(days=30)
+        assert team_data.forget_contacts(session, SETTINGS, later) == 0
+        assert team_data.forget_contacts(session, settings, later - timedelta(seconds=1)) == 0
+        assert team_data.forget_contacts(session, settings, later) == 2
+        session.expire_all()
+        assert (team.contact, captain.email) == (None, None)
+        assert team_data.forget_contacts(session, settings, later) == 0
+        assert newest_entries(session, 1)[0].before == {"contacts": 2}
