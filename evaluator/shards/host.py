@@ -144,11 +144,10 @@ class SimulationHost:
             content = memory.read()
         if exit_code == 0:
             take(ended.task, ended.sensor, Coefficients.model_validate_json(content))
+        while ended.waiting:  # one after the other: each copy closes the descriptors of those that wait still
+            self._start_shard(ended.waiting.pop(0))
+        if exit_code == 0:
             del self._calibrations[ended.task.env_id, ended.sensor]
-        waiting = ended.waiting[:]
-        ended.waiting.clear()
-        for ordered in waiting:
-            self._start_shard(ordered)
 
     def _fork(self, work: Callable[[], None], ended: Callable[[int], None]) -> bool:
         """Do work in a copy of this process; `ended` gets its exit code. False where there is no process left."""

@@ -271,12 +271,19 @@ def test_while_a_sensor_is_calibrated_other_shards_run_and_its_own_wait(
         eventually((second / "begun").exists)
         (first / "starts").write_text("1")
         assert [starts_of(process) for process in waiting[:2]] == [1, 1]
+        assert sockets_of(waiting[0].pid) == sockets_of(waiting[1].pid) == 1
         (second / "starts").write_text("2")
         assert starts_of(waiting[2]) == 2
     (first / "begun").unlink()
     with processes.running_shard(order("succeed")), processes.running_shard(of_sensor(first, shard=1)) as later:
         assert starts_of(later) == 1
     assert not (first / "begun").exists()
+
+
+def sockets_of(pid: int) -> int:
+    """Each shard has its own only: another one's would hide that other's end from whoever waits for it."""
+    links = [str(path.readlink()) for path in Path(f"/proc/{pid}/fd").iterdir()]
+    return sum(link.startswith("socket:") for link in links)
 
 
 def starts_of(process: ShardProcess) -> int | None:
