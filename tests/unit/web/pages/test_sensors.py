@@ -29,6 +29,7 @@ def test_page_shows_gel_mesh_markers_maps_and_figures(shown: AsgiBrowser) -> Non
         "measured at 90 starts",
         "+6.7",
         f'data-shape="{ADDRESS}/shape"',
+        'href="/docs/sensors.html#figures"',
     ):
         assert said in html
     assert html.count('<polygon points="') > 50
