@@ -98,12 +98,19 @@ def _by_task(tasks: list[Json]) -> str:
     return f" ({', '.join(parts)})" if len(parts) > 1 else ""
 
 
+def nobody(found: Json) -> str:
+    """Return why no worker takes the evaluation now, in a few words; empty where one does or it has ended."""
+    if found["workers"]["alive"] > 0 or found["evaluation"]["state"] not in {"queued", "running"}:
+        return ""
+    missing = found["workers"].get("missing_family")
+    return f"no running worker has what {missing} needs" if missing else "no worker is running"
+
+
 def situation(found: Json) -> str:
     """Return what the evaluation waits for, or the estimated time left, in a few words."""
     evaluation = found["evaluation"]
-    if found["workers"]["alive"] == 0 and evaluation["state"] in {"queued", "running"}:
-        missing = found["workers"].get("missing_family")
-        return f"no running worker has what {missing} needs" if missing else "no worker is running"
+    if waits := nobody(found):
+        return waits
     if evaluation["state"] == "queued":
         return f"number {evaluation['queue_position']} in the queue"
     eta = evaluation["eta_s"]

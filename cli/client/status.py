@@ -11,7 +11,7 @@ from vitac.envs.errors import VitacError
 from ..terminal.output import percent, print_json, print_pairs, print_table
 from .follow import follow
 from .http import client_from
-from .progress import EvaluationProgress
+from .progress import EvaluationProgress, nobody
 
 if TYPE_CHECKING:
     from .http import Client, Json
@@ -99,6 +99,8 @@ def show(found: Json) -> None:
         "queue": evaluation["queue_position"],
         "episodes": f"{done['episodes_done']} of {done['episodes_total']}, {done['episodes_reused']} reused",
     }
+    if waits := nobody(found):
+        pairs["waits"] = waits
     if found["log"]:
         pairs |= _log(found["log"])
     pairs |= _scores(found) if evaluation["scores"] else _progress_of_tasks(done)

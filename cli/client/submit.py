@@ -14,6 +14,7 @@ from ..terminal.existing import existing
 from ..terminal.output import print_json
 from .http import client_from
 from .packing import pack
+from .progress import nobody
 from .upload_kind import kind_of
 
 if TYPE_CHECKING:
@@ -123,6 +124,8 @@ def describe(client: Client, answer: Json) -> None:
     if answer["log"]:
         print(f"kind        {answer['log']['label']}")
     print(f"state       {evaluation['state']}" + (f", number {position} in the queue" if position else ""))
+    if waits := nobody(answer):
+        print(f"waits       {waits}")
     print(f"tasks       {', '.join(answer['tasks'])}" + _missing(answer["missing_tasks"]))
     print(f"page        {client.server}/submissions/{answer['id']}")
     print("\nSign in with the same token to see the page. `vitac status ID --watch` shows the progress here.")

@@ -9,11 +9,13 @@ from urllib.parse import urlencode
 
 from markupsafe import Markup
 from starlette.exceptions import HTTPException
+from vitac.envs.maniskill import scenes
+from vitac.envs.maniskill.definition import PREFIX, is_maniskill
 from vitac.evaluator.agent.protocol.action import ACTION_TYPES
 from vitac.evaluator.tracks import UnknownTrack, load_track
 
 from ..plots.dates import DatedRate, rates_by_date
-from ..rendering import render, steps, words
+from ..rendering import STATIC, render, steps, words
 from ..site import Tab, page, site_of, viewer_of
 from .paging import board_page
 
@@ -23,7 +25,7 @@ if TYPE_CHECKING:
 
     from starlette.requests import Request
     from starlette.responses import Response
-    from vitac.evaluator.tracks import Track
+    from vitac.evaluator.tracks import Task, Track
     from vitac.server.views.leaderboards import LeaderboardEntryView, LeaderboardView
 
     from ..site import Site, Viewer
@@ -140,8 +142,18 @@ async def rules(request: Request) -> Response:
         accepts_logs=accepts_logs(track),
         log_size=site_of(request).data.log_size(),
         track_tabs=track_tabs(site_of(request), track, "/rules"),
-        pictures={name: PICTURES[name] for name in track.tasks if name in PICTURES},
+        pictures={name: found for name, task in track.tasks.items() if (found := picture_of(task))},
     )
+
+
+def picture_of(task: Task) -> Picture | None:
+    """Return the picture of a task; None where it has none."""
+    if not is_maniskill(task.env_id):
+        return PICTURES.get(task.name)
+    file = scenes.file_name(task.env_id.removeprefix(PREFIX))
+    if not (STATIC / file).exists():
+        return None
+    return Picture(file=file, width=scenes.WIDTH, height=scenes.HEIGHT, shows=f"A start of {task.env_id}")
 
 
 def track_tabs(site: Site, shown: Track, page_of_track: str = "") -> tuple[Tab, ...]:

@@ -24,10 +24,10 @@ MAGIC: Final = b"VTC1"
 HEADER_MAX_BYTES: Final = 32 * 1024
 
 Array = NDArray[np.generic]
-DtypeCode = Literal["u1", "u2", "i4", "i8", "f4", "f8", "b1"]
+DtypeCode = Literal["u1", "u2", "i2", "i4", "i8", "f4", "f8", "b1"]
 _DTYPES: Final[Mapping[str, np.dtype[np.generic]]] = {
     code: np.dtype(f"<{code}" if code not in {"u1", "b1"} else code)
-    for code in ("u1", "u2", "i4", "i8", "f4", "f8", "b1")
+    for code in ("u1", "u2", "i2", "i4", "i8", "f4", "f8", "b1")
 }
 _CODES: Final = {(dtype.kind, dtype.itemsize): code for code, dtype in _DTYPES.items()}
 

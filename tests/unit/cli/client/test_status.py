@@ -1,9 +1,11 @@
 import json
+import re
 import threading
 from pathlib import Path
 
 from cli_service import MANIFEST, CliService, submission_folder
 from service_factories import make_failed_record, make_record, play_all
+from submission_steps import make_worker
 from vitac.cli.client.refusals import RequestRefused
 from vitac.cli.client.status import EvaluationEndedWithoutScore
 from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord
@@ -36,6 +38,17 @@ def test_lists_the_newest_or_says_how_to_begin(service: CliService, tmp_path: Pa
     for shown in (submission_id, "zero", "Team A", "queued", "0/270"):
         assert shown in table
     assert [item["id"] for item in json.loads(service.run("status", "--json").stdout)] == [submission_id]
+
+
+def test_says_that_no_worker_takes_the_submission_and_why(service: CliService, tmp_path: Path) -> None:
+    waits = "waits\\s+no worker is running"
+    submission_id = submitted(service, tmp_path)
+    assert re.search(waits, service.run("submit", str(tmp_path / "mine")).stdout)
+    assert re.search(waits, service.run("status", submission_id).stdout)
+    make_worker(service.database)
+    assert "waits" not in service.run("status", submission_id).stdout
+    play(service, submission_id)
+    assert "waits" not in service.run("status", submission_id).stdout
 
 
 def test_shows_a_score_with_its_interval_and_hash(service: CliService, tmp_path: Path) -> None:

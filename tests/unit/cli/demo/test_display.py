@@ -139,7 +139,7 @@ def test_says_what_an_evaluation_waits_for() -> None:
     assert situation(found(alive=0)) == "no worker is running"
     unable = found(alive=0)
     unable["workers"]["missing_family"] = "maniskill"  # type: ignore[index]
-    assert situation(unable) == "no running worker has the packages of maniskill"
+    assert situation(unable) == "no running worker has what maniskill needs"
     assert situation(found(state="queued")) == "number 3 in the queue"
     assert situation(found(eta=12.4)) == "about 12 s left"
     assert situation(found(state="completed", alive=0)) == ""

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from vitac.envs.maniskill import env as adapter
+from vitac.envs.maniskill.abilities import abilities
 from vitac.envs.maniskill.env import ManiSkillEnv, ManiSkillFailed, ManiSkillMissing
 from vitac.envs.tasks.definition import UnknownObservationKey
 from vitac.envs.tasks.options import ResetOptionsError
@@ -212,6 +213,25 @@ def test_an_error_of_maniskill_is_named_as_the_environments_in_one_line(fake: Fa
         env.step(HOLD)
 
 
+def test_a_state_that_is_no_longer_finite_ends_the_episode_for_anybody(fake: FakePickCube) -> None:
+    env = pick_cube()
+    env.reset(options=START)
+    fake.reward, fake.force = np.nan, np.nan
+    fake.state = np.full(4, np.inf, np.float32)
+    _, reward, terminated, truncated, info = env.step(HOLD)
+    assert (reward, terminated, truncated) == (0.0, False, True)
+    assert info == {"steps": 1, "end_reason": "not_converged"}
+    assert len(env.state_hash()) == 64
+
+
+def test_an_action_that_is_not_clipped_to_the_box_never_reaches_it(fake: FakePickCube) -> None:
+    env = pick_cube()
+    env.reset(options=START)
+    for value in (1e30, -1e30, np.inf):
+        env.step(np.full(7, value, np.float32))
+    assert all((np.abs(command) <= 1.0).all() for command in fake.commands)
+
+
 def test_an_unknown_option_is_refused(fake: FakePickCube) -> None:
     with pytest.raises(ResetOptionsError, match="has no reset option 'sede'"):
         pick_cube().reset(options={"sede": 1})
@@ -223,6 +243,24 @@ def test_without_the_packages_the_error_names_size_and_command(monkeypatch: pyte
         pick_cube()
     assert "need mani-skill, torch (extra maniskill, 3 GB)" in str(missing.value)
     assert "pip install 'mani-skill>=" in str(missing.value)
+
+
+def test_physics_on_a_gpu_is_refused_where_torch_finds_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    torch = SimpleNamespace(set_num_threads=lambda count: None, __version__="2.13.0+cpu")
+    for name, module in (("mani_skill", None), ("mani_skill.envs", SimpleNamespace()), ("torch", torch)):
+        monkeypatch.setitem(sys.modules, name, module or SimpleNamespace())
+    monkeypatch.setattr(adapter, "missing_packages", tuple)
+    monkeypatch.setattr(adapter, "has_cuda", lambda: False)
+    with pytest.raises(
+        ManiSkillMissing, match=r"sim_backend physx_cuda needs an NVIDIA GPU .* torch 2\.13\.0\+cpu finds"
+    ):
+        pick_cube(settings={"sim_backend": "physx_cuda"})
+
+
+def test_results_of_both_backends_have_provenances_of_their_own(fake: FakePickCube) -> None:
+    hashes = {pick_cube(settings={"sim_backend": backend}).mesh_hash() for backend in ("physx_cpu", "physx_cuda")}
+    assert len(hashes) == 2
+    assert pick_cube().mesh_hash() in hashes
 
 
 def test_pictures_without_a_driver_are_refused_with_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -278,6 +316,26 @@ def test_states_repeat_in_other_processes_orders_threads_and_without_a_driver(na
     assert (
         really_played(env_id, [2], VK_DRIVER_FILES="/nonexistent", VK_ICD_FILENAMES="/nonexistent")["2"] == first["2"]
     )
+
+
+@pytest.mark.skipif(bool(adapter.missing_packages()), reason="the extra maniskill is not installed")
+def test_states_repeat_where_newer_vector_instructions_are_switched_off() -> None:
+    generic = {
+        "ATEN_CPU_CAPABILITY": "default",
+        "MKL_ENABLE_INSTRUCTIONS": "SSE4_2",
+        "OPENBLAS_CORETYPE": "Prescott",
+        "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-AVX512F,-FMA,-FMA4,-AVX",
+    }
+    assert really_played("ManiSkill/PickCube-v1", [1], **generic) == really_played("ManiSkill/PickCube-v1", [1])
+
+
+@pytest.mark.skipif(not abilities().cuda, reason="no GPU that an installed torch can use: physx_cuda was not run")
+def test_the_real_environment_is_played_on_a_gpu() -> None:
+    env = pick_cube(settings={"sim_backend": "physx_cuda"})
+    observation, _ = env.reset(options=START)
+    assert {key: value.shape for key, value in observation.items()} == {"state": (42,)}
+    _, reward, *_ = env.step(HOLD)
+    assert (np.isfinite(reward), len(env.state_hash())) == (True, 64)
 
 
 @pytest.mark.skipif(bool(adapter.missing_packages()), reason="the extra maniskill is not installed")

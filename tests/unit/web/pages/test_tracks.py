@@ -1,8 +1,10 @@
 import re
 import struct
+from pathlib import Path
 
 import pytest
 from asgi_browser import AsgiBrowser
+from cubes_track import FILE
 from markupsafe import escape
 from page_fixtures import LOCK, SIGNER, TASK, FixedData, a_leaderboard, a_score, an_entry, an_id
 from visits import sign_in
@@ -154,6 +156,32 @@ def test_rules_show_the_scene_of_each_task_before_its_words(browser: AsgiBrowser
         )
         assert html.index(f'id="task-{name}"') < html.index(picture) < html.index(escape(task.description[:40]))
         assert browser.get(picture).headers["content-type"] == "image/png"
+
+
+def test_rules_of_maniskills_track_come_from_its_environments(browser: AsgiBrowser) -> None:
+    html = browser.get("/tracks/maniskill/rules").text
+    for shown in ("36 to 38 extra_tcp_to_obj_pos", "(42) float32", "<code>gripper</code>", "0.1 m", "-0.1 rad"):
+        assert shown in html
+    (picture,) = re.findall(
+        r'<img class="wide" src="(/static/scene-PickCube-v1\.jpg\?v=\w+)" width="480" height="360"', html
+    )
+    assert browser.get(picture).headers["content-type"] == "image/jpeg"
+    assert "There is no picture of this task" not in browser.get("/tracks/track_1/rules").text
+    assert "within tolerance, by its outcomes" not in html
+
+
+def test_a_task_on_a_gpu_says_that_it_does_not_repeat_and_one_without_a_picture_that_there_is_none(
+    browser: AsgiBrowser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    listed = FILE.replace("obs_mode: state", "obs_mode: state, sim_backend: physx_cuda").replace(
+        "name: cubes", "name: gpu"
+    )
+    (tmp_path / "gpu.yaml").write_text(listed)
+    monkeypatch.setenv("VITAC_TRACKS_DIR", str(tmp_path))
+    monkeypatch.setattr("vitac.web.pages.tracks.STATIC", tmp_path)
+    html = browser.get("/tracks/gpu/rules").text
+    assert "a log is verified within tolerance, by its outcomes" in html
+    assert "There is no picture of this task" in html
 
 
 @pytest.mark.parametrize("name", sorted(PICTURES))
