@@ -15,6 +15,8 @@ PREFIX = "ManiSkill/"
 
 CPU, CUDA = "physx_cpu", "physx_cuda"
 
+_MADE_OF_DRAWN_SHAPES = frozenset({"PushT-v1"})
+"""Environments that look at their drawn shapes when they are made."""
 _ENVIRONMENT = "vitac.envs.maniskill.env:ManiSkillEnv"
 
 
@@ -68,7 +70,12 @@ def _family(env_id: str, chosen: ManiSkillSettings) -> Family:
         raise ManiSkillTaskRejected(f"{env_id}: sim_backend is {chosen.sim_backend!r}, expected {CPU} or {CUDA}.")
     if chosen.sim_backend == CUDA:
         return Family.MANISKILL_CUDA
-    return Family.MANISKILL if chosen.obs_mode == "state" else Family.MANISKILL_PICTURES
+    return Family.MANISKILL_PICTURES if needs_driver(env_id, chosen) else Family.MANISKILL
+
+
+def needs_driver(env_id: str, chosen: ManiSkillSettings) -> bool:
+    """Return whether an environment needs a Vulkan driver: for its pictures, or to be made at all."""
+    return chosen.obs_mode != "state" or env_id.removeprefix(PREFIX) in _MADE_OF_DRAWN_SHAPES
 
 
 def _described(env_id: str) -> Described:

@@ -24,7 +24,7 @@ from ..tasks.ending import EndReason
 from ..tasks.options import RNG_SEED, refuse_unknown, seeded_generator
 from ..tasks.settings import settings_from
 from .catalogue import catalogue
-from .definition import CPU, PREFIX, ManiSkillSettings, definition_of
+from .definition import CPU, PREFIX, ManiSkillSettings, definition_of, needs_driver
 from .observations import flattened, unbatched
 
 Observation = dict[str, NDArray[Any]]
@@ -242,9 +242,10 @@ def _made(name: str, settings: ManiSkillSettings) -> Any:
             f"torch {torch.__version__} finds none. Run it where both are there."
         )
     has_renderer = has_driver()
-    if settings.obs_mode != "state" and not has_renderer:
+    is_drawn = needs_driver(name, settings)
+    if is_drawn and not has_renderer:
         raise ManiSkillMissing(
-            f"{PREFIX}{name} with obs_mode {settings.obs_mode} needs pictures, and SAPIEN finds no Vulkan driver. "
+            f"{PREFIX}{name} with obs_mode {settings.obs_mode} is drawn, and SAPIEN finds no Vulkan driver. "
             "Install NVIDIA's driver, or Mesa 24.3 or newer: `apt-get install mesa-vulkan-drivers` on Debian 13 and "
             "Ubuntu 24.04, `apt-get install -t bookworm-backports mesa-vulkan-drivers` on Debian 12."
         )
@@ -255,7 +256,7 @@ def _made(name: str, settings: ManiSkillSettings) -> Any:
         obs_mode=settings.obs_mode,
         control_mode=settings.control_mode,
         sim_backend=settings.sim_backend,
-        render_backend="none" if settings.obs_mode == "state" else "cpu" if on_cpu else "gpu",
+        render_backend="none" if not is_drawn else "cpu" if on_cpu else "gpu",
     ).unwrapped
     # Nothing is learned here; without gradients an env step takes a tenth less time, and the same bits.
     for method in ("reset", "step", "get_state"):
@@ -286,6 +287,10 @@ class _Material:
 
     def __init__(self, **values: Any) -> None:
         self.__dict__.update(values)
+
+    def set_base_color(self, value: Any) -> None:
+        """Keep a colour that nothing draws."""
+        self.base_color = value
 
 
 def _do_without_materials() -> None:

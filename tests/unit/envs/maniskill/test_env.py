@@ -263,13 +263,26 @@ def test_results_of_both_backends_have_provenances_of_their_own(fake: FakePickCu
     assert pick_cube().mesh_hash() in hashes
 
 
+def test_a_material_without_a_driver_takes_a_colour(monkeypatch: pytest.MonkeyPatch) -> None:
+    """PlugCharger-v1 and PullCubeTool-v1 give theirs one after making it."""
+    render = SimpleNamespace(RenderMaterial=object())
+    monkeypatch.setitem(sys.modules, "sapien", SimpleNamespace(render=render))
+    monkeypatch.setitem(sys.modules, "sapien.render", render)
+    adapter._do_without_materials()
+    material = render.RenderMaterial(roughness=0.5)
+    material.set_base_color([1, 0, 0, 1])
+    assert (material.roughness, material.base_color) == (0.5, [1, 0, 0, 1])
+
+
 def test_pictures_without_a_driver_are_refused_with_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("mani_skill", "mani_skill.envs", "torch"):
         monkeypatch.setitem(sys.modules, name, SimpleNamespace(set_num_threads=lambda count: None))
     monkeypatch.setattr(adapter, "missing_packages", tuple)
     monkeypatch.setattr(adapter, "has_driver", lambda: False)
-    with pytest.raises(ManiSkillMissing, match=r"obs_mode rgb needs pictures, .* Mesa 24.3 or newer"):
+    with pytest.raises(ManiSkillMissing, match=r"obs_mode rgb is drawn, .* Mesa 24.3 or newer"):
         pick_cube(settings={"obs_mode": "rgb"})
+    with pytest.raises(ManiSkillMissing, match=r"PushT-v1 with obs_mode state is drawn"):
+        ManiSkillEnv("ManiSkill/PushT-v1", max_steps=5)
 
 
 def test_the_adapter_is_imported_without_maniskill() -> None:

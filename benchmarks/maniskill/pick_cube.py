@@ -1,8 +1,8 @@
 """Measures the evaluation of PickCube-v1 by state, and its env steps beside those of bare ManiSkill.
 
-Run it as `python benchmarks/maniskill.py [--episodes 100] [--workers 2] [--rounds 20] [--json FILE]` where the extra
-maniskill is installed. Episodes are played in the sandbox and bare, with the same actions, in turns: the ratio of their
-times holds on a busy machine, too.
+Run it as `python benchmarks/maniskill/pick_cube.py [--episodes 100] [--workers 2] [--rounds 20] [--json FILE]` where
+the extra maniskill is installed. Episodes are played in the sandbox and bare, with the same actions, in turns: the
+ratio of their times holds on a busy machine, too.
 """
 
 import argparse
@@ -22,7 +22,7 @@ from vitac.evaluator.evaluation.local import evaluate
 from vitac.evaluator.submission.staging import staged
 from vitac.evaluator.tracks import find_task
 
-EXAMPLE = Path(__file__).parents[1] / "examples" / "maniskill"
+EXAMPLE = Path(__file__).parents[2] / "examples" / "maniskill"
 TASK = "pick-cube"
 
 
@@ -55,7 +55,7 @@ class TimedResets:
         """Return what the environment has of that name."""
         return getattr(self._env, name)
 
-    def reset(self, *, options: Mapping[str, object]) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    def reset(self, *, options: Mapping[str, object]) -> tuple[Mapping[str, NDArray[Any]], dict[str, Any]]:
         """Start an episode."""
         started = perf_counter()
         begun = self._env.reset(options=options)
