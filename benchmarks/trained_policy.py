@@ -55,9 +55,9 @@ def fresh_starts(seed: int, count: int) -> Iterator[Mapping[str, Any]]:
     return ({"rng_seed": (stream(seed, Use.REPORT), number)} for number in range(count))
 
 
-def public_starts() -> Iterator[Mapping[str, Any]]:
+def public_starts(task: str = TASK) -> Iterator[Mapping[str, Any]]:
     """Give the reset options of the public list."""
-    return (episode.options for episode in load_track("track_1").tasks[TASK].episodes)
+    return (episode.options for episode in load_track("track_1").tasks[task].episodes)
 
 
 class KnowsTruth:

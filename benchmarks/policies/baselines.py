@@ -1,0 +1,97 @@
+"""Plays every baseline of Track 1 from fresh random starts and on the public list, and writes `baselines.md`.
+
+PYTHONPATH=benchmarks python benchmarks/policies/baselines.py [--starts 300] [--seed 1] [--out benchmarks/baselines.md]
+
+Fresh starts are those of the stream for reports, which no baseline learned from. Policies play in this process; the
+official score of the public list is that of `vitac evaluate`, in the sandbox.
+"""
+
+import argparse
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from runpy import run_path
+from typing import Any
+
+from trained_policy import figures, fresh_starts, public_starts
+from vitac.evaluator.episodes.episode import make_environment
+from vitac.evaluator.tracks import load_track
+from vitac.training.streams import Use, stream
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+BASELINES = {
+    "peg-insertion": ("peg_insertion_trained", "peg_insertion_heuristic"),
+    "lock-opening": ("lock_opening_heuristic",),
+}
+HEAD = """# Baselines
+
+Written by `PYTHONPATH=benchmarks python benchmarks/policies/baselines.py`; successes in % with 95 % intervals (Wilson), env steps of successes, and
+the CPU time of an episode with its policy and physics, on the machine that wrote it. Fresh starts are random ones that no baseline learned from (stream {stream}).
+
+| task | baseline | {starts} fresh starts | env steps | public list | env steps | CPU ms per episode |
+|---|---|---|---|---|---|---|
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """A baseline's figures.
+
+    Attributes:
+        task: of the list.
+        name: of the example's folder.
+        fresh: figures from fresh starts.
+        public: figures of the public list.
+        cpu_s: of all these episodes.
+    """
+
+    task: str
+    name: str
+    fresh: Mapping[str, Any]
+    public: Mapping[str, Any]
+    cpu_s: float
+
+
+def main() -> None:
+    """Play all baselines and write the table."""
+    parser = argparse.ArgumentParser(description="all baselines of Track 1")
+    parser.add_argument("--starts", type=int, default=300)
+    parser.add_argument("--seed", type=int, default=1, help="of the stream of fresh starts")
+    parser.add_argument("--out", type=Path, default=Path(__file__).parents[1] / "baselines.md")
+    chosen = parser.parse_args()
+    rows = [row for task in BASELINES for row in rows_of(task, chosen.seed, chosen.starts)]
+    head = HEAD.format(stream=stream(chosen.seed, Use.REPORT), starts=chosen.starts)
+    chosen.out.write_text(head + "".join(line(row) for row in rows))
+
+
+def rows_of(task: str, seed: int, starts: int) -> list[Row]:
+    """Return the figures of all baselines of a task."""
+    env: Any = make_environment(load_track("track_1").tasks[task])
+    rows = []
+    for name in BASELINES[task]:
+        policy = run_path(str(EXAMPLES / name / "Track_1" / "policy.py"))["Policy"]()
+        began = time.process_time()
+        fresh = figures(env, policy, fresh_starts(seed, starts))
+        public = figures(env, policy, public_starts(task))
+        rows.append(Row(task=task, name=name, fresh=fresh, public=public, cpu_s=time.process_time() - began))
+    return rows
+
+
+def line(row: Row) -> str:
+    """Return the line of the table."""
+    episodes = row.fresh["episodes"] + row.public["episodes"]
+    cells = [row.task, row.name]
+    for found in (row.fresh, row.public):
+        cells += [percent(found), f"{found['mean_steps']:.2f}" if found["successes"] else "-"]
+    return f"| {' | '.join(cells)} | {1000 * row.cpu_s / episodes:.0f} |\n"
+
+
+def percent(found: Mapping[str, Any]) -> str:
+    """Return a rate with its interval."""
+    low, high = 100 * found["interval"]["low"], 100 * found["interval"]["high"]
+    return f"{100 * found['success_rate']:.1f} [{low:.1f}, {high:.1f}]"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,80 @@
+"""The table of baselines: written by a command, which counts what it says it counts."""
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from policies.baselines import BASELINES, EXAMPLES, HEAD, Row, line, percent
+from trained_policy import figures, fresh_starts, played, public_starts
+from vitac.evaluator.scoring.score import rate
+from vitac.evaluator.tracks import load_track
+from vitac.training.streams import Use, stream
+
+
+class Counting:
+    """An environment whose episode ends after as many env steps as its start says, well if they are few."""
+
+    def reset(self, *, options: Any) -> Any:
+        self.left = self.wanted = 1 + options["rng_seed"][1] % 4
+        self.task_scene = SimpleNamespace(shape="ab"[self.wanted % 2])
+        return {}, {"end_reason": None}
+
+    def step(self, action: np.ndarray) -> Any:
+        self.left -= 1
+        end = None if self.left else "success" if self.wanted < 3 else "tactile"
+        return {}, 0.0, False, False, {"end_reason": end, "steps": self.wanted}
+
+
+class Still:
+    """Does nothing."""
+
+    def reset(self, task: str) -> None:
+        assert task == "peg-insertion"
+
+    def act(self, observation: Any) -> np.ndarray:
+        return np.zeros(3, dtype=np.float32)
+
+
+def test_figures_count_successes_ends_and_shapes() -> None:
+    found = figures(Counting(), Still(), fresh_starts(1, 8))
+    assert (found["successes"], found["episodes"], found["mean_steps"]) == (4, 8, 1.5)
+    assert found["ends"] == {"success": 4, "tactile": 4}
+    assert {shape: rows["episodes"] for shape, rows in found["by_shape"].items()} == {"a": 4, "b": 4}
+    assert played(Counting(), Still(), {"rng_seed": (0, 3)}) == {"shape": "a", "end": "tactile", "env_steps": 4}
+
+
+def test_fresh_starts_are_those_that_nothing_was_learned_from() -> None:
+    assert [start["rng_seed"] for start in fresh_starts(2, 3)] == [
+        (stream(2, Use.REPORT), number) for number in range(3)
+    ]
+
+
+@pytest.mark.parametrize(("task", "count"), [("peg-insertion", 270), ("lock-opening", 160)])
+def test_public_starts_are_the_whole_list(task: str, count: int) -> None:
+    starts = list(public_starts(task))
+    assert len(starts) == count
+    assert starts[0] == load_track("track_1").tasks[task].episodes[0].options
+
+
+def test_every_baseline_is_an_example_of_a_task() -> None:
+    for task, names in BASELINES.items():
+        assert task in load_track("track_1").tasks
+        assert all((EXAMPLES / name / "Track_1" / "policy.py").exists() for name in names)
+
+
+def test_line_has_the_rates_with_intervals_and_the_cost() -> None:
+    fresh = rate(150, 300).model_dump() | {"mean_steps": 4.25}
+    public = rate(0, 100).model_dump() | {"mean_steps": 0.0}
+    row = Row(task="peg-insertion", name="none", fresh=fresh, public=public, cpu_s=20.0)
+    assert line(row) == f"| peg-insertion | none | {percent(fresh)} | 4.25 | {percent(public)} | - | 50 |\n"
+    assert percent(fresh).startswith("50.0 [44.")
+
+
+def test_table_in_the_repository_has_every_baseline(repository: Path) -> None:
+    written = (repository / "benchmarks" / "baselines.md").read_text()
+    assert written.startswith(HEAD.format(stream=stream(1, Use.REPORT), starts=300))
+    rows = [row.split(" | ") for row in written.splitlines() if row.startswith(("| peg", "| lock"))]
+    named = [(row[0].removeprefix("| "), row[1]) for row in rows]
+    assert named == [(task, name) for task, names in BASELINES.items() for name in names]
