@@ -209,7 +209,7 @@ def addresses_of(services: Services) -> tuple[dict[str, str], dict[str, str], di
         "board": f"/tracks/{TRACK}",
         "board of a task": f"/tracks/{TRACK}?task={task}",
         "logs": f"/tracks/{TRACK}/logs",
-        "home": "/",
+        "front page": "/",
         "submissions": "/submissions",
         "submission": f"/submissions/{submission}",
         "submission of a log": f"/submissions/{log}",

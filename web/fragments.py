@@ -1,16 +1,18 @@
-"""Parts of pages as they were last rendered, the last ones asked for. Held by `site`."""
+"""Parts of pages as they were last rendered or read. Held by `site`."""
 
 from __future__ import annotations
 
 from collections.abc import Hashable
-from typing import TYPE_CHECKING
+from time import monotonic
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 from markupsafe import Markup
 from vitac.server.kept import Kept
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Awaitable, Callable
 
+ValueT = TypeVar("ValueT")
 MAX_KEPT = 8192
 """Rows of boards are about 1 kB each."""
 
@@ -24,3 +26,23 @@ class Fragments:
     def get(self, key: Hashable, make: Callable[[], str]) -> Markup:
         """Return the part under a key, which names all that it depends on; rendered only where it is not kept."""
         return self._kept.get(key, lambda: Markup(make()))  # noqa: S704 - a rendered template, whose values are escaped
+
+
+class Recent(Generic[ValueT]):
+    """Something that many ask for and that may be some seconds old.
+
+    Args:
+        kept_s: from then on it is read anew, perhaps by several requests at once [s].
+    """
+
+    def __init__(self, *, kept_s: float) -> None:
+        self._kept_s = kept_s
+        self._read: tuple[float, ValueT] | None = None
+
+    async def get(self, read: Callable[[], Awaitable[ValueT]]) -> ValueT:
+        """Return it as it was read last, or read it."""
+        found = self._read
+        if found is None or monotonic() - found[0] >= self._kept_s:
+            found = (monotonic(), await read())
+            self._read = found
+        return found[1]

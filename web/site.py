@@ -16,7 +16,7 @@ from vitac.server.api.conditional import answer
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.kept import Kept
 
-from .fragments import Fragments
+from .fragments import Fragments, Recent
 from .rendering import render
 from .session.signer import COOKIE
 
@@ -27,12 +27,15 @@ if TYPE_CHECKING:
     from starlette.responses import Response
 
     from .data.protocol import PageData, Visitor
+    from .pages.contest.home import Front
     from .pages.episodes.map import EpisodeMap
     from .session.signer import SessionSigner
 
     Page = Callable[[Request], Awaitable[Response]]
 
 HTML = "text/html"
+FRONT_KEPT_S = 5.0
+"""The front page is asked for most, and reads the boards of all tracks."""
 MAX_PLOTS = 256
 """Those of an evaluation or a board have up to 200 kB."""
 MAX_MAPS = 128
@@ -47,11 +50,12 @@ class Site:
         data: data of the pages.
         signer: signs the sessions.
         version: the distribution's version, shown in the footer.
-        tracks: names of the tracks, the first one is the home page.
+        tracks: names of the tracks; the navigation leads to the first one.
         public_url: address that people use; None: that of the request.
         fragments: parts of pages as they were last rendered.
         plots: of evaluations and boards.
         maps: of episodes of complete evaluations.
+        front: what the front page shows.
         previews: pictures that links to submissions are shown with.
     """
 
@@ -63,6 +67,7 @@ class Site:
     fragments: Fragments = field(default_factory=Fragments)
     plots: Fragments = field(default_factory=lambda: Fragments(at_most=MAX_PLOTS))
     maps: Kept[Hashable, EpisodeMap] = field(default_factory=lambda: Kept(at_most=MAX_MAPS))
+    front: Recent[Front] = field(default_factory=lambda: Recent(kept_s=FRONT_KEPT_S))
     previews: Kept[str, bytes] = field(default_factory=lambda: Kept(at_most=MAX_PLOTS))
 
     def address(self, request: Request) -> str:
@@ -193,7 +198,7 @@ def page(
 
 def navigation(site: Site, viewer: Viewer | None) -> tuple[tuple[str, str], ...]:
     """Return targets and labels of the navigation."""
-    links = [("/", "Leaderboard"), (f"/tracks/{site.tracks[0]}/rules", "Rules")]
+    links = [(f"/tracks/{site.tracks[0]}", "Leaderboard"), (f"/tracks/{site.tracks[0]}/rules", "Rules")]
     if viewer is not None:
         links.append(("/submissions", "Submissions"))
         if viewer.visitor.has_team:

@@ -372,3 +372,18 @@ def test_focus_in_a_map_outlives_an_update(site: SiteUnderTest, page: Page) -> N
     site.data.found[:] = [more if found.name == "runs" else found for found in site.data.found]
     expect(page.get_by_text("150 of 270")).to_be_visible()
     assert page.evaluate("document.activeElement.getAttribute('href')") == href
+
+
+def test_the_front_page_loads_the_player_when_somebody_wants_to_play(page: Page, site: SiteUnderTest) -> None:
+    asked: list[str] = []
+    page.on("request", lambda request: asked.append(request.url))
+    site.open(page, "/")
+    expect(page.locator("img.still")).to_be_visible()
+    page.wait_for_load_state("networkidle")
+    assert not any("playback" in url for url in asked)
+    page.get_by_role("button", name="Play it in 3D").click()
+    expect(page.locator("canvas.scene")).to_be_visible()
+    expect(page.get_by_role("button", name="Pause")).to_be_focused()
+    expect(page.get_by_role("button", name="Play it in 3D")).to_have_count(0)
+    expect(page.locator("form.transport output")).not_to_have_text(re.compile(r"^0\.0 of"))
+    assert Axe().run(page, options={"runOnly": WCAG}).response["violations"] == []

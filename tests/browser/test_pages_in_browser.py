@@ -70,7 +70,7 @@ def test_dark_and_light_are_different(browser: Browser, site: SiteUnderTest) -> 
     for scheme in ("light", "dark"):
         context = browser.new_context(color_scheme=scheme)
         page = context.new_page()
-        site.open(page, "/")
+        site.open(page, "/tracks/track_1")
         colours.append(page.evaluate("getComputedStyle(document.body).backgroundColor"))
         context.close()
     light, dark = (sum(int(part) for part in re.findall(r"\d+", colour)[:3]) for colour in colours)
@@ -127,7 +127,7 @@ def test_everything_works_without_javascript(browser: Browser, site: SiteUnderTe
 def test_each_task_has_a_leaderboard_one_link_away(browser: Browser, site: SiteUnderTest) -> None:
     context = browser.new_context(java_script_enabled=False)
     page = context.new_page()
-    site.open(page, "/")
+    site.open(page, "/tracks/track_1")
     boards = page.get_by_role("navigation", name="Leaderboards of this track")
     expect(boards.get_by_role("link", name="All tasks")).to_have_attribute("aria-current", "page")
     boards.get_by_role("link", name="Peg insertion").click()
@@ -139,7 +139,7 @@ def test_each_task_has_a_leaderboard_one_link_away(browser: Browser, site: SiteU
 
 
 def test_the_keyboard_reaches_the_content_first(page: Page, site: SiteUnderTest) -> None:
-    site.open(page, "/")
+    site.open(page, "/tracks/track_1")
     page.keyboard.press("Tab")
     expect(page.get_by_role("link", name="Skip to the content")).to_be_focused()
     page.keyboard.press("Enter")
@@ -147,14 +147,14 @@ def test_the_keyboard_reaches_the_content_first(page: Page, site: SiteUnderTest)
 
 
 def test_focus_is_visible(page: Page, site: SiteUnderTest) -> None:
-    site.open(page, "/")
+    site.open(page, "/tracks/track_1")
     for _ in range(3):
         page.keyboard.press("Tab")
     assert page.evaluate("getComputedStyle(document.activeElement).outlineStyle") == "solid"
 
 
 def test_scripts_of_others_are_refused_by_the_policy(page: Page, site: SiteUnderTest) -> None:
-    site.open(page, "/")
+    site.open(page, "/tracks/track_1")
     page.evaluate(
         "() => { const script = document.createElement('script');"
         " script.textContent = 'window.injected = true'; document.body.append(script); }"
@@ -165,7 +165,7 @@ def test_scripts_of_others_are_refused_by_the_policy(page: Page, site: SiteUnder
 def test_a_leaderboard_row_keeps_its_table_meaning_on_a_phone(browser: Browser, site: SiteUnderTest) -> None:
     context = browser.new_context(viewport=PHONE)  # type: ignore[arg-type]
     page = context.new_page()
-    site.open(page, "/")
+    site.open(page, "/tracks/track_1")
     row = page.get_by_role("row").filter(has=page.get_by_role("rowheader", name="Tactile Bears"))
     expect(row.get_by_role("cell")).to_have_count(6)
     expect(row).to_contain_text("241 of 270")

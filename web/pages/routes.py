@@ -10,7 +10,7 @@ from starlette.staticfiles import StaticFiles
 from ..headers import SecurityHeaders
 from ..rendering import STATIC
 from . import documentation, downloads, errors, operations, sandbox, sensors, submissions, tracks
-from .contest import archive, competition, receipts
+from .contest import archive, competition, home, receipts
 from .episodes import page as episodes
 from .people import appeals, desk, messages, team
 from .team import comparison, output, register, sharing, sign_in, upload
@@ -52,7 +52,8 @@ def install(app: FastAPI, site: Site) -> None:
 def _router() -> APIRouter:
     router = APIRouter()
     for path, page, method in (
-        ("/", tracks.home, "GET"),
+        ("/", home.home, "GET"),
+        ("/example/playback/scene", home.example, "GET"),
         ("/tracks/{track}", tracks.leaderboard, "GET"),
         ("/tracks/{track}/leaderboard.csv", downloads.leaderboard, "GET"),
         ("/tracks/{track}/logs", tracks.logs, "GET"),

@@ -93,11 +93,6 @@ class Cell:
     notes: tuple[str, ...] = ()
 
 
-async def home(request: Request) -> Response:
-    """Show the leaderboard of the first track."""
-    return await _leaderboard(request, site_of(request).tracks[0])
-
-
 async def leaderboard(request: Request) -> Response:
     """Show the leaderboard of a track, or with `?task=` and `?stage=` that of a task or stage."""
     return await _leaderboard(request, request.path_params["track"])
@@ -116,7 +111,7 @@ async def logs(request: Request) -> Response:
         request,
         "logs.html",
         viewer=viewer,
-        section="/" if track.name == site.tracks[0] else "",
+        section=f"/tracks/{track.name}",
         track=track,
         tabs=tabs(track, None, logs=True, stage=stage),
         found=found,
@@ -238,7 +233,7 @@ async def _leaderboard(request: Request, name: str) -> Response:
         request,
         "leaderboard.html",
         viewer=viewer,
-        section="/" if name == site.tracks[0] else "",
+        section=f"/tracks/{name}",
         board=board,
         query=query,
         shown=shown,

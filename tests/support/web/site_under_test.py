@@ -22,6 +22,7 @@ class SiteUnderTest:
         submissions = [self.path_of(submission.name) for submission in self.data.found]
         return [
             "/",
+            "/tracks/track_1",
             f"/tracks/track_1?task={TASK}",
             "/tracks/track_1/logs",
             "/tracks/track_1/rules",

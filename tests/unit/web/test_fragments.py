@@ -1,5 +1,9 @@
+import asyncio
+
+import pytest
 from markupsafe import Markup
-from vitac.web.fragments import Fragments
+from vitac.web import fragments as module
+from vitac.web.fragments import Fragments, Recent
 
 
 def test_a_part_is_rendered_once_for_a_key() -> None:
@@ -22,3 +26,25 @@ def test_a_part_stands_in_a_page_as_it_was_rendered() -> None:
 def test_two_sites_share_no_parts() -> None:
     assert Fragments().get("row", lambda: "one") == "one"
     assert Fragments().get("row", lambda: "two") == "two"
+
+
+def test_what_many_ask_for_is_read_again_after_a_while_and_not_kept_where_reading_failed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    now = 100.0
+    reads: list[int] = []
+    monkeypatch.setattr(module, "monotonic", lambda: now)
+    recent: Recent[int] = Recent(kept_s=5.0)
+
+    async def read() -> int:
+        if now == 105.0 and len(reads) == 1:
+            reads.append(0)
+            raise OSError("gone")
+        reads.append(len(reads))
+        return len(reads)
+
+    assert [asyncio.run(recent.get(read)) for _ in range(3)] == [1, 1, 1]
+    now = 105.0
+    with pytest.raises(OSError, match="gone"):
+        asyncio.run(recent.get(read))
+    assert asyncio.run(recent.get(read)) == 3

@@ -1,1 +1,1 @@
-"""Pages of the competition."""
+"""The front page, and pages of the competition."""

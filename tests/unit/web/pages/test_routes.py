@@ -72,7 +72,7 @@ def test_static_files_are_kept_for_ever_under_their_digest_only(browser: AsgiBro
 def test_times_are_utc_and_machine_readable(data: FixedData, browser: AsgiBrowser) -> None:
     data.board = a_leaderboard(an_entry(1, "Bears", a_score((84, 80, 77), 4.31)))
     submitted = (NOW - timedelta(hours=3)).strftime("%Y-%m-%dT%H:%M:%SZ")
-    assert f'datetime="{submitted}"' in browser.get("/").text
+    assert f'datetime="{submitted}"' in browser.get("/tracks/track_1").text
 
 
 def test_head_requests_are_answered(browser: AsgiBrowser) -> None:

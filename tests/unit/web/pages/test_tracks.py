@@ -17,9 +17,9 @@ BEARS_PEG, BEARS_LOCK = a_score((84, 80, 77), 4.31), a_score((40, 38, 2, 0), 11.
 GELBOTS_PEG = a_score((20, 11, 9), 6.02)
 
 
-def test_home_ranks_all_tasks_together_and_shows_each(data: FixedData, browser: AsgiBrowser) -> None:
+def test_the_board_ranks_all_tasks_together_and_shows_each(data: FixedData, browser: AsgiBrowser) -> None:
     data.board = a_leaderboard(an_entry(1, "Bears", BEARS_PEG, BEARS_LOCK), an_entry(2, "Gelbots", GELBOTS_PEG))
-    html = browser.get("/").text.replace("\N{NO-BREAK SPACE}", " ")
+    html = browser.get("/tracks/track_1").text.replace("\N{NO-BREAK SPACE}", " ")
     for shown in (
         "69.6 %",
         "65.2 % to 73.8 %",
@@ -37,7 +37,7 @@ def test_home_ranks_all_tasks_together_and_shows_each(data: FixedData, browser: 
 
 def test_a_task_has_a_leaderboard_of_its_own_with_rates_by_shape(data: FixedData, browser: AsgiBrowser) -> None:
     data.task_boards[TASK] = a_leaderboard(an_entry(1, "Bears", BEARS_PEG, BEARS_LOCK, task=TASK), task=TASK)
-    assert f'href="/tracks/track_1?task={TASK}"' in browser.get("/").text
+    assert f'href="/tracks/track_1?task={TASK}"' in browser.get("/tracks/track_1").text
     html = browser.get(f"/tracks/track_1?task={TASK}").text.replace("\N{NO-BREAK SPACE}", " ")
     for shown in ("Trapezoid", "85.0 % to 92.4 %, 241 of 270", "4.31", "93.3 %", "<dd>270</dd>"):
         assert shown in html
@@ -46,13 +46,13 @@ def test_a_task_has_a_leaderboard_of_its_own_with_rates_by_shape(data: FixedData
     assert browser.get("/tracks/track_1?task=nothing").status_code == 404
 
 
-def test_home_says_so_while_nothing_is_evaluated(browser: AsgiBrowser) -> None:
-    assert "No complete evaluation yet" in browser.get("/").text
+def test_the_board_says_so_while_nothing_is_evaluated(browser: AsgiBrowser) -> None:
+    assert "No complete evaluation yet" in browser.get("/tracks/track_1").text
 
 
 def test_entry_of_another_evaluator_version_has_no_rank(data: FixedData, browser: AsgiBrowser) -> None:
     data.board = a_leaderboard(an_entry(None, "Old Team", a_score((84, 80, 77), 4.31)))
-    html = browser.get("/").text
+    html = browser.get("/tracks/track_1").text
     assert "evaluator 1+ba9876543210, not ranked" in html
     assert "<dt>Teams ranked</dt><dd>0</dd>" in html
 
@@ -61,21 +61,21 @@ def test_a_public_page_that_a_browser_has_is_not_sent_again_until_it_changes(
     data: FixedData, browser: AsgiBrowser
 ) -> None:
     data.board = a_leaderboard(an_entry(1, "Bears", a_score((84, 80, 77), 4.31)))
-    tag = browser.get("/").headers["etag"]
-    assert browser.get("/", headers={"If-None-Match": tag}).status_code == 304
+    tag = browser.get("/tracks/track_1").headers["etag"]
+    assert browser.get("/tracks/track_1", headers={"If-None-Match": tag}).status_code == 304
     data.board = a_leaderboard(an_entry(1, "Wolves", a_score((84, 80, 77), 4.31)))
-    changed = browser.get("/", headers={"If-None-Match": tag})
+    changed = browser.get("/tracks/track_1", headers={"If-None-Match": tag})
     assert (changed.status_code, "Wolves" in changed.text, "Bears" in changed.text) == (200, True, False)
 
 
 def test_an_entry_without_success_has_no_mean_steps(data: FixedData, browser: AsgiBrowser) -> None:
     data.board = a_leaderboard(an_entry(1, "Bears", a_score((0, 0, 0), None)))
-    assert "–" in browser.get("/").text
+    assert "–" in browser.get("/tracks/track_1").text
 
 
 def test_team_names_are_escaped(data: FixedData, browser: AsgiBrowser) -> None:
     data.board = a_leaderboard(an_entry(1, "<b>Bears</b>", a_score((1, 0, 0), 4.0)))
-    html = browser.get("/").text
+    html = browser.get("/tracks/track_1").text
     assert "&lt;b&gt;Bears" in html
     assert "<b>Bears" not in html
 
@@ -83,13 +83,13 @@ def test_team_names_are_escaped(data: FixedData, browser: AsgiBrowser) -> None:
 def test_submission_is_linked_for_its_own_team_only(data: FixedData, browser: AsgiBrowser) -> None:
     data.board = a_leaderboard(an_entry(1, "Bears", a_score((84, 80, 77), 4.31)))
     link = f'href="/submissions/{an_id("Bears/policy")}"'
-    assert link not in browser.get("/").text
+    assert link not in browser.get("/tracks/track_1").text
     sign_in(browser, "Gelbots")
-    assert link not in browser.get("/").text
+    assert link not in browser.get("/tracks/track_1").text
     sign_in(browser, "Bears")
-    assert link in browser.get("/").text
+    assert link in browser.get("/tracks/track_1").text
     sign_in(browser, "organizers")
-    assert link in browser.get("/").text
+    assert link in browser.get("/tracks/track_1").text
 
 
 def test_rules_show_the_track_file_and_the_limits(browser: AsgiBrowser) -> None:
@@ -125,13 +125,13 @@ def test_logs_of_a_track_rank_apart_and_text_logs_stand_beside_their_claims(brow
 
 
 def test_leaderboard_says_that_episodes_of_a_public_list_can_be_recognised(browser: AsgiBrowser) -> None:
-    html = browser.get("/").text
+    html = browser.get("/tracks/track_1").text
     assert "<dt>Episode list</dt><dd>public</dd>" in html
     assert "can recognise its episodes by their first observation" in html
 
 
 def test_leaderboard_leads_to_the_logs(browser: AsgiBrowser) -> None:
-    assert '<a href="/tracks/track_1/logs">Logs</a>' in browser.get("/").text
+    assert '<a href="/tracks/track_1/logs">Logs</a>' in browser.get("/tracks/track_1").text
 
 
 def test_rules_of_track_2_show_keys_shapes_actions_limits_and_a_picture_of_the_camera(browser: AsgiBrowser) -> None:
@@ -216,7 +216,7 @@ def test_every_track_is_reached_from_the_leaderboard_and_the_rules_of_another() 
 
 
 def test_a_single_track_needs_no_links_to_tracks(browser: AsgiBrowser) -> None:
-    assert 'aria-label="Tracks"' not in browser.get("/").text
+    assert 'aria-label="Tracks"' not in browser.get("/tracks/track_1").text
 
 
 def test_a_stage_is_kept_by_all_links_of_its_board(data: FixedData, browser: AsgiBrowser) -> None:
