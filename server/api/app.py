@@ -13,7 +13,7 @@ from vitac.server.services import Services, open_services
 from vitac.server.settings import Settings
 
 from ..limiter import ConcurrencyLimiter, SignInLimiters, WindowLimiter
-from . import health, metrics, problems, receipts, submissions, teams, tracks
+from . import health, judging, metrics, problems, receipts, submissions, teams, tracks
 from .middleware.body_limit import BodyLimit
 from .middleware.request_head import RequestHead
 from .middleware.request_times import RequestTimes
@@ -96,6 +96,7 @@ def create_app(
         appeals.router,
         submissions.router,
         receipts.router,
+        judging.router,
         uploads.router,
         tracks.router,
     ):

@@ -31,6 +31,7 @@ _WORDS: Mapping[RankingKey, str] = MappingProxyType(
         RankingKey.SUBMITTED_AT: "the earlier submission",
     }
 )
+_ROUNDING = 1e-9
 DEFAULT_RANKING = (RankingKey.SUCCESS_RATE, RankingKey.MEAN_STEPS, RankingKey.SUBMITTED_AT)
 
 
@@ -103,6 +104,41 @@ class Prize(StrictModel):
     note: str | None = None
 
 
+class Criterion(StrictModel):
+    """What judges give a mark for, from 0 to 10."""
+
+    name: Word
+    title: str
+
+
+class JudgingWeights(StrictModel):
+    """What counts how much in the total of a judged track; together 1. None were published for 2025: they are ours."""
+
+    success: float = Field(default=0.5, ge=0, le=1, description="Of the success rate.")
+    judges: float = Field(default=0.3, ge=0, le=1, description="Of the judges' mean mark, a tenth of it.")
+    figures: float = Field(default=0.2, ge=0, le=1, description="Of the sensor's figures, compared with the others'.")
+
+    @model_validator(mode="after")
+    def _is_whole(self) -> Self:
+        total = self.success + self.judges + self.figures
+        if abs(total - 1) > _ROUNDING:
+            raise ValueError(f"expected weights that make 1 together, got {total:g}")
+        return self
+
+
+class Judging(StrictModel):
+    """How a track is judged."""
+
+    criteria: tuple[Criterion, ...] = Field(min_length=1)
+    judges_at_least: PositiveInt = Field(default=2, description="Before that there is no total.")
+    weights: JudgingWeights = JudgingWeights()
+
+    @model_validator(mode="after")
+    def _criteria_have_names_of_their_own(self) -> Self:
+        _refuse_twice([criterion.name for criterion in self.criteria], "criterion name")
+        return self
+
+
 class CompetitionTrack(StrictModel):
     """A track in the competition. One that is not `taken_here` has a schedule and prizes only."""
 
@@ -112,6 +148,7 @@ class CompetitionTrack(StrictModel):
     ranking: tuple[RankingKey, ...] = DEFAULT_RANKING
     ties: str = "The earlier submission is in front."
     prizes: tuple[Prize, ...] = ()
+    judging: Judging | None = None
 
     @property
     def ranking_sentence(self) -> str | None:

@@ -7,6 +7,7 @@ from .accounts import ApiToken, AuditEntry, Invitation, Member, Team, TeamQuota
 from .base import Base
 from .competition import Competition, Qualification, Rejudgement, SealedList
 from .evaluations import ALL_TASKS, BoardResult, EpisodeDifference, EpisodeResult, Evaluation, LogCopy, Shard
+from .judging import JudgingConflict, JudgingMark
 from .notices import Notice, Webhook
 from .operations import MetricTotal, Worker
 from .people import Announcement, Appeal, AppealReplay, Question
@@ -28,6 +29,8 @@ __all__ = [
     "EpisodeResult",
     "Evaluation",
     "Invitation",
+    "JudgingConflict",
+    "JudgingMark",
     "LogCopy",
     "Member",
     "MetricTotal",

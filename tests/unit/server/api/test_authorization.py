@@ -33,6 +33,7 @@ EVERYBODY = frozenset(Who)
 SIGNED_IN = EVERYBODY - {Who.VISITOR}
 READERS = frozenset({Who.OWNER, Who.JUDGE, Who.ORGANIZER})
 CHANGERS = frozenset({Who.OWNER, Who.ORGANIZER})
+JUDGES = frozenset({Who.JUDGE, Who.ORGANIZER})
 TEAMS = frozenset({Who.OWNER, Who.OTHER})
 
 SUBMISSION = "/api/v1/submissions/{submission_id}"
@@ -94,6 +95,9 @@ MATRIX: dict[tuple[str, str], frozenset[Who]] = {
     ("get", f"{SUBMISSION}/receipts"): READERS,
     ("get", f"{SUBMISSION}/events"): READERS,
     ("put", f"{SUBMISSION}/public"): CHANGERS,
+    ("put", f"{SUBMISSION}/marks"): JUDGES,
+    ("post", "/api/v1/judging/conflicts"): JUDGES,
+    ("get", "/api/v1/judging/{track}"): frozenset({Who.ORGANIZER}),
     ("post", f"{SUBMISSION}/cancel"): CHANGERS,
     ("post", f"{SUBMISSION}/requeue"): frozenset({Who.ORGANIZER}),
     ("options", "/api/v1/uploads"): EVERYBODY,
@@ -236,6 +240,10 @@ def _as_organizer(who: Who) -> dict[str, str]:
     return {"team": "Team A"} if who is Who.ORGANIZER else {}
 
 
+def _named(who: Who) -> dict[str, str]:
+    return {"judge": "Prof. X"} if who is Who.ORGANIZER else {}
+
+
 Options = Callable[[Setting, Who], dict[str, Any]]
 BODIES: dict[tuple[str, str], Options] = {
     ("post", "/api/v1/teams"): lambda *_: {"json": {"name": f"Team {uuid4().hex[:12]}"}},
@@ -255,6 +263,10 @@ BODIES: dict[tuple[str, str], Options] = {
         "json": {"submission_id": setting.submission_id, "text": "Look again."}
     },
     ("put", f"{APPEAL}/ruling"): lambda *_: {"json": {"upheld": True, "text": "So."}},
+    ("put", f"{SUBMISSION}/marks"): lambda _, who: {"json": {"marks": {"clarity": 5.0}, **_named(who)}},
+    ("post", "/api/v1/judging/conflicts"): lambda _, who: {
+        "json": {"team": "Team A", "reason": "friends", **_named(who)}
+    },
     ("post", "/api/v1/tokens"): lambda *_: {"json": {"label": "new"}},
     ("post", "/api/v1/submissions"): lambda _, who: {
         "content": make_archive(),

@@ -1,0 +1,1 @@
+"""Judging: marks by rubric, conflicts of interest, totals."""

@@ -1,0 +1,279 @@
+"""Judges' marks by a track's rubric, conflicts of interest, and the scores that follow from marks and measurements.
+
+Only the weights and the rubric of the competition's file decide; none were published for 2025, so they are ours.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import isfinite
+from statistics import fmean, stdev
+from uuid import UUID
+
+from sqlalchemy import ColumnElement, delete, select
+from sqlalchemy.orm import Session
+from vitac.evaluator.figures.figures import SensorFigures
+from vitac.evaluator.tracks import load_track
+
+from ..accounts import teams
+from ..accounts.audit import record
+from ..accounts.principals import Principal
+from ..accounts.visibility import visible
+from ..competition.definition import Judging
+from ..competition.schedule import current, shown_stage
+from ..db.models import Competition, Evaluation, JudgingConflict, JudgingMark, Submission
+from ..db.states import Role
+from ..errors import ProblemCode, ServiceError
+from ..leaderboards.standings import leaderboard
+from ..submissions.figures import figures_of
+from ..views.leaderboards import LeaderboardEntryView
+
+BEST_MARK = 10.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class JudgedCriterion:
+    """What the judges think of one criterion. `spread` is the standard deviation, None of fewer than two marks."""
+
+    criterion: str
+    mean: float
+    spread: float | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class JudgedTeam:
+    """A team's best entry of a stage with its marks.
+
+    Attributes:
+        judges: who gave marks.
+        conflicts: judges who declared a conflict of interest with the team.
+        mark: mean of the judges' means; None without any.
+        spread: standard deviation of the judges' means; None of fewer than two.
+        figures: share of the other sensors that this one is better than, over all figures; None where not measured.
+        total: by the weights; None while something that it weighs is missing.
+    """
+
+    team: str
+    submission: UUID
+    success_rate: float
+    judges: tuple[str, ...]
+    conflicts: tuple[str, ...]
+    criteria: tuple[JudgedCriterion, ...]
+    mark: float | None
+    spread: float | None
+    figures: float | None
+    total: float | None
+
+
+def give_marks(
+    session: Session, by: Principal, submission_id: UUID, marks: Mapping[str, float], *, judge: str | None = None
+) -> None:
+    """Keep a judge's marks of a submission, in place of those that the judge gave before.
+
+    Args:
+        session: of the transaction.
+        by: a judge, or an organizer who writes down what a judge says.
+        submission_id: which one.
+        marks: from 0 to 10 for every criterion of the track.
+        judge: for an organizer: who gave them.
+
+    Raises:
+        ServiceError: not a judge or organizer, no such submission, its track is not judged, the competition is final,
+            a mark is missing or out of range, or the judge has a conflict of interest with the team.
+    """
+    name = _judge(by, judge)
+    submission = visible(session, by, submission_id)
+    _require_going_on(session)
+    rubric = rubric_of(session, submission.track)
+    _require_whole(rubric, marks)
+    conflict = session.get(JudgingConflict, (submission.team_id, name))
+    if conflict is not None:
+        raise ServiceError(
+            ProblemCode.FORBIDDEN,
+            f"{name} declared a conflict of interest with {submission.team.name}: {conflict.reason}. Somebody else "
+            "has to judge.",
+        )
+    before = _take_away(session, name, JudgingMark.submission_id == submission.id)
+    session.add_all(
+        JudgingMark(submission_id=submission.id, judge=name, criterion=criterion, mark=mark)
+        for criterion, mark in marks.items()
+    )
+    session.flush()
+    subject = f"submission:{submission.id}"
+    record(session, by, "judging.mark", subject, {"judge": name, "marks": dict(marks)}, before=before)
+
+
+def declare_conflict(session: Session, by: Principal, team: str, reason: str, *, judge: str | None = None) -> None:
+    """Note that a judge has a conflict of interest with a team; marks that the judge gave it before are taken away.
+
+    Args:
+        session: of the transaction.
+        by: a judge, or an organizer who writes it down.
+        team: name or id.
+        reason: in words.
+        judge: for an organizer: whose conflict it is.
+
+    Raises:
+        ServiceError: not a judge or organizer, no such team, or the competition is final.
+    """
+    name = _judge(by, judge)
+    _require_going_on(session)
+    found = teams.find(session, team)
+    mine = JudgingMark.submission_id.in_(select(Submission.id).where(Submission.team_id == found.id))
+    before = _take_away(session, name, mine)
+    row = session.get(JudgingConflict, (found.id, name))
+    if row is None:
+        session.add(JudgingConflict(team_id=found.id, judge=name, reason=reason))
+    else:
+        row.reason = reason
+    session.flush()
+    record(session, by, "judging.conflict", f"team:{found.id}", {"judge": name, "reason": reason}, before=before)
+
+
+def judged(session: Session, by: Principal, track: str, stage: str | None = None) -> list[JudgedTeam]:
+    """Return the teams on a stage's board with marks, figures and total; the best total first, those without one last.
+
+    Raises:
+        ServiceError: not an organizer, no such track or stage, or the track is not judged.
+    """
+    by.require_organizer()
+    rubric, of_stage = rubric_of(session, track), shown_stage(session, track, stage)
+    entries = leaderboard(session, track, stage=of_stage or None, live=True).view.entries
+    figures = percentiles({entry.submission_id: _figures(session, entry) for entry in entries})
+    found = [_judged(session, rubric, entry, figures[entry.submission_id]) for entry in entries]
+    return sorted(found, key=lambda team: (team.total is None, -(team.total or 0.0), team.team))
+
+
+def rubric_of(session: Session, track: str) -> Judging:
+    """Return how a track is judged.
+
+    Raises:
+        ServiceError: it is not.
+    """
+    competition = current(session)
+    rules = competition.tracks.get(track) if competition else None
+    if rules is None or rules.judging is None:
+        raise ServiceError(
+            ProblemCode.INVALID_REQUEST, f"{track} is not judged; give it `judging` in the competition's file."
+        )
+    return rules.judging
+
+
+def percentiles(figures: Mapping[UUID, SensorFigures | None]) -> dict[UUID, float | None]:
+    """Return for each sensor the share of the others that it is better than, as a mean over all figures.
+
+    An equal one counts half; of a single sensor it is 1. Figures: information of three pictures, motion of the markers
+    per newton (normal, shear), smallest shift of a pin that can be told apart, least success under a variation.
+    """
+    values = {submission: _values(found) for submission, found in figures.items() if found is not None}
+    return {
+        submission: _share(values[submission], [other for key, other in values.items() if key != submission])
+        if submission in values
+        else None
+        for submission in figures
+    }
+
+
+def _values(figures: SensorFigures) -> tuple[float, ...]:
+    """Return the figures, larger being better; one that was not measured is the worst."""
+    bits = figures.information.bits[-1] if figures.information else -1.0
+    least = min((each.success_rate for each in figures.robustness), default=-1.0)
+    touch = figures.touch
+    return (bits, touch.normal_px_n, touch.shear_px_n, -touch.pin_mm, least)
+
+
+def _share(own: Sequence[float], others: Sequence[Sequence[float]]) -> float:
+    if not others:
+        return 1.0
+    return fmean(
+        fmean(1.0 if mine > theirs else 0.5 if mine == theirs else 0.0 for mine, theirs in zip(own, other, strict=True))
+        for other in others
+    )
+
+
+def _figures(session: Session, entry: LeaderboardEntryView) -> SensorFigures | None:
+    evaluation = session.get_one(Evaluation, entry.evaluation_id)
+    if not load_track(evaluation.submission.track).has_sensor:
+        return None
+    return figures_of(session, evaluation.submission, evaluation)
+
+
+def _judged(session: Session, rubric: Judging, entry: LeaderboardEntryView, figures: float | None) -> JudgedTeam:
+    rows = session.scalars(select(JudgingMark).where(JudgingMark.submission_id == entry.submission_id)).all()
+    team_id = session.get_one(Submission, entry.submission_id).team_id
+    conflicts = session.scalars(select(JudgingConflict.judge).where(JudgingConflict.team_id == team_id)).all()
+    names = [criterion.name for criterion in rubric.criteria]
+    known = [row for row in rows if row.criterion in names]
+    by_judge = {
+        judge: fmean(row.mark for row in known if row.judge == judge) for judge in sorted({row.judge for row in known})
+    }
+    mark = fmean(by_judge.values()) if by_judge else None
+    return JudgedTeam(
+        team=entry.team,
+        submission=entry.submission_id,
+        success_rate=entry.success_rate,
+        judges=tuple(by_judge),
+        conflicts=tuple(sorted(conflicts)),
+        criteria=tuple(
+            _criterion(name, [row.mark for row in known if row.criterion == name]) for name in names if known
+        ),
+        mark=mark,
+        spread=_spread(list(by_judge.values())),
+        figures=figures,
+        total=_total(rubric, entry.success_rate, mark if len(by_judge) >= rubric.judges_at_least else None, figures),
+    )
+
+
+def _criterion(name: str, marks: Sequence[float]) -> JudgedCriterion:
+    return JudgedCriterion(criterion=name, mean=fmean(marks), spread=_spread(marks))
+
+
+def _spread(values: Sequence[float]) -> float | None:
+    return stdev(values) if len(values) > 1 else None
+
+
+def _total(rubric: Judging, success_rate: float, mark: float | None, figures: float | None) -> float | None:
+    weights = rubric.weights
+    if (mark is None and weights.judges) or (figures is None and weights.figures):
+        return None
+    measured = weights.success * success_rate + weights.figures * (figures or 0.0)
+    return measured + weights.judges * (mark or 0.0) / BEST_MARK
+
+
+def _judge(by: Principal, named: str | None) -> str:
+    """Return the name under which marks are kept: a judge's account, or whom the organizer names."""
+    if by.role is Role.JUDGE:
+        return by.account
+    by.require_organizer()
+    if not named:
+        raise ServiceError(ProblemCode.INVALID_REQUEST, "Name the judge who gave the marks.")
+    return named
+
+
+def _require_whole(rubric: Judging, marks: Mapping[str, float]) -> None:
+    names = [criterion.name for criterion in rubric.criteria]
+    if set(marks) != set(names):
+        raise ServiceError(
+            ProblemCode.INVALID_REQUEST,
+            f"Expected a mark for each of {', '.join(names)}, got {', '.join(sorted(marks)) or 'none'}.",
+        )
+    for name, mark in marks.items():
+        if not (isfinite(mark) and 0 <= mark <= BEST_MARK):
+            raise ServiceError(ProblemCode.INVALID_REQUEST, f"Expected a mark from 0 to 10 for {name}, got {mark:g}.")
+
+
+def _take_away(session: Session, judge: str, condition: ColumnElement[bool]) -> dict[str, object] | None:
+    """Remove marks of a judge and return them for the audit log; None where there are none."""
+    rows = session.execute(
+        delete(JudgingMark)
+        .where(JudgingMark.judge == judge, condition)
+        .returning(JudgingMark.submission_id, JudgingMark.criterion, JudgingMark.mark)
+    ).all()
+    return {"judge": judge, "marks": {f"{row[0]}/{row[1]}": row[2] for row in rows}} if rows else None
+
+
+def _require_going_on(session: Session) -> None:
+    row = session.get(Competition, 1)
+    if row is not None and row.finalized_at is not None:
+        raise ServiceError(
+            ProblemCode.COMPETITION_FINAL, f"{row.definition['title']} is final since {row.finalized_at:%F %T} UTC."
+        )

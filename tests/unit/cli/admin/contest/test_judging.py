@@ -1,0 +1,31 @@
+import json
+
+from cli_service import CliService
+from service_factories import TASK, TRACK, make_principal, make_score, submit_scored
+from vitac.server.errors import ServiceError
+
+from competitions import make_competition, open_now, put_in_place
+
+
+def test_an_organizer_writes_down_what_judges_say(service: CliService) -> None:
+    content = make_competition()
+    content["tracks"][TRACK]["judging"] = {
+        "criteria": [{"name": "clarity", "title": "The words"}],
+        "weights": {"success": 0.5, "judges": 0.5, "figures": 0},
+    }
+    with service.database.transaction() as session:
+        put_in_place(session, open_now(content))
+        submission = submit_scored(session, make_principal(session, "Ants"), "Ants", {TASK: make_score(80)})
+    shown = service.run("admin", "judging", "rubric", TRACK).stdout
+    assert "weights: success 0.5, judges 0.5, figures 0; at least 2 judges" in shown
+    for judge, mark in (("Prof. X", "8"), ("Dr. Y", "6.5")):
+        done = service.run("admin", "judging", "mark", str(submission.id), f"clarity={mark}", "--judge", judge)
+        assert done.exit_code == 0, done.exception
+    (team,) = json.loads(service.run("admin", "judging", "show", TRACK, "--json").stdout)
+    assert (team["mark"], team["judges"], team["total"]) == (7.25, ["Dr. Y", "Prof. X"], 0.5 * 0.4 + 0.5 * 0.725)
+    wrong = service.run("admin", "judging", "mark", str(submission.id), "clarity", "--judge", "X")
+    assert wrong.exit_code == 2
+    assert service.run("admin", "judging", "conflict", "Ants", "--judge", "Dr. Y", "--reason", "friend").exit_code == 0
+    assert "Dr. Y" in service.run("admin", "judging", "show", TRACK).stdout
+    refused = service.run("admin", "judging", "mark", str(submission.id), "clarity=1", "--judge", "Dr. Y")
+    assert isinstance(refused.exception, ServiceError)
