@@ -44,6 +44,8 @@ READS = {
     "quota list",
     "receipt export",
     "receipt key",
+    "rejudge list",
+    "rejudge show",
     "results publish",
     "results winners",
     "submission list",
@@ -52,6 +54,7 @@ READS = {
     "team list",
     "team show",
     "token list",
+    "track check",
     "worker list",
     "worker show",
 }
@@ -89,8 +92,9 @@ CHANGES = {
     "evaluation requeue": (["CANCELLED_EVALUATION", "--yes"], "submission.requeue"),
 }
 """Arguments of a command, capitals standing for what there is, and the action of its line."""
-TRIED_ELSEWHERE = {"restore"}
-"""It needs an empty service: tests/unit/server/backup/test_backup.py."""
+TRIED_ELSEWHERE = {"restore", "rejudge start", "rejudge apply", "rejudge discard"}
+"""They need an empty service (tests/unit/server/backup/test_backup.py), or results of another evaluator version
+(tests/unit/cli/admin/contest/test_rejudge.py)."""
 
 
 def commands(group: TyperGroup, path: str = "") -> Iterator[str]:
