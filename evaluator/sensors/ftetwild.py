@@ -1,6 +1,8 @@
 """Meshes a gel with fTetWild, where the team has installed `pytetwild`: only to look at, never scored."""
 
+from contextlib import chdir
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 from vitac.envs.errors import VitacError
@@ -49,7 +51,9 @@ def mesh_with_ftetwild(stl: Path, limits: SensorLimits) -> "Tetrahedra":
     corners = read_corners(stl, max_bytes=limits.max_stl_bytes, max_triangles=limits.max_triangles)
     drawn = DrawnSurface.of_corners(corners)
     surface = placed_on_base(drawn, length_mm=limits.base_length_mm, width_mm=limits.base_width_mm)
-    nodes, cells = tetrahedralize(surface.vertices_mm, surface.triangles.astype(np.int32), edge_length_fac=_EDGE_LENGTH)
+    faces = surface.triangles.astype(np.int32)
+    with TemporaryDirectory() as scratch, chdir(scratch):  # It leaves files where it runs.
+        nodes, cells = tetrahedralize(surface.vertices_mm, faces, edge_length_fac=_EDGE_LENGTH)
     if len(cells) == 0:
         raise MesherFailed("fTetWild gave no tetrahedra; run `vitac sensor check` on the gel.")
     mesh = Tetrahedra(nodes_mm=np.asarray(nodes, np.float64), corners=np.asarray(cells, np.int64))

@@ -29,6 +29,7 @@ class Meshed:
 
     def tetrahedralize(self, vertices: Any, faces: Any, **_: float) -> tuple[Any, Any]:
         self.vertices, self.faces = vertices, faces
+        Path("__tracked_surface.stl").write_text("left where it runs, as fTetWild does")
         return CORNERS, np.array(self.cells).reshape(-1, 4)
 
 
@@ -43,10 +44,12 @@ def test_gel_on_its_base_is_meshed_with_positive_volumes(
     stl: Path, monkeypatch: pytest.MonkeyPatch, cell: list[int]
 ) -> None:
     meshed = install(monkeypatch, [cell])
+    monkeypatch.chdir(stl.parent)
     assert mesh_with_ftetwild(stl, sensor_limits()).volume_mm3 == pytest.approx(1.0 / 6.0)
     np.testing.assert_allclose(meshed.vertices.min(axis=0), [-12.625, -10.375, 0.0], atol=1e-5)
     assert meshed.faces.dtype == np.int32
     assert meshed.faces.max() == len(meshed.vertices) - 1
+    assert list(stl.parent.iterdir()) == [stl]
 
 
 def test_mesher_that_gives_nothing_is_named(stl: Path, monkeypatch: pytest.MonkeyPatch) -> None:
