@@ -26,8 +26,9 @@ BASELINES = {
 }
 HEAD = """# Baselines
 
-Written by `PYTHONPATH=benchmarks python benchmarks/policies/baselines.py`; successes in % with 95 % intervals (Wilson), env steps of successes, and
-the CPU time of an episode with its policy and physics, on the machine that wrote it. Fresh starts are random ones that no baseline learned from (stream {stream}).
+Written by `PYTHONPATH=benchmarks python benchmarks/policies/baselines.py`; successes in % with 95 % intervals (Wilson),
+env steps of successes, and the CPU time of an episode with its policy and physics, on the machine that wrote it. Fresh
+starts are random ones that no baseline learned from (stream {stream}).
 
 | task | baseline | {starts} fresh starts | env steps | public list | env steps | CPU ms per episode |
 |---|---|---|---|---|---|---|
