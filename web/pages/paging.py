@@ -1,23 +1,42 @@
-"""Boards in pages of fifty, with a search by team. Called by `tracks`."""
+"""Boards in pages of fifty, with a search by team. Called by `tracks` and `logs`."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 from urllib.parse import urlencode
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from uuid import UUID
 
     from starlette.requests import Request
-    from vitac.server.views.leaderboards import LeaderboardEntryView
 
 PAGE_ENTRIES = 50
 MAX_SEARCH = 64
 
 
+class Entry(Protocol):
+    """A row of a board: whose it is, and what it shows."""
+
+    @property
+    def team(self) -> str:
+        """Whose it is."""
+
+    @property
+    def evaluation_id(self) -> UUID:
+        """What it shows; that never changes."""
+
+    @property
+    def submission_id(self) -> UUID:
+        """What its link leads to."""
+
+
+EntryT = TypeVar("EntryT", bound=Entry)
+
+
 @dataclass(frozen=True, kw_only=True)
-class BoardPage:
+class BoardPage(Generic[EntryT]):
     """Some entries of a board.
 
     Attributes:
@@ -26,29 +45,36 @@ class BoardPage:
         pages: how many there are.
         search: the text that teams were searched for; empty: all teams.
         found: number of entries with that text.
-        own: the visitor's entry on the whole board.
+        total: number of entries of the whole board.
+        own: the visitor's first entry on the whole board.
         own_page: number of the page of all teams that has it.
         address: of the board, with its task.
+        parameter: what names the number of the page in an address.
+        section: id of the board on its page; empty: it is the whole page.
     """
 
-    entries: Sequence[LeaderboardEntryView]
+    entries: Sequence[EntryT]
     number: int
     pages: int
     search: str
     found: int
-    own: LeaderboardEntryView | None
+    total: int
+    own: EntryT | None
     own_page: int
     address: str
+    parameter: str
+    section: str
 
     def link(self, number: int) -> str:
         """Return the address of a page of the same search."""
-        asked = ([("q", self.search)] if self.search else []) + ([("page", str(number))] if number > 1 else [])
-        return self._with(asked)
+        asked = ([("q", self.search)] if self.search else []) + ([(self.parameter, str(number))] if number > 1 else [])
+        return self._with(asked) + (f"#{self.section}" if self.section else "")
 
     @property
     def own_link(self) -> str:
         """Return the address of the visitor's own row."""
-        return self._with([("page", str(self.own_page))] if self.own_page > 1 else []) + "#own"
+        asked = self._with([(self.parameter, str(self.own_page))] if self.own_page > 1 else [])
+        return f"{asked}#{self.section or 'own'}"
 
     def _with(self, asked: list[tuple[str, str]]) -> str:
         if not asked:
@@ -57,20 +83,22 @@ class BoardPage:
 
 
 def board_page(
-    request: Request, address: str, entries: Sequence[LeaderboardEntryView], own_team: str | None
-) -> BoardPage:
+    request: Request, address: str, entries: Sequence[EntryT], own_team: str | None, *, section: str = ""
+) -> BoardPage[EntryT]:
     """Return the page that a request asks for; one that there is not is the nearest one.
 
     Args:
-        request: with `q`, part of a team's name in any case, and `page`.
+        request: with `q`, part of a team's name in any case, and `page`, or `page-SECTION` of a section.
         address: of the board.
         entries: all of them.
         own_team: name of the visitor's team.
+        section: id of the board, where a page has several.
     """
+    parameter = f"page-{section}" if section else "page"
     search = request.query_params.get("q", "").strip()[:MAX_SEARCH]
     found = [entry for entry in entries if search.casefold() in entry.team.casefold()] if search else list(entries)
     pages = max(1, -(-len(found) // PAGE_ENTRIES))
-    number = min(pages, max(1, _whole(request.query_params.get("page", "1"))))
+    number = min(pages, max(1, _whole(request.query_params.get(parameter, "1"))))
     place = next((place for place, entry in enumerate(entries) if entry.team == own_team), None)
     return BoardPage(
         entries=found[(number - 1) * PAGE_ENTRIES : number * PAGE_ENTRIES],
@@ -78,9 +106,12 @@ def board_page(
         pages=pages,
         search=search,
         found=len(found),
+        total=len(entries),
         own=None if place is None else entries[place],
         own_page=1 if place is None else place // PAGE_ENTRIES + 1,
         address=address,
+        parameter=parameter,
+        section=section,
     )
 
 

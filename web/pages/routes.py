@@ -9,9 +9,12 @@ from starlette.staticfiles import StaticFiles
 
 from ..headers import SecurityHeaders
 from ..rendering import STATIC
-from . import documentation, downloads, errors, operations, sandbox, sensors, submissions, tracks
+from . import documentation, errors, logs, operations, sandbox, sensors, submissions, tracks
 from .contest import archive, competition, home, receipts
 from .episodes import page as episodes
+from .files import boards
+from .files import submissions as tables
+from .files.formats import Format
 from .people import appeals, desk, messages, team
 from .team import comparison, output, register, sharing, sign_in, upload
 
@@ -55,18 +58,25 @@ def _router() -> APIRouter:
         ("/", home.home, "GET"),
         ("/example/playback/scene", home.example, "GET"),
         ("/tracks/{track}", tracks.leaderboard, "GET"),
-        ("/tracks/{track}/leaderboard.csv", downloads.leaderboard, "GET"),
-        ("/tracks/{track}/logs", tracks.logs, "GET"),
+        ("/tracks/{track}/leaderboard.csv", boards.leaderboard, "GET"),
+        ("/tracks/{track}/logs", logs.logs, "GET"),
+        ("/tracks/{track}/logs.csv", boards.logs, "GET"),
+        ("/tracks/{track}/text-logs.csv", boards.text_logs, "GET"),
         ("/tracks/{track}/rules", tracks.rules, "GET"),
         ("/submissions", submissions.submissions, "GET"),
+        ("/submissions.csv", tables.submission_list, "GET"),
         (upload.ADDRESS, upload.upload_form, "GET"),
         (upload.ADDRESS, upload.upload, "POST"),
         ("/submissions/{submission_id}", submissions.submission, "GET"),
-        ("/submissions/{submission_id}/episodes.csv", downloads.episodes_csv, "GET"),
-        ("/submissions/{submission_id}/episodes.json", downloads.episodes_json, "GET"),
+        *(
+            (f"/submissions/{{submission_id}}/{table.name}.{form}", tables.table_of(table, form), "GET")
+            for table in tables.TABLES
+            for form in Format
+        ),
         ("/submissions/{submission_id}/receipt.json", receipts.receipt_file, "GET"),
         ("/submissions/{submission_id}/compare", comparison.compare_pages, "GET"),
         ("/submissions/{submission_id}/compare.csv", comparison.compare_csv, "GET"),
+        ("/submissions/{submission_id}/compare.json", comparison.compare_json, "GET"),
         ("/submissions/{submission_id}/output", output.output, "GET"),
         ("/submissions/{submission_id}/sensor", sensors.sensor, "GET"),
         ("/submissions/{submission_id}/sensor/shape", sensors.shape, "GET"),

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from typing import TYPE_CHECKING
 from urllib.parse import urlencode
 
 from markupsafe import Markup
@@ -17,7 +16,7 @@ from vitac.evaluator.tracks import UnknownTrack, load_track
 from ..plots.dates import DatedRate, rates_by_date
 from ..rendering import STATIC, render, steps, words
 from ..site import Tab, page, site_of, viewer_of
-from .paging import board_page
+from .paging import EntryT, board_page
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
@@ -29,22 +28,6 @@ if TYPE_CHECKING:
     from vitac.server.views.leaderboards import LeaderboardEntryView, LeaderboardView
 
     from ..site import Site, Viewer
-
-
-class Entry(Protocol):
-    """A row of a board: whose it is, and what it shows."""
-
-    @property
-    def team(self) -> str:
-        """Whose it is."""
-
-    @property
-    def evaluation_id(self) -> UUID:
-        """What it shows; that never changes."""
-
-    @property
-    def submission_id(self) -> UUID:
-        """What its link leads to."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,7 +56,6 @@ PICTURES = {
     ),
 }
 """Drawn by `vitac show`, with `--view cameras` where there are any."""
-EntryT = TypeVar("EntryT", bound=Entry)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,34 +80,9 @@ async def leaderboard(request: Request) -> Response:
     return await _leaderboard(request, request.path_params["track"])
 
 
-async def logs(request: Request) -> Response:
-    """Show the logs of a track, with `?stage=` of a stage: verified logs by task, 2025 text logs with their claims."""
-    track = _track(request.path_params["track"])
-    site, viewer = site_of(request), await viewer_of(request)
-    stage = request.query_params.get("stage")
-    found = await site.data.log_boards(track.name, stage)
-    shown = [entry.submission_id for board in found.boards for entry in board.entries]
-    public = await site.data.public_among([*shown, *(entry.submission_id for entry in found.text_logs)])
-    rows = partial(_rows, request, viewer, public)
-    return page(
-        request,
-        "logs.html",
-        viewer=viewer,
-        section=f"/tracks/{track.name}",
-        track=track,
-        tabs=tabs(track, None, logs=True, stage=stage),
-        found=found,
-        rows={
-            board.task: rows("log_row.html", board.entries, of=lambda entry: (entry.rank, entry.copy_of))
-            for board in found.boards
-        },
-        text_log_rows=rows("text_log_row.html", found.text_logs),
-    )
-
-
 async def rules(request: Request) -> Response:
     """Show the rules of a track, from its file and the limits in force."""
-    track = _track(request.path_params["track"])
+    track = known_track(request.path_params["track"])
     return page(
         request,
         "rules.html",
@@ -155,7 +112,7 @@ def track_tabs(site: Site, shown: Track, page_of_track: str = "") -> tuple[Tab, 
     """Return the same page of every track; empty if there is only one."""
     if len(site.tracks) == 1:
         return ()
-    tracks = [_track(name) for name in site.tracks]
+    tracks = [known_track(name) for name in site.tracks]
     return tuple(
         Tab(title=track.title, target=f"/tracks/{track.name}{page_of_track}", current=track.name == shown.name)
         for track in tracks
@@ -220,7 +177,7 @@ def _is_combined(track: Track, task: str | None) -> bool:
 
 
 async def _leaderboard(request: Request, name: str) -> Response:
-    track = _track(name)
+    track = known_track(name)
     site, asked = site_of(request), request.query_params
     task, stage = asked.get("task"), asked.get("stage")
     board = await site.data.leaderboard(name, task, stage)
@@ -236,6 +193,7 @@ async def _leaderboard(request: Request, name: str) -> Response:
         section=f"/tracks/{name}",
         board=board,
         query=query,
+        stage=stage,
         shown=shown,
         table=_table(request, board, viewer, public, shown.entries),
         dates=_dates(request, board, viewer),
@@ -273,13 +231,13 @@ def _table(
     entries: Sequence[LeaderboardEntryView],
 ) -> Markup:
     """Return entries as a table; the public ones are links for everybody."""
-    track = _track(board.track)
+    track = known_track(board.track)
     shown, combined = columns(track, board.task), _is_combined(track, board.task)
 
     def values(entry: LeaderboardEntryView) -> dict[str, object]:
         return {"combined": combined, "columns": shown, "cells": cells(shown, entry)}
 
-    rows = _rows(
+    rows = entry_rows(
         request,
         viewer,
         public,
@@ -293,7 +251,7 @@ def _table(
     )
 
 
-def _rows(
+def entry_rows(
     request: Request,
     viewer: Viewer | None,
     public: Collection[UUID],
@@ -328,7 +286,12 @@ def _rows(
     return Markup("".join(map(row, entries)))  # noqa: S704 - rendered templates, whose values are escaped
 
 
-def _track(name: str) -> Track:
+def known_track(name: str) -> Track:
+    """Return a track.
+
+    Raises:
+        HTTPException: 404, there is none of that name.
+    """
     try:
         return load_track(name)
     except UnknownTrack as error:

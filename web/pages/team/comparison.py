@@ -9,9 +9,11 @@ from vitac.evaluator.scoring.comparison import NothingToCompare, compare
 
 from ...site import page, require_viewer, site_of
 from ..addresses import as_id
-from ..downloads import csv_file
+from ..files.formats import csv_file, json_file, objects
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from starlette.requests import Request
     from vitac.evaluator.scoring.comparison import Comparison
 
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
     from ...site import Viewer
 
 COLUMNS = ("task", "episode", "shape", "first_outcome", "first_env_steps", "second_outcome", "second_env_steps")
+COUNTS = ("both", "only_first", "only_second", "neither", "unpaired", "p_value")
 
 
 async def compare_pages(request: Request) -> Response:
@@ -48,20 +51,39 @@ async def compare_csv(request: Request) -> Response:
     viewer = await require_viewer(request)
     if isinstance(viewer, Response):
         return viewer
-    found = _compared(*await _both(request, viewer))
-    rows = (
-        (
-            pair.first.task,
-            pair.first.episode,
-            pair.first.shape,
-            pair.first.outcome,
-            pair.first.env_steps,
-            pair.second.outcome,
-            pair.second.env_steps,
-        )
-        for pair in (found.pairs if found else ())
+    return csv_file("comparison", COLUMNS, _pairs(_compared(*await _both(request, viewer))))
+
+
+async def compare_json(request: Request) -> Response:
+    """Return counts, p-value and pairs of episodes as a file; `result` is null where nothing can be compared."""
+    viewer = await require_viewer(request)
+    if isinstance(viewer, Response):
+        return viewer
+    first, second = await _both(request, viewer)
+    found = _compared(first, second)
+    result = {name: getattr(found, name) for name in COUNTS} if found else None
+    return json_file(
+        "comparison",
+        {
+            "first": _named(first),
+            "second": _named(second) if second else None,
+            "result": result,
+            "pairs": objects(COLUMNS, _pairs(found)),
+        },
     )
-    return csv_file("comparison", COLUMNS, rows)
+
+
+def _named(detail: SubmissionDetail) -> dict[str, str]:
+    found = detail.submission
+    evaluator = found.evaluation.evaluator_version
+    return {"id": str(found.id), "name": found.name, "team": found.team.name, "evaluator_version": evaluator}
+
+
+def _pairs(found: Comparison | None) -> Iterator[tuple[object, ...]]:
+    for pair in found.pairs if found else ():
+        first, second = pair.first, pair.second
+        ends = (first.outcome, first.env_steps, second.outcome, second.env_steps)
+        yield first.task, first.episode, first.shape, *ends
 
 
 async def _both(request: Request, viewer: Viewer) -> tuple[SubmissionDetail, SubmissionDetail | None]:

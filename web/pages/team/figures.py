@@ -72,7 +72,7 @@ def history_figures(
 
     def make() -> str:
         figures = _histories(found, titles, past)
-        return render("history_figures.html", request, figures=figures) if figures else ""
+        return render("history_figures.html", request, submission=found, figures=figures) if figures else ""
 
     reached = tuple((result.task, result.submission_id, result.success_rate) for result in past)
     return site_of(request).plots.get((found.id, reached), make)

@@ -10,12 +10,14 @@ SCORE = a_score((80, 74, 80), 4.92)
 ENTRIES = [an_entry(rank, f"Team {rank:03d}" if rank != 120 else "Gelbots", SCORE) for rank in range(1, 151)]
 
 
-def asked(query: str, entries: list[LeaderboardEntryView] = ENTRIES, own: str | None = None) -> BoardPage:
+def asked(
+    query: str, entries: list[LeaderboardEntryView] = ENTRIES, own: str | None = None
+) -> BoardPage[LeaderboardEntryView]:
     request = Request({"type": "http", "method": "GET", "path": "/", "headers": [], "query_string": query.encode()})
     return board_page(request, f"/tracks/track_1?task={TASK}", entries, own)
 
 
-def ranks(page: BoardPage) -> list[int | None]:
+def ranks(page: BoardPage[LeaderboardEntryView]) -> list[int | None]:
     return [entry.rank for entry in page.entries]
 
 
@@ -103,3 +105,21 @@ def test_the_evaluator_stands_in_a_detail(data: FixedData, browser: AsgiBrowser)
     data.board = a_leaderboard(*ENTRIES[:3])
     html = browser.get("/tracks/track_1").text
     assert html.index("<summary>How this board was made") < html.index(data.board.evaluator_version)
+
+
+def test_a_search_stays_in_its_stage_and_task(data: FixedData, browser: AsgiBrowser) -> None:
+    data.board = a_leaderboard(*ENTRIES)
+    kept = '<input type="hidden" name="stage" value="final">'
+    assert kept in browser.get("/tracks/track_1?stage=final").text
+    assert 'type="hidden"' not in browser.get("/tracks/track_1").text
+
+
+def test_each_of_several_boards_of_a_page_has_a_number_of_its_own() -> None:
+    request = Request(
+        {"type": "http", "method": "GET", "path": "/", "headers": [], "query_string": b"q=team&page-b=2&page=3"}
+    )
+    first, second = (board_page(request, "/logs", ENTRIES, "Gelbots", section=section) for section in "ab")
+    assert (first.number, second.number) == (1, 2)
+    assert second.link(3) == "/logs?q=team&page-b=3#b"
+    assert second.own_link == "/logs?page-b=3#b"
+    assert (second.total, second.found) == (150, 149)

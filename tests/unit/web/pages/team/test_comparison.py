@@ -1,5 +1,6 @@
 import csv
 import io
+import json
 import re
 from collections.abc import Mapping
 from uuid import UUID
@@ -104,6 +105,23 @@ def test_all_pairs_are_a_file(browser: AsgiBrowser, ends: dict[UUID, list[Episod
         ("1", "success", "steps"),
         ("2", "steps", "steps"),
     ]
+
+
+def test_counts_and_pairs_are_a_file_too(browser: AsgiBrowser, ends: dict[UUID, list[EpisodeView]]) -> None:
+    ends[COMPLETED.id], ends[OTHER.id] = some_ends("xxxxxxx.."), some_ends("x......x.")
+    assert f'href="/submissions/{COMPLETED.id}/compare.json?with={OTHER.id}"' in shown(browser, OTHER)
+    found = json.loads(shown(browser, OTHER, ".json"))
+    counts = {"both": 1, "only_first": 6, "only_second": 1, "neither": 1, "unpaired": 0, "p_value": 0.125}
+    assert found["result"] == counts
+    assert (found["first"]["id"], found["second"]["name"]) == (str(COMPLETED.id), OTHER.name)
+    assert len(found["pairs"]) == 9
+    second = found["pairs"][1]
+    assert (second["task"], second["episode"]) == (TASK, 2)
+    assert (second["first_outcome"], second["second_outcome"]) == ("success", "steps")
+    assert second["first_env_steps"] == ends[COMPLETED.id][1].env_steps
+    nothing = json.loads(shown(browser, ONLY_LOCK, ".json"))
+    assert (nothing["result"], nothing["pairs"]) == (None, [])
+    assert json.loads(shown(browser, None, ".json"))["second"] is None
 
 
 def test_nothing_in_common_is_told(browser: AsgiBrowser, ends: dict[UUID, list[EpisodeView]]) -> None:

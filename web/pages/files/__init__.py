@@ -1,0 +1,1 @@
+"""What pages show as files, to be read by programs."""

@@ -1,0 +1,69 @@
+"""Tables as files: CSV with a row of names first, JSON with an object for each row. Called by the modules beside it."""
+
+from __future__ import annotations
+
+import csv
+import io
+from enum import StrEnum
+from typing import TYPE_CHECKING
+
+from starlette.responses import JSONResponse, Response
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r")
+"""How a text begins that a spreadsheet would run."""
+
+
+class Format(StrEnum):
+    """How a table is written; the end of the file's name."""
+
+    CSV = "csv"
+    """For spreadsheets."""
+    JSON = "json"
+    """For programs."""
+
+
+def table_file(form: Format, name: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> Response:
+    """Return a table in one of the formats."""
+    if form is Format.CSV:
+        return csv_file(name, columns, rows)
+    return json_file(name, objects(columns, rows))
+
+
+def csv_file(name: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> Response:
+    """Return a table as a file."""
+    return attached(Response(csv_text([columns, *rows]), media_type="text/csv"), f"{name}.csv")
+
+
+def json_file(name: str, content: object) -> Response:
+    """Return an object or a list as a file."""
+    return attached(JSONResponse(content), f"{name}.json")
+
+
+def objects(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> list[dict[str, object]]:
+    """Return an object for each row."""
+    return [dict(zip(columns, row, strict=True)) for row in rows]
+
+
+def csv_text(rows: Iterable[Sequence[object]]) -> str:
+    """Return rows as CSV; texts that a spreadsheet would run as a formula get an apostrophe in front."""
+    text = io.StringIO()
+    csv.writer(text).writerows([_safe(cell) for cell in row] for row in rows)
+    return text.getvalue()
+
+
+def attached(answer: Response, name: str) -> Response:
+    """Return an answer that browsers store under a name; nobody keeps a copy on the way."""
+    answer.headers["Content-Disposition"] = f'attachment; filename="{name}"'
+    answer.headers["Cache-Control"] = "no-store"
+    return answer
+
+
+def _safe(cell: object) -> object:
+    return f"'{cell}" if isinstance(cell, str) and cell.startswith(FORMULA_STARTS) and not _is_numbers(cell) else cell
+
+
+def _is_numbers(text: str) -> bool:
+    return all(part.lstrip("-").replace(".", "", 1).isdecimal() for part in text.split(" "))

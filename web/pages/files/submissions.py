@@ -1,0 +1,158 @@
+"""What the pages of submissions show as files: their list, and of each the episodes, scores and history."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from starlette.responses import Response, StreamingResponse
+from vitac.evaluator.tracks import load_track
+
+from ...site import open_to_all, require_viewer, site_of, viewer_of, visitor_of
+from ..addresses import as_id
+from .formats import attached, csv_text, table_file
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncIterator
+
+    from starlette.requests import Request
+    from vitac.server.views.scores import ShapeScoreView, TaskScoreView
+    from vitac.server.views.submissions import SubmissionListView, SubmissionView
+
+    from ...data.protocol import SubmissionDetail, Visitor
+    from ...site import Page, Site
+    from .formats import Format
+
+Rows = Iterable[tuple[object, ...]]
+SCORE_COLUMNS = (
+    "task", "shape", "episodes", "successes", "success_rate", "interval_low", "interval_high", "mean_env_steps",
+)  # fmt: skip
+LIST_COLUMNS = (
+    "id", "submission", "team", "kind", "track", "stage", "task", "state", "verdict", "episodes_done",
+    "episodes_total", "success_rate", "mean_env_steps", "submitted_at", "digest",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Table:
+    """A table that the page of a submission shows.
+
+    Attributes:
+        name: of the file, after the submission's id.
+        columns: their names.
+        rows: what it has for a submission.
+    """
+
+    name: str
+    columns: tuple[str, ...]
+    rows: Callable[[SubmissionDetail], Rows]
+
+
+def table_of(table: Table, form: Format) -> Page:
+    """Return the page that answers with a table of a submission in a format."""
+
+    @open_to_all
+    async def answered(request: Request) -> Response:
+        submission_id = as_id(request.path_params["submission_id"])
+        detail = await site_of(request).data.submission(visitor_of(await viewer_of(request)), submission_id)
+        return table_file(form, f"{submission_id}-{table.name}", table.columns, table.rows(detail))
+
+    return answered
+
+
+def _episodes(detail: SubmissionDetail) -> Rows:
+    tasks = load_track(detail.submission.track).tasks
+    # A stage's own list has other starts than the track file.
+    known = detail.submission.evaluation.commitment is None
+    starts = {
+        (name, episode.number): " ".join(f"{value:g}" for value in episode.offset)
+        for name in detail.submission.tasks
+        for episode in tasks[name].episodes
+        if known
+    }
+    for end in detail.episodes:
+        start = starts.get((end.task, end.episode), "")
+        yield end.task, end.episode, end.shape, start, end.outcome, end.success, end.env_steps
+
+
+def _scores(detail: SubmissionDetail) -> Rows:
+    for score in detail.submission.evaluation.scores:
+        yield score.task, None, *_rate(score), score.mean_steps
+        for shape in score.shapes:
+            yield score.task, shape.shape, *_rate(shape), None
+
+
+def _rate(score: TaskScoreView | ShapeScoreView) -> tuple[object, ...]:
+    return score.episodes, score.successes, score.success_rate, *score.success_rate_interval
+
+
+def _history(detail: SubmissionDetail) -> Rows:
+    for past in detail.past:
+        moment = past.submitted_at.isoformat()
+        yield past.task, str(past.submission_id), past.submission_name, moment, past.success_rate
+
+
+TABLES = (
+    Table(
+        name="episodes",
+        columns=("task", "episode", "shape", "start", "outcome", "success", "env_steps"),
+        rows=_episodes,
+    ),
+    Table(
+        name="scores",
+        columns=SCORE_COLUMNS,
+        rows=_scores,
+    ),
+    Table(
+        name="history",
+        columns=("task", "submission_id", "submission", "submitted_at", "success_rate"),
+        rows=_history,
+    ),
+)
+"""`scores` has a row without a shape for each task; `history` is for the team only, and empty for others."""
+
+
+async def submission_list(request: Request) -> Response:
+    """Return all submissions that the visitor may see, newest first, a row for each task."""
+    viewer = await require_viewer(request)
+    if isinstance(viewer, Response):
+        return viewer
+    site, visitor = site_of(request), viewer.visitor
+    first = await site.data.submissions(visitor, None)
+    return attached(StreamingResponse(_pages(site, visitor, first), media_type="text/csv"), "submissions.csv")
+
+
+async def _pages(site: Site, visitor: Visitor, page: SubmissionListView) -> AsyncIterator[str]:
+    """Yield the file page by page: there may be many thousands of submissions."""
+    yield csv_text([LIST_COLUMNS])
+    while True:
+        yield csv_text(row for found in page.items for row in _of_list(found))
+        if page.next_before is None:
+            return
+        page = await site.data.submissions(visitor, page.next_before)
+
+
+def _of_list(found: SubmissionView) -> Rows:
+    evaluation = found.evaluation
+    scores = {score.task: score for score in evaluation.scores}
+    progress = {part.task: part for part in evaluation.progress.tasks}
+    for task in found.tasks:
+        score, part = scores.get(task), progress.get(task)
+        yield (
+            found.id,
+            found.name,
+            found.team.name,
+            found.kind,
+            found.track,
+            found.stage,
+            task,
+            evaluation.state,
+            found.log.verdict if found.log else None,
+            part.episodes_done if part else None,
+            part.episodes_total if part else None,
+            score.success_rate if score else None,
+            score.mean_steps if score else None,
+            found.submitted_at.isoformat(),
+            found.digest,
+        )

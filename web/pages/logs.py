@@ -1,0 +1,55 @@
+"""The page of a track's logs: verified ones by task, 2025 text logs beside their claims, each in pages of its own."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING
+
+from ..site import page, site_of, viewer_of
+from .paging import PAGE_ENTRIES, board_page
+from .tracks import board_query, entry_rows, known_track, tabs
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+    from starlette.responses import Response
+
+TEXT_LOGS = "text-logs"
+
+
+async def logs(request: Request) -> Response:
+    """Show the logs of a track, with `?stage=` of a stage, with `?q=` those of teams with that in their name."""
+    track = known_track(request.path_params["track"])
+    site, viewer = site_of(request), await viewer_of(request)
+    stage = request.query_params.get("stage")
+    found = await site.data.log_boards(track.name, stage)
+    paged = partial(
+        board_page,
+        request,
+        f"/tracks/{track.name}/logs{board_query(None, stage)}",
+        own_team=viewer.name if viewer else None,
+    )
+    shown = {board.task: paged(board.entries, section=f"logs-{board.task}") for board in found.boards}
+    text_logs = paged(found.text_logs, section=TEXT_LOGS)
+    listed = [entry.submission_id for board in shown.values() for entry in board.entries]
+    public = await site.data.public_among([*listed, *(entry.submission_id for entry in text_logs.entries)])
+    rows = partial(entry_rows, request, viewer, public)
+    return page(
+        request,
+        "logs.html",
+        viewer=viewer,
+        section=f"/tracks/{track.name}",
+        track=track,
+        tabs=tabs(track, None, logs=True, stage=stage),
+        found=found,
+        stage=stage,
+        query=board_query(None, stage),
+        search=text_logs.search,
+        searchable=max(text_logs.total, *(board.total for board in shown.values())) > PAGE_ENTRIES,
+        shown=shown,
+        rows={
+            task: rows("log_row.html", board.entries, of=lambda entry: (entry.rank, entry.copy_of))
+            for task, board in shown.items()
+        },
+        text_logs=text_logs,
+        text_log_rows=rows("text_log_row.html", text_logs.entries),
+    )
