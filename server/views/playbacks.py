@@ -1,5 +1,7 @@
 """What the pages show of an episode and of its playback."""
 
+from uuid import UUID
+
 from vitac.evaluator.episodes.records import EpisodeOutcome
 
 from ..db.states import PlaybackState
@@ -40,3 +42,10 @@ class ShownEpisodeView(View):
     evaluator_version: str
     record_digest: str
     playback: PlaybackView | None
+
+
+class PublicEpisodeView(View):
+    """A finished episode of a public submission, with its playback."""
+
+    submission_id: UUID
+    shown: ShownEpisodeView

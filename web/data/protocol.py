@@ -21,10 +21,11 @@ if TYPE_CHECKING:
     from vitac.server.submissions.upload import AnnouncedUpload
     from vitac.server.views.contest.archive import ArchiveView
     from vitac.server.views.contest.competition import CompetitionView
+    from vitac.server.views.contest.people import AnnouncementView
     from vitac.server.views.leaderboards import LeaderboardView, LogBoardsView, PastResultView
     from vitac.server.views.logs import ActionMatchView
     from vitac.server.views.operations import OperationsView
-    from vitac.server.views.playbacks import PlaybackView, ShownEpisodeView
+    from vitac.server.views.playbacks import PlaybackView, PublicEpisodeView, ShownEpisodeView
     from vitac.server.views.receipts import ChainView
     from vitac.server.views.submissions import EpisodeView, OutputView, SensorView, SubmissionListView, SubmissionView
 
@@ -200,6 +201,12 @@ class PageData(Protocol):
 
     async def episode(self, visitor: Visitor | None, place: EpisodeAddress) -> ShownEpisodeView:
         """Return a finished episode and how far its playback is."""
+
+    async def public_episode(self) -> PublicEpisodeView | None:
+        """Return the episode of a public submission whose playback was asked for last and is made; None without one."""
+
+    async def announcements(self) -> Sequence[AnnouncementView]:
+        """Return what the organizers say to everybody, newest first."""
 
     async def ask_for_playback(self, visitor: Visitor | None, place: EpisodeAddress, address: str) -> PlaybackView:
         """Have the playback of an episode made for a client's address; one too many raises the service's refusal."""

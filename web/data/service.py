@@ -25,7 +25,8 @@ from vitac.server.limiter import UPLOADS
 from vitac.server.logs import action_matches
 from vitac.server.metrics.totals import totals
 from vitac.server.operations.state import operations
-from vitac.server.playbacks import asking, files
+from vitac.server.people import announcements
+from vitac.server.playbacks import asking, files, recent
 from vitac.server.queue import workers
 from vitac.server.queue.workers import disk_of
 from vitac.server.results.archive import archive_view
@@ -57,9 +58,10 @@ if TYPE_CHECKING:
     from vitac.server.submissions.upload import AnnouncedUpload
     from vitac.server.views.contest.archive import ArchiveView
     from vitac.server.views.contest.competition import CompetitionView
+    from vitac.server.views.contest.people import AnnouncementView
     from vitac.server.views.leaderboards import LeaderboardView, LogBoardsView
     from vitac.server.views.operations import OperationsView
-    from vitac.server.views.playbacks import PlaybackView, ShownEpisodeView
+    from vitac.server.views.playbacks import PlaybackView, PublicEpisodeView, ShownEpisodeView
     from vitac.server.views.receipts import ChainView
     from vitac.server.views.submissions import OutputView, SensorView, SubmissionListView
 
@@ -206,6 +208,14 @@ class ServiceData:
         """Return a finished episode."""
         by, where = _principal(visitor), (place.submission_id, place.task, place.number)
         return await self.ask(lambda session: asking.shown_episode(session, self.settings, by, *where))
+
+    async def public_episode(self) -> PublicEpisodeView | None:
+        """Return the episode that the front page plays."""
+        return await self.ask(lambda session: recent.newest_public_episode(session, self.settings))
+
+    async def announcements(self) -> Sequence[AnnouncementView]:
+        """Return what the organizers say to everybody."""
+        return await self.ask(announcements.shown)
 
     async def ask_for_playback(self, visitor: Visitor | None, place: EpisodeAddress, address: str) -> PlaybackView:
         """Have the playback of an episode made; requests of visitors count for their address, too."""

@@ -32,6 +32,7 @@ from vitac.server.submissions.upload import AnnouncedUpload
 from vitac.server.views.accounts import TeamView
 from vitac.server.views.contest.archive import ArchiveView
 from vitac.server.views.contest.competition import CompetitionView
+from vitac.server.views.contest.people import AnnouncementView
 from vitac.server.views.evaluations import (
     EvaluationSummaryView,
     EvaluationView,
@@ -50,7 +51,7 @@ from vitac.server.views.leaderboards import (
 )
 from vitac.server.views.logs import ActionMatchView, DivergenceView, LogCopyView, LogView, MatchedEpisodeView
 from vitac.server.views.operations import CountsView, MachineWorkerView, OperationsView, QueueView, StorageView
-from vitac.server.views.playbacks import PlaybackView, ShownEpisodeView
+from vitac.server.views.playbacks import PlaybackView, PublicEpisodeView, ShownEpisodeView
 from vitac.server.views.receipts import ChainView
 from vitac.server.views.scores import ShapeScoreView, TaskScoreView
 from vitac.server.views.submissions import (
@@ -519,6 +520,8 @@ class FixedData(FixedPlaybacks):
     registration_rule: Registration = Registration.OPEN
     cup: CompetitionView | None = None
     service: OperationsView = field(default_factory=an_operations_view)
+    public_one: PublicEpisodeView | None = None
+    said: list[AnnouncementView] = field(default_factory=list)
     printed: list[EpisodeOutputView] = field(default_factory=list)
     past: list[PastResultView] = field(default_factory=list)
     described: list[SandboxDescription] = field(default_factory=list)
@@ -625,6 +628,12 @@ class FixedData(FixedPlaybacks):
     async def episode(self, visitor: Visitor | None, place: EpisodeAddress) -> ShownEpisodeView:
         await self.submission(visitor, place.submission_id)
         return self.shown_at(place)
+
+    async def public_episode(self) -> PublicEpisodeView | None:
+        return self.public_one
+
+    async def announcements(self) -> list[AnnouncementView]:
+        return self.said
 
     async def ask_for_playback(self, visitor: Visitor | None, place: EpisodeAddress, address: str) -> PlaybackView:
         await self.submission(visitor, place.submission_id)

@@ -22,11 +22,14 @@ if TYPE_CHECKING:
     from starlette.requests import Request
     from vitac.evaluator.tracks import Track
     from vitac.server.views.contest.competition import CompetitionView
+    from vitac.server.views.contest.people import AnnouncementView
     from vitac.server.views.leaderboards import LeaderboardEntryView, LeaderboardView
+    from vitac.server.views.playbacks import PublicEpisodeView
 
     from ...site import Site
 
 NEWS = 5
+ANNOUNCEMENTS = 3
 EXAMPLE = "example.scene"
 """The playback of an episode of peg insertion in which the peg goes straight to its hole."""
 
@@ -63,12 +66,16 @@ class Front:
         news: the newest entries of boards, with their tracks.
         public: submissions among them that everybody may see.
         cup: the competition, if there is one.
+        said: the newest announcements.
+        episode: a public one with a playback; None: the shipped one is played.
     """
 
     cards: Sequence[TrackCard]
     news: Sequence[tuple[Track, LeaderboardEntryView]]
     public: Collection[UUID]
     cup: CompetitionView | None
+    said: Sequence[AnnouncementView]
+    episode: PublicEpisodeView | None
 
 
 async def home(request: Request) -> Response:
@@ -95,6 +102,8 @@ async def _front(site: Site) -> Front:
         news=news,
         public=await site.data.public_among([entry.submission_id for _, entry in news]),
         cup=cup,
+        said=(await site.data.announcements())[:ANNOUNCEMENTS],
+        episode=await site.data.public_episode(),
     )
 
 

@@ -8,10 +8,12 @@ import pytest
 from asgi_browser import AsgiBrowser
 from page_fixtures import LOCK, MADE_UP_SCORES, NOW, TASK, FixedData, a_leaderboard, an_application, an_entry
 from PIL import Image
-from played_episodes import real_files
+from played_episodes import KEY, a_playback, a_shown_episode, real_files
 from visits import COMPLETED
 from vitac.server.playbacks.files import PlaybackFile
 from vitac.server.views.contest.competition import CompetitionTrackView, CompetitionView, StageView
+from vitac.server.views.contest.people import AnnouncementView
+from vitac.server.views.playbacks import PublicEpisodeView
 from vitac.web.pages.contest import home
 from vitac.web.rendering import STATIC
 
@@ -127,3 +129,36 @@ def header_of(content: bytes) -> dict[str, Any]:
     (length,) = struct.unpack_from("<I", content, 8)
     header: dict[str, Any] = json.loads(content[12 : 12 + length])
     return header
+
+
+@pytest.mark.parametrize("has_cameras", [False, True])
+def test_a_public_episode_is_played_in_place_of_ours(data: FixedData, browser: AsgiBrowser, has_cameras: bool) -> None:
+    shown = a_shown_episode(a_playback(has_cameras=has_cameras), submission_name="<b>", number=9)
+    data.public_one = PublicEpisodeView(submission_id=COMPLETED.id, shown=shown)
+    html = browser.get("/").text
+    address = f"/submissions/{COMPLETED.id}/episodes/{TASK}/9"
+    assert f'data-playback="{address}/playback" data-version="{KEY}"' in html
+    assert ("data-cameras" in html) == has_cameras
+    assert f'<a href="{address}">peg insertion, episode 9</a> by &lt;b&gt; of Gelbots, success at env step 3.' in html
+    assert "/example/playback" not in html
+    assert html.count("<img") == 1, "its still is too large for the first load"
+
+
+def test_without_a_public_episode_ours_is_played(browser: AsgiBrowser) -> None:
+    html = browser.get("/").text
+    assert 'data-playback="/example/playback" data-version="1"' in html
+    assert "The picture shows another episode" not in html
+
+
+def test_the_newest_announcements_are_shown_and_linked(data: FixedData, browser: AsgiBrowser) -> None:
+    assert "/announcements#" not in browser.get("/").text
+    data.said = [
+        AnnouncementView(id=number, title=f"<News {number}>", text="All of it.", published_at=NOW)
+        for number in range(7, 1, -1)
+    ]
+    html = AsgiBrowser(an_application(data)).get("/").text
+    assert html.count("/announcements#announcement-") == home.ANNOUNCEMENTS
+    assert '<a href="/announcements#announcement-7">&lt;News 7&gt;</a>' in html
+    assert html.index("News 7") < html.index("News 5")
+    assert "News 4" not in html
+    assert "All of it." not in html

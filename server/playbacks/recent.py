@@ -1,0 +1,61 @@
+"""The playback that the front page shows: the newest one of an episode that everybody may see. Called by the pages."""
+
+from uuid import UUID
+
+from sqlalchemy import and_, select
+from sqlalchemy.orm import Session
+from vitac.evaluator.version import evaluator_version
+
+from ..accounts.principals import VISITOR
+from ..db.models import EpisodeResult, Playback, Submission
+from ..db.states import PlaybackState
+from ..errors import ProblemCode, ServiceError
+from ..settings import Settings
+from ..sharing.public_pages import public_among
+from ..views.playbacks import PublicEpisodeView, ShownEpisodeView
+from .asking import shown_episode
+
+LOOKED_AT = 100
+"""So many playbacks are looked at, and submissions that have them; those first that were asked for last."""
+
+
+def newest_public_episode(session: Session, settings: Settings) -> PublicEpisodeView | None:
+    """Return the episode of a public submission whose playback was asked for last and is made; None without one."""
+    newest = (
+        select(Playback.episode_id, Playback.asked_at)
+        .where(Playback.state == PlaybackState.MADE, Playback.evaluator_version == evaluator_version())
+        .order_by(Playback.asked_at.desc())
+        .limit(LOOKED_AT)
+        .subquery()
+    )
+    played = and_(Submission.digest == EpisodeResult.submission_digest, Submission.track == EpisodeResult.track)
+    rows = session.execute(
+        select(Submission.id, EpisodeResult.task, EpisodeResult.episode)
+        .select_from(newest)
+        .join(EpisodeResult, EpisodeResult.id == newest.c.episode_id)
+        .join(Submission, played)
+        .where(Submission.is_public)
+        .order_by(newest.c.asked_at.desc(), Submission.submitted_at, Submission.id)
+        .limit(LOOKED_AT)
+    ).all()
+    public = public_among(session, {submission_id for submission_id, _, _ in rows})
+    for submission_id, task, number in rows:
+        shown = _shown(session, settings, submission_id, task, number) if submission_id in public else None
+        if shown is not None:
+            return PublicEpisodeView(submission_id=submission_id, shown=shown)
+    return None
+
+
+def _shown(
+    session: Session, settings: Settings, submission_id: UUID, task: str, number: int
+) -> ShownEpisodeView | None:
+    """Return the episode of a submission's newest evaluation if visitors may see it, and its playback is made."""
+    try:
+        shown = shown_episode(session, settings, VISITOR, submission_id, task, number)
+    except ServiceError as error:
+        # Made private in this moment, or of a sealed list.
+        if error.code in {ProblemCode.MISSING_CREDENTIALS, ProblemCode.NOT_FOUND}:
+            return None
+        raise
+    is_made = shown.playback is not None and shown.playback.state is PlaybackState.MADE
+    return shown if is_made else None
