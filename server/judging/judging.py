@@ -138,9 +138,26 @@ def judged(session: Session, by: Principal, track: str, stage: str | None = None
     by.require_organizer()
     rubric, of_stage = rubric_of(session, track), shown_stage(session, track, stage)
     entries = leaderboard(session, track, stage=of_stage or None, live=True).view.entries
-    figures = percentiles({entry.submission_id: _figures(session, entry) for entry in entries})
-    found = [_judged(session, rubric, entry, figures[entry.submission_id]) for entry in entries]
-    return sorted(found, key=lambda team: (team.total is None, -(team.total or 0.0), team.team))
+    return _by_total(session, rubric, entries)
+
+
+def ranked_by_total(session: Session, track: str, stage: str) -> list[tuple[LeaderboardEntryView, float]]:
+    """Return the ranked entries of a stage's board with their totals, best first; the board decides between equal ones.
+
+    Raises:
+        ServiceError: the track is not judged, or an entry has no total yet.
+    """
+    board = leaderboard(session, track, stage=stage, live=True).view.entries
+    entries = {entry.submission_id: entry for entry in board if entry.rank is not None}
+    rubric = rubric_of(session, track)
+    found = _by_total(session, rubric, list(entries.values()))
+    if missing := [f"{team.team} ({_missing(rubric, team)})" for team in found if team.total is None]:
+        raise ServiceError(
+            ProblemCode.STAGE_NOT_OVER,
+            f"Expected a total for every team of stage {stage} of {track}, got none for {', '.join(missing)}. Let "
+            "judges give marks, requeue what has no figures, or change `judging` in the competition's file.",
+        )
+    return [(entries[team.submission], team.total) for team in found if team.total is not None]
 
 
 def rubric_of(session: Session, track: str) -> Judging:
@@ -197,6 +214,19 @@ def _figures(session: Session, entry: LeaderboardEntryView) -> SensorFigures | N
     return figures_of(session, evaluation.submission, evaluation)
 
 
+def _by_total(session: Session, rubric: Judging, entries: Sequence[LeaderboardEntryView]) -> list[JudgedTeam]:
+    """Return the teams of entries, the best total first, those without one last, else in the order given."""
+    figures = percentiles({entry.submission_id: _figures(session, entry) for entry in entries})
+    found = [_judged(session, rubric, entry, figures[entry.submission_id]) for entry in entries]
+    return sorted(found, key=lambda team: (team.total is None, -(team.total or 0.0)))
+
+
+def _missing(rubric: Judging, team: JudgedTeam) -> str:
+    """Return in words why a team has no total."""
+    needs_judges = rubric.weights.judges and len(team.judges) < rubric.judges_at_least
+    return f"{len(team.judges)} of {rubric.judges_at_least} judges" if needs_judges else "no figures"
+
+
 def _judged(session: Session, rubric: Judging, entry: LeaderboardEntryView, figures: float | None) -> JudgedTeam:
     rows = session.scalars(select(JudgingMark).where(JudgingMark.submission_id == entry.submission_id)).all()
     team_id = session.get_one(Submission, entry.submission_id).team_id
@@ -232,11 +262,12 @@ def _spread(values: Sequence[float]) -> float | None:
 
 
 def _total(rubric: Judging, success_rate: float, mark: float | None, figures: float | None) -> float | None:
+    """Return the total, rounded so that equal ones are equal in whatever order they were added up."""
     weights = rubric.weights
     if (mark is None and weights.judges) or (figures is None and weights.figures):
         return None
     measured = weights.success * success_rate + weights.figures * (figures or 0.0)
-    return measured + weights.judges * (mark or 0.0) / BEST_MARK
+    return round(measured + weights.judges * (mark or 0.0) / BEST_MARK, 9)
 
 
 def _judge(by: Principal, named: str | None) -> str:
@@ -272,7 +303,8 @@ def _take_away(session: Session, judge: str, condition: ColumnElement[bool]) -> 
 
 
 def _require_going_on(session: Session) -> None:
-    row = session.get(Competition, 1)
+    """Refuse after the end; the end, and the same judge's marks from elsewhere, wait until these are written."""
+    row = session.get(Competition, 1, with_for_update=True, populate_existing=True)
     if row is not None and row.finalized_at is not None:
         raise ServiceError(
             ProblemCode.COMPETITION_FINAL, f"{row.definition['title']} is final since {row.finalized_at:%F %T} UTC."

@@ -12,8 +12,9 @@ from ..competition.definition import CompetitionDefinition, CompetitionTrack, Pr
 from ..competition.schedule import current
 from ..db.models import Competition
 from ..errors import ProblemCode, ServiceError
+from ..judging.judging import ranked_by_total
 from ..leaderboards.standings import leaderboard
-from ..views.leaderboards import LeaderboardView
+from ..views.leaderboards import LeaderboardEntryView, LeaderboardView
 from .readiness import require_current, require_scored
 
 
@@ -25,6 +26,7 @@ class Winner:
         place: of the prize table.
         amount: of money, in the competition's currency.
         result_hash: of the evaluation by which it won.
+        total: by which it won a judged track; None elsewhere.
     """
 
     track: str
@@ -38,6 +40,7 @@ class Winner:
     mean_steps: float | None
     submission: str
     result_hash: str
+    total: float | None = None
 
 
 def freeze(session: Session, by: Principal) -> None:
@@ -77,7 +80,7 @@ def finalize(session: Session, by: Principal, *, at: datetime | None = None) -> 
 
     Raises:
         ServiceError: not an organizer, there is no competition or it is final already, a stage or an evaluation is not
-            over, or a board has results of another evaluator version.
+            over, a board has results of another evaluator version, or a judged track has an entry without a total.
     """
     row = _lock(session, by)
     _require_going_on(row)
@@ -96,7 +99,8 @@ def winners(session: Session) -> list[Winner]:
     """Return who wins what: as it was finalized, or by today's boards of the last stages.
 
     Raises:
-        ServiceError: there is no competition, or a board has results of another evaluator version.
+        ServiceError: there is no competition, a board has results of another evaluator version, or a judged track has
+            an entry without a total.
     """
     row = session.get(Competition, 1)
     definition = current(session)
@@ -128,8 +132,6 @@ def _winners_of(
     """Return the winners of a track; of fewer teams than prizes all win."""
     stage = track.stages[-1].name
     require_current(session, name, stage)
-    board = leaderboard(session, name, stage=stage, live=True).view
-    entries = [entry for entry in board.entries if entry.rank is not None]
     return [
         Winner(
             track=name,
@@ -143,9 +145,22 @@ def _winners_of(
             mean_steps=entry.mean_steps,
             submission=str(entry.submission_id),
             result_hash=entry.result_hash,
+            total=total,
         )
-        for rank, (prize, entry) in enumerate(zip(_single_prizes(track.prizes), entries, strict=False), start=1)
+        for rank, (prize, (entry, total)) in enumerate(
+            zip(_single_prizes(track.prizes), _in_order(session, name, track, stage), strict=False), start=1
+        )
     ]
+
+
+def _in_order(
+    session: Session, name: str, track: CompetitionTrack, stage: str
+) -> Sequence[tuple[LeaderboardEntryView, float | None]]:
+    """Return the ranked entries as prizes go to them: by total where judged, else as on the board."""
+    if track.judging is not None:
+        return ranked_by_total(session, name, stage)
+    board = leaderboard(session, name, stage=stage, live=True).view
+    return [(entry, None) for entry in board.entries if entry.rank is not None]
 
 
 def _single_prizes(prizes: Sequence[Prize]) -> list[Prize]:

@@ -47,7 +47,8 @@ th, td { border-bottom: 1px solid #999; padding: .3em .6em; text-align: left; }
 <section class="certificate">
 <p>{{ title }}</p><h2>{{ winner.team }}</h2>
 <p>{{ winner.place|capitalize }} prize, {{ names[winner.track] }}</p>
-<p>success rate {{ "%.1f"|format(100 * winner.success_rate) }} %{% if winner.note %}; {{ winner.note }}{% endif %}</p>
+<p>success rate {{ "%.1f"|format(100 * winner.success_rate) }} %{% if winner.total is not none %}; total {{
+"%.1f"|format(100 * winner.total) }} %{% endif %}{% if winner.note %}; {{ winner.note }}{% endif %}</p>
 <p><small>result hash {{ winner.result_hash }}</small></p>
 </section>
 {% endfor %}
@@ -57,7 +58,8 @@ th, td { border-bottom: 1px solid #999; padding: .3em .6em; text-align: left; }
 <h2>Winners</h2>
 <table><thead><tr><th>Track</th><th>Prize</th><th>Team</th><th>Amount</th></tr></thead><tbody>
 {% for winner in winners %}
-<tr><td>{{ names[winner.track] }}</td><td>{{ winner.place }}</td><td>{{ winner.team }}</td>
+<tr><td>{{ names[winner.track] }}</td><td>{{ winner.place }}{% if winner.total is not none %}, by a total of {{
+"%.1f"|format(100 * winner.total) }} %{% endif %}</td><td>{{ winner.team }}</td>
 <td>{{ winner.amount }} {{ winner.currency }}</td></tr>
 {% endfor %}
 </tbody></table>

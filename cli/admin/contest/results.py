@@ -12,7 +12,7 @@ from ..consent import DryRun, Yes, consented_transaction, require_consent
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
-COLUMNS = ("track", "place", "team", "amount", "currency", "rank", "success_rate", "mean_steps")
+COLUMNS = ("track", "place", "team", "amount", "currency", "rank", "success_rate", "mean_steps", "total")
 
 
 @app.command()

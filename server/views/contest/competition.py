@@ -57,6 +57,9 @@ class WinnerView(View):
     amount: int
     success_rate: float
     result_hash: str
+    total: float | None = Field(
+        default=None, description="Of success, marks and figures by the weights; null: the track is not judged."
+    )
 
 
 class CompetitionView(View):

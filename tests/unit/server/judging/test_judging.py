@@ -1,14 +1,16 @@
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 from uuid import UUID
 
 import pytest
 from service_factories import TASK, TRACK, make_principal, make_score, submit_scored
+from sqlalchemy import select
 from submission_steps import refused
 from vitac.evaluator.figures.figures import GraspFigures, Information, SensitivityMap, SensorFigures, TouchFigures
 from vitac.server.accounts.audit import newest_entries
 from vitac.server.accounts.principals import CONSOLE, Principal
 from vitac.server.db.engine import Database
-from vitac.server.db.models import Competition, Submission
+from vitac.server.db.models import Competition, JudgingMark, Submission
 from vitac.server.db.states import Role
 from vitac.server.errors import ProblemCode
 from vitac.server.judging.judging import JudgedTeam, declare_conflict, give_marks, judged, percentiles
@@ -88,6 +90,15 @@ def test_a_judge_with_a_conflict_of_interest_judges_the_others_only(
     assert found["Bees"].judges == (JUDGE.account,)
     with pytest.raises(Exception, match="advises two of them"):
         mark(database, stage["Ants"], by=JUDGE)
+
+
+def test_a_judge_who_sends_marks_twice_at_once_has_them_once(database: Database, stage: dict[str, Submission]) -> None:
+    mark(database, stage["Ants"], "Prof. X")
+    with ThreadPoolExecutor() as pool:
+        list(pool.map(lambda given: mark(database, stage["Ants"], by=JUDGE, clarity=given), range(8)))
+    with database.transaction() as session:
+        rows = session.scalars(select(JudgingMark).where(JudgingMark.judge == JUDGE.account)).all()
+    assert sorted(row.criterion for row in rows) == ["clarity", "structure"]
 
 
 def test_what_is_no_judgement_is_refused(database: Database, stage: dict[str, Submission]) -> None:

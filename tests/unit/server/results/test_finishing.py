@@ -1,4 +1,5 @@
 from copy import deepcopy
+from functools import partial
 from typing import Any
 
 import pytest
@@ -10,9 +11,11 @@ from vitac.server.db.engine import Database
 from vitac.server.db.models import Competition
 from vitac.server.db.states import Role
 from vitac.server.errors import ProblemCode
+from vitac.server.judging.judging import give_marks
 from vitac.server.leaderboards.log_boards import log_boards
 from vitac.server.leaderboards.standings import leaderboard
 from vitac.server.results.finishing import Winner, finalize, freeze, unfreeze, winners
+from vitac.server.results.publishing import result_files
 from vitac.server.submissions import creation, listing
 
 from competitions import FIRST, SECOND, make_competition, moved, open_now, put_in_place
@@ -143,6 +146,44 @@ def test_the_last_stage_decides_and_tracks_elsewhere_have_no_winners_here(databa
         assert table(winners(session)) == [("Bees", "first", 2000)]
         assert [entry.team for entry in leaderboard(session, TRACK, stage=FIRST).view.entries] == ["Ants"]
         assert leaderboard(session, TRACK).view.stage == SECOND
+
+
+def test_a_judged_track_is_won_by_total_once_every_ranked_team_has_one(played: Database) -> None:
+    content = moved(one_stage(), days=-3650)
+    content["tracks"][TRACK]["judging"] = {
+        "criteria": [{"name": "structure", "title": "The structure"}],
+        "judges_at_least": 1,
+        "weights": {"success": 0.5, "judges": 0.5, "figures": 0},
+    }
+    with played.transaction() as session:
+        put_in_place(session, content)
+        of_team = {entry.team: entry for entry in leaderboard(session, TRACK).view.entries}
+    # Success is 0.45, 0.4, 0.375 and 0.05; these marks make 0.325, 0.7, 0.5875 and 0.325.
+    marks = {"Dogs": 6.0, "Cats": 8.0, "Bees": 10.0, "Ants": 2.0}
+    for n_judged, (team, mark) in enumerate(marks.items()):
+        for end in (winners, partial(finalize, by=CONSOLE)):
+            with refused(ProblemCode.STAGE_NOT_OVER) as said, played.transaction() as session:
+                end(session)
+            assert str(said.value).count("(0 of 1 judges)") == len(marks) - n_judged
+        with played.transaction() as session:
+            give_marks(session, CONSOLE, of_team[team].submission_id, {"structure": mark}, judge="X")
+    with played.transaction() as session:
+        final = finalize(session, CONSOLE)
+        assert winners(session) == final
+        assert list(of_team) == list(SUCCESSES), "the board stays one of success"
+        files = result_files(session)
+    assert table(final) == [
+        ("Bees", "first", 2000),
+        ("Cats", "second", 1000),
+        ("Ants", "second", 1000),
+        ("Dogs", "third", 500),
+    ]
+    assert [winner.total for winner in final] == [0.7, 0.5875, 0.325, 0.325], "Ants were ahead on the board"
+    assert [winner.rank for winner in final] == [1, 2, 3, 4]
+    assert "by a total of 70.0 %" in " ".join(files["results.html"].split())
+    assert "total 58.8 %" in " ".join(files["certificates.html"].split())
+    with refused(ProblemCode.COMPETITION_FINAL), played.transaction() as session:
+        give_marks(session, CONSOLE, of_team["Dogs"].submission_id, {"structure": 10.0}, judge="X")
 
 
 def test_without_a_competition_there_is_nothing_to_end(database: Database) -> None:
