@@ -5,7 +5,7 @@ import ssl
 from email.message import EmailMessage
 from email.utils import format_datetime
 from pathlib import Path
-from urllib.parse import unquote, urlsplit
+from urllib.parse import SplitResult, unquote, urlsplit
 
 from vitac.server.db.models import Notice
 from vitac.server.db.states import NoticeKind
@@ -14,6 +14,7 @@ from vitac.server.settings import Settings
 from .webhooks import Undelivered
 
 TIMEOUT_S = 20.0
+SUBJECT_LENGTH = 150
 _SENTENCES = {
     NoticeKind.ACCEPTED: "Submission {name} to {track} was accepted and waits for its evaluation.",
     NoticeKind.FINISHED: "Submission {name} to {track} is evaluated.",
@@ -30,7 +31,7 @@ def message_of(notice: Notice, settings: Settings) -> EmailMessage:
     text = _SENTENCES[notice.kind].format_map(notice.facts)
     made["From"] = settings.mail_from
     made["To"] = notice.target
-    made["Subject"] = _one_line(f"ViTac Arena: {text}")
+    made["Subject"] = one_line(f"ViTac Arena: {text}", max_length=SUBJECT_LENGTH)
     made["Date"] = format_datetime(notice.created_at)
     made["Message-ID"] = f"<{notice.id}@{settings.mail_from.rpartition('@')[2]}>"
     made["Auto-Submitted"] = "auto-generated"
@@ -56,8 +57,7 @@ def send(notice: Notice, settings: Settings) -> None:
         if parts.scheme == "file":
             _write(message, Path(unquote(parts.path)), str(notice.id))
             return
-        kind = smtplib.SMTP_SSL if parts.scheme == "smtps" else smtplib.SMTP
-        with kind(parts.hostname or "", parts.port or 0, timeout=TIMEOUT_S) as server:
+        with _connected(parts) as server:
             if parts.scheme == "smtp+starttls":
                 server.starttls(context=ssl.create_default_context())
             if parts.username:
@@ -67,14 +67,22 @@ def send(notice: Notice, settings: Settings) -> None:
         raise Undelivered(f"{type(error).__name__}: {error}") from error
 
 
+def one_line(text: str, *, max_length: int) -> str:
+    """Return text for a header or a column: one line of at most so many characters, without controls."""
+    return "".join(character if character.isprintable() else " " for character in text)[:max_length]
+
+
+def _connected(parts: SplitResult) -> smtplib.SMTP:
+    """Return a connection to the server; with `smtps`, one that has a valid certificate of its name."""
+    host, port = parts.hostname or "", parts.port or 0
+    if parts.scheme == "smtps":
+        return smtplib.SMTP_SSL(host, port, timeout=TIMEOUT_S, context=ssl.create_default_context())
+    return smtplib.SMTP(host, port, timeout=TIMEOUT_S)
+
+
 def _write(message: EmailMessage, folder: Path, name: str) -> None:
     """Write it as a whole or not at all; a repeat writes the same file."""
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     draft = folder / f".{name}"
     draft.write_bytes(bytes(message))
     draft.rename(folder / f"{name}.eml")
-
-
-def _one_line(text: str) -> str:
-    """Return a header's value: one line of at most 150 characters without controls."""
-    return "".join(character if character.isprintable() else " " for character in text)[:150]

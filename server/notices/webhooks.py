@@ -125,14 +125,19 @@ def _post(parts: SplitResult, body: bytes, headers: dict[str, str], *, inside_al
     port = parts.port or (443 if secure else 80)
     family, where = addresses.resolved(host, port, inside_allowed=inside_allowed)
     opened = socket.socket(family, socket.SOCK_STREAM)
-    cut_off = threading.Timer(WHOLE_TIMEOUT_S, _shut, [opened])
+    cut_off = threading.Timer(WHOLE_TIMEOUT_S, lambda: _shut(opened))  # whichever is open then: see below
+    cut_off.daemon = True
     cut_off.start()
     try:
         opened.settimeout(TIMEOUT_S)
         opened.connect(where)
         connection = http.client.HTTPConnection(host, port)
         if secure:
-            opened = ssl.create_default_context().wrap_socket(opened, server_hostname=host)
+            # This takes the connection away from the socket before, so the handshake comes after the new one is known.
+            opened = ssl.create_default_context().wrap_socket(
+                opened, server_hostname=host, do_handshake_on_connect=False
+            )
+            opened.do_handshake()
         connection.sock = opened
         target = (parts.path or "/") + (f"?{parts.query}" if parts.query else "")
         connection.request("POST", target, body=body, headers=headers)
@@ -144,4 +149,6 @@ def _post(parts: SplitResult, body: bytes, headers: dict[str, str], *, inside_al
 
 def _shut(opened: socket.socket) -> None:
     with suppress(OSError):  # it may have ended by itself meanwhile
-        opened.shutdown(socket.SHUT_RDWR)
+        socket.socket.shutdown(
+            opened, socket.SHUT_RDWR
+        )  # that of an encrypted one would let its reader go on unencrypted

@@ -26,7 +26,8 @@ from ..teams import ONE_LINE, note_registration
 
 router = APIRouter(prefix="/teams", tags=["teams"], responses=RESPONSES)
 
-EMAIL = r"^[^\s@<>\x00-\x1f\x7f]+@[^\s@<>\x00-\x1f\x7f]+$"
+EMAIL = r"^[A-Za-z0-9!#$%&'*+/^_`{|}~-]+(\.[A-Za-z0-9!#$%&'*+/^_`{|}~-]+)*@[A-Za-z0-9-]+(\.[A-Za-z0-9-]+)*$"
+"""One plain address: nothing with which a header would name two, or none."""
 Email = Annotated[str, Field(max_length=254, pattern=EMAIL)]
 Password = Annotated[str, Field(min_length=MIN_LENGTH, max_length=MAX_LENGTH)]
 

@@ -1,10 +1,16 @@
 import smtplib
+import ssl
 from datetime import UTC, datetime
+from email import policy
+from email.parser import BytesParser
 from typing import Any
 from uuid import UUID
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from service_factories import make_settings
+from vitac.server.api.people.members import EMAIL
 from vitac.server.db.models import Notice
 from vitac.server.db.states import NoticeChannel, NoticeKind
 from vitac.server.notices import mail
@@ -31,8 +37,8 @@ class FakeServer:
 
     last: "FakeServer"
 
-    def __init__(self, host: str, port: int, timeout: float) -> None:
-        self.where, self.done = (host, port), list[str]()
+    def __init__(self, host: str, port: int, timeout: float, context: ssl.SSLContext | None = None) -> None:
+        self.where, self.done, self.context = (host, port), list[str](), context
         FakeServer.last = self
 
     def __enter__(self) -> "FakeServer":
@@ -61,6 +67,14 @@ def test_what_a_team_wrote_makes_no_further_header() -> None:
     assert "Bcc: victim" in made.get_content()
 
 
+@settings(max_examples=30)
+@given(st.from_regex(EMAIL, fullmatch=True).filter(lambda address: len(address) <= 254))
+def test_every_address_that_the_api_takes_gets_a_mail_of_one_recipient(address: str) -> None:
+    made = mail.message_of(a_notice(target=address), make_settings(mail_from="arena@example.org"))
+    read = BytesParser(policy=policy.default).parsebytes(bytes(made))
+    assert [one.addr_spec for one in read["To"].addresses] == [address]
+
+
 @pytest.mark.parametrize("target", [HOSTILE, "ann@example.org\nBcc: victim@example.org"])
 def test_an_address_with_a_line_end_is_not_sent_to(target: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(smtplib, "SMTP", FakeServer)
@@ -76,6 +90,9 @@ def test_leaves_over_the_server_of_the_settings(monkeypatch: pytest.MonkeyPatch)
     assert FakeServer.last.done == ["encrypted", "us@er w:rd", "sent", "quit"]
     mail.send(a_notice(), make_settings(mail_url="smtps://mail.example.org"))
     assert FakeServer.last.done == ["sent", "quit"]
+    used = FakeServer.last.context
+    assert used is not None
+    assert (used.verify_mode, used.check_hostname) == (ssl.CERT_REQUIRED, True), "the password goes to nobody else"
 
 
 def test_facts_that_are_not_there_are_a_named_failure() -> None:

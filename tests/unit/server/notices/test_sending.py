@@ -1,14 +1,21 @@
 import email
+import socket
+import ssl
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from email import policy
+from functools import partial
 from http.server import BaseHTTPRequestHandler, HTTPServer
+from ipaddress import ip_address
 from pathlib import Path
 
 import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
 from service_factories import TRACK, make_principal, make_settings, play_all, submit
 from sqlalchemy import update
 from sqlalchemy.orm import Session
@@ -19,7 +26,7 @@ from vitac.server.db.engine import Database
 from vitac.server.db.models import Notice, Webhook
 from vitac.server.db.states import NoticeChannel, NoticeKind
 from vitac.server.errors import ProblemCode
-from vitac.server.notices import outbox, sending, webhooks
+from vitac.server.notices import deadlines, outbox, sending, webhooks
 from vitac.server.settings import Settings
 
 FACTS = {"name": "zero", "track": TRACK, "page": "/submissions/1"}
@@ -58,6 +65,64 @@ def receiving() -> Iterator[Receiver]:
         server.shutdown()
         thread.join()
         server.server_close()
+
+
+@contextmanager
+def answering(chunks: Sequence[bytes], pause_s: float = 0.0, context: ssl.SSLContext | None = None) -> Iterator[int]:
+    """The port of a receiver of one request that answers in pieces with pauses, and ends when nobody listens."""
+    stopping = threading.Event()
+
+    def answer(listening: socket.socket) -> None:
+        try:
+            connection, _ = listening.accept()
+            with context.wrap_socket(connection, server_side=True) if context else connection as opened:
+                asked = b""
+                while not asked.endswith(b"}"):
+                    asked += opened.recv(65536)
+                for chunk in chunks:
+                    opened.sendall(chunk)
+                    if stopping.wait(pause_s):
+                        return
+        except OSError:
+            return  # cut off
+
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        thread = threading.Thread(target=answer, args=[listening])
+        thread.start()
+        try:
+            yield listening.getsockname()[1]
+        finally:
+            stopping.set()
+            thread.join()
+
+
+def self_signed(folder: Path) -> tuple[ssl.SSLContext, Path]:
+    """How 127.0.0.1 serves https with a certificate of its own, and the certificate that its callers trust."""
+    key, now = ec.generate_private_key(ec.SECP256R1()), datetime.now(UTC)
+    name = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, "127.0.0.1")])
+    made = (
+        x509.CertificateBuilder(name, name, key.public_key(), x509.random_serial_number())
+        .not_valid_before(now - timedelta(days=1))
+        .not_valid_after(now + timedelta(days=1))
+        .add_extension(x509.SubjectAlternativeName([x509.IPAddress(ip_address("127.0.0.1"))]), critical=False)
+        .add_extension(x509.BasicConstraints(ca=True, path_length=None), critical=True)
+        .sign(key, hashes.SHA256())
+    )
+    trusted, secret = folder / "certificate.pem", folder / "key.pem"
+    trusted.write_bytes(made.public_bytes(serialization.Encoding.PEM))
+    secret.write_bytes(
+        key.private_bytes(serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption())
+    )
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.load_cert_chain(trusted, secret)
+    return context, trusted
+
+
+def a_webhook_notice(database: Database, address: str) -> None:
+    with database.transaction() as session:
+        own = teams.own(session, make_principal(session))
+        webhooks.add(session, CONSOLE, own, address, inside_allowed=True)
+        outbox.announce(session, NoticeKind.FINISHED, own.id, "evaluation:1", FACTS)
 
 
 def settings_with(tmp_path: Path) -> Settings:
@@ -232,6 +297,113 @@ def test_the_sender_works_until_it_is_stopped(database: Database, tmp_path: Path
         written.wait(0.02)
     sender.stop()
     assert len(list((tmp_path / "mails").glob("*.eml"))) == 1
+
+
+@pytest.mark.parametrize("address", ["x@[a", "a@b\x0bc", "(" * 200 + "@example.org", "<@>,:;@@"])
+def test_an_address_that_is_none_is_its_notices_problem_and_no_other_ones(
+    address: str, database: Database, tmp_path: Path
+) -> None:
+    with database.transaction() as session:
+        for name, target in (("Ants", address), ("Bees", "bee@example.org")):
+            team = make_principal(session, name)
+            with_address(session, team, target)
+            outbox.announce(session, NoticeKind.FINISHED, teams.own(session, team).id, f"evaluation:{name}", FACTS)
+    settings = settings_with(tmp_path)
+    assert [sending.send_one(database, settings) for _ in range(3)] == [True, True, False]
+    with database.transaction() as session:
+        sent = {notice.target: notice.sent_at is not None for notice in outbox.newest(session)}
+        assert sent["bee@example.org"]
+
+
+@pytest.mark.parametrize("secure", [False, True])
+def test_a_receiver_that_answers_byte_by_byte_is_cut_off(
+    secure: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    context, trusted = self_signed(tmp_path)
+    monkeypatch.setenv("SSL_CERT_FILE", str(trusted))
+    whole = [b"HTTP/1.1 200 OK\r\n\r\n"]
+    listening = partial(answering, context=context if secure else None)
+    made = Notice(kind=NoticeKind.FINISHED, subject="evaluation:1", facts=FACTS, created_at=datetime.now(UTC))
+    send = partial(webhooks.send, made, secret="0" * 64, inside_allowed=True)
+    scheme = "https" if secure else "http"
+    with listening(whole) as port:
+        send(address=f"{scheme}://127.0.0.1:{port}/")
+    monkeypatch.setattr(webhooks, "WHOLE_TIMEOUT_S", 0.2)
+    dripping = [bytes([byte]) for byte in whole[0]]  # 1 s, then a good answer
+    with listening(dripping, 0.05) as port, pytest.raises(webhooks.Undelivered):
+        send(address=f"{scheme}://127.0.0.1:{port}/")
+
+
+def test_what_a_receiver_says_is_kept_in_one_line_without_controls(database: Database, tmp_path: Path) -> None:
+    with answering([b"\0\x1b[31mnonsense\0" + b"x" * 900 + b"\r\n\r\n"]) as port:
+        a_webhook_notice(database, f"http://127.0.0.1:{port}/")
+        assert sending.send_one(database, settings_with(tmp_path))
+    with database.transaction() as session:
+        (notice,) = outbox.newest(session)
+        assert notice.problem is not None
+        assert "nonsense" in notice.problem
+        assert notice.problem.isprintable()
+        assert len(notice.problem) == sending.PROBLEM_LENGTH
+
+
+def test_a_notice_whose_last_try_was_not_noted_is_given_up_and_the_next_is_sent(
+    database: Database, tmp_path: Path
+) -> None:
+    with database.transaction() as session:
+        team = make_principal(session)
+        with_address(session, team)
+        for number in range(2):
+            outbox.announce(session, NoticeKind.FINISHED, teams.own(session, team).id, f"evaluation:{number}", FACTS)
+        killed = outbox.newest(session)[0]
+        killed.attempts, killed.due_at = sending.MAX_ATTEMPTS, datetime.now(UTC) - timedelta(hours=1)
+        killed_id = killed.id
+    settings = settings_with(tmp_path)
+    assert [sending.send_one(database, settings) for _ in range(2)] == [True, False]
+    with database.transaction() as session:
+        given_up = session.get_one(Notice, killed_id)
+        assert (given_up.given_up_at is not None, given_up.sent_at) == (True, None)
+        assert given_up.problem == "The server ended while it was sending this."
+        outbox.retry(session, CONSOLE, killed_id)
+    assert sending.send_one(database, settings)
+
+
+def test_mails_go_on_while_deadlines_fail_and_a_webhook_hangs_and_the_sender_stops_nevertheless(
+    database: Database, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hanging, failed, let_go = threading.Event(), threading.Event(), threading.Event()
+
+    def hang(*_: object, **__: object) -> None:
+        hanging.set()
+        let_go.wait(30)
+
+    def fail(*_: object) -> None:
+        failed.set()
+        raise ValueError("no competition")
+
+    monkeypatch.setattr(webhooks, "send", hang)
+    monkeypatch.setattr(deadlines, "announce_near", fail)
+    monkeypatch.setattr(sending, "STOPPED_WITHIN_S", 0.05)
+    sender = sending.NoticeSender(database, settings_with(tmp_path).model_copy(update={"sweep_interval_s": 0.02}))
+    a_webhook_notice(database, "http://127.0.0.1:1/")
+    sender.start()
+    try:
+        assert hanging.wait(30)
+        assert failed.wait(30)
+        with database.transaction() as session:
+            team = make_principal(session, "Bees")
+            with_address(session, team)
+            outbox.announce(session, NoticeKind.FINISHED, teams.own(session, team).id, "evaluation:2", FACTS)
+        for _ in range(1000):
+            if written := list((tmp_path / "mails").glob("*.eml")):
+                break
+            let_go.wait(0.02)
+        sender.stop()
+        assert written
+        assert any(thread.is_alive() for thread in sender._threads), "the webhook is still at work"
+    finally:
+        let_go.set()
+        for thread in sender._threads:
+            thread.join()
 
 
 def test_webhooks_are_the_captains_and_few(database: Database) -> None:
