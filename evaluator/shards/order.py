@@ -19,7 +19,8 @@ PROCESS_ID: Final = struct.Struct("<q")
 LOAD_ALL: Final = "load-all"
 """Argument of a host that loads the simulation of every task while it has nothing else to do."""
 
-_OF_ONE_SHARD: Final = frozenset({"shard", "episodes", "skip", "earlier_failures"})
+_OF_ONE_SHARD: Final = frozenset({"secret", "shard", "episodes", "skip", "earlier_failures"})
+"""Which episodes are played, and from where they are taken; environment and policy are the same for all lists."""
 
 
 class ShardOrder(StrictModel):

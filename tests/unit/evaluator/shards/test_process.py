@@ -14,6 +14,7 @@ from vitac.evaluator.shards import process as shard_process
 from vitac.evaluator.shards.order import ShardOrder
 from vitac.evaluator.shards.process import ShardProcess, ShardProcesses, ShardProcessFailed
 from vitac.evaluator.shards.result import ShardEnd, ShardResult
+from vitac.evaluator.tracks import load_track
 from worker_fakes import eventually
 
 FAKE = (sys.executable, fake_shard_process.__file__)
@@ -128,6 +129,23 @@ def test_shards_of_one_submission_share_a_process_and_its_loaded_policy(processe
 def test_orders_that_need_another_preparation_do_not_share_one(changes: dict[str, object]) -> None:
     assert order("succeed", **changes).preparation() != order("succeed").preparation()
     assert order("succeed", shard=3, skip=(1,), episodes=(81, 82)).preparation() == order("succeed").preparation()
+
+
+def test_shards_of_sealed_lists_share_a_process_and_each_plays_the_list_of_its_own_secret(
+    processes: ShardProcesses, tmp_path: Path
+) -> None:
+    """Workers write the secret to a new file for each shard."""
+    pids, played = [], [load_track("track_1").tasks["peg-insertion"].episodes[0].offset]
+    for name in ("1a", "2b", "2b"):
+        secret = tmp_path / f"{len(pids)} {name}"
+        secret.write_text(name * 32)
+        with processes.running_shard(order("succeed", episodes=(1,), secret=secret)) as process:
+            pids.append(process.pid)
+            played += [record.initial_offset for record in process.records()]
+    assert len(set(pids)) == 1
+    public, first, second, second_again = played
+    assert second == second_again
+    assert len({public, first, second}) == 3
 
 
 def test_process_of_another_submission_that_waits_is_ended(processes: ShardProcesses) -> None:
