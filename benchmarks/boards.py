@@ -175,6 +175,7 @@ def add_episodes(session: Session, submission: Submission, rng: np.random.Genera
                     record=record,
                     record_digest="0" * 64,
                     states_digest=sha256(f"{submission.id} {number}".encode()).hexdigest(),
+                    half_way_state=sha256(f"{submission.id} {number} half-way".encode()).hexdigest(),
                     wall_s=0.1,
                     evaluation_id=evaluation.id,
                 )

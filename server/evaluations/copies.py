@@ -1,17 +1,21 @@
 """Finds logs whose states another team reached before; called when an evaluation is complete.
 
 Re-simulation proves the actions of a log, not whose they are: whoever has a log can upload it under another header, and
-changes of the actions that move nothing (-0.0 for 0.0) change its digest. Equal states tell it all the same.
+changes of the actions that move nothing (-0.0 for 0.0) change its digest. Equal states tell it all the same; those
+half-way through an episode do so where its last actions are other ones.
 """
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from datetime import datetime
+from functools import partial
+from typing import Any
 from uuid import UUID
 
-from sqlalchemy import ScalarSelect, distinct, func, select, update
+from sqlalchemy import ScalarSelect, Select, case, delete, func, or_, over, select, tuple_, update
 from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session, aliased
+from vitac.evaluator.episodes.records import ActionSequence
 from vitac.evaluator.submission_kinds import SubmissionKind
 
 from ..db.among import among
@@ -23,29 +27,85 @@ from .episode_store import EpisodeKey
 
 @dataclass(frozen=True, kw_only=True)
 class _Twin:
-    """A submission of another team with the same states in some episodes."""
+    """A submission of another team that shares states, where the later of both is the first of its team with them.
+
+    Attributes:
+        whole: ids of our episodes of which it has all states.
+        begun: ids of our episodes of which it has the state half-way, and other ones at the end.
+    """
 
     submission_id: UUID
     kind: SubmissionKind
     submitted_at: datetime
-    episodes: int
+    whole: Collection[int]
+    begun: Collection[int]
+
+    @property
+    def moment(self) -> tuple[datetime, UUID]:
+        return self.submitted_at, self.submission_id
 
 
 def flag_copies(session: Session, evaluation: Evaluation) -> None:
     """Compare a completed evaluation with the episodes of all other teams; of a log and its twin the later is flagged.
 
-    Either may be evaluated first. With half of its episodes or more a log is a copy, and not ranked.
+    Either may be evaluated first. With half of its episodes or more a log is a copy, and not ranked. An episode whose
+    states its team had before the other one is nobody's copy.
     """
+    _compare(session, evaluation)
+    for own in _flagged_before_ours_was_known(session, evaluation.submission):
+        session.execute(delete(LogCopy).where(LogCopy.evaluation_id == own.id))
+        session.execute(update(BoardResult).where(BoardResult.evaluation_id == own.id).values(is_copy=False))
+        _compare(session, own)
+
+
+def _flagged_before_ours_was_known(session: Session, submission: Submission) -> Collection[Evaluation]:
+    """Return the team's evaluations that were flagged for a submission after this one."""
+    theirs, own = aliased(Submission), aliased(Submission)
+    return session.scalars(
+        select(Evaluation)
+        .join(own, Evaluation.submission)
+        .join(LogCopy, LogCopy.evaluation_id == Evaluation.id)
+        .join(theirs, theirs.id == LogCopy.earlier_submission_id)
+        .where(
+            own.team_id == submission.team_id,
+            tuple_(theirs.submitted_at, theirs.id) > tuple_(submission.submitted_at, submission.id),
+        )
+        .order_by(Evaluation.id)
+    ).all()
+
+
+def _compare(session: Session, evaluation: Evaluation) -> None:
     submission = evaluation.submission
-    twins = _twins(session, evaluation)
     moment = (submission.submitted_at, submission.id)
-    earlier = [twin for twin in twins if (twin.submitted_at, twin.submission_id) < moment]
-    if earlier and submission.kind is SubmissionKind.LOG:
-        closest = max(earlier, key=lambda twin: twin.episodes)
-        _flag(session, [evaluation], closest.submission_id, closest.episodes)
-    for twin in twins:
-        if twin.kind is SubmissionKind.LOG and (twin.submitted_at, twin.submission_id) > moment:
-            _flag(session, _completed(session, twin.submission_id), submission.id, twin.episodes)
+    is_log = submission.kind is SubmissionKind.LOG
+    twins = _twins(session, evaluation)
+    earlier = [twin for twin in twins if is_log and twin.moment < moment]
+    later = [twin for twin in twins if twin.kind is SubmissionKind.LOG and twin.moment > moment]
+    begun = _beginnings(session, {episode for twin in (*earlier, *later) for episode in twin.begun})
+    if earlier:
+        closest = max(earlier, key=lambda twin: _count(twin, begun))
+        _flag(session, [evaluation], closest.submission_id, _count(closest, begun))
+    for twin in later:
+        _flag(session, _completed(session, twin.submission_id), submission.id, _count(twin, begun))
+
+
+def _count(twin: _Twin, begun: Mapping[int, bytes]) -> int:
+    """Return how many episodes are equal; of those that only begin equally, each row of actions counts once.
+
+    Policies that begin every episode with the same moves, to feel what they hold, reach the same states by themselves.
+    """
+    return len(twin.whole) + len({begun[episode] for episode in twin.begun})
+
+
+def _beginnings(session: Session, episodes: Collection[int]) -> dict[int, bytes]:
+    """Return the actions of the first half of some episodes, -0.0 as 0.0."""
+    if not episodes:
+        return {}
+    rows = session.execute(
+        select(EpisodeResult.id, EpisodeResult.record["actions"]).where(EpisodeResult.id.in_(episodes))
+    )
+    actions = {episode: ActionSequence.model_validate(found).to_array() for episode, found in rows}
+    return {episode: (found[: (len(found) + 1) // 2] + 0.0).tobytes() for episode, found in actions.items()}
 
 
 def copies_among(session: Session, evaluations: Collection[UUID]) -> dict[UUID, LogCopyView]:
@@ -73,29 +133,70 @@ def count_copied_episodes() -> ScalarSelect[int]:
 
 def _twins(session: Session, evaluation: Evaluation) -> list[_Twin]:
     """Return the submissions of other teams that share states; of equal ones the earliest first."""
-    submission, ours, theirs = evaluation.submission, aliased(EpisodeResult), aliased(EpisodeResult)
-    shared = (
-        select(theirs.submission_digest, func.count(distinct(ours.episode)).label("episodes"))
-        .join(
-            theirs,
-            # Under any number and track: repeats of a start, and tracks that differ in cameras only, have equal states.
-            theirs.states_digest == ours.states_digest,
-        )
-        # Without an env step there are only the states of the reset, which are everybody's.
-        .where(*EpisodeKey.of(evaluation, submission).conditions(ours), ours.env_steps > 0)
-        .group_by(theirs.submission_digest)
+    submission = evaluation.submission
+    found = _first_with_states(evaluation).cte("found")
+    own = (
+        select(found.c.episode, found.c.first_at, found.c.first_id)
+        .where(found.c.team_id == submission.team_id)
+        .distinct()
         .subquery()
     )
     rows = session.execute(
-        select(Submission.id, Submission.kind, Submission.submitted_at, shared.c.episodes)
-        .join(shared, shared.c.submission_digest == Submission.digest)
-        .where(Submission.team_id != submission.team_id)
-        .order_by(Submission.submitted_at, Submission.id)
+        select(
+            found.c.submission_id,
+            found.c.kind,
+            found.c.submitted_at,
+            func.array_remove(func.array_agg(case((found.c.whole, found.c.episode))), None),
+            func.array_remove(func.array_agg(case((~found.c.whole, found.c.episode))), None),
+        )
+        .join(own, own.c.episode == found.c.episode)
+        .where(
+            found.c.team_id != submission.team_id,
+            or_(
+                tuple_(found.c.submitted_at, found.c.submission_id) < tuple_(own.c.first_at, own.c.first_id),
+                tuple_(found.c.first_at, found.c.first_id) > tuple_(submission.submitted_at, submission.id),
+            ),
+        )
+        .group_by(found.c.submission_id, found.c.kind, found.c.submitted_at)
+        .order_by(found.c.submitted_at, found.c.submission_id)
     )
     return [
-        _Twin(submission_id=found, kind=kind, submitted_at=submitted_at, episodes=episodes)
-        for found, kind, submitted_at, episodes in rows
+        _Twin(submission_id=submission_id, kind=kind, submitted_at=submitted_at, whole=whole, begun=begun)
+        for submission_id, kind, submitted_at, whole, begun in rows
     ]
+
+
+def _first_with_states(evaluation: Evaluation) -> Select[Any]:
+    """Return our episodes with each submission that has their state half-way, and the first of its team that has it."""
+    ours, theirs = aliased(EpisodeResult), aliased(EpisodeResult)
+    sharing = (
+        select(
+            ours.id.label("episode"),
+            Submission.id.label("submission_id"),
+            Submission.team_id,
+            Submission.kind,
+            Submission.submitted_at,
+            func.bool_or(theirs.states_digest == ours.states_digest).label("whole"),
+        )
+        .select_from(ours)
+        # Under any number and track: repeats of a start, and tracks that differ in cameras only, have equal states.
+        .join(theirs, theirs.half_way_state == ours.half_way_state)
+        .join(Submission, Submission.digest == theirs.submission_digest)
+        # Without an env step there are only the states of the reset, which are everybody's.
+        .where(*EpisodeKey.of(evaluation, evaluation.submission).conditions(ours), ours.env_steps > 0)
+        .group_by(ours.id, Submission.id)
+        .subquery()
+    )
+    of_team = partial(
+        over,
+        partition_by=(sharing.c.episode, sharing.c.team_id),
+        order_by=(sharing.c.submitted_at, sharing.c.submission_id),
+    )
+    return select(
+        sharing,
+        of_team(func.first_value(sharing.c.submitted_at)).label("first_at"),
+        of_team(func.first_value(sharing.c.submission_id)).label("first_id"),
+    )
 
 
 def _completed(session: Session, submission_id: UUID) -> Collection[Evaluation]:

@@ -114,6 +114,7 @@ def row_values(lease: Lease, record: EpisodeRecord) -> dict[str, Any]:
         "record": record.model_dump(mode="json", exclude={"output"}),
         "record_digest": record.record_digest(),
         "states_digest": states_digest(record),
+        "half_way_state": half_way_state(record),
         "wall_s": record.timings.wall_s,
         "output": record.output[-OUTPUT_CHARACTERS:],
         "evaluation_id": lease.evaluation_id,
@@ -123,6 +124,11 @@ def row_values(lease: Lease, record: EpisodeRecord) -> dict[str, Any]:
 def states_digest(record: EpisodeRecord) -> str:
     """Return the SHA-256 [hex] over all states of an episode, by which those of different submissions are compared."""
     return hashlib.sha256("\n".join(record.state_hashes).encode()).hexdigest()
+
+
+def half_way_state(record: EpisodeRecord) -> str:
+    """Return the hash of the state after half of the env steps, rounded up: changes of later actions leave it equal."""
+    return record.state_hashes[len(record.state_hashes) // 2]
 
 
 def storable(record: EpisodeRecord) -> EpisodeRecord:

@@ -33,7 +33,8 @@ from vitac.server.views.logs import LogCopyView
 RANKING_RULE = (
     "Higher success rate first; then fewer mean env steps of the successful episodes; then the earlier submission. "
     "Only verified logs are ranked, the best of each team, task by task, and never together with models. "
-    "A log is not ranked if half of its episodes or more have the states of an earlier submission of another team."
+    "A log is not ranked if half of its episodes or more have the states of an earlier submission of another team, "
+    "half-way through or to the end."
 )
 MAX_TEXT_LOGS = 200
 

@@ -194,7 +194,7 @@ class EpisodeResult(Base):
         sha256_check("submission_digest"),
         sha256_check("record_digest"),
         Index("ix_episode_results_task_created_at", "task", text("created_at DESC")),
-        Index("ix_episode_results_states", "states_digest", "task", "episode"),
+        Index("ix_episode_results_half_way_state", "half_way_state"),
     )
     id: Mapped[int] = mapped_column(BigInteger, Identity(always=True), primary_key=True)
     submission_digest: Mapped[str] = mapped_column(String(64))
@@ -211,6 +211,7 @@ class EpisodeResult(Base):
     record: Mapped[dict[str, Any]]
     record_digest: Mapped[str] = mapped_column(String(64))
     states_digest: Mapped[str] = mapped_column(String(64))
+    half_way_state: Mapped[str] = mapped_column(String(64))
     wall_s: Mapped[float] = mapped_column(Float)
     output: Mapped[str] = mapped_column(default="", server_default="", deferred=True)
     evaluation_id: Mapped[UUID | None] = mapped_column(ForeignKey("evaluations.id", ondelete="SET NULL"), index=True)
@@ -218,7 +219,10 @@ class EpisodeResult(Base):
 
 
 class LogCopy(Base):
-    """So many episodes of a log have the states of an earlier submission of another team, the one with most of them."""
+    """So many episodes of a log have the states of an earlier submission of another team, the one with most of them.
+
+    States count from half-way through an episode on (`EpisodeResult.half_way_state`).
+    """
 
     __tablename__ = "log_copies"
     __table_args__ = (CheckConstraint("episodes > 0", name="some_are_equal"),)

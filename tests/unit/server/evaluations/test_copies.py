@@ -63,6 +63,19 @@ def with_negative_zeros(episode: int, *, task: str = TASK) -> EpisodeRecord:
     return make_record(episode, task=task, actions=ActionSequence.from_array(np.full((3, 3), -0.0, np.float32)))
 
 
+def ending_otherwise(after: int) -> RecordOf:
+    """Records with other actions and states after so many env steps."""
+
+    def record(episode: int, *, task: str = TASK) -> EpisodeRecord:
+        honest = make_record(episode, task=task)
+        actions = honest.actions.to_array()
+        actions[after:] += 0.125
+        hashes = (*honest.state_hashes[: after + 1], *(sha256(f"other {episode} {n}") for n in range(after, 3)))
+        return make_record(episode, task=task, actions=ActionSequence.from_array(actions), state_hashes=hashes)
+
+    return record
+
+
 def found(database: Database, *submissions: Submission) -> list[LogCopyView | None]:
     with database.transaction() as session:
         ids = [newest_evaluation(session, submission).id for submission in submissions]
@@ -137,6 +150,63 @@ def test_fewer_than_half_of_the_episodes_are_told_but_ranked(
     assert ranks(database)["Team B"] == (2 if ranked else None)
 
 
+@pytest.mark.parametrize("theirs_first", [True, False])
+def test_a_log_that_only_ends_its_episodes_otherwise_is_a_copy_whichever_is_evaluated_first(
+    database: Database, principal: Principal, other: Principal, theirs_first: bool
+) -> None:
+    """The last of three actions is another one in each episode, so that no episode has the same states to its end."""
+    first, changed = add(database, principal, "first"), add(database, other, "changed")
+    played = [(first, make_record), (changed, ending_otherwise(after=2))]
+    for submission, record_of in played if theirs_first else reversed(played):
+        play_all(database, submission, record_of)
+    assert found(database, first, changed) == [None, LogCopyView(team="Team A", episodes=270, ranked=False)]
+    assert ranks(database) == {"Team A": 1, "Team B": None}
+
+
+def test_a_log_that_goes_its_own_way_before_half_of_its_env_steps_is_none(
+    database: Database, principal: Principal, other: Principal
+) -> None:
+    first, own = add(database, principal, "first"), add(database, other, "own")
+    play_all(database, first)
+    play_all(database, own, ending_otherwise(after=1))
+    assert found(database, own) == [None]
+
+
+def test_logs_that_begin_all_episodes_with_the_same_moves_are_no_copies(
+    database: Database, principal: Principal, other: Principal
+) -> None:
+    """Two teams feel for the part by equal moves, which lead to equal states, and then act on what they felt."""
+
+    def probing(ends: str) -> RecordOf:
+        def record(episode: int, *, task: str = TASK) -> EpisodeRecord:
+            actions = np.full((3, 3), 0.5, np.float32)
+            actions[0, 0] = -0.0 if ends == "B" and episode % 2 else 0.0
+            actions[2] = episode / 1000
+            hashes = (*(sha256(f"{episode} {n}") for n in range(3)), sha256(f"{ends} {episode}"))
+            return make_record(episode, task=task, actions=ActionSequence.from_array(actions), state_hashes=hashes)
+
+        return record
+
+    first, later = add(database, principal, "first"), add(database, other, "later")
+    play_all(database, first, probing("A"))
+    play_all(database, later, probing("B"))
+    assert found(database, first, later) == [None, LogCopyView(team="Team A", episodes=1, ranked=True)]
+    assert ranks(database) == {"Team A": 1, "Team B": 2}
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2), (2, 1, 0)])
+def test_a_team_whose_text_log_came_first_may_upload_its_actions_as_a_log_although_another_team_did_so_before(
+    database: Database, principal: Principal, other: Principal, order: tuple[int, ...]
+) -> None:
+    text_log = add(database, principal, "text", SubmissionKind.TEXT_LOG)
+    stolen, own = add(database, other, "stolen"), add(database, principal, "own")
+    for number in order:
+        play_all(database, (text_log, stolen, own)[number])
+    copy = LogCopyView(team="Team A", episodes=270, ranked=False)
+    assert found(database, text_log, stolen, own) == [None, copy, None]
+    assert ranks(database) == {"Team A": 1, "Team B": None}
+
+
 def test_own_logs_models_and_episodes_without_an_env_step_are_no_copies(
     database: Database, principal: Principal, other: Principal
 ) -> None:
@@ -177,7 +247,7 @@ def test_a_copy_is_found_by_indexes_and_comparing_again_changes_nothing(
 
 def test_migration_derives_the_digests_that_python_does(database: Database, principal: Principal) -> None:
     play_all(database, add(database, principal, "first"))
-    query = text("SELECT episode, states_digest, shape FROM episode_results ORDER BY id")
+    query = text("SELECT episode, states_digest, half_way_state, shape FROM episode_results ORDER BY id")
     with database.transaction() as session:
         stored = session.execute(query).all()
     downgrade(database, "0009")
@@ -185,3 +255,4 @@ def test_migration_derives_the_digests_that_python_does(database: Database, prin
     with database.transaction() as session:
         assert session.execute(query).all() == stored
         assert len({row.states_digest for row in stored}) == 270 == len(stored)
+        assert [row.half_way_state for row in stored] == [sha256(f"{row.episode} 2") for row in stored]
