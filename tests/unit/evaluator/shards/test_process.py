@@ -135,7 +135,8 @@ def test_shards_of_sealed_lists_share_a_process_and_each_plays_the_list_of_its_o
     processes: ShardProcesses, tmp_path: Path
 ) -> None:
     """Workers write the secret to a new file for each shard."""
-    pids, played = [], [load_track("track_1").tasks["peg-insertion"].episodes[0].offset]
+    pids: list[int] = []
+    played = [load_track("track_1").tasks["peg-insertion"].episodes[0].offset]
     for name in ("1a", "2b", "2b"):
         secret = tmp_path / f"{len(pids)} {name}"
         secret.write_text(name * 32)
