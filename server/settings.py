@@ -86,6 +86,11 @@ class Settings(BaseSettings):
         default=None,
         description="Folder with initdb and postgres for the embedded database. Not set: the newest found.",
     )
+    preview_font: Path | None = Field(
+        default=None,
+        description="Font file for names in pictures of links that need more than plain Latin letters, such as that of "
+        "Noto Sans CJK. Not set: names with accents, Greek or CJK are left out of these pictures.",
+    )
     storage_url: str | None = Field(
         default=None,
         description="Where uploads are kept: s3://bucket/prefix or file:///folder. Not set: in the state directory.",

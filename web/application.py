@@ -13,6 +13,7 @@ from vitac.server.limiter import WindowLimiter
 from .data.service import ServiceData
 from .pages import routes
 from .session.signer import SessionSigner, load_key
+from .sharing.preview import checked_font
 from .site import Site
 
 if TYPE_CHECKING:
@@ -50,6 +51,7 @@ def create(services: Services, *, sweeps: bool = True) -> FastAPI:
         version=version("vitac-arena"),
         tracks=list_tracks(),
         public_url=settings.public_url,
+        preview_font=checked_font(settings.preview_font),
     )
     routes.install(app, site)
     return app

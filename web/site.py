@@ -22,6 +22,7 @@ from .session.signer import COOKIE
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Hashable, Mapping
+    from pathlib import Path
 
     from starlette.requests import Request
     from starlette.responses import Response
@@ -52,6 +53,7 @@ class Site:
         version: the distribution's version, shown in the footer.
         tracks: names of the tracks; the navigation leads to the first one.
         public_url: address that people use; None: that of the request.
+        preview_font: font file for names in pictures of links.
         fragments: parts of pages as they were last rendered.
         plots: of evaluations and boards.
         maps: of episodes of complete evaluations.
@@ -64,6 +66,7 @@ class Site:
     version: str
     tracks: tuple[str, ...]
     public_url: str | None = None
+    preview_font: Path | None = None
     fragments: Fragments = field(default_factory=Fragments)
     plots: Fragments = field(default_factory=lambda: Fragments(at_most=MAX_PLOTS))
     maps: Kept[Hashable, EpisodeMap] = field(default_factory=lambda: Kept(at_most=MAX_MAPS))

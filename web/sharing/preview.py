@@ -7,9 +7,11 @@ from functools import cache
 from typing import TYPE_CHECKING
 
 from PIL import Image, ImageDraw, ImageFont
+from vitac.server.errors import SettingsError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from pathlib import Path
 
     from vitac.server.views.submissions import EpisodeView, SubmissionView
 
@@ -24,26 +26,43 @@ GRID = (664, 120, WIDTH - MARGIN, HEIGHT - 120)
 LARGEST_CELL = 40
 
 
-def draw_preview(found: SubmissionView, track: str, episodes: Sequence[EpisodeView]) -> bytes:
+def draw_preview(
+    found: SubmissionView, track: str, episodes: Sequence[EpisodeView], font_file: Path | None = None
+) -> bytes:
     """Return the picture of a complete submission, PNG: who, what, how well, and each episode as a cell.
 
     Args:
         found: the submission.
         track: title of its track.
         episodes: how they ended; nothing where single episodes are not shown.
+        font_file: for names that Pillow's own font cannot write.
     """
     picture = Image.new("RGB", (WIDTH, HEIGHT), PAPER)
     draw = ImageDraw.Draw(picture)
     draw.rectangle((0, 0, WIDTH, 12), fill=ACCENT)
     width = (GRID[0] if episodes else WIDTH - MARGIN) - 2 * MARGIN + 24
     _write(draw, 64, f"ViTac Arena · {track}", 28, QUIET, WIDTH - 2 * MARGIN)
-    _write(draw, 140, found.name, 52, INK, width)
-    _write(draw, 214, found.team.name, 36, QUIET, width)
+    _write(draw, 140, found.name, 52, INK, width, font_file)
+    _write(draw, 214, found.team.name, 36, QUIET, width, font_file)
     _draw_rate(draw, found, width)
     _draw_episodes(draw, episodes)
     written = io.BytesIO()
     picture.quantize(COLOURS).save(written, "PNG", optimize=True)
     return written.getvalue()
+
+
+def checked_font(font_file: Path | None) -> Path | None:
+    """Return a font file that can be read.
+
+    Raises:
+        SettingsError: it is none.
+    """
+    if font_file is not None:
+        try:
+            _font(20, font_file)
+        except OSError as error:
+            raise SettingsError(f"VITAC_PREVIEW_FONT is {font_file}, expected a font file: {error}") from error
+    return font_file
 
 
 def _draw_rate(draw: ImageDraw.ImageDraw, found: SubmissionView, width: int) -> None:
@@ -84,11 +103,14 @@ def _draw_episodes(draw: ImageDraw.ImageDraw, episodes: Sequence[EpisodeView]) -
             draw.rectangle(cell, fill=BAD)
 
 
-def _write(draw: ImageDraw.ImageDraw, y: int, text: str, size: int, colour: str, width: int) -> None:
-    """Write a line, cut off where it is too wide; left out where the font lacks one of its characters."""
-    if not _can_write(text):
+def _write(
+    draw: ImageDraw.ImageDraw, y: int, text: str, size: int, colour: str, width: int, font_file: Path | None = None
+) -> None:
+    """Write a line, cut off where it is too wide; left out where no font has all of its characters."""
+    able = [file for file in dict.fromkeys((None, font_file)) if _can_write(text, file)]
+    if not able:
         return
-    font = _font(size)
+    font = _font(size, able[0])
     if draw.textlength(text, font) > width:
         while text and draw.textlength(f"{text}…", font) > width:
             text = text[:-1]
@@ -97,12 +119,13 @@ def _write(draw: ImageDraw.ImageDraw, y: int, text: str, size: int, colour: str,
 
 
 @cache
-def _font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
-    return ImageFont.load_default(size)
+def _font(size: int, file: Path | None) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
+    """Return a font; without a file Pillow's own."""
+    return ImageFont.load_default(size) if file is None else ImageFont.truetype(file, size)
 
 
-def _can_write(text: str) -> bool:
+def _can_write(text: str, file: Path | None) -> bool:
     """Return whether the font has a glyph for each character: the ones that it lacks all look alike."""
-    font = _font(20)
+    font = _font(20, file)
     missing = bytes(font.getmask("\uffff"))
     return all(character == " " or bytes(font.getmask(character)) != missing for character in set(text))

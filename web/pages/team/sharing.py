@@ -77,7 +77,9 @@ async def preview(request: Request) -> Response:
     detail = await site.data.submission(None, submission_id)
     found, title = detail.submission, load_track(detail.submission.track).title
     shown = f"{found.evaluation.id} {found.rank} {len(detail.episodes)}"
-    picture = await asyncio.to_thread(site.previews.get, shown, lambda: draw_preview(found, title, detail.episodes))
+    picture = await asyncio.to_thread(
+        site.previews.get, shown, lambda: draw_preview(found, title, detail.episodes, site.preview_font)
+    )
     return answer(
         request,
         picture,

@@ -1,15 +1,20 @@
 import io
+from pathlib import Path
 
+import matplotlib as mpl
 import numpy as np
 import pytest
 from page_fixtures import TASK, a_submission, some_episodes
 from PIL import Image
 from vitac.server.db.states import EvaluationState
+from vitac.server.errors import SettingsError
 from vitac.server.views.submissions import SubmissionView
-from vitac.web.sharing.preview import HEIGHT, WIDTH, draw_preview
+from vitac.web.sharing.preview import HEIGHT, WIDTH, checked_font, draw_preview
 
 COMPLETED = a_submission("Gelbots", EvaluationState.COMPLETED, name="Soft touch")
 EPISODES = some_episodes(TASK, 270)
+DEJAVU = Path(mpl.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"
+"""A font with accents and Greek, without CJK."""
 
 
 def pixels(picture: bytes) -> np.ndarray:
@@ -58,3 +63,27 @@ def test_a_thousand_episodes_fit() -> None:
     many = [end.model_copy(update={"episode": place}) for place, end in enumerate(EPISODES * 5)]
     shown = pixels(draw_preview(COMPLETED, "Track 1", many))
     assert (shown[-100:, WIDTH // 2 :] == shown[-1, -1]).all(), "nothing below the grid"
+
+
+@pytest.mark.parametrize("name", ["Équipe", "Αφή", "Łódź"])
+def test_another_font_writes_the_names_that_ours_cannot(name: str) -> None:
+    without = draw_preview(named("", team=""), "Track 1", EPISODES, DEJAVU)
+    assert draw_preview(named(name, team=""), "Track 1", EPISODES, DEJAVU) != without
+    assert draw_preview(named("", team=name), "Track 1", EPISODES, DEJAVU) != without
+
+
+def test_another_font_changes_nothing_where_ours_can_write_or_neither_can() -> None:
+    for name in ("abc", "触覚", "é触"):
+        assert draw_preview(named(name), "Track 1", [], DEJAVU) == draw_preview(named(name), "Track 1", [])
+    wide = pixels(draw_preview(named("É" * 128), "Track 1", EPISODES, DEJAVU))
+    assert (wide[:, 640:] == pixels(draw_preview(named("a"), "Track 1", EPISODES))[:, 640:]).all(), "it is cut off, too"
+
+
+def test_a_font_file_that_is_none_is_refused(tmp_path: Path) -> None:
+    assert checked_font(None) is None
+    assert checked_font(DEJAVU) == DEJAVU
+    other = tmp_path / "other.ttf"
+    other.write_bytes(b"no font")
+    for file in (other, tmp_path, tmp_path / "missing.ttf"):
+        with pytest.raises(SettingsError, match=r"VITAC_PREVIEW_FONT is .*, expected a font file"):
+            checked_font(file)
