@@ -12,14 +12,17 @@ from typing import ClassVar, Generic, Protocol, TypeVar
 import structlog
 from sqlalchemy.orm import Session
 from vitac.envs.errors import VitacError
+from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.queue.leases import LeaseLost
 from vitac.server.services import Services
+from vitac.server.storage.blobs import StoredFileLost
 from vitac.server.storage.disk_space import has_space, is_disk_full
 
 DATABASE_PATIENCE_S = 600.0
 """So long a worker keeps what it has while the database is away."""
-
-
+STORAGE_PATIENCE_S = 600.0
+"""So long a worker waits for a storage that is unavailable before the attempt counts as failed."""
+STORAGE_PAUSE_S = 1.0
 FULL_DISK_PAUSE_S = 5.0
 """So long waits what a worker gave back because its disk was full."""
 
@@ -115,6 +118,21 @@ class LeasedRun(ABC, Generic[ProcessT]):
         """Run a transaction, again and again while the database is away and the worker is not told to stop."""
         patience_s = 5.0 if self._stopping.is_set() else DATABASE_PATIENCE_S
         return self._services.database.retrying(change, give_up_after_s=patience_s)
+
+    def _with_storage(self, action: Callable[[], ResultT]) -> ResultT:
+        """Do what needs the storage, again and again while that is unavailable and the work has not to end."""
+        deadline = time.monotonic() + STORAGE_PATIENCE_S
+        while True:
+            try:
+                return action()
+            except ServiceError as error:
+                may_pass = error.code is ProblemCode.STORAGE_UNAVAILABLE and not isinstance(error, StoredFileLost)
+                ends = self._stopping.is_set() or self._lost.is_set() or time.monotonic() > deadline
+                if ends or not may_pass:
+                    raise
+                self._logger.warning("storage_unavailable", error=error.detail)
+            self._stopping.wait(STORAGE_PAUSE_S)
+            self._advance()  # it waits, it does not hang
 
     def _work_or_end_early(self) -> RunEnd:
         try:

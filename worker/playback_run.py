@@ -4,6 +4,7 @@ import hashlib
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Protocol
@@ -12,6 +13,7 @@ from sqlalchemy.orm import Session
 from vitac.evaluator.playback.order import CAMERAS_FILE, SCENE_FILE, STILL_FILE, PlaybackOrder
 from vitac.evaluator.playback.process import PlaybackFailed
 from vitac.evaluator.sensors.made import read_made_sensor
+from vitac.server.evaluations.lifecycle import RETRY_DELAY_S
 from vitac.server.playbacks import work
 from vitac.server.playbacks.work import PlaybackLease
 from vitac.server.services import Services
@@ -62,11 +64,12 @@ class PlaybackRun(LeasedRun[RunningPlayback]):
     def _make(self, folder: Path) -> Mapping[str, str]:
         """Return the digests of the stored files by column."""
         made = self._lease.sensor_sha256
+        stored = None if made is None else self._with_storage(partial(self._services.blobs.read, made))
         order = PlaybackOrder(
             track=self._lease.track,
             record=self._lease.record,
             list_seed=self._lease.list_seed,
-            sensor=None if made is None else read_made_sensor(self._services.blobs.read(made)),
+            sensor=None if stored is None else read_made_sensor(stored),
             folder=folder,
         )
         with self._start(order) as process:
@@ -78,8 +81,11 @@ class PlaybackRun(LeasedRun[RunningPlayback]):
 
     def _store(self, path: Path) -> str:
         digest = hashlib.sha256(path.read_bytes()).hexdigest()
-        self._database(lambda session: stored_files.store(session, self._services.blobs, path, digest))
+        self._with_storage(partial(self._database, partial(self._store_file, path, digest)))
         return digest
+
+    def _store_file(self, path: Path, digest: str, session: Session) -> None:
+        stored_files.store(session, self._services.blobs, path, digest)
 
     def _renew(self, session: Session) -> None:
         work.renew(session, self._lease, self._services.settings.lease_s, env_steps_played=self._env_steps_played)
@@ -88,9 +94,10 @@ class PlaybackRun(LeasedRun[RunningPlayback]):
         work.hand_back(session, self._lease, counts_as_attempt=False, delay_s=delay_s)
 
     def _report_broken(self, session: Session, message: str) -> None:
-        """Let it be tried again, or end it with the last attempt."""
+        """Let it be tried again after a while, or end it with the last attempt."""
         if self._lease.attempt < self._services.settings.shard_attempts:
-            work.hand_back(session, self._lease, counts_as_attempt=True)
+            delay_s = self._lease.attempt * RETRY_DELAY_S
+            work.hand_back(session, self._lease, counts_as_attempt=True, delay_s=delay_s)
         else:
             problem = f"It could not be made in {self._lease.attempt} attempts: {message[:300]}"
             work.end_failed(session, self._lease, problem)

@@ -2,7 +2,6 @@
 
 import errno
 import tempfile
-import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack
 from functools import partial
@@ -16,7 +15,7 @@ from vitac.evaluator.scoring.failures import is_broken
 from vitac.evaluator.shards.order import ShardOrder
 from vitac.evaluator.shards.result import ShardEnd, ShardResult
 from vitac.server.competition.sealing import secret_of
-from vitac.server.errors import ProblemCode, ServiceError
+from vitac.server.errors import ServiceError
 from vitac.server.evaluations.episode_store import StoredEpisodes, store_episodes, stored_episodes
 from vitac.server.evaluations.lifecycle import finish_shard, report_broken_machine
 from vitac.server.evaluations.provenance import known_manifest
@@ -24,7 +23,6 @@ from vitac.server.queue import leases
 from vitac.server.queue.leases import Lease
 from vitac.server.services import Services
 from vitac.server.storage import stored_files
-from vitac.server.storage.blobs import StoredFileLost
 from vitac.server.submissions.figures import coefficients_file, has_part, is_measured_by, part_file
 from vitac.server.submissions.files import add_files
 from vitac.server.uploads.checked_upload import UploadedFile
@@ -32,10 +30,6 @@ from vitac.server.uploads.checked_upload import UploadedFile
 from .leased_run import LeasedRun, RunningProcess
 from .record_store import RecordStore
 from .staging import SubmissionStage
-
-STORAGE_PATIENCE_S = 600.0
-"""So long a worker waits for a storage that is unavailable before the attempt counts as failed."""
-STORAGE_PAUSE_S = 1.0
 
 
 class RunningShard(RunningProcess, Protocol):
@@ -104,18 +98,8 @@ class ShardRun(LeasedRun[RunningShard]):
             return process.result
 
     def _fetch(self, stack: ExitStack, stage: Callable[[], AbstractContextManager[Path]]) -> Path:
-        """Return where staged files are until the stack is closed; wait while the storage is unavailable."""
-        deadline = time.monotonic() + STORAGE_PATIENCE_S
-        while True:
-            try:
-                return stack.enter_context(stage())
-            except ServiceError as error:
-                may_pass = error.code is ProblemCode.STORAGE_UNAVAILABLE and not isinstance(error, StoredFileLost)
-                ends = self._stopping.is_set() or self._lost.is_set() or time.monotonic() > deadline
-                if ends or not may_pass:
-                    raise
-                self._logger.warning("storage_unavailable", error=error.detail)
-                self._stopping.wait(STORAGE_PAUSE_S)
+        """Return where staged files are until the stack is closed."""
+        return self._with_storage(lambda: stack.enter_context(stage()))
 
     def _secret_file(self, stack: ExitStack) -> Path | None:
         """Return a file with the secret of the list to play, which only this user reads; None for the public list."""
@@ -137,8 +121,10 @@ class ShardRun(LeasedRun[RunningShard]):
                 files.append(coefficients_file(result.coefficients, folder))
             if result.figures is not None:
                 files.append(part_file(result.figures, self._lease, folder))
+                if result.figures.problem is not None:
+                    self._logger.warning("figures_not_measured", error=result.figures.problem)
             for file in files:
-                self._database(partial(self._keep_file, file))
+                self._with_storage(partial(self._database, partial(self._keep_file, file)))
 
     def _keep_file(self, file: UploadedFile, session: Session) -> None:
         stored_files.store(session, self._services.blobs, file.path, file.sha256)

@@ -87,12 +87,15 @@ class SensitivityMap(StrictModel):
 
 
 class TouchFigures(StrictModel):
-    """What the markers do under small forces: medians over the map, and the smallest shifts that can be told apart."""
+    """What the markers do under small forces: medians over the map, and the smallest shifts that can be told apart.
+
+    The medians are None where no place of the map senses.
+    """
 
     sensitivity: SensitivityMap
-    normal_px_n: float
-    shear_px_n: float
-    pin_mm: float
+    normal_px_n: float | None
+    shear_px_n: float | None
+    pin_mm: float | None
     edge_mm: tuple[float, float]
 
 
@@ -119,12 +122,16 @@ class StartFigures(StrictModel):
 
 
 class FiguresPart(StrictModel):
-    """The part of a sensor's figures that one shard measures."""
+    """The part of a sensor's figures that one shard measures.
+
+    `problem` says why something of it could not be measured, and is None where all was.
+    """
 
     format: int = FORMAT
     starts: tuple[StartFigures, ...]
     touch: TouchFigures | None = None
     grasp: GraspFigures | None = None
+    problem: str | None = None
 
 
 class Information(StrictModel):

@@ -52,9 +52,9 @@ def touch_figures(design: "SensorDesign", *, youngs_modulus_pa: float, poisson_r
             normal_px_n=tuple(map(_row, normal.reshape(shape).tolist())),
             shear_px_n=tuple(map(_row, shear.reshape(shape).tolist())),
         ),
-        normal_px_n=_median(normal[senses]),
-        shear_px_n=_median(shear[senses]),
-        pin_mm=_median(_pin_shifts_mm(response, places[senses])),
+        normal_px_n=_median_at_places(normal[senses]),
+        shear_px_n=_median_at_places(shear[senses]),
+        pin_mm=_median_at_places(_pin_shifts_mm(response, places[senses])),
         edge_mm=(_median(_edge_shifts_mm(response, x_mm, 0)), _median(_edge_shifts_mm(response, y_mm, 1))),
     )
 
@@ -69,6 +69,11 @@ def _row(values: list[float]) -> Row:
 
 def _median(values: Iterable[float]) -> float:
     return rounded(median(float(value) for value in values))
+
+
+def _median_at_places(values: FloatArray) -> float | None:
+    """Return the median; None where no place senses, as on ridges with narrow tops."""
+    return _median(values) if values.size else None
 
 
 def _pin(response: "Response", places: FloatArray) -> FloatArray:

@@ -21,6 +21,8 @@ from .order import ShardOrder
 from .policy import run_shard
 from .result import ShardResult
 
+_PROBLEM_CHARACTERS = 500
+
 
 class NoSensor(VitacError):
     """The standard estimator was to play without a sensor; only submissions of sensors have tasks for it."""
@@ -77,22 +79,37 @@ class _Figures:
         wanted = measured_episodes(task) if choice is FigureChoice.ALL else frozenset[int]()
         self._waiting = {episode.number: episode for episode in shard.episodes if episode.number in wanted}
         self._starts: dict[int, StartFigures] = {}
+        self._problem: str | None = None
 
     def measure(self, number: int) -> None:
         """Measure at the start of an episode, if it is one of those that figures are taken at."""
         episode = self._waiting.pop(number, None)
-        if episode is not None:
+        if episode is None:
+            return
+        try:
             self._starts[number] = self._measurement.start(episode)
+        except Exception as error:  # noqa: BLE001 - the score, which the shard is played for, needs no figures
+            self._note(f"Start {number}", error)
 
     def part(self) -> FiguresPart | None:
         """Return all that the shard has to measure; what it has not played this time is measured now.
 
-        What takes no episodes is in the part of every shard, so that it is there whichever are played.
+        What takes no episodes is in the part of every shard, so that it is there whichever are played. What cannot be
+        measured is left out, and the part says why: it never fails a shard that was played.
         """
         if self._choice is FigureChoice.NONE:
             return None
         for number in sorted(self._waiting):
             self.measure(number)
-        return self._measurement.whole().model_copy(
-            update={"starts": tuple(self._starts[number] for number in sorted(self._starts))}
-        )
+        try:
+            whole = self._measurement.whole()
+        except Exception as error:  # noqa: BLE001 - as above
+            whole = FiguresPart(starts=())
+            self._note("Touch and grasp", error)
+        starts = tuple(self._starts[number] for number in sorted(self._starts))
+        return whole.model_copy(update={"starts": starts, "problem": self._problem})
+
+    def _note(self, what: str, error: Exception) -> None:
+        """Keep the first reason why something could not be measured."""
+        if self._problem is None:
+            self._problem = f"{what} could not be measured: {type(error).__name__}: {error}"[:_PROBLEM_CHARACTERS]

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 
 from sqlalchemy import exists, func, select
 from sqlalchemy.orm import Session
-from vitac.evaluator.tracks import load_track
+from vitac.evaluator.tracks import Track, load_track
 from vitac.evaluator.tracks.sealed import SECRET_BYTES, commitment_of, sealed_track
 
 from ..accounts.audit import record
@@ -122,9 +122,14 @@ def secret_of(session: Session, commitment: str) -> str:
     return session.get_one(SealedList, commitment).secret
 
 
+def played_track(session: Session, track: str, commitment: str | None) -> Track:
+    """Return a track with the lists that were played: by the secret of a commitment, or the public ones for None."""
+    public = load_track(track)
+    return public if commitment is None else sealed_track(public, bytes.fromhex(secret_of(session, commitment)))
+
+
 def list_seed_of(session: Session, commitment: str, track: str, task: str) -> int | None:
     """Return the seed of a sealed list, with which its episodes are played again; None for the public one (empty)."""
     if not commitment:
         return None
-    derived = sealed_track(load_track(track), bytes.fromhex(secret_of(session, commitment)))
-    return derived.tasks[task].episode_list.list_seed
+    return played_track(session, track, commitment).tasks[task].episode_list.list_seed

@@ -5,7 +5,7 @@ Only the weights and the rubric of the competition's file decide; none were publ
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import isfinite
+from math import inf, isfinite
 from statistics import fmean, stdev
 from uuid import UUID
 
@@ -195,7 +195,8 @@ def _values(figures: SensorFigures) -> tuple[float, ...]:
     bits = figures.information.bits[-1] if figures.information else -1.0
     least = min((each.success_rate for each in figures.robustness), default=-1.0)
     touch = figures.touch
-    return (bits, touch.normal_px_n, touch.shear_px_n, -touch.pin_mm, least)
+    normal, shear = (-1.0 if value is None else value for value in (touch.normal_px_n, touch.shear_px_n))
+    return (bits, normal, shear, -inf if touch.pin_mm is None else -touch.pin_mm, least)
 
 
 def _share(own: Sequence[float], others: Sequence[Sequence[float]]) -> float:

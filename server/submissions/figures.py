@@ -1,6 +1,7 @@
 """What workers learn of a submission's sensor: the estimator's coefficients, and parts of its figures."""
 
 import hashlib
+import json
 from pathlib import Path
 from typing import Any
 from uuid import UUID
@@ -11,6 +12,7 @@ from vitac.evaluator.estimator.regression import Coefficients
 from vitac.evaluator.figures.figures import FiguresPart, SensorFigures, merged
 from vitac.evaluator.tracks import Player, load_track
 
+from ..competition.sealing import played_track
 from ..db.models import Evaluation, Submission, SubmissionFile
 from ..db.states import FileRole
 from ..queue.leases import Lease
@@ -36,7 +38,7 @@ def is_measured_by(lease: Lease) -> bool:
 
 def has_part(session: Session, lease: Lease) -> bool:
     """Return whether the part of a shard is stored."""
-    parts = _parts(lease.submission_id, lease.evaluator_version)
+    parts = _parts(lease.submission_id, lease.evaluator_version, lease.commitment)
     found = select(SubmissionFile.sha256).where(*parts, SubmissionFile.facts["shard"].as_integer() == lease.number)
     return session.scalar(found.limit(1)) is not None
 
@@ -51,23 +53,36 @@ def part_file(part: FiguresPart, lease: Lease, folder: Path) -> UploadedFile:
     """
     facts = {
         "evaluator_version": lease.evaluator_version,
+        "commitment": lease.commitment,
         "shard": lease.number,
         "part": part.model_dump(mode="json"),
     }
-    content = part.model_dump_json().encode() + b"\n"
+    content = json.dumps(facts).encode() + b"\n"  # shards that measured the same still have a file each
     return _written(FileRole.FIGURES, folder / "figures-part.json", content, facts)
 
 
-def figures_of(session: Session, submission: Submission, evaluation: Evaluation) -> SensorFigures | None:
-    """Return the figures of a submission's sensor as far as the evaluator of an evaluation has measured them."""
-    parts = session.scalars(
+def figures_of(
+    session: Session, submission: Submission, evaluation: Evaluation, *, with_starts: bool = True
+) -> SensorFigures | None:
+    """Return the figures of a submission's sensor as far as an evaluation's evaluator has measured them on its list.
+
+    Args:
+        session: of the transaction.
+        submission: whose sensor it is.
+        evaluation: of the submission.
+        with_starts: whether to include what was measured at starts of the list, which tells of its episodes.
+    """
+    stored = session.scalars(
         select(SubmissionFile.facts)
-        .where(*_parts(submission.id, evaluation.evaluator_version))
+        .where(*_parts(submission.id, evaluation.evaluator_version, evaluation.commitment))
         .order_by(SubmissionFile.sha256)
     ).all()
-    blind = next(task for task in load_track(submission.track).tasks.values() if task.player is Player.BLIND)
-    offsets = [start.offset for start in blind.episode_list.starts]
-    return merged((FiguresPart.model_validate(facts["part"]) for facts in parts), offsets)
+    parts = [FiguresPart.model_validate(facts["part"]) for facts in stored]
+    if not with_starts:
+        parts = [part.model_copy(update={"starts": ()}) for part in parts]
+    track = played_track(session, submission.track, evaluation.commitment)
+    blind = next(task for task in track.tasks.values() if task.player is Player.BLIND)
+    return merged(parts, [start.offset for start in blind.episode_list.starts])
 
 
 def _written(role: FileRole, path: Path, content: bytes, facts: dict[str, Any]) -> UploadedFile:
@@ -76,9 +91,10 @@ def _written(role: FileRole, path: Path, content: bytes, facts: dict[str, Any]) 
     return UploadedFile(role=role, path=path, sha256=digest, n_bytes=len(content), name=path.name, facts=facts)
 
 
-def _parts(submission_id: UUID, evaluator_version: str) -> tuple[ColumnElement[bool], ...]:
+def _parts(submission_id: UUID, evaluator_version: str, commitment: str | None) -> tuple[ColumnElement[bool], ...]:
     return (
         SubmissionFile.submission_id == submission_id,
         SubmissionFile.role == FileRole.FIGURES,
         SubmissionFile.facts["evaluator_version"].as_string() == evaluator_version,
+        SubmissionFile.facts["commitment"].as_string().is_not_distinct_from(commitment),
     )

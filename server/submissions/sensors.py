@@ -20,7 +20,7 @@ from .listing import episodes
 
 
 def sensor(session: Session, by: Principal, submission_id: UUID) -> SensorView:
-    """Return the sensor of a submission.
+    """Return the sensor of a submission; of its figures only those without starts where episodes are not shown.
 
     Raises:
         ServiceError: there is no such submission, or it has no sensor.
@@ -28,13 +28,14 @@ def sensor(session: Session, by: Principal, submission_id: UUID) -> SensorView:
     submission = visible(session, by, submission_id)
     made, described = (_file(session, submission_id, role) for role in (FileRole.SENSOR, FileRole.DOCUMENT))
     learned = file_of(session, submission_id, FileRole.COEFFICIENTS)
+    evaluation = newest_evaluation(session, submission)
     return SensorView(
         digest=made.sha256,
         **made.facts,
         document=DocumentView(name=described.name, n_bytes=described.n_bytes, sha256=described.sha256),
         coefficients_sha256=None if learned is None else learned.sha256,
         gain=_gain(session, by, submission),
-        figures=figures_of(session, submission, newest_evaluation(session, submission)),
+        figures=figures_of(session, submission, evaluation, with_starts=sight_of(by, evaluation).episodes),
     )
 
 

@@ -2,17 +2,23 @@ import errno
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from asked_playbacks import Played, played
+from shown_sensors import a_made_sensor
+from sqlalchemy import text
 from vitac.evaluator.playback.order import CAMERAS_FILE, SCENE_FILE, PlaybackOrder
 from vitac.evaluator.playback.process import MakingBroke, PlaybackFailed
 from vitac.server.db.models import Playback
 from vitac.server.db.states import PlaybackState
+from vitac.server.errors import ProblemCode, ServiceError
+from vitac.server.evaluations.lifecycle import RETRY_DELAY_S
 from vitac.server.playbacks import work
 from vitac.server.playbacks.work import PlaybackLease
 from vitac.server.services import Services
+from vitac.worker import leased_run
 from vitac.worker.leased_run import RunEnd
 from vitac.worker.playback_run import PlaybackRun
 from worker_fakes import eventually
@@ -65,6 +71,13 @@ def row(team: Played) -> Playback:
     return found
 
 
+def delay_s(services: Services) -> float:
+    """How long the newest job waits."""
+    newest = text("SELECT extract(epoch FROM scheduled_at - now()) FROM procrastinate_jobs ORDER BY id DESC LIMIT 1")
+    with services.database.transaction() as session:
+        return float(session.scalar(newest) or 0.0)
+
+
 def raising(error: Exception) -> Callable[[], None]:
     def fail() -> None:
         raise error
@@ -110,12 +123,44 @@ def test_what_broke_is_tried_again_and_fails_at_last(services: Services, team: P
         assert PlaybackRun(services, lease, broken).run() is RunEnd.BROKE
         if attempt < services.settings.shard_attempts:
             assert row(team).state is PlaybackState.QUEUED
+            assert delay_s(services) == pytest.approx(attempt * RETRY_DELAY_S, abs=1.0)
             with services.database.transaction() as session:
                 claimed = work.claim(session, lease.playback_id, services.settings.lease_s)
             assert claimed is not None
             lease = claimed
     assert row(team).state is PlaybackState.FAILED
     assert row(team).problem == "It could not be made in 3 attempts: exit code -9"
+
+
+def test_a_storage_that_is_away_is_waited_for_before_and_after(
+    services: Services, team: Played, lease: PlaybackLease, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(leased_run, "STORAGE_PAUSE_S", 0.01)
+    away = ServiceError(ProblemCode.STORAGE_UNAVAILABLE, "The file store does not work.")
+    refusals, read, put = [away] * 6, services.blobs.read, services.blobs.put
+    sensor = a_made_sensor()
+    file = services.settings.scratch_dir / "sensor"
+    file.write_bytes(sensor.as_bytes())
+    put(file, sensor.digest)
+
+    def refuse(*, left: int) -> None:
+        if len(refusals) > left:
+            raise refusals.pop()
+
+    def read_later(sha256: str) -> bytes:
+        refuse(left=3)
+        return read(sha256)
+
+    def put_later(path: Path, sha256: str) -> None:
+        refuse(left=0)
+        put(path, sha256)
+
+    monkeypatch.setattr(services.blobs, "read", read_later)
+    monkeypatch.setattr(services.blobs, "put", put_later)
+    making = FakeMaking()
+    assert PlaybackRun(services, replace(lease, sensor_sha256=sensor.digest), making).run() is RunEnd.FINISHED
+    assert (refusals, making.order.sensor) == ([], sensor)
+    assert (row(team).state, row(team).attempts) == (PlaybackState.MADE, 1)
 
 
 def test_a_full_disk_is_no_attempt(services: Services, team: Played, lease: PlaybackLease) -> None:

@@ -22,12 +22,14 @@ from service_factories import (
 )
 from small_disk import FILLER, fill, make_room, small_disk
 from sqlalchemy import select, text
+from structlog.testing import capture_logs
+from vitac.evaluator.figures.figures import FiguresPart
 from vitac.evaluator.shards.order import ShardOrder
 from vitac.evaluator.shards.process import ShardProcessFailed
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.accounts.principals import CONSOLE, Principal
 from vitac.server.competition import sealing
-from vitac.server.db.models import EpisodeResult, Shard, Submission
+from vitac.server.db.models import EpisodeResult, Shard, Submission, SubmissionFile
 from vitac.server.db.states import EvaluationState, Role, ShardState
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.evaluations.history import newest_evaluation
@@ -35,7 +37,7 @@ from vitac.server.queue.leases import Lease
 from vitac.server.services import Services
 from vitac.server.storage.blobs import BlobStore, StoredFileLost
 from vitac.server.submissions import creation, runs
-from vitac.worker import leased_run, shard_run
+from vitac.worker import leased_run
 from vitac.worker.leased_run import RunEnd
 from vitac.worker.shard_run import ShardRun
 from vitac.worker.staging import SubmissionStage
@@ -443,10 +445,33 @@ AWAY = ServiceError(ProblemCode.STORAGE_UNAVAILABLE, "The file store does not wo
 def test_storage_that_is_away_is_waited_for_and_costs_no_attempt(
     services: Services, lease: Lease, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(shard_run, "STORAGE_PAUSE_S", 0.01)
+    monkeypatch.setattr(leased_run, "STORAGE_PAUSE_S", 0.01)
     stage = unsteady(services, *[AWAY] * 10)
     assert ShardRun(services, stage, lease, FakeShards()).run() is RunEnd.FINISHED
     assert stored_numbers(services) == sorted(lease.episodes)
+
+
+def test_storage_that_is_away_when_the_figures_are_kept_is_waited_for(
+    services: Services, stage: SubmissionStage, lease: Lease, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(leased_run, "STORAGE_PAUSE_S", 0.01)
+    refusals, put = [AWAY] * 10, services.blobs.put
+
+    def refuse_first(path: Path, sha256: str) -> None:
+        if refusals:
+            raise refusals.pop()
+        put(path, sha256)
+
+    monkeypatch.setattr(services.blobs, "put", refuse_first)
+    part = FiguresPart(starts=(), problem="Start 1 could not be measured: ZeroDivisionError: no marker moves")
+    with capture_logs() as logs:
+        run = ShardRun(services, stage, lease, FakeShards(figures_of=lambda _: part))
+        assert run.run() is RunEnd.FINISHED
+    events = [line["event"] for line in logs]
+    assert (events.count("figures_not_measured"), events.count("storage_unavailable")) == (1, 10)
+    with services.database.transaction() as session:
+        assert session.scalars(select(SubmissionFile.name)).all() == ["figures-part.json"]
+        assert session.get_one(Shard, lease.shard_id).state is ShardState.DONE
 
 
 def test_worker_that_waits_for_the_storage_can_be_stopped(services: Services, lease: Lease) -> None:
@@ -460,5 +485,5 @@ def test_worker_that_waits_for_the_storage_can_be_stopped(services: Services, le
 def test_storage_that_stays_away_or_has_lost_the_file_is_reported(
     services: Services, lease: Lease, monkeypatch: pytest.MonkeyPatch, refusal: ServiceError
 ) -> None:
-    monkeypatch.setattr(shard_run, "STORAGE_PATIENCE_S", -1.0 if refusal is AWAY else 600.0)
+    monkeypatch.setattr(leased_run, "STORAGE_PATIENCE_S", -1.0 if refusal is AWAY else 600.0)
     assert ShardRun(services, unsteady(services, refusal), lease, FakeShards()).run() is RunEnd.BROKE

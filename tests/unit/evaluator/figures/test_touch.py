@@ -4,8 +4,11 @@ from functools import cache
 import numpy as np
 import own_sensors
 import pytest
+from measured_figures import GRASP
 from vitac.envs.tactile.design import SensorDesign
-from vitac.evaluator.figures.figures import TouchFigures
+from vitac.evaluator.figures.figures import FiguresPart, SensorFigures, TouchFigures, merged
+from vitac.evaluator.figures.reference import reference_figures
+from vitac.evaluator.figures.table import rows_of
 from vitac.evaluator.figures.touch import touch_figures
 
 
@@ -21,6 +24,11 @@ def figures(name: str) -> TouchFigures:
 
 def of(sensor: SensorDesign, youngs_modulus_pa: float = 3e5) -> TouchFigures:
     return touch_figures(sensor, youngs_modulus_pa=youngs_modulus_pa, poisson_ratio=0.3)
+
+
+def known(value: float | None) -> float:
+    assert value is not None
+    return value
 
 
 def test_map_of_a_flat_gel_is_whole_and_nearly_symmetric() -> None:
@@ -45,20 +53,38 @@ def test_places_beside_the_sensing_faces_are_left_out() -> None:
     assert None not in {row[-2] for row in found.normal_px_n}
 
 
+def test_gel_that_senses_in_no_place_has_no_medians_and_shows_so() -> None:
+    """As four ridges with tops of half a millimetre, which keep every rule."""
+    drawn = design("4 mm")
+    centres_mm = 1e3 * drawn.gel.rest_position_m[drawn.sensing_triangles].mean(axis=1)
+    narrow = replace(drawn, sensing_triangles=drawn.sensing_triangles[np.abs(centres_mm[:, 0] - 1.0) < 0.6])
+    found = of(narrow)
+    assert {value for row in found.sensitivity.normal_px_n for value in row} == {None}
+    assert (found.normal_px_n, found.shear_px_n, found.pin_mm) == (None, None, None)
+    assert all(value > 0.0 for value in found.edge_mm)
+    shown = merged([FiguresPart(starts=(), touch=found, grasp=GRASP)], [])
+    assert shown is not None
+    assert SensorFigures.model_validate_json(shown.model_dump_json()) == shown
+    rows = {row.name: row for row in rows_of(shown, reference_figures())}
+    assert (rows["resolution of a pin"].value, rows["sensitivity, shear"].value) == (None, None)
+    assert known(rows["resolution of a pin"].reference) > 0.0
+
+
 def test_softer_gel_is_more_sensitive_and_resolves_more() -> None:
     stiff, soft = figures("4 mm"), of(design("4 mm"), 1.5e5)
-    assert soft.normal_px_n == pytest.approx(2.0 * stiff.normal_px_n, rel=1e-3)
-    assert soft.shear_px_n == pytest.approx(2.0 * stiff.shear_px_n, rel=1e-3)
-    assert soft.pin_mm == pytest.approx(0.5 * stiff.pin_mm, rel=1e-3)
+    assert soft.normal_px_n == pytest.approx(2.0 * known(stiff.normal_px_n), rel=1e-3)
+    assert soft.shear_px_n == pytest.approx(2.0 * known(stiff.shear_px_n), rel=1e-3)
+    assert soft.pin_mm == pytest.approx(0.5 * known(stiff.pin_mm), rel=1e-3)
     assert soft.edge_mm == pytest.approx(tuple(0.5 * value for value in stiff.edge_mm), rel=1e-3)
 
 
 def test_thicker_gel_is_more_sensitive_to_shear() -> None:
-    assert figures("2 mm").shear_px_n < figures("4 mm").shear_px_n < figures("8 mm").shear_px_n
+    thin, middle, thick = (known(figures(name).shear_px_n) for name in ("2 mm", "4 mm", "8 mm"))
+    assert thin < middle < thick
 
 
 def test_twice_the_markers_halve_the_variance() -> None:
     sensor = design("4 mm")
     twice = replace(sensor, markers_mm=np.concatenate([sensor.markers_mm, sensor.markers_mm]))
-    assert of(twice).pin_mm == pytest.approx(figures("4 mm").pin_mm / np.sqrt(2.0), rel=1e-3)
-    assert of(twice).normal_px_n == pytest.approx(figures("4 mm").normal_px_n * np.sqrt(2.0), rel=1e-3)
+    assert of(twice).pin_mm == pytest.approx(known(figures("4 mm").pin_mm) / np.sqrt(2.0), rel=1e-3)
+    assert of(twice).normal_px_n == pytest.approx(known(figures("4 mm").normal_px_n) * np.sqrt(2.0), rel=1e-3)

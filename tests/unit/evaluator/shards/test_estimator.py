@@ -6,11 +6,12 @@ import pytest
 from own_sensors import write_sensor
 from vitac.evaluator.episodes.records import EpisodeRecord
 from vitac.evaluator.estimator import calibration
+from vitac.evaluator.figures import starts
 from vitac.evaluator.figures.figures import FigureChoice, StartFigures, Variation
 from vitac.evaluator.figures.starts import Measurement
 from vitac.evaluator.shards import estimator
 from vitac.evaluator.shards.order import ShardOrder
-from vitac.evaluator.shards.result import ShardResult
+from vitac.evaluator.shards.result import ShardEnd, ShardResult
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import Episode, load_track
 from vitac.evaluator.tracks.cut import cut
@@ -63,6 +64,7 @@ def test_blind_run_measures_at_the_starts_of_its_shard(folder: Path) -> None:
     assert [start.episode for start in result.figures.starts] == [1, 4]
     assert result.figures.touch is not None
     assert result.figures.grasp is not None
+    assert result.figures.problem is None
 
 
 def test_starts_of_episodes_that_were_played_before_are_measured(folder: Path) -> None:
@@ -77,6 +79,32 @@ def test_quick_figures_need_no_starts(folder: Path) -> None:
     assert result.figures is not None
     assert result.figures.starts == ()
     assert result.figures.touch is not None
+
+
+def test_figures_that_cannot_be_measured_never_fail_a_shard_that_was_played(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def one_fails(_: Measurement, episode: Episode) -> StartFigures:
+        if episode.number == 1:
+            raise ZeroDivisionError("no marker moves")
+        return measured(episode)
+
+    def fail(*_: object, **__: object) -> None:
+        raise ValueError("no place senses" + 1000 * "!")
+
+    monkeypatch.setattr(Measurement, "start", one_fails)
+    monkeypatch.setattr(starts, "touch_figures", fail)
+    result, records = run(folder, "sensor-blind", FigureChoice.ALL, [1, 4])
+    assert (len(records), result.end) == (2, ShardEnd.COMPLETE)
+    part = result.figures
+    assert part is not None
+    assert ([start.episode for start in part.starts], part.touch, part.grasp) == ([4], None, None)
+    assert part.problem == "Start 1 could not be measured: ZeroDivisionError: no marker moves"
+    quick = run(folder, "sensor-blind", FigureChoice.QUICK, [1])[0].figures
+    assert quick is not None
+    assert quick.problem is not None
+    assert quick.problem.startswith("Touch and grasp could not be measured: ValueError: no place senses!")
+    assert len(quick.problem) == 500
 
 
 @pytest.mark.parametrize(

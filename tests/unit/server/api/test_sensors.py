@@ -1,5 +1,6 @@
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -280,6 +281,47 @@ def test_figures_are_put_together_of_what_the_shards_of_the_blind_run_measured(s
     with service.database.transaction() as session:
         evaluation = newest_evaluation(session, session.get_one(Submission, identity))
         evaluation.evaluator_version = "0+old"
+    assert service.get(f"/submissions/{identity}/sensor").json()["figures"] is None
+
+
+def test_figures_on_a_sealed_list_are_its_own_and_those_of_starts_only_for_organizers(service: Service) -> None:
+    identity = service.upload(package()).json()["id"]
+    address = f"/submissions/{identity}/sensor"
+    with service.database.transaction() as session:
+        first, second = shard_ids(session, session.get_one(Submission, identity))[10:12]
+    lease = claim(service.database, first)
+    run_shard(service, lease, measuring([]))
+    public = SensorFigures.model_validate(service.get(address).json()["figures"])
+    with service.database.transaction() as session:
+        made = sealing.seal(session, CONSOLE, "track_3", "final")
+        session.execute(update(Evaluation).values(commitment=made.commitment))
+        assert has_part(session, lease)
+        assert not has_part(session, replace(lease, commitment=made.commitment))
+    assert service.get(address).json()["figures"] is None
+    run_shard(service, claim(service.database, second), measuring([]))
+    shown = SensorFigures.model_validate(service.get(address).json()["figures"])
+    assert (shown.touch, shown.grasp, shown.starts, shown.information) == (TOUCH, GRASP, 0, None)
+    assert (shown.robustness, shown.cpu_s) == ((), None)
+    organizers = SensorFigures.model_validate(service.get(address, token=service.organizer_token).json()["figures"])
+    assert (organizers.starts, [row.successes for row in organizers.robustness]) == (1, [1, 1])
+    assert organizers.information is not None
+    assert public.information is not None
+    assert organizers.information.prior != public.information.prior  # that of the starts that were played
+    with service.database.transaction() as session:
+        session.execute(update(Evaluation).values(commitment=None))
+    assert SensorFigures.model_validate(service.get(address).json()["figures"]) == public
+
+
+def test_shards_that_could_measure_nothing_each_keep_that_they_tried(service: Service) -> None:
+    identity = service.upload(package()).json()["id"]
+    with service.database.transaction() as session:
+        shards = shard_ids(session, session.get_one(Submission, identity))[10:12]
+    problem = "Touch and grasp could not be measured: ValueError: nothing senses"
+    for shard in shards:
+        lease = claim(service.database, shard)
+        run_shard(service, lease, FakeShards(figures_of=lambda _: FiguresPart(starts=(), problem=problem)))
+        with service.database.transaction() as session:
+            assert has_part(session, lease)
     assert service.get(f"/submissions/{identity}/sensor").json()["figures"] is None
 
 

@@ -122,9 +122,11 @@ def test_what_is_no_judgement_is_refused(database: Database, stage: dict[str, Su
     refuse(ProblemCode.COMPETITION_FINAL)
 
 
-def figures(bits: float, pin_mm: float) -> SensorFigures:
+def figures(bits: float, pin_mm: float | None, normal_px_n: float | None = 1.0) -> SensorFigures:
     nothing = SensitivityMap(x_mm=(), y_mm=(), normal_px_n=(), shear_px_n=())
-    touch = TouchFigures(sensitivity=nothing, normal_px_n=1.0, shear_px_n=1.0, pin_mm=pin_mm, edge_mm=(1.0, 1.0))
+    touch = TouchFigures(
+        sensitivity=nothing, normal_px_n=normal_px_n, shear_px_n=1.0, pin_mm=pin_mm, edge_mm=(1.0, 1.0)
+    )
     return SensorFigures(
         starts=1,
         information=Information(bits=(bits,), bounds=(1.0, 1.0, 1.0), prior=(1.0, 1.0, 1.0)),
@@ -145,4 +147,7 @@ def test_figures_are_compared_one_by_one_with_all_other_sensors() -> None:
         worst: pytest.approx(0.3),
         missing: None,
     }
+    # A sensor that senses in no place is the worst in both; the others are equal.
+    found = percentiles({best: figures(9, 0.1), worst: figures(9, None, None)})
+    assert found == {best: pytest.approx(0.7), worst: pytest.approx(0.3)}
     assert percentiles({best: figures(9, 0.1)}) == {best: 1.0}
