@@ -7,12 +7,12 @@ import os
 import signal
 import threading
 
-from service_factories import make_record, play_all
+from service_factories import make_record, play
 from sqlalchemy import select
 from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord
 from vitac.evaluator.version import evaluator_version, platform_class
 from vitac.server.db.engine import Database
-from vitac.server.db.models import Evaluation, Worker
+from vitac.server.db.models import Evaluation, Shard, Worker
 from vitac.server.db.states import EvaluationState, WorkerState
 from vitac.server.settings import load_settings
 
@@ -42,10 +42,10 @@ def main() -> None:
 def play_queued(database: Database) -> None:
     """Plays the evaluations that wait."""
     with database.transaction() as session:
-        queued = session.scalars(select(Evaluation).where(Evaluation.state == EvaluationState.QUEUED)).all()
-        submissions = [evaluation.submission for evaluation in queued]
-    for submission in submissions:
-        play_all(database, submission, record_of)
+        of_queued = select(Shard.id).join(Evaluation).where(Evaluation.state == EvaluationState.QUEUED)
+        shards = session.scalars(of_queued.order_by(Shard.id)).all()
+    for shard in shards:
+        play(database, shard, record_of)
 
 
 def _row(state: WorkerState) -> Worker:

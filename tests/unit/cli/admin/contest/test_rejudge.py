@@ -1,5 +1,6 @@
 import json
 
+import quick_worker
 from cli_service import CliService
 from service_factories import TASK, TRACK, make_principal, make_score, outdate, submit_scored
 from vitac.cli.admin.consent import ConsentMissing
@@ -20,9 +21,8 @@ def test_a_rejudgement_is_started_shown_and_applied(service: CliService) -> None
     assert isinstance(early.exception, ServiceError)
     listed = json.loads(service.run("admin", "rejudge", "list", "--json").stdout)
     assert [(row["id"], row["reason"], row["applied_at"]) for row in listed] == [(made["id"], "upgrade", None)]
-    with service.playing():
-        while "queued" in service.run("admin", "rejudge", "show", made["id"]).stdout:
-            pass
+    quick_worker.play_queued(service.database)
+    assert "queued" not in service.run("admin", "rejudge", "show", made["id"]).stdout
     assert "2 of 2 submissions would change" in service.run("admin", "rejudge", "apply", made["id"], "--dry-run").stdout
     assert isinstance(service.run("admin", "rejudge", "apply", made["id"]).exception, ConsentMissing)
     rows = json.loads(service.run("admin", "rejudge", "apply", made["id"], "--yes", "--json").stdout)
