@@ -206,6 +206,8 @@ def navigation(site: Site, viewer: Viewer | None) -> tuple[tuple[str, str], ...]
         links.append(("/submissions", "Submissions"))
         if viewer.visitor.has_team:
             links.append(("/team", "Team"))
+        if viewer.visitor.principal.reads_all_teams:
+            links.append(("/judging", "Judging"))
         if viewer.is_organizer:
             links += [("/desk", "Desk"), ("/operations", "Operations")]
     return tuple(links)

@@ -208,7 +208,8 @@ def _share(own: Sequence[float], others: Sequence[Sequence[float]]) -> float:
     )
 
 
-def _figures(session: Session, entry: LeaderboardEntryView) -> SensorFigures | None:
+def figures_of_entry(session: Session, entry: LeaderboardEntryView) -> SensorFigures | None:
+    """Return the figures of an entry's sensor; None where it brings none, or they are not measured."""
     evaluation = session.get_one(Evaluation, entry.evaluation_id)
     if not load_track(evaluation.submission.track).has_sensor:
         return None
@@ -217,7 +218,7 @@ def _figures(session: Session, entry: LeaderboardEntryView) -> SensorFigures | N
 
 def _by_total(session: Session, rubric: Judging, entries: Sequence[LeaderboardEntryView]) -> list[JudgedTeam]:
     """Return the teams of entries, the best total first, those without one last, else in the order given."""
-    figures = percentiles({entry.submission_id: _figures(session, entry) for entry in entries})
+    figures = percentiles({entry.submission_id: figures_of_entry(session, entry) for entry in entries})
     found = [_judged(session, rubric, entry, figures[entry.submission_id]) for entry in entries]
     return sorted(found, key=lambda team: (team.total is None, -(team.total or 0.0)))
 

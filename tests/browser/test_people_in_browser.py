@@ -13,18 +13,24 @@ from vitac.server.accounts.principals import CONSOLE, Principal
 from vitac.server.db.states import Role
 from vitac.server.people import announcements, appeals, questions
 
-from competitions import make_competition, put_in_place
+from competitions import make_competition, open_now, put_in_place
 
 WEEK = timedelta(days=7)
 PAGES = {
     "visitor": ("/announcements", "/join", "/sign-in"),
     "other": ("/appeals",),
-    "judge": ("/appeals", "SUBMISSION"),
+    "judge": ("/appeals", "/judging", "SUBMISSION"),
     "participant": ("/team", "/announcements", "/appeals", "SUBMISSION"),
-    "organizer": ("/desk", "/appeals", "SUBMISSION"),
+    "organizer": ("/desk", "/appeals", "/judging", "SUBMISSION"),
 }
 """What each role looks at."""
-SEES = {"/appeals": "The peg was in the hole.", "SUBMISSION": "100.0", "/desk": "May we ask?", "/team": "Ann"}
+SEES = {
+    "/appeals": "The peg was in the hole.",
+    "SUBMISSION": "100.0",
+    "/desk": "May we ask?",
+    "/team": "Ann",
+    "/judging": "The structure",
+}
 """Words that the page shows to whom it concerns."""
 
 
@@ -39,8 +45,10 @@ def secrets(service: CliService) -> dict[str, str]:
     """Tokens of each role, after something has happened that all of them may look at."""
     with service.database.transaction() as session:
         content = make_competition(appeal_days=7)
-        content["tracks"] = {"mail": content["tracks"]["track_1"] | {"taken_here": False}}
-        put_in_place(session, content)
+        track = content["tracks"]["track_1"]
+        del track["stages"][1]
+        track["judging"] = {"criteria": [{"name": "structure", "title": "The structure"}]}
+        put_in_place(session, open_now(content))
         own = teams.find(session, "Team A")
         team = Principal(role=Role.TEAM, team_id=own.id, team_name=own.name, leads_team=True)
         members.join(session, members.NewMember(code=members.invite(session, team, own)[1], name="Ann"), WEEK)

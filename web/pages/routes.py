@@ -10,7 +10,7 @@ from starlette.staticfiles import StaticFiles
 from ..headers import SecurityHeaders
 from ..rendering import STATIC
 from . import documentation, errors, logs, operations, sandbox, sensors, submissions, tracks
-from .contest import archive, competition, home, receipts
+from .contest import archive, competition, home, judging, receipts
 from .episodes import page as episodes
 from .files import boards
 from .files import submissions as tables
@@ -105,6 +105,9 @@ def _router() -> APIRouter:
         (appeals.ADDRESS, appeals.list_appeals, "GET"),
         (f"{appeals.ADDRESS}/open", appeals.open_appeal, "POST"),
         (f"{appeals.ADDRESS}/withdraw", appeals.withdraw, "POST"),
+        (judging.ADDRESS, judging.judging, "GET"),
+        (f"{judging.ADDRESS}/marks", judging.give_marks, "POST"),
+        (f"{judging.ADDRESS}/conflict", judging.declare_conflict, "POST"),
         (desk.ADDRESS, desk.desk, "GET"),
         (f"{desk.ADDRESS}/{{action}}", desk.change, "POST"),
         ("/join", team.join_form, "GET"),
