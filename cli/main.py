@@ -48,6 +48,8 @@ NOUNS = (
     Noun(name="logout", module="client.account.logout", summary="Forget the kept token."),
     Noun(name="whoami", module="client.account.whoami", summary="Show team, token and quotas."),
     Noun(name="team", module="client.people.team", summary="Show the team; invite, join, remove members."),
+    Noun(name="question", module="client.people.question", summary="Ask the organizers, and read their answers."),
+    Noun(name="appeal", module="client.people.appeal", summary="Appeal against an evaluation of your team."),
     Noun(name="submit", module="client.submit", summary="Upload a submission to a service."),
     Noun(name="status", module="client.status", summary="Show your submissions on a service."),
     Noun(name="publish", module="client.publish", summary="Let everybody see a submission's result."),

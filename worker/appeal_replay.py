@@ -54,7 +54,8 @@ def replay(
         corrected: zip with another policy; None: the submission's.
 
     Raises:
-        ServiceError: not an organizer, or there is no such appeal, or it is about a log or a sensor.
+        ServiceError: not an organizer, there is no such appeal or episode, it is about a log or a sensor, or the
+            corrected policy does not play the task.
     """
     by.require_organizer()
     with services.database.transaction() as session:
@@ -74,8 +75,13 @@ def replay(
             secret_file.write_text(f"{secret}\n")
             track = sealed_track(track, read_secret(secret_file))
         unpacked = stack.enter_context(staged(archive))
-        if load_manifest(unpacked).track != submission.track:
-            raise ServiceError(ProblemCode.MANIFEST_REJECTED, f"Expected a submission to {submission.track}.")
+        manifest = load_manifest(unpacked)
+        if manifest.track != submission.track or task not in manifest.tasks:
+            raise ServiceError(
+                ProblemCode.MANIFEST_REJECTED,
+                f"Expected a submission that plays {task} of {submission.track}, got one to {manifest.track} that "
+                f"plays {', '.join(manifest.tasks)}.",
+            )
         played = evaluate(
             submission_dir=unpacked,
             track=track,

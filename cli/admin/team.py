@@ -6,7 +6,7 @@ import typer
 
 from ..service.database import load_settings, open_service, transaction
 from ..terminal.output import AsJson, print_json, print_pairs, print_record, print_records
-from .consent import DryRun, Yes, consented_transaction, require_consent
+from .consent import DryRun, Yes, require_consent
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -204,27 +204,27 @@ def disqualify(
     team: TeamName,
     reason: Annotated[str, typer.Option(help="Told to the team when it submits.")],
     yes: Yes = False,
+    dry_run: DryRun = False,
+    as_json: AsJson = False,
 ) -> None:
     """Take a team off all boards and refuse its submissions; `reinstate` takes it back."""
     from vitac.server.accounts import teams
     from vitac.server.accounts.principals import CONSOLE
 
-    with consented_transaction(f"Disqualify {team}?", yes=yes) as session:
-        found = teams.find(session, team)
-        teams.disqualify(session, CONSOLE, found, reason)
-    print(f"disqualified {found.name}")
+    if not dry_run:
+        require_consent(f"Disqualify {team}?", yes=yes)
+    _change(
+        team, lambda session, found: teams.disqualify(session, CONSOLE, found, reason), dry_run=dry_run, as_json=as_json
+    )
 
 
 @app.command()
-def reinstate(team: TeamName) -> None:
+def reinstate(team: TeamName, dry_run: DryRun = False, as_json: AsJson = False) -> None:
     """Let a disqualified team take part again, with all its results."""
     from vitac.server.accounts import teams
     from vitac.server.accounts.principals import CONSOLE
 
-    with transaction() as session:
-        found = teams.find(session, team)
-        teams.reinstate(session, CONSOLE, found)
-    print(f"{found.name} takes part")
+    _change(team, lambda session, found: teams.reinstate(session, CONSOLE, found), dry_run=dry_run, as_json=as_json)
 
 
 def _change(team: str, change: "Callable[[Session, Team], None]", *, dry_run: bool, as_json: bool) -> None:

@@ -212,7 +212,7 @@ def disqualify(session: Session, by: Principal, team: Team, reason: str) -> None
 
 
 def reinstate(session: Session, by: Principal, team: Team) -> None:
-    """Let a disqualified team take part again, with all its results.
+    """Let a disqualified team take part again, with all its results; doing it again changes nothing.
 
     Raises:
         ServiceError: not an organizer.
@@ -220,9 +220,10 @@ def reinstate(session: Session, by: Principal, team: Team) -> None:
     by.require_organizer()
     lock(session, team)
     session.refresh(team)
-    before = {"reason": team.disqualified_for}
-    team.disqualified_at = team.disqualified_for = None
-    record(session, by, "team.reinstate", f"team:{team.id}", {"reason": None}, before=before)
+    if team.disqualified_at is not None:
+        before = {"reason": team.disqualified_for}
+        team.disqualified_at = team.disqualified_for = None
+        record(session, by, "team.reinstate", f"team:{team.id}", {"reason": None}, before=before)
 
 
 def team_view(team: Team) -> TeamView:

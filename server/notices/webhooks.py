@@ -13,7 +13,7 @@ from contextlib import suppress
 from urllib.parse import SplitResult
 from uuid import UUID
 
-from sqlalchemy import func, select
+from sqlalchemy import delete, func, select
 from sqlalchemy.orm import Session
 from vitac.server.accounts import teams
 from vitac.server.accounts.audit import record
@@ -65,6 +65,7 @@ def remove(session: Session, by: Principal, team: Team, webhook_id: UUID) -> Non
     if found is None or found.team_id != team.id:
         raise not_found("webhook", webhook_id)
     before = {"webhook": str(found.id), "address": found.address}
+    session.execute(delete(Notice).where(Notice.target == str(found.id), Notice.sent_at.is_(None)))
     session.delete(found)
     record(session, by, "webhook.remove", f"team:{team.id}", {"webhook": None}, before=before)
 

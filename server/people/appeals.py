@@ -8,6 +8,7 @@ from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 from vitac.evaluator.episodes.records import EpisodeRecord
 
+from ..accounts import teams
 from ..accounts.audit import record
 from ..accounts.principals import Principal
 from ..accounts.visibility import changeable, sight_of
@@ -53,8 +54,7 @@ def open_appeal(
     _require_time(session, evaluation)
     if task is not None or episode is not None:
         require_episode(session, evaluation, task, episode)
-    # Appeals of a team one after the other: the second of two at once sees the first one.
-    session.execute(select(Evaluation.id).where(Evaluation.id == evaluation.id).with_for_update(key_share=True))
+    teams.lock(session, submission.team)  # the second of two appeals at once sees the first one
     is_open = select(func.count()).select_from(Appeal).where(Appeal.state == AppealState.OPEN)
     if session.scalar(is_open.where(Appeal.evaluation_id == evaluation.id)):
         raise ServiceError(ProblemCode.INVALID_REQUEST, "There is an open appeal against this evaluation already.")

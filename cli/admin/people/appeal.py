@@ -76,7 +76,8 @@ def replay(
                 corrected=played.corrected,
             )
             shown = AppealReplayView.model_validate(made, from_attributes=True).model_dump(mode="json")
-            print_record(shown, as_json=as_json)
+            failure = played.record.failure.message if played.record.failure is not None else None
+            print_record(shown | {"failure": failure}, as_json=as_json)
             if dry_run:
                 raise typer.Exit  # which takes the note back
 

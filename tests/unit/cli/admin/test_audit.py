@@ -39,6 +39,8 @@ READS = {
     "competition show",
     "evaluation list",
     "evaluation show",
+    "judging rubric",
+    "judging show",
     "notice list",
     "question list",
     "quota list",
@@ -92,9 +94,16 @@ CHANGES = {
     "evaluation requeue": (["CANCELLED_EVALUATION", "--yes"], "submission.requeue"),
 }
 """Arguments of a command, capitals standing for what there is, and the action of its line."""
-TRIED_ELSEWHERE = {"restore", "rejudge start", "rejudge apply", "rejudge discard"}
-"""They need an empty service (tests/unit/server/backup/test_backup.py), or results of another evaluator version
-(tests/unit/cli/admin/contest/test_rejudge.py)."""
+TRIED_ELSEWHERE = {
+    "judging conflict",
+    "judging mark",
+    "restore",
+    "rejudge start",
+    "rejudge apply",
+    "rejudge discard",
+}
+"""They need an empty service (tests/unit/server/backup/test_backup.py), results of another evaluator version
+(tests/unit/cli/admin/contest/test_rejudge.py), or a judged track (tests/unit/server/judging/test_judging.py)."""
 
 
 def commands(group: TyperGroup, path: str = "") -> Iterator[str]:
@@ -160,6 +169,8 @@ def prepare(service: CliService, command: str) -> None:
     with service.database.transaction() as session:
         if command.startswith("team"):
             make_team_to_change(session, waits=command != "team merge")
+            if command == "team reinstate":
+                teams.disqualify(session, CONSOLE, teams.find(session, "Team A"), "two accounts")
         elif command == "competition reveal":
             put_in_place(session, open_now(sealed_competition(), stage=1))
             seal(session, CONSOLE, "track_1", "stage1")
@@ -196,7 +207,7 @@ def test_a_change_is_written_to_the_audit_log(
     assert action in {entry.action for entry in written}
     assert {entry.actor for entry in written} == {"organizer:console"}
     by_action = {entry.action: entry for entry in written}
-    if command.startswith("team ") and command not in {"team add", "team reinstate"}:
+    if command.startswith("team ") and command != "team add":
         assert by_action[action].before is not None
         assert by_action[action].before != by_action[action].after
 

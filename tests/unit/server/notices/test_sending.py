@@ -3,6 +3,7 @@ import socket
 import ssl
 import threading
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
@@ -423,3 +424,49 @@ def test_webhooks_are_the_captains_and_few(database: Database) -> None:
             webhooks.remove(session, other, teams.own(session, other), made[0].id)
         webhooks.remove(session, team, own, made[0].id)
         assert {hook.id for hook in webhooks.of_team(session, team, own)} == {hook.id for hook in made[1:]}
+
+
+def test_over_https_a_notice_goes_only_to_who_has_the_certificate_of_its_host(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    context, trusted = self_signed(tmp_path)
+    made = Notice(kind=NoticeKind.FINISHED, subject="evaluation:1", facts=FACTS, created_at=datetime.now(UTC))
+    good = [b"HTTP/1.1 200 OK\r\n\r\n"]
+    with (
+        answering(good, context=context) as port,
+        pytest.raises(webhooks.Undelivered, match="CERTIFICATE_VERIFY_FAILED"),
+    ):
+        webhooks.send(made, f"https://127.0.0.1:{port}/", "0" * 64, inside_allowed=True)
+    monkeypatch.setenv("SSL_CERT_FILE", str(trusted))
+    with (
+        answering(good, context=context) as port,
+        pytest.raises(webhooks.Undelivered, match="not valid for 'localhost'"),
+    ):
+        webhooks.send(made, f"https://localhost:{port}/", "0" * 64, inside_allowed=True)
+
+
+def test_a_webhook_that_is_removed_takes_its_waiting_notices_along(database: Database, tmp_path: Path) -> None:
+    a_webhook_notice(database, "http://127.0.0.1:1/")
+    with database.transaction() as session:
+        team = teams.find(session, "Team A")
+        members.set_email(session, CONSOLE, members.captain_of(session, team), "ann@example.org")
+        outbox.announce(session, NoticeKind.FAILED, team.id, "evaluation:2", FACTS)
+        (hook,) = webhooks.of_team(session, CONSOLE, team)
+        webhooks.remove(session, CONSOLE, team, hook.id)
+        assert [notice.channel for notice in outbox.newest(session)] == [NoticeChannel.MAIL]
+    settings = settings_with(tmp_path)
+    assert [sending.send_one(database, settings) for _ in range(2)] == [True, False]
+
+
+def test_of_several_senders_at_once_each_sends_other_notices(database: Database, tmp_path: Path) -> None:
+    settings = settings_with(tmp_path)
+    with database.transaction() as session:
+        team = make_principal(session)
+        with_address(session, team)
+        for number in range(12):
+            outbox.announce(session, NoticeKind.FINISHED, teams.own(session, team).id, f"evaluation:{number}", FACTS)
+    with ThreadPoolExecutor(4) as pool:
+        sent = list(pool.map(lambda _: sending.send_one(database, settings), range(16)))
+    assert sent.count(True) == 12
+    with database.transaction() as session:
+        assert {notice.attempts for notice in outbox.newest(session)} == {1}

@@ -1,19 +1,24 @@
+import threading
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime, timedelta
+from uuid import UUID
 
 import pytest
-from service_factories import TASK, make_principal, make_record, play_all, sha256, submit
+from service_factories import TASK, make_principal, make_record, make_score, play_all, sha256, submit, submit_scored
 from sqlalchemy import select, update
 from sqlalchemy.orm import Session
 from submission_steps import refused
 from vitac.evaluator.episodes.records import EpisodeOutcome
+from vitac.server.accounts import teams
 from vitac.server.accounts.audit import newest_entries
 from vitac.server.accounts.principals import CONSOLE, Principal
 from vitac.server.competition.sealing import seal
 from vitac.server.db.engine import Database
 from vitac.server.db.models import BoardResult, EpisodeResult, Evaluation, Submission
 from vitac.server.db.states import AppealState, Role
-from vitac.server.errors import ProblemCode
-from vitac.server.people import appeals
+from vitac.server.errors import ProblemCode, ServiceError
+from vitac.server.people import appeals, team_data
 
 from competitions import make_competition, put_in_place
 
@@ -143,3 +148,76 @@ def test_what_an_episode_gives_again_stands_beside_its_result(
             assert len(view.replays) == seen, "of a sealed list nobody but organizers sees episodes"
         found = newest_entries(session, 1, action="appeal.replay")[0]
         assert (found.action, found.before) == ("appeal.replay", {"outcome": "success", "env_steps": 3})
+
+
+def test_of_appeals_opened_or_ended_at_once_only_so_many_count(
+    database: Database, played: tuple[Principal, Submission], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(appeals, "MAX_OPEN", 2)
+    team, submission = played
+    with database.transaction() as session:
+        evaluated = [submission.id]
+        for number in range(3):
+            evaluated.append(submit_scored(session, team, f"other {number}", {TASK: make_score(1)}).id)
+    barrier = threading.Barrier(4)
+
+    def at_once(done: Callable[[Session], object]) -> ProblemCode | None:
+        with database.transaction() as session:
+            barrier.wait(10)
+            try:
+                done(session)
+            except ServiceError as error:
+                session.rollback()
+                return error.code
+        return None
+
+    def open_one(submission_id: UUID) -> ProblemCode | None:
+        return at_once(lambda session: appeals.open_appeal(session, team, submission_id, TEXT))
+
+    with ThreadPoolExecutor(4) as pool:
+        assert sorted(map(str, pool.map(open_one, evaluated))) == ["None"] * 2 + ["too_many_requests"] * 2
+        with database.transaction() as session:
+            number = appeals.visible(session, team, open_only=True)[0].id
+
+        def end(upheld: bool | None) -> ProblemCode | None:
+            if upheld is None:
+                return at_once(lambda session: appeals.withdraw(session, team, number))
+            return at_once(lambda session: appeals.rule(session, CONSOLE, number, "Decided.", upheld=upheld))
+
+        ended = list(pool.map(end, (True, False, None, None)))
+    assert (ended.count(None), ended.count(ProblemCode.INVALID_REQUEST)) == (1, 3)
+    with database.transaction() as session:
+        found = [line.action for line in newest_entries(session, 20) if line.subject == f"appeal:{number}"]
+    assert len(found) == 2, "one line of the opening, and one of the end that counted"
+
+
+def test_an_appeal_of_a_removed_team_is_still_decided_and_says_nothing_of_it(
+    database: Database, played: tuple[Principal, Submission]
+) -> None:
+    team, submission = played
+    with database.transaction() as session:
+        number = appeals.open_appeal(session, team, submission.id, TEXT, task=TASK, episode=3).id
+        for _ in range(2):
+            team_data.erase(session, CONSOLE, teams.own(session, team))
+    with database.transaction() as session:
+        (view,) = appeals.visible(session, CONSOLE)
+        assert (view.text, view.state) == (team_data.REMOVED, AppealState.OPEN)
+        assert "Ants" not in view.model_dump_json()
+        appeals.rule(session, CONSOLE, number, "Nobody is left to tell.", upheld=False)
+        assert appeals.visible(session, CONSOLE, open_only=True) == []
+
+
+def test_a_text_that_cannot_be_shown_opens_and_ends_no_appeal(
+    database: Database, played: tuple[Principal, Submission]
+) -> None:
+    team, submission = played
+    texts = ("", " x ", "x" * (appeals.TEXT_LENGTH + 1), "a\0b", "turned \u202e around")
+    with database.transaction() as session:
+        for text in texts:
+            with refused(ProblemCode.INVALID_REQUEST):
+                appeals.open_appeal(session, team, submission.id, text)
+        made = appeals.open_appeal(session, team, submission.id, "x" * appeals.TEXT_LENGTH)
+        for text in texts:
+            with refused(ProblemCode.INVALID_REQUEST):
+                appeals.rule(session, CONSOLE, made.id, text, upheld=True)
+        assert made.state is AppealState.OPEN
