@@ -172,6 +172,20 @@ def test_a_log_that_goes_its_own_way_before_half_of_its_env_steps_is_none(
     assert found(database, own) == [None]
 
 
+def test_of_a_stolen_log_episodes_count_whole_or_begun(
+    database: Database, principal: Principal, other: Principal
+) -> None:
+    """A third is repeated to the end, a third to the last action, a third not at all."""
+
+    def mixed(episode: int, *, task: str = TASK) -> EpisodeRecord:
+        return (make_record, ending_otherwise(after=2), elsewhere_from(1))[episode % 3](episode, task=task)
+
+    model, log = add(database, principal, "model", SubmissionKind.MODEL), add(database, other, "log")
+    play_all(database, model)
+    play_all(database, log, mixed)
+    assert found(database, log) == [LogCopyView(team="Team A", episodes=180, ranked=False)]
+
+
 def test_logs_that_begin_all_episodes_with_the_same_moves_are_no_copies(
     database: Database, principal: Principal, other: Principal
 ) -> None:

@@ -1,15 +1,17 @@
 from concurrent.futures import ThreadPoolExecutor
 
+import numpy as np
 import pytest
-from service_factories import claim, make_principal, make_record, shard_ids, state_of, store, submit, take_away
+from service_factories import claim, make_principal, make_record, sha256, shard_ids, state_of, store, submit, take_away
 from sqlalchemy import select, text
-from vitac.evaluator.episodes.records import EpisodeOutcome
+from vitac.evaluator.episodes.records import ActionSequence, EpisodeOutcome
 from vitac.server.db.engine import Database
 from vitac.server.db.models import EpisodeResult
 from vitac.server.db.row_locks import lock_evaluation
 from vitac.server.db.states import ShardState
 from vitac.server.evaluations.episode_store import (
     OUTPUT_CHARACTERS,
+    half_way_state,
     missing_episodes,
     store_episodes,
     stored_episodes,
@@ -92,3 +94,12 @@ def test_storing_and_cancelling_at_once_do_not_wait_for_each_other(database: Dat
             lock_evaluation(locking, lease.evaluation_id)
     with database.transaction() as session:
         assert state_of(session, shard_id) is ShardState.RUNNING
+
+
+@pytest.mark.parametrize(("env_steps", "half_way"), [(0, 0), (1, 1), (2, 1), (3, 2), (4, 2), (15, 8)])
+def test_the_state_half_way_is_that_after_half_of_the_env_steps_rounded_up(env_steps: int, half_way: int) -> None:
+    """With an env step it is never the state of the reset, which episodes of one start have in common."""
+    states = tuple(sha256(f"state {number}") for number in range(env_steps + 1))
+    actions = ActionSequence.from_array(np.zeros((env_steps, 3), np.float32))
+    record = make_record(1, env_steps=env_steps, actions=actions, infos=({},) * env_steps, state_hashes=states)
+    assert half_way_state(record) == states[half_way]
