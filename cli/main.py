@@ -77,8 +77,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         extra = next((noun.extra for noun in NOUNS if noun.name == _requested(arguments)), None)
         if extra is None or (error.name or "").startswith("vitac"):
             raise
-        told = f"{error.name} is not installed. Install what this command needs with: {install_command(extra)}"
-        print(f"vitac: {told}", file=sys.stderr)
+        needs = f"This command needs the extra {extra!r}; install it with: {install_command(extra)}"
+        print(f"vitac: {error.name} is not installed. {needs}", file=sys.stderr)
         sys.exit(1)
 
 

@@ -176,7 +176,7 @@ def require_extra() -> None:
     """
     if find_spec("matplotlib") and find_spec("PIL"):
         return
-    raise ExtraMissing(f"Drawing needs packages that are not installed; install them with: {install_command(_EXTRA)}")
+    raise ExtraMissing(f"Drawing needs the extra {_EXTRA!r}; install it with: {install_command(_EXTRA)}")
 
 
 def find_start(task: str, number: int) -> Start:

@@ -119,7 +119,7 @@ def test_missing_packages_of_a_command_are_named_with_how_to_install_them(
     monkeypatch.setattr(cli, "import_module", missing)
     code, out, err = run(capsys, noun_name)
     assert (code, out) == (1, "")
-    assert err.startswith("vitac: obstore is not installed. Install what this command needs with: ")
+    assert err.startswith(f"vitac: obstore is not installed. This command needs the extra '{extra}'; install it with: ")
     assert install_command(extra) in err
     assert package in err
 
