@@ -3,11 +3,11 @@
 import shutil
 import threading
 import time
+from collections.abc import Callable
 from datetime import timedelta
 
 import structlog
 from sqlalchemy.exc import SQLAlchemyError
-from vitac.envs.errors import VitacError
 
 from .evaluations.lifecycle import fail_by_machines
 from .evaluations.superseding import supersede_outdated
@@ -21,7 +21,7 @@ from .services import Services
 from .storage import stored_files
 from .storage.scratch import remove_leftovers
 from .submissions.files import stored_digests
-from .submissions.receipts import ISSUED_TOGETHER, issue_older
+from .submissions.receipts import issue_older
 from .uploads import partial
 from .uploads.intake import UPLOAD_FOLDER
 
@@ -63,21 +63,17 @@ class Housekeeping:
     def _run(self) -> None:
         pruned_at = float("-inf")
         while not self._stopping.is_set():
-            try:
-                if self._sweeps:
-                    self._sweep()
-                self._totals.write(self._services.database)
-                if self._sweeps and time.monotonic() - pruned_at > PRUNE_EVERY_S:
-                    self._issue_older_receipts()
-                    prune(self._services)
-                    pruned_at = time.monotonic()
-            except (SQLAlchemyError, VitacError, OSError) as error:
-                _postpone(error)
+            if self._sweeps:
+                _tried(self._sweep)
+            _tried(lambda: self._totals.write(self._services.database))
+            if self._sweeps and time.monotonic() - pruned_at > PRUNE_EVERY_S and _tried(lambda: prune(self._services)):
+                pruned_at = time.monotonic()
+                _tried(self._issue_older_receipts)
             self._stopping.wait(self._services.settings.sweep_interval_s)
 
     def _issue_older_receipts(self) -> None:
-        issued = ISSUED_TOGETHER
-        while issued == ISSUED_TOGETHER and not self._stopping.is_set():
+        issued = 1
+        while issued and not self._stopping.is_set():
             with self._services.database.transaction() as session:
                 issued = issue_older(session)
 
@@ -95,8 +91,19 @@ class Housekeeping:
             logger.info("swept", queued_again=done.queued_again, given_up=done.given_up, woken=done.woken)
 
 
+def _tried(work: Callable[[], None]) -> bool:
+    """Do a part of the work, whatever becomes of the others; return whether it is done."""
+    try:
+        work()
+    except Exception as error:  # noqa: BLE001 - one row that cannot be read must not end the sweep
+        _postpone(error)
+        return False
+    return True
+
+
 def _postpone(error: Exception) -> None:
-    logger.warning("housekeeping_postponed", error=" ".join(str(error).split())[:300])
+    message = " ".join(str(error).split())[:300]
+    logger.warning("housekeeping_postponed", error=message, kind=type(error).__name__)
 
 
 def prune(services: Services) -> None:

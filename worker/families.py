@@ -11,6 +11,6 @@ def families_here() -> tuple[Family, ...]:
         Family.TACTILE: True,
         Family.MANISKILL: found.physics,
         Family.MANISKILL_PICTURES: found.physics and found.pictures,
-        Family.MANISKILL_CUDA: found.physics and found.cuda,
+        Family.MANISKILL_CUDA: found.physics and found.cuda and found.pictures,
     }
     return tuple(family for family in Family if able[family])

@@ -10,7 +10,7 @@ import structlog
 from sqlalchemy.exc import SQLAlchemyError
 from vitac.evaluator.version import evaluator_version, platform_class
 from vitac.server.db.models import Worker
-from vitac.server.db.schema import is_current
+from vitac.server.db.schema import installed_revision, newest_revision
 from vitac.server.db.states import WorkerState
 from vitac.server.queue import workers
 from vitac.server.services import Services
@@ -69,18 +69,23 @@ class Heartbeat:
     def _run(self) -> None:
         while not self._stopping.wait(self._services.settings.worker_heartbeat_s):
             self._beat(self._state)
-            if self._has_other_schema():
-                logger.error(
-                    "database_upgraded", message="Another release upgraded the database. Start its worker instead."
-                )
+            other = self._other_schema()
+            if other is not None:
+                logger.error("other_schema", message=other)
                 self._on_upgrade()
                 return
 
-    def _has_other_schema(self) -> bool:
+    def _other_schema(self) -> str | None:
+        """Return what is wrong with the schema; None where it is this release's."""
         try:
-            return not is_current(self._services.database)
+            with self._services.database.engine.connect() as connection:
+                installed = installed_revision(connection)
         except SQLAlchemyError:  # It is away; the next look will tell.
-            return False
+            return None
+        expected = newest_revision()
+        if installed == expected:
+            return None
+        return f"The database has schema {installed or 'none'}, expected {expected}. Start the worker of its release."
 
     def _beat(self, state: WorkerState) -> None:
         try:

@@ -40,9 +40,9 @@ def abilities() -> Abilities:
             [sys.executable, "-P", "-m", __spec__.name],
             stdin=subprocess.DEVNULL, capture_output=True, text=True, check=True, timeout=_TIME_LIMIT_S,
         )  # fmt: skip
-    except subprocess.SubprocessError:
+        return Abilities(**json.loads(done.stdout.splitlines()[-1]))
+    except (subprocess.SubprocessError, IndexError, TypeError, ValueError):  # the last three: not what `_found` says
         return Abilities()
-    return Abilities(**json.loads(done.stdout.splitlines()[-1]))
 
 
 def _found() -> Abilities:

@@ -59,7 +59,10 @@ class Advancement(StrictModel):
 
 
 class StageQuotas(StrictModel):
-    """Most evaluations of a team in a stage; null: any number. What machines failed costs nothing."""
+    """Most evaluations of a team in a stage; null: any number.
+
+    What machines failed costs nothing, up to five times a day.
+    """
 
     scored_runs: PositiveInt | None = Field(
         default=None, description="That have a score or may still get one, or saw a sealed list."

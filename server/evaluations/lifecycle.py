@@ -162,9 +162,9 @@ def report_broken_machine(session: Session, settings: Settings, lease: Lease, me
 
 
 def fail_by_machines(session: Session, evaluation: Evaluation, message: str) -> None:
-    """End an evaluation whose shard could not be run in all its attempts; it costs the team nothing.
+    """End an evaluation whose shard could not be run in all its attempts; the first ones of a day cost nothing.
 
-    After so many of a team's in a day they do: what makes machines fail would be played for ever otherwise.
+    The others cost what each evaluation costs: what makes machines fail would be played for ever otherwise.
     """
     if count_machine_failures(session, Submission.team_id == evaluation.submission.team_id) < FREE_FAILURES_PER_DAY:
         evaluation.charged_at = None
@@ -173,11 +173,12 @@ def fail_by_machines(session: Session, evaluation: Evaluation, message: str) -> 
 
 
 def count_machine_failures(session: Session, *conditions: ColumnElement[bool]) -> int:
-    """Return how many evaluations of some submissions machines have ended in the last 24 hours."""
+    """Return how many evaluations that no rejudgement asked for machines have ended in the last 24 hours."""
     query = select(func.count()).select_from(Evaluation).join(Submission)
     by_machines = Evaluation.verdict_code == ServiceVerdict.MACHINE_FAILED
     since = func.now() - timedelta(days=1)
-    return session.scalar(query.where(by_machines, Evaluation.finished_at > since, *conditions)) or 0
+    is_teams = Evaluation.rejudgement_id.is_(None)
+    return session.scalar(query.where(by_machines, is_teams, Evaluation.finished_at > since, *conditions)) or 0
 
 
 def cancel(session: Session, evaluation: Evaluation) -> None:

@@ -22,7 +22,7 @@ class ServiceVerdict(StrEnum):
 _SENTENCES = {
     ServiceVerdict.MACHINE_FAILED: (
         "The machines that ran this evaluation failed several times; it is not the policy's fault. "
-        "Submit it again or ask the organizers."
+        "Submit it again; if it fails again or is refused, ask the organizers."
     ),
     ServiceVerdict.DIVERGED: (
         "The log's actions do not lead where it says; it is not ranked. `vitac log verify` shows the same at home."

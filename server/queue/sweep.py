@@ -1,4 +1,4 @@
-"""Finds work that was lost and sets it going again; every worker and every server runs it all the time.
+"""Finds work that was lost and sets it going again; every worker runs it all the time, and of each server one process.
 
 Lost means: a shard whose worker did not renew its lease, or a queued shard without a job. The shards' table decides; a
 job too many does no harm, because a shard can be claimed only once.

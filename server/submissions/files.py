@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from uuid import UUID
 
-from sqlalchemy import Connection, select, union
+from sqlalchemy import Connection, delete, select, union
 from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
 
@@ -13,8 +13,14 @@ from ..uploads.checked_upload import UploadedFile
 
 
 def add_files(session: Session, submission_id: UUID, files: Iterable[UploadedFile]) -> None:
-    """Add the files of a submission; those that it has already stay."""
+    """Add the files of a submission; those that it has already stay, but for its sensor, of which it has one.
+
+    Another mesher makes another sensor of the same archive: from then on that is the one that is played.
+    """
     for file in files:
+        if file.role is FileRole.SENSOR:
+            is_sensor = (SubmissionFile.submission_id == submission_id, SubmissionFile.role == FileRole.SENSOR)
+            session.execute(delete(SubmissionFile).where(*is_sensor, SubmissionFile.sha256 != file.sha256))
         session.execute(
             insert(SubmissionFile)
             .values(

@@ -2,8 +2,10 @@
 
 from uuid import UUID
 
+import structlog
 from sqlalchemy import select
 from sqlalchemy.orm import Session
+from vitac.evaluator.tracks import UnknownTrack
 
 from ..accounts.principals import Principal
 from ..accounts.visibility import visible
@@ -12,8 +14,10 @@ from ..db.states import EvaluationState
 from ..errors import ProblemCode, ServiceError
 from ..evaluations.scores import combined_result
 from ..receipts import chain
-from ..receipts.receipt import Receipt
+from ..receipts.receipt import CombinedResult, Receipt
 from ..views.receipts import ChainView, LinkView
+
+logger = structlog.get_logger(__name__)
 
 ISSUED_TOGETHER = 200
 """Receipts of older results in one transaction, which no other receipt can interrupt."""
@@ -56,7 +60,10 @@ def chain_view(session: Session, *, after: int, limit: int) -> ChainView:
 
 
 def issue_older(session: Session) -> int:
-    """Issue receipts for the oldest results that were complete before this service had a key; return how many."""
+    """Issue receipts for the oldest results that were complete before this service had a key; return how many.
+
+    None is left, or only such as cannot be read, when it returns 0.
+    """
     key = chain.ensure_key(session)
     without = session.scalars(
         select(Evaluation)
@@ -71,6 +78,22 @@ def issue_older(session: Session) -> int:
         .limit(ISSUED_TOGETHER)
         .with_for_update(of=Evaluation, key_share=True)
     ).all()
-    for evaluation in without:
-        chain.issue(session, evaluation, combined_result(evaluation))
-    return len(without)
+    return sum(_issue(session, evaluation) for evaluation in without)
+
+
+def _issue(session: Session, evaluation: Evaluation) -> bool:
+    """Issue the receipt of an older result; one that can no longer be read is left out."""
+    try:
+        chain.issue(session, evaluation, _combined(evaluation))
+    except (KeyError, ValueError) as error:
+        message = " ".join(str(error).split())[:300]
+        logger.error("receipt_left_out", evaluation=str(evaluation.id), error=message, kind=type(error).__name__)
+        return False
+    return True
+
+
+def _combined(evaluation: Evaluation) -> CombinedResult | None:
+    try:
+        return combined_result(evaluation)
+    except UnknownTrack:  # It was taken out of the folder of tracks.
+        return None

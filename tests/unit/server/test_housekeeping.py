@@ -4,6 +4,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable
 from datetime import timedelta
 from pathlib import Path
 
@@ -80,6 +81,28 @@ def test_one_of_several_server_processes_writes_what_it_counts_and_leaves_the_sw
         eventually(lambda before=before: leases_lost(services) > before)  # type: ignore[misc]
         keeper.stop()
         assert bool(swept) is sweeps
+
+
+def test_work_that_fails_stops_none_of_the_other_work(services: Services, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One old row that cannot be read ended the thread, and with it the sweep."""
+    tried: list[str] = []
+
+    def failing(name: str) -> Callable[..., None]:
+        def fail(*_: object) -> None:
+            tried.append(name)
+            raise KeyError(name)
+
+        return fail
+
+    for name in ("_sweep", "_issue_older_receipts"):
+        monkeypatch.setattr(Housekeeping, name, failing(name))
+    monkeypatch.setattr(housekeeping, "prune", lambda _: tried.append("prune"))
+    keeper = Housekeeping(services)
+    keeper.start()
+    eventually(lambda: tried.count("_sweep") > 2)
+    keeper.stop()
+    assert tried[:3] == ["_sweep", "prune", "_issue_older_receipts"]
+    assert (tried.count("prune"), tried.count("_issue_older_receipts")) == (1, 1)
 
 
 def leases_lost(services: Services) -> float:

@@ -12,6 +12,7 @@ T, STATE, PICTURES, CUDA = Family
         (Abilities(), (T,)),
         (Abilities(physics=True), (T, STATE)),
         (Abilities(physics=True, pictures=True), (T, STATE, PICTURES)),
+        (Abilities(physics=True, cuda=True), (T, STATE)),
         (Abilities(physics=True, pictures=True, cuda=True), (T, STATE, PICTURES, CUDA)),
         (Abilities(pictures=True, cuda=True), (T,)),
     ],

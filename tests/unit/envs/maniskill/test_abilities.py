@@ -57,6 +57,12 @@ def test_packages_that_end_the_process_or_hang_can_do_nothing(
     assert abilities() == Abilities()
 
 
+@pytest.mark.parametrize("said", ["", "a library says good-bye", "[1]", '{"physics": true, "sound": true}'])
+def test_a_process_that_says_something_else_can_do_nothing(monkeypatch: pytest.MonkeyPatch, said: str) -> None:
+    answers(monkeypatch, said)
+    assert abilities() == Abilities()
+
+
 @pytest.mark.skipif(bool(missing_packages()), reason="the extra maniskill is not installed")
 def test_the_real_packages_can_be_loaded() -> None:
     assert abilities().physics

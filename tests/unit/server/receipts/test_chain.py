@@ -18,6 +18,7 @@ from service_factories import (
 )
 from sqlalchemy import func, select, text
 from sqlalchemy.exc import DBAPIError
+from structlog.testing import capture_logs
 from vitac.server.accounts.principals import CONSOLE
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Evaluation, ReceiptKey, ReceiptRow
@@ -138,6 +139,27 @@ def test_older_results_get_theirs_in_the_order_in_which_they_ended(database: Dat
         assert issue_older(session) == 0
         numbers = {each.id: receipts_of_submission(session, each.id)[0].link.number for each in older}
     assert [numbers[submission] for submission in ended] == [1, 2]
+
+
+def test_an_older_result_that_cannot_be_read_does_not_stop_the_others(database: Database) -> None:
+    with database.transaction() as session:
+        team = make_principal(session)
+        names = ("of a track that is gone", "without its scores' fields", "whole")
+        gone, odd, whole = [submit_scored(session, team, name, {TASK: make_score(50)}) for name in names]
+        session.execute(text("SET LOCAL session_replication_role = replica"))
+        session.execute(text("UPDATE evaluations SET platform_class = 'linux-x86_64'"))
+        session.execute(text("UPDATE submissions SET track = 'gone' WHERE id = :id"), {"id": gone.id})
+        session.execute(text("UPDATE evaluations SET scores = '[{}]' WHERE submission_id = :id"), {"id": odd.id})
+    with database.transaction() as session:
+        ensure_key(session)
+    with database.transaction() as session, capture_logs() as logs:
+        assert issue_older(session) == 2
+        assert issue_older(session) == 0
+        assert receipts_of_submission(session, gone.id)[0].result.combined is None
+        assert len(receipts_of_submission(session, whole.id)) == 1
+        assert receipts_of_submission(session, odd.id) == []
+    assert [line["event"] for line in logs] == 2 * ["receipt_left_out"]
+    assert logs[0]["kind"] == "KeyError"
 
 
 def test_a_receipt_that_was_taken_away_is_not_issued_again(database: Database) -> None:

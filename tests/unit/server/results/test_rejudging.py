@@ -28,6 +28,7 @@ from vitac.server.db.engine import Database
 from vitac.server.db.models import BoardResult, Evaluation, Submission
 from vitac.server.db.states import EvaluationState, Role
 from vitac.server.errors import ProblemCode
+from vitac.server.evaluations import lifecycle
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.leaderboards.standings import leaderboard
 from vitac.server.receipts.chain import chain_state, receipts_of_submission
@@ -170,10 +171,12 @@ def test_a_policy_that_fails_now_leaves_the_board_and_lost_machines_change_nothi
         session.execute(
             text(
                 "UPDATE evaluations SET state = 'failed', verdict_code = 'machine_failed', scores = NULL, "
-                "result_hash = NULL WHERE id = :id"
+                "result_hash = NULL, finished_at = now() WHERE id = :id"
             ),
             {"id": lost.id},
         )
+        # The organizers asked for it, so it is not counted against the team.
+        assert lifecycle.count_machine_failures(session, Submission.id == upgraded["Bees"].id) == 0
     rows = compared(database, rejudgement)
     assert rows["Ants"].after.verdict == VerdictCode.CRASHED
     assert (rows["Ants"].changes, rows["Bees"].is_left_out, rows["Bees"].changes) == (True, True, False)

@@ -1,0 +1,26 @@
+from pathlib import Path
+
+from service_factories import claim, make_principal, shard_ids, submit
+from vitac.server.db.engine import Database
+from vitac.server.db.states import FileRole
+from vitac.server.submissions.files import add_files, file_of, stored_digests
+from vitac.server.uploads.checked_upload import UploadedFile
+
+
+def uploaded(role: FileRole, digit: str) -> UploadedFile:
+    return UploadedFile(role=role, path=Path("unread"), sha256=64 * digit, n_bytes=1, name="file", facts={})
+
+
+def test_a_submission_has_one_sensor_which_is_the_one_made_last(database: Database) -> None:
+    """Another mesher makes another one of the same archive; shown and played is the same one."""
+    with database.transaction() as session:
+        submission = submit(session, make_principal(session))
+        for digit in "b", "c", "a":
+            add_files(session, submission.id, [uploaded(FileRole.SENSOR, digit), uploaded(FileRole.FIGURES, digit)])
+            shown = file_of(session, submission.id, FileRole.SENSOR)
+            assert shown is not None
+            assert shown.sha256 == 64 * digit
+        shards = shard_ids(session, submission)
+        add_files(session, submission.id, [uploaded(FileRole.SENSOR, "a")])
+        assert {64 * digit for digit in "abc"} <= set(stored_digests(session))
+    assert claim(database, shards[0]).sensor_sha256 == 64 * "a"

@@ -1,0 +1,32 @@
+import threading
+
+import pytest
+from sqlalchemy import text
+from structlog.testing import capture_logs
+from vitac.server.db.schema import newest_revision
+from vitac.server.db.states import WorkerState
+from vitac.server.services import Services
+from vitac.worker.heartbeat import Heartbeat
+from vitac.worker.isolation import IsolationReport
+
+
+@pytest.mark.parametrize(
+    ("change", "installed"),
+    [("UPDATE alembic_version SET version_num = 'v0001'", "v0001"), ("DELETE FROM alembic_version", "none")],
+    ids=["older", "emptied"],
+)
+def test_worker_of_another_schema_ends_and_says_which_it_expected(
+    services: Services, change: str, installed: str
+) -> None:
+    ended = threading.Event()
+    report = IsolationReport(level="none", problems=())
+    heartbeat = Heartbeat(services, state=WorkerState.READY, report=report, on_upgrade=ended.set)
+    with capture_logs() as logs:
+        heartbeat.start()
+        assert not ended.wait(0.3)
+        with services.database.transaction() as session:
+            session.execute(text(change))
+        assert ended.wait(20.0)
+        heartbeat.stop()
+    (said,) = [line["message"] for line in logs if line["event"] == "other_schema"]
+    assert said.startswith(f"The database has schema {installed}, expected {newest_revision()}.")
