@@ -16,8 +16,8 @@ from vitac.evaluator.tracks import load_track
 
 from ..accounts import teams
 from ..accounts.audit import record
-from ..accounts.principals import Principal
-from ..accounts.visibility import visible
+from ..accounts.principals import CONSOLE, Principal
+from ..accounts.visibility import sight_of, visible
 from ..competition.definition import Judging
 from ..competition.schedule import current, shown_stage
 from ..db.models import Competition, Evaluation, JudgingConflict, JudgingMark, Submission
@@ -208,17 +208,17 @@ def _share(own: Sequence[float], others: Sequence[Sequence[float]]) -> float:
     )
 
 
-def figures_of_entry(session: Session, entry: LeaderboardEntryView) -> SensorFigures | None:
-    """Return the figures of an entry's sensor; None where it brings none, or they are not measured."""
+def figures_of_entry(session: Session, by: Principal, entry: LeaderboardEntryView) -> SensorFigures | None:
+    """Return what somebody may see of the figures of an entry's sensor; None without a sensor, or if not measured."""
     evaluation = session.get_one(Evaluation, entry.evaluation_id)
     if not load_track(evaluation.submission.track).has_sensor:
         return None
-    return figures_of(session, evaluation.submission, evaluation)
+    return figures_of(session, evaluation.submission, evaluation, with_starts=sight_of(by, evaluation).episodes)
 
 
 def _by_total(session: Session, rubric: Judging, entries: Sequence[LeaderboardEntryView]) -> list[JudgedTeam]:
     """Return the teams of entries, the best total first, those without one last, else in the order given."""
-    figures = percentiles({entry.submission_id: figures_of_entry(session, entry) for entry in entries})
+    figures = percentiles({entry.submission_id: figures_of_entry(session, CONSOLE, entry) for entry in entries})
     found = [_judged(session, rubric, entry, figures[entry.submission_id]) for entry in entries]
     return sorted(found, key=lambda team: (team.total is None, -(team.total or 0.0)))
 

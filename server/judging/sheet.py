@@ -24,7 +24,7 @@ class SheetEntry:
 
     Attributes:
         entry: as on the board.
-        figures: of the sensor; None where it has none, or they are not measured yet.
+        figures: of the sensor, as the judge may see them; None where it has none, or they are not measured yet.
         marks: that this judge gave, by criterion; empty before that.
         conflict: why this judge does not judge the team; None: the judge does.
     """
@@ -88,7 +88,7 @@ def _entry(session: Session, by: Principal, entry: LeaderboardEntryView) -> Shee
     conflict = session.get(JudgingConflict, (team_id, by.account))
     return SheetEntry(
         entry=entry,
-        figures=figures_of_entry(session, entry),
+        figures=figures_of_entry(session, by, entry),
         marks={row.criterion: row.mark for row in session.scalars(given)},
         conflict=conflict.reason if conflict else None,
     )
