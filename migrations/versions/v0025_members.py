@@ -44,7 +44,7 @@ def downgrade() -> None:
     op.drop_index("uq_submissions_content", "submissions")
     op.drop_column("submissions", "merged_from")
     op.create_unique_constraint(op.f(f"uq_submissions_{'_'.join(CONTENT)}"), "submissions", CONTENT)
-    op.execute("DELETE FROM api_tokens WHERE is_session")
+    op.execute("DELETE FROM api_tokens WHERE member_id IS NOT NULL")
     for column in ("member_id", "is_session"):
         op.drop_column("api_tokens", column)
     op.drop_table("invitations")

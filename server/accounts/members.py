@@ -212,12 +212,12 @@ def sign_in(session: Session, team: str, name: str, password: str, lifetime: tim
     Raises:
         ServiceError: no member of that name and team has this password.
     """
-    found = session.scalar(  # PostgreSQL takes no NUL, and no name has one
+    found = session.scalar(
         select(Member)
         .join(Team)
         .where(
-            Team.name_key == teams.name_key(team.replace("\0", " ")),
-            Member.name_key == teams.name_key(name.replace("\0", " ")),
+            Team.name_key == teams.name_key(team),
+            Member.name_key == teams.name_key(name),
             Member.left_at.is_(None),
         )
     )

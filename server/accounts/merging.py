@@ -13,7 +13,9 @@ from vitac.server.db.models import (
     Appeal,
     BoardResult,
     Invitation,
+    JudgingConflict,
     Member,
+    Notice,
     PartialUpload,
     Qualification,
     Question,
@@ -45,13 +47,14 @@ def merge(session: Session, by: Principal, team: Team, into: Team) -> None:
     for one in found:
         session.refresh(one)
         teams.require_taking_part(one)
-    before = {"teams": [team.name, into.name], "merged": str(team.id), "contact": team.contact}
+    before = {"teams": [team.name, into.name], "merged": str(team.id)}
     moved = _move_submissions(session, team, into)
     _move_members(session, team, into)
     _move_qualifications(session, team, into)
+    _move_conflicts(session, team, into)
     for said in (Appeal, Question):
         session.execute(update(said).where(said.team_id == team.id).values(team_id=into.id))
-    for table in (ApiToken, BoardResult, Invitation, PartialUpload, Webhook):
+    for table in (ApiToken, BoardResult, Invitation, Notice, PartialUpload, Webhook):
         session.execute(update(table).where(table.team_id == team.id).values(team_id=into.id))
     session.expire_all()
     after = {"teams": [into.name], "submissions": moved}
@@ -91,10 +94,29 @@ def _move_members(session: Session, team: Team, into: Team) -> None:
         name = member.name
         while teams.name_key(name) in taken:
             number += 1
-            name = f"{member.name[: teams.NAME_LENGTH - 4]} {number}"
+            name = _numbered(member.name, number)
         taken.add(teams.name_key(name))
         member.name, member.name_key = name, teams.name_key(name)
         member.role, member.team_id = MemberRole.MEMBER, into.id
+    session.flush()
+
+
+def _numbered(name: str, number: int) -> str:
+    """Return a name with a number that its key has, too: folding may lengthen a name, and keys are cut."""
+    end = f" {number}"
+    kept = name[: teams.NAME_LENGTH - len(end)].rstrip()
+    while not teams.name_key(kept + end).endswith(end):
+        kept = kept[:-1].rstrip()
+    return kept + end
+
+
+def _move_conflicts(session: Session, team: Team, into: Team) -> None:
+    """Let judges with a conflict of interest with one team have it with both; a reason against the other one stays."""
+    for found in session.scalars(select(JudgingConflict).where(JudgingConflict.team_id == team.id)).all():
+        kept = insert(JudgingConflict).values(
+            team_id=into.id, judge=found.judge, reason=found.reason, declared_at=found.declared_at
+        )
+        session.execute(kept.on_conflict_do_nothing())
     session.flush()
 
 

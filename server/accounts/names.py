@@ -38,8 +38,11 @@ def clean(name: str, *, what: str, min_length: int, max_length: int) -> str:
 
 
 def key(name: str, *, max_length: int) -> str:
-    """Return what is equal for names that differ in case, spaces and compatibility forms only."""
-    folded = unicodedata.normalize("NFKC", name).casefold()
+    """Return what is equal for names that differ in case, spaces and compatibility forms only.
+
+    A NUL counts as a space: PostgreSQL takes none, and no name has one.
+    """
+    folded = unicodedata.normalize("NFKC", name.replace("\0", " ")).casefold()
     return re.sub(r"\s+", " ", folded).strip()[:max_length]
 
 

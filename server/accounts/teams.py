@@ -120,8 +120,10 @@ def require_taking_part(team: Team) -> None:
     """Refuse the submissions of a team that may not make any.
 
     Raises:
-        ServiceError: it is disqualified, waits to be accepted, or was refused.
+        ServiceError: it is removed, disqualified, waits to be accepted, or was refused.
     """
+    if team.erased_at is not None:
+        raise _removed()
     if team.disqualified_at is not None:
         raise ServiceError(
             ProblemCode.TEAM_DISQUALIFIED, f"{team.name} is disqualified: {team.disqualified_for}. Ask the organizers."
@@ -179,10 +181,15 @@ def lock(session: Session, team: Team) -> None:
     """Let changes that count what a team has go on one after the other; rows that refer to the team are left alone.
 
     Raises:
-        ServiceError: the team was merged with another one meanwhile.
+        ServiceError: the team was merged with another one or removed meanwhile.
     """
-    if session.scalar(select(Team.id).where(Team.id == team.id).with_for_update(key_share=True)) is None:
+    row = session.execute(
+        select(Team.erased_at).where(Team.id == team.id).with_for_update(key_share=True)
+    ).one_or_none()
+    if row is None:
         raise ServiceError(ProblemCode.UNKNOWN_TEAM, "This team was merged with another one. Try again.")
+    if row.erased_at is not None:
+        raise _removed()
 
 
 def last_named_at(session: Session) -> datetime | None:
@@ -245,6 +252,10 @@ def organizer_team_view(team: Team) -> OrganizerTeamView:
 def name_key(name: str) -> str:
     """Return the name by which teams are told apart."""
     return names.key(name, max_length=NAME_LENGTH)
+
+
+def _removed() -> ServiceError:
+    return ServiceError(ProblemCode.UNKNOWN_TEAM, "This team was removed; nothing is added to it or changed of it.")
 
 
 def _refuse_look_alike(session: Session, shown: str, *, but: Team | None = None) -> None:

@@ -1,9 +1,11 @@
 """A team's data: all of it to take away, its removal that keeps scores, and when addresses of people are forgotten."""
 
+import secrets
 from datetime import UTC, datetime, timedelta
 
-from sqlalchemy import delete, exists, func, select, update
+from sqlalchemy import delete, exists, func, or_, select, update
 from sqlalchemy.orm import Session, aliased
+from vitac.evaluator.episodes.records import EpisodeRecord
 
 from ..accounts import members, teams, tokens
 from ..accounts.audit import entry_view, record
@@ -23,43 +25,49 @@ from ..db.models import (
     Team,
     Webhook,
 )
-from ..db.states import ACTIVE_EVALUATION_STATES
+from ..db.states import ACTIVE_EVALUATION_STATES, NoticeChannel, Role
 from ..errors import ProblemCode, ServiceError
 from ..evaluations.history import histories
+from ..notices import webhooks
 from ..notices.outbox import notice_view
 from ..settings import Settings
 from ..submissions.view import submission_views
-from ..views.contest.people import TeamDataView, WebhookView
+from ..views.accounts import AuditEntryView
+from ..views.contest.people import TeamDataView
 from .appeals import appeal_view
 from .questions import question_view
 
 REMOVED = "(removed with its team)"
+_ACTIONS = ("team.", "member.")
+"""Whose audit lines members get; judges' conflicts of interest, for example, are about their team but not for it."""
+_CAPTAINS_ACTIONS = ("webhook.",)
 
 
 def export(session: Session, settings: Settings, by: Principal, team: Team) -> TeamDataView:
-    """Return everything that the service has of a team, as far as the team may see it.
+    """Return everything that the service has of a team, as far as who asks may see it.
+
+    An organizer gets what the captain would: it is to be handed to the team, so it says nothing of sealed lists.
 
     Raises:
         ServiceError: neither a member nor an organizer asks.
     """
     own = members.own_team_view(session, by, team)
+    if by.is_organizer:
+        by = Principal(role=Role.TEAM, team_id=team.id, team_name=team.name, leads_team=True)
     of_team = select(Submission).where(Submission.team_id == team.id).order_by(Submission.submitted_at, Submission.id)
     runs = histories(session, session.scalars(of_team).all())
-    token_rows = session.scalars(select(ApiToken).where(ApiToken.team_id == team.id).order_by(ApiToken.created_at))
-    hooks = session.scalars(select(Webhook).where(Webhook.team_id == team.id).order_by(Webhook.created_at))
     notices = session.scalars(select(Notice).where(Notice.team_id == team.id).order_by(Notice.created_at))
     asked = session.scalars(select(Question).where(Question.team_id == team.id).order_by(Question.id))
     appealed = session.scalars(select(Appeal).where(Appeal.team_id == team.id).order_by(Appeal.id))
-    lines = session.scalars(select(AuditEntry).where(AuditEntry.subject == f"team:{team.id}").order_by(AuditEntry.id))
     return TeamDataView(
         team=own,
-        tokens=[tokens.token_view(one) for one in token_rows],
+        tokens=[tokens.token_view(one) for one in tokens.list_tokens(session, by)],
         submissions=submission_views(session, settings, runs, by) if runs else [],
-        webhooks=[WebhookView.model_validate(one, from_attributes=True) for one in hooks],
+        webhooks=webhooks.of_team(session, by, team) if by.leads_team else [],
         notices=[notice_view(one) for one in notices],
         questions=[question_view(one, by) for one in asked],
         appeals=[appeal_view(one, by) for one in appealed],
-        audit_log=[entry_view(one) for one in lines],
+        audit_log=_audit_log(session, by, team),
         made_at=datetime.now(UTC),
     )
 
@@ -73,10 +81,10 @@ def erase(session: Session, by: Principal, team: Team) -> None:
         ServiceError: not an organizer, or an evaluation of the team waits or runs.
     """
     by.require_organizer()
-    teams.lock(session, team)
     session.refresh(team)
     if team.erased_at is not None:
         return
+    teams.lock(session, team)
     of_team = select(Submission.id).where(Submission.team_id == team.id)
     active = Evaluation.submission_id.in_(of_team), Evaluation.state.in_(ACTIVE_EVALUATION_STATES)
     if running := session.scalar(select(func.count()).select_from(Evaluation).where(*active)):
@@ -85,7 +93,7 @@ def erase(session: Session, by: Principal, team: Team) -> None:
             f"Expected no evaluation of {team.name} that waits or runs, got {running}; wait or cancel.",
         )
     now = datetime.now(UTC)
-    team.name = f"Deleted team {team.id.hex[:8]}"
+    team.name = f"Deleted team {secrets.token_hex(16)}"  # nobody can have taken this name before
     team.name_key, team.contact = teams.name_key(team.name), None
     team.named_at = team.erased_at = now
     _erase_output(session, team)
@@ -108,6 +116,7 @@ def forget_contacts(session: Session, settings: Settings, at: datetime | None = 
     of_members = session.scalars(
         update(Member).where(Member.email.is_not(None)).values(email=None).returning(Member.id)
     )
+    session.execute(delete(Notice).where(Notice.channel == NoticeChannel.MAIL))
     of_teams = session.scalars(update(Team).where(Team.contact.is_not(None)).values(contact=None).returning(Team.id))
     forgotten = len(of_members.all()) + len(of_teams.all())
     if forgotten:
@@ -116,17 +125,51 @@ def forget_contacts(session: Session, settings: Settings, at: datetime | None = 
     return forgotten
 
 
+def _audit_log(session: Session, by: Principal, team: Team) -> list[AuditEntryView]:
+    """Return what people changed of the team; the contact of a team that was merged into it is not theirs."""
+    actions = (*_ACTIONS, *_CAPTAINS_ACTIONS) if by.leads_team else _ACTIONS
+    known = or_(*(AuditEntry.action.startswith(action) for action in actions))
+    lines = session.scalars(
+        select(AuditEntry).where(AuditEntry.subject == f"team:{team.id}", known).order_by(AuditEntry.id)
+    )
+    found = [entry_view(one) for one in lines]
+    return [
+        one.model_copy(update={"before": {key: value for key, value in one.before.items() if key != "contact"}})
+        if one.before
+        else one
+        for one in found
+    ]
+
+
 def _erase_output(session: Session, team: Team) -> None:
-    """Remove what the policies of a team printed; where another team has the same content, it stays theirs."""
+    """Remove what the policies of a team printed; where another team has the same content, it stays theirs.
+
+    A record that the result hash of a scored evaluation covers stays whole, or nobody could check that score again.
+    """
     theirs, ours = aliased(Submission), aliased(Submission)
     mine = exists().where(ours.team_id == team.id, ours.digest == EpisodeResult.submission_digest)
     shared = exists().where(theirs.team_id != team.id, theirs.digest == EpisodeResult.submission_digest)
     session.execute(
         update(EpisodeResult).where(mine, ~shared).values(output="").execution_options(synchronize_session=False)
     )
+    scored = exists().where(
+        ours.digest == EpisodeResult.submission_digest,
+        Evaluation.submission_id == ours.id,
+        Evaluation.run == EpisodeResult.run,
+        Evaluation.evaluator_version == EpisodeResult.evaluator_version,
+        Evaluation.result_hash.is_not(None),
+    )
+    failed = EpisodeResult.record["failure"].astext.is_not(None)
+    for row in session.scalars(select(EpisodeResult).where(mine, ~shared, ~scored, failed)):
+        stored = EpisodeRecord.model_validate(row.record)
+        failure = stored.failure and stored.failure.model_copy(update={"message": REMOVED, "output_tail": ""})
+        kept = stored.model_copy(update={"failure": failure})
+        row.record, row.record_digest = kept.model_dump(mode="json", exclude={"output"}), kept.record_digest()
+    of_team = Evaluation.submission_id.in_(select(Submission.id).where(Submission.team_id == team.id))
     session.execute(
         update(Evaluation)
-        .where(Evaluation.submission_id.in_(select(Submission.id).where(Submission.team_id == team.id)))
-        .values(log_tail="")
+        .where(of_team, Evaluation.verdict_message.is_not(None))
+        .values(verdict_message=REMOVED)
         .execution_options(synchronize_session=False)
     )
+    session.execute(update(Evaluation).where(of_team).values(log_tail="").execution_options(synchronize_session=False))

@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from fractions import Fraction
 from math import ceil
 from uuid import UUID
@@ -116,9 +117,10 @@ def confirm(
     previous = _qualified(session, track, stage)
     _refuse_loss(session, track, stage, previous.keys() - chosen.keys())
     session.execute(delete(Qualification).where(Qualification.track == track, Qualification.stage == stage))
+    now = datetime.now(UTC)
     for team_id in chosen.keys() - previous.keys():
         facts = {"team": chosen[team_id], "track": track, "stage": stage, "page": "/competition"}
-        announce(session, NoticeKind.PROMOTED, team_id, f"stage:{track}/{stage}", facts)
+        announce(session, NoticeKind.PROMOTED, team_id, f"stage:{track}/{stage}/{team_id}/{now.isoformat()}", facts)
     session.add_all(Qualification(track=track, stage=stage, team_id=team_id) for team_id in chosen)
     session.flush()
     after = {

@@ -165,6 +165,15 @@ def test_a_password_begins_a_session_that_can_be_ended(database: Database) -> No
             members.sign_in(session, "Team A", "Ann", PASSWORD + "!", WEEK)
 
 
+@pytest.mark.parametrize("name", ["Ann\0", "\0 ANN", "ann\0\0", " \0Ann\0 "])
+def test_a_nul_finds_the_same_member_and_counts_towards_the_same_limit(database: Database, name: str) -> None:
+    assert teams.name_key(name) == teams.name_key("Ann")
+    with database.transaction() as session:
+        ann, _ = joined(session, make_principal(session), password=PASSWORD)
+        assert members.sign_in(session, "Team\0A", name, PASSWORD, WEEK).member_id == ann.id
+        assert members.find_by_name(session, ann.team, name).id == ann.id
+
+
 def test_the_lock_date_holds_for_all_but_organizers(database: Database) -> None:
     with database.transaction() as session:
         team = make_principal(session)

@@ -1,8 +1,10 @@
 from datetime import UTC, datetime, timedelta
+from functools import partial
 
 from service_factories import (
     TASK,
     TRACK,
+    make_failed_record,
     make_principal,
     make_score,
     make_secret,
@@ -13,16 +15,23 @@ from service_factories import (
 )
 from sqlalchemy import select, update
 from submission_steps import refused
+from vitac.evaluator.episodes.records import EpisodeRecord
 from vitac.server.accounts import members, teams, tokens
-from vitac.server.accounts.audit import newest_entries
-from vitac.server.accounts.principals import CONSOLE
+from vitac.server.accounts.audit import newest_entries, record
+from vitac.server.accounts.members import NewMember
+from vitac.server.accounts.principals import CONSOLE, Principal
+from vitac.server.competition.sealing import seal
 from vitac.server.db.engine import Database
-from vitac.server.db.models import Competition, EpisodeResult, Question
+from vitac.server.db.models import Competition, EpisodeResult, Evaluation, Question, Submission
+from vitac.server.db.states import NoticeKind, Role
 from vitac.server.errors import ProblemCode
+from vitac.server.evaluations.history import histories
 from vitac.server.leaderboards.standings import leaderboard
+from vitac.server.notices import outbox, webhooks
 from vitac.server.people import announcements, questions, team_data
 from vitac.server.submissions import runs
 from vitac.server.submissions.files import stored_digests
+from vitac.server.submissions.view import submission_views
 
 from competitions import make_competition, put_in_place
 
@@ -46,6 +55,67 @@ def test_a_team_takes_all_of_its_data_and_nobody_elses(database: Database) -> No
         assert (empty.submissions, empty.questions, empty.appeals) == ([], [], [])
         with refused(ProblemCode.NOT_FOUND):
             team_data.export(session, SETTINGS, bees, own)
+
+
+def test_a_teams_data_says_nothing_that_was_said_in_confidence_or_is_sealed(database: Database) -> None:
+    with database.transaction() as session:
+        content = make_competition()
+        put_in_place(session, content | {"tracks": {"mail": content["tracks"][TRACK] | {"taken_here": False}}})
+        ants = make_principal(session, "Ants")
+        own = teams.own(session, ants)
+        for action in ("judging.conflict", "team.merge", "team.quota"):
+            before = {"marks": [9], "contact": "bee@example.org", "teams": ["Bees"]}
+            record(session, CONSOLE, action, f"team:{own.id}", {}, before=before)
+        webhooks.add(session, ants, own, "https://hook.example.org/", inside_allowed=False)
+        submission = submit(session, ants)
+        _, code = members.invite(session, ants, own)
+        _, issued = members.join(session, NewMember(code=code, name="Bob"), timedelta(days=1))
+    play_all(database, submission, partial(make_failed_record, output="secret start"))
+    with database.transaction() as session:
+        own = teams.own(session, ants)
+        sealed = seal(session, CONSOLE, TRACK, "stage1")
+        session.execute(update(Evaluation).values(commitment=sealed.commitment))
+        session.expire_all()
+        bob = tokens.authenticate(session, issued.secret)
+        for by, leads in ((ants, True), (CONSOLE, True), (bob, False)):
+            found = team_data.export(session, SETTINGS, by, own)
+            text = found.model_dump_json()
+            assert "judging" not in text
+            assert "bee@example.org" not in text
+            assert ("https://hook.example.org/" in text) is leads
+            assert [hook.address for hook in found.webhooks] == ["https://hook.example.org/"] * leads
+            assert {"team.merge", "team.quota"} <= {line.action for line in found.audit_log}
+            assert leads or [token.id for token in found.tokens] == [issued.token.id]
+            seen = submission_views(session, SETTINGS, histories(session, session.query(Submission).all()), ants)
+            assert found.submissions == seen, "an organizer's copy holds no more than the team's"
+        with refused(ProblemCode.NOT_FOUND):
+            team_data.export(session, SETTINGS, Principal(role=Role.JUDGE), own)
+
+
+def test_a_removed_team_leaves_nothing_of_how_its_policies_failed_and_no_name_is_in_its_way(
+    database: Database,
+) -> None:
+    with database.transaction() as session:
+        ants = make_principal(session, "Ants")
+        submission = submit(session, ants)
+        team_id = teams.own(session, ants).id
+        for name in (f"Deleted team {team_id.hex[:8]}", f"Deleted team {team_id.hex}"):
+            teams.register(session, CONSOLE, name=name)
+    play_all(database, submission, partial(make_failed_record, output="I am Ann"))
+    with database.transaction() as session:
+        failed = session.scalars(select(EpisodeResult)).all()
+        assert failed
+        assert "I am Ann" in str(failed[0].record)
+        n_failed = len(failed)
+        team_data.erase(session, CONSOLE, teams.own(session, ants))
+    with database.transaction() as session:
+        evaluation = session.scalars(select(Evaluation)).one()
+        assert (evaluation.verdict_message, evaluation.log_tail) == (team_data.REMOVED, "")
+        kept = session.scalars(select(EpisodeResult)).all()
+        assert len(kept) == n_failed
+        for row in kept:
+            assert "I am Ann" not in str(row.record)
+            assert EpisodeRecord.model_validate(row.record).record_digest() == row.record_digest
 
 
 def test_a_removed_team_leaves_its_scores_and_nothing_else(database: Database) -> None:
@@ -94,6 +164,7 @@ def test_addresses_are_forgotten_so_long_after_the_end(database: Database) -> No
         team = teams.register(session, CONSOLE, name="Ants", contact="a@example.org")
         captain = members.captain_of(session, team)
         members.set_email(session, CONSOLE, captain, "a@example.org")
+        outbox.announce(session, NoticeKind.FINISHED, team.id, "evaluation:1", {})
         assert team_data.forget_contacts(session, settings) == 0
         put_in_place(session, make_competition())
         row = session.get_one(Competition, 1)
@@ -105,5 +176,6 @@ def test_addresses_are_forgotten_so_long_after_the_end(database: Database) -> No
         assert team_data.forget_contacts(session, settings, later) == 2
         session.expire_all()
         assert (team.contact, captain.email) == (None, None)
+        assert outbox.newest(session) == [], "a mail's notice names the address, too"
         assert team_data.forget_contacts(session, settings, later) == 0
         assert newest_entries(session, 1)[0].before == {"contacts": 2}

@@ -5,11 +5,12 @@ import pytest
 from service_factories import TASK, TRACK, make_principal, make_score, make_upload, outdate, submit_scored
 from sqlalchemy import update
 from submission_steps import refused
+from vitac.server.accounts import members, teams
 from vitac.server.accounts.audit import newest_entries
 from vitac.server.accounts.principals import CONSOLE, Principal
 from vitac.server.db.engine import Database
-from vitac.server.db.models import Submission, Team
-from vitac.server.db.states import Role
+from vitac.server.db.models import Notice, Submission, Team
+from vitac.server.db.states import NoticeKind, Role
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.results.advancement import Proposal, confirm, propose, qualified_teams
 from vitac.server.submissions import creation
@@ -115,6 +116,19 @@ def test_a_confirmed_team_may_submit_and_the_decision_is_recorded(database: Data
     assert entry.subject == f"stage:{TRACK}/{SECOND}"
     assert entry.before == {"teams": []}
     assert entry.after["teams"] == entry.after["proposed"] == ["Ants"]
+
+
+def test_a_person_in_two_teams_hears_of_both_and_of_a_second_confirmation(database: Database) -> None:
+    begin(database, {"top": 2})
+    with database.transaction() as session:
+        for name in ("Ants", "Bees"):
+            captain = members.captain_of(session, teams.find(session, name))
+            members.set_email(session, CONSOLE, captain, "ann@example.org")
+    for options in ({}, {"without": ["Bees"]}, {}):
+        confirmed(database, **options)
+    with database.transaction() as session:
+        told = [notice.facts["team"] for notice in session.query(Notice).filter_by(kind=NoticeKind.PROMOTED)]
+    assert sorted(told) == ["Ants", "Bees", "Bees"]
 
 
 def test_organizers_add_and_leave_out_teams(database: Database) -> None:
