@@ -1,9 +1,9 @@
 """Changes that cannot be taken back: asked about first, then made in one transaction. Called by the admin nouns."""
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 from vitac.envs.errors import VitacError
@@ -12,6 +12,8 @@ from ..service.database import transaction
 
 if TYPE_CHECKING:
     from sqlalchemy.orm import Session
+
+ShownT = TypeVar("ShownT")
 
 Yes = Annotated[bool, typer.Option("--yes", help="Do not ask.")]
 """The option of a command that changes something for good."""
@@ -22,6 +24,45 @@ DryRun = Annotated[bool, typer.Option("--dry-run", help="Only say what would cha
 
 class ConsentMissing(VitacError):
     """The command changes something for good, and nobody is there to ask: give --yes."""
+
+
+class ChangedMeanwhile(VitacError):
+    """What was asked about is not what the command would do now: run it again and look at the new list."""
+
+
+def change_as_shown(
+    change: Callable[["Session"], ShownT],
+    show: Callable[[ShownT], None],
+    question: str,
+    *,
+    yes: bool,
+    dry_run: bool,
+) -> None:
+    """Try a change, show what it does, ask, and make it. While somebody reads, nothing in the database is locked.
+
+    Args:
+        change: makes it in the transaction of a session, and returns what is shown.
+        show: prints that.
+        question: what is asked.
+        yes: do not ask.
+        dry_run: only show it.
+
+    Raises:
+        ConsentMissing: nobody can be asked.
+        ChangedMeanwhile: after the answer the change is another one than the one shown.
+        typer.Abort: the answer was no.
+    """
+    with transaction() as session:
+        shown = change(session)
+        if dry_run or not yes:
+            session.rollback()
+    show(shown)
+    if dry_run or yes:
+        return
+    require_consent(question, yes=False)
+    with transaction() as session:
+        if change(session) != shown:
+            raise ChangedMeanwhile("Something changed while you were asked, and nothing was done. Run it again.")
 
 
 @contextmanager

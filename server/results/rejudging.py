@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 from uuid import UUID
 
 from sqlalchemy import delete, exists, select
-from sqlalchemy.orm import Session, defer, joinedload
+from sqlalchemy.orm import Session, aliased, defer, joinedload
 from vitac.evaluator.scoring.ranking import CombinedScore
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.version import evaluator_version
@@ -53,7 +53,8 @@ class RejudgedSubmission:
     Attributes:
         state: of the new evaluation.
         changes: whether score or rank would be another one; False before the end.
-        is_left_out: whether it keeps its present result: machines failed it, or it was cancelled.
+        is_left_out: whether it keeps its present result: machines failed it, it was cancelled, or the submission was
+            evaluated once more since the rejudgement began.
     """
 
     team: str
@@ -92,7 +93,7 @@ def start(
     by.require_organizer()
     load_known_track(track)
     of_stage = shown_stage(session, track, stage)
-    _require_going_on(session, of_stage)
+    _going_on(session, of_stage)
     chosen = _chosen(session, track, of_stage, submissions)
     made = Rejudgement(track=track, stage=of_stage, reason=reason)
     session.add(made)
@@ -140,7 +141,7 @@ def comparison(session: Session, rejudgement: Rejudgement) -> list[RejudgedSubmi
     Ranks are those among all models of the stage as if every evaluator version counted alike, so that a board from
     before an upgrade can be compared with the one after it.
     """
-    new = _newest_of(session, rejudgement)
+    new, kept = _newest_of(session, rejudgement), _evaluated_since(session, rejudgement)
     present = {
         submission: evaluation
         for submission, evaluation in _present(session, rejudgement).items()
@@ -148,10 +149,15 @@ def comparison(session: Session, rejudgement: Rejudgement) -> list[RejudgedSubmi
     }
     rules = track_rules(session, rejudgement.track)
     keys = rules.ranking if rules else DEFAULT_RANKING
-    replaced = {submission: run for submission, run in new.items() if not _is_left_out(run)}
+    replaced = {submission: run for submission, run in new.items() if not _is_left_out(run, kept)}
     ranks_before, ranks_after = _ranks(present, keys), _ranks(present | replaced, keys)
     rows = [
-        _compared(evaluation, present.get(submission), ranks_before.get(submission), ranks_after.get(submission))
+        _compared(
+            evaluation,
+            present.get(submission),
+            (ranks_before.get(submission), ranks_after.get(submission)),
+            is_left_out=_is_left_out(evaluation, kept),
+        )
         for submission, evaluation in new.items()
     ]
     return sorted(
@@ -162,14 +168,21 @@ def comparison(session: Session, rejudgement: Rejudgement) -> list[RejudgedSubmi
 def apply(session: Session, by: Principal, rejudgement_id: UUID) -> list[RejudgedSubmission]:
     """Make the new results those of their submissions, with a receipt each; the present ones leave the boards.
 
-    What machines failed or somebody cancelled keeps its present result.
+    What machines failed or somebody cancelled keeps its present result, and so does what was evaluated once more since
+    the rejudgement began: that result is the newer one.
 
     Raises:
-        ServiceError: not an organizer, no such rejudgement, it has ended, the competition is final, or an evaluation
-            goes on.
+        ServiceError: not an organizer, no such rejudgement, it has ended, the competition is final, its boards stand
+            still, or an evaluation goes on.
     """
     found = _lock_open(session, by, rejudgement_id)
-    _require_going_on(session, found.stage)
+    competition = _going_on(session, found.stage)
+    if competition is not None and competition.frozen_at is not None:
+        raise ServiceError(
+            ProblemCode.INVALID_REQUEST,
+            f"The boards stand still since {competition.frozen_at:%F %T} UTC, and this would change them; run "
+            "`vitac admin results unfreeze` first.",
+        )
     rows = comparison(session, found)
     going_on = [row.team for row in rows if row.state not in TERMINAL_EVALUATION_STATES]
     if going_on:
@@ -180,7 +193,8 @@ def apply(session: Session, by: Principal, rejudgement_id: UUID) -> list[Rejudge
     now = datetime.now(UTC)
     # By id: an evaluation of another rejudgement is locked in the same order.
     chosen = sorted(_newest_of(session, found).values(), key=lambda evaluation: evaluation.id)
-    replacing = [lock_evaluation(session, evaluation.id) for evaluation in chosen if not _is_left_out(evaluation)]
+    keeping = {row.submission for row in rows if row.is_left_out}
+    replacing = [lock_evaluation(session, one.id) for one in chosen if one.submission_id not in keeping]
     completed = [evaluation for evaluation in replacing if evaluation.state is EvaluationState.COMPLETED]
     for evaluation in replacing:
         evaluation.is_proposed = False
@@ -221,6 +235,7 @@ def _chosen(session: Session, track: str, stage: str, ids: Collection[UUID]) -> 
             Submission.track == track,
             Submission.stage == stage,
             Submission.kind == SubmissionKind.MODEL,
+            Team.erased_at.is_(None),
             exists().where(Evaluation.submission_id == Submission.id),
         )
         .order_by(Submission.submitted_at, Submission.id)
@@ -232,9 +247,27 @@ def _chosen(session: Session, track: str, stage: str, ids: Collection[UUID]) -> 
         what = f"submission {min(missing)}" if missing else "any submission"
         where = f"stage {stage} of {track}" if stage else track
         raise ServiceError(
-            ProblemCode.NOT_FOUND, f"Expected models of {where}, but {what} is none; logs cannot be evaluated again."
+            ProblemCode.NOT_FOUND,
+            f"Expected models of {where}, but {what} is none. Logs cannot be evaluated again, and uploads that were "
+            "removed with their team neither.",
         )
     return found
+
+
+def _evaluated_since(session: Session, rejudgement: Rejudgement) -> frozenset[UUID]:
+    """Return the submissions with an evaluation of their own, or by an applied rejudgement, that began after it."""
+    proposed, newer = aliased(Evaluation), aliased(Evaluation)
+    rows = session.scalars(
+        select(newer.submission_id)
+        .join(proposed, proposed.submission_id == newer.submission_id)
+        .where(
+            proposed.rejudgement_id == rejudgement.id,
+            newer.rejudgement_id.is_distinct_from(rejudgement.id),
+            ~newer.is_proposed,
+            newer.created_at > rejudgement.started_at,
+        )
+    )
+    return frozenset(rows)
 
 
 def _newest_of(session: Session, rejudgement: Rejudgement) -> Mapping[UUID, Evaluation]:
@@ -291,10 +324,9 @@ def _key(key: RankingKey, evaluation: Evaluation, score: CombinedScore) -> float
 
 
 def _compared(
-    new: Evaluation, old: Evaluation | None, rank_before: int | None, rank_after: int | None
+    new: Evaluation, old: Evaluation | None, ranks: tuple[int | None, int | None], *, is_left_out: bool
 ) -> RejudgedSubmission:
-    before, after = _standing(old, rank_before), _standing(new, rank_after)
-    is_left_out = _is_left_out(new)
+    before, after = _standing(old, ranks[0]), _standing(new, ranks[1])
     same = all(
         getattr(before, name) == getattr(after, name) for name in ("success_rate", "mean_steps", "rank", "verdict")
     )
@@ -321,9 +353,10 @@ def _standing(evaluation: Evaluation | None, rank: int | None) -> Standing:
     )
 
 
-def _is_left_out(evaluation: Evaluation) -> bool:
+def _is_left_out(evaluation: Evaluation, kept: Collection[UUID]) -> bool:
+    """Return whether the result of a proposed evaluation is not taken; `kept`: submissions with a newer one."""
     by_machines = evaluation.verdict_code == ServiceVerdict.MACHINE_FAILED.value
-    return evaluation.state is EvaluationState.CANCELLED or by_machines
+    return evaluation.submission_id in kept or evaluation.state is EvaluationState.CANCELLED or by_machines
 
 
 def _lock_open(session: Session, by: Principal, rejudgement_id: UUID) -> Rejudgement:
@@ -337,12 +370,14 @@ def _lock_open(session: Session, by: Principal, rejudgement_id: UUID) -> Rejudge
     return found
 
 
-def _require_going_on(session: Session, stage: str) -> None:
-    row = session.get(Competition, 1)
-    if stage and row is not None and row.finalized_at is not None:
+def _going_on(session: Session, stage: str) -> Competition | None:
+    """Return the competition of a stage, which neither ends nor is frozen meanwhile; None outside of one."""
+    row = session.get(Competition, 1, with_for_update={"read": True}, populate_existing=True) if stage else None
+    if row is not None and row.finalized_at is not None:
         raise ServiceError(
             ProblemCode.COMPETITION_FINAL, f"{row.definition['title']} is final since {row.finalized_at:%F %T} UTC."
         )
+    return row
 
 
 def _audited(rows: Sequence[RejudgedSubmission], side: str) -> dict[str, object]:

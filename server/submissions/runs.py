@@ -28,23 +28,19 @@ def cancel(session: Session, by: Principal, submission_id: UUID) -> None:
         ServiceError: there is no such submission, or its evaluation has ended.
     """
     submission = changeable(session, by, submission_id)
-    evaluation = lock_evaluation(session, newest_evaluation(session, submission).id)
-    if evaluation.state in TERMINAL_EVALUATION_STATES:
-        raise ServiceError(
-            ProblemCode.NOT_CANCELLABLE,
-            f"The evaluation of submission {submission.id} is {evaluation.state} already; there is nothing to cancel.",
-            state=evaluation.state.value,
-        )
-    lifecycle.cancel(session, evaluation)
-    record(session, by, "submission.cancel", f"submission:{submission.id}", {"evaluation": str(evaluation.id)})
+    _cancel(session, by, newest_evaluation(session, submission).id)
 
 
 def cancel_evaluation(session: Session, by: Principal, evaluation: Evaluation) -> None:
-    """End an evaluation, which must be the one that its submission shows.
+    """End an evaluation: the one that its submission shows, or one that a rejudgement only proposes.
 
     Raises:
-        ServiceError: it has ended.
+        ServiceError: it has ended, or who asks may not change it.
     """
+    if evaluation.is_proposed:
+        by.require_organizer()
+        _cancel(session, by, evaluation.id)
+        return
     if newest_evaluation(session, evaluation.submission).id != evaluation.id:
         raise ServiceError(
             ProblemCode.NOT_CANCELLABLE, f"Evaluation {evaluation.id} has ended; a newer run of its submission exists."
@@ -68,7 +64,9 @@ def run_again(session: Session, by: Principal, submission_id: UUID) -> Submissio
     run = next_run(session, submission, again=True)
     if run is None:
         raise ServiceError(
-            ProblemCode.NOT_REQUEUABLE, f"Submission {submission.id} is being evaluated; cancel that first."
+            ProblemCode.NOT_REQUEUABLE,
+            f"Submission {submission.id} is being evaluated{_for_rejudgement(session, submission)}; wait, or cancel "
+            "that first.",
         )
     lifecycle.start(session, submission, run)
     record(session, by, "submission.requeue", f"submission:{submission.id}", {"run": run})
@@ -110,6 +108,26 @@ def next_run(session: Session, submission: Submission, *, again: bool) -> int | 
     if not again and _can_be_taken_up(newest):
         return newest.run
     return 1 + max(evaluation.run for evaluation in same_version)
+
+
+def _cancel(session: Session, by: Principal, evaluation_id: UUID) -> None:
+    evaluation = lock_evaluation(session, evaluation_id)
+    submission_id = evaluation.submission_id
+    if evaluation.state in TERMINAL_EVALUATION_STATES:
+        raise ServiceError(
+            ProblemCode.NOT_CANCELLABLE,
+            f"The evaluation of submission {submission_id} is {evaluation.state} already; there is nothing to cancel.",
+            state=evaluation.state.value,
+        )
+    lifecycle.cancel(session, evaluation)
+    record(session, by, "submission.cancel", f"submission:{submission_id}", {"evaluation": str(evaluation.id)})
+
+
+def _for_rejudgement(session: Session, submission: Submission) -> str:
+    """Return which evaluation of a rejudgement is active, for a message; empty where none is."""
+    proposed = all_runs(submission).where(Evaluation.is_proposed, Evaluation.state.in_(ACTIVE_EVALUATION_STATES))
+    found = session.scalars(proposed.limit(1)).first()
+    return f" for rejudgement {found.rejudgement_id} (evaluation {found.id})" if found else ""
 
 
 def _can_be_taken_up(evaluation: Evaluation) -> bool:

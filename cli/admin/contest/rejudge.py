@@ -8,7 +8,7 @@ import typer
 
 from ...service.database import transaction
 from ...terminal.output import AsJson, percent, print_json, print_records, print_table
-from ..consent import DryRun, Yes, consented_transaction, require_consent
+from ..consent import DryRun, Yes, change_as_shown, consented_transaction
 
 if TYPE_CHECKING:
     from vitac.server.results.rejudging import RejudgedSubmission
@@ -79,11 +79,13 @@ def apply(rejudgement: RejudgementId, yes: Yes = False, dry_run: DryRun = False,
     from vitac.server.accounts.principals import CONSOLE
     from vitac.server.results import rejudging
 
-    with transaction() as session:
-        _print(rejudging.apply(session, CONSOLE, rejudgement), as_json=as_json)
-        if dry_run:
-            raise typer.Exit  # which takes the change back
-        require_consent("Replace the present results by these?", yes=yes)
+    change_as_shown(
+        lambda session: rejudging.apply(session, CONSOLE, rejudgement),
+        lambda found: _print(found, as_json=as_json),
+        "Replace the present results by these?",
+        yes=yes,
+        dry_run=dry_run,
+    )
 
 
 @app.command()

@@ -8,7 +8,7 @@ import typer
 
 from ...service.database import transaction
 from ...terminal.output import AsJson, print_json, print_records
-from ..consent import DryRun, Yes, consented_transaction, require_consent
+from ..consent import DryRun, Yes, change_as_shown, consented_transaction
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
@@ -53,12 +53,13 @@ def finalize(yes: Yes = False, dry_run: DryRun = False, as_json: AsJson = False)
     from vitac.server.accounts.principals import CONSOLE
     from vitac.server.results.finishing import finalize as finalize_results
 
-    with transaction() as session:
-        found = [asdict(winner) for winner in finalize_results(session, CONSOLE)]
-        print_records(found, COLUMNS, none="Nobody wins.", as_json=as_json)
-        if dry_run:
-            raise typer.Exit  # which takes the change back
-        require_consent("End the competition for good with these winners?", yes=yes)
+    change_as_shown(
+        lambda session: [asdict(winner) for winner in finalize_results(session, CONSOLE)],
+        lambda found: print_records(found, COLUMNS, none="Nobody wins.", as_json=as_json),
+        "End the competition for good with these winners?",
+        yes=yes,
+        dry_run=dry_run,
+    )
 
 
 @app.command()

@@ -1,4 +1,5 @@
 from contextlib import suppress
+from datetime import UTC, datetime
 from typing import Any
 from uuid import UUID
 
@@ -15,6 +16,7 @@ from service_factories import (
     make_upload,
     outdate,
     play,
+    play_all,
     submit_scored,
 )
 from sqlalchemy import select, text, update
@@ -25,16 +27,18 @@ from vitac.evaluator.version import evaluator_version
 from vitac.server.accounts.audit import newest_entries
 from vitac.server.accounts.principals import CONSOLE, Principal
 from vitac.server.db.engine import Database
-from vitac.server.db.models import BoardResult, Evaluation, Submission
+from vitac.server.db.models import BoardResult, Competition, Evaluation, Submission, Team
 from vitac.server.db.states import EvaluationState, Role
-from vitac.server.errors import ProblemCode
+from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.evaluations import lifecycle
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.leaderboards.standings import leaderboard
 from vitac.server.receipts.chain import chain_state, receipts_of_submission
 from vitac.server.results import rejudging
 from vitac.server.results.rejudging import RejudgedSubmission
-from vitac.server.submissions import creation
+from vitac.server.submissions import creation, runs
+
+from competitions import make_competition, open_now, put_in_place
 
 
 def standings(database: Database) -> list[tuple[str, int | None, float]]:
@@ -199,3 +203,68 @@ def test_what_cannot_be_rejudged_is_refused(database: Database, upgraded: dict[s
     refuse(ProblemCode.NOT_REQUEUABLE, submissions=[upgraded["Ants"].id])
     with refused(ProblemCode.NOT_FOUND), database.transaction() as session:
         rejudging.apply(session, CONSOLE, UUID(int=1))
+
+
+def test_an_older_rejudgement_takes_no_newer_result_away(database: Database, upgraded: dict[str, Submission]) -> None:
+    older = start(database)
+    play_proposed(database, older)
+    newer = start(database, upgraded["Ants"])
+    play_proposed(database, newer, Ants=make_record)
+    with database.transaction() as session:
+        runs.run_again(session, CONSOLE, upgraded["Bees"].id)
+        rejudging.apply(session, CONSOLE, newer)
+    rows = compared(database, older)
+    assert {team for team, row in rows.items() if row.is_left_out} == {"Ants", "Bees"}, "one waits, one is complete"
+    assert not rows["Ants"].changes
+    with database.transaction() as session:
+        rejudging.apply(session, CONSOLE, older)
+    assert standings(database) == [("Ants", 1, 1.0), ("Cats", 2, 0.5), ("Bees", None, 0.8)]
+    play_all(database, upgraded["Bees"])
+    assert [rate for team, _, rate in standings(database) if team == "Bees"] == [1.0]
+    with database.transaction() as session:
+        for team, run in (("Ants", newer), ("Bees", None), ("Cats", older)):
+            assert newest_evaluation(session, upgraded[team]).rejudgement_id == run
+
+
+def test_boards_that_stand_still_are_not_changed(database: Database) -> None:
+    with database.transaction() as session:
+        put_in_place(session, open_now(make_competition()))
+        staged = submit_scored(session, make_principal(session, "Ants"), "Ants", {TASK: make_score(90)})
+    rejudgement = start(database, staged)
+    play_proposed(database, rejudgement)
+    with database.transaction() as session:
+        session.get_one(Competition, 1).frozen_at = datetime.now(UTC)
+    assert compared(database, rejudgement)["Ants"].changes, "organizers see what it would change"
+    with pytest.raises(ServiceError, match="unfreeze"), database.transaction() as session:
+        rejudging.apply(session, CONSOLE, rejudgement)
+    with database.transaction() as session:
+        assert session.scalars(select(BoardResult.success_rate).where(BoardResult.board == TASK)).all() == [0.9]
+        session.get_one(Competition, 1).frozen_at = None
+    with database.transaction() as session:
+        rejudging.apply(session, CONSOLE, rejudgement)
+        assert session.scalars(select(BoardResult.success_rate).where(BoardResult.board == TASK)).all() == [0.5]
+
+
+def test_a_proposed_evaluation_can_be_cancelled_and_uploads_that_are_gone_are_left_alone(
+    database: Database, upgraded: dict[str, Submission]
+) -> None:
+    with database.transaction() as session:
+        session.get_one(Team, upgraded["Cats"].team_id).erased_at = datetime.now(UTC)
+    rejudgement = start(database)
+    assert set(compared(database, rejudgement)) == {"Ants", "Bees"}, "the upload of Cats was removed"
+    with refused(ProblemCode.NOT_FOUND):
+        start(database, upgraded["Cats"])
+    with pytest.raises(ServiceError, match=f"for rejudgement {rejudgement}"), database.transaction() as session:
+        runs.run_again(session, CONSOLE, upgraded["Ants"].id)
+    team = Principal(role=Role.TEAM, team_id=upgraded["Ants"].team_id, team_name="Ants")
+    with database.transaction() as session:
+        query = select(Evaluation).where(Evaluation.rejudgement_id == rejudgement).join(Submission)
+        proposed = session.scalars(query.where(Submission.name == "Ants")).one()
+        with refused(ProblemCode.FORBIDDEN):
+            runs.cancel_evaluation(session, team, proposed)
+        runs.cancel_evaluation(session, CONSOLE, proposed)
+        with refused(ProblemCode.NOT_CANCELLABLE):
+            runs.cancel_evaluation(session, CONSOLE, proposed)
+        assert proposed.state is EvaluationState.CANCELLED
+        assert newest_evaluation(session, upgraded["Ants"]).state is EvaluationState.COMPLETED
+        runs.run_again(session, CONSOLE, upgraded["Ants"].id)
