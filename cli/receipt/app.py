@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 import sys
 from dataclasses import asdict
 from pathlib import Path
@@ -81,7 +82,10 @@ def verify(
 def audit(
     export: Annotated[Path, typer.Argument(help="File of `vitac admin receipt export`.")],
     episodes: Annotated[int, typer.Option(min=0, help="Run so many episodes again, chosen at random.")] = 10,
-    seed: Annotated[int, typer.Option(min=0, help="Chooses the episodes.")] = 0,
+    seed: Annotated[
+        int | None,
+        typer.Option(min=0, help="Chooses the episodes; drawn and printed without it, so nobody foresees it."),
+    ] = None,
     key: Key = None,
     receipt: Annotated[
         list[Path] | None, typer.Option(help="A receipt that you kept; it must be in the chain. May be repeated.")
@@ -97,12 +101,13 @@ def audit(
     held = [read_receipt(path) for path in receipt or ()]
     for each in held:
         each.require_valid(key)
+    seed = secrets.randbits(63) if seed is None else seed
     with compiling_shown():
         found = audit_export(export, public_key=key, held=held, episodes=episodes, seed=seed, on_episode=_progress)
     if as_json:
-        print_json(asdict(found))
+        print_json(asdict(found) | {"seed": seed})
     else:
-        _print(found, key)
+        _print(found, key, seed)
     if found.findings:
         raise typer.Exit(1)
 
@@ -132,7 +137,7 @@ def _at_service(named: str, server: str | None, token_file: Path | None) -> tupl
     return found, str(chain["public_key"])
 
 
-def _print(found: Audit, key: str | None) -> None:
+def _print(found: Audit, key: str | None, seed: int) -> None:
     print_pairs(
         {
             "signed by": found.public_key,
@@ -140,6 +145,7 @@ def _print(found: Audit, key: str | None) -> None:
             "entries of the board": found.entries,
             "logs that agree": found.logs,
             "episodes run again": len(found.resimulated),
+            "seed of their choice": seed,
             "findings": len(found.findings),
         }
     )

@@ -82,6 +82,7 @@ def give_marks(
     """
     name = _judge(by, judge)
     submission = visible(session, by, submission_id)
+    teams.lock(session, submission.team)  # no conflict and no other marks of the team meanwhile
     _require_going_on(session)
     rubric = rubric_of(session, submission.track)
     _require_whole(rubric, marks)
@@ -118,6 +119,7 @@ def declare_conflict(session: Session, by: Principal, team: str, reason: str, *,
     name = _judge(by, judge)
     _require_going_on(session)
     found = teams.find(session, team)
+    teams.lock(session, found)
     mine = JudgingMark.submission_id.in_(select(Submission.id).where(Submission.team_id == found.id))
     before = _take_away(session, name, mine)
     row = session.get(JudgingConflict, (found.id, name))
@@ -234,7 +236,7 @@ def _judged(session: Session, rubric: Judging, entry: LeaderboardEntryView, figu
     team_id = session.get_one(Submission, entry.submission_id).team_id
     conflicts = session.scalars(select(JudgingConflict.judge).where(JudgingConflict.team_id == team_id)).all()
     names = [criterion.name for criterion in rubric.criteria]
-    known = [row for row in rows if row.criterion in names]
+    known = [row for row in rows if row.criterion in names and row.judge not in conflicts]
     by_judge = {
         judge: fmean(row.mark for row in known if row.judge == judge) for judge in sorted({row.judge for row in known})
     }

@@ -143,7 +143,7 @@ async def _values(request: Request, viewer: Viewer | None) -> dict[str, Any]:
     track = load_track(found.track)
     return {
         "is_own": viewer is not None and viewer.may_see(found.team.name),
-        "shared": shared(request, viewer, found, track.title),
+        "shared": await shared(request, viewer, found, track.title),
         "submission": found,
         "track": track,
         "episodes": detail.episodes,

@@ -46,14 +46,16 @@ class Shared:
     citation: Citation | None
 
 
-def shared(request: Request, viewer: Viewer | None, found: SubmissionView, track: str) -> Shared:
+async def shared(request: Request, viewer: Viewer | None, found: SubmissionView, track: str) -> Shared:
     """Return how a submission of a track with that title is shared."""
     is_complete = found.evaluation.state is EvaluationState.COMPLETED
-    address = f"{site_of(request).address(request)}/submissions/{found.id}"
+    site = site_of(request)
+    address = f"{site.address(request)}/submissions/{found.id}"
+    is_shown = is_complete and found.public and found.id in await site.data.public_among([found.id])
     return Shared(
         address=address,
         may_change=viewer is not None and viewer.may_change(found.team.name),
-        is_public=found.public and is_complete,
+        is_public=is_shown,
         citation=cite(found, track, address) if is_complete else None,
     )
 
@@ -76,7 +78,7 @@ async def preview(request: Request) -> Response:
     site, submission_id = site_of(request), as_id(request.path_params["submission_id"])
     detail = await site.data.submission(None, submission_id)
     found, title = detail.submission, load_track(detail.submission.track).title
-    shown = f"{found.evaluation.id} {found.rank} {len(detail.episodes)}"
+    shown = f"{found.evaluation.id} {found.rank} {len(detail.episodes)} {found.name!r} {found.team.name!r}"
     picture = await asyncio.to_thread(
         site.previews.get, shown, lambda: draw_preview(found, title, detail.episodes, site.preview_font)
     )

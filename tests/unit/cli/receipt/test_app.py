@@ -70,4 +70,8 @@ def test_boards_are_exported_and_audited(played: tuple[CliService, str], tmp_pat
     assert "not checked: whose key it is" in wrong.stdout
     told = json.loads(service.run("receipt", "audit", files[TASK], "--episodes", "0", "--json").stdout)
     assert (told["links"], told["entries"], len(told["findings"])) == (1, 1, 1)
+    other = json.loads(service.run("receipt", "audit", files[TASK], "--episodes", "0", "--json").stdout)
+    assert other["seed"] != told["seed"], "nobody foresees which episodes are run again"
+    given = service.run("receipt", "audit", files[TASK], "--episodes", "0", "--seed", "7", "--json").stdout
+    assert json.loads(given)["seed"] == 7
     assert "Name a new file" in refusal(service.run("admin", "receipt", "export", TRACK, files[TASK]))

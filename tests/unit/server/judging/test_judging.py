@@ -7,6 +7,7 @@ from service_factories import TASK, TRACK, make_principal, make_score, submit_sc
 from sqlalchemy import select
 from submission_steps import refused
 from vitac.evaluator.figures.figures import GraspFigures, Information, SensitivityMap, SensorFigures, TouchFigures
+from vitac.server.accounts import teams
 from vitac.server.accounts.audit import newest_entries
 from vitac.server.accounts.principals import CONSOLE, Principal
 from vitac.server.db.engine import Database
@@ -151,3 +152,18 @@ def test_figures_are_compared_one_by_one_with_all_other_sensors() -> None:
     found = percentiles({best: figures(9, 0.1), worst: figures(9, None, None)})
     assert found == {best: pytest.approx(0.7), worst: pytest.approx(0.3)}
     assert percentiles({best: figures(9, 0.1)}) == {best: 1.0}
+
+
+def test_marks_and_conflicts_of_a_team_wait_for_each_other(
+    database: Database, stage: dict[str, Submission], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    locked: list[UUID] = []
+    monkeypatch.setattr(teams, "lock", lambda _, team: locked.append(team.id))
+    mark(database, stage["Ants"], "Prof. X")
+    with database.transaction() as session:
+        declare_conflict(session, CONSOLE, "Ants", "advises them", judge="Prof. X")
+    assert locked == [stage["Ants"].team_id] * 2
+    with database.transaction() as session:  # as if the marks had come at the same moment
+        session.add(JudgingMark(submission_id=stage["Ants"].id, judge="Prof. X", criterion="structure", mark=9.0))
+    ants = shown(database)["Ants"]
+    assert (ants.judges, ants.mark, ants.criteria) == ((), None, ())

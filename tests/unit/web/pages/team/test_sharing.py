@@ -110,3 +110,41 @@ def test_boards_link_public_results_for_everybody(public: FixedData, browser: As
     assert f'href="/submissions/{COMPLETED.id}"' in html
     assert f'href="/submissions/{theirs.submission_id}"' not in html
     assert {GELBOTS.name, BEARS.name} == {entry.team for entry in public.board.entries}
+
+
+def test_a_public_result_without_a_score_over_all_tasks_has_a_page(public: FixedData, browser: AsgiBrowser) -> None:
+    unscored = COMPLETED.evaluation.model_copy(update={"success_rate": None, "success_rate_interval": None})
+    public.found = [
+        found.model_copy(update={"evaluation": unscored}) if found.id == COMPLETED.id else found
+        for found in public.found
+    ]
+    answer = browser.get(PAGE)
+    assert answer.status_code == 200
+    assert "95 % interval" not in answer.text.split("<body")[0], "of the link"
+
+
+def test_the_picture_of_a_link_follows_the_names(public: FixedData) -> None:
+    browser = AsgiBrowser(an_application(public))
+    pictures = [browser.get(f"{PAGE}/preview.png").content]
+    for change in ({"name": "better"}, {"team": BEARS}):
+        public.found = [
+            found.model_copy(update=change) if found.id == COMPLETED.id else found for found in public.found
+        ]
+        pictures.append(browser.get(f"{PAGE}/preview.png").content)
+    assert len(set(pictures)) == 3
+
+
+def test_a_team_is_told_when_others_do_not_see_its_public_page_now(
+    public: FixedData, browser: AsgiBrowser, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sign_in(browser, "Gelbots")
+    assert "Everybody may see this page." in browser.get(PAGE).text
+
+    async def nothing(submissions: object) -> frozenset[object]:
+        return frozenset()
+
+    monkeypatch.setattr(public, "public_among", nothing)
+    html = browser.get(PAGE).text
+    assert "Everybody may see this page" not in html
+    assert "Others do not see this page now" in html
+    assert "Make it private" in html
