@@ -13,7 +13,7 @@ from .evaluations.lifecycle import fail_by_machines
 from .evaluations.superseding import supersede_outdated
 from .metrics.instruments import RetryReason
 from .metrics.totals import TotalsWriter
-from .people.team_data import forget_contacts
+from .people.contacts import forget_contacts
 from .playbacks import work as playbacks
 from .queue.jobs import prune_finished_jobs
 from .queue.sweep import sweep

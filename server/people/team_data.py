@@ -1,7 +1,7 @@
-"""A team's data: all of it to take away, its removal that keeps scores, and when addresses of people are forgotten."""
+"""A team's data: all of it to take away, and its removal that keeps scores."""
 
 import secrets
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 
 from sqlalchemy import delete, exists, func, or_, select, update
 from sqlalchemy.orm import Session, aliased
@@ -9,12 +9,11 @@ from vitac.evaluator.episodes.records import EpisodeRecord
 
 from ..accounts import members, teams, tokens
 from ..accounts.audit import entry_view, record
-from ..accounts.principals import CONSOLE, Principal
+from ..accounts.principals import Principal
 from ..db.models import (
     ApiToken,
     Appeal,
     AuditEntry,
-    Competition,
     EpisodeResult,
     Evaluation,
     Invitation,
@@ -25,7 +24,7 @@ from ..db.models import (
     Team,
     Webhook,
 )
-from ..db.states import ACTIVE_EVALUATION_STATES, NoticeChannel, Role
+from ..db.states import ACTIVE_EVALUATION_STATES, Role
 from ..errors import ProblemCode, ServiceError
 from ..evaluations.history import histories
 from ..notices import webhooks
@@ -104,25 +103,6 @@ def erase(session: Session, by: Principal, team: Team) -> None:
         session.execute(delete(table).where(table.team_id == team.id))
     session.flush()
     record(session, by, "team.delete", f"team:{team.id}", {"erased": True}, before={"erased": False})
-
-
-def forget_contacts(session: Session, settings: Settings, at: datetime | None = None) -> int:
-    """Forget the addresses of people so long after the end of the competition; of how many. `at`: None is now."""
-    row = session.get(Competition, 1)
-    days = settings.contacts_kept_days
-    over = row.finalized_at if row is not None else None
-    if days is None or over is None or (at or datetime.now(UTC)) < over + timedelta(days=days):
-        return 0
-    of_members = session.scalars(
-        update(Member).where(Member.email.is_not(None)).values(email=None).returning(Member.id)
-    )
-    session.execute(delete(Notice).where(Notice.channel == NoticeChannel.MAIL))
-    of_teams = session.scalars(update(Team).where(Team.contact.is_not(None)).values(contact=None).returning(Team.id))
-    forgotten = len(of_members.all()) + len(of_teams.all())
-    if forgotten:
-        after, before = {"contacts": 0}, {"contacts": forgotten}
-        record(session, CONSOLE, "contacts.forget", "competition:contacts", after, before=before)
-    return forgotten
 
 
 def _audit_log(session: Session, by: Principal, team: Team) -> list[AuditEntryView]:

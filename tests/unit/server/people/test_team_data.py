@@ -1,4 +1,4 @@
-from datetime import UTC, datetime, timedelta
+from datetime import timedelta
 from functools import partial
 
 from service_factories import (
@@ -22,12 +22,12 @@ from vitac.server.accounts.members import NewMember
 from vitac.server.accounts.principals import CONSOLE, Principal
 from vitac.server.competition.sealing import seal
 from vitac.server.db.engine import Database
-from vitac.server.db.models import Competition, EpisodeResult, Evaluation, Question, Submission
-from vitac.server.db.states import NoticeKind, Role
+from vitac.server.db.models import EpisodeResult, Evaluation, Question, Submission
+from vitac.server.db.states import Role
 from vitac.server.errors import ProblemCode
 from vitac.server.evaluations.history import histories
 from vitac.server.leaderboards.standings import leaderboard
-from vitac.server.notices import outbox, webhooks
+from vitac.server.notices import webhooks
 from vitac.server.people import announcements, questions, team_data
 from vitac.server.submissions import runs
 from vitac.server.submissions.files import stored_digests
@@ -156,26 +156,3 @@ def test_a_removed_team_leaves_its_scores_and_nothing_else(database: Database) -
             runs.run_again(session, CONSOLE, submission_id)
         found = newest_entries(session, 5, action="team.delete")
         assert [(line.before, line.after) for line in found] == [({"erased": False}, {"erased": True})]
-
-
-def test_addresses_are_forgotten_so_long_after_the_end(database: Database) -> None:
-    settings = make_settings(contacts_kept_days=30)
-    with database.transaction() as session:
-        team = teams.register(session, CONSOLE, name="Ants", contact="a@example.org")
-        captain = members.captain_of(session, team)
-        members.set_email(session, CONSOLE, captain, "a@example.org")
-        outbox.announce(session, NoticeKind.FINISHED, team.id, "evaluation:1", {})
-        assert team_data.forget_contacts(session, settings) == 0
-        put_in_place(session, make_competition())
-        row = session.get_one(Competition, 1)
-        row.finalized_at, row.winners = datetime(2031, 1, 1, tzinfo=UTC), []
-        session.flush()
-        later = row.finalized_at + timedelta(days=30)
-        assert team_data.forget_contacts(session, SETTINGS, later) == 0
-        assert team_data.forget_contacts(session, settings, later - timedelta(seconds=1)) == 0
-        assert team_data.forget_contacts(session, settings, later) == 2
-        session.expire_all()
-        assert (team.contact, captain.email) == (None, None)
-        assert outbox.newest(session) == [], "a mail's notice names the address, too"
-        assert team_data.forget_contacts(session, settings, later) == 0
-        assert newest_entries(session, 1)[0].before == {"contacts": 2}
