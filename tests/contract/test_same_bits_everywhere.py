@@ -16,8 +16,12 @@ FORBIDDEN_NAMES = {
     *("exp", "expm1", "log", "log2", "log10", "log1p", "power", "pow", "cbrt", "sinh", "cosh", "tanh"),
     *("normal", "standard_normal", "exponential", "standard_exponential"),  # of a generator: libm far out
 }
-# Pictures are drawn from states; nothing of them reaches a state or an observation. A measured pose is privileged.
-OUTSIDE_THE_PATH = ("drawing/", "playback_files/", "scene/measured_pose.py", "scene/perspective.py", "scene/still.py")
+# Pictures are drawn from states; nothing of them reaches a state or an observation. A measured pose is privileged. The
+# response of the markers serves the figures of a sensor alone, which are rounded.
+OUTSIDE_THE_PATH = (
+    *("drawing/", "playback_files/", "scene/measured_pose.py", "scene/perspective.py", "scene/still.py"),
+    "tactile/response.py",
+)
 MODULES = sorted(
     name
     for name in (path.relative_to(ENVS).as_posix() for path in ENVS.rglob("*.py"))

@@ -68,6 +68,7 @@ def test_only_organizers_make_tokens_for_others_and_for_organizers(service: Serv
         "team": None,
         "token": service.get("/me", organizer["secret"]).json()["token"],
         "quotas": [],
+        "stage_quotas": [],
     }
 
 
