@@ -19,8 +19,10 @@ def add(
         str | None, typer.Argument(help="Name or id of the team; none with --organizer or --judge.")
     ] = None,
     organizer: Annotated[bool, typer.Option("--organizer", help="A token that may do everything.")] = False,
-    judge: Annotated[bool, typer.Option("--judge", help="A token that reads all teams' submissions.")] = False,
-    label: Annotated[str, typer.Option(help="What the token is for.")] = "added by an organizer",
+    judge: Annotated[
+        bool, typer.Option("--judge", help="A token that reads all teams' submissions and gives marks.")
+    ] = False,
+    label: Annotated[str | None, typer.Option(help="What the token is for; of a judge's: the judge's name.")] = None,
     days: Annotated[
         int | None, typer.Option(min=1, help="Days until it expires; default: VITAC_TOKEN_LIFETIME_DAYS.")
     ] = None,
@@ -33,6 +35,8 @@ def add(
 
     if (team is not None) + organizer + judge != 1:
         raise typer.BadParameter("give one of TEAM, --organizer and --judge")
+    if judge and label is None:
+        raise typer.BadParameter("name the judge with --label: marks and conflicts of interest are kept under it")
     role = Role.ORGANIZER if organizer else Role.JUDGE if judge else Role.TEAM
     settings = load_settings()
     with open_service(settings) as services, services.database.transaction() as session:
@@ -40,7 +44,7 @@ def add(
             session,
             CONSOLE,
             role=role,
-            label=label,
+            label=label or "added by an organizer",
             team=None if team is None else teams.find(session, team),
             lifetime=timedelta(days=days or settings.token_lifetime_days),
         )

@@ -19,6 +19,7 @@ class Principal:
         member_id: whose token it is; None: shared by the team.
         member_name: name of that member.
         leads_team: whether members may be invited and removed.
+        judge_name: of a judge's token: under which marks and conflicts of interest are kept.
     """
 
     role: Role | None
@@ -28,6 +29,7 @@ class Principal:
     member_id: UUID | None = None
     member_name: str | None = None
     leads_team: bool = False
+    judge_name: str | None = None
 
     @property
     def is_organizer(self) -> bool:
@@ -47,7 +49,7 @@ class Principal:
     @property
     def account(self) -> str:
         """For whom uploads and event streams are counted: the members of a team share its limits."""
-        return f"{self.role}:{self.team_name or self.token_id or 'console'}"
+        return f"{self.role}:{self.team_name or self.judge_name or self.token_id or 'console'}"
 
     def may_see(self, team_id: UUID) -> bool:
         """Return whether a thing of that team exists for this principal."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from uuid import UUID
 
-from sqlalchemy import ColumnElement, exists, select
+from sqlalchemy import ColumnElement, exists, or_, select
 from sqlalchemy.orm import Session, joinedload
 from vitac.server.accounts.audit import record
 from vitac.server.db.models import ApiToken, Member, Team
@@ -44,15 +44,49 @@ def issue(
 ) -> IssuedToken:
     """Make a token that a team shares, or for an organizer or judge (no team).
 
+    The label of a judge's token is the judge's name: a new token after the old one has ended is the same judge's.
+
     Raises:
-        ServiceError: the principal may not give such a token, or the label cannot be shown.
+        ServiceError: the principal may not give such a token, the label cannot be shown, or there is a good token of
+            that judge.
     """
     label = names.clean(label, what="A token's label", min_length=1, max_length=LABEL_LENGTH)
     if not by.is_organizer and (role is not Role.TEAM or team is None or by.team_id != team.id):
         raise ServiceError(ProblemCode.FORBIDDEN, "A team may make tokens for itself only; ask an organizer.")
     if team is not None:
         by.require_leader(team.id)
+    if role is Role.JUDGE:
+        label = judge_named(session, label)
+        _refuse_second_judge(session, label)
     return _add(session, by, ApiToken(role=role, team=team, label=label), lifetime)
+
+
+def judge_named(session: Session, name: str) -> str:
+    """Return the name of the judge with a token whose name differs in case and spaces at most, else the name itself.
+
+    Raises:
+        ServiceError: the name cannot be shown.
+    """
+    shown = names.clean(name, what="A judge's name", min_length=1, max_length=LABEL_LENGTH)
+    known = session.scalars(select(ApiToken.label).where(ApiToken.role == Role.JUDGE).order_by(ApiToken.created_at))
+    return next((label for label in known if _same_name(label, shown)), shown)
+
+
+def _same_name(one: str, other: str) -> bool:
+    return names.key(one, max_length=LABEL_LENGTH) == names.key(other, max_length=LABEL_LENGTH)
+
+
+def _refuse_second_judge(session: Session, label: str) -> None:
+    is_good = ApiToken.revoked_at.is_(None), or_(ApiToken.expires_at.is_(None), ApiToken.expires_at > datetime.now(UTC))
+    found = session.scalar(
+        select(ApiToken.id).where(ApiToken.role == Role.JUDGE, ApiToken.label == label, *is_good).limit(1)
+    )
+    if found is not None:
+        raise ServiceError(
+            ProblemCode.NAME_TAKEN,
+            f"There is a judge named {label!r} with the token {found}. Give another judge another name, or end that "
+            "token first.",
+        )
 
 
 def issue_to_member(session: Session, by: Principal, member: Member, lifetime: timedelta) -> IssuedToken:
@@ -210,6 +244,7 @@ def _principal(session: Session, token: ApiToken | None) -> Principal:
         member_id=token.member_id,
         member_name=token.member.name if token.member is not None else None,
         leads_team=_leads_team(session, token),
+        judge_name=token.label if token.role is Role.JUDGE else None,
     )
 
 

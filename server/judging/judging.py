@@ -14,14 +14,13 @@ from sqlalchemy.orm import Session
 from vitac.evaluator.figures.figures import SensorFigures
 from vitac.evaluator.tracks import load_track
 
-from ..accounts import teams
+from ..accounts import teams, tokens
 from ..accounts.audit import record
 from ..accounts.principals import CONSOLE, Principal
 from ..accounts.visibility import sight_of, visible
 from ..competition.definition import Judging
 from ..competition.schedule import current, shown_stage
 from ..db.models import Competition, Evaluation, JudgingConflict, JudgingMark, Submission
-from ..db.states import Role
 from ..errors import ProblemCode, ServiceError
 from ..leaderboards.standings import leaderboard
 from ..submissions.figures import figures_of
@@ -80,7 +79,7 @@ def give_marks(
         ServiceError: not a judge or organizer, no such submission, its track is not judged, the competition is final,
             a mark is missing or out of range, or the judge has a conflict of interest with the team.
     """
-    name = _judge(by, judge)
+    name = _judge(session, by, judge)
     submission = visible(session, by, submission_id)
     teams.lock(session, submission.team)  # no conflict and no other marks of the team meanwhile
     _require_going_on(session)
@@ -116,10 +115,10 @@ def declare_conflict(session: Session, by: Principal, team: str, reason: str, *,
     Raises:
         ServiceError: not a judge or organizer, no such team, or the competition is final.
     """
-    name = _judge(by, judge)
-    _require_going_on(session)
+    name = _judge(session, by, judge)
     found = teams.find(session, team)
-    teams.lock(session, found)
+    teams.lock(session, found)  # before the competition, as for marks
+    _require_going_on(session)
     mine = JudgingMark.submission_id.in_(select(Submission.id).where(Submission.team_id == found.id))
     before = _take_away(session, name, mine)
     row = session.get(JudgingConflict, (found.id, name))
@@ -274,14 +273,14 @@ def _total(rubric: Judging, success_rate: float, mark: float | None, figures: fl
     return round(measured + weights.judges * (mark or 0.0) / BEST_MARK, 9)
 
 
-def _judge(by: Principal, named: str | None) -> str:
-    """Return the name under which marks are kept: a judge's account, or whom the organizer names."""
-    if by.role is Role.JUDGE:
-        return by.account
+def _judge(session: Session, by: Principal, named: str | None) -> str:
+    """Return the name under which marks are kept: that of the judge's token, or whom the organizer names."""
+    if by.judge_name is not None:
+        return by.judge_name
     by.require_organizer()
     if not named:
         raise ServiceError(ProblemCode.INVALID_REQUEST, "Name the judge who gave the marks.")
-    return named
+    return tokens.judge_named(session, named)
 
 
 def _require_whole(rubric: Judging, marks: Mapping[str, float]) -> None:

@@ -83,9 +83,10 @@ def _sheet(session: Session, by: Principal, track: str, title: str, rubric: Judg
 
 
 def _entry(session: Session, by: Principal, entry: LeaderboardEntryView) -> SheetEntry:
-    given = select(JudgingMark).where(JudgingMark.submission_id == entry.submission_id, JudgingMark.judge == by.account)
+    judge = by.judge_name or ""  # an organizer has no marks
+    given = select(JudgingMark).where(JudgingMark.submission_id == entry.submission_id, JudgingMark.judge == judge)
     team_id = session.get_one(Submission, entry.submission_id).team_id
-    conflict = session.get(JudgingConflict, (team_id, by.account))
+    conflict = session.get(JudgingConflict, (team_id, judge))
     return SheetEntry(
         entry=entry,
         figures=figures_of_entry(session, by, entry),

@@ -5,7 +5,7 @@ from typing import Any
 from uuid import UUID
 
 from sqlalchemy import func, select
-from sqlalchemy.orm import Session
+from sqlalchemy.orm import Session, joinedload, selectinload
 from vitac.evaluator.episodes.records import EpisodeRecord
 
 from ..accounts import teams
@@ -13,7 +13,7 @@ from ..accounts.audit import record
 from ..accounts.principals import Principal
 from ..accounts.visibility import changeable, sight_of
 from ..competition.schedule import current
-from ..db.models import Appeal, AppealReplay, EpisodeResult, Evaluation
+from ..db.models import Appeal, AppealReplay, EpisodeResult, Evaluation, Rejudgement, Submission
 from ..db.states import TERMINAL_EVALUATION_STATES, AppealState
 from ..errors import ProblemCode, ServiceError, not_found
 from ..evaluations.episode_store import EpisodeKey
@@ -23,6 +23,9 @@ from .announcements import clean_text
 
 TEXT_LENGTH = 4000
 MAX_OPEN = 3
+MAX_A_DAY = 20
+SHOWN = 200
+_MAX_EPISODE = 1_000_000
 
 
 def open_appeal(
@@ -55,12 +58,18 @@ def open_appeal(
     if task is not None or episode is not None:
         require_episode(session, evaluation, task, episode)
     teams.lock(session, submission.team)  # the second of two appeals at once sees the first one
-    is_open = select(func.count()).select_from(Appeal).where(Appeal.state == AppealState.OPEN)
-    if session.scalar(is_open.where(Appeal.evaluation_id == evaluation.id)):
+    counted = select(func.count()).select_from(Appeal)
+    is_open = Appeal.state == AppealState.OPEN
+    if session.scalar(counted.where(is_open, Appeal.evaluation_id == evaluation.id)):
         raise ServiceError(ProblemCode.INVALID_REQUEST, "There is an open appeal against this evaluation already.")
-    if (session.scalar(is_open.where(Appeal.team_id == submission.team_id)) or 0) >= MAX_OPEN:
+    of_team, day = Appeal.team_id == submission.team_id, datetime.now(UTC) - timedelta(days=1)
+    waiting = session.scalar(counted.where(is_open, of_team)) or 0
+    opened = session.scalar(counted.where(of_team, Appeal.opened_at > day)) or 0
+    if waiting >= MAX_OPEN or opened >= MAX_A_DAY:
         raise ServiceError(
-            ProblemCode.TOO_MANY_REQUESTS, f"A team may have {MAX_OPEN} open appeals; wait for a ruling."
+            ProblemCode.TOO_MANY_REQUESTS,
+            f"A team may have {MAX_OPEN} open appeals and open {MAX_A_DAY} in a day; {submission.team.name} has "
+            f"{waiting} open and has opened {opened}.",
         )
     made = Appeal(
         team_id=submission.team_id,
@@ -155,13 +164,17 @@ def require_episode(session: Session, evaluation: Evaluation, task: str | None, 
     """Return a stored episode of an evaluation.
 
     Raises:
-        ServiceError: it has no such episode.
+        ServiceError: it has no such episode, or only one of task and episode is given.
     """
-    key = EpisodeKey.of(evaluation, evaluation.submission)
-    wanted = EpisodeResult.task == task, EpisodeResult.episode == episode
-    found = session.scalar(select(EpisodeResult).where(*key.conditions(), *wanted))
+    if task is None or episode is None:
+        raise ServiceError(ProblemCode.INVALID_REQUEST, "Give both a task and an episode of it, or neither.")
+    found = None
+    if task.isprintable() and 0 < episode <= _MAX_EPISODE:
+        key = EpisodeKey.of(evaluation, evaluation.submission)
+        wanted = EpisodeResult.task == task, EpisodeResult.episode == episode
+        found = session.scalar(select(EpisodeResult).where(*key.conditions(), *wanted))
     if found is None:
-        raise not_found("stored episode", f"{episode} of {task} of this evaluation")
+        raise not_found("stored episode", f"{episode} of {task!r} of this evaluation")
     return found
 
 
@@ -178,8 +191,15 @@ def find(session: Session, by: Principal, appeal_id: int) -> Appeal:
 
 
 def visible(session: Session, by: Principal, *, open_only: bool = False) -> list[AppealView]:
-    """Return the appeals that somebody may see, newest first: those of the own team, or all."""
-    query = select(Appeal).order_by(Appeal.id.desc())
+    """Return the newest appeals that somebody may see, newest first: those of the own team, or of all."""
+    evaluation = joinedload(Appeal.evaluation)
+    needed = (
+        joinedload(Appeal.team),
+        evaluation.joinedload(Evaluation.submission).joinedload(Submission.team),
+        evaluation.joinedload(Evaluation.sealed_list),
+        selectinload(Appeal.replays),
+    )
+    query = select(Appeal).options(*needed).order_by(Appeal.id.desc()).limit(SHOWN)
     if not by.reads_all_teams:
         query = query.where(Appeal.team_id == by.team_id)
     if open_only:
@@ -225,6 +245,11 @@ def _require_time(session: Session, evaluation: Evaluation) -> None:
     days = competition.appeal_days if competition is not None else None
     if days is None:
         raise ServiceError(ProblemCode.APPEAL_TOO_LATE, "This service takes no appeals; ask the organizers a question.")
-    until = evaluation.finished_at + timedelta(days=days)
+    until = (_counts_since(session, evaluation) or evaluation.finished_at) + timedelta(days=days)
     if datetime.now(UTC) >= until:
         raise ServiceError(ProblemCode.APPEAL_TOO_LATE, f"Appeals were possible until {until:%F %T} UTC, {days} days.")
+
+
+def _counts_since(session: Session, evaluation: Evaluation) -> datetime | None:
+    """Return when the rejudgement that made an evaluation was applied; until then nobody saw its result."""
+    return session.scalar(select(Rejudgement.applied_at).where(Rejudgement.id == evaluation.rejudgement_id))

@@ -1,7 +1,9 @@
 """A team's data: all of it to take away, and its removal that keeps scores."""
 
 import secrets
+from collections.abc import Mapping
 from datetime import UTC, datetime
+from typing import Any
 
 from sqlalchemy import delete, exists, func, or_, select, update
 from sqlalchemy.orm import Session, aliased
@@ -14,6 +16,7 @@ from ..db.models import (
     ApiToken,
     Appeal,
     AuditEntry,
+    Competition,
     EpisodeResult,
     Evaluation,
     Invitation,
@@ -96,6 +99,7 @@ def erase(session: Session, by: Principal, team: Team) -> None:
     team.name_key, team.contact = teams.name_key(team.name), None
     team.named_at = team.erased_at = now
     _erase_output(session, team)
+    _rename_in_final_results(session, team)
     session.execute(delete(Question).where(Question.team_id == team.id, ~Question.public))
     session.execute(update(Question).where(Question.team_id == team.id).values(team_id=None))
     session.execute(update(Appeal).where(Appeal.team_id == team.id).values(text=REMOVED))
@@ -103,6 +107,21 @@ def erase(session: Session, by: Principal, team: Team) -> None:
         session.execute(delete(table).where(table.team_id == team.id))
     session.flush()
     record(session, by, "team.delete", f"team:{team.id}", {"erased": True}, before={"erased": False})
+
+
+def _rename_in_final_results(session: Session, team: Team) -> None:
+    """Write a team's present name into winners and boards that were kept at the end of the competition."""
+    row = session.get(Competition, 1, with_for_update=True, populate_existing=True)
+    if row is None or not row.boards:
+        return
+    own = {str(found) for found in session.scalars(select(Submission.id).where(Submission.team_id == team.id))}
+    before = {entry["team"] for board in row.boards for entry in board["entries"] if entry["submission_id"] in own}
+
+    def renamed(kept: Mapping[str, Any]) -> dict[str, Any]:
+        return {**kept, "team": team.name} if kept["team"] in before else dict(kept)
+
+    row.boards = [board | {"entries": [renamed(entry) for entry in board["entries"]]} for board in row.boards]
+    row.winners = [renamed(winner) for winner in row.winners or ()]
 
 
 def _audit_log(session: Session, by: Principal, team: Team) -> list[AuditEntryView]:

@@ -78,7 +78,7 @@ CHANGES = {
     "team delete": (["Waiting", "--yes"], "team.delete"),
     "team merge": (["Waiting", "Team A", "--yes"], "team.merge"),
     "team add": (["Bears"], "token.issue"),
-    "token add": (["--judge"], "token.issue"),
+    "token add": (["--judge", "--label", "Prof. X"], "token.issue"),
     "token revoke": (["TOKEN", "--yes"], "token.revoke"),
     "notice retry": (["NOTICE"], "notice.retry"),
     "announcement publish": (["News", "All is well.", "--notify"], "announcement.publish"),

@@ -7,7 +7,7 @@ from service_factories import TASK, TRACK, make_principal, make_score, submit_sc
 from sqlalchemy import select
 from submission_steps import refused
 from vitac.evaluator.figures.figures import GraspFigures, Information, SensitivityMap, SensorFigures, TouchFigures
-from vitac.server.accounts import teams
+from vitac.server.accounts import teams, tokens
 from vitac.server.accounts.audit import newest_entries
 from vitac.server.accounts.principals import CONSOLE, Principal
 from vitac.server.db.engine import Database
@@ -19,7 +19,7 @@ from vitac.server.judging.judging import JudgedTeam, declare_conflict, give_mark
 from competitions import make_competition, open_now, put_in_place
 
 MARKS = {"structure": 8.0, "clarity": 6.0}
-JUDGE = Principal(role=Role.JUDGE, token_id=UUID(int=7))
+JUDGE = Principal(role=Role.JUDGE, token_id=UUID(int=7), judge_name="Dr. Y")
 
 
 @pytest.fixture
@@ -56,7 +56,7 @@ def test_marks_of_two_judges_make_mean_spread_and_total(database: Database, stag
     mark(database, stage["Bees"], by=JUDGE, structure=10.0, clarity=10.0)
     found = shown(database)
     bees = found["Bees"]
-    assert bees.judges == ("Prof. X", f"judge:{JUDGE.token_id}")
+    assert bees.judges == ("Dr. Y", "Prof. X")
     assert bees.mark == 8.5
     assert bees.spread == pytest.approx(4.5**0.5)
     assert [(each.criterion, each.mean) for each in bees.criteria] == [("structure", 9.0), ("clarity", 8.0)]
@@ -87,10 +87,34 @@ def test_a_judge_with_a_conflict_of_interest_judges_the_others_only(
         declare_conflict(session, JUDGE, "Ants", "advises them")
         declare_conflict(session, JUDGE, "Ants", "advises two of them")
     found = shown(database)
-    assert (found["Ants"].mark, found["Ants"].conflicts) == (None, (JUDGE.account,))
-    assert found["Bees"].judges == (JUDGE.account,)
+    assert (found["Ants"].mark, found["Ants"].conflicts) == (None, ("Dr. Y",))
+    assert found["Bees"].judges == ("Dr. Y",)
     with pytest.raises(Exception, match="advises two of them"):
         mark(database, stage["Ants"], by=JUDGE)
+
+
+def test_a_judge_is_one_however_the_marks_come_in(database: Database, stage: dict[str, Submission]) -> None:
+    def sign_in() -> Principal:
+        with database.transaction() as session:
+            made = tokens.issue(session, CONSOLE, role=Role.JUDGE, label="Prof. X", lifetime=None)
+            return tokens.authenticate(session, made.secret)
+
+    first = sign_in()
+    mark(database, stage["Ants"], by=first)
+    mark(database, stage["Ants"], "prof.  x", clarity=1.0)
+    with refused(ProblemCode.NAME_TAKEN):
+        sign_in()
+    assert first.token_id is not None
+    with database.transaction() as session:
+        tokens.revoke(session, CONSOLE, first.token_id)
+    second = sign_in()
+    mark(database, stage["Ants"], by=second, clarity=2.0)
+    assert shown(database)["Ants"].judges == ("Prof. X",)
+    with database.transaction() as session:
+        declare_conflict(session, CONSOLE, "Ants", "advises them", judge="PROF. X")
+    with pytest.raises(Exception, match="declared a conflict of interest with Ants"):
+        mark(database, stage["Ants"], by=second)
+    assert shown(database)["Ants"].mark is None
 
 
 def test_a_judge_who_sends_marks_twice_at_once_has_them_once(database: Database, stage: dict[str, Submission]) -> None:
@@ -98,7 +122,7 @@ def test_a_judge_who_sends_marks_twice_at_once_has_them_once(database: Database,
     with ThreadPoolExecutor() as pool:
         list(pool.map(lambda given: mark(database, stage["Ants"], by=JUDGE, clarity=given), range(8)))
     with database.transaction() as session:
-        rows = session.scalars(select(JudgingMark).where(JudgingMark.judge == JUDGE.account)).all()
+        rows = session.scalars(select(JudgingMark).where(JudgingMark.judge == JUDGE.judge_name)).all()
     assert sorted(row.criterion for row in rows) == ["clarity", "structure"]
 
 

@@ -18,7 +18,7 @@ from vitac.server.judging.sheet import Sheet, SheetEntry, sheets
 
 from competitions import make_competition, open_now, put_in_place
 
-JUDGE = Principal(role=Role.JUDGE, token_id=UUID(int=7))
+JUDGE = Principal(role=Role.JUDGE, token_id=UUID(int=7), judge_name="Dr. Y")
 SENSORS = "track_3"
 
 

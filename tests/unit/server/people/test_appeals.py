@@ -15,7 +15,7 @@ from vitac.server.accounts.audit import newest_entries
 from vitac.server.accounts.principals import CONSOLE, Principal
 from vitac.server.competition.sealing import seal
 from vitac.server.db.engine import Database
-from vitac.server.db.models import BoardResult, EpisodeResult, Evaluation, Submission
+from vitac.server.db.models import Appeal, BoardResult, EpisodeResult, Evaluation, Rejudgement, Submission
 from vitac.server.db.states import AppealState, Role
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.people import appeals, team_data
@@ -92,9 +92,12 @@ def test_what_cannot_be_appealed_against_is_refused(database: Database, played: 
                 appeals.open_appeal(session, by, submission.id, TEXT)
         with refused(ProblemCode.FORBIDDEN):
             appeals.open_appeal(session, JUDGE, submission.id, TEXT)
-        for task, episode in ((TASK, 10_000), ("nothing", 1), (TASK, None), (None, 1)):
+        for task, episode in ((TASK, 10_000), (TASK, 10**12), (TASK, 0), ("nothing", 1), ("a\0b", 1)):
             with refused(ProblemCode.NOT_FOUND):
                 appeals.open_appeal(session, team, submission.id, TEXT, task=task, episode=episode)
+        for task, number in ((TASK, None), (None, 1)):
+            with refused(ProblemCode.INVALID_REQUEST):
+                appeals.open_appeal(session, team, submission.id, TEXT, task=task, episode=number)
         session.execute(update(Evaluation).values(created_at=Evaluation.created_at))
         week_ago = datetime.now(UTC) - timedelta(days=7)
         newest = select(Evaluation.id).where(Evaluation.submission_id == submission.id)
@@ -117,6 +120,41 @@ def test_a_team_has_so_many_open_appeals(
     monkeypatch.setattr(appeals, "MAX_OPEN", 0)
     team, submission = played
     with database.transaction() as session, refused(ProblemCode.TOO_MANY_REQUESTS):
+        appeals.open_appeal(session, team, submission.id, TEXT)
+
+
+def test_a_team_opens_so_many_appeals_in_a_day_and_the_newest_are_shown(
+    database: Database, played: tuple[Principal, Submission], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(appeals, "MAX_A_DAY", 2)
+    monkeypatch.setattr(appeals, "SHOWN", 1)
+    team, submission = played
+    with database.transaction() as session:
+        for _ in range(2):
+            last = appeals.open_appeal(session, team, submission.id, TEXT)
+            appeals.withdraw(session, team, last.id)
+        with refused(ProblemCode.TOO_MANY_REQUESTS):
+            appeals.open_appeal(session, team, submission.id, TEXT)
+        assert [one.id for one in appeals.visible(session, team)] == [last.id]
+        session.execute(update(Appeal).values(opened_at=datetime.now(UTC) - timedelta(days=1)))
+        appeals.open_appeal(session, team, submission.id, TEXT)
+
+
+def test_the_time_to_appeal_against_a_rejudged_result_begins_when_it_counts(
+    database: Database, played: tuple[Principal, Submission]
+) -> None:
+    team, submission = played
+    now = datetime.now(UTC)
+    with database.transaction() as session:
+        made = Rejudgement(track=submission.track, stage="", reason="other physics", applied_at=now)
+        session.add(made)
+        session.flush()
+        session.execute(update(Evaluation).values(finished_at=now - timedelta(days=8)))
+        session.expire_all()
+        with refused(ProblemCode.APPEAL_TOO_LATE):
+            appeals.open_appeal(session, team, submission.id, TEXT)
+        session.execute(update(Evaluation).values(rejudgement_id=made.id))
+        session.expire_all()
         appeals.open_appeal(session, team, submission.id, TEXT)
 
 
