@@ -95,9 +95,9 @@ def test_what_cannot_be_appealed_against_is_refused(database: Database, played: 
         for task, episode in ((TASK, 10_000), (TASK, 10**12), (TASK, 0), ("nothing", 1), ("a\0b", 1)):
             with refused(ProblemCode.NOT_FOUND):
                 appeals.open_appeal(session, team, submission.id, TEXT, task=task, episode=episode)
-        for task, number in ((TASK, None), (None, 1)):
+        for half in ({"task": TASK}, {"episode": 1}):
             with refused(ProblemCode.INVALID_REQUEST):
-                appeals.open_appeal(session, team, submission.id, TEXT, task=task, episode=number)
+                appeals.open_appeal(session, team, submission.id, TEXT, **half)
         session.execute(update(Evaluation).values(created_at=Evaluation.created_at))
         week_ago = datetime.now(UTC) - timedelta(days=7)
         newest = select(Evaluation.id).where(Evaluation.submission_id == submission.id)
