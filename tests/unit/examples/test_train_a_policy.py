@@ -28,15 +28,19 @@ def test_notebook_is_stored_without_results(notebook: dict[str, Any]) -> None:
 
 
 def test_every_cell_runs_and_a_submission_comes_of_it(
-    notebook: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    notebook: dict[str, Any], repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    heuristic = "peg_insertion_heuristic"
+    (tmp_path / heuristic).symlink_to(repository / "examples" / heuristic)
+    folder = tmp_path / "train_a_policy"
+    folder.mkdir()
     monkeypatch.setenv("VITAC_TUTORIAL", "small")
-    monkeypatch.chdir(tmp_path)
+    monkeypatch.chdir(folder)
     names: dict[str, Any] = {"__name__": "tutorial"}
     for number, cell in enumerate(code_of(notebook)):
         exec(compile(cell, f"cell {number}", "exec"), names)  # noqa: S102 - the notebook's own code
     assert [result.number for result in names["results"]] == [1, 2]
-    assert load_manifest(tmp_path / "tutorial_submission" / "Track_1").tasks == ("peg-insertion",)
+    assert load_manifest(folder / "tutorial_submission" / "Track_1").tasks == ("peg-insertion",)
     assert {name: score.episodes for name, score in names["scores"].items()} == {"trained": 2, "heuristic": 2}
 
 
