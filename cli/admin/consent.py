@@ -33,7 +33,7 @@ class ChangedMeanwhile(VitacError):
 def change_as_shown(
     change: Callable[["Session"], ShownT],
     show: Callable[[ShownT], None],
-    question: str,
+    question: str | Callable[[ShownT], str | None],
     *,
     yes: bool,
     dry_run: bool,
@@ -43,7 +43,7 @@ def change_as_shown(
     Args:
         change: makes it in the transaction of a session, and returns what is shown.
         show: prints that.
-        question: what is asked.
+        question: what is asked, or what is asked about what was shown; None: nothing changes, so nothing is asked.
         yes: do not ask.
         dry_run: only show it.
 
@@ -59,7 +59,10 @@ def change_as_shown(
     show(shown)
     if dry_run or yes:
         return
-    require_consent(question, yes=False)
+    asked = question if isinstance(question, str) else question(shown)
+    if asked is None:
+        return
+    require_consent(asked, yes=False)
     with transaction() as session:
         if change(session) != shown:
             raise ChangedMeanwhile("Something changed while you were asked, and nothing was done. Run it again.")

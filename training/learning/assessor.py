@@ -5,7 +5,7 @@ student would take, by what it would have felt. So what an action tells about th
 that always knows the truth does not see (asymmetric actor-critic: Pinto et al. 2018, Baisero and Amato 2022).
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from ..episodes import Episodes
 from ..submission.policy import HISTORY_SIZE
 from .critic import STATE_SIZE, transitions
-from .ensemble import Ensemble, Samples
-from .network import FloatArray, Layout, probability
+from .ensemble import Samples
+from .fitted_value import FittedValue
+from .network import FloatArray, probability
 from .student import told_of
 from .symmetry import HISTORY, STATE, both
 
@@ -78,13 +79,12 @@ def assessed(episodes: Episodes) -> Assessed:
     )
 
 
-class Assessor:
+class Assessor(FittedValue):
     """Networks that see the truth and what the student knows."""
 
     def __init__(self, plan: AssessorPlan, random: np.random.Generator) -> None:
+        super().__init__(plan, STATE_SIZE + HISTORY_SIZE, _SIGNS, random)
         self._plan = plan
-        layout = Layout(inputs=STATE_SIZE + HISTORY_SIZE, actions=3, hidden=plan.hidden)
-        self._ensemble = Ensemble(layout, plan.networks, random)
 
     def learn(
         self,
@@ -104,25 +104,10 @@ class Assessor:
         Raises:
             TrainingDiverged: a loss is no finite number.
         """
-        plan = self._plan
-        for sweep in range(plan.sweeps):
+
+        def targets() -> FloatArray:
             following = probability(self.log_odds(known.after, next_actions[:, None])[:, 0])
-            going_on = np.where(known.last, np.float32(0.0), np.float32(plan.discount) * following)
-            targets = np.where(known.reached, np.float32(1.0), going_on)
-            losses = [
-                self._ensemble.epoch(known.before, targets, _SIGNS, random, batch=plan.batch, rate=plan.rate)
-                for _ in range(plan.epochs)
-            ]
-            after_sweep(sweep, float(np.mean(losses)))
+            going_on = np.where(known.last, np.float32(0.0), np.float32(self._plan.discount) * following)
+            return np.where(known.reached, np.float32(1.0), going_on)
 
-    def log_odds(self, inputs: FloatArray, actions: FloatArray) -> FloatArray:
-        """Return the log-odds of the student's success after actions, shape [n, k]."""
-        return self._ensemble.lowest(inputs, actions)
-
-    def state(self) -> dict[str, FloatArray]:
-        """Return all that learning goes on from."""
-        return self._ensemble.state()
-
-    def restore(self, state: Mapping[str, FloatArray]) -> None:
-        """Go on from a state."""
-        self._ensemble.restore(state)
+        self._fit(known.before, targets, random, after_sweep)

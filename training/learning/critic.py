@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..episodes import Episodes
-from .ensemble import Ensemble, Samples
-from .network import FloatArray, Layout, probability
+from .ensemble import Samples
+from .fitted_value import FittedValue
+from .network import FloatArray, probability
 from .symmetry import STATE, TURNABLE
 
 STATE_SIZE = 15
@@ -58,13 +59,12 @@ class Transitions:
     turnable: NDArray[np.bool_]
 
 
-class Critic:
+class Critic(FittedValue):
     """Networks that see the truth."""
 
     def __init__(self, plan: CriticPlan, random: np.random.Generator) -> None:
+        super().__init__(plan, STATE_SIZE, STATE, random)
         self._plan = plan
-        layout = Layout(inputs=STATE_SIZE, actions=3, hidden=plan.hidden)
-        self._ensemble = Ensemble(layout, plan.networks, random)
 
     def learn(self, episodes: Episodes, random: np.random.Generator, after_sweep: Callable[[int, float], None]) -> None:
         """Learn from episodes, starting from what is known.
@@ -77,27 +77,9 @@ class Critic:
         Raises:
             TrainingDiverged: a loss is no finite number.
         """
-        known, plan = transitions(episodes), self._plan
+        known = transitions(episodes)
         samples = Samples(inputs=known.before, actions=known.actions, turnable=known.turnable)
-        for sweep in range(plan.sweeps):
-            targets = self._targets(known, random)
-            losses = [
-                self._ensemble.epoch(samples, targets, STATE, random, batch=plan.batch, rate=plan.rate)
-                for _ in range(plan.epochs)
-            ]
-            after_sweep(sweep, float(np.mean(losses)))
-
-    def log_odds(self, states: FloatArray, actions: FloatArray) -> FloatArray:
-        """Return the log-odds of success of actions, shape [n, k]."""
-        return self._ensemble.lowest(states, actions)
-
-    def state(self) -> dict[str, FloatArray]:
-        """Return all that learning goes on from."""
-        return self._ensemble.state()
-
-    def restore(self, state: Mapping[str, FloatArray]) -> None:
-        """Go on from a state."""
-        self._ensemble.restore(state)
+        self._fit(samples, lambda: self._targets(known, random), random, after_sweep)
 
     @classmethod
     def of_state(cls, plan: CriticPlan, state: Mapping[str, FloatArray]) -> "Critic":

@@ -6,7 +6,7 @@ import typer
 
 from ...service.database import transaction
 from ...terminal.output import AsJson, percent, print_json, print_table
-from ..consent import DryRun, Yes, require_consent
+from ..consent import DryRun, Yes, change_as_shown
 from .competition import StageName, TrackName
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
@@ -61,15 +61,19 @@ def confirm(
     from vitac.server.accounts.principals import CONSOLE
     from vitac.server.results.advancement import confirm as confirm_teams
 
-    with transaction() as session:
-        found = confirm_teams(session, CONSOLE, track, stage, add=add or (), without=without or ())
+    def show(found: list[str]) -> None:
         if as_json:
             print_json({"track": track, "stage": stage, "teams": found})
         else:
             print(f"{stage} of {track}: {', '.join(found) or 'no team'}")
-        if dry_run:
-            raise typer.Exit  # which takes the change back
-        require_consent(f"Let these {len(found)} teams take part in {stage} of {track}?", yes=yes)
+
+    change_as_shown(
+        lambda session: confirm_teams(session, CONSOLE, track, stage, add=add or (), without=without or ()),
+        show,
+        lambda found: f"Let these {len(found)} teams take part in {stage} of {track}?",
+        yes=yes,
+        dry_run=dry_run,
+    )
 
 
 @app.command("list")

@@ -8,7 +8,7 @@ import typer
 
 from ...service.database import transaction
 from ...terminal.output import AsJson, moment, print_json, print_pairs, print_records, print_table
-from ..consent import DryRun, Yes, require_consent
+from ..consent import DryRun, Yes, change_as_shown, require_consent
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -55,20 +55,22 @@ def apply(file: CompetitionFile, yes: Yes = False, dry_run: DryRun = False, as_j
     """Show what a competition's file changes, and make it the competition of this service."""
     from vitac.server.accounts.principals import CONSOLE
     from vitac.server.competition.applying import apply as apply_definition
-    from vitac.server.competition.applying import changes_by, warnings_about
+    from vitac.server.competition.applying import warnings_about
     from vitac.server.competition.definition import read_competition
 
     definition = read_competition(file)
-    with transaction() as session:
-        found = changes_by(session, definition)
+    def show(found: "Sequence[Change]") -> None:
         _print_changes(found, as_json=as_json)
         for warning in warnings_about(definition) if found else ():
             print(f"WARNING: {warning}", file=sys.stderr)
-        if dry_run:
-            return
-        if found:
-            require_consent(f"Apply these {len(found)} changes?", yes=yes)
-        apply_definition(session, CONSOLE, definition)
+
+    change_as_shown(
+        lambda session: apply_definition(session, CONSOLE, definition),
+        show,
+        lambda found: f"Apply these {len(found)} changes?" if found else None,
+        yes=yes,
+        dry_run=dry_run,
+    )
 
 
 @app.command()
@@ -116,8 +118,10 @@ def reveal(track: TrackName, stage: StageName, yes: Yes = False, dry_run: DryRun
 
     with transaction() as session:
         require_over(session, track, stage)
-        if not dry_run:
-            require_consent(f"Publish the episodes of stage {stage} of {track} for good?", yes=yes)
+    if not dry_run:
+        require_consent(f"Publish the episodes of stage {stage} of {track} for good?", yes=yes)
+    with transaction() as session:
+        require_over(session, track, stage)  # the stage may have been prolonged meanwhile
         found = reveal_list(session, CONSOLE, track, stage)
         print(f"commitment {found.commitment}\nsecret {found.secret if not dry_run else 'not shown: dry run'}")
         if dry_run:
