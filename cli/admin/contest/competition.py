@@ -59,6 +59,7 @@ def apply(file: CompetitionFile, yes: Yes = False, dry_run: DryRun = False, as_j
     from vitac.server.competition.definition import read_competition
 
     definition = read_competition(file)
+
     def show(found: "Sequence[Change]") -> None:
         _print_changes(found, as_json=as_json)
         for warning in warnings_about(definition) if found else ():
