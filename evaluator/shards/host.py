@@ -35,7 +35,7 @@ from ..tracks import Player, Task
 from ..tracks.registry import list_tracks, load_track
 from ..version import evaluator_hash
 from .execution import execute
-from .order import LOAD_ALL, PROCESS_ID, ShardOrder
+from .order import LOAD_ALL, PROCESS_ID, WAITS, ShardOrder
 from .preparation import Preparation
 
 _PR_SET_PDEATHSIG = 1
@@ -110,7 +110,10 @@ class SimulationHost:
             return True
         self._load_task(order.track, order.task, order.assets_dir, order.sensor)
         ordered = _Ordered(order=order, connection=connection, exit_pipe=exit_pipe)
-        if not self._waits_for_calibration(ordered):
+        if self._waits_for_calibration(ordered):
+            with suppress(OSError):  # It was given up meanwhile; its copy will find nobody to answer.
+                connection.sendall(WAITS)
+        else:
             self._start_shard(ordered)
         return True
 

@@ -16,6 +16,9 @@ from .result import ShardResult
 PROCESS_ID: Final = struct.Struct("<q")
 """How the process of a shard introduces itself before its first message; its pidfd comes along."""
 
+WAITS: Final = PROCESS_ID.pack(0)
+"""The host's word, instead of an introduction, that the process will be forked after the calibration of its sensor."""
+
 LOAD_ALL: Final = "load-all"
 """Argument of a host that loads the simulation of every task while it has nothing else to do."""
 

@@ -22,7 +22,7 @@ from pydantic import ValidationError
 from vitac.envs.errors import VitacError
 
 from ..episodes.records import EpisodeRecord
-from .order import LOAD_ALL, PROCESS_ID, ShardMessage, ShardOrder
+from .order import LOAD_ALL, PROCESS_ID, WAITS, ShardMessage, ShardOrder
 from .result import ShardResult
 
 COMMAND = (sys.executable, "-P", "-m", "vitac.evaluator.shards.host")
@@ -225,6 +225,7 @@ class ShardProcess:
         self._lock = threading.Lock()
         self._fork = fork
         self._is_killed = False
+        self._is_taken = fork is not None
         self._is_released = False
         self._result: ShardResult | None = None
         with suppress(OSError):  # The process has ended; reading the records raises an error.
@@ -289,7 +290,7 @@ class ShardProcess:
         return ShardProcess(self.host, order, self._connection, self._exit_pipe, self._fork)
 
     def close(self) -> bool:
-        """End the process and wait for it; return whether it was ever forked.
+        """End the process and wait for it; return whether its host ever answered.
 
         One that waits for another order ends by itself and clears up; one at work is killed.
         """
@@ -297,7 +298,7 @@ class ShardProcess:
         try:
             fork = self._forked()
         except ShardProcessFailed:
-            return False
+            return self._is_taken
         else:
             with suppress(OSError):
                 self._connection.shutdown(socket.SHUT_RDWR)
@@ -328,8 +329,11 @@ class ShardProcess:
 
     def _forked(self) -> "_Fork":
         """Return the process, which introduces itself before its first answer."""
-        if self._fork is None:
+        while self._fork is None:
             fork = _Fork.received(self._connection)
+            self._is_taken = True
+            if fork is None:  # The host lets it wait.
+                continue
             with self._lock:
                 self._fork = fork
                 if self._is_killed:
@@ -345,8 +349,8 @@ class _Fork:
         self._pidfd: int | None = pidfd
 
     @classmethod
-    def received(cls, connection: socket.socket) -> Self:
-        """Wait for the process to introduce itself.
+    def received(cls, connection: socket.socket) -> Self | None:
+        """Wait for the process to introduce itself; None where the host says that it will be forked later.
 
         Raises:
             ShardProcessFailed: it never will.
@@ -357,6 +361,8 @@ class _Fork:
             raise ShardProcessFailed(
                 f"The process of a shard was not started: {error.strerror}; run it again."
             ) from error
+        if introduction == WAITS:
+            return None
         if not descriptors:
             raise ShardProcessFailed("The process of a shard was not started; run it again.")
         (pid,) = PROCESS_ID.unpack(introduction)

@@ -82,9 +82,10 @@ def load_policy(submission_dir: Path, limits: Limits, slot: int) -> Any:
 def calibrated(_: Task, sensor: Path) -> Coefficients:
     """Has found the coefficients once somebody writes how many starts were played into the sensor's folder."""
     (sensor / "begun").touch()
-    while not (sensor / "starts").exists():
+    starts = sensor / "starts"
+    while not starts.exists() or not starts.read_text():
         time.sleep(0.01)
-    return Coefficients(mesh_hash="0" * 64, starts=int((sensor / "starts").read_text()), regressions=())
+    return Coefficients(mesh_hash="0" * 64, starts=int(starts.read_text()), regressions=())
 
 
 def run_estimator(order: ShardOrder, _track: object, task: Task, shard: Shard, _on_episode: object) -> ShardResult:

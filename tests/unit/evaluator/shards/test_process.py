@@ -299,6 +299,18 @@ def test_while_a_sensor_is_calibrated_other_shards_run_and_its_own_wait(
     assert not (first / "begun").exists()
 
 
+def test_a_shard_that_is_ended_while_it_waits_for_its_calibration_leaves_the_host_to_the_others(
+    processes: ShardProcesses, tmp_path: Path
+) -> None:
+    with processes.running_shard(order("succeed")) as process:
+        host = parent_of(process.pid)
+        list(process.records())
+    with processes.running_shard(of_sensor(tmp_path)):
+        eventually((tmp_path / "begun").exists)
+    with processes.running_shard(order("fail")) as process:
+        assert parent_of(process.pid) == host
+
+
 def sockets_of(pid: int) -> int:
     """Each shard has its own only: another one's would hide that other's end from whoever waits for it."""
     links = [str(path.readlink()) for path in Path(f"/proc/{pid}/fd").iterdir()]
