@@ -52,41 +52,75 @@ def command(
     ] = None,
 ) -> None:
     """Evaluate a submission here, with the same records, score and result hash as the service."""
-    from vitac.envs.assets import assets_dir_from_environment
-    from vitac.evaluator.evaluation.local import evaluate
-    from vitac.evaluator.sensors.check import accepted_sensor
     from vitac.evaluator.submission.manifest import load_manifest, submission_digest
     from vitac.evaluator.submission.staging import staged
 
-    from .terminal.compiling import compiling_shown
-
-    numbers = parse_episodes(episodes)
+    request = _Request(
+        task=task, episodes=parse_episodes(episodes), workers=workers, assets=assets, secret=secret, sensor=sensor
+    )
     outputs = _Outputs(json=json, log=log, printed=output, team=team)
     outputs.check()
-    _check_secret(secret, submission)
-    if sensor is not None:
-        accepted_sensor(sensor)
+    request.check(submission)
     with staged(submission) as folder:
         manifest = load_manifest(folder)
         digest = submission_digest(submission)
-        track = _track(manifest, secret)
-        definition = track.tasks[_chosen_task(manifest, task)]
-        with Progress(len(numbers or definition.episodes)) as progress, compiling_shown(progress.bar):
-            evaluation = evaluate(
-                submission_dir=folder,
-                track=track,
-                task=definition,
-                episodes=numbers,
-                workers=workers or len(os.sched_getaffinity(0)),
-                assets_dir=assets or assets_dir_from_environment(),
-                secret=secret,
-                sensor=folder if sensor is None and track.has_sensor else sensor,
-                on_episode=progress.advance,
-            )
+        evaluation = request.evaluate(folder, manifest)
     outputs.write(evaluation, manifest, digest)
     _print_summary(evaluation, manifest)
     if evaluation.failure:
         raise typer.Exit(1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Request:
+    """What is to be evaluated, and how; None where the submission, the machine or the public list decides.
+
+    Attributes:
+        task: its name.
+        episodes: their numbers.
+        workers: number of processes.
+        assets: folder with the challenge's own meshes.
+        secret: file with the secret of a sealed list.
+        sensor: folder with a sensor to play with.
+    """
+
+    task: str | None
+    episodes: tuple[int, ...] | None
+    workers: int | None
+    assets: Path | None
+    secret: Path | None
+    sensor: Path | None
+
+    def check(self, submission: Path) -> None:
+        """Refuse a secret that the policy could read, and a sensor against its rules."""
+        from vitac.evaluator.sensors.check import accepted_sensor
+
+        if self.secret is not None and self.secret.resolve().is_relative_to(submission.resolve()):
+            raise typer.BadParameter("the secret lies in the submission; move it elsewhere.", param_hint="--secret")
+        if self.sensor is not None:
+            accepted_sensor(self.sensor)
+
+    def evaluate(self, folder: Path, manifest: "SubmissionManifest") -> "Evaluation":
+        """Evaluate an unpacked submission, with a progress bar."""
+        from vitac.envs.assets import assets_dir_from_environment
+        from vitac.evaluator.evaluation.local import evaluate
+
+        from .terminal.compiling import compiling_shown
+
+        track = _track(manifest, self.secret)
+        definition = track.tasks[_chosen_task(manifest, self.task)]
+        with Progress(len(self.episodes or definition.episodes)) as progress, compiling_shown(progress.bar):
+            return evaluate(
+                submission_dir=folder,
+                track=track,
+                task=definition,
+                episodes=self.episodes,
+                workers=self.workers or len(os.sched_getaffinity(0)),
+                assets_dir=self.assets or assets_dir_from_environment(),
+                secret=self.secret,
+                sensor=folder if self.sensor is None and track.has_sensor else self.sensor,
+                on_episode=progress.advance,
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,12 +159,6 @@ class _Outputs:
             _write_log(self.log, evaluation, self.team, digest)
         if self.printed:
             self.printed.write_text("".join(map(_printed, evaluation.records)), encoding="utf-8")
-
-
-def _check_secret(secret: Path | None, submission: Path) -> None:
-    """Refuse a secret that the policy could read."""
-    if secret is not None and secret.resolve().is_relative_to(submission.resolve()):
-        raise typer.BadParameter("the secret lies in the submission; move it elsewhere.", param_hint="--secret")
 
 
 def _track(manifest: "SubmissionManifest", secret: Path | None) -> "Track":

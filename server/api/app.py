@@ -1,10 +1,11 @@
 """Builds the HTTP application; `vitac serve` runs it and adds the pages."""
 
-from collections.abc import AsyncIterator, Sequence
-from contextlib import ExitStack, asynccontextmanager
+from collections.abc import AsyncIterator, Callable, Sequence
+from contextlib import AbstractAsyncContextManager, ExitStack, asynccontextmanager
 from importlib.metadata import version
+from pathlib import Path
 
-from fastapi import APIRouter, FastAPI
+from fastapi import FastAPI
 from fastapi.concurrency import run_in_threadpool
 from vitac.server.housekeeping import Housekeeping
 from vitac.server.notices.sending import NoticeSender
@@ -38,7 +39,6 @@ UNLIMITED = (
 
 def create_app(
     settings: Settings,
-    routers: Sequence[APIRouter] = (),
     services: Services | None = None,
     uploads_at: Sequence[tuple[str, str]] = (),
     sweeps: bool = True,
@@ -47,48 +47,66 @@ def create_app(
 
     Args:
         settings: of this process.
-        routers: further routes, such as the pages.
         services: already open ones; they are left open at the end.
         uploads_at: methods and paths of further routes that take uploads.
         sweeps: look for lost work; False where the process that started this one does.
     """
-
-    @asynccontextmanager
-    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        with ExitStack() as stack:
-            app.state.services = services or await run_in_threadpool(stack.enter_context, open_services(settings))
-            app.state.exposition = Exposition(app.state.services)
-            housekeeping = Housekeeping(app.state.services, sweeps=sweeps)
-            housekeeping.start()
-            stack.callback(housekeeping.stop)
-            notices = NoticeSender(app.state.services.database, app.state.services.settings)
-            notices.start()
-            stack.callback(notices.stop)
-            yield
-            await run_in_threadpool(stack.close)
-
     app = FastAPI(
         title="ViTac Arena",
         version=version("vitac-arena"),
         description=DESCRIPTION,
-        lifespan=lifespan,
+        lifespan=_lifespan(settings, services, sweeps=sweeps),
         # The interactive pages of the framework load scripts from elsewhere; /openapi.json is enough.
         docs_url=None,
         redoc_url=None,
     )
     app.state.settings = settings
-    limits = settings.state_dir / "limits"
-    app.state.registration_limiter = WindowLimiter(
-        limits / "registrations", limit=settings.registrations_per_hour, window_s=3600.0
-    )
+    _set_limiters(app, settings)
+    _add_routes(app)
+    _add_middleware(app, uploads_at)
+    problems.install(app)
+    return app
+
+
+def _lifespan(
+    settings: Settings, services: Services | None, *, sweeps: bool
+) -> Callable[[FastAPI], AbstractAsyncContextManager[None]]:
+    """Return what opens database and files for an application, and runs the work beside its requests."""
+
+    @asynccontextmanager
+    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        with ExitStack() as stack:
+            opened = services
+            if opened is None:
+                opened = await run_in_threadpool(stack.enter_context, open_services(settings))
+            app.state.services = opened
+            app.state.exposition = Exposition(opened)
+            for work in (Housekeeping(opened, sweeps=sweeps), NoticeSender(opened.database, opened.settings)):
+                work.start()
+                stack.callback(work.stop)
+            yield
+            await run_in_threadpool(stack.close)
+
+    return lifespan
+
+
+def _set_limiters(app: FastAPI, settings: Settings) -> None:
+    """Give an application what counts the requests of its clients."""
+    folder = settings.state_dir / "limits"
+    app.state.registration_limiter = _hourly(folder / "registrations", settings.registrations_per_hour)
     app.state.sign_in_limiters = SignInLimiters(
-        of_address=WindowLimiter(limits / "sign_ins", limit=settings.sign_ins_per_hour, window_s=3600.0),
-        of_member=WindowLimiter(
-            limits / "sign_ins_of_members", limit=max(1, settings.sign_ins_per_hour // 4), window_s=3600.0
-        ),
+        of_address=_hourly(folder / "sign_ins", settings.sign_ins_per_hour),
+        of_member=_hourly(folder / "sign_ins_of_members", max(1, settings.sign_ins_per_hour // 4)),
     )
-    app.state.upload_limiter = ConcurrencyLimiter(limits / "uploads", settings.uploads_at_once)
-    app.state.stream_limiter = ConcurrencyLimiter(limits / "event_streams", settings.event_streams)
+    app.state.upload_limiter = ConcurrencyLimiter(folder / "uploads", settings.uploads_at_once)
+    app.state.stream_limiter = ConcurrencyLimiter(folder / "event_streams", settings.event_streams)
+
+
+def _hourly(folder: Path, limit: int) -> WindowLimiter:
+    return WindowLimiter(folder, limit=limit, window_s=3600.0)
+
+
+def _add_routes(app: FastAPI) -> None:
     for router in (
         teams.router,
         members.router,
@@ -101,12 +119,14 @@ def create_app(
         tracks.router,
     ):
         app.include_router(router, prefix=API_PREFIX)
-    for router in (health.router, metrics.router, *routers):
+    for router in (health.router, metrics.router):
         app.include_router(router)
+
+
+def _add_middleware(app: FastAPI, uploads_at: Sequence[tuple[str, str]]) -> None:
+    """Put the middleware around an application; the last one is the outermost."""
     app.add_middleware(BodyLimit, unlimited=(*UNLIMITED, *uploads_at))
     app.add_middleware(ProtocolVersion, prefix=f"{API_PREFIX}{uploads.router.prefix}")
     app.add_middleware(RequestHead)
     app.add_middleware(Shutdown)
     app.add_middleware(RequestTimes)
-    problems.install(app)
-    return app
