@@ -21,8 +21,8 @@ from vitac.training.actors import critic_actor
 from vitac.training.collection import Networks
 from vitac.training.episodes import TASK, TRUTHS, Actor, Moment, make_environment
 from vitac.training.files import load
+from vitac.training.learners import Learners
 from vitac.training.learning.critic import Critic
-from vitac.training.learning.learners import Learners
 from vitac.training.recipe import Recipe
 from vitac.training.run import Folder, best, results_of
 from vitac.training.streams import Use, stream

@@ -35,7 +35,7 @@ def command(
     """
     from vitac.envs.assets import assets_dir_from_environment
     from vitac.evaluator.episodes.episode import make_environment
-    from vitac.evaluator.logs.recordings import read_recordings
+    from vitac.evaluator.logs.recorded_files import read_recordings
     from vitac.evaluator.logs.resimulation import report, resimulate_all
     from vitac.evaluator.tracks import find_task
 

@@ -276,7 +276,7 @@ def _policy_player(task: "Task", start: Start, submission: Path) -> Iterator[Pla
 
 
 def _recording(task: "Task", number: int, path: Path) -> "Recording":
-    from vitac.evaluator.logs.recordings import read_recordings
+    from vitac.evaluator.logs.recorded_files import read_recordings
 
     for recording in read_recordings(path, task):
         if recording.episode.number == number:

@@ -69,8 +69,8 @@ def export(
     submission: Annotated[Path, typer.Option("--to", help="New folder for the submission.")],
 ) -> None:
     """Make a submission of the best round."""
+    from vitac.training.export import export as exported
     from vitac.training.run import Folder, best, results_of
-    from vitac.training.submission.export import export as exported
 
     kept = Folder(path=folder)
     chosen = best(results_of(kept))

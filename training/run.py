@@ -19,7 +19,7 @@ from .actors import ActorKind
 from .collection import Batch, Networks, collect
 from .episodes import Episodes
 from .files import load, save, write_text
-from .learning.learners import Learners
+from .learners import Learners
 from .recipe import Recipe
 from .streams import Use
 

@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from starlette.requests import Request
     from starlette.responses import Response
 
+    from .data.front import Front
     from .data.protocol import PageData, Visitor
-    from .pages.contest.home import Front
-    from .pages.episodes.map import EpisodeMap
+    from .plots.map import EpisodeMap
     from .session.signer import SessionSigner
 
     Page = Callable[[Request], Awaitable[Response]]

@@ -17,7 +17,7 @@ import httpx
 from vitac.envs.errors import VitacError
 from vitac.evaluator.submission_kinds import SubmissionKind
 
-from .account import credentials
+from . import credentials
 from .pieces import PieceSender
 from .refusals import ServiceUnreachable, refusal
 

@@ -11,14 +11,12 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from .refusals import NO_CODE, RequestRefused, ServiceUnreachable
 
 if TYPE_CHECKING:
     import httpx
-
-    from .http import Json
 
 UPLOADS = "/api/v1/uploads"
 PROTOCOL = {"Tus-Resumable": "1.0.0"}
@@ -61,7 +59,7 @@ class PieceSender:
     on_position: Callable[[int], None]
     pause: Callable[[float], None] = time.sleep
 
-    def run(self) -> Json:
+    def run(self) -> dict[str, Any]:
         """Upload, and return the submission.
 
         Raises:

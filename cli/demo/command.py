@@ -234,7 +234,7 @@ class Demo:
         if not service.workers.pids:
             service.workers.start()
         self.display.staying()
-        self.stop.supervise(service)
+        self.stop.supervise(service.restart_ended)
 
 
 def describe_evaluation(found: Json) -> str:

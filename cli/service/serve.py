@@ -31,7 +31,7 @@ def command(
         print(f"ViTac Arena is running at {service.address}", flush=True)
         print(f"workers: {workers}" if workers else "workers: none; start them with `vitac worker`", flush=True)
         print("Press Ctrl-C to stop.", flush=True)
-        stop.supervise(service)
+        stop.supervise(service.restart_ended)
         print("stopping", flush=True)
 
 

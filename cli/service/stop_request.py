@@ -8,9 +8,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from .process_tree import RunningService
+    from collections.abc import Callable, Iterator
 
 SUPERVISION_PERIOD_S = 0.5
 
@@ -41,10 +39,10 @@ class StopRequest:
         """Wait for the request for at most `timeout_s`; return whether it was received."""
         return self._received.wait(timeout_s)
 
-    def supervise(self, service: RunningService) -> None:
+    def supervise(self, restart_ended: Callable[[], object]) -> None:
         """Restart processes that end, until the request is received."""
         while not self.wait(SUPERVISION_PERIOD_S):
-            service.restart_ended()
+            restart_ended()
 
     def _handle(self, number: int, _frame: object) -> None:
         if self.received:

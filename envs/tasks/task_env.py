@@ -22,9 +22,9 @@ from ..fem import SOLVER_VERSION
 from ..fem.model.mesh import GelMesh, SurfaceMesh
 from ..observable import Observable
 from ..scene.grasped_scene import Clocks, GraspedScene
-from ..scene.still import StillCamera
 from ..scene.stopwatch import Stopwatch
 from ..tactile.design import SensorDesign
+from ..vision.still import StillCamera
 from .definition import TaskDefinition, chosen_observables, with_tables
 from .ending import EndReason, Flags
 from .options import RNG_SEED, chosen_shapes, refuse_unknown, seeded_generator

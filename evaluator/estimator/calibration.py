@@ -7,7 +7,7 @@ from typing import Any, Final, cast
 import numpy as np
 
 from ..episodes.episode import Environment, make_environment
-from ..sensors.check import design_in
+from ..sensors.made import design_in
 from ..tracks import Task
 from .controller import Vector, in_gripper_frame, with_motion
 from .features import features_of

@@ -1,7 +1,6 @@
 """Checks a sensor against every rule; called by `vitac sensor` and by what takes sensors in."""
 
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,7 +8,6 @@ from vitac.envs.errors import VitacError
 
 from .findings import Finding, Rule
 from .limits import SensorLimits, sensor_limits
-from .made import load_made_sensor
 from .manifest import SENSOR_NAME, SensorManifest, read_sensor
 from .package import GEL_NAME, MESH_NAME
 
@@ -90,22 +88,6 @@ def accepted_sensor(path: Path) -> SensorCheck:
         broken = next(finding for finding in found.findings if not finding.ok)
         raise SensorRefused(f"{broken.rule}: {broken.value}, expected {broken.limit}. {broken.problem}")
     return found
-
-
-@cache
-def design_in(path: Path) -> "SensorDesign":
-    """Return the design of a folder or of a made sensor's file, which is read once in a process and its copies.
-
-    Raises:
-        SensorRefused: it breaks a rule.
-        SensorRejected: sensor.yaml cannot be used.
-        MadeSensorDamaged: the file is no made sensor.
-    """
-    if path.is_file():
-        return load_made_sensor(path).design()
-    design = accepted_sensor(path).design
-    assert design is not None  # noqa: S101 - of every accepted sensor
-    return design
 
 
 def _files(path: Path) -> tuple[SensorManifest, Path, Path | None]:

@@ -2,6 +2,7 @@
 
 import base64
 import hashlib
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -9,6 +10,7 @@ from pydantic import Field, ValidationError
 from vitac.envs.errors import VitacError
 
 from ..strict_model import StrictModel
+from .check import SensorCheck, accepted_sensor
 from .limits import sensor_limits
 
 if TYPE_CHECKING:
@@ -16,8 +18,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from vitac.envs.sensor_design.tetrahedra import Tetrahedra
     from vitac.envs.tactile.design import SensorDesign
-
-    from .check import SensorCheck
 
 MAX_BYTES = 4 * 1024 * 1024
 
@@ -94,7 +94,7 @@ class MadeSensor(StrictModel):
         )
 
 
-def made_sensor(found: "SensorCheck") -> MadeSensor:
+def made_sensor(found: SensorCheck) -> MadeSensor:
     """Return the sensor of a check that found every rule kept."""
     meshed, design = found.meshed, found.design
     if meshed is None or design is None:
@@ -143,6 +143,22 @@ def load_made_sensor(path: Path) -> MadeSensor:
         MadeSensorDamaged: as `read_made_sensor`.
     """
     return read_made_sensor(path.read_bytes())
+
+
+@cache
+def design_in(path: Path) -> "SensorDesign":
+    """Return the design of a folder or of a made sensor's file, which is read once in a process and its copies.
+
+    Raises:
+        SensorRefused: it breaks a rule.
+        SensorRejected: sensor.yaml cannot be used.
+        MadeSensorDamaged: the file is no made sensor.
+    """
+    if path.is_file():
+        return load_made_sensor(path).design()
+    design = accepted_sensor(path).design
+    assert design is not None  # noqa: S101 - of every accepted sensor
+    return design
 
 
 def _array(text: str, dtype: str, columns: int) -> "NDArray[np.generic]":

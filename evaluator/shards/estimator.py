@@ -14,7 +14,7 @@ from ..estimator.calibration import calibrated
 from ..estimator.playing import EstimatorSession
 from ..figures.figures import FigureChoice, FiguresPart, StartFigures
 from ..figures.starts import Measurement, measured_episodes
-from ..sensors.check import design_in
+from ..sensors.made import design_in
 from ..tracks import Player, Task, Track
 from ..tracks.cut import Shard
 from .order import ShardOrder

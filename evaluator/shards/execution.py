@@ -11,7 +11,7 @@ from vitac.envs.errors import VitacError
 from ..episodes.episode import make_environment
 from ..episodes.reading import reading_of
 from ..episodes.records import EpisodeRecord
-from ..sensors.check import design_in
+from ..sensors.made import design_in
 from ..submission.manifest import load_manifest
 from ..submission_kinds import SubmissionKind
 from ..tracks import Player, Task, Track, load_track

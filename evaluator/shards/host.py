@@ -30,7 +30,7 @@ from vitac.envs.maniskill.definition import is_maniskill
 from ..episodes.episode import make_environment
 from ..estimator.calibration import calibrated, is_calibrated, take
 from ..estimator.regression import Coefficients
-from ..sensors.check import design_in
+from ..sensors.made import design_in
 from ..tracks import Player, Task
 from ..tracks.registry import list_tracks, load_track
 from ..version import evaluator_hash

@@ -19,7 +19,7 @@ FORBIDDEN_NAMES = {
 # Pictures are drawn from states; nothing of them reaches a state or an observation. A measured pose is privileged. The
 # response of the markers serves the figures of a sensor alone, which are rounded.
 OUTSIDE_THE_PATH = (
-    *("drawing/", "playback_files/", "scene/measured_pose.py", "scene/perspective.py", "scene/still.py"),
+    *("drawing/", "playback_files/", "scene/measured_pose.py", "scene/perspective.py", "vision/still.py"),
     "tactile/response.py",
 )
 MODULES = sorted(

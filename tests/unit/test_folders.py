@@ -93,7 +93,7 @@ def test_the_architecture_has_the_order_of_the_contracts(repository: Path) -> No
             in_row = [layer_of(layers, name) for group in rows[folder] for name in sorted(names_in(group) & inner)]
             assert in_row == sorted(in_row), f"expected the row of {folder}/ in the order of its contract"
             compared.append(folder)
-    assert {"cli", "envs", "envs/fem", "evaluator", "server"} <= set(compared)
+    assert {"cli", "envs", "envs/fem", "evaluator", "server", "training", "web"} <= set(compared)
 
 
 def layer_of(layers: list[set[str]], name: str) -> int:

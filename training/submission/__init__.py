@@ -1,1 +1,1 @@
-"""The submission that training ends in: the policy, which training imports too, and how a run becomes one."""
+"""The policy of a trained submission, which training imports too."""

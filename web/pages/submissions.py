@@ -12,11 +12,11 @@ from starlette.responses import RedirectResponse, Response
 from vitac.evaluator.tracks import load_track
 from vitac.server.db.states import TERMINAL_EVALUATION_STATES, EvaluationState
 
+from ..plots.map import episode_map
 from ..rendering import render
 from ..session.forms import read_form
 from ..site import open_to_all, page, require_form_token, require_viewer, site_of, viewer_of, visitor_of
 from .addresses import as_id
-from .episodes.map import episode_map
 from .team.figures import episode_figures, history_figures
 from .team.sharing import shared
 
@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from vitac.server.views.scores import TaskScoreView
     from vitac.server.views.submissions import EpisodeView, RankView, SubmissionView
 
+    from ..plots.map import EpisodeMap
     from ..site import Site, Viewer
-    from .episodes.map import EpisodeMap
 
 POLL_S = 1.0  # period at which a running evaluation is read and its page updated
 

@@ -9,8 +9,8 @@ from typing import Annotated
 
 import typer
 
+from .. import credentials
 from ..http import client_from, read_token
-from . import credentials
 from .whoami import owner_of
 
 

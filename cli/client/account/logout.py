@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
+from .. import credentials
 from ..http import client_from
-from . import credentials
 
 
 def command(

@@ -8,8 +8,8 @@ import typer
 from vitac.envs.errors import VitacError
 
 from ...terminal.output import AsJson, print_json, print_pairs
+from .. import credentials
 from ..http import client_from
-from . import credentials
 
 
 class LoggedIn(VitacError):

@@ -9,7 +9,7 @@ import typer
 from vitac.envs.errors import VitacError
 
 from ...terminal.output import AsJson, print_json, print_pairs, print_records
-from ..account import credentials
+from .. import credentials
 from ..http import client_from
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from vitac.evaluator.evaluation.local import Evaluation, evaluate
 from vitac.evaluator.logs.findings import VerificationResult
 from vitac.evaluator.logs.log import LogHeader
 from vitac.evaluator.logs.verification import verify
-from vitac.evaluator.sensors.check import design_in
+from vitac.evaluator.sensors.made import design_in
 from vitac.evaluator.shards.order import ShardOrder
 from vitac.evaluator.shards.process import ShardProcesses
 from vitac.evaluator.submission_kinds import SubmissionKind

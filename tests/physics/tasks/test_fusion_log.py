@@ -8,7 +8,7 @@ import pytest
 from vitac.evaluator.episodes.episode import make_environment
 from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.evaluator.episodes.replay import resimulate
-from vitac.evaluator.logs.recordings import read_recordings
+from vitac.evaluator.logs.recorded_files import read_recordings
 from vitac.evaluator.logs.text_2025 import check, read_text_log, script_of, summarize
 from vitac.evaluator.logs.text_2025.recordings import text_log_recordings, why_not_resimulated
 from vitac.evaluator.tracks import load_track

@@ -11,9 +11,9 @@ import pytest
 import vitac.envs
 from gymnasium.wrappers import RecordVideo, RenderCollection
 from vitac.envs.scene.perspective import Plane
-from vitac.envs.scene.still import _cut_open
 from vitac.envs.tasks.settings import SettingsError
 from vitac.envs.tasks.task_env import NotRenderable, NotReset
+from vitac.envs.vision.still import _cut_open
 
 ENV_IDS = sorted(vitac.envs.ENVIRONMENTS)
 PEG = "ViTac/PegInsertion-v1"

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from example_policies import flow
 from vitac.evaluator.submission.manifest import load_manifest
+from vitac.training.export import LARGEST_BYTES
 from vitac.training.recipe import read_recipe
 from vitac.training.streams import Use, stream
-from vitac.training.submission.export import LARGEST_BYTES
 from vitac.training.submission.policy import HISTORY_SIZE
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
 from typing import TYPE_CHECKING
@@ -11,20 +10,15 @@ from starlette.responses import Response
 from vitac.evaluator.tracks import load_track
 from vitac.server.errors import ProblemCode, ServiceError
 
+from ...data.front import Front, TrackCard
 from ...rendering import STATIC
 from ...site import page, site_of, viewer_of
 from ..episodes.page import player_script
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
-    from uuid import UUID
-
     from starlette.requests import Request
-    from vitac.evaluator.tracks import Track
     from vitac.server.views.contest.competition import CompetitionView
-    from vitac.server.views.contest.people import AnnouncementView
-    from vitac.server.views.leaderboards import LeaderboardEntryView, LeaderboardView
-    from vitac.server.views.playbacks import PublicEpisodeView
+    from vitac.server.views.leaderboards import LeaderboardView
 
     from ...site import Site
 
@@ -32,50 +26,6 @@ NEWS = 5
 ANNOUNCEMENTS = 3
 EXAMPLE = "example.scene"
 """The playback of an episode of peg insertion in which the peg goes straight to its hole."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class TrackCard:
-    """A track on the front page.
-
-    Attributes:
-        name: of the track.
-        title: of the track.
-        summary: what it is about.
-        ranked: number of teams on its board.
-        leader: the first one, if any.
-        state: whether it takes submissions.
-        moment: until when, or from when on; None outside of a competition.
-    """
-
-    name: str
-    title: str
-    summary: str
-    ranked: int
-    leader: LeaderboardEntryView | None
-    state: str
-    moment: datetime | None
-
-
-@dataclass(frozen=True, kw_only=True)
-class Front:
-    """What the front page shows to everybody.
-
-    Attributes:
-        cards: the tracks.
-        news: the newest entries of boards, with their tracks.
-        public: submissions among them that everybody may see.
-        cup: the competition, if there is one.
-        said: the newest announcements.
-        episode: a public one with a playback; None: the shipped one is played.
-    """
-
-    cards: Sequence[TrackCard]
-    news: Sequence[tuple[Track, LeaderboardEntryView]]
-    public: Collection[UUID]
-    cup: CompetitionView | None
-    said: Sequence[AnnouncementView]
-    episode: PublicEpisodeView | None
 
 
 async def home(request: Request) -> Response:

@@ -3,7 +3,7 @@ from pathlib import Path
 
 import httpx
 import pytest
-from vitac.cli.client.account import credentials
+from vitac.cli.client import credentials
 from vitac.cli.client.http import DEFAULT_SERVER, Client, client_from
 from vitac.cli.client.refusals import HINTS, RequestRefused, ServiceUnreachable
 from vitac.envs.errors import VitacError

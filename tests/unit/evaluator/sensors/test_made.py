@@ -5,8 +5,15 @@ import drawn_gels
 import numpy as np
 import pytest
 from own_sensors import write_sensor
-from vitac.evaluator.sensors.check import SensorCheck, accepted_sensor, design_in
-from vitac.evaluator.sensors.made import MAX_BYTES, MadeSensor, MadeSensorDamaged, made_sensor, read_made_sensor
+from vitac.evaluator.sensors.check import SensorCheck, accepted_sensor
+from vitac.evaluator.sensors.made import (
+    MAX_BYTES,
+    MadeSensor,
+    MadeSensorDamaged,
+    design_in,
+    made_sensor,
+    read_made_sensor,
+)
 
 
 @pytest.fixture(scope="module")

@@ -15,8 +15,7 @@ from vitac.envs.errors import VitacError
 from vitac.evaluator.agent.verdicts import SandboxFailed
 from vitac.evaluator.figures.figures import FigureChoice, FiguresPart, SensorFigures, Variation
 from vitac.evaluator.playback.order import SCENE_FILE, PlaybackOrder
-from vitac.evaluator.sensors.check import design_in
-from vitac.evaluator.sensors.made import read_made_sensor
+from vitac.evaluator.sensors.made import design_in, read_made_sensor
 from vitac.evaluator.shards.order import ShardOrder
 from vitac.evaluator.submission.sensor import SensorNotMade
 from vitac.server import housekeeping

@@ -10,7 +10,8 @@ import pytest
 from fake_scene import FakeScene
 from vitac.envs.tasks.fusion_insertion.env import FusionInsertionEnv
 from vitac.envs.vision.camera import Sight
-from vitac.envs.vision.rendering.modes import RenderMode, rendered_picture
+from vitac.envs.vision.rendering.modes import RenderMode
+from vitac.envs.vision.rendering.observables import rendered_picture
 from vitac.envs.vision.rendering.renderer import Renderer, RendererMissing, renderer_of
 from vitac.envs.vision.surfaces import Label
 
@@ -127,7 +128,8 @@ def test_nothing_of_sapien_is_loaded_before_a_picture_is_asked_for() -> None:
     code = (
         "import sys; sys.modules['sapien'] = None\n"
         "import vitac.envs.vision.rendering.renderer as r, vitac.envs.vision.rendering.modes as m\n"
-        "[m.rendered_picture(mode) for mode in m.RenderMode]; print('light')"
+        "import vitac.envs.vision.rendering.observables as o\n"
+        "[o.rendered_picture(mode) for mode in m.RenderMode]; print('light')"
     )
     done = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "light\n"

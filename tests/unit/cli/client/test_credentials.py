@@ -3,8 +3,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from vitac.cli.client.account import credentials
-from vitac.cli.client.account.credentials import CredentialsUnusable
+from vitac.cli.client import credentials
+from vitac.cli.client.credentials import CredentialsUnusable
 
 FIRST, SECOND = "http://first.test", "http://second.test"
 

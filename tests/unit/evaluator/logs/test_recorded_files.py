@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from evaluation_records import make_manifest, make_record
 from vitac.evaluator.logs.log import MAX_LINE_BYTES, LogHeader, LogRejected, write_log
-from vitac.evaluator.logs.recordings import Recording, RecordingRejected, read_recordings, recording_of
+from vitac.evaluator.logs.recorded_files import read_recordings
+from vitac.evaluator.logs.recordings import Recording, RecordingRejected, recording_of
 from vitac.evaluator.logs.text_2025.scripts import all_scripts
 from vitac.evaluator.tracks import find_task
 

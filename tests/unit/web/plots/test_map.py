@@ -2,7 +2,7 @@ import pytest
 from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.evaluator.tracks import load_track
 from vitac.server.views.submissions import EpisodeView
-from vitac.web.pages.episodes.map import Cell, episode_map
+from vitac.web.plots.map import Cell, episode_map
 
 FOLDER = "/submissions/1/episodes/peg-insertion"
 TASK = load_track("track_1").tasks["peg-insertion"]

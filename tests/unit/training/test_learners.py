@@ -7,7 +7,7 @@ import pytest
 from toy_peg import ToyPeg
 from vitac.training.actors import ActorKind, guided_actor, random_actor
 from vitac.training.episodes import play
-from vitac.training.learning.learners import Known, Learners
+from vitac.training.learners import Known, Learners
 from vitac.training.recipe import AssessorRecipe, CriticRecipe, Recipe, StudentRecipe
 
 RECIPE = Recipe(
@@ -53,7 +53,7 @@ def test_student_never_learns_from_an_actor_that_knows_the_truth(monkeypatch: py
         counts.append(len(episodes))
         return histories_of(episodes)
 
-    monkeypatch.setattr("vitac.training.learning.learners.histories_of", counted)
+    monkeypatch.setattr("vitac.training.learners.histories_of", counted)
     for number in (1, 2):
         learned(number, known(12), [])
     assert counts == [12, 12]

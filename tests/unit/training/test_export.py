@@ -8,10 +8,10 @@ import pytest
 from toy_peg import ToyPeg
 from vitac.evaluator.scoring.score import rate
 from vitac.evaluator.submission.manifest import load_manifest
+from vitac.training.export import NotExportable, export
 from vitac.training.files import save
 from vitac.training.learning.student import Student, StudentPlan
 from vitac.training.run import Folder, RoundResult
-from vitac.training.submission.export import NotExportable, export
 
 CHOSEN = RoundResult(number=3, student=rate(7, 10), critic=rate(9, 10), env_steps=100)
 
@@ -54,7 +54,7 @@ def test_folder_that_is_there_is_kept(folder: Folder, tmp_path: Path) -> None:
 
 
 def test_large_weights_are_refused(folder: Folder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("vitac.training.submission.export.LARGEST_BYTES", 100)
+    monkeypatch.setattr("vitac.training.export.LARGEST_BYTES", 100)
     with pytest.raises(NotExportable, match="expected at most 100; train a smaller student"):
         export(folder, CHOSEN, tmp_path / "submission")
     assert not (tmp_path / "submission").exists()

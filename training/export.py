@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 from vitac.envs.errors import VitacError
 
-from ..episodes import TASK
-from ..files import load, write_bytes, write_text
-from ..learning.learners import part
-from ..learning.student import weights_of
-from ..run import Folder, RoundResult
-from . import policy
+from .episodes import TASK
+from .files import load, write_bytes, write_text
+from .learners import part
+from .learning.student import weights_of
+from .run import Folder, RoundResult
+from .submission import policy
 
 LARGEST_BYTES = 2_000_000
 """Of the weights."""

@@ -5,14 +5,14 @@ from typing import Any
 
 import numpy as np
 
-from ..actors import ActorKind
-from ..collection import Networks
-from ..episodes import Episodes, joined
-from ..recipe import Recipe
-from .assessor import Assessor, assessed
-from .critic import Critic
-from .network import FloatArray
-from .student import Student, histories_of, weights_of
+from .actors import ActorKind
+from .collection import Networks
+from .episodes import Episodes, joined
+from .learning.assessor import Assessor, assessed
+from .learning.critic import Critic
+from .learning.network import FloatArray
+from .learning.student import Student, histories_of, weights_of
+from .recipe import Recipe
 
 Known = Sequence[tuple[ActorKind, Episodes]]
 """Episodes, and whose they are."""

@@ -5,14 +5,14 @@ from math import cos, radians, sin
 import numpy as np
 from numpy.typing import NDArray
 
-from ..vision.optics import HEIGHT_PX, WIDTH_PX, Intrinsics
-from ..vision.pictures import colour_picture
-from ..vision.pinhole import CameraPose
-from ..vision.rasterizer import rasterize
-from ..vision.surfaces import Body, Label, VisibleSurfaces
-from .grasped_scene import GraspedScene
-from .gripper import SENSOR_COUNT
-from .perspective import Perspective, Plane
+from ..scene.grasped_scene import GraspedScene
+from ..scene.gripper import SENSOR_COUNT
+from ..scene.perspective import Perspective, Plane
+from .optics import HEIGHT_PX, WIDTH_PX, Intrinsics
+from .pictures import colour_picture
+from .pinhole import CameraPose
+from .rasterizer import rasterize
+from .surfaces import Body, Label, VisibleSurfaces
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

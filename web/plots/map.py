@@ -14,7 +14,7 @@ from markupsafe import Markup, escape
 from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.evaluator.tracks import load_track
 
-from ...rendering import words
+from ..rendering import words
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

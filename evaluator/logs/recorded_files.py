@@ -1,0 +1,86 @@
+"""Reads files of recorded actions: our own logs and records, and 2025 text logs converted to JSON lines."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict, PositiveInt
+
+from ..episodes.records import EpisodeRecord
+from ..strict_model import DocumentRejected, validate
+from ..tracks import Task
+from .log import MAX_LINE_BYTES, LogReader, is_log
+from .packing import open_log
+from .recordings import Recording, RecordingRejected, episode_at, recorded_actions, recording_of
+from .text_2025.scripts import all_scripts
+
+
+class _Line(BaseModel):
+    """Part of a converted 2025 line; unknown keys are ignored."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False)
+
+
+class _StepOf2025(_Line):
+    action: tuple[float, ...]
+    surface_diff_m: tuple[float, ...] | None = None
+    peg_relative_z_mm: tuple[float, ...] | None = None
+
+
+class _EpisodeOf2025(_Line):
+    episode: PositiveInt
+    task: str
+    shape: str
+    initial_offset: tuple[float, ...]
+    steps: tuple[_StepOf2025, ...]
+    result: str
+
+
+def read_recordings(path: Path, task: Task) -> Iterator[Recording]:
+    """Yield the recorded episodes of a file.
+
+    Args:
+        path: one of our logs; or JSON lines, each one of our episode records or a converted 2025 episode.
+        task: task that the recordings must be of.
+
+    Raises:
+        RecordingRejected: a line cannot be read or is of another task.
+        LogRejected: one of our logs is truncated or altered.
+    """
+    if is_log(path):
+        with open_log(path) as stream:
+            yield from (recording_of(record, task) for record in LogReader(stream).records())
+        return
+    with open_log(path) as stream:
+        lines = enumerate(iter(lambda: stream.readline(MAX_LINE_BYTES + 1), b""), start=1)
+        yield from (_recording_in(line, number, task) for number, line in lines)
+
+
+def _recording_in(line: bytes, number: int, task: Task) -> Recording:
+    place = f"Line {number}"
+    try:
+        content = json.loads(line)
+        if isinstance(content, dict) and "state_hashes" in content:
+            return recording_of(validate(EpisodeRecord, content, place), task)
+        return _recording_of_2025(validate(_EpisodeOf2025, content, place), place, task)
+    except (ValueError, RecursionError) as error:
+        raise RecordingRejected(f"{place} is not JSON: {error!s:.120}.") from error
+    except DocumentRejected as error:
+        raise RecordingRejected(str(error)) from error
+
+
+def _recording_of_2025(content: _EpisodeOf2025, place: str, task: Task) -> Recording:
+    if content.task != task.name_2025:
+        raise RecordingRejected(f"{place} is of task {content.task!r}, expected {task.name!r}.")
+    shape, offset = content.shape, content.initial_offset
+    start = next(
+        (s.find_start(shape, offset) for s in all_scripts() if s.hole_tops_mm and s.task == content.task), None
+    )
+    if start is not None:  # The log shows it relative to the hole, in the books of its era.
+        shape, offset = start.part, start.true_offset
+    return Recording(
+        episode=episode_at(task, content.episode, shape, offset, place),
+        actions=recorded_actions(task, [step.action for step in content.steps], place),
+        infos=tuple(step.model_dump(mode="json", exclude={"action"}, exclude_none=True) for step in content.steps),
+        success=content.result == "SUCCESS",
+    )

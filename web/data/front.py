@@ -1,0 +1,61 @@
+"""What the front page shows to everybody; made by `pages.contest.home`, kept for some seconds by `site`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Sequence
+    from datetime import datetime
+    from uuid import UUID
+
+    from vitac.evaluator.tracks import Track
+    from vitac.server.views.contest.competition import CompetitionView
+    from vitac.server.views.contest.people import AnnouncementView
+    from vitac.server.views.leaderboards import LeaderboardEntryView
+    from vitac.server.views.playbacks import PublicEpisodeView
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackCard:
+    """A track on the front page.
+
+    Attributes:
+        name: of the track.
+        title: of the track.
+        summary: what it is about.
+        ranked: number of teams on its board.
+        leader: the first one, if any.
+        state: whether it takes submissions.
+        moment: until when, or from when on; None outside of a competition.
+    """
+
+    name: str
+    title: str
+    summary: str
+    ranked: int
+    leader: LeaderboardEntryView | None
+    state: str
+    moment: datetime | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Front:
+    """What the front page shows to everybody.
+
+    Attributes:
+        cards: the tracks.
+        news: the newest entries of boards, with their tracks.
+        public: submissions among them that everybody may see.
+        cup: the competition, if there is one.
+        said: the newest announcements.
+        episode: a public one with a playback; None: the shipped one is played.
+    """
+
+    cards: Sequence[TrackCard]
+    news: Sequence[tuple[Track, LeaderboardEntryView]]
+    public: Collection[UUID]
+    cup: CompetitionView | None
+    said: Sequence[AnnouncementView]
+    episode: PublicEpisodeView | None
