@@ -108,7 +108,8 @@ def test_limits_count_for_all_processes_together(servers: Servers) -> None:
     second: list[httpx.Response] = []
 
     def other_refuses() -> bool:
-        with servers.only(other), suppress(httpx.TimeoutException):  # one may be stopped while it holds the limit's lock
+        # One may be stopped while it holds the limit's lock.
+        with servers.only(other), suppress(httpx.TimeoutException):
             second.append(upload(b"PK", timeout=2))
         return bool(second) and second[-1].status_code == 429
 
