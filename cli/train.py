@@ -78,6 +78,23 @@ def export(
 
 
 @app.command()
+def search(recipe: RecipeFile, out: RunFolder, processes: Processes = 1, as_json: AsJson = False) -> None:
+    """Search the numbers of a policy for locks by how its episodes end, or go on; the best one is a submission."""
+    _one_thread()
+    from vitac.training.run import Folder, told
+    from vitac.training.search.method import Search, best
+    from vitac.training.search.recipe import read_search_recipe
+
+    searching = Search(recipe=read_search_recipe(recipe), folder=Folder(path=out), processes=processes, tell=_tell)
+    found = searching.go()
+    rows = {f"generation {each.number}": f"{told(each.solved)}, {each.mean_env_steps:.2f} env steps" for each in found}
+    if as_json:
+        print_json({"generations": rows, "best": best(found).number})
+    else:
+        print_pairs({**rows, "best": f"generation {best(found).number}", "submission": out / "submission"})
+
+
+@app.command()
 def reference(
     task: Annotated[str, typer.Argument(help="peg-insertion or lock-opening.")],
     out: Annotated[Path, typer.Option("--out", help="Folder for checkpoints, log and submission.")],

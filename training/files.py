@@ -4,7 +4,7 @@ import hashlib
 import os
 import zlib
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 from zipfile import BadZipFile
@@ -62,8 +62,10 @@ def _replacing(path: Path) -> Iterator[BinaryIO]:
             os.fsync(file.fileno())
         new.replace(path)
     except OSError as error:
-        new.unlink(missing_ok=True)
         raise NotSaved(f"{path} cannot be written ({error.strerror}); free some space and run it again.") from error
+    finally:
+        with suppress(OSError):
+            new.unlink(missing_ok=True)  # also after Ctrl-C
 
 
 def load(path: Path) -> Arrays:

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from vitac.envs.errors import VitacError
 from vitac.evaluator.scoring.score import Rate, rate
+from vitac.evaluator.strict_model import StrictModel
 from vitac.evaluator.version import evaluator_hash
 
 from .actors import ActorKind
@@ -20,6 +21,7 @@ from .collection import Batch, Networks, collect
 from .episodes import Episodes
 from .files import load, save, write_text
 from .learners import Learners
+from .progress import Progress
 from .recipe import Recipe
 from .streams import Use
 
@@ -103,14 +105,18 @@ class Run:
             NotSaved: the disk is full.
             TrainingDiverged: a loss is no number any more; all rounds before are kept.
         """
-        self._claim()
+        claim(self.folder.path, self.recipe)
         self._known.clear()
         results: list[RoundResult] = []
         networks: Networks | None = None
-        for number in range(1, self.recipe.rounds + 1):
+        numbers = range(1, self.recipe.rounds + 1)
+        progress = Progress()
+        progress.left(sum(self.folder.networks(number).exists() for number in numbers), len(numbers))
+        for number in numbers:
             self._play(number, networks)
             networks = self._learned(number)
             results.append(self._judged(number, networks))
+            self._tell_round(results[-1], progress.left(number, len(numbers)))
             self._write_log(results)
         return results
 
@@ -121,20 +127,10 @@ class Run:
             OtherRun: the folder is that of another run.
             NotSaved: the disk is full.
         """
-        self._claim()
+        claim(self.folder.path, self.recipe)
         self._known.clear()
         self._play(1, None)
         return sum(len(played) for _, played in self._known)
-
-    def _claim(self) -> None:
-        """Write what the folder is for, or make sure that it is for this."""
-        claim = {"recipe": json.loads(self.recipe.model_dump_json()), "made_by": evaluator_hash()}
-        path = self.folder.path / "run.json"
-        if path.exists():
-            if json.loads(path.read_text()) != claim:
-                raise OtherRun(f"{self.folder.path} holds a run of another recipe or version; give another folder.")
-            return
-        write_text(path, json.dumps(claim, indent=1) + "\n")
 
     def _play(self, number: int, networks: Networks | None) -> None:
         recipe, first = self.recipe, number * _ROUND_NUMBERS
@@ -166,9 +162,11 @@ class Run:
             played = self._collected(self._batch(kind, Use.CHOOSE, 0, self.recipe.chosen_by, 0.0), networks)
             rates.append(rate(int(played.solved.sum()), len(played)))
         env_steps = sum(len(played.actions) for _, played in self._known)
-        result = RoundResult(number=number, student=rates[0], critic=rates[1], env_steps=env_steps)
-        self.tell(f"round {number}: student {told(rates[0])}, critic {told(rates[1])}, {env_steps} env steps")
-        return result
+        return RoundResult(number=number, student=rates[0], critic=rates[1], env_steps=env_steps)
+
+    def _tell_round(self, result: RoundResult, left: str) -> None:
+        found = f"student {told(result.student)}, critic {told(result.critic)}, {result.env_steps} env steps"
+        self.tell(f"round {result.number} of {self.recipe.rounds}: {found}{left}")
 
     def _write_log(self, results: Sequence[RoundResult]) -> None:
         rows = [
@@ -186,13 +184,31 @@ class Run:
         return Batch(kind=kind, seed=self.recipe.seed, use=use, first=first, count=count, noise=noise)
 
     def _collected(self, batch: Batch, networks: Networks | None) -> Episodes:
+        progress = Progress()
+
         def after_file(done: int, files: int) -> None:
-            self.tell(f"{batch.kind} episodes: {done} of {files} files")
+            self.tell(f"{batch.kind} episodes: {done} of {files} files{progress.left(done, files)}")
 
         return collect(batch, self.folder.episodes, networks=networks, processes=self.processes, after_file=after_file)
 
     def _tell_turn(self, number: int, who: str, turn: int, loss: float) -> None:
         self.tell(f"round {number}, {who}: turn {turn + 1}, loss {loss:.4f}")
+
+
+def claim(folder: Path, recipe: StrictModel) -> None:
+    """Write what the folder of a run is for, or make sure that it is for this.
+
+    Raises:
+        OtherRun: it is that of another recipe or version.
+        NotSaved: the disk is full.
+    """
+    told_now = {"recipe": json.loads(recipe.model_dump_json()), "made_by": evaluator_hash()}
+    path = folder / "run.json"
+    if path.exists():
+        if json.loads(path.read_text()) != told_now:
+            raise OtherRun(f"{folder} holds a run of another recipe or version; give another folder.")
+        return
+    write_text(path, json.dumps(told_now, indent=1) + "\n")
 
 
 def results_of(folder: Folder) -> list[RoundResult]:

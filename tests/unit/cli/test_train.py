@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from toy_lock import ToyLock
 from toy_peg import ToyPeg
 from typer.testing import CliRunner
 from vitac.cli.main import build_app
@@ -25,6 +26,7 @@ student: {networks: 1, hidden: 8, epochs: 1}
 def toy(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("vitac.training.collection.make_environment", ToyPeg)
     monkeypatch.setattr("vitac.training.collection._ENVIRONMENTS", {})
+    monkeypatch.setattr("vitac.training.search.method.lock_environment", ToyLock)
     # The command sets them for the whole process, which here is that of all tests.
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         monkeypatch.setenv(name, "1")
@@ -70,6 +72,27 @@ def test_stopping_says_how_to_go_on(recipe: str, tmp_path: Path, monkeypatch: py
     found = vitac("train", recipe, "--out", str(tmp_path / "run"))
     assert found.exit_code != 0
     assert "run the same command to go on from" in found.stderr
+
+
+def test_searches_and_writes_a_submission(tmp_path: Path) -> None:
+    recipe, out = tmp_path / "search.yaml", tmp_path / "run"
+    recipe.write_text(
+        "task: lock-opening\nseed: 4\ngenerations: 2\ncandidates: 24\nkept: 3\nepisodes: 3\nchosen_by: 3\n"
+    )
+    words = ("train", "search", str(recipe), "--out", str(out))
+    searched = vitac(*words)
+    assert searched.exit_code == 0, searched.output
+    assert str(out / "submission") in searched.stdout
+    assert load_manifest(out / "submission" / "Track_1").tasks == ("lock-opening",)
+    again = json.loads(vitac(*words, "--json").stdout)
+    assert set(again["generations"]) == {"generation 1", "generation 2"}
+    assert f"generation {again['best']}" in searched.stdout
+
+
+def test_recipe_of_the_other_method_is_refused(recipe: str, tmp_path: Path) -> None:
+    found = vitac("train", "search", recipe, "--out", str(tmp_path / "run"))
+    assert found.exit_code != 0
+    assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.parametrize("words", [["nowhere.yaml", "--out", "run"], ["export", "nowhere", "--to", "there"]])

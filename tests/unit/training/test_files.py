@@ -68,6 +68,27 @@ def test_full_disk_keeps_what_was_saved_before(tmp_path: Path, monkeypatch: pyte
     assert list(tmp_path.iterdir()) == [path]
 
 
+def test_stopping_in_the_middle_keeps_what_was_saved_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "episodes.npz"
+    save(path, ARRAYS)
+    before = path.read_bytes()
+
+    def stop(_: int) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(os, "fsync", stop)
+    with pytest.raises(KeyboardInterrupt):
+        save(path, {"actions": np.zeros(3)})
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_folder_that_cannot_be_made_is_told(tmp_path: Path) -> None:
+    (tmp_path / "taken").write_text("a file")
+    with pytest.raises(NotSaved, match=r"taken/log.jsonl cannot be written"):
+        write_text(tmp_path / "taken" / "log.jsonl", "text")
+
+
 def test_text_is_replaced_as_a_whole(tmp_path: Path) -> None:
     path = tmp_path / "log.jsonl"
     for text in ("first\n", "second\n"):

@@ -50,8 +50,21 @@ def test_each_round_is_assessord_and_logged(tmp_path: Path) -> None:
     assert results_of(Folder(path=tmp_path)) == results
     assert results[1].env_steps > results[0].env_steps
     assert [result.student.episodes for result in results] == [10, 10]
-    assert any(line.startswith("round 2: student ") for line in lines)
+    assert any(line.startswith("round 2 of 2: student ") for line in lines)
     assert any("random episodes: 1 of 1 files" in line for line in lines)
+
+
+def test_tells_how_long_is_left(tmp_path: Path) -> None:
+    lines: list[str] = []
+    run(tmp_path, RECIPE.model_copy(update={"random_episodes": 60}), lines=lines).go()
+    rounds = [line for line in lines if line.startswith("round") and " of 2: student" in line]
+    assert [line.endswith(" env steps, less than 1 min left") for line in rounds] == [True, False]
+    files = [line for line in lines if line.startswith("random episodes")]
+    assert files == [
+        "random episodes: 0 of 2 files",
+        "random episodes: 1 of 2 files, less than 1 min left",
+        "random episodes: 2 of 2 files",
+    ]
 
 
 def test_finished_run_is_not_made_again(tmp_path: Path, toy: list[ToyPeg]) -> None:
@@ -69,7 +82,7 @@ def test_finished_run_is_not_made_again(tmp_path: Path, toy: list[ToyPeg]) -> No
         "round 1, critic: turn 2",
         "round 2, assessor: turn 2",
         "round 2, student: turn 1",
-        "round 2: ",
+        "round 2 of 2: ",
     ],
 )
 def test_stopped_run_ends_with_the_same_bits(tmp_path: Path, stop_at: str) -> None:

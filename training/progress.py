@@ -1,0 +1,33 @@
+"""How long work still takes, by how long it took so far; told to people, and nothing depends on it."""
+
+from collections.abc import Callable
+from time import monotonic
+
+
+class Progress:
+    """Work of equal parts, of which some may have been done before.
+
+    Args:
+        clock: gives the time [s].
+    """
+
+    def __init__(self, clock: Callable[[], float] = monotonic) -> None:
+        self._clock = clock
+        self._began: tuple[int, float] | None = None
+
+    def left(self, done: int, total: int) -> str:
+        """Return how long is left as the end of a sentence, such as ", about 3 min left".
+
+        It is empty where nothing is left, and where no part was done since the first call.
+        """
+        now = self._clock()
+        if self._began is None:
+            self._began = (done, now)
+        before, began_s = self._began
+        if done <= before or done >= total:
+            return ""
+        left_s = (now - began_s) / (done - before) * (total - done)
+        if left_s < 60:
+            return ", less than 1 min left"
+        minutes = round(left_s / 60)
+        return f", about {minutes} min left" if minutes < 120 else f", about {minutes / 60:.1f} h left"

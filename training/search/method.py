@@ -1,0 +1,222 @@
+"""The cross-entropy method (Rubinstein 1999, Mannor et al. 2003): no gradients and no truth, only how episodes end.
+
+A generation draws candidates around a mean, lets all play the same starts, and takes mean and spread of the best. What
+is drawn follows from the recipe's seed and the number of the generation, so that a search that was stopped ends with
+the same bits as one that was not, however many processes play.
+"""
+
+import io
+import json
+import shutil
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache, partial
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from vitac.envs.errors import VitacError
+from vitac.evaluator.episodes.episode import make_environment
+from vitac.evaluator.scoring.score import Rate, rate
+from vitac.evaluator.tracks import find_task
+
+from ..files import load, save, write_bytes, write_text
+from ..progress import Progress
+from ..run import Folder, Tell, claim, told
+from ..streams import Use, stream
+from . import policy
+from .policy import ACTIONS, FEATURES, FloatArray, Opening
+from .recipe import SearchRecipe
+
+LONGEST_ENV_STEPS = 12
+"""After which an episode of the search counts as not solved; a good one takes five."""
+ENV_STEP_COST = 0.02
+"""Of an env step, where success is worth 1."""
+LEAST_SPREAD = 0.05
+"""So that candidates differ to the end."""
+_GENERATION_NUMBERS = 100_000
+"""Numbers of episodes that each generation has of its own."""
+
+MakeEnvironment = Callable[[], Any]
+
+
+def lock_environment() -> Any:
+    """Return the environment of the lock task as policies are scored in it."""
+    return make_environment(find_task("lock-opening")[1])
+
+
+class NothingSolved(VitacError):
+    """No candidate solved an episode, so none is better than another; give more candidates or episodes."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ending:
+    """How an episode ended.
+
+    Attributes:
+        solved: whether with success.
+        env_steps: played.
+    """
+
+    solved: bool
+    env_steps: int
+
+    @property
+    def worth(self) -> float:
+        """What a candidate gets for it, 0 to 1."""
+        return 1.0 - ENV_STEP_COST * self.env_steps if self.solved else 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Generation:
+    """What a generation found.
+
+    Attributes:
+        number: from 1.
+        solved: successes of its mean from the starts by which the best is chosen.
+        mean_env_steps: of these successes; 0 without any.
+    """
+
+    number: int
+    solved: Rate
+    mean_env_steps: float
+
+
+@dataclass(kw_only=True, eq=False)
+class Search:
+    """A search for the weights of a policy.
+
+    Attributes:
+        recipe: what is done.
+        folder: where its files are.
+        processes: how many play episodes.
+        tell: is told what each generation found, a line each.
+        make: makes the environment of a process.
+    """
+
+    recipe: SearchRecipe
+    folder: Folder
+    processes: int = 1
+    tell: Tell = field(default=lambda _: None)
+    make: MakeEnvironment = field(default_factory=lambda: lock_environment)
+
+    def go(self) -> list[Generation]:
+        """Do what is left of the search, write the submission of the best generation, and return all of them.
+
+        Raises:
+            NothingSolved: no candidate of a generation solved an episode.
+            NotSaved: the disk is full.
+            OtherRun: the folder is that of another recipe or version.
+        """
+        claim(self.folder.path, self.recipe)
+        mean, spread = np.zeros((ACTIONS, FEATURES)), np.ones((ACTIONS, FEATURES))
+        found: list[Generation] = []
+        numbers = range(1, self.recipe.generations + 1)
+        progress = Progress()
+        progress.left(sum(self.folder.networks(number).exists() for number in numbers), len(numbers))
+        for number in numbers:
+            mean, spread = self._next(number, mean, spread)
+            found.append(self._judged(number, mean))
+            self._tell_generation(found[-1], progress.left(number, len(numbers)))
+            write_text(self.folder.log, "".join(json.dumps(_row(each)) + "\n" for each in found))
+        chosen = best(found)
+        export(load(self.folder.networks(chosen.number))["mean"], self.folder.path / "submission")
+        return found
+
+    def _next(self, number: int, mean: FloatArray, spread: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return mean and spread of the best of a generation, or read what they were."""
+        path = self.folder.networks(number)
+        if not path.exists():
+            random = np.random.default_rng((self.recipe.seed, number))
+            drawn = mean + spread * random.standard_normal((self.recipe.candidates, *mean.shape))
+            worth = self._worth(drawn, number)
+            if not worth.any():
+                raise NothingSolved(
+                    f"No candidate of generation {number} solved any of {self.recipe.episodes} episodes; "
+                    "give more candidates or episodes, or another seed."
+                )
+            kept = drawn[np.argsort(-worth, kind="stable")[: self.recipe.kept]]
+            save(path, {"mean": kept.mean(axis=0), "spread": np.maximum(kept.std(axis=0), LEAST_SPREAD)})
+        stored = load(path)
+        return stored["mean"], stored["spread"]
+
+    def _worth(self, candidates: FloatArray, number: int) -> FloatArray:
+        """Return the mean worth of the episodes of each candidate."""
+        starts = self._starts(Use.COLLECT, number * _GENERATION_NUMBERS, self.recipe.episodes)
+        endings = self._played([(weights, start) for weights in candidates for start in starts])
+        worth = np.array([ending.worth for ending in endings])
+        return np.asarray(worth.reshape(len(candidates), -1).mean(axis=1))
+
+    def _judged(self, number: int, mean: FloatArray) -> Generation:
+        endings = self._played([(mean, start) for start in self._starts(Use.CHOOSE, 0, self.recipe.chosen_by)])
+        solved = [ending.env_steps for ending in endings if ending.solved]
+        return Generation(
+            number=number,
+            solved=rate(len(solved), len(endings)),
+            mean_env_steps=sum(solved) / len(solved) if solved else 0.0,
+        )
+
+    def _tell_generation(self, found: Generation, left: str) -> None:
+        solved = f"{told(found.solved)} in {found.mean_env_steps:.2f} env steps"
+        self.tell(f"generation {found.number} of {self.recipe.generations}: {solved}{left}")
+
+    def _starts(self, use: Use, first: int, count: int) -> list[tuple[int, int]]:
+        seed = stream(self.recipe.seed, use)
+        return [(seed, first + number) for number in range(count)]
+
+    def _played(self, works: Sequence[tuple[FloatArray, tuple[int, int]]]) -> list[Ending]:
+        playing = partial(_play, self.make)
+        if self.processes == 1:
+            return list(map(playing, works))
+        _environment(self.make)  # Loaded here, so that it is in every process that is forked.
+        with get_context("fork").Pool(self.processes) as pool:
+            return pool.map(playing, works)
+
+
+def best(found: Iterable[Generation]) -> Generation:
+    """Return the generation with the most successes, of these with the fewest env steps, and of equals the latest."""
+    return max(found, key=lambda each: (each.solved.successes, -each.mean_env_steps, each.number))
+
+
+def export(weights: FloatArray, folder: Path) -> None:
+    """Write the submission of a policy with these weights.
+
+    Raises:
+        NotSaved: it cannot be written.
+    """
+    track = folder / "Track_1"
+    packed = io.BytesIO()
+    np.savez(packed, weights=weights.round(4))
+    write_bytes(track / "weights.npz", packed.getvalue())
+    write_text(
+        track / "submission.yaml",
+        "track: track_1\ntasks: [lock-opening]\nname: sixteen numbers\nentry_point: policy:Policy\n"
+        "observation_keys: [marker_flow]\n",
+    )
+    shutil.copyfile(str(policy.__file__), track / "policy.py")
+
+
+def play(env: Any, weights: FloatArray, start: tuple[int, int]) -> Ending:
+    """Play an episode of a stream, at most `LONGEST_ENV_STEPS`."""
+    observation, _ = env.reset(options={"rng_seed": start})
+    opening = Opening(weights)
+    for env_steps in range(1, LONGEST_ENV_STEPS + 1):
+        observation, _, terminated, truncated, info = env.step(opening.act(observation["marker_flow"]))
+        if terminated or truncated:
+            return Ending(solved=bool(info["is_success"]), env_steps=env_steps)
+    return Ending(solved=False, env_steps=LONGEST_ENV_STEPS)
+
+
+def _row(each: Generation) -> Mapping[str, Any]:
+    return {"generation": each.number, "solved": each.solved.model_dump(), "mean_env_steps": each.mean_env_steps}
+
+
+@cache
+def _environment(make: MakeEnvironment) -> Any:
+    """Return the environment of this process; one that is made before a fork is there in the other, too."""
+    return make()
+
+
+def _play(make: MakeEnvironment, work: tuple[FloatArray, tuple[int, int]]) -> Ending:
+    return play(_environment(make), *work)
