@@ -63,7 +63,7 @@ def start(
         session: of the transaction.
         submission: what is evaluated.
         run: number of the run.
-        charged_at: when the team's quotas counted it; None: it costs nothing.
+        charged_at: when the team's quotas counted it; None: organizers asked for it, so it costs nothing.
         turn: its turn; None: the team's next one.
         rejudgement_id: that proposes it; None: it will be the submission's result.
     """
@@ -78,6 +78,7 @@ def start(
         turn=next_turn(session, submission.team_id) if turn is None else turn,
         log_tail="",
         charged_at=charged_at,
+        asked_by_team=charged_at is not None,
         rejudgement_id=rejudgement_id,
         is_proposed=rejudgement_id is not None,
         created_at=datetime.now(UTC),
@@ -173,12 +174,12 @@ def fail_by_machines(session: Session, evaluation: Evaluation, message: str) -> 
 
 
 def count_machine_failures(session: Session, *conditions: ColumnElement[bool]) -> int:
-    """Return how many evaluations that no rejudgement asked for machines have ended in the last 24 hours."""
+    """Return how many evaluations that teams asked for machines have ended in the last 24 hours."""
     query = select(func.count()).select_from(Evaluation).join(Submission)
     by_machines = Evaluation.verdict_code == ServiceVerdict.MACHINE_FAILED
     since = func.now() - timedelta(days=1)
-    is_teams = Evaluation.rejudgement_id.is_(None)
-    return session.scalar(query.where(by_machines, is_teams, Evaluation.finished_at > since, *conditions)) or 0
+    recent = Evaluation.finished_at > since
+    return session.scalar(query.where(by_machines, Evaluation.asked_by_team, recent, *conditions)) or 0
 
 
 def cancel(session: Session, evaluation: Evaluation) -> None:

@@ -6,6 +6,8 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from functools import partial
+from typing import TypeVar
+from uuid import UUID
 
 import structlog
 from sqlalchemy import delete, select
@@ -19,6 +21,8 @@ from vitac.server.settings import Settings
 
 logger = structlog.get_logger(__name__)
 
+ResultT = TypeVar("ResultT")
+
 MAX_ATTEMPTS = 8
 FIRST_PAUSE = timedelta(seconds=30)
 """After the first try; each further pause is three times as long, together about 18 hours."""
@@ -27,12 +31,14 @@ CLAIMED = timedelta(minutes=2)
 KEPT = timedelta(days=30)
 LOOK_FOR_DEADLINES_EVERY_S = 600.0
 PROBLEM_LENGTH = 500
+WEBHOOKS_AT_ONCE = 8
+"""Only one of them is of the same team: webhooks that hang hold up the further notices of their own team."""
 STOPPED_WITHIN_S = 5.0
 """A notice that takes longer than that to send when the server stops is left to the next one."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Claimed:
+class Claimed:
     """A notice that this process sends now, and where to."""
 
     notice: Notice
@@ -40,8 +46,12 @@ class _Claimed:
     secret: str
 
 
+Look = Callable[[], Callable[[], None] | None]
+"""Returns what there is to do; None: nothing now."""
+
+
 class NoticeSender:
-    """Threads that send what is due, from `start` to `stop`, one for each channel: slow webhooks hold up no e-mails.
+    """Threads that send what is due, from `start` to `stop`: one for e-mails, several for webhooks, which may be slow.
 
     They outlive restarts of the database, and whatever else goes wrong with a notice.
     """
@@ -51,12 +61,17 @@ class NoticeSender:
         self._settings = settings
         self._stopping = threading.Event()
         self._looked_at = float("-inf")
-        works: dict[str, Callable[[], None]] = {
-            f"notices-{channel}": partial(self._send_due, channel) for channel in NoticeChannel
+        self._teams_at_work: dict[NoticeChannel, set[UUID]] = {channel: set() for channel in NoticeChannel}
+        looks: dict[str, tuple[Look, int]] = {
+            channel.value: (partial(self._next, channel), WEBHOOKS_AT_ONCE if channel is NoticeChannel.WEBHOOK else 1)
+            for channel in NoticeChannel
         }
-        works["notices-deadlines"] = self._look_for_deadlines
+        looks["deadlines"] = (self._look_for_deadlines, 1)
         self._threads = [
-            threading.Thread(target=self._repeat, args=[work], name=name, daemon=True) for name, work in works.items()
+            threading.Thread(target=self._repeat, args=[look, turn], name=f"notices-{name}-{number}", daemon=True)
+            for name, (look, n_threads) in looks.items()
+            for turn in [threading.Lock()]
+            for number in range(n_threads)
         ]
 
     def start(self) -> None:
@@ -71,17 +86,31 @@ class NoticeSender:
         for thread in self._threads:
             thread.join(max(0.0, until - time.monotonic()))
 
-    def _repeat(self, work: Callable[[], None]) -> None:
-        while not self._stopping.is_set():
-            try:
-                work()
-            except Exception as error:  # noqa: BLE001 - whatever it is, the next round tries again
-                logger.warning("notices_postponed", error=mail.one_line(repr(error), max_length=PROBLEM_LENGTH))
-            self._stopping.wait(self._settings.sweep_interval_s)
+    def _repeat(self, look: Look, turn: threading.Lock) -> None:
+        """Look and do what there is; of several threads one looks or waits, while the others are at work."""
+        while True:
+            with turn:
+                if self._stopping.is_set():
+                    return
+                work = _tried(look)
+                if work is None:
+                    self._stopping.wait(self._settings.sweep_interval_s)
+            if work is not None:
+                _tried(work)
 
-    def _send_due(self, channel: NoticeChannel) -> None:
-        while not self._stopping.is_set() and send_one(self._database, self._settings, [channel]):
-            pass
+    def _next(self, channel: NoticeChannel) -> Callable[[], None] | None:
+        teams = self._teams_at_work[channel]
+        claimed = claim(self._database, [channel], apart_from=teams)
+        if claimed is None:
+            return None
+        teams.add(claimed.notice.team_id)
+        return partial(self._send, claimed)
+
+    def _send(self, claimed: Claimed) -> None:
+        try:
+            send(self._database, self._settings, claimed)
+        finally:
+            self._teams_at_work[claimed.notice.channel].discard(claimed.notice.team_id)
 
     def _look_for_deadlines(self) -> None:
         if time.monotonic() - self._looked_at > LOOK_FOR_DEADLINES_EVERY_S:
@@ -92,17 +121,50 @@ class NoticeSender:
             self._looked_at = time.monotonic()
 
 
-def send_one(
-    database: Database, settings: Settings, channels: Collection[NoticeChannel] = tuple(NoticeChannel)
-) -> bool:
-    """Send the notice of these channels that has been due for longest; whether there was one.
+def _tried(work: Callable[[], ResultT]) -> ResultT | None:
+    """Do something; None where it failed, whatever it is: the next round tries again."""
+    try:
+        return work()
+    except Exception as error:  # noqa: BLE001 - see above
+        logger.warning("notices_postponed", error=mail.one_line(repr(error), max_length=PROBLEM_LENGTH))
+        return None
 
-    It is claimed first, in a transaction of its own: killed in between, it is sent again when the claim ends.
-    Whatever goes wrong with it is noted as its problem, so that no notice keeps the others from being sent.
+
+def claim(
+    database: Database,
+    channels: Collection[NoticeChannel] = tuple(NoticeChannel),
+    *,
+    apart_from: Collection[UUID] = (),
+) -> Claimed | None:
+    """Return the notice of these channels that has been due for longest, for `send`; None: nothing is due.
+
+    It is claimed in a transaction of its own: killed in between, it is sent again when the claim ends.
+
+    Args:
+        database: of the notices.
+        channels: of which it may be.
+        apart_from: teams whose notices have to wait.
     """
-    claimed = _claim(database, channels)
-    if claimed is None:
-        return False
+    now = datetime.now(UTC)
+    with database.transaction() as session:
+        # A notice whose last try was not noted, because its sender was killed, is given up here.
+        while (found := _first_due(session, now, channels, apart_from)) and found.attempts >= MAX_ATTEMPTS:
+            _give_up(found, now, found.problem or "The server ended while it was sending this.")
+        if found is None:
+            return None
+        found.attempts += 1
+        found.due_at = now + CLAIMED
+        hook = session.get(Webhook, found.target) if found.channel is NoticeChannel.WEBHOOK else None
+        session.flush()
+        return Claimed(
+            notice=found,
+            address=hook.address if hook is not None else "",
+            secret=hook.secret if hook is not None else "",
+        )
+
+
+def send(database: Database, settings: Settings, claimed: Claimed) -> None:
+    """Send a claimed notice. Whatever goes wrong is noted as its problem, so it keeps no others from being sent."""
     try:
         if claimed.notice.channel is NoticeChannel.MAIL:
             mail.send(claimed.notice, settings)
@@ -117,31 +179,14 @@ def send_one(
         problem = f"{type(error).__name__}: {error}"
         logger.warning("notice_not_sent", notice=str(claimed.notice.id), problem=problem[:PROBLEM_LENGTH])
     _note(database, claimed.notice, problem and mail.one_line(problem, max_length=PROBLEM_LENGTH))
-    return True
 
 
-def _claim(database: Database, channels: Collection[NoticeChannel] = tuple(NoticeChannel)) -> _Claimed | None:
-    now = datetime.now(UTC)
-    with database.transaction() as session:
-        # A notice whose last try was not noted, because its sender was killed, is given up here.
-        while (found := _first_due(session, now, channels)) is not None and found.attempts >= MAX_ATTEMPTS:
-            _give_up(found, now, found.problem or "The server ended while it was sending this.")
-        if found is None:
-            return None
-        found.attempts += 1
-        found.due_at = now + CLAIMED
-        hook = session.get(Webhook, found.target) if found.channel is NoticeChannel.WEBHOOK else None
-        session.flush()
-        return _Claimed(
-            notice=found,
-            address=hook.address if hook is not None else "",
-            secret=hook.secret if hook is not None else "",
-        )
-
-
-def _first_due(session: Session, now: datetime, channels: Collection[NoticeChannel]) -> Notice | None:
-    due = Notice.due_at <= now, Notice.sent_at.is_(None), Notice.given_up_at.is_(None), Notice.channel.in_(channels)
-    query = select(Notice).where(*due).order_by(Notice.due_at, Notice.id).limit(1)
+def _first_due(
+    session: Session, now: datetime, channels: Collection[NoticeChannel], apart_from: Collection[UUID]
+) -> Notice | None:
+    due = Notice.due_at <= now, Notice.sent_at.is_(None), Notice.given_up_at.is_(None)
+    wanted = Notice.channel.in_(channels), Notice.team_id.not_in(apart_from)
+    query = select(Notice).where(*due, *wanted).order_by(Notice.due_at, Notice.id).limit(1)
     return session.scalar(query.with_for_update(skip_locked=True))
 
 

@@ -16,6 +16,7 @@ from sqlalchemy import (
     false,
     func,
     text,
+    true,
 )
 from sqlalchemy.dialects.postgresql import JSONB
 from sqlalchemy.orm import Mapped, mapped_column, relationship
@@ -40,7 +41,7 @@ class Evaluation(Base):
     One that `is_proposed` belongs to a rejudgement that was not applied: it is no result of its submission.
     `commitment` names the sealed list that is played; NULL: the public one. `turn` orders those that wait, see
     `server.queue.turns`. `charged_at` says when the team's quotas counted it; NULL
-    where it costs nothing.
+    where it costs nothing. `asked_by_team`: organizers did not start it.
     """
 
     __tablename__ = "evaluations"
@@ -88,6 +89,7 @@ class Evaluation(Base):
     is_proposed: Mapped[bool] = mapped_column(default=False, server_default=false())
     turn: Mapped[int] = mapped_column(default=0, server_default=text("0"))
     charged_at: Mapped[datetime | None]
+    asked_by_team: Mapped[bool] = mapped_column(default=True, server_default=true())
     created_at: Mapped[datetime] = mapped_column(server_default=func.now())
     started_at: Mapped[datetime | None]
     finished_at: Mapped[datetime | None]

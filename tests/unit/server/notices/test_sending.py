@@ -25,7 +25,7 @@ from vitac.server.accounts import members, teams
 from vitac.server.accounts.principals import CONSOLE, Principal
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Notice, Webhook
-from vitac.server.db.states import NoticeChannel, NoticeKind
+from vitac.server.db.states import NoticeChannel, NoticeKind, Role
 from vitac.server.errors import ProblemCode
 from vitac.server.notices import deadlines, outbox, sending, webhooks
 from vitac.server.settings import Settings
@@ -139,6 +139,14 @@ def with_address(session: Session, by: Principal, address: str = "ann@example.or
     members.set_email(session, CONSOLE, members.captain_of(session, teams.own(session, by)), address)
 
 
+def send_one(database: Database, settings: Settings) -> bool:
+    """Sends what has been due for longest; whether there was something."""
+    claimed = sending.claim(database)
+    if claimed is not None:
+        sending.send(database, settings, claimed)
+    return claimed is not None
+
+
 def due_again(database: Database) -> None:
     """Lets the pause before the next try pass."""
     with database.transaction() as session:
@@ -153,7 +161,7 @@ def test_a_submission_is_told_from_acceptance_to_its_end_and_each_only_once(data
         submission = submit(session, team)
         outbox.announce(session, NoticeKind.ACCEPTED, submission.team_id, "other:1", FACTS)
     play_all(database, submission)
-    while sending.send_one(database, settings):
+    while send_one(database, settings):
         pass
     mails = [
         email.message_from_bytes(path.read_bytes(), policy=policy.default)
@@ -171,7 +179,7 @@ def test_a_submission_is_told_from_acceptance_to_its_end_and_each_only_once(data
     with database.transaction() as session:
         outbox.announce(session, NoticeKind.ACCEPTED, submission.team_id, "other:1", FACTS)
         assert all(notice.sent_at and notice.attempts == 1 for notice in outbox.newest(session))
-    assert not sending.send_one(database, settings)
+    assert not send_one(database, settings)
 
 
 def test_what_is_rolled_back_muted_or_of_who_has_left_is_not_told(database: Database) -> None:
@@ -218,15 +226,15 @@ def test_a_webhook_is_signed_retried_with_the_same_id_and_follows_no_redirect(
             hook = webhooks.add(session, team, own, receiver.address, inside_allowed=True)
             outbox.announce(session, NoticeKind.FINISHED, own.id, "evaluation:1", FACTS)
         receiver.status = 302
-        assert sending.send_one(database, settings)
-        assert not sending.send_one(database, settings), "the next try waits"
+        assert send_one(database, settings)
+        assert not send_one(database, settings), "the next try waits"
         with database.transaction() as session:
             notice = outbox.newest(session, unsent_only=True)[0]
             assert notice.problem == "It answered with status 302, expected 2xx."
             assert timedelta(seconds=20) < notice.due_at - datetime.now(UTC) <= sending.FIRST_PAUSE
         receiver.status = 200
         due_again(database)
-        assert sending.send_one(database, settings)
+        assert send_one(database, settings)
     (first, body), (second, repeated) = receiver.got
     assert (first["Vitac-Notice-Id"], body) == (second["Vitac-Notice-Id"], repeated)
     for headers, sent in receiver.got:
@@ -250,9 +258,9 @@ def test_a_notice_that_cannot_be_sent_is_given_up_and_sent_again_by_an_organizer
         outbox.announce(session, NoticeKind.FINISHED, own.id, "evaluation:1", FACTS)
     for _ in range(2):
         due_again(database)
-        assert [sending.send_one(database, settings) for _ in range(3)] == [True, True, False]
+        assert [send_one(database, settings) for _ in range(3)] == [True, True, False]
     due_again(database)
-    assert not sending.send_one(database, settings)
+    assert not send_one(database, settings)
     with database.transaction() as session:
         found = {notice.channel: notice for notice in outbox.newest(session)}
         assert "VITAC_MAIL_URL is not set" in str(found[NoticeChannel.MAIL].problem)
@@ -263,7 +271,7 @@ def test_a_notice_that_cannot_be_sent_is_given_up_and_sent_again_by_an_organizer
         outbox.retry(session, CONSOLE, found[NoticeChannel.MAIL].id)
         with refused(ProblemCode.INVALID_REQUEST):
             outbox.retry(session, CONSOLE, found[NoticeChannel.MAIL].id)
-    assert [sending.send_one(database, settings) for _ in range(2)] == [True, False]
+    assert [send_one(database, settings) for _ in range(2)] == [True, False]
 
 
 def test_who_was_killed_while_sending_loses_nothing_and_who_was_late_says_nothing(
@@ -273,11 +281,11 @@ def test_who_was_killed_while_sending_loses_nothing_and_who_was_late_says_nothin
         team = make_principal(session)
         with_address(session, team)
         outbox.announce(session, NoticeKind.FINISHED, teams.own(session, team).id, "evaluation:1", FACTS)
-    claimed = sending._claim(database)
+    claimed = sending.claim(database)
     assert claimed is not None
-    assert sending._claim(database) is None
+    assert sending.claim(database) is None
     due_again(database)  # the claim has ended
-    assert sending.send_one(database, settings_with(tmp_path))
+    assert send_one(database, settings_with(tmp_path))
     sending._note(database, claimed.notice, "too late")
     with database.transaction() as session:
         (notice,) = outbox.newest(session)
@@ -310,7 +318,7 @@ def test_an_address_that_is_none_is_its_notices_problem_and_no_other_ones(
             with_address(session, team, target)
             outbox.announce(session, NoticeKind.FINISHED, teams.own(session, team).id, f"evaluation:{name}", FACTS)
     settings = settings_with(tmp_path)
-    assert [sending.send_one(database, settings) for _ in range(3)] == [True, True, False]
+    assert [send_one(database, settings) for _ in range(3)] == [True, True, False]
     with database.transaction() as session:
         sent = {notice.target: notice.sent_at is not None for notice in outbox.newest(session)}
         assert sent["bee@example.org"]
@@ -338,7 +346,7 @@ def test_a_receiver_that_answers_byte_by_byte_is_cut_off(
 def test_what_a_receiver_says_is_kept_in_one_line_without_controls(database: Database, tmp_path: Path) -> None:
     with answering([b"\0\x1b[31mnonsense\0" + b"x" * 900 + b"\r\n\r\n"]) as port:
         a_webhook_notice(database, f"http://127.0.0.1:{port}/")
-        assert sending.send_one(database, settings_with(tmp_path))
+        assert send_one(database, settings_with(tmp_path))
     with database.transaction() as session:
         (notice,) = outbox.newest(session)
         assert notice.problem is not None
@@ -359,52 +367,65 @@ def test_a_notice_whose_last_try_was_not_noted_is_given_up_and_the_next_is_sent(
         killed.attempts, killed.due_at = sending.MAX_ATTEMPTS, datetime.now(UTC) - timedelta(hours=1)
         killed_id = killed.id
     settings = settings_with(tmp_path)
-    assert [sending.send_one(database, settings) for _ in range(2)] == [True, False]
+    assert [send_one(database, settings) for _ in range(2)] == [True, False]
     with database.transaction() as session:
         given_up = session.get_one(Notice, killed_id)
         assert (given_up.given_up_at is not None, given_up.sent_at) == (True, None)
         assert given_up.problem == "The server ended while it was sending this."
         outbox.retry(session, CONSOLE, killed_id)
-    assert sending.send_one(database, settings)
+    assert send_one(database, settings)
 
 
-def test_mails_go_on_while_deadlines_fail_and_a_webhook_hangs_and_the_sender_stops_nevertheless(
+def test_only_its_own_team_waits_for_a_webhook_that_hangs_and_the_sender_stops_nevertheless(
     database: Database, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    hanging, failed, let_go = threading.Event(), threading.Event(), threading.Event()
+    failed, let_go, sent = threading.Event(), threading.Event(), threading.Event()
+    begun: list[str] = []
 
-    def hang(*_: object, **__: object) -> None:
-        hanging.set()
-        let_go.wait(30)
+    def send(_: Notice, address: str, *__: object, **___: object) -> None:
+        begun.append(address)
+        if "hangs" in address:
+            let_go.wait(30)
+        else:
+            sent.set()
 
     def fail(*_: object) -> None:
         failed.set()
         raise ValueError("no competition")
 
-    monkeypatch.setattr(webhooks, "send", hang)
+    monkeypatch.setattr(webhooks, "send", send)
     monkeypatch.setattr(deadlines, "announce_near", fail)
     monkeypatch.setattr(sending, "STOPPED_WITHIN_S", 0.05)
+    with database.transaction() as session:
+        for name, hooks in (("Ants", sending.WEBHOOKS_AT_ONCE), ("Bees", 1)):
+            own = teams.own(session, make_principal(session, name))
+            for number in range(hooks):
+                address = f"http://127.0.0.1:1/{'hangs' if name == 'Ants' else 'answers'}/{number}"
+                session.add(Webhook(team_id=own.id, address=address, secret="0" * 64))
+            session.flush()
+            with_address(session, Principal(role=Role.TEAM, team_id=own.id, team_name=name), f"{name}@example.org")
+            outbox.announce(session, NoticeKind.FINISHED, own.id, f"evaluation:{name}", FACTS)
+        session.execute(update(Notice).where(Notice.team_id == own.id).values(due_at=datetime.now(UTC)))
     sender = sending.NoticeSender(database, settings_with(tmp_path).model_copy(update={"sweep_interval_s": 0.02}))
-    a_webhook_notice(database, "http://127.0.0.1:1/")
     sender.start()
     try:
-        assert hanging.wait(30)
+        assert sent.wait(30)
         assert failed.wait(30)
-        with database.transaction() as session:
-            team = make_principal(session, "Bees")
-            with_address(session, team)
-            outbox.announce(session, NoticeKind.FINISHED, teams.own(session, team).id, "evaluation:2", FACTS)
         for _ in range(1000):
-            if written := list((tmp_path / "mails").glob("*.eml")):
+            if len(written := list((tmp_path / "mails").glob("*.eml"))) == 2:
                 break
             let_go.wait(0.02)
         sender.stop()
-        assert written
-        assert any(thread.is_alive() for thread in sender._threads), "the webhook is still at work"
+        assert len(written) == 2, "the mails of both teams"
+        assert sorted("hangs" in address for address in begun) == [False, True], "one at a time of a team"
+        assert [thread.is_alive() for thread in sender._threads].count(True) == 1, "the webhook is still at work"
     finally:
         let_go.set()
         for thread in sender._threads:
             thread.join()
+    with database.transaction() as session:
+        unsent = outbox.newest(session, unsent_only=True)
+        assert len(unsent) == sending.WEBHOOKS_AT_ONCE - 1, "no other was begun after the sender was told to stop"
 
 
 def test_webhooks_are_the_captains_and_few(database: Database) -> None:
@@ -455,7 +476,7 @@ def test_a_webhook_that_is_removed_takes_its_waiting_notices_along(database: Dat
         webhooks.remove(session, CONSOLE, team, hook.id)
         assert [notice.channel for notice in outbox.newest(session)] == [NoticeChannel.MAIL]
     settings = settings_with(tmp_path)
-    assert [sending.send_one(database, settings) for _ in range(2)] == [True, False]
+    assert [send_one(database, settings) for _ in range(2)] == [True, False]
 
 
 def test_of_several_senders_at_once_each_sends_other_notices(database: Database, tmp_path: Path) -> None:
@@ -466,7 +487,7 @@ def test_of_several_senders_at_once_each_sends_other_notices(database: Database,
         for number in range(12):
             outbox.announce(session, NoticeKind.FINISHED, teams.own(session, team).id, f"evaluation:{number}", FACTS)
     with ThreadPoolExecutor(4) as pool:
-        sent = list(pool.map(lambda _: sending.send_one(database, settings), range(16)))
+        sent = list(pool.map(lambda _: send_one(database, settings), range(16)))
     assert sent.count(True) == 12
     with database.transaction() as session:
         assert {notice.attempts for notice in outbox.newest(session)} == {1}

@@ -1,5 +1,6 @@
 import threading
 
+import pytest
 from service_factories import (
     make_principal,
     play,
@@ -9,6 +10,7 @@ from sqlalchemy import text
 from submission_steps import break_policy, create, ids_of, refused, view_of
 from vitac.server.accounts.principals import CONSOLE, Principal
 from vitac.server.db.engine import Database
+from vitac.server.db.models import Submission
 from vitac.server.db.states import EvaluationState
 from vitac.server.errors import ProblemCode
 from vitac.server.evaluations import lifecycle
@@ -111,6 +113,29 @@ def test_a_submission_that_machines_fail_at_again_and_again_is_started_by_organi
         runs.run_again(session, CONSOLE, submission.id)
     evaluation = view_of(database, principal, submission).evaluation
     assert (evaluation.state, evaluation.run) == (EvaluationState.QUEUED, 2)
+
+
+def test_machines_that_fail_at_what_organizers_started_count_for_no_team(
+    database: Database, principal: Principal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(lifecycle, "FREE_FAILURES_PER_DAY", 1)
+    submission, _ = create(database, principal)
+    for _ in range(runs.MACHINE_FAILURES):
+        with database.transaction() as session:
+            evaluation = newest_evaluation(session, submission)
+            lifecycle.fail_by_machines(session, evaluation, "lost")
+            runs.run_again(session, CONSOLE, submission.id)
+    with database.transaction() as session:
+        last = newest_evaluation(session, submission)
+        assert not last.asked_by_team
+        assert lifecycle.count_machine_failures(session, Submission.team_id == principal.team_id) == 1
+        lifecycle.fail_by_machines(session, last, "lost")
+    assert create(database, principal)[1], "the team may still ask for it"
+    with database.transaction() as session:
+        asked = newest_evaluation(session, submission)
+        assert (asked.asked_by_team, asked.charged_at is not None) == (True, True)
+        lifecycle.fail_by_machines(session, asked, "lost")
+        assert asked.charged_at is not None, "the second failure of the team's own is not free"
 
 
 def test_organizer_submits_for_a_named_team_only(database: Database, principal: Principal) -> None:
