@@ -11,6 +11,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from .evaluations.lifecycle import fail_by_machines
 from .evaluations.superseding import supersede_outdated
+from .leaderboards.changes import forget_old_notes
 from .metrics.instruments import RetryReason
 from .metrics.totals import TotalsWriter
 from .people.contacts import forget_contacts
@@ -113,6 +114,7 @@ def prune(services: Services) -> None:
         prune_finished_jobs(session, timedelta(hours=services.settings.finished_jobs_kept_h))
         playbacks.remove_old(session, services.settings)
         forget_contacts(session, services.settings)
+        forget_old_notes(session)
         known = set(stored_digests(session)) | playbacks.stored_digests(session)
     for digest in services.blobs.list_older_than(ORPHAN_KEPT):
         if digest not in known:

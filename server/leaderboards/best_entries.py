@@ -3,17 +3,15 @@
 The order is that of `vitac.evaluator.scoring.ranking.rank`, which a test compares on random standings.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cache
 from typing import Any
 from uuid import UUID
 
-from sqlalchemy import CTE, ColumnElement, Select, Text, bindparam, func, lateral, select, true
-from sqlalchemy.dialects.postgresql import ARRAY
+from sqlalchemy import ColumnElement, Select, bindparam, lateral, select, true
 from sqlalchemy.orm import Session, aliased
-from sqlalchemy.types import Uuid
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import load_track
 from vitac.evaluator.version import evaluator_version
@@ -21,6 +19,7 @@ from vitac.evaluator.version import evaluator_version
 from ..competition.definition import DEFAULT_RANKING, RankingKey
 from ..db.models import ALL_TASKS, BoardResult, Team
 from ..views.submissions import RankView
+from .changes import kept_until_change
 
 EVER = datetime.max.replace(tzinfo=UTC)
 """As `until`: all results."""
@@ -66,56 +65,60 @@ def best_entries(session: Session, board: Board, *, until: datetime = EVER) -> l
         board: which one.
         until: results that were complete then count.
     """
-    named = {"track": board.track, "stage": board.stage, "kind": board.kind, "board": board.task or ALL_TASKS}
-    of_version = named | {"version": evaluator_version(), "until": until}
-    ranked = session.execute(_best_of_teams(board.ranking), of_version)
-    unranked = session.execute(_best_of_other_versions(board.ranking), of_version)
+    unranked = session.execute(_best_of_other_versions(board.ranking), _parameters(board, until))
+    return ranked_entries(session, board, until=until) + [
+        BestEntry(rank=None, evaluation_id=evaluation_id, submission_id=submission_id)
+        for evaluation_id, submission_id in unranked
+    ]
+
+
+def ranked_entries(session: Session, board: Board, *, until: datetime = EVER) -> list[BestEntry]:
+    """Return the best entry of each team that this evaluator version has made, ranked."""
+    ranked = session.execute(_best_of_teams(board.ranking), _parameters(board, until))
     return [
         BestEntry(rank=rank, evaluation_id=evaluation_id, submission_id=submission_id)
         for rank, (evaluation_id, submission_id) in enumerate(ranked, start=1)
-    ] + [
-        BestEntry(rank=None, evaluation_id=evaluation_id, submission_id=submission_id)
-        for evaluation_id, submission_id in unranked
     ]
 
 
 def places(
     session: Session,
     track: str,
-    submissions: Mapping[UUID, UUID],
     *,
     stage: str = "",
     ranking: tuple[RankingKey, ...] = DEFAULT_RANKING,
     until: datetime = EVER,
 ) -> PlacesOfBoards:
-    """Return the places of those submissions that are their team's best entry on a board of the track's stage.
+    """Return the places of all ranked submissions of models on the boards of a track's stage.
 
     Args:
         session: of the transaction.
         track: whose boards.
-        submissions: which ones, each with its team.
         stage: of the competition; empty for results outside of one.
         ranking: what entries are compared by.
         until: results that were complete then count.
     """
-    boards: dict[str, str | None] = {ALL_TASKS: None} | {task: task for task in load_track(track).tasks}
-    found = session.execute(
-        _places_of_submissions(ranking),
-        {
-            "track": track,
-            "stage": stage,
-            "until": until,
-            "kind": SubmissionKind.MODEL,
-            "boards": list(boards),
-            "version": evaluator_version(),
-            "submissions": list(submissions),
-            "teams": list(set(submissions.values())),
-        },
-    )
-    places: dict[str | None, dict[UUID, RankView]] = {board: {} for board in boards.values()}
-    for board, submission_id, rank, of in found:
-        places[boards[board]][submission_id] = RankView(rank=rank, of=of)
-    return places
+    boards = [Board(track=track, task=task, stage=stage, ranking=ranking) for task in (None, *load_track(track).tasks)]
+
+    def read() -> PlacesOfBoards:
+        return {board.task: _places(ranked_entries(session, board, until=until)) for board in boards}
+
+    return kept_until_change(session, (*boards, until), read)
+
+
+def _places(ranked: Sequence[BestEntry]) -> dict[UUID, RankView]:
+    return {entry.submission_id: RankView(rank=rank, of=len(ranked)) for rank, entry in enumerate(ranked, start=1)}
+
+
+def _parameters(board: Board, until: datetime) -> dict[str, object]:
+    return {
+        "track": board.track,
+        "stage": board.stage,
+        "kind": board.kind,
+        "board": board.task or ALL_TASKS,
+        "version": evaluator_version(),
+        "until": until,
+    }
 
 
 def ranking_order(
@@ -152,47 +155,6 @@ def _best_of_other_versions(ranking: tuple[RankingKey, ...]) -> Select[UUID, UUI
     )
     others = _ids(best).select_from(Team).join(best, true()).where(~has_ranked, takes_part())
     return others.order_by(*ranking_order(best, ranking))
-
-
-@cache
-def _places_of_submissions(ranking: tuple[RankingKey, ...]) -> Select[str, UUID, int, int]:
-    """Return board, submission, rank and number of ranked teams of each best entry among some submissions.
-
-    Most submissions are not the best of their team: where there is none on a board, its teams are not looked through.
-    """
-    wanted = func.any(bindparam("submissions", type_=ARRAY(Uuid)))
-    board = _boards_with_best(ranking, wanted).c.board
-    best = _best_result(ranking, board, _of_version(BoardResult))
-    ranked = (
-        select(
-            board.label("board"),
-            best.submission_id,
-            func.row_number().over(partition_by=board, order_by=ranking_order(best, ranking)).label("rank"),
-            func.count().over(partition_by=board).label("of"),
-        )
-        .select_from(Team)
-        .join(board.table, true())
-        .join(best, true())
-        .where(takes_part())
-        .subquery()
-    )
-    return select(ranked.c.board, ranked.c.submission_id, ranked.c.rank, ranked.c.of).where(
-        ranked.c.submission_id == wanted
-    )
-
-
-def _boards_with_best(ranking: tuple[RankingKey, ...], wanted: ColumnElement[UUID]) -> CTE:
-    """Return the boards on which one of the wanted submissions is the best entry of its team."""
-    board = (
-        func.unnest(bindparam("boards", type_=ARRAY(Text)))
-        .table_valued("board", name="boards")
-        .render_derived()
-        .c.board
-    )
-    best = _best_result(ranking, board, _of_version(BoardResult))
-    teams = func.any(bindparam("teams", type_=ARRAY(Uuid)))
-    found = select(board.label("board")).select_from(Team).join(board.table, true()).join(best, true())
-    return found.where(Team.id == teams, best.submission_id == wanted).distinct().cte("boards_with_best")
 
 
 def _best_result(

@@ -22,6 +22,7 @@ from vitac.server.db.models import BoardResult, Evaluation, Team
 from vitac.server.evaluations.copies import copies_among
 from vitac.server.evaluations.scores import score_views
 from vitac.server.leaderboards.best_entries import EVER, BestEntry, Board, best_entries, takes_part
+from vitac.server.leaderboards.changes import kept_until_change
 from vitac.server.leaderboards.made_boards import MadeBoard, MadeBoards, revision_of
 from vitac.server.leaderboards.standings import completed_evaluations, made_entries
 from vitac.server.logs.claims import LogClaim
@@ -55,18 +56,11 @@ def log_boards(session: Session, track_name: str, *, stage: str | None = None) -
     """
     track, of_stage = load_known_track(track_name), shown_stage(session, track_name, stage)
     until = (boards_stand_since(session) if of_stage else None) or EVER
-    boards = {task: Board(track=track.name, stage=of_stage, kind=SubmissionKind.LOG, task=task) for task in track.tasks}
-    best = {task: best_entries(session, board, until=until) for task, board in boards.items()}
-    named = {"track": track.name, "stage": of_stage, "until": until, "at_most": MAX_TEXT_LOGS}
-    text_logs = session.scalars(_newest_text_logs(), named).all()
-    copies = copies_among(session, [entry.evaluation_id for entries in best.values() for entry in entries])
-    ranked = [part for task, entries in best.items() for part in (task, *entries)]
-    named_at = teams.last_named_at(session)
-    board = f"logs of {track.name} {of_stage} {named_at}"
-    revision = revision_of(board, [*ranked, *sorted(copies.items()), *text_logs])
-    shown = _Shown(stage=of_stage, best=best, copies=copies, text_logs=text_logs, revision=revision)
-    made = partial(_view, session, track, shown)
-    return _made_boards.get((track.name, of_stage), revision, made, named_at=named_at)
+    found = kept_until_change(
+        session, ("logs", track.name, of_stage, until), lambda: _found(session, track, of_stage, until)
+    )
+    made = partial(_view, session, track, found)
+    return _made_boards.get((track.name, of_stage), found.revision, made, named_at=found.named_at)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,6 +72,19 @@ class _Shown:
     copies: Mapping[UUID, LogCopyView]
     text_logs: Sequence[UUID]
     revision: str
+    named_at: datetime | None
+
+
+def _found(session: Session, track: Track, stage: str, until: datetime) -> _Shown:
+    boards = {task: Board(track=track.name, stage=stage, kind=SubmissionKind.LOG, task=task) for task in track.tasks}
+    best = {task: best_entries(session, board, until=until) for task, board in boards.items()}
+    named = {"track": track.name, "stage": stage, "until": until, "at_most": MAX_TEXT_LOGS}
+    text_logs = session.scalars(_newest_text_logs(), named).all()
+    copies = copies_among(session, [entry.evaluation_id for entries in best.values() for entry in entries])
+    ranked = [part for task, entries in best.items() for part in (task, *entries)]
+    named_at = teams.last_named_at(session)
+    revision = revision_of(f"logs of {track.name} {stage} {named_at}", [*ranked, *sorted(copies.items()), *text_logs])
+    return _Shown(stage=stage, best=best, copies=copies, text_logs=text_logs, revision=revision, named_at=named_at)
 
 
 def _view(session: Session, track: Track, shown: _Shown, last: LogBoardsView | None) -> LogBoardsView:

@@ -19,6 +19,7 @@ from vitac.server.competition.sealing import commitment_of_stage
 from vitac.server.db.models import Evaluation, Submission
 from vitac.server.evaluations.scores import bounds, combination_of, scores_of, task_views
 from vitac.server.leaderboards.best_entries import EVER, BestEntry, Board, best_entries
+from vitac.server.leaderboards.changes import kept_until_change
 from vitac.server.leaderboards.made_boards import MadeBoard, MadeBoards, revision_of
 from vitac.server.leaderboards.rank_ranges import rank_ranges
 from vitac.server.tracks import load_known_track, require_task
@@ -51,10 +52,14 @@ def leaderboard(
     ranking = rules.ranking if rules else DEFAULT_RANKING
     board = Board(track=track_name, task=task, stage=of_stage, ranking=ranking)
     frozen_at = None if live or not board.stage else boards_stand_since(session)
-    best = best_entries(session, board, until=frozen_at or EVER)
+    until = frozen_at or EVER
+    best, named_at = kept_until_change(
+        session,
+        ("best entries", board, until),
+        lambda: (best_entries(session, board, until=until), teams.last_named_at(session)),
+    )
     played = track.tasks[task or next(iter(track.tasks))].episode_list.kind
     list_kind = ListKind.SEALED if commitment_of_stage(session, track_name, of_stage) else played
-    named_at = teams.last_named_at(session)
     revision = revision_of(f"{board} {frozen_at} {list_kind} {named_at}", best)
     rule = rules.ranking_sentence if rules else None
     shown = _Shown(board=board, list_kind=list_kind, rule=rule, best=best, frozen_at=frozen_at, revision=revision)

@@ -13,6 +13,7 @@ from ..accounts.audit import record
 from ..accounts.principals import VISITOR, Principal
 from ..accounts.visibility import changeable
 from ..competition.schedule import NO_STAGE, boards_stand_since, current
+from ..db.among import among
 from ..db.models import Evaluation, Submission, Team
 from ..db.states import EvaluationState
 from ..errors import not_found, token_missing
@@ -40,7 +41,7 @@ def public_among(session: Session, submissions: Collection[UUID]) -> frozenset[U
         select(Submission.id)
         .join(Team)
         .where(
-            Submission.id.in_(submissions),
+            among(Submission.id, submissions),
             Submission.is_public,
             Team.disqualified_at.is_(None),
             newest_state() == EvaluationState.COMPLETED,

@@ -50,7 +50,6 @@ def submission_views(
         with_output: show also what the policies printed.
     """
     newest = [found[0] for found in runs.values()]
-    teams = {found.submission_id: found.submission.team_id for found in newest}
     rows = EvaluationRows.read(session, newest, by, with_output=with_output)
     shown = _Shown(
         evaluations=rows,
@@ -58,19 +57,17 @@ def submission_views(
         findings=findings_of(session, [found for found in newest if found.id not in rows.hidden]),
         copies=copies_among(session, [found.id for found in newest if found.submission.kind is SubmissionKind.LOG]),
         workers=fleet(session, settings),
-        places=cache(partial(_places, session, by, teams)),
+        places=cache(partial(_places, session, by)),
     )
     return [_view(found, shown) for found in runs.values()]
 
 
-def _places(
-    session: Session, by: Principal, submissions: Mapping[UUID, UUID], track: str, stage: str
-) -> PlacesOfBoards:
-    """Return their places as the boards show them, which may stand still for all but organizers."""
+def _places(session: Session, by: Principal, track: str, stage: str) -> PlacesOfBoards:
+    """Return all places as the boards show them, which may stand still for all but organizers."""
     rules = track_rules(session, track) if stage else None
     frozen_at = boards_stand_since(session) if stage and not by.is_organizer else None
     ranking = rules.ranking if rules else DEFAULT_RANKING
-    return places(session, track, submissions, stage=stage, ranking=ranking, until=frozen_at or EVER)
+    return places(session, track, stage=stage, ranking=ranking, until=frozen_at or EVER)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,7 +80,7 @@ class _Shown:
         findings: against logs, by evaluation, where single episodes are shown.
         copies: among logs, by evaluation.
         workers: those known now.
-        places: of these submissions on the boards of a track.
+        places: on the boards of a track.
     """
 
     by: Principal

@@ -6,7 +6,16 @@ Ids that people see are random UUIDs, times are UTC with zone, states are text u
 from .accounts import ApiToken, AuditEntry, Invitation, Member, Team, TeamQuota
 from .base import Base
 from .competition import Competition, Qualification, Rejudgement, SealedList
-from .evaluations import ALL_TASKS, BoardResult, EpisodeDifference, EpisodeResult, Evaluation, LogCopy, Shard
+from .evaluations import (
+    ALL_TASKS,
+    BoardChange,
+    BoardResult,
+    EpisodeDifference,
+    EpisodeResult,
+    Evaluation,
+    LogCopy,
+    Shard,
+)
 from .judging import JudgingConflict, JudgingMark
 from .notices import Notice, Webhook
 from .operations import MetricTotal, Worker
@@ -23,6 +32,7 @@ __all__ = [
     "AppealReplay",
     "AuditEntry",
     "Base",
+    "BoardChange",
     "BoardResult",
     "Competition",
     "EpisodeDifference",

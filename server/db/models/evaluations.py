@@ -136,6 +136,14 @@ class BoardResult(Base):
     evaluation: Mapped[Evaluation] = relationship(back_populates="board_results")
 
 
+class BoardChange(Base):
+    """A note that results, copies or teams have changed, made by triggers. `mark` is random."""
+
+    __tablename__ = "board_changes"
+    id: Mapped[int] = mapped_column(BigInteger, Identity(always=True), primary_key=True)
+    mark: Mapped[int] = mapped_column(BigInteger)
+
+
 class Shard(Base):
     """A fixed piece of an evaluation, the unit of queue work. `token` rises with each claim: it fences off others.
 

@@ -6,7 +6,6 @@ import pytest
 from service_factories import TASK, TRACK, make_principal, make_score, submit_scored
 from vitac.server.competition.definition import DEFAULT_RANKING, RankingKey
 from vitac.server.db.engine import Database
-from vitac.server.db.models import Submission
 from vitac.server.leaderboards.best_entries import Board, best_entries, places
 from vitac.server.leaderboards.standings import leaderboard
 
@@ -46,10 +45,9 @@ def test_entries_are_compared_key_by_key(filled: Database, ranking: tuple[Rankin
         entries = best_entries(session, Board(track=TRACK, task=TASK, ranking=ranking))
         board = leaderboard(session, TRACK, task=TASK).view
         name_of = {entry.submission_id: entry.submission_name for entry in board.entries}
-        team_of = {found: session.get_one(Submission, found).team_id for found in name_of}
         shown = [name_of[entry.submission_id] for entry in entries]
         assert shown == sorted(SCORES, key=lambda name: key_of(name, ranking))
-        found = places(session, TRACK, team_of, ranking=ranking)[TASK]
+        found = places(session, TRACK, ranking=ranking)[TASK]
         assert sorted(name_of, key=lambda submission: found[submission].rank) == [
             entry.submission_id for entry in entries
         ]

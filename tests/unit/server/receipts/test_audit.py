@@ -33,6 +33,8 @@ from vitac.server.db.engine import Database
 from vitac.server.db.models import EpisodeResult, ReceiptKey, ReceiptRow
 from vitac.server.evaluations import lifecycle
 from vitac.server.evaluations.episode_store import row_values
+from vitac.server.kept import Kept
+from vitac.server.leaderboards import changes as changes_of_boards
 from vitac.server.leaderboards import standings
 from vitac.server.leaderboards.made_boards import MadeBoards
 from vitac.server.receipts import chain
@@ -114,6 +116,7 @@ def database() -> Iterator[Database]:
 def audited(database: Database, folder: Path, *changes: Executable, **options: Any) -> Audit:
     """The audit of the board after changes that somebody can make who has the database."""
     standings._made_boards = MadeBoards()
+    changes_of_boards._kept = Kept(at_most=1)  # nothing notes these changes
     with Session(database.engine) as session:
         session.execute(text("SET LOCAL session_replication_role = replica"))  # no triggers, no foreign keys
         for change in changes:
