@@ -1,23 +1,22 @@
 """Measures the evaluation of PickCube-v1 by state, and its env steps beside those of bare ManiSkill.
 
 Run it as `python benchmarks/maniskill/pick_cube.py [--episodes 100] [--workers 2] [--rounds 20] [--json FILE]` where
-the extra maniskill is installed. Episodes are played in the sandbox and bare, with the same actions, in turns: the
-ratio of their times holds on a busy machine, too.
+the extra maniskill is installed. Episodes are played in the sandbox and bare, with the same actions, in turns. The
+ratio of their CPU times, in which the policy's is counted, holds on a busy machine, too.
 """
 
 import argparse
 import json
-from collections.abc import Mapping
-from functools import partial
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
-from statistics import median
-from time import perf_counter
+from time import perf_counter, process_time
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from vitac.evaluator.agent.session import PolicySession
-from vitac.evaluator.episodes.episode import Environment, make_environment, run_episode
+from vitac.evaluator.episodes.episode import Environment, Policy, make_environment, run_episode
 from vitac.evaluator.evaluation.local import evaluate
 from vitac.evaluator.submission.staging import staged
 from vitac.evaluator.tracks import find_task
@@ -44,12 +43,45 @@ def main() -> None:
         arguments.json.write_text(json.dumps(numbers, indent=1) + "\n")
 
 
-class TimedResets:
-    """An environment that keeps how long its last reset took [s]."""
+class CountedSession:
+    """A loaded policy whose CPU time in all its episodes so far can be asked for."""
 
-    def __init__(self, env: Environment) -> None:
+    def __init__(self, session: PolicySession) -> None:
+        self._session = session
+        self._playing: Policy | None = None
+        self._ended_s = 0.0
+
+    def __getattr__(self, name: str) -> Any:
+        """Return what the session has of that name."""
+        return getattr(self._session, name)
+
+    @property
+    def cpu_s(self) -> float:
+        """CPU time of the policy [s]."""
+        return self._ended_s + (self._playing.cpu_s if self._playing else 0.0)
+
+    @contextmanager
+    def episode(self, **arguments: Any) -> Iterator[Policy]:
+        """Give a fresh process of the policy, and count its time."""
+        with self._session.episode(**arguments) as self._playing:
+            yield self._playing
+            self._ended_s, self._playing = self.cpu_s, None
+
+
+class TimedEnvironment:
+    """An environment that keeps the times of an episode, by the clock and of the CPU with the policy's [s], shape [2].
+
+    Attributes:
+        reset_s: of the reset.
+        first_step_s: from there to the end of the first env step, before which the policy's process is started.
+        steps_s: from there to the end of the last env step.
+    """
+
+    def __init__(self, env: Environment, policy: CountedSession) -> None:
         self._env = env
-        self.reset_s = 0.0
+        self._policy = policy
+        self._before = np.zeros(2)
+        self.reset_s = self.first_step_s = self.steps_s = np.zeros(2)
 
     def __getattr__(self, name: str) -> Any:
         """Return what the environment has of that name."""
@@ -57,38 +89,61 @@ class TimedResets:
 
     def reset(self, *, options: Mapping[str, object]) -> tuple[Mapping[str, NDArray[Any]], dict[str, Any]]:
         """Start an episode."""
-        started = perf_counter()
+        self._passed()
         begun = self._env.reset(options=options)
-        self.reset_s = perf_counter() - started
+        self.reset_s, self.first_step_s, self.steps_s = self._passed(), np.zeros(2), np.zeros(2)
         return begun
+
+    def step(self, action: NDArray[np.float32]) -> tuple[Any, ...]:
+        """Play one env step, and count what has passed since the one before."""
+        stepped: tuple[Any, ...] = self._env.step(action)
+        if self.first_step_s.any():
+            self.steps_s = self.steps_s + self._passed()
+        else:
+            self.first_step_s = self._passed()
+        return stepped
+
+    def _passed(self) -> NDArray[np.float64]:
+        before, self._before = self._before, times(self._policy.cpu_s)
+        return self._before - before
+
+
+def times(policy_s: float = 0.0) -> NDArray[np.float64]:
+    """Return the time by the clock, and the CPU time of this process and the policy [s]."""
+    return np.array([perf_counter(), process_time() + policy_s])
 
 
 def compared(submission: Path, *, rounds: int) -> dict[str, float]:
-    """Return medians over episodes: env steps per second and resets [ms] in the sandbox and bare, and their ratio."""
+    """Return medians over episodes, in the sandbox and bare, by the clock, and ratios by the clock and of CPU time."""
     _, task = find_task(TASK)
-    env, bare = TimedResets(make_environment(task)), bare_environment(task.settings)
-    steps, bare_steps, resets, bare_resets = [], [], [], []
-    with PolicySession(submission) as session:
+    steps, bare_steps, resets, bare_resets, starts = [], [], [], [], []
+    with PolicySession(submission) as loaded:
+        session = CountedSession(loaded)
+        env, bare = TimedEnvironment(make_environment(task), session), bare_environment(task.settings)
         for episode in task.episodes[:rounds]:
-            record = run_episode(env=env, task=task, episode=episode, open_session=partial(_same, session))
+            record = run_episode(env=env, task=task, episode=episode, open_session=lambda: session)
             if record.failure:
                 raise SystemExit(record.failure.message)
-            steps.append((record.timings.wall_s - env.reset_s) / record.env_steps)
+            steps.append(env.steps_s / (record.env_steps - 1))
             resets.append(env.reset_s)
-            started = perf_counter()
+            starts.append(env.first_step_s - steps[-1])
+            began = times()
             bare.reset(seed=episode.number, options={"reconfigure": True})
-            bare_resets.append(perf_counter() - started)
-            started = perf_counter()
+            was_reset = times()
+            bare_resets.append(was_reset - began)
             for action in record.actions.to_array():
                 observation, *_ = bare.step(action)
                 np.array(observation.cpu())
-            bare_steps.append((perf_counter() - started) / record.env_steps)
+            bare_steps.append((times() - was_reset) / record.env_steps)
+    step_ratio, step_cpu_ratio = np.median(np.divide(steps, bare_steps), axis=0)
     return {
-        "steps_per_s": 1.0 / median(steps),
-        "bare_steps_per_s": 1.0 / median(bare_steps),
-        "step_ratio": median(ours / theirs for ours, theirs in zip(steps, bare_steps, strict=True)),
-        "reset_ms": 1e3 * median(resets),
-        "bare_reset_ms": 1e3 * median(bare_resets),
+        "steps_per_s": 1.0 / float(np.median(steps, axis=0)[0]),
+        "bare_steps_per_s": 1.0 / float(np.median(bare_steps, axis=0)[0]),
+        "step_ratio": float(step_ratio),
+        "step_cpu_ratio": float(step_cpu_ratio),
+        "reset_ms": 1e3 * float(np.median(resets, axis=0)[0]),
+        "bare_reset_ms": 1e3 * float(np.median(bare_resets, axis=0)[0]),
+        "policy_start_ms": 1e3 * float(np.median(starts, axis=0)[0]),
     }
 
 
@@ -117,10 +172,6 @@ def evaluated(submission: Path, *, episodes: int, workers: int) -> dict[str, flo
         "evaluation_policy_cpu_s": sum(timing.policy_s for timing in timings),
         "evaluation_env_steps": float(sum(record.env_steps for record in evaluation.records)),
     }
-
-
-def _same(session: PolicySession) -> PolicySession:
-    return session
 
 
 if __name__ == "__main__":

@@ -61,7 +61,9 @@ def definition_of(env_id: str, settings: Mapping[str, Any]) -> TaskDefinition:
         actions=_actions(env_id, described, chosen.control_mode),
         observables=_observables(env_id, described, chosen.obs_mode),
         family=_family(env_id, chosen),
+        control_mode=chosen.control_mode,
         repeats=chosen.sim_backend == CPU,
+        pictures_repeat=chosen.obs_mode == "state",
     )
 
 

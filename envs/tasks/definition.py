@@ -78,8 +78,10 @@ class TaskDefinition:
         perspective: place of the `Perspective` it is drawn from; None where it is not drawn.
         guided_motion: place of the `NextAction` that goes to its target; None where there is none.
         family: what it needs to run.
+        control_mode: what an action moves, by the environment's own name; None where there is one way only.
         repeats: whether the same actions give the same states to the last bit; a log is verified within tolerance
             where they do not.
+        pictures_repeat: whether the pictures of the observation are the same to the last bit on every machine.
         accepts_start: place of a function that says of a shape and a drawn offset whether an episode may start there;
             None where it may anywhere.
         info_lengths: numbers of those entries of an info that have more for some shapes than for others, at most.
@@ -94,7 +96,9 @@ class TaskDefinition:
     perspective: str | None = None
     guided_motion: str | None = None
     family: Family = Family.TACTILE
+    control_mode: str | None = None
     repeats: bool = True
+    pictures_repeat: bool = True
     accepts_start: str | None = None
     info_lengths: Mapping[str, int] = field(default_factory=dict)
 

@@ -68,6 +68,14 @@ class SubmissionManifest(StrictModel):
         tuple[Name, ...] | None,
         Field(max_length=64, description="Keys of the observation that it reads; all by default. Others are not sent."),
     ] = None
+    control_modes: Annotated[
+        dict[Name, Name],
+        Field(
+            default_factory=dict,
+            max_length=16,
+            description="Control mode that its actions are made for, by task; refused where the task has another one.",
+        ),
+    ]
 
 
 def load_manifest(submission_dir: Path) -> SubmissionManifest:
@@ -123,6 +131,7 @@ def parse_manifest(data: bytes) -> SubmissionManifest:
         raise ManifestRejected(str(error)) from error
     _check_tasks(manifest)
     _check_observation_keys(manifest)
+    _check_control_modes(manifest)
     return manifest
 
 
@@ -285,3 +294,17 @@ def _check_observation_keys(manifest: SubmissionManifest) -> None:
         raise ManifestRejected(
             f"{MANIFEST_NAME}: observation_keys has {got}, expected each once, out of {', '.join(known)}."
         )
+
+
+def _check_control_modes(manifest: SubmissionManifest) -> None:
+    track = load_track(manifest.track)
+    for name, mode in manifest.control_modes.items():
+        if name not in manifest.tasks:
+            its_own = ", ".join(manifest.tasks)
+            raise ManifestRejected(
+                f"{MANIFEST_NAME}: control_modes names {name!r}, expected one of its tasks: {its_own}."
+            )
+        expected = track.tasks[name].definition.control_mode
+        if mode != expected:
+            what = f"expected {expected!r}, which the track sets" if expected else "which has no control modes"
+            raise ManifestRejected(f"{MANIFEST_NAME}: control_modes has {mode!r} for {name}, {what}.")

@@ -251,6 +251,15 @@ class Track(StrictModel):
         return self
 
     @model_validator(mode="after")
+    def _one_board_has_one_physics(self) -> Self:
+        if len({self.tasks[name].definition.repeats for name in self.tasks_that_count}) > 1:
+            raise ValueError(
+                "the board of all tasks would mix physics on a CPU and on a GPU; name the tasks of one of them in "
+                "combined_tasks"
+            )
+        return self
+
+    @model_validator(mode="after")
     def _several_tasks_need_a_combination(self) -> Self:
         if (self.combination_rule is not None) != (len(self.tasks) > 1):
             raise ValueError("combination_rule must be given where there are several tasks, and only there")

@@ -18,6 +18,8 @@ def test_the_tasks_of_the_challenge_are_in_the_catalogue_with_all_modes(name: st
         task = definition_of(f"ManiSkill/{name}", {"obs_mode": mode})
         assert task.family is (Family.MANISKILL if mode == "state" else Family.MANISKILL_PICTURES)
         assert task.repeats
+        assert task.pictures_repeat == (mode == "state")
+        assert task.control_mode == "pd_ee_delta_pose"
         assert [row.name for row in task.actions] == ["x", "y", "z", "rx", "ry", "rz", "gripper"]
         assert len({row.name for row in task.observables}) == len(task.observables)
         assert not any(row.privileged for row in task.observables)

@@ -380,3 +380,32 @@ def test_wrong_name_of_a_submission_lists_what_lies_beside_it(tmp_path: Path) ->
     (tmp_path / "heuristic").mkdir()
     with pytest.raises(NoSubmission, match=r"huristic does not exist; folder .* holds 'heuristic'\."):
         find_submission(tmp_path / "huristic")
+
+
+CUBES = "track: maniskill\ntasks: [pick-cube, push-cube]\nname: cubes\n"
+
+
+def test_control_modes_are_those_of_the_tasks_or_are_not_named() -> None:
+    assert parse_manifest(CUBES.encode()).control_modes == {}
+    named = parse_manifest(f"{CUBES}control_modes: {{push-cube: pd_ee_delta_pos}}\n".encode())
+    assert named.control_modes == {"push-cube": "pd_ee_delta_pos"}
+
+
+@pytest.mark.parametrize(
+    ("manifest", "named", "expected"),
+    [
+        (CUBES, "pick-cube: pd_joint_delta_pos", "has 'pd_joint_delta_pos' for pick-cube, expected 'pd_ee_delta_pos'"),
+        (CUBES, "stack-cube: pd_ee_delta_pose", "names 'stack-cube', expected one of its tasks: pick-cube, push-cube."),
+        (CUBES, "nothing: pd_ee_delta_pos", "names 'nothing', expected one of its tasks: pick-cube, push-cube."),
+        (CUBES, "pick-cube: ''", "control_modes"),
+        (CUBES, "pick-cube: [pd_ee_delta_pos]", "control_modes"),
+        (CUBES, ", ".join(f"t{index}: m" for index in range(17)), "control_modes"),
+        (MANIFEST, "peg-insertion: pd_ee_delta_pos", "for peg-insertion, which has no control modes."),
+    ],
+)  # fmt: skip
+def test_a_control_mode_that_is_not_the_tasks_is_refused_with_the_tasks_own(
+    manifest: str, named: str, expected: str
+) -> None:
+    error = manifest_error(f"{manifest}control_modes: {{{named}}}\n")
+    assert expected in error
+    assert "control_modes" in error

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from cubes_track import FILE
 from visible_scenes import STARTS
 from vitac.envs.vision.stereo.method import StereoMethod
 from vitac.evaluator.strict_model import DocumentRejected, parse_yaml
@@ -330,6 +331,21 @@ def test_all_tasks_count_where_none_are_named() -> None:
 def test_combined_task_must_be_there(content: dict[str, object]) -> None:
     with pytest.raises(DocumentRejected, match="combined_tasks has 'peg'; the tasks are lock-opening, peg-insertion"):
         parse(content | {"combined_tasks": ["peg"]})
+
+
+def test_no_board_mixes_physics_on_a_cpu_and_on_a_gpu() -> None:
+    content = yaml.safe_load(FILE) | {"combination_rule": "Mean."}
+    on_cpu = content["tasks"]["pick-cube"]
+    on_gpu = on_cpu | {"name": "on-gpu", "settings": on_cpu["settings"] | {"sim_backend": "physx_cuda"}}
+    both = content | {"tasks": {"pick-cube": on_cpu, "on-gpu": on_gpu}}
+    with pytest.raises(
+        DocumentRejected, match="would mix physics on a CPU and on a GPU; name the tasks of one of them"
+    ):
+        parse(both)
+    for counts in ("pick-cube", "on-gpu"):
+        assert parse(both | {"combined_tasks": [counts]}).tasks_that_count == (counts,)
+    also_on_gpu = on_gpu | {"name": "also-on-gpu"}
+    assert len(parse(content | {"tasks": {"on-gpu": on_gpu, "also-on-gpu": also_on_gpu}}).tasks_that_count) == 2
 
 
 def block(content: dict[str, object]) -> dict[str, object]:

@@ -3,6 +3,7 @@ from typing import Any
 
 import pytest
 import yaml
+from cubes_track import FILE
 from vitac.envs.errors import VitacError
 from vitac.evaluator.strict_model import DocumentRejected
 from vitac.evaluator.tracks import ListKind, load_track
@@ -99,3 +100,28 @@ def test_what_depends_on_the_teams_sensors_is_not_measured(tmp_path: Path) -> No
     found = checked(tmp_path, track, "track_3.yaml")
     assert {task.cpu_s for task in found.tasks} == {None}
     assert all("sensors" in (task.note or "") for task in found.tasks)
+
+
+@pytest.mark.parametrize("settings", ["obs_mode: state", "obs_mode: rgbd", "obs_mode: state, sim_backend: physx_cuda"])
+def test_an_environment_of_maniskill_is_checked_without_being_played(tmp_path: Path, settings: str) -> None:
+    listed = yaml.safe_load(FILE.replace("obs_mode: state", settings).replace("pick-cube", "pick"))
+    found = checked(tmp_path, listed, "cubes.yaml")
+    ((task,), (episodes, shards)) = found.tasks, (20, 2)
+    assert (task.note, task.cpu_s) == ("environments of ManiSkill are not played here", None)
+    assert (task.env_id, task.episodes, task.shards) == ("ManiSkill/PickCube-v1", episodes, shards)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "reason"),
+    [
+        ("PickCube-v1", "PickCub-v1", "There is no ManiSkill/PickCub-v1; did you mean 'PickCube-v1'"),
+        ("PickCube-v1", "TurnFaucet-v1", "It needs files that ManiSkill downloads: partnet_mobility_faucet"),
+        ("obs_mode: state", "obs_mode: rgbx", "obs_mode is 'rgbx', expected one of state, rgb, rgbd, pointcloud"),
+        ("pd_ee_delta_pos", "pd_joint_pos", "no control mode 'pd_joint_pos' with actions in"),
+    ],
+)
+def test_what_maniskill_cannot_play_is_refused_when_the_file_is_checked(
+    tmp_path: Path, old: str, new: str, reason: str
+) -> None:
+    with pytest.raises(DocumentRejected, match=reason):
+        checked(tmp_path, yaml.safe_load(FILE.replace(old, new)), "cubes.yaml")

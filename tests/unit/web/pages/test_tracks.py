@@ -168,6 +168,8 @@ def test_rules_of_maniskills_track_come_from_its_environments(browser: AsgiBrows
     assert browser.get(picture).headers["content-type"] == "image/jpeg"
     assert "There is no picture of this task" not in browser.get("/tracks/track_1/rules").text
     assert "within tolerance, by its outcomes" not in html
+    assert "<dt>Control mode</dt><dd><code>pd_ee_delta_pos</code></dd>" in html
+    assert "Control mode" not in browser.get("/tracks/track_1/rules").text
 
 
 def test_a_task_on_a_gpu_says_that_it_does_not_repeat_and_one_without_a_picture_that_there_is_none(
@@ -181,7 +183,23 @@ def test_a_task_on_a_gpu_says_that_it_does_not_repeat_and_one_without_a_picture_
     monkeypatch.setattr("vitac.web.pages.tracks.STATIC", tmp_path)
     html = browser.get("/tracks/gpu/rules").text
     assert "a log is verified within tolerance, by its outcomes" in html
+    assert "with one evaluator version, except in the tasks that say otherwise." in html
     assert "There is no picture of this task" in html
+    assert "Pictures come from the graphics driver" not in html
+
+
+def test_a_task_with_pictures_says_what_of_it_does_not_repeat(
+    browser: AsgiBrowser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "seen.yaml").write_text(FILE.replace("obs_mode: state", "obs_mode: rgbd").replace("cubes", "seen"))
+    monkeypatch.setenv("VITAC_TRACKS_DIR", str(tmp_path))
+    html = browser.get("/tracks/seen/rules").text
+    assert "their last bits differ from machine to machine" in html
+    assert "No state depends on them" in html
+    for key in ("base_camera_rgb", "base_camera_depth", "(128, 128, 3) uint8", "(128, 128, 1) int16"):
+        assert key in html
+    assert "with one evaluator version.</li>" in html
+    assert "within tolerance, by its outcomes" not in html
 
 
 @pytest.mark.parametrize("name", sorted(PICTURES))

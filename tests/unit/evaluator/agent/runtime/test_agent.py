@@ -75,3 +75,37 @@ def test_refuses_what_is_no_number(value: Any) -> None:
     with pytest.raises(agent.Refused) as caught:
         agent.as_action(value)
     assert caught.value.code == "bad_action_type"
+
+
+class Tensor:
+    """What NumPy sees of a tensor of torch: an array, or an error where it is on a GPU or needs its gradient."""
+
+    def __init__(self, values: Any, error: str = "") -> None:
+        self._values, self._error = np.asarray(values), error
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        if self._error:
+            raise RuntimeError(self._error)
+        return self._values
+
+
+def test_a_tensor_counts_as_the_array_that_it_holds_and_its_batch_is_left_to_be_refused() -> None:
+    assert agent.as_action(Tensor(np.ones(4, np.float32))).tolist() == [1.0, 1.0, 1.0, 1.0]
+    assert agent.as_action(Tensor(np.ones((1, 4), np.float32))).shape == (1, 4)
+
+
+@pytest.mark.parametrize("error", ["Can't call numpy() on Tensor that requires grad.", "can't convert cuda:0 tensor"])
+def test_a_tensor_that_is_no_array_is_refused_with_torchs_reason(error: str) -> None:
+    with pytest.raises(agent.Refused, match="NumPy cannot make an array of") as caught:
+        agent.as_action(Tensor(np.ones(4), error))
+    assert (caught.value.code, error in caught.value.message) == ("bad_action_type", True)
+
+
+def test_real_tensors_are_taken_and_refused_alike() -> None:
+    torch = pytest.importorskip("torch", reason="torch is not installed: tensors were not tried")
+    assert agent.as_action(torch.ones(4)).tolist() == [1.0, 1.0, 1.0, 1.0]
+    assert agent.as_action(torch.ones(1, 4)).shape == (1, 4)
+    with pytest.raises(agent.Refused, match="requires grad"):
+        agent.as_action(torch.ones(4, requires_grad=True))
+    with pytest.raises(agent.Refused, match="expected real numbers"):
+        agent.as_action(torch.ones(4) > 0)
