@@ -1,7 +1,9 @@
 """For every test: a clean environment, where the challenge's own files are, and how long it took."""
 
 import csv
+import gc
 import os
+import sys
 from pathlib import Path
 
 import pytest
@@ -14,9 +16,20 @@ MACHINE_VARIABLES = {
 
 
 def pytest_configure() -> None:
-    """Forgets the caller's settings: a test must never reach the database or service that somebody works with."""
+    """Forgets the caller's settings: a test must never reach the database or service that somebody works with.
+
+    Bytecode is kept, whatever the caller says: hundreds of processes are started, and each would compile it all anew.
+    """
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    sys.dont_write_bytecode = False
     for name in [name for name in os.environ if name.startswith("VITAC_") and name not in MACHINE_VARIABLES]:
         del os.environ[name]
+
+
+def pytest_collection_finish() -> None:
+    """Keep the modules and 8,000 tests of this process, which stay until its end, out of every garbage collection."""
+    gc.collect()
+    gc.freeze()
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from axe_playwright_python.sync_playwright import Axe
+from browser_checks import DESK, PHONE, violations
 from page_fixtures import a_submission
 from PIL import Image
 from played_episodes import a_playback, a_shown_episode, guided
@@ -14,9 +14,6 @@ from site_under_test import SiteUnderTest
 from vitac.server.db.states import EvaluationState, PlaybackState
 from vitac.web.pages.episodes.page import player_script
 
-DESK = {"width": 1280, "height": 900}
-PHONE = {"width": 375, "height": 740}
-WCAG = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "best-practice"]
 PEG, LOCK, FUSION = "peg-insertion", "lock-opening", "fusion-insertion"
 
 
@@ -71,11 +68,6 @@ def colours(place: Locator) -> set[tuple[int, ...]]:
         level = tuple(part // 16 for part in colour)
         levels[level] = levels.get(level, 0) + count
     return {level for level, count in levels.items() if count > 200}
-
-
-def violations(page: Page) -> list[str]:
-    found: dict[str, Any] = Axe().run(page, options={"runOnly": WCAG}).response
-    return [f"{rule['id']}: {node['html'][:200]}" for rule in found["violations"] for node in rule["nodes"]]
 
 
 def time_of(page: Page) -> float:
@@ -386,4 +378,4 @@ def test_the_front_page_loads_the_player_when_somebody_wants_to_play(page: Page,
     expect(page.get_by_role("button", name="Pause")).to_be_focused()
     expect(page.get_by_role("button", name="Play it in 3D")).to_have_count(0)
     expect(page.locator("form.transport output")).not_to_have_text(re.compile(r"^0\.0 of"))
-    assert Axe().run(page, options={"runOnly": WCAG}).response["violations"] == []
+    assert violations(page) == []

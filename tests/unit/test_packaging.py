@@ -272,7 +272,8 @@ def test_tests_do_not_see_the_callers_settings(repository: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-P", "-m", "pytest", "-q", "-p", "no:cacheprovider", test],
         cwd=repository,
-        env=os.environ | {"VITAC_DATABASE_URL": "postgresql://somebody@example.org/precious"},
+        env=os.environ
+        | {"VITAC_DATABASE_URL": "postgresql://somebody@example.org/precious", "PYTHONDONTWRITEBYTECODE": "1"},
         capture_output=True,
         text=True,
         check=False,
@@ -282,3 +283,5 @@ def test_tests_do_not_see_the_callers_settings(repository: Path) -> None:
 
 def test_top_level_environment_is_clean() -> None:
     assert "VITAC_DATABASE_URL" not in os.environ
+    assert "PYTHONDONTWRITEBYTECODE" not in os.environ
+    assert not sys.dont_write_bytecode
