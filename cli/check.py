@@ -12,6 +12,12 @@ if TYPE_CHECKING:
     from vitac.evaluator.episodes.records import EpisodeRecord
     from vitac.evaluator.submission.manifest import SubmissionManifest
 
+_NO_TORCH = "No module named 'torch'"
+_TORCH_REMEDY = (
+    "The submission needs torch, which is not installed here: ./vitac --torch check adds its build for CPUs. A service "
+    "has torch only if its page Sandbox lists it."
+)
+
 
 @dataclass(kw_only=True)
 class Findings:
@@ -120,7 +126,10 @@ def _add_result(record: "EpisodeRecord", findings: Findings) -> None:
             f"{where}: {record.env_steps} env steps, outcome {record.outcome}. {record.outcome.sentence}"
         )
         return
-    findings.refused.append(f"{where}: {failure.code}. {failure.message} {failure.code.sentence}")
+    sentences = [f"{where}: {failure.code}. {failure.message}", failure.code.sentence]
+    if _NO_TORCH in failure.message:
+        sentences.append(_TORCH_REMEDY)
+    findings.refused.append(" ".join(sentences))
     findings.output_tail = failure.output_tail or findings.output_tail
 
 

@@ -17,6 +17,7 @@ compile requirements/base.lock --extra server "$@"
 compile requirements/show.lock --extra server --extra show --constraint requirements/base.lock "$@"
 compile requirements/docs.lock --extra server --extra docs --constraint requirements/base.lock "$@"
 compile requirements/dev.lock --extra server --extra show --extra docs --extra dev --constraint requirements/show.lock --constraint requirements/docs.lock "$@"
-compile requirements/maniskill.lock --extra maniskill --constraint requirements/dev.lock --override requirements/omitted.in "$@" requirements/maniskill.in
+compile requirements/maniskill.lock --extra maniskill --constraint requirements/dev.lock --override requirements/omitted.in "$@" requirements/torch.in
+compile requirements/torch.lock --extra training --constraint requirements/maniskill.lock --override requirements/omitted.in "$@" requirements/torch.in
 "${UV:-uv}" pip compile --quiet --universal --generate-hashes --python-version 3.11 --no-emit-index-url \
   --custom-compile-command setup/lock.sh --output-file requirements/node.lock "$@" requirements/node.in

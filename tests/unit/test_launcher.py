@@ -23,7 +23,7 @@ case "$*" in
     echo "pip ${{last##*/}}" >>"$FAKE_CALLS"
     if [ -n "${{FAKE_GATE-}}" ]; then read -r opened <"$FAKE_GATE"; fi
     if [ -n "${{FAKE_PIP_ERROR-}}" ]; then echo "$FAKE_PIP_ERROR"; exit 1; fi
-    case $last in *docs.lock | *maniskill.lock) exit ;; esac
+    case $last in *docs.lock | *maniskill.lock | *torch.lock) exit ;; esac
     for program in vitac pytest; do
       printf '#!/bin/sh\\nfor word; do printf "<%%s>" "$word"; done; pwd; exit 7\\n' >"${{0%/*}}/$program"
       chmod +x "${{0%/*}}/$program"
@@ -245,6 +245,41 @@ def test_maniskill_that_was_cut_off_is_added_again_and_too_small_a_disk_refused(
     assert (full.returncode, len(checkout.calls)) == (1, 6)
     program(tmp_path / "bin" / "df", "#!/bin/sh\necho head\necho disk 0 0 9048000 0% /\n")
     assert checkout.run(launcher, "--maniskill", "status").returncode == 7
+
+
+def test_torch_is_added_once_as_the_build_for_cpus(checkout: Checkout) -> None:
+    launcher = str(checkout.root / "vitac")
+    first, second = (checkout.run(launcher, "--torch", "check", "my folder") for _ in range(2))
+    assert checkout.calls == ["venv", "pip base.lock", "pip torch.lock", "pip torch"]
+    assert "torch for CPUs and Stable-Baselines3 take 0.9 GB" in first.stderr
+    assert "Stable-Baselines3 is ready" in first.stderr
+    assert (first.returncode, first.stdout) == (7, f"<check><my folder>{checkout.root}\n")
+    assert second.stderr == ""
+
+
+def test_both_additions_stand_beside_each_other(checkout: Checkout) -> None:
+    launcher = str(checkout.root / "vitac")
+    for words in (("--torch", "--maniskill"), ("--maniskill",), ("--maniskill", "--torch"), ()):
+        assert checkout.run(launcher, *words, "status").stdout == f"<status>{checkout.root}\n"
+    torch, maniskill = ["pip torch.lock", "pip torch"], ["pip maniskill.lock", "pip torch"]
+    assert checkout.calls == ["venv", "pip base.lock", *torch, *maniskill]
+    (checkout.root / ".venv" / "vitac-torch").unlink()
+    checkout.run(launcher, "--maniskill", "--torch", "status")
+    assert checkout.calls[6:] == torch
+
+
+def test_torch_that_does_not_fit_on_the_disk_is_refused_before_anything_is_added(
+    checkout: Checkout, tmp_path: Path
+) -> None:
+    launcher = str(checkout.root / "vitac")
+    checkout.run(launcher, "status")
+    (tmp_path / "bin" / "df").unlink()
+    program(tmp_path / "bin" / "df", "#!/bin/sh\necho head\necho disk 0 0 1024000 0% /\n")
+    refused = checkout.run(launcher, "--torch", "status")
+    assert refused.returncode == 1
+    assert "the disk has 1000 MiB free" in refused.stderr
+    assert "expected 1500" in refused.stderr
+    assert checkout.calls == ["venv", "pip base.lock"]
 
 
 @pytest.mark.parametrize("changed", ["pyproject.toml", "requirements/base.lock"])

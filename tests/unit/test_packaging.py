@@ -199,7 +199,7 @@ def test_larger_lock_extends_the_smaller_one(repository: Path, smaller: str, lar
     assert {name: held.get(name) for name in locked(repository, smaller)} == locked(repository, smaller)
 
 
-@pytest.mark.parametrize("profile", ["base", "show", "dev", "maniskill", "node"])
+@pytest.mark.parametrize("profile", ["base", "show", "dev", "maniskill", "torch", "node"])
 def test_lock_has_a_hash_for_every_package_and_names_no_index(repository: Path, profile: str) -> None:
     text = (repository / "requirements" / f"{profile}.lock").read_text()
     pinned = re.findall(r"^\S+==.*\\\n    --hash=sha256:[0-9a-f]{64}", text, re.MULTILINE)
@@ -219,15 +219,37 @@ def test_packages_of_the_player_have_a_hash_and_name_no_registry(repository: Pat
     assert "://" not in text
 
 
-def test_the_lock_of_maniskill_has_no_torch_and_agrees_with_all_profiles_on_what_they_share(
-    repository: Path, project: dict[str, Any]
+@pytest.mark.parametrize(
+    ("addition", "extra", "others"), [("maniskill", "maniskill", ("dev", "torch")), ("torch", "training", ("dev",))]
+)
+def test_the_lock_of_an_addition_has_no_torch_and_agrees_with_all_others_on_what_they_share(
+    repository: Path, project: dict[str, Any], addition: str, extra: str, others: tuple[str, ...]
 ) -> None:
     """It is installed into their environment; torch's build for CPUs is installed apart."""
-    held, dev = locked(repository, "maniskill"), locked(repository, "dev")
-    assert {name: versions for name, versions in held.items() if versions != dev.get(name, versions)} == {}
+    held = locked(repository, addition)
+    for other in others:
+        shared = locked(repository, other)
+        assert {name: versions for name, versions in held.items() if versions != shared.get(name, versions)} == {}
     assert not [name for name in held if name in {"torch", "triton", "imageio-ffmpeg"} or name.startswith("cuda")]
-    for requirement in map(Requirement, project["project"]["optional-dependencies"]["maniskill"]):
-        assert all(requirement.specifier.contains(version) for version in held[requirement.name])
+    for requirement in map(Requirement, project["project"]["optional-dependencies"][extra]):
+        if requirement.name != "torch":
+            assert all(requirement.specifier.contains(version) for version in held[requirement.name])
+
+
+def test_the_build_of_torch_for_cpus_is_one_that_the_extras_take(repository: Path, project: dict[str, Any]) -> None:
+    pinned = re.search(r"^torch=(\S+)$", (repository / "setup" / "additions.sh").read_text(), re.MULTILINE)
+    assert pinned
+    for extra in ("torch", "training"):
+        (wanted,) = (
+            requirement
+            for requirement in map(Requirement, project["project"]["optional-dependencies"][extra])
+            if requirement.name == "torch"
+        )
+        assert wanted.specifier.contains(pinned[1])
+
+
+def test_the_lock_of_maniskill_has_the_versions_that_its_catalogue_was_made_with(repository: Path) -> None:
+    held = locked(repository, "maniskill")
     made_with = catalogue().made_with
     assert {name: held[name] for name in made_with} == {name: {version} for name, version in made_with.items()}
 

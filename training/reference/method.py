@@ -33,7 +33,8 @@ def require_packages() -> None:
     if missing:
         raise TrainingPackagesMissing(
             f"The challenge's method needs {' and '.join(missing)}, expected to be installed. "
-            f"Install them by: {install_command('training')}"
+            "Run it as ./vitac --torch train reference, which adds them with torch's build for CPUs; or install them "
+            f"by: {install_command('training')}"
         )
 
 

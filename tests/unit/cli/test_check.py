@@ -65,6 +65,21 @@ def test_a_failure_is_a_refusal_with_the_last_twenty_lines_of_output(
     assert lines[-1] == "This submission would be refused."
 
 
+@pytest.mark.parametrize(
+    ("module", "is_told"), [("torch", True), ("torch.nn", False), ("torchvision", False), ("tensorflow", False)]
+)
+def test_a_submission_that_needs_torch_is_told_how_to_add_it(
+    tmp_path: Path, played: list[EpisodeRecord], module: str, is_told: bool
+) -> None:
+    message = f"Importing policy raised ModuleNotFoundError: No module named '{module}'. Installed packages: numpy 2."
+    played[0] = make_record(1, EpisodeOutcome.POLICY_FAILED, 0, failure=make_failure(message=message))
+    result = check(submission_folder(tmp_path))
+    (refused,) = (line for line in result.stdout.splitlines() if line.startswith("refused"))
+    assert result.exit_code == 1
+    assert message in refused
+    assert ("The submission needs torch, which is not installed here: ./vitac --torch check adds" in refused) is is_told
+
+
 def test_a_failure_without_output_keeps_that_of_the_one_before(tmp_path: Path, played: list[EpisodeRecord]) -> None:
     played[0] = make_record(1, EpisodeOutcome.POLICY_FAILED, 0, failure=make_failure(output_tail="before"))
     played[1] = make_record(LAST, EpisodeOutcome.POLICY_FAILED, 0, failure=make_failure())
