@@ -1,0 +1,110 @@
+"""A row in every table of the service, and what all rows are: for what must lose none of them."""
+
+from datetime import UTC, datetime, timedelta
+from uuid import uuid4
+
+from sqlalchemy import select, text
+from sqlalchemy.orm import Session
+from vitac.server.accounts.principals import CONSOLE
+from vitac.server.competition.sealing import seal
+from vitac.server.db.engine import Database
+from vitac.server.db.models import (
+    Announcement,
+    Appeal,
+    AppealReplay,
+    Base,
+    EpisodeDifference,
+    EpisodeResult,
+    Evaluation,
+    Invitation,
+    JudgingConflict,
+    JudgingMark,
+    LogCopy,
+    MetricTotal,
+    Notice,
+    PartialUpload,
+    Playback,
+    Qualification,
+    Question,
+    Rejudgement,
+    Submission,
+    SubmissionFile,
+    Team,
+    TeamQuota,
+    UploadPart,
+    Webhook,
+    Worker,
+)
+from vitac.server.db.states import AppealState, FileRole, NoticeChannel, NoticeKind, PlaybackState, Quota, WorkerState
+
+from competitions import make_competition, put_in_place
+
+TEXT = "Ünïcode, 'quotes', \\ and\ttabs\nover lines"
+
+
+def fill_every_table(session: Session, submission: Submission, evaluation: Evaluation, file_sha256: str) -> None:
+    """Adds a row to each table that an evaluated submission leaves empty; `file_sha256` is of a stored file."""
+    definition = put_in_place(session, make_competition())
+    track, found = next(iter(definition.tracks.items()))
+    stage, team_id, now = found.stages[0].name, submission.team_id, datetime.now(UTC)
+    episode = session.scalars(select(EpisodeResult).limit(1)).one()
+    earlier = session.scalars(select(Submission).limit(1)).one()
+    upload = PartialUpload(
+        team_id=team_id, kind=submission.kind, track=None, again=False, file_name=None, total_bytes=9, expires_at=now
+    )
+    appeal = Appeal(
+        team_id=team_id, evaluation_id=evaluation.id, text=TEXT, state=AppealState.UPHELD, ended_at=now, ruling=TEXT
+    )
+    seal(session, CONSOLE, track, stage)
+    session.add_all([upload, appeal])
+    session.flush()
+    session.add_all(
+        [
+            Announcement(title="News", text=TEXT),
+            AppealReplay(
+                appeal_id=appeal.id, task=episode.task, episode=1, policy_sha256="1" * 64, corrected=True,
+                outcome="success", env_steps=3, same_states=False, old_outcome="steps", old_env_steps=4,
+            ),
+            EpisodeDifference(
+                evaluation_id=evaluation.id, task=episode.task, episode=1,
+                stored_digest="0" * 64, differing_digest="3" * 64,
+            ),
+            Invitation(team_id=team_id, code_sha256="2" * 64, expires_at=now + timedelta(days=1)),
+            JudgingConflict(team_id=team_id, judge="Ann", reason=TEXT),
+            JudgingMark(submission_id=submission.id, judge="Bob", criterion="novelty", mark=7.1),
+            LogCopy(evaluation_id=evaluation.id, earlier_submission_id=earlier.id, episodes=1),
+            MetricTotal(name="vitac_episodes_total", labels="{}", value=0.1),
+            Notice(
+                kind=NoticeKind.FINISHED, team_id=team_id, subject="evaluation:9", channel=NoticeChannel.MAIL,
+                target="ann@example.org", facts={"name": TEXT}, problem=TEXT,
+            ),
+            Playback(
+                key="4" * 64, episode_id=episode.id, evaluator_version="1", state=PlaybackState.FAILED,
+                asked_by="visitor", problem=TEXT,
+            ),
+            Qualification(track=track, stage=stage, team_id=team_id),
+            Question(team_id=team_id, text=TEXT, public=True),
+            Rejudgement(track=track, stage=stage, reason=TEXT),
+            SubmissionFile(
+                submission_id=submission.id, role=FileRole.DOCUMENT, sha256=file_sha256, n_bytes=1, name="design.pdf",
+                facts={"pages": 2},
+            ),
+            TeamQuota(team_id=team_id, quota=Quota.TOKENS, most=None),
+            UploadPart(upload_id=upload.id, first_byte=0, n_bytes=4, key=str(uuid4())),
+            Webhook(team_id=team_id, address="https://hook.example.org/", secret="5" * 64),
+            Worker(
+                host="gone", pid=1, slots=1, state=WorkerState.STOPPED, evaluator_version="1", platform_class="x",
+                isolation="",
+            ),
+        ]
+    )  # fmt: skip
+    session.get_one(Team, team_id).contact = "ann@example.org"
+
+
+def rows_of_every_table(database: Database) -> dict[str, list[str]]:
+    """All rows as the database writes them, by table, in the order of their text."""
+    with database.transaction() as session:
+        return {
+            table.name: list(session.scalars(text(f"SELECT t::text FROM {table.name} t ORDER BY 1")))  # noqa: S608
+            for table in Base.metadata.sorted_tables
+        }
