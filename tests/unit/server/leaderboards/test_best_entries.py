@@ -6,18 +6,16 @@ import pytest
 from database_work import database_work
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from service_factories import LOCK, TASK, TRACK, make_principal, make_score, sha256, submit_scored
+from service_factories import LOCK, TASK, TRACK, add_result, make_principal, make_score, submit_scored
 from sqlalchemy import select, text
 from sqlalchemy.orm import Session
 from vitac.evaluator.scoring.ranking import Standing, rank
-from vitac.evaluator.scoring.score import Score
 from vitac.evaluator.submission_kinds import SubmissionKind
-from vitac.evaluator.version import evaluator_hash, evaluator_version
+from vitac.evaluator.version import evaluator_version
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Evaluation, Submission, Team
 from vitac.server.db.schema import downgrade, upgrade
-from vitac.server.db.states import EvaluationState
-from vitac.server.evaluations.scores import combined_score, scores_of, store_scores
+from vitac.server.evaluations.scores import combined_score, scores_of
 from vitac.server.leaderboards import standings
 from vitac.server.leaderboards.best_entries import Board, best_entries, places
 from vitac.server.leaderboards.log_boards import log_boards
@@ -40,34 +38,6 @@ results = st.tuples(
     st.sampled_from((SubmissionKind.MODEL, SubmissionKind.MODEL, SubmissionKind.LOG)),
     st.uuids(),
 )
-
-
-def add_result(
-    session: Session,
-    number: int,
-    team: Team,
-    played: dict[str, Score],
-    moment: datetime,
-    version: str = evaluator_version(),
-    kind: SubmissionKind = SubmissionKind.MODEL,
-    evaluation_id: UUID | None = None,
-) -> None:
-    """A completed evaluation without shards, jobs and episodes."""
-    digest = sha256(f"{team.id} {number}")
-    submission = Submission(
-        team=team, kind=kind, track=TRACK, tasks=list(played), name=str(number), digest=digest,
-        archive_sha256=digest, archive_bytes=1, manifest={}, submitted_at=moment,
-    )  # fmt: skip
-    session.add(submission)
-    session.flush()
-    evaluation = Evaluation(
-        id=evaluation_id, submission=submission, run=1, evaluator_version=version, evaluator_hash=evaluator_hash(),
-        state=EvaluationState.COMPLETED, episodes_reused=0, log_tail="", created_at=moment, finished_at=moment,
-        result_hash=digest,
-    )  # fmt: skip
-    store_scores(evaluation, played, dict.fromkeys(played, digest), finished_at=moment)
-    session.add(evaluation)
-    session.flush()
 
 
 def best_by_the_rule(evaluations: Sequence[Evaluation], task: str | None) -> list[UUID]:

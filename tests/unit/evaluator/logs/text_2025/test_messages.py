@@ -64,6 +64,45 @@ def test_what_is_no_text_log_is_refused_by_line(content: bytes, message: str) ->
         read(content)
 
 
+def test_lines_and_files_may_be_as_large_as_the_limits() -> None:
+    line = LINE.encode().ljust(262_143, b"x") + b"\n"
+    assert [message.line for message in read(line * 32)] == list(range(1, 33))
+    sentence = "expected at most 262144 bytes a line and 8388608 in all, got more."
+    for content, refused_at in ((line * 32 + b"x", 33), (line[:-1] + b"x\n", 1)):
+        with pytest.raises(TextLogRejected) as refused:
+            read(content)
+        assert (str(refused.value), refused.value.line) == (f"Line {refused_at}: {sentence}", refused_at)
+
+
+def test_a_message_may_be_as_long_as_the_limit() -> None:
+    first = LINE.ljust(100_000, "x")
+    whole = f"{first}\n{'y' * 100_000}\n{'z' * 62_142}"
+    (message,) = read(whole + "\n")
+    assert len(message.text) == 262_144 - len(LINE)
+    with pytest.raises(TextLogRejected) as refused:
+        read(whole + "z\n")
+    assert str(refused.value) == "Line 3: expected a message of at most 262144 characters, got more."
+    assert refused.value.line == 3
+    assert len(read(f"{whole}\n{whole}\n")) == 2, "each message is counted from its own start"
+
+
+@pytest.mark.parametrize(
+    ("content", "sentence"),
+    [
+        (b"", "Line 1: the file is empty."),
+        (
+            b"2025-13-41 10:00:00.123 | INFO     | a:b:1 - x\n",
+            "Line 1: expected a date and time, got 2025-13-41 10:00:00.123.",
+        ),
+        (b"hello\n", "Line 1: expected `<date> <time> | INFO | ...`, got 'hello'."),
+    ],
+)
+def test_a_refusal_names_its_line_once_for_readers_and_once_for_programs(content: bytes, sentence: str) -> None:
+    with pytest.raises(TextLogRejected) as refused:
+        read(content)
+    assert (str(refused.value), refused.value.line) == (sentence, 1)
+
+
 def test_endless_line_is_refused_early() -> None:
     class Endless(io.RawIOBase):
         given = 0
@@ -93,7 +132,12 @@ def test_junk_is_refused_or_read_but_never_crashes(junk: bytes) -> None:
 
 @pytest.mark.parametrize(
     ("text", "values"),
-    [("[-4. -4. -8.]", (-4, -4, -8)), ("[ 1.5e-3\n  2. ]", (0.0015, 2)), ("[]", ())],
+    [
+        ("[-4. -4. -8.]", (-4, -4, -8)),
+        ("[1.5 -2.25]", (1.5, -2.25)),
+        ("[ 1.5e-3\n  2. ]", (0.0015, 2)),
+        ("[]", ()),
+    ],
 )
 def test_vector_reads_printed_arrays(text: str, values: tuple[float, ...]) -> None:
     assert vector(ANY, text) == values
