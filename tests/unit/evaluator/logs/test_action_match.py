@@ -105,7 +105,7 @@ def test_longer_or_missing_episode_is_a_mismatch() -> None:
     assert [(episode.reproduced, episode.first_mismatch) for episode in shorter.episodes] == [(2, 3), (0, 1)]
 
 
-@pytest.mark.parametrize("value", [0.25, 0.75])
+@pytest.mark.parametrize("value", [0.0, 0.25, 0.75])  # whose bytes are smaller or larger
 def test_other_actions_do_not_count_whether_larger_or_smaller(value: float) -> None:
     log = log_of(lambda *_: action(0.5))
     assert check(lambda *_: action(value), log).reproduced == 0

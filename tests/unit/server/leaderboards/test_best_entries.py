@@ -8,12 +8,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from service_factories import LOCK, TASK, TRACK, add_result, make_principal, make_score, submit_scored
 from sqlalchemy import select, text
-from sqlalchemy.orm import Session
 from vitac.evaluator.scoring.ranking import Standing, rank
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.version import evaluator_version
 from vitac.server.db.engine import Database
-from vitac.server.db.models import Evaluation, Submission, Team
+from vitac.server.db.models import Evaluation, Team
 from vitac.server.db.schema import downgrade, upgrade
 from vitac.server.evaluations.scores import combined_score, scores_of
 from vitac.server.leaderboards import standings

@@ -68,23 +68,22 @@ def session(database: Database) -> Any:
         opened.rollback()
 
 
-def place_on_pegs(results: Results, evaluations: list[Evaluation], until: datetime = EVER) -> list[UUID]:
-    submissions = {one.submission_id: one.submission.team_id for one in evaluations}
-    found = places(results.session, TRACK, submissions, until=until)[TASK]
-    return sorted(found, key=lambda name: found[name].rank)
+def placed_on_pegs(results: Results, until: datetime = EVER) -> list[UUID]:
+    found = places(results.session, TRACK, until=until)[TASK]
+    assert [place.rank for place in found.values()] == list(range(1, len(found) + 1))
+    assert {place.of for place in found.values()} <= {len(found)}
+    return list(found)
 
 
 def test_a_board_has_the_results_of_its_track_stage_kind_and_task_only(results: Results) -> None:
     ours = results.add("Ours", 1)
-    elsewhere = [
-        results.add("Track", 90, track="track_2"),
-        results.add("Stage", 91, stage="final"),
-        results.add("Kind", 92, kind=SubmissionKind.LOG),
-        results.add("Board", 93, board=LOCK),
-    ]
+    results.add("Track", 90, track="track_2")
+    results.add("Stage", 91, stage="final")
+    results.add("Kind", 92, kind=SubmissionKind.LOG)
+    results.add("Board", 93, board=LOCK)
     entries = best_entries(results.session, PEGS)
     assert entries == [BestEntry(rank=1, evaluation_id=ours.id, submission_id=ours.submission_id)]
-    assert place_on_pegs(results, [ours, *elsewhere]) == [ours.submission_id]
+    assert placed_on_pegs(results) == [ours.submission_id]
     for board, team in (
         (Board(track="track_2", task=TASK), "Track"),
         (Board(track=TRACK, task=TASK, stage="final"), "Stage"),
@@ -98,11 +97,10 @@ def test_a_result_counts_from_the_moment_it_is_complete(results: Results) -> Non
     in_time = results.add("In time", 10, finished_at=UNTIL)
     late = results.add("Late", 90, finished_at=UNTIL + timedelta(microseconds=1))
     better = results.add("In time", 80, finished_at=UNTIL + timedelta(seconds=1))
-    everything = [in_time, late, better]
     assert results.shown(best_entries(results.session, PEGS, until=UNTIL)) == [(1, "In time")]
-    assert place_on_pegs(results, everything, UNTIL) == [in_time.submission_id]
+    assert placed_on_pegs(results, UNTIL) == [in_time.submission_id]
     assert results.shown(best_entries(results.session, PEGS)) == [(1, "Late"), (2, "In time")]
-    assert place_on_pegs(results, everything) == [late.submission_id, better.submission_id]
+    assert placed_on_pegs(results) == [late.submission_id, better.submission_id]
     results.add("Older", 99, finished_at=UNTIL + timedelta(seconds=1), evaluator_version=OLD)
     assert results.shown(best_entries(results.session, PEGS, until=UNTIL)) == [(1, "In time")]
 
@@ -145,33 +143,37 @@ def test_a_rank_of_another_team_hides_nothing(results: Results) -> None:
 
 def test_who_is_disqualified_is_on_no_board_and_takes_no_place(results: Results) -> None:
     ours = results.add("Ours", 10)
-    out, outdated = results.add("Out", 90), results.add("Out of date", 91, evaluator_version=OLD)
+    results.add("Out", 90)
+    results.add("Out of date", 91, evaluator_version=OLD)
     text_logs = [results.add(team, 50, kind=SubmissionKind.TEXT_LOG) for team in ("Ours", "Out")]
     for team in ("Out", "Out of date"):
         results.teams[team].disqualified_at, results.teams[team].disqualified_for = BEGIN, "test"
     results.session.flush()
     assert results.shown(best_entries(results.session, PEGS)) == [(1, "Ours")]
-    assert place_on_pegs(results, [out, outdated, ours]) == [ours.submission_id]
-    place = places(results.session, TRACK, {ours.submission_id: ours.submission.team_id})[TASK][ours.submission_id]
-    assert (place.rank, place.of) == (1, 1)
+    assert placed_on_pegs(results) == [ours.submission_id]
     assert newest_text_logs(results) == [text_logs[0].id]
 
 
 def test_places_are_of_each_board_by_itself(results: Results) -> None:
-    ours = [results.add("Ours", 10), results.add("Ours", 90, task=LOCK)]
-    results.add("Theirs", 50)
-    results.add("Third", 40)
-    results.add("Third", 50, task=LOCK)
-    asked = {one.submission_id: one.submission.team_id for one in ours}
-    found = places(results.session, TRACK, asked)
-    assert {board: [(place.rank, place.of) for place in shown.values()] for board, shown in found.items()} == {
-        None: [(1, 3)],
-        TASK: [(3, 3)],
-        LOCK: [(1, 2)],
+    assert places(results.session, TRACK) == {None: {}, TASK: {}, LOCK: {}}
+    ours, lock = results.add("Ours", 10), results.add("Ours", 90, task=LOCK)
+    theirs, third = results.add("Theirs", 50), results.add("Third", 40)
+    other_lock = results.add("Third", 50, task=LOCK)
+    found = places(results.session, TRACK)
+    assert {board: [*shown] for board, shown in found.items()} == {
+        None: [lock.submission_id, *(one.submission_id for one in sorted_by_time_and_id(theirs, other_lock))],
+        TASK: [theirs.submission_id, third.submission_id, ours.submission_id],
+        LOCK: [lock.submission_id, other_lock.submission_id],
     }
-    assert places(results.session, TRACK, {}) == {None: {}, TASK: {}, LOCK: {}}
-    of_nobody = {ours[0].submission_id: results.teams["Theirs"].id}
-    assert places(results.session, TRACK, of_nobody)[TASK] == {}, "only among the results of the team that is named"
+    assert {board: {place.of for place in shown.values()} for board, shown in found.items()} == {
+        None: {3},
+        TASK: {3},
+        LOCK: {2},
+    }
+
+
+def sorted_by_time_and_id(*evaluations: Evaluation) -> list[Evaluation]:
+    return sorted(evaluations, key=lambda one: (one.created_at, one.id))
 
 
 def test_equal_entries_stand_in_the_order_of_their_ids(results: Results) -> None:
