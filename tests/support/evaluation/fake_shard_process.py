@@ -106,6 +106,6 @@ if __name__ == "__main__":
     for module in (execution, host):
         module.make_environment = lambda *_, **__: FakeEnvironment()  # type: ignore[attr-defined]
     execution.load_manifest = lambda _: SubmissionManifest(  # type: ignore[attr-defined, assignment]
-        track="track_1", tasks=("peg-insertion",), name="fake"
+        track="track_1", tasks=("peg-insertion",), name="fake", control_modes={}
     )
     host.main()

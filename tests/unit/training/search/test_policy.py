@@ -61,7 +61,8 @@ def test_action_is_the_weighted_sum_within_bounds() -> None:
     weights[0, 3], weights[1, 0] = -0.25, -5.0
     found = Opening(weights).act(turned_flow(0.02))
     np.testing.assert_allclose(found, [-0.5, -1.0], atol=1e-4)
-    assert (found.dtype, found.shape) == (np.float32, (ACTIONS,))
+    assert found.dtype == np.float32
+    assert found.shape == (ACTIONS,)
 
 
 def test_policy_reads_the_weights_beside_it_and_begins_every_episode_anew(
@@ -73,7 +74,7 @@ def test_policy_reads_the_weights_beside_it_and_begins_every_episode_anew(
     flow = turned_flow(0.005, up_px=2)
     made, opening = Policy(), Opening(weights)
     expected = [opening.act(flow), opening.act(flow)]
-    assert not np.array_equal(*expected)
+    assert not np.array_equal(expected[0], expected[1])
     for _ in range(2):
         made.reset("lock-opening")
         np.testing.assert_array_equal([made.act({"marker_flow": flow}) for _ in range(2)], expected)
