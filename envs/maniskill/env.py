@@ -12,6 +12,7 @@ import sys
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from time import process_time
 from typing import Any
@@ -279,8 +280,9 @@ def has_cuda() -> bool:
     return bool(torch.cuda.is_available())
 
 
+@cache
 def has_driver() -> bool:
-    """Return whether SAPIEN finds a Vulkan driver to draw with."""
+    """Return whether SAPIEN finds a Vulkan driver; kept, for a stand-in takes the place of what is asked."""
     import sapien
 
     try:
