@@ -11,17 +11,34 @@ from functools import cache
 from pathlib import Path
 
 import psycopg
+from psycopg import sql
 from vitac.server.db.engine import Database
 from vitac.server.db.schema import upgrade
 from vitac.server.postgres.embedded import EmbeddedPostgres
 
 TEMPLATE = "vitac_template"
 FAST = ("fsync=off", "synchronous_commit=off", "full_page_writes=off")
+MEMORY = Path("/dev/shm")
+NEEDED_BYTES = 4 << 30
+"""Free memory with which folders are made there; those of a whole run take less than 1 GB."""
+
+
+@cache
+def place_of_folders() -> Path:
+    """A disk in memory, where a database is made and dropped in a quarter of the time, or /tmp where that has no room.
+
+    A disk that runs no programs does not do either: where others cannot reach PostgreSQL, it is copied and run there.
+    """
+    if not MEMORY.is_dir() or not os.access(MEMORY, os.W_OK):
+        return Path("/tmp")
+    found = os.statvfs(MEMORY)
+    has_room = found.f_bavail * found.f_frsize >= NEEDED_BYTES
+    return MEMORY if has_room and not found.f_flag & os.ST_NOEXEC else Path("/tmp")
 
 
 def state_directory() -> Path:
     """A new folder that the database's user can reach also when the tests run as root; pytest's own let nobody in."""
-    folder = Path(tempfile.mkdtemp(prefix="vitac-test-", dir="/tmp"))
+    folder = Path(tempfile.mkdtemp(prefix="vitac-test-", dir=place_of_folders()))
     folder.chmod(0o711 if os.geteuid() == 0 else 0o700)
     return folder
 
@@ -40,6 +57,11 @@ def shared_cluster() -> EmbeddedPostgres:
     atexit.register(end)
     with psycopg.connect(postgres.cluster.dsn("postgres"), autocommit=True) as connection:
         connection.execute(f"CREATE DATABASE {TEMPLATE}")
+        if connection.info.server_version >= 160_000:
+            # The password again, hashed once and not 4,096 times: each test opens ten connections.
+            connection.execute("SET scram_iterations = 1")
+            user, password = sql.Identifier(connection.info.user), sql.Literal(connection.info.password)
+            connection.execute(sql.SQL("ALTER ROLE {} PASSWORD {}").format(user, password))
     template = Database(postgres.cluster.dsn(TEMPLATE))
     upgrade(template)
     template.dispose()
