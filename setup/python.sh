@@ -31,18 +31,19 @@ venv_is_valid() {
   [ "$has_place" = "$(place)" ] && [ -x "$venv/bin/python" ] && [ "$(readlink -f "$venv/bin/python")" = "$has_interpreter" ]
 }
 
-# Each profile includes all packages of the ones before it.
-profile_rank() { # profile
-  case $1 in
-    base) echo 1 ;;
-    show) echo 2 ;;
-    dev) echo 3 ;;
-    *) echo 0 ;;
+# Prints the smallest profile that has the packages of all those given. `base` is part of every profile, and `dev` has all.
+joined_profiles() { # profiles...
+  case "$*" in
+    *dev*) echo dev ;;
+    *server*show* | *show*server*) echo server+show ;;
+    *server*) echo server ;;
+    *show*) echo show ;;
+    *) echo base ;;
   esac
 }
 
 installed_profile_covers() { # profile
-  [ "$(profile_rank "$has_profile")" -ge "$(profile_rank "$1")" ]
+  [ -n "$has_profile" ] && [ "$(joined_profiles "$has_profile" "$1")" = "$has_profile" ]
 }
 
 python_is_ready() { # profile
@@ -99,7 +100,6 @@ link_packages() {
 
 install_python() { # profile
   started=$(date +%s)
-  lock=$root/requirements/$1.lock
   : >"$log"
   if venv_is_valid; then
     rm -f "$stamp"
@@ -107,9 +107,12 @@ install_python() { # profile
     rm -rf "$venv"
     logged "creating .venv with $python" '' '' "$python" -I -m venv "$venv" || fail_setup "creating .venv" 1000
   fi
-  heading="installing Python packages"
-  logged "$heading" "$(grep -c '==' "$lock")" 'Collecting ' \
-    pip install --require-hashes --only-binary :all: --no-deps -r "$lock" || fail_setup "$heading" 1000
+  for part in $(echo "$1" | tr + ' '); do
+    lock=$root/requirements/$part.lock
+    heading="installing Python packages"
+    logged "$heading" "$(grep -c '==' "$lock")" 'Collecting ' \
+      pip install --require-hashes --only-binary :all: --no-deps -r "$lock" || fail_setup "$heading" 1000
+  done
   logged "installing ViTac Arena" '' '' \
     pip install --no-index --no-deps --no-build-isolation -e "$root" || fail_setup "installing ViTac Arena" 1000
   link_packages
@@ -118,7 +121,8 @@ install_python() { # profile
   end_steps "Python packages are ready ($(($(date +%s) - started)) s)"
 }
 
-# Installs the packages of a profile into .venv: `base` to evaluate and serve, `show` to draw as well, `dev` to test.
+# Installs the packages of a profile into .venv: `base` to evaluate, `show` to draw as well, `server` to serve, `server+show` for
+# both, `dev` to test. What other commands needed stays.
 ensure_python() { # profile
   # These settings are for other installations and would install packages outside .venv.
   unset PIP_TARGET PIP_PREFIX PIP_ROOT PYTHONHOME
@@ -127,9 +131,8 @@ ensure_python() { # profile
   find_python
   lock_setup "$python"
   if ! python_is_ready "$1"; then
-    profile=$1
-    if venv_is_valid && installed_profile_covers "$1"; then profile=$has_profile; fi
-    install_python "$profile"
+    if ! venv_is_valid; then has_profile=''; fi
+    install_python "$(joined_profiles "$has_profile" "$1")"
   fi
   unlock_setup
 }

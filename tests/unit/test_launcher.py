@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
+from vitac.cli.main import NOUNS, Noun
 
 # Stands in for python3.11: real for `-c`, and in place of venv and pip it writes what those would leave behind.
 FAKE_PYTHON = f"""#!/bin/sh
@@ -207,10 +208,30 @@ def test_base_commands_and_the_documentation_are_content_with_the_dev_packages(c
     assert checkout.calls == ["venv", "pip dev.lock", "sphinx"]
 
 
-def test_drawing_adds_its_packages_and_later_commands_keep_them(checkout: Checkout) -> None:
-    for command in ("status", "show", "status", "test", "show"):
+def test_each_command_adds_its_packages_and_later_commands_keep_them(checkout: Checkout) -> None:
+    for command in ("status", "show", "status", "test", "show", "worker", "admin"):
         checkout.run(str(checkout.root / "vitac"), command)
     assert checkout.calls == ["venv", "pip base.lock", "pip show.lock", "pip dev.lock"]
+
+
+@pytest.mark.parametrize(
+    "noun", [noun for noun in NOUNS if noun.name not in {"show", "serve", "demo"}], ids=lambda noun: noun.name
+)
+def test_only_commands_of_the_service_bring_server_and_database(checkout: Checkout, noun: Noun) -> None:
+    checkout.run(str(checkout.root / "vitac"), noun.name, "word")
+    wanted = {None: ["pip base.lock"], "server": ["pip server.lock"], "worker": ["pip server.lock", "pip show.lock"]}
+    assert checkout.calls == ["venv", *wanted[noun.extra]]
+
+
+def test_service_and_drawing_are_added_to_each_other(checkout: Checkout) -> None:
+    for command in ("show", "admin", "worker", "show", "admin", "evaluate"):
+        checkout.run(str(checkout.root / "vitac"), command)
+    both = ["pip server.lock", "pip show.lock"]
+    assert checkout.calls == ["venv", "pip show.lock", *both]
+    with (checkout.root / "pyproject.toml").open("a") as file:
+        file.write("# changed\n")
+    checkout.run(str(checkout.root / "vitac"), "evaluate")
+    assert checkout.calls[4:] == both
 
 
 def test_maniskill_is_added_once_after_saying_how_large_it_is(checkout: Checkout) -> None:
@@ -386,7 +407,7 @@ def test_settings_for_other_installations_do_not_reach_pip(checkout: Checkout, t
 
 
 def test_exports_the_sandbox_program_it_found(checkout: Checkout, tmp_path: Path) -> None:
-    checkout.run(str(checkout.root / "vitac"), "show")
+    checkout.run(str(checkout.root / "vitac"), "worker")
     program(checkout.root / ".venv" / "bin" / "vitac", '#!/bin/sh\necho "$VITAC_BWRAP"\n')
     assert checkout.run(str(checkout.root / "vitac"), "demo").stdout == f"{tmp_path / 'bin' / 'bwrap'}\n"
     assert checkout.run(str(checkout.root / "vitac"), "demo", VITAC_BWRAP="/own/bwrap").stdout == "/own/bwrap\n"
@@ -474,7 +495,7 @@ def test_tests_and_changed_sources_do_not_wait_after_a_failure(checkout: Checkou
 
 def test_documentation_whose_packages_cannot_be_fetched_is_not_tried_at_each_start(checkout: Checkout) -> None:
     serve = (str(checkout.root / "vitac"), "serve")
-    checkout.run(*serve[:1], "status")
+    checkout.run(*serve[:1], "worker")
     first, second = checkout.run(*serve, FAKE_PIP_ERROR="no network"), checkout.run(*serve)
     assert "building the documentation failed" in first.stderr
     assert "what the documentation needs could not be fetched less than an hour ago" in second.stderr
@@ -538,7 +559,7 @@ def test_root_installs_the_debian_package_with_fresh_lists(debian: Checkout, tmp
 
 def test_a_normal_user_gets_the_package_unpacked_with_its_libraries(debian: Checkout, tmp_path: Path) -> None:
     become(1000, tmp_path)
-    debian.run(str(debian.root / "vitac"), "show")
+    debian.run(str(debian.root / "vitac"), "worker")
     program(debian.root / ".venv" / "bin" / "vitac", '#!/bin/sh\necho "$VITAC_BWRAP"\n')
     ran = debian.run(str(debian.root / "vitac"), "demo")
     wrapper = debian.root / ".system" / "bin" / "bwrap"
@@ -559,13 +580,13 @@ def test_a_failing_package_manager_is_quoted(debian: Checkout, tmp_path: Path) -
 def test_serving_builds_the_documentation_once_and_again_after_a_change(checkout: Checkout) -> None:
     serve = (str(checkout.root / "vitac"), "serve")
     first, second = checkout.run(*serve), checkout.run(*serve)
-    assert checkout.calls == ["venv", "pip base.lock", "pip docs.lock", "sphinx"]
+    assert checkout.calls == ["venv", "pip server.lock", "pip show.lock", "pip docs.lock", "sphinx"]
     assert (first.returncode, second.returncode) == (7, 7)
     assert "the documentation is ready" in first.stderr
     assert second.stderr == ""
     (checkout.root / "docs" / "index.md").write_text("# Changed")
     checkout.run(*serve)
-    assert checkout.calls[4:] == ["pip docs.lock", "sphinx"]
+    assert checkout.calls[5:] == ["pip docs.lock", "sphinx"]
 
 
 def test_serves_without_documentation_where_it_cannot_be_built(checkout: Checkout) -> None:

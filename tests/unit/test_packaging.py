@@ -16,6 +16,7 @@ from typing import Any
 import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
+from vitac.cli.main import NOUNS
 from vitac.envs.maniskill.catalogue import catalogue
 
 FOLDERS = ("cli", "envs", "evaluator", "migrations", "server", "training", "web", "worker")
@@ -141,9 +142,8 @@ def test_environments_and_evaluation_need_no_extra(repository: Path, project: di
     extras = project["project"]["optional-dependencies"]
     service = import_names(extras["server"])
     assert {"sqlalchemy", "fastapi", "psycopg", "alembic", "obstore"} <= service
-    nouns = ("check", "evaluate", "resimulate", "log", "seeds", "show", "sensor", "train", "doctor")
-    client = ("submit", "status", "account.register", "account.login", "account.logout", "account.whoami")
-    names = [f"vitac.cli.{noun}" for noun in nouns] + [f"vitac.cli.client.{noun}" for noun in client]
+    names = [f"vitac.cli.{noun.module}" for noun in NOUNS if noun.extra is None]
+    assert {"vitac.cli.evaluate", "vitac.cli.show", "vitac.cli.client.submit", "vitac.cli.doctor"} <= set(names)
     names += [name for folder in ("evaluator", "training") for name in modules_below(repository, folder)]
     torch = {f"vitac.training.reference.{name}" for name in ("policy", "td3")}
     assert torch <= set(names)
@@ -180,11 +180,9 @@ def locked(repository: Path, profile: str) -> dict[str, set[str]]:
     return versions
 
 
-@pytest.mark.parametrize("profile", ["base", "show", "dev"])
+@pytest.mark.parametrize("profile", ["base", "server", "show", "docs", "dev"])
 def test_lock_satisfies_the_project(repository: Path, project: dict[str, Any], profile: str) -> None:
-    # The launcher's smallest profile has the service, which only an extra of the package brings.
-    wanted = list(project["project"]["dependencies"]) + project["project"]["optional-dependencies"]["server"]
-    wanted += project["build-system"]["requires"]
+    wanted = list(project["project"]["dependencies"]) + project["build-system"]["requires"]
     wanted += project["project"]["optional-dependencies"].get(profile, [])
     versions = locked(repository, profile)
     for requirement in map(Requirement, wanted):
@@ -193,13 +191,31 @@ def test_lock_satisfies_the_project(repository: Path, project: dict[str, Any], p
         assert all(requirement.specifier.contains(version) for version in chosen), f"{requirement}: locked {chosen}"
 
 
-@pytest.mark.parametrize(("smaller", "larger"), [("base", "show"), ("show", "dev")])
+def test_the_lock_of_evaluation_has_nothing_of_the_service(repository: Path, project: dict[str, Any]) -> None:
+    service = {Requirement(each).name for each in project["project"]["optional-dependencies"]["server"]}
+    assert service <= set(locked(repository, "server"))
+    assert not service & set(locked(repository, "base"))
+
+
+EXTENDED = [
+    ("base", "server"),
+    ("base", "show"),
+    ("server", "docs"),
+    ("server", "dev"),
+    ("show", "dev"),
+    ("docs", "dev"),
+]
+
+
+@pytest.mark.parametrize(("smaller", "larger"), EXTENDED)
 def test_larger_lock_extends_the_smaller_one(repository: Path, smaller: str, larger: str) -> None:
     held = locked(repository, larger)
     assert {name: held.get(name) for name in locked(repository, smaller)} == locked(repository, smaller)
 
 
-@pytest.mark.parametrize("profile", ["base", "show", "dev", "maniskill", "torch", "node"])
+@pytest.mark.parametrize(
+    "profile", ["base", "server", "show", "docs", "dev", "maniskill", "torch", "node"]
+)
 def test_lock_has_a_hash_for_every_package_and_names_no_index(repository: Path, profile: str) -> None:
     text = (repository / "requirements" / f"{profile}.lock").read_text()
     pinned = re.findall(r"^\S+==.*\\\n    --hash=sha256:[0-9a-f]{64}", text, re.MULTILINE)

@@ -106,6 +106,21 @@ def test_rules_show_the_track_file_and_the_limits(browser: AsgiBrowser) -> None:
         assert shown in html
 
 
+def test_rules_begin_with_a_picture_of_scene_and_observation_which_is_there_once(browser: AsgiBrowser) -> None:
+    html = browser.get("/tracks/track_1/rules").text
+    picture, contents = html.index("/static/peg-insertion.png"), html.index('aria-label="Contents"')
+    assert picture < contents < html.index('id="taking-part"')
+    assert html.count("/static/peg-insertion.png") == html.count("/static/lock-opening.png") == 1
+    assert f'<a href="#task-{TASK}">' in html.partition("</figure>")[0]
+
+
+@pytest.mark.parametrize("path", ["/tracks/maniskill", "/tracks/maniskill/rules"])
+def test_names_between_backticks_are_shown_as_code(browser: AsgiBrowser, path: str) -> None:
+    html = browser.get(path).text
+    assert "`" not in html
+    assert "extra <code>maniskill</code>" in html
+
+
 def test_unknown_track_is_a_page_that_names_the_known_ones(browser: AsgiBrowser) -> None:
     answer = browser.get("/tracks/track_9")
     assert answer.status_code == 404
@@ -150,11 +165,12 @@ def test_rules_of_track_2_show_keys_shapes_actions_limits_and_a_picture_of_the_c
 
 def test_rules_show_the_scene_of_each_task_before_its_words(browser: AsgiBrowser) -> None:
     html = browser.get("/tracks/track_1/rules").text
-    for name, task in load_track("track_1").tasks.items():
+    for number, (name, task) in enumerate(load_track("track_1").tasks.items()):
         (picture,) = re.findall(
             rf'<img class="wide" src="(/static/{name}\.png\?v=\w+)" width="1000" height="570"', html
         )
-        assert html.index(f'id="task-{name}"') < html.index(picture) < html.index(escape(task.description[:40]))
+        above = "<h1>" if number == 0 else f'id="task-{name}"'
+        assert html.index(above) < html.index(picture) < html.index(escape(task.description[:40]))
         assert browser.get(picture).headers["content-type"] == "image/png"
 
 

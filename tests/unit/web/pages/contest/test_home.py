@@ -10,6 +10,7 @@ from page_fixtures import LOCK, MADE_UP_SCORES, NOW, TASK, FixedData, a_leaderbo
 from PIL import Image
 from played_episodes import KEY, a_playback, a_shown_episode, real_files
 from visits import COMPLETED
+from vitac.evaluator.tracks import load_track
 from vitac.server.playbacks.files import PlaybackFile
 from vitac.server.views.contest.competition import CompetitionTrackView, CompetitionView, StageView
 from vitac.server.views.contest.people import AnnouncementView
@@ -51,6 +52,14 @@ def test_an_empty_arena_says_what_it_is_and_how_to_be_the_first(browser: AsgiBro
     assert html.count('class="cards"') == 1
     assert 'aria-current="page"' not in html.split("<main")[0]
     assert "/competition" not in html
+
+
+def test_names_in_the_summary_of_a_track_are_shown_as_code(
+    browser: AsgiBrowser, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    track = load_track("track_1").model_copy(update={"summary": "Needs `<torch>`."})
+    monkeypatch.setattr(home, "load_track", lambda name: track)
+    assert "<p>Needs <code>&lt;torch&gt;</code>.</p>" in browser.get("/").text
 
 
 def test_what_happened_lately_comes_first_and_links_what_is_public(data: FixedData, browser: AsgiBrowser) -> None:
