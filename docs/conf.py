@@ -10,13 +10,21 @@ project = "ViTac Arena"
 copyright = "the ViTac Arena developers"  # noqa: A001 - Sphinx's name
 version = release = version_of("vitac-arena")
 extensions = [
-    "myst_parser",
+    "myst_nb",
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
+    "animations",
     "generated_pages",
+    "notebooks",
     "finished_pages",
 ]
-exclude_patterns = ["builder", "generated"]
+exclude_patterns = ["builder", "generated", "tutorials/*/tutorial_*", "tutorials/peg_insertion_heuristic"]
+
+# The tutorial runs when the site is built, in miniature.
+nb_execution_mode = "cache"
+nb_execution_raise_on_error = True
+nb_execution_timeout = 300  # of a cell [s]; the first one that steps may compile the physics
+nb_merge_streams = True
 
 # Links to headings of these levels work as they do where Markdown is shown with the source.
 myst_heading_anchors = 4

@@ -1,13 +1,14 @@
 # shellcheck shell=sh
 # Builds the documentation site in web/documentation, from docs/ and from what the code says of itself. Read by ../vitac, which sets
-# `root`, after python.sh. Without it the service runs all the same, and /docs says how to build it.
+# `root`, after python.sh. The first build also runs the tutorial in miniature and draws the environments, with the physics, and keeps
+# both until the code changes. Without the site the service runs all the same, and /docs says how to build it.
 
 : "${root:?set by ../vitac}"
 docs_stamp=$root/web/documentation/vitac-stamp
 
 docs_fingerprint() {
-  for folder in docs envs/tasks evaluator/episodes evaluator/scoring server/api server/views; do
-    find "$root/$folder" -type f ! -path "$root/docs/generated/*" ! -name '*.pyc' 2>/dev/null || true
+  for folder in docs envs/tasks evaluator/episodes evaluator/scoring examples/peg_insertion_heuristic server/api server/views training; do
+    find "$root/$folder" -type f ! -path "$root/docs/generated/*" ! -path "$root/docs/tutorials/*/tutorial_*" ! -name '*.pyc' 2>/dev/null || true
   done | sort | tr '\n' '\0' | xargs -0 cat "$root/requirements/docs.lock" | cksum | tr ' ' '-'
 }
 
@@ -45,7 +46,7 @@ ensure_docs() {
     started=$(date +%s)
     : >"$log"
     if install_docs_packages &&
-      logged "building the documentation" '' '' build_docs; then
+      logged "building the documentation (its tutorial and pictures take up to a minute once)" '' '' build_docs; then
       end_steps "the documentation is ready ($(($(date +%s) - started)) s)"
     else
       unlock_setup

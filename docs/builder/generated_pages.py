@@ -9,6 +9,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+import animations
 from sphinx.application import Sphinx
 
 FOLDER = "generated"
@@ -29,17 +30,19 @@ def _write(app: Sphinx) -> None:
     folder.mkdir(exist_ok=True)
     description = create_app(load_settings(database_url="postgresql:///unused")).openapi()
     (folder / "rest.md").write_text(rest_reference(description))
-    (folder / "environments.md").write_text(environments_reference())
+    (pictures,) = (folder / "animations").iterdir()
+    animated = {env_id: animations.element(env_id, pictures, above="..") for env_id in animations.SHOWN}
+    (folder / "environments.md").write_text(environments_reference(animated))
 
 
-def environments_reference() -> str:
-    """Return a section with the docstring of each registered environment."""
+def environments_reference(animated: Mapping[str, str]) -> str:
+    """Return a section for each registered environment: its animation, then its docstring."""
     from vitac.envs import ENVIRONMENTS
 
     lines: list[str] = []
     for name, place in sorted(ENVIRONMENTS.items()):
         module, _, attribute = place.partition(":")
-        lines += [f"## {name}", inspect.getdoc(getattr(import_module(module), attribute)) or "", ""]
+        lines += [f"## {name}", animated[name], "", inspect.getdoc(getattr(import_module(module), attribute)) or "", ""]
     return "\n".join(lines)
 
 

@@ -1,7 +1,9 @@
 """The documentation site as the service serves it: it works under its policy, is accessible, and its search finds."""
 
 import subprocess
+from html.parser import HTMLParser
 from pathlib import Path
+from urllib.parse import unquote, urlsplit
 
 import pytest
 from browser_checks import DESK, PHONE, Complaints, violations
@@ -9,7 +11,8 @@ from playwright.sync_api import Browser, expect
 from site_under_test import SiteUnderTest
 from vitac.web.pages.documentation import SITE
 
-PAGES = ("", "start/participant.html", "failures.html", "reference/rest.html", "reference/environments.html")
+TUTORIAL, ENVIRONMENTS = "tutorials/train_a_policy/train_a_policy.html", "reference/environments.html"
+PAGES = ("", "start/participant.html", "failures.html", "reference/rest.html", ENVIRONMENTS, TUTORIAL)
 
 
 # What `./vitac serve` does before it starts.
@@ -38,6 +41,61 @@ def test_documentation_is_accessible_and_raises_no_error(
         assert violations(page) == [], path
     assert complaints.heard == []
     context.close()
+
+
+class Links(HTMLParser):
+    """What a page names, and what it can be named by."""
+
+    def __init__(self, page: Path) -> None:
+        super().__init__()
+        self.targets: set[str] = set()
+        self.anchors: set[str] = set()
+        self.feed(page.read_text())
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        named = {name: value for name, value in attrs if value}
+        self.targets |= {named[name] for name in ("href", "src", "srcset") if name in named}
+        self.anchors |= {named[name] for name in ("id", "name") if name in named}
+
+
+def test_every_link_of_the_built_site_leads_somewhere() -> None:
+    pages = {page: Links(page) for page in SITE.rglob("*.html")}
+    assert len(pages) > 30
+    broken = []
+    for page, links in pages.items():
+        for target in links.targets:
+            address = urlsplit(target)
+            if address.scheme or address.netloc or target.startswith("/"):
+                continue
+            file = (page.parent / unquote(address.path)).resolve() if address.path else page
+            anchored = address.fragment in {"", *pages[file].anchors} if file in pages else not address.fragment
+            if not file.is_file() or not anchored:
+                broken.append(f"{page.relative_to(SITE)}: {target}")
+    assert broken == []
+
+
+def test_the_tutorial_shows_what_its_cells_printed(browser: Browser, site: SiteUnderTest) -> None:
+    page = browser.new_page()
+    page.goto(f"{site.address}/docs/{TUTORIAL}")
+    expect(page.get_by_text("marker_flow (2, 2, 128, 2)")).to_be_visible()
+    expect(page.get_by_text("['policy.py', 'submission.yaml', 'weights.npz']")).to_be_visible()
+    page.close()
+
+
+@pytest.mark.parametrize(("wish", "shown"), [("no-preference", ".webp"), ("reduce", "-still.webp")])
+def test_environments_move_unless_less_motion_is_wished(
+    browser: Browser, site: SiteUnderTest, wish: str, shown: str
+) -> None:
+    page = browser.new_page(reduced_motion=wish)  # type: ignore[arg-type]
+    page.goto(f"{site.address}/docs/{ENVIRONMENTS}")
+    pictures = page.locator("picture img")
+    for number, task in enumerate(("fusion-insertion", "lock-opening", "peg-insertion")):
+        picture = pictures.nth(number)
+        picture.scroll_into_view_if_needed()
+        expect(picture).to_have_js_property("complete", value=True)
+        assert picture.evaluate("image => image.currentSrc").endswith(f"/{task}{shown}")
+        assert picture.evaluate("image => image.naturalWidth") == 640
+    page.close()
 
 
 def test_search_finds_a_page(browser: Browser, site: SiteUnderTest) -> None:

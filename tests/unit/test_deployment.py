@@ -177,7 +177,7 @@ def test_image_context_holds_what_wheel_and_documentation_are_built_from(reposit
     folders = set(project["tool"]["setuptools"]["package-dir"].values())
     assert "server" in folders
     kept = {line[1:] for line in lines if line.startswith("!")}
-    of_pages = {"competitions", "docs", "setup", "viewer"}
+    of_pages = {"competitions", "docs", "examples", "setup", "viewer"}
     assert kept == folders | of_pages | {"LICENSE", "NOTICE", "README.md", "pyproject.toml", "requirements"}
     docs = repository / "docs"
     pages = [page for page in docs.rglob("*.md") if "generated" not in page.parts]

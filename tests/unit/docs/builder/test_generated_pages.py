@@ -76,8 +76,9 @@ def test_schemas_come_after_all_routes_and_in_order() -> None:
 
 
 def test_every_registered_environment_has_its_docstring() -> None:
-    text = environments_reference()
+    text = environments_reference({name: f"<img alt='{name} moves'>" for name in ENVIRONMENTS})
     assert len(ENVIRONMENTS) >= 3
     for name in ENVIRONMENTS:
         section = text.split(f"## {name}\n")[1].split("\n## ")[0]
+        assert section.startswith(f"<img alt='{name} moves'>\n\n")
         assert "Observation space" in section
