@@ -213,9 +213,7 @@ def test_larger_lock_extends_the_smaller_one(repository: Path, smaller: str, lar
     assert {name: held.get(name) for name in locked(repository, smaller)} == locked(repository, smaller)
 
 
-@pytest.mark.parametrize(
-    "profile", ["base", "server", "show", "docs", "dev", "maniskill", "torch", "node"]
-)
+@pytest.mark.parametrize("profile", ["base", "server", "show", "docs", "dev", "maniskill", "torch", "node"])
 def test_lock_has_a_hash_for_every_package_and_names_no_index(repository: Path, profile: str) -> None:
     text = (repository / "requirements" / f"{profile}.lock").read_text()
     pinned = re.findall(r"^\S+==.*\\\n    --hash=sha256:[0-9a-f]{64}", text, re.MULTILINE)

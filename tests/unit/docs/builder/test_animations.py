@@ -4,7 +4,6 @@ import re
 import sys
 from pathlib import Path
 
-import animations
 import pytest
 from animations import END_MS, ENV_STEP_MS, SHOWN, draw, element, files_of, write_animation
 from PIL import Image, ImageSequence
@@ -30,7 +29,7 @@ def calls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     program = tmp_path / "python"
     program.write_text(FAKE_SHOW)
     program.chmod(0o755)
-    monkeypatch.setattr(animations.sys, "executable", str(program))
+    monkeypatch.setattr(sys, "executable", str(program))
     return tmp_path / "pictures" / "calls"
 
 
