@@ -1,16 +1,20 @@
 """The protocol with a shard's process: one order to it, one message for each line from it."""
 
 import struct
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
 from pydantic import NonNegativeInt
+from vitac.envs.errors import VitacError
+from vitac.envs.maniskill.definition import is_maniskill
 
 from ..agent.limits import Limits
 from ..episodes.records import EpisodeRecord, PolicyFailure
 from ..figures.figures import FigureChoice
 from ..strict_model import StrictModel
 from ..submission_kinds import SubmissionKind
+from ..tracks import load_track
 from .result import ShardResult
 
 PROCESS_ID: Final = struct.Struct("<q")
@@ -50,8 +54,16 @@ class ShardOrder(StrictModel):
     earlier_failures: tuple[PolicyFailure, ...] = ()
 
     def preparation(self) -> dict[str, object]:
-        """Return what environment and loaded policy depend on; orders that have it in common can share them."""
-        return self.model_dump(exclude=set(_OF_ONE_SHARD))
+        """Return what environment and loaded policy depend on; orders that have it in common can share them.
+
+        Shards of ManiSkill share nothing: what its environments may leave in memory ends with their process.
+        """
+        return self.model_dump(exclude=set() if self._is_of_maniskill() else set(_OF_ONE_SHARD))
+
+    def _is_of_maniskill(self) -> bool:
+        with suppress(VitacError, KeyError):  # whoever carries the order out says what there is not
+            return is_maniskill(load_track(self.track).tasks[self.task].env_id)
+        return False
 
 
 class ShardMessage(StrictModel):

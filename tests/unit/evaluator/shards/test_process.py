@@ -131,6 +131,23 @@ def test_orders_that_need_another_preparation_do_not_share_one(changes: dict[str
     assert order("succeed", shard=3, skip=(1,), episodes=(81, 82)).preparation() == order("succeed").preparation()
 
 
+@pytest.mark.parametrize(
+    ("changes", "shares"),
+    [
+        ({}, True),
+        ({"track": "maniskill", "task": "pick-cube"}, False),
+        ({"track": "maniskill", "task": "push-t", "kind": "log"}, False),
+        ({"track": "gone"}, True),
+        ({"task": "gone"}, True),
+    ],
+)
+def test_shards_of_maniskill_share_nothing_so_that_what_one_leaves_in_memory_ends_with_its_process(
+    changes: dict[str, object], shares: bool
+) -> None:
+    first, second = (order("x", shard=shard, episodes=(shard + 1,), **changes).preparation() for shard in (0, 1))
+    assert (first == second) is shares
+
+
 def test_shards_of_sealed_lists_share_a_process_and_each_plays_the_list_of_its_own_secret(
     processes: ShardProcesses, tmp_path: Path
 ) -> None:
