@@ -1,10 +1,11 @@
-"""Counts the successes of a trained peg policy from fresh starts, which neither taught it nor chose it.
+"""Counts the successes of a trained policy from fresh starts, which neither taught it nor chose it.
 
 python benchmarks/trained_policy.py examples/peg_insertion_trained/Track_1 [--starts 300] [--seed 1] [--public]
-                                    [--critic RUN] [--json FILE]
+                                    [--task lock-opening] [--critic RUN] [--json FILE]
 
 `--public` plays the public list instead, whose official score is that of `vitac evaluate`, in the sandbox. `--critic`
-lets the best round's critic act, which sees the true offset: what is lost by sensing is the difference.
+lets the best round's critic act, which sees the true offset: what is lost by sensing is the difference. Episodes
+whose physics did not converge are listed.
 """
 
 import argparse
@@ -15,6 +16,7 @@ from runpy import run_path
 from typing import Any
 
 import numpy as np
+from vitac.evaluator.episodes import episode
 from vitac.evaluator.scoring.score import rate
 from vitac.evaluator.tracks import load_track
 from vitac.training.actors import critic_actor
@@ -35,6 +37,7 @@ def main() -> None:
     parser.add_argument("submission", type=Path, help="folder with policy.py")
     parser.add_argument("--starts", type=int, default=300)
     parser.add_argument("--seed", type=int, default=1, help="of the training run")
+    parser.add_argument("--task", default=TASK)
     parser.add_argument("--public", action="store_true", help="play the public list instead")
     parser.add_argument("--critic", type=Path, help="folder of the run whose critic acts instead")
     parser.add_argument("--json", type=Path, help="write the figures to this file")
@@ -42,9 +45,10 @@ def main() -> None:
     policy: Any = (
         KnowsTruth(chosen.critic) if chosen.critic else run_path(str(chosen.submission / "policy.py"))["Policy"]()
     )
-    starts = public_starts() if chosen.public else fresh_starts(chosen.seed, chosen.starts)
+    starts = public_starts(chosen.task) if chosen.public else fresh_starts(chosen.seed, chosen.starts)
+    env = make_environment() if chosen.critic else episode.make_environment(load_track("track_1").tasks[chosen.task])
     found = {"starts": "public list" if chosen.public else f"stream {stream(chosen.seed, Use.REPORT)}"}
-    found |= figures(make_environment(), policy, starts)
+    found |= figures(env, policy, starts, chosen.task)
     print(json.dumps(found, indent=1))
     if chosen.json:
         chosen.json.write_text(json.dumps(found, indent=1) + "\n")
@@ -88,9 +92,9 @@ class KnowsTruth:
         return self._actor(moment)
 
 
-def figures(env: Any, policy: Any, starts: Iterator[Mapping[str, Any]]) -> dict[str, Any]:
+def figures(env: Any, policy: Any, starts: Iterator[Mapping[str, Any]], task: str = TASK) -> dict[str, Any]:
     """Return successes with their interval, also by shape, the mean env steps of successes, and how episodes ended."""
-    rows = [played(env, policy, options) for options in starts]
+    rows = [{**played(env, policy, options, task), "start": dict(options)} for options in starts]
     solved = [row["end"] == "success" for row in rows]
     return {
         **rate(sum(solved), len(rows)).model_dump(),
@@ -103,13 +107,14 @@ def figures(env: Any, policy: Any, starts: Iterator[Mapping[str, Any]]) -> dict[
             for shape in sorted({row["shape"] for row in rows})
         },
         "ends": {end: sum(row["end"] == end for row in rows) for end in sorted({row["end"] for row in rows})},
+        "not_converged": [row["start"] for row in rows if row["end"] == "not_converged"],
     }
 
 
-def played(env: Any, policy: Any, options: Mapping[str, Any]) -> dict[str, Any]:
+def played(env: Any, policy: Any, options: Mapping[str, Any], task: str = TASK) -> dict[str, Any]:
     """Return the shape of an episode, how it ended, and after how many env steps."""
     observation, info = env.reset(options=options)
-    policy.reset(TASK)
+    policy.reset(task)
     while info["end_reason"] is None:
         observation, _, _, _, info = env.step(policy.act(observation))
     return {"shape": str(env.task_scene.shape), "end": info["end_reason"], "env_steps": info["steps"]}

@@ -2,6 +2,8 @@
 
 import os
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -39,11 +41,8 @@ def run(recipe: RecipeFile, out: RunFolder, processes: Processes = 1, as_json: A
     from vitac.training.run import Folder, Run, best, told
 
     training = Run(recipe=read_recipe(recipe), folder=Folder(path=out), processes=processes, tell=_tell)
-    try:
+    with _going_on_later(out):
         results = training.go()
-    except KeyboardInterrupt:
-        print(f"\nstopped; run the same command to go on from {out}", file=sys.stderr)
-        raise
     chosen = best(results)
     rows = {f"round {result.number}": told(result.student) for result in results}
     if as_json:
@@ -60,7 +59,9 @@ def collect(recipe: RecipeFile, out: RunFolder, processes: Processes = 1) -> Non
     from vitac.training.run import Folder, Run
 
     training = Run(recipe=read_recipe(recipe), folder=Folder(path=out), processes=processes, tell=_tell)
-    print_pairs({"episodes": training.collect_first()})
+    with _going_on_later(out):
+        episodes = training.collect_first()
+    print_pairs({"episodes": episodes})
 
 
 @app.command()
@@ -86,7 +87,8 @@ def search(recipe: RecipeFile, out: RunFolder, processes: Processes = 1, as_json
     from vitac.training.search.recipe import read_search_recipe
 
     searching = Search(recipe=read_search_recipe(recipe), folder=Folder(path=out), processes=processes, tell=_tell)
-    found = searching.go()
+    with _going_on_later(out):
+        found = searching.go()
     rows = {f"generation {each.number}": f"{told(each.solved)}, {each.mean_env_steps:.2f} env steps" for each in found}
     if as_json:
         print_json({"generations": rows, "best": best(found).number})
@@ -111,6 +113,16 @@ def _one_thread() -> None:
     """Let linear algebra use one thread; it must be said before NumPy is imported."""
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[name] = "1"
+
+
+@contextmanager
+def _going_on_later(folder: Path) -> Iterator[None]:
+    """Say after Ctrl-C that nothing is lost."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        print(f"\nstopped; run the same command to go on from {folder}", file=sys.stderr)
+        raise
 
 
 def _tell(line: str) -> None:

@@ -22,7 +22,7 @@ from vitac.training.streams import Use, stream
 EXAMPLES = Path(__file__).parents[2] / "examples"
 BASELINES = {
     "peg-insertion": ("peg_insertion_trained", "peg_insertion_heuristic"),
-    "lock-opening": ("lock_opening_heuristic",),
+    "lock-opening": ("lock_opening_trained", "lock_opening_heuristic"),
 }
 HEAD = """# Baselines
 
@@ -73,8 +73,8 @@ def rows_of(task: str, seed: int, starts: int) -> list[Row]:
     for name in BASELINES[task]:
         policy = run_path(str(EXAMPLES / name / "Track_1" / "policy.py"))["Policy"]()
         began = time.process_time()
-        fresh = figures(env, policy, fresh_starts(seed, starts))
-        public = figures(env, policy, public_starts(task))
+        fresh = figures(env, policy, fresh_starts(seed, starts), task)
+        public = figures(env, policy, public_starts(task), task)
         rows.append(Row(task=task, name=name, fresh=fresh, public=public, cpu_s=time.process_time() - began))
     return rows
 

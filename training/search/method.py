@@ -29,10 +29,14 @@ from . import policy
 from .policy import ACTIONS, FEATURES, FloatArray, Opening
 from .recipe import SearchRecipe
 
-LONGEST_ENV_STEPS = 12
+LONGEST_ENV_STEPS = 9
 """After which an episode of the search counts as not solved; a good one takes five."""
-ENV_STEP_COST = 0.02
+ENV_STEP_COST = 0.05
 """Of an env step, where success is worth 1."""
+FIRST_PULL, FIRST_LIFT = 0.5, 1.0
+"""Actions around which the first candidates are drawn: a key comes out and up."""
+FIRST_SPREAD = 0.5
+"""Of each weight in the first generation."""
 LEAST_SPREAD = 0.05
 """So that candidates differ to the end."""
 _GENERATION_NUMBERS = 100_000
@@ -110,7 +114,8 @@ class Search:
             OtherRun: the folder is that of another recipe or version.
         """
         claim(self.folder.path, self.recipe)
-        mean, spread = np.zeros((ACTIONS, FEATURES)), np.ones((ACTIONS, FEATURES))
+        mean, spread = np.zeros((ACTIONS, FEATURES)), np.full((ACTIONS, FEATURES), FIRST_SPREAD)
+        mean[:, 0] = -FIRST_PULL, -FIRST_LIFT
         found: list[Generation] = []
         numbers = range(1, self.recipe.generations + 1)
         progress = Progress()

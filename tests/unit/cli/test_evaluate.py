@@ -1,9 +1,11 @@
 import json
 import sys
 import zipfile
+from importlib.util import find_spec
 from pathlib import Path
 
 import fake_shard_process
+import numpy as np
 import pytest
 import typer
 from vitac.cli import main as cli
@@ -85,7 +87,15 @@ def test_report_holds_the_records_that_the_hash_is_of(
     run(capsys, submission, "--episodes", "1:3", "--json", report)
     content = EvaluationReport.model_validate_json(report.read_text())
     assert content.result_hash == result_hash(content.manifest, content.episodes)
-    assert json.loads(report.read_text())["score"]["success_rate"] == 1.0
+    written = json.loads(report.read_text())
+    assert written["score"]["success_rate"] == 1.0
+    assert written["packages"]["numpy"] == np.__version__
+    assert ("torch" in written["packages"]) is (find_spec("torch") is not None)
+    assert "vitac-arena" not in written["packages"]
+    del written["packages"]
+    assert EvaluationReport.model_validate_json(json.dumps(written)).packages == {}, (
+        "expected reports of before to be readable"
+    )
 
 
 @pytest.mark.parametrize(

@@ -64,14 +64,23 @@ def test_collects_only(recipe: str, tmp_path: Path) -> None:
     assert len(list((tmp_path / "run" / "episodes").glob("*.npz"))) == 2
 
 
-def test_stopping_says_how_to_go_on(recipe: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("verb", "work"),
+    [("run", "run.Run.go"), ("collect", "run.Run.collect_first"), ("search", "search.method.Search.go")],
+)
+def test_stopping_says_how_to_go_on(
+    recipe: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, verb: str, work: str
+) -> None:
     def stopped(_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("vitac.training.run.Run.go", stopped)
-    found = vitac("train", recipe, "--out", str(tmp_path / "run"))
-    assert found.exit_code != 0
-    assert "run the same command to go on from" in found.stderr
+    monkeypatch.setattr(f"vitac.training.{work}", stopped)
+    if verb == "search":
+        Path(recipe).write_text("task: lock-opening\nseed: 1\n")
+    found = vitac("train", verb, recipe, "--out", str(tmp_path / "run"))
+    assert found.exit_code == 130
+    assert f"stopped; run the same command to go on from {tmp_path / 'run'}" in found.stderr
+    assert found.stdout == ""
 
 
 def test_searches_and_writes_a_submission(tmp_path: Path) -> None:

@@ -45,6 +45,26 @@ def test_figures_count_successes_ends_and_shapes() -> None:
     assert played(Counting(), Still(), {"rng_seed": (0, 3)}) == {"shape": "a", "end": "tactile", "env_steps": 4}
 
 
+def test_episodes_that_did_not_converge_are_listed() -> None:
+    class Stuck(Counting):
+        def step(self, action: np.ndarray) -> Any:
+            observation, reward, terminated, truncated, info = super().step(action)
+            end = {"tactile": "not_converged"}.get(info["end_reason"], info["end_reason"])
+            return observation, reward, terminated, truncated, {**info, "end_reason": end}
+
+    found = figures(Stuck(), Still(), fresh_starts(0, 4))
+    assert found["not_converged"] == [{"rng_seed": (stream(0, Use.REPORT), number)} for number in (2, 3)]
+    assert figures(Counting(), Still(), fresh_starts(0, 4))["not_converged"] == []
+
+
+def test_policy_is_told_the_task_it_plays() -> None:
+    class Told(Still):
+        def reset(self, task: str) -> None:
+            assert task == "lock-opening"
+
+    assert figures(Counting(), Told(), fresh_starts(1, 2), "lock-opening")["episodes"] == 2
+
+
 def test_fresh_starts_are_those_that_nothing_was_learned_from() -> None:
     assert [start["rng_seed"] for start in fresh_starts(2, 3)] == [
         (stream(2, Use.REPORT), number) for number in range(3)
