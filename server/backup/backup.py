@@ -94,6 +94,8 @@ def _write(
 def _dump(services: Services, dump: Path) -> BackupDescription:
     """Dump the database and list the uploaded files that the same snapshot of it refers to."""
     with services.database.engine.connect().execution_options(isolation_level="REPEATABLE READ") as connection:
+        # The transaction only waits while the database is dumped, which may take long.
+        connection.exec_driver_sql("SET LOCAL idle_in_transaction_session_timeout = 0")
         snapshot = connection.scalar(text("SELECT pg_export_snapshot()"))
         blobs = stored_digests(connection)
         tools.dump(

@@ -2,7 +2,7 @@
 
 from uuid import UUID
 
-from sqlalchemy import select
+from sqlalchemy import Select, select
 from sqlalchemy.orm import Session
 
 from .models import Evaluation
@@ -13,9 +13,13 @@ def lock_evaluation(session: Session, evaluation_id: UUID) -> Evaluation:
 
     The lock leaves foreign keys alone: storing an episode only holds its shard and refers to the evaluation.
     """
-    return session.scalars(
-        select(Evaluation)
-        .where(Evaluation.id == evaluation_id)
-        .with_for_update(key_share=True)
-        .execution_options(populate_existing=True)
-    ).one()
+    return session.scalars(_evaluation(evaluation_id).with_for_update(key_share=True)).one()
+
+
+def try_lock_evaluation(session: Session, evaluation_id: UUID) -> Evaluation | None:
+    """Return the evaluation, locked; None where somebody else holds it, without waiting for them."""
+    return session.scalars(_evaluation(evaluation_id).with_for_update(key_share=True, skip_locked=True)).one_or_none()
+
+
+def _evaluation(evaluation_id: UUID) -> Select[Evaluation]:
+    return select(Evaluation).where(Evaluation.id == evaluation_id).execution_options(populate_existing=True)

@@ -1,7 +1,8 @@
 """Finds work that was lost and sets it going again; every worker runs it all the time, and of each server one process.
 
 Lost means: a shard whose worker did not renew its lease, or a queued shard without a job. The shards' table decides; a
-job too many does no harm, because a shard can be claimed only once.
+job too many does no harm, because a shard can be claimed only once. A process that stands still in the middle of a
+transaction holds its locks: the sweep passes over what it holds, and loses its own if it stands still itself.
 """
 
 from collections.abc import Callable, Sequence
@@ -9,12 +10,12 @@ from dataclasses import dataclass
 from datetime import timedelta
 
 import structlog
-from sqlalchemy import ColumnElement, Interval, Select, cast, func, select
+from sqlalchemy import ColumnElement, Interval, Select, cast, func, select, text
 from sqlalchemy.orm import Session
 
 from ..db.advisory_locks import AdvisoryLock, try_lock
 from ..db.models import Evaluation, Shard, Submission
-from ..db.row_locks import lock_evaluation
+from ..db.row_locks import try_lock_evaluation
 from ..db.states import ShardState
 from ..settings import Settings
 from ..tracks import family_of
@@ -28,6 +29,9 @@ from .jobs import (
 )
 
 logger = structlog.get_logger(__name__)
+
+IDLE_LIMIT = "10s"
+"""The database ends a sweep whose process does nothing for so long, and another one takes over."""
 
 GiveUp = Callable[[Session, Evaluation, str], None]
 """Ends an evaluation, locked, whose shard was lost in all its attempts; the text says what was lost."""
@@ -46,6 +50,7 @@ def sweep(session: Session, settings: Settings, *, give_up: GiveUp) -> Sweep:
     """Queue lost shards again, give up those that were lost too often, and enqueue missing jobs."""
     if not try_lock(session, AdvisoryLock.SWEEP):
         return Sweep()
+    session.execute(text(f"SET LOCAL idle_in_transaction_session_timeout = '{IDLE_LIMIT}'"))
     expired = _shards_with_expired_lease(session, settings)
     recovered = [_recover(session, shard_id, settings, give_up) for shard_id in expired]
     woken = _enqueue_missing_jobs(session, settings)
@@ -63,13 +68,19 @@ def _shards_with_expired_lease(session: Session, settings: Settings) -> Sequence
     ).all()
 
 
-def _recover(session: Session, shard_id: int, settings: Settings, give_up: GiveUp) -> bool:
-    """Queue one lost shard again, or give its evaluation up; whether the first."""
-    shard = session.get_one(Shard, shard_id)
-    evaluation = lock_evaluation(session, shard.evaluation_id)
-    session.refresh(shard, with_for_update=True)
-    if shard.state is not ShardState.RUNNING:
-        return True
+def _recover(session: Session, shard_id: int, settings: Settings, give_up: GiveUp) -> bool | None:
+    """Queue one lost shard again, or give its evaluation up; whether the first.
+
+    None: it is not lost after all, or somebody holds it or its evaluation; then the next sweep looks again.
+    """
+    evaluation = try_lock_evaluation(session, session.get_one(Shard, shard_id).evaluation_id)
+    if evaluation is None:
+        return None
+    found = select(Shard).where(Shard.id == shard_id, Shard.state == ShardState.RUNNING)
+    free = found.with_for_update(skip_locked=True).execution_options(populate_existing=True)
+    shard = session.scalars(free).one_or_none()
+    if shard is None:
+        return None
     if shard.attempts >= settings.shard_attempts:
         logger.error("shard_given_up", shard=shard_id, attempts=shard.attempts)
         give_up(session, evaluation, _explain(shard))

@@ -3,9 +3,12 @@ import io
 import re
 import stat
 import tarfile
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 from uuid import UUID
 
 import pytest
@@ -21,6 +24,7 @@ from vitac.server.backup import backup
 from vitac.server.backup.archive import BackupReader, BackupRejected
 from vitac.server.backup.backup import BackupNotMade, back_up
 from vitac.server.backup.restore import ServiceNotEmpty, restore
+from vitac.server.db import engine
 from vitac.server.db.advisory_locks import AdvisoryLock, try_lock
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Evaluation, Submission, Team, Worker
@@ -177,6 +181,24 @@ def test_backup_is_made_where_the_file_system_has_no_hard_links(
 
     monkeypatch.setattr("os.link", refuse)
     back_up(service.services, file)
+    with BackupReader.opened(file) as reader:
+        reader.check()
+
+
+def test_a_dump_may_take_longer_than_a_transaction_may_stand_still(
+    service: Service, file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(engine, "LET_GO", ("SET idle_in_transaction_session_timeout = '1s'",))
+    dump = tools.dump
+
+    def dump_slowly(*arguments: Any, **options: Any) -> None:
+        threading.Event().wait(1.1)
+        dump(*arguments, **options)
+
+    monkeypatch.setattr(tools, "dump", dump_slowly)
+    impatient = Database(service.database.address)
+    back_up(replace(service.services, database=impatient), file)
+    impatient.dispose()
     with BackupReader.opened(file) as reader:
         reader.check()
 

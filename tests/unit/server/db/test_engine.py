@@ -62,6 +62,13 @@ def test_connection_that_is_lost_while_jobs_are_added_is_known_as_such(database:
     assert is_connection_loss(failed.value)
 
 
+def test_who_stands_still_is_cut_off_after_a_transaction_that_failed_too(database: Database) -> None:
+    with pytest.raises(DBAPIError), database.transaction() as session:
+        session.execute(text("SELECT no_such_column"))
+    with database.transaction() as session:
+        assert session.scalar(text("SHOW idle_in_transaction_session_timeout")) == "10min"
+
+
 def test_patience_ends(database: Database) -> None:
     with pytest.raises(DBAPIError):
         database.retrying(lose_connection, give_up_after_s=0.0)

@@ -1,3 +1,4 @@
+import threading
 from datetime import UTC, datetime, timedelta
 
 import pytest
@@ -14,9 +15,12 @@ from service_factories import (
     submit,
 )
 from sqlalchemy import select, text
+from sqlalchemy.exc import DBAPIError
+from sqlalchemy.orm import Session
 from vitac.server.db.advisory_locks import AdvisoryLock
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Shard, Submission
+from vitac.server.db.row_locks import lock_evaluation
 from vitac.server.db.states import EvaluationState, ShardState
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.evaluations.lifecycle import fail_by_machines
@@ -27,8 +31,8 @@ from vitac.server.queue.jobs import (
     queue_name,
     withdraw_jobs,
 )
-from vitac.server.queue.leases import LeaseLost
-from vitac.server.queue.sweep import Sweep, sweep
+from vitac.server.queue.leases import LeaseLost, lock_held
+from vitac.server.queue.sweep import IDLE_LIMIT, Sweep, sweep
 from vitac.server.settings import Settings
 
 SETTINGS = make_settings(lease_s=0.003, lease_renewal_s=0.001)
@@ -91,6 +95,46 @@ def test_right_after_a_restart_of_the_database_workers_get_time_to_renew(
     claim(database, first, lease_s=0.001)
     long_lease = make_settings(lease_s=86400.0)
     assert run_sweep(database, long_lease).queued_again == 0
+
+
+@pytest.mark.parametrize("held", ["evaluation", "shard"])
+def test_a_process_that_stands_still_with_a_lock_keeps_no_other_shard_from_being_found(
+    database: Database, submission: Submission, held: str
+) -> None:
+    with database.transaction() as session:
+        other = submit(session, make_principal(session, "Team B"), "other")
+    first, second = ids_of(database, submission)[0], ids_of(database, other)[0]
+    lost = [claim(database, shard, lease_s=0.001) for shard in (first, second)]
+    forget_jobs(database)
+    with database.transaction() as stuck:
+        if held == "evaluation":
+            lock_evaluation(stuck, lost[0].evaluation_id)
+        else:
+            lock_held(stuck, lost[0])
+        done = run_sweep(database)
+        assert (done.queued_again, done.given_up) == (1, 0)
+        with database.transaction() as session:
+            assert [state_of(session, shard) for shard in (first, second)] == [ShardState.RUNNING, ShardState.QUEUED]
+    assert run_sweep(database).queued_again == 1
+    assert set(jobs(database)) >= {first, second}
+
+
+def test_a_sweep_that_stands_still_is_ended_by_the_database_and_another_takes_over(
+    database: Database, submission: Submission
+) -> None:
+    shard = ids_of(database, submission)[0]
+    claim(database, shard, lease_s=0.001)
+    with Session(database.engine) as stopped:
+        assert sweep(stopped, SETTINGS, give_up=fail_by_machines).queued_again == 1
+        assert stopped.scalar(text("SHOW idle_in_transaction_session_timeout")) == IDLE_LIMIT
+        stopped.execute(text("SET LOCAL idle_in_transaction_session_timeout = '20ms'"))
+        ended = threading.Event()
+        while run_sweep(database) == Sweep():
+            ended.wait(0.02)
+        with pytest.raises(DBAPIError):
+            stopped.execute(text("SELECT 1"))
+    with database.transaction() as session:
+        assert state_of(session, shard) is ShardState.QUEUED
 
 
 def test_evaluation_fails_by_name_when_a_shard_was_lost_in_all_its_attempts(
