@@ -9,6 +9,7 @@ from service_factories import LOCK, TASK, TRACK, add_result, make_score
 from sqlalchemy.orm import Session
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.accounts.principals import Principal
+from vitac.server.competition.definition import RankingKey
 from vitac.server.db.engine import Database
 from vitac.server.db.models import ALL_TASKS, Evaluation, Team
 from vitac.server.db.states import Role
@@ -170,6 +171,16 @@ def test_places_are_of_each_board_by_itself(results: Results) -> None:
         TASK: {3},
         LOCK: {2},
     }
+
+
+def test_places_of_another_stage_or_order_are_read_by_themselves(results: Results) -> None:
+    first, better = results.add("First", 10, minute=1), results.add("Better", 50, minute=2)
+    in_final = results.add("Final", 90, stage="final")
+    early = (RankingKey.SUBMITTED_AT,)
+    for _ in range(2):  # the second time they are kept
+        assert list(places(results.session, TRACK)[TASK]) == [better.submission_id, first.submission_id]
+        assert list(places(results.session, TRACK, stage="final")[TASK]) == [in_final.submission_id]
+        assert list(places(results.session, TRACK, ranking=early)[TASK]) == [first.submission_id, better.submission_id]
 
 
 def sorted_by_time_and_id(*evaluations: Evaluation) -> list[Evaluation]:

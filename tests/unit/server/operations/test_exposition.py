@@ -1,5 +1,8 @@
 from collections.abc import Mapping
+from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
+from uuid import uuid4
 
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
@@ -9,9 +12,12 @@ from vitac.server.db.engine import Database
 from vitac.server.db.models import Worker
 from vitac.server.db.states import WorkerState
 from vitac.server.metrics.totals import TotalsWriter
-from vitac.server.operations.exposition import KEPT_S, Exposition
+from vitac.server.operations.exposition import KEPT_S, LOST, Exposition, server_families, state_families
+from vitac.server.queue.workers import Disk
 from vitac.server.services import Services
 from vitac.server.storage.blobs import BlobStore
+from vitac.server.views.operations import CountsView, MachineWorkerView, OperationsView, QueueView, StorageView
+from vitac.server.views.workers import WorkerView
 
 Series = tuple[str, frozenset[tuple[str, str]]]
 
@@ -119,3 +125,102 @@ def test_disks_are_shown_by_host_for_workers_that_run(services: Services) -> Non
     assert free == {frozenset({("host", "machine-3")})}
     assert value(text, "vitac_worker_disk_free_bytes", host="machine-3") == 3
     assert value(text, "vitac_worker_slots") == 1
+
+
+AT = datetime(2026, 3, 1, tzinfo=UTC)
+
+
+def seen_worker(host: str, state: WorkerState = WorkerState.READY, *, lost: bool = False, **changes: Any) -> Any:
+    """A worker of the last hour with two slots and a disk."""
+    values = {
+        "id": uuid4(), "host": host, "pid": 1, "slots": 2, "state": state, "message": "", "isolation": "",
+        "evaluator_version": "1+a", "families": [], "platform_class": "x86_64-linux", "started_at": AT,
+        "heartbeat_at": AT, "disk_bytes": 100, "disk_free_bytes": 40,
+    }  # fmt: skip
+    return MachineWorkerView(worker=WorkerView.model_validate(values | changes), is_lost=lost)
+
+
+def a_state(*workers: Any, **queue: Any) -> OperationsView:
+    nothing = {
+        "shards_queued": 0, "shards_running": 0, "oldest_shard_s": None, "evaluations_queued": 0,
+        "evaluations_running": 0, "oldest_evaluation_s": None,
+    }  # fmt: skip
+    return OperationsView(
+        queue=QueueView.model_validate(nothing | queue),
+        storage=StorageView(uploads=3, uploads_bytes=4000, database_bytes=50_000),
+        workers=list(workers),
+        episodes_in_5_minutes=7,
+        counts=CountsView(
+            episodes=0, shards_finished=0, shard_retries=0, shards_given_up=0, leases_lost=0, requests=0,
+            requests_failed=0, requests_within_s=None, claims_within_s=None, shard_waits_within_s=None,
+        ),
+        at=AT,
+    )  # fmt: skip
+
+
+def values_of(state: OperationsView) -> dict[tuple[str, str], float]:
+    """Values by name and label."""
+    return {
+        (sample.name, next(iter(sample.labels.values()), "")): sample.value
+        for family in state_families(state)
+        for sample in family.samples
+    }
+
+
+def test_a_lost_worker_counts_as_lost_whatever_state_it_was_in() -> None:
+    found = values_of(
+        a_state(
+            seen_worker("one"),
+            seen_worker("one", slots=5),
+            seen_worker("two", lost=True),
+            seen_worker("three", WorkerState.STOPPED),
+            seen_worker("four", WorkerState.STOPPED, lost=True),
+        )
+    )
+    assert found["vitac_workers", WorkerState.READY] == 2
+    assert found["vitac_workers", WorkerState.STOPPED] == 1
+    assert found["vitac_workers", LOST] == 2
+    assert found["vitac_worker_slots", ""] == 7
+    assert {state for name, state in found if name == "vitac_workers"} == {*WorkerState, LOST}
+
+
+def test_slots_are_those_of_ready_workers_and_disks_those_of_running_ones() -> None:
+    others = [state for state in WorkerState if state not in (WorkerState.READY, WorkerState.STOPPED)]
+    found = values_of(
+        a_state(
+            *(seen_worker(state, state) for state in others),
+            seen_worker("ready", disk_bytes=300, disk_free_bytes=0),
+            seen_worker("unknown", disk_bytes=None, disk_free_bytes=None),
+            seen_worker("stopped", WorkerState.STOPPED),
+            seen_worker("lost", lost=True),
+        )
+    )
+    assert found["vitac_worker_slots", ""] == 4
+    disks = {host: value for (name, host), value in found.items() if name == "vitac_worker_disk_free_bytes"}
+    assert disks == {"ready": 0} | dict.fromkeys(others, 40)
+    assert found["vitac_worker_disk_bytes", "ready"] == 300
+
+
+def test_ages_of_an_empty_queue_are_zero_and_those_of_a_full_one_its_oldest() -> None:
+    empty = values_of(a_state())
+    assert (empty["vitac_oldest_shard_seconds", ""], empty["vitac_oldest_evaluation_seconds", ""]) == (0, 0)
+    assert (empty["vitac_shards", "queued"], empty["vitac_worker_slots", ""]) == (0, 0)
+    full = values_of(
+        a_state(
+            shards_queued=4, shards_running=2, oldest_shard_s=8.5, evaluations_queued=3, evaluations_running=1,
+            oldest_evaluation_s=9.5,
+        )
+    )  # fmt: skip
+    assert (full["vitac_shards", "queued"], full["vitac_shards", "running"]) == (4, 2)
+    assert (full["vitac_evaluations", "queued"], full["vitac_evaluations", "running"]) == (3, 1)
+    assert (full["vitac_oldest_shard_seconds", ""], full["vitac_oldest_evaluation_seconds", ""]) == (8.5, 9.5)
+    sizes = [full[name, ""] for name in ("vitac_uploads", "vitac_uploads_bytes", "vitac_database_bytes")]
+    assert sizes == [3, 4000, 50_000]
+
+
+def test_disks_of_a_server_are_two_gauges_in_bytes() -> None:
+    disk = Disk(total_bytes=1000, free_bytes=10)
+    assert [(family.name, family.samples[0].value) for family in server_families(disk)] == [
+        ("vitac_server_disk_bytes", 1000),
+        ("vitac_server_disk_free_bytes", 10),
+    ]

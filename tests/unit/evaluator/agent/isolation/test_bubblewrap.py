@@ -149,3 +149,49 @@ def test_missing_bubblewrap_says_what_to_install(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(os, "access", lambda path, mode: False)
     with pytest.raises(SandboxFailed, match=r"apt-get install bubblewrap.*vitac doctor"):
         bubblewrap.find_program()
+
+
+def test_a_user_of_the_sandbox_has_a_name_and_nothing_more() -> None:
+    assert bubblewrap.passwd_file(12345) == b"agent:x:12345:12345:agent:/tmp:/usr/sbin/nologin\n"
+
+
+def test_a_tool_of_ours_has_no_more_rights_than_a_policy(as_user: UserIsolation, tmp_path: Path) -> None:
+    program = tmp_path / "bwrap"
+    program.write_text("")
+    program.chmod(0o755)
+    code, kernels, folder = tmp_path / "code" / "envs", tmp_path / "kernels", tmp_path / "sensor"
+    tool = bubblewrap.Tool(module="vitac.tool", code=(code,), kernels=kernels, folder=folder)
+    limits = Limits(start_cpu_s=7.5)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("VITAC_BWRAP", str(program))
+        found = bubblewrap.tool_command(tool, interpreter=current(), limits=limits, uid=4711, seccomp=8, passwd=9)
+    own = found[: found.index("--")]
+    descriptors = Descriptors(channel=3, status=4, seccomp=8, passwd=9, info=5)
+    policy = bubblewrap.command(
+        program=program,
+        submission=folder,
+        interpreter=current(),
+        limits=limits,
+        uid=4711,
+        descriptors=descriptors,
+    )
+    of_policy = policy[: policy.index("--")]
+    for option in (
+        "--unshare-net",
+        "--unshare-pid",
+        "--die-with-parent",
+        "--clearenv",
+        "--new-session",
+        "--remount-ro",
+    ):
+        assert own.count(option) == of_policy.count(option), option
+    writeable = [own[place + 1] for place, option in enumerate(own) if option in ("--bind", "--dev-bind")]
+    assert writeable == []
+    assert own[own.index("--seccomp") + 1] == "8"
+    assert {str(code), str(folder.resolve())} <= {own[i + 1] for i, option in enumerate(own) if option == "--ro-bind"}
+    assert own[own.index("--ro-bind-try", own.index(str(code))) + 1] == str(kernels), "it may be missing"
+    assert "--cpu=8" in found, "whole seconds, rounded up"
+    assert found[-4:] == ["-m", "vitac.tool", bubblewrap.INSIDE_SUBMISSION, bubblewrap.INSIDE_KERNELS]
+    variables = {own[place + 1]: own[place + 2] for place, option in enumerate(own) if option == "--setenv"}
+    assert variables["PYTHONPATH"].startswith(f"{bubblewrap.INSIDE_CODE}:")
+    assert not [name for name in variables if name.startswith("VITAC_") and name != "VITAC_CACHE_DIR"]

@@ -109,3 +109,82 @@ def test_real_tensors_are_taken_and_refused_alike() -> None:
         agent.as_action(torch.ones(4, requires_grad=True))
     with pytest.raises(agent.Refused, match="expected real numbers"):
         agent.as_action(torch.ones(4) > 0)
+
+
+@pytest.mark.parametrize("code", sorted(agent.DTYPES))
+def test_arrays_of_a_question_are_found_one_behind_the_other(code: str) -> None:
+    first, empty = np.arange(6).reshape(2, 3), np.zeros((0, 4))
+    last = np.array([1], dtype="<f4")
+    payload = bytearray(first.astype(agent.DTYPES[code]).tobytes() + last.tobytes())
+    specs = [
+        {"name": "first", "dtype": code, "shape": [2, 3]},
+        {"name": "empty", "dtype": "f8", "shape": list(empty.shape)},
+        {"name": "last", "dtype": "f4", "shape": [1]},
+    ]
+    arrays = agent.decode_arrays(specs, payload)
+    np.testing.assert_array_equal(arrays["first"], first.astype(agent.DTYPES[code]))
+    assert arrays["empty"].shape == (0, 4)
+    assert arrays["last"].tolist() == [1.0]
+    assert arrays["first"].dtype == np.dtype(agent.DTYPES[code])
+    arrays["first"][:] = 0
+    assert payload[0] == 0, "the policy may write into its observation"
+
+
+def test_a_number_of_a_question_has_no_axes() -> None:
+    arrays = agent.decode_arrays(
+        [{"name": "one", "dtype": "f8", "shape": []}], bytearray(np.array(2.5, dtype="<f8").tobytes())
+    )
+    assert arrays["one"].shape == ()
+    assert float(arrays["one"]) == 2.5
+
+
+@pytest.mark.parametrize("keep", [True, False])
+def test_a_depth_picture_is_kept_for_those_that_read_it(monkeypatch: pytest.MonkeyPatch, keep: bool) -> None:
+    monkeypatch.setattr(agent, "point_cloud", lambda: lambda depth, intrinsics: (depth, intrinsics))
+    arrays: dict[str, Any] = {"depth": "picture", "other": 1}
+    clouds = [
+        {"name": "one", "depth": "depth", "intrinsics": [1.0, 2.0, 3.0, 4.0], "keep_depth": keep},
+        {"name": "two", "depth": "depth", "intrinsics": [5.0, 6.0, 7.0, 8.0], "keep_depth": True},
+    ]
+    agent.add_clouds(clouds, arrays)
+    assert arrays.pop("one") == ("picture", [1.0, 2.0, 3.0, 4.0])
+    assert arrays.pop("two") == ("picture", [5.0, 6.0, 7.0, 8.0]), "made before the picture is taken out"
+    assert arrays == ({"depth": "picture", "other": 1} if keep else {"other": 1})
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (MemoryError(), "out_of_memory"),
+        (RuntimeError("can't start new thread"), "too_many_processes"),
+        (BlockingIOError(11, "Resource temporarily unavailable"), "too_many_processes"),
+        (ValueError("can't start new thread"), "crashed"),
+        (RuntimeError("out of ideas"), "crashed"),
+        (KeyboardInterrupt(), "crashed"),
+    ],
+)
+def test_an_exception_that_tells_of_a_limit_has_its_own_verdict(error: BaseException, code: str) -> None:
+    assert agent.code_of(error, "crashed") == code
+
+
+def test_a_refusal_of_ours_passes_through_and_any_other_end_becomes_one(capsys: pytest.CaptureFixture[str]) -> None:
+    def refuse() -> None:
+        raise agent.Refused("bad_action_type", "own words")
+
+    def leave() -> None:
+        raise SystemExit(3)
+
+    with pytest.raises(agent.Refused) as refused:
+        agent.guarded("crashed", "act()", refuse)
+    assert (refused.value.code, refused.value.message) == ("bad_action_type", "own words")
+    assert capsys.readouterr().err == ""
+    with pytest.raises(agent.Refused) as refused:
+        agent.guarded("load_failed", "Policy()", leave)
+    assert (refused.value.code, refused.value.message) == ("load_failed", "Policy() raised SystemExit: 3")
+    assert "SystemExit: 3" in capsys.readouterr().err
+    assert agent.guarded("crashed", "act()", lambda: 5) == 5
+
+
+def test_descriptors_between_those_that_are_kept_are_closed() -> None:
+    assert agent.gaps_between([5, 9]) == [(3, 5), (6, 9), (10, 1 << 16)]
+    assert agent.gaps_between([3, 4]) == [(3, 3), (4, 4), (5, 1 << 16)]

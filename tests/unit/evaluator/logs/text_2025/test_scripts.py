@@ -99,3 +99,23 @@ def test_every_start_of_the_vision_track_is_shown_from_its_own_hole(top_mm: floa
         x, y, theta, z, left = start.listed_offset
         beside = y - 22.625 if left else y + 22.625
         assert start.offset == pytest.approx((x, beside, theta, z + top_mm - 6.9))
+
+
+def test_the_last_height_is_the_real_one_however_many_there_are_and_whichever_is_lower() -> None:
+    script = VISION.model_copy(update={"hole_tops_mm": (19.9, 16.0, 17.4)})
+    assert [(script.era(top_mm) or "").partition(" ")[0] for top_mm in script.hole_tops_mm] == [
+        "before",
+        "before",
+        "since",
+    ]
+    assert script.era(16.0) == "before 2025-03-14: rim 16 mm in the books, 17.4 mm in the geometry"
+    heights = [script.starts(top_mm)[0].true_offset[3] - VISION.offsets[0][3] for top_mm in script.hole_tops_mm]
+    assert heights == pytest.approx([2.5, -1.4, 0.0])
+
+
+def test_rules_of_the_peg_tasks_are_those_of_the_programs_of_2025() -> None:
+    rules = {script.name: script.peg for script in all_scripts() if script.peg is not None}
+    assert len(rules) >= 2
+    assert {peg.surface_limit_m for peg in rules.values()} == {0.0015}
+    assert rules[PEG.name].commanded_depth_mm == 0.35
+    assert rules[VISION.name].commanded_depth_mm == 0.0, "with cameras the command does not count"

@@ -1,0 +1,99 @@
+"""What pages know of their visitor: whose results are shown, what may be changed, where the navigation leads."""
+
+import asyncio
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+from starlette.requests import Request
+from starlette.responses import Response
+from vitac.server.errors import ProblemCode, ServiceError
+from vitac.web.site import Site, Viewer, navigation, open_to_all, sign_in_first, visitor_of
+
+SITE = cast(Site, SimpleNamespace(tracks=("track_1", "track_2")))
+
+
+def viewer(name: str = "Team A", *, organizer: bool = False, judge: bool = False) -> Viewer:
+    visitor = SimpleNamespace(
+        name=name,
+        is_organizer=organizer,
+        has_team=not (organizer or judge),
+        principal=SimpleNamespace(reads_all_teams=organizer or judge),
+        may_see=lambda team: organizer or judge or team == name,
+    )
+    return Viewer(visitor=cast(Any, visitor), form_token="token")  # noqa: S106
+
+
+def request(path: str = "/submissions/1", query: str = "") -> Request:
+    return Request({"type": "http", "path": path, "query_string": query.encode(), "headers": [], "method": "GET"})
+
+
+def targets(who: Viewer | None) -> list[str]:
+    return [target for target, _ in navigation(SITE, who)]
+
+
+def test_navigation_has_what_a_visitor_can_open() -> None:
+    everybody = ["/tracks/track_1", "/tracks/track_1/rules"]
+    assert targets(None) == everybody
+    assert targets(viewer()) == [*everybody, "/submissions", "/team"]
+    assert targets(viewer("Judge", judge=True)) == [*everybody, "/submissions", "/judging"]
+    assert targets(viewer("Desk", organizer=True)) == [
+        *everybody, "/submissions", "/judging", "/desk", "/operations",
+    ]  # fmt: skip
+    labels = [label for _, label in navigation(SITE, viewer("Desk", organizer=True))]
+    assert len(set(labels)) == len(labels)
+
+
+def test_a_team_changes_its_own_an_organizer_everything_a_judge_nothing() -> None:
+    assert viewer().may_change("Team A")
+    assert not viewer().may_change("Team B")
+    assert viewer("Desk", organizer=True).may_change("Team B")
+    judge = viewer("Judge", judge=True)
+    assert judge.may_see("Team B")
+    assert not judge.may_change("Team B")
+    assert not viewer().may_see("Team B")
+    assert visitor_of(None) is None
+    assert visitor_of(judge) is judge.visitor
+
+
+@pytest.mark.parametrize(
+    ("path", "target"),
+    [
+        ("/submissions/1", "/sign-in?next=/submissions/1"),
+        ("/team x&next=//elsewhere", "/sign-in?next=/team%20x%26next%3D//elsewhere"),
+    ],
+)
+def test_who_has_to_sign_in_comes_back_to_where_they_were(path: str, target: str) -> None:
+    answer = sign_in_first(request(path))
+    assert (answer.status_code, answer.headers["location"]) == (303, target)
+
+
+@pytest.mark.parametrize("code", [ProblemCode.MISSING_CREDENTIALS, ProblemCode.NOT_FOUND])
+def test_only_what_needs_a_token_leads_to_the_sign_in_page(code: ProblemCode) -> None:
+    @open_to_all
+    async def show(_: Request) -> Any:
+        raise ServiceError(code, "no")
+
+    async def answer() -> Response:
+        return await show(request())
+
+    if code is ProblemCode.MISSING_CREDENTIALS:
+        assert asyncio.run(answer()).headers["location"] == "/sign-in?next=/submissions/1"
+    else:
+        with pytest.raises(ServiceError):
+            asyncio.run(answer())
+    assert show.__name__ == "show"
+
+
+@pytest.mark.parametrize(
+    ("public_url", "address"),
+    [(None, "http://arena.example:81"), ("https://public.example/", "https://public.example")],
+)
+def test_the_address_for_the_command_line_is_the_public_one_where_it_is_set(
+    public_url: str | None, address: str
+) -> None:
+    asked = Request(
+        {"type": "http", "scheme": "http", "path": "/", "headers": [(b"host", b"arena.example:81")], "method": "GET",
+         "query_string": b"", "server": ("arena.example", 81)}
+    )  # fmt: skip
+    assert Site.address(cast(Site, SimpleNamespace(public_url=public_url)), asked) == address
