@@ -2,11 +2,13 @@
 
 from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import AbstractAsyncContextManager, ExitStack, asynccontextmanager
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 
-from fastapi import FastAPI
+from fastapi import APIRouter, FastAPI
 from fastapi.concurrency import run_in_threadpool
+from starlette.routing import BaseRoute
 from vitac.server.housekeeping import Housekeeping
 from vitac.server.notices.sending import NoticeSender
 from vitac.server.operations.exposition import Exposition
@@ -107,6 +109,18 @@ def _hourly(folder: Path, limit: int) -> WindowLimiter:
 
 
 def _add_routes(app: FastAPI) -> None:
+    app.router.routes.extend(_routes())
+    for router in (health.router, metrics.router):
+        app.include_router(router)
+
+
+@cache
+def _routes() -> Sequence[BaseRoute]:
+    """Return the routes of the API, which have no state: put together once for all applications of this process.
+
+    A route is analysed at the first request and keeps what was found, together 40 ms of CPU.
+    """
+    together = APIRouter()
     for router in (
         teams.router,
         members.router,
@@ -118,9 +132,8 @@ def _add_routes(app: FastAPI) -> None:
         uploads.router,
         tracks.router,
     ):
-        app.include_router(router, prefix=API_PREFIX)
-    for router in (health.router, metrics.router):
-        app.include_router(router)
+        together.include_router(router, prefix=API_PREFIX)
+    return together.routes
 
 
 def _add_middleware(app: FastAPI, uploads_at: Sequence[tuple[str, str]]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import TYPE_CHECKING
 
 from fastapi import APIRouter
@@ -45,14 +46,16 @@ class VersionedStaticFiles(StaticFiles):
 def install(app: FastAPI, site: Site) -> None:
     """Add pages, static files, error pages and security headers to an application."""
     app.state.site = site
-    app.include_router(_router())
+    app.router.routes.extend(_router().routes)
     app.mount(documentation.PATH, documentation.Documentation(), name="documentation")
     app.mount("/static", VersionedStaticFiles(directory=STATIC), name="static")
     app.add_middleware(SecurityHeaders)
     errors.install(app)
 
 
+@cache
 def _router() -> APIRouter:
+    """Return the pages, which have no state: put together once for all applications of this process."""
     router = APIRouter()
     for path, page, method in (
         ("/", home.home, "GET"),

@@ -3,9 +3,12 @@
 from pathlib import Path
 
 import pytest
+from databases import fresh_database
 from fastapi import FastAPI
 from fastapi.routing import APIRoute
+from service_client import API, Service, running_service
 from vitac.server.api.app import API_PREFIX, UNLIMITED, create_app
+from vitac.server.db.engine import Database
 from vitac.server.errors import ServiceError
 from vitac.server.settings import Settings, load_settings
 
@@ -94,3 +97,17 @@ def test_two_servers_of_one_machine_count_together(app: FastAPI, settings: Setti
 def test_a_single_sign_in_an_hour_is_one_for_a_member_too(tmp_path: Path) -> None:
     strict = load_settings(database_url="postgresql:///unused", state_dir=tmp_path, sign_ins_per_hour=1)
     assert used_up(create_app(strict).state.sign_in_limiters.of_member.note, "somebody", 1)
+
+
+def test_applications_of_one_process_share_their_routes_and_no_state(service: Service, tmp_path: Path) -> None:
+    with fresh_database() as address:
+        database = Database(address)
+        with running_service(database, tmp_path / "other", registrations_per_hour=1) as other:
+            assert other.client.get("/openapi.json").json() == service.client.get("/openapi.json").json()
+            assert other.client.get(f"{API}/nothing-here").status_code == 404
+            taken = [other.client.post(f"{API}/teams", json={"name": f"Team of {n}"}).status_code for n in "12"]
+            assert taken == [201, 429]
+            assert service.client.post(f"{API}/teams", json={"name": "Team of 1"}).status_code == 201
+            assert other.get("/submissions", service.token).status_code == 401
+            assert other.get("/submissions").status_code == service.get("/submissions").status_code == 200
+        database.dispose()

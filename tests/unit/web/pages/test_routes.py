@@ -3,8 +3,8 @@ from html.parser import HTMLParser
 
 import pytest
 from asgi_browser import AsgiBrowser
-from page_fixtures import LOCK, NOW, FixedData, a_leaderboard, a_score, an_entry
-from visits import BOTH, COMPLETED, FAILED, RUNNING, sign_in
+from page_fixtures import LOCK, NOW, FixedData, a_leaderboard, a_score, an_application, an_entry
+from visits import BEARS, BOTH, COMPLETED, FAILED, QUEUED, RUNNING, sign_in
 from vitac.web.headers import HEADERS
 
 
@@ -77,3 +77,12 @@ def test_times_are_utc_and_machine_readable(data: FixedData, browser: AsgiBrowse
 
 def test_head_requests_are_answered(browser: AsgiBrowser) -> None:
     assert browser.head("/").status_code == 200
+
+
+def test_applications_of_one_process_share_their_pages_and_no_content(browser: AsgiBrowser) -> None:
+    other = AsgiBrowser(an_application(FixedData(visitors=[BEARS], found=[QUEUED])))
+    sign_in(other, "Bears")
+    sign_in(browser, "Gelbots")
+    assert browser.get(f"/submissions/{RUNNING.id}").status_code == 200
+    assert other.get(f"/submissions/{RUNNING.id}").status_code == 404
+    assert other.get(f"/submissions/{QUEUED.id}").status_code == 200
