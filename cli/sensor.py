@@ -138,10 +138,12 @@ def evaluate(
     json: Annotated[
         Path | None, typer.Option(help="Write scores, digests, sensing gain and figures to this file.")
     ] = None,
+    fresh: Annotated[bool, typer.Option("--fresh", help="Keep nothing, and use nothing that was kept.")] = False,
 ) -> None:
     """Play the peg task with a sensor: our standard estimator with and without sight of the markers, or a policy.
 
-    With the standard estimator, the sensor's figures are measured, and shown beside those of the reference gel.
+    With the standard estimator, the sensor's figures are measured, and shown beside those of the reference gel. Its
+    finished shards are kept for 30 days, so that the same command goes on where it was ended.
     """
     if policy is not None:
         _evaluate_policy(sensor, policy, episodes, workers, json)
@@ -160,6 +162,7 @@ def evaluate(
             episodes=numbers,
             workers=workers or len(os.sched_getaffinity(0)),
             figures=figures,
+            keep=None if fresh else _kept_folder(),
             on_episode=progress.advance,
         )
     report = found.report()
@@ -168,6 +171,14 @@ def evaluate(
     _print_report(report)
     if report.figures is not None:
         print_figures(report.figures)
+    for reason in report.not_measured:
+        print(reason)
+
+
+def _kept_folder() -> Path:
+    from vitac.envs.kernel_cache.folders import cache_root
+
+    return cache_root() / "sensors"
 
 
 def _evaluate_policy(sensor: Path, policy: Path, episodes: str | None, workers: int | None, json: Path | None) -> None:

@@ -23,7 +23,7 @@ def cache_directory() -> Path:
 
 def shared_directory() -> Path | None:
     """Return the folder in `VITAC_CACHE_DIR` or the user's cache folder; None where it cannot be written to."""
-    directory = _candidate_root() / _NAME
+    directory = cache_root() / _NAME
     try:
         directory.mkdir(parents=True, exist_ok=True)
     except OSError:
@@ -51,7 +51,8 @@ def remove_unused(directory: Path) -> None:
             shutil.rmtree(folder, ignore_errors=True)
 
 
-def _candidate_root() -> Path:
+def cache_root() -> Path:
+    """Return the folder of all that is kept between runs: `VITAC_CACHE_DIR`, else in the user's cache folder."""
     if explicit := os.environ.get("VITAC_CACHE_DIR"):
         return Path(explicit)
     home_cache = os.environ.get("XDG_CACHE_HOME")

@@ -16,6 +16,7 @@ from .crossings import farthest
 from .height_field import HeightField, Line, heights_of_faces_mm
 from .outlines import add_outlines, in_mm, on_grid
 from .plane_mesh import GRID_PER_MM, PlaneMesh, TooManyPoints
+from .refining import refined_tips
 from .sampling import pulled_corners
 from .surface import DrawnSurface
 from .tetrahedra import Tetrahedra
@@ -55,6 +56,8 @@ class MeshGoal:
         max_distance_mm: largest distance between the surface of the mesh and the drawn one.
         max_volume_error: largest relative difference between the volumes.
         min_quality: smallest 6 sqrt(2) V / (longest edge)^3 of a tetrahedron.
+        tip_depth_mm: what is at most so far below the highest point is a tip.
+        min_tip_nodes: fewer in a tip are refined further, within `max_nodes`.
     """
 
     length_mm: float
@@ -64,6 +67,8 @@ class MeshGoal:
     max_distance_mm: float
     max_volume_error: float
     min_quality: float
+    tip_depth_mm: float
+    min_tip_nodes: int
 
 
 def mesh_height_field(surface: DrawnSurface, goal: MeshGoal) -> Tetrahedra:
@@ -89,11 +94,17 @@ def mesh_height_field(surface: DrawnSurface, goal: MeshGoal) -> Tetrahedra:
                 break
             best = _Deviation.of(mesh, surface)
             if best.is_within(goal) and goal.min_nodes <= len(mesh.nodes_mm) <= goal.max_nodes:
-                return mesh
+                return _with_tips(mesh, goal)
     raise FeatureBelowResolution(
         f"Expected features that a mesh of at most {goal.max_nodes} nodes follows within {goal.max_distance_mm} mm, "
         f"got {best or 'outlines that need more nodes'}; remove rounded edges and fine details, or bring a tet.msh."
     )
+
+
+def _with_tips(mesh: Tetrahedra, goal: MeshGoal) -> Tetrahedra:
+    """Return the mesh with nodes enough in its tips, or as it is where that makes tetrahedra too flat."""
+    finer = refined_tips(mesh, depth_mm=goal.tip_depth_mm, fewest=goal.min_tip_nodes, max_nodes=goal.max_nodes)
+    return finer if float(finer.qualities.min()) >= goal.min_quality else mesh
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,13 +9,16 @@ from numpy.typing import NDArray
 from ..fem.model.mesh import GelMesh
 from .attachment import Attachment, Fault, attach_along_rays
 from .camera import CameraIntrinsics, camera_frame, project
-from .markers import in_picture
+from .markers import in_picture, interpolated
+from .places import FacePlaces, places_on_faces
 from .thickness import eye_distance_m
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 
 MILLIMETRE_M = 1e-3
+TOUCHED_M = 0.875e-3
+"""How far the ranked grasp closes after it has touched the highest point [m]; what lies below touches nothing flat."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -54,15 +57,21 @@ class SensorDesign:
         return np.asarray(project(in_camera_m, self.camera))
 
     @cached_property
-    def area_weights(self) -> FloatArray:
-        """Share of the undeformed sensing faces' area that belongs to every sensing node, ascending, shape [s]."""
-        corners_m = self.gel.rest_position_m[self.sensing_triangles]
-        normals = np.cross(corners_m[:, 1] - corners_m[:, 0], corners_m[:, 2] - corners_m[:, 0])
-        areas = np.sqrt((normals * normals).sum(axis=1))
-        of_node = np.zeros(len(self.gel.rest_position_m))
-        for k in range(3):
-            np.add.at(of_node, self.sensing_triangles[:, k], areas)
-        return np.asarray(of_node[self.gel.sensing_nodes] / (3.0 * areas.sum()))
+    def touched(self) -> FacePlaces:
+        """Places on what the grasp can reach: at most `TOUCHED_M` below the highest of the sensing faces, undeformed.
+
+        Their areas are shares of the whole. Corners are places among the sensing nodes, ascending.
+        """
+        gel = self.gel
+        found = places_on_faces(gel.rest_position_m, self.sensing_triangles)
+        heights_m = interpolated(gel.rest_position_m, found.corners, found.weights)[:, 2]
+        highest_m = gel.rest_position_m[self.sensing_triangles.reshape(-1), 2].max()
+        reached = found.where(heights_m >= highest_m - TOUCHED_M)
+        return FacePlaces(
+            corners=np.searchsorted(gel.sensing_nodes, reached.corners),
+            weights=reached.weights,
+            areas_m2=reached.areas_m2 / reached.areas_m2.sum(),
+        )
 
     def as_bytes(self) -> bytes:
         """Return what a hash of results has to cover besides the gel: sensing faces, camera and markers."""

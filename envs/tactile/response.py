@@ -13,6 +13,7 @@ from ..fem.model.mesh import GelMesh
 from .camera import camera_frame, project
 from .design import SensorDesign
 from .markers import interpolated
+from .places import places_on_faces
 from .thickness import eye_distance_m
 
 FloatArray = NDArray[np.float64]
@@ -20,8 +21,6 @@ IndexArray = NDArray[np.int64]
 
 # Step of the differences by which the camera's projection is linearised; its curvature is far below it.
 _STEP_M = 1e-6
-# Each sensing triangle is cut into the square of this many parts to spread a pressure over it.
-_PARTS = 4
 
 
 class NotStiff(VitacError):
@@ -142,22 +141,10 @@ def _pixels(design: SensorDesign, points_m: FloatArray) -> FloatArray:
 
 def _places(design: SensorDesign) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return places on the sensing faces, their areas, and the weights of the sensing nodes; see `Response`."""
-    gel, triangles = design.gel, design.sensing_triangles
-    inner = np.array(
-        [
-            ((3 * i + 1 + up) / (3 * _PARTS), (3 * j + 1 + up) / (3 * _PARTS))
-            for up in (0, 1)
-            for i in range(_PARTS)
-            for j in range(_PARTS - i - up)
-        ]
-    )
-    shares = np.column_stack([1.0 - inner.sum(axis=1), inner])
-    corners_m = gel.rest_position_m[triangles]
-    points_mm = 1e3 * np.einsum("ck,tkx->tcx", shares, corners_m).reshape(-1, 3)[:, :2]
-    normals = np.cross(corners_m[:, 1] - corners_m[:, 0], corners_m[:, 2] - corners_m[:, 0])
-    areas_mm2 = 0.5e6 * np.sqrt((normals * normals).sum(axis=1)) / len(shares)
-    weights = np.zeros((len(triangles), len(shares), len(gel.sensing_nodes)))
-    columns = np.searchsorted(gel.sensing_nodes, triangles)
-    for k in range(3):
-        weights[np.arange(len(triangles))[:, None], np.arange(len(shares)), columns[:, k, None]] = shares[:, k]
-    return points_mm, np.repeat(areas_mm2, len(shares)), weights.reshape(len(points_mm), -1)
+    gel = design.gel
+    places = places_on_faces(gel.rest_position_m, design.sensing_triangles)
+    points_mm = 1e3 * interpolated(gel.rest_position_m, places.corners, places.weights)[:, :2]
+    weights = np.zeros((len(points_mm), len(gel.sensing_nodes)))
+    columns = np.searchsorted(gel.sensing_nodes, places.corners)
+    np.put_along_axis(weights, columns, places.weights, axis=1)
+    return points_mm, 1e6 * places.areas_m2, weights

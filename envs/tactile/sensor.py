@@ -84,9 +84,10 @@ class MarkersNotAttached(VitacError):
 
 
 class DesignedSensor(TactileSensor):
-    """A sensor of a team's own: its markers stay where they are printed, and the area of its faces counts.
+    """A sensor of a team's own: its markers stay where they are printed, and the area of what can touch counts.
 
-    The motion of its surface is the mean over the undeformed area, so that it does not depend on how the gel is meshed.
+    The motion of its surface is the mean over the undeformed area of the sensing faces that the grasp can reach: faces
+    far below the highest ones touch nothing, and how little they move depends on the mesh.
     Every observation loses markers and adds noise as for all sensors, but never loses the last marker.
     """
 
@@ -98,14 +99,16 @@ class DesignedSensor(TactileSensor):
                 f"{int((found.faults != 0).sum())} of {len(found.faults)} markers are not on a sensing face of the gel."
             )
         self.camera = design.camera
-        self._area_weights = design.area_weights
+        self._touched = design.touched
         corners = design.gel.surface_triangles[found.triangles]
         self._corners = np.searchsorted(design.gel.sensing_nodes, corners)
         self._weights = found.weights
 
     def surface_diff_m(self, view_m: FloatArray) -> float:
-        """Return the mean distance [m] of the sensing faces' area from where it was in the reference."""
-        return weighted_distance_m(self._reference(), view_m, self._area_weights)
+        """Return the mean distance [m] of what the grasp can reach from where it was in the reference."""
+        corners, weights, shares = self._touched
+        before_m, now_m = (interpolated(side_m, corners, weights) for side_m in (self._reference(), view_m))
+        return weighted_distance_m(before_m, now_m, shares)
 
     def marker_flow(self, view_m: FloatArray, random: np.random.Generator) -> FloatArray:
         """Return the reference and current marker positions, shape [2, 128, 2] [pixel]."""

@@ -22,6 +22,7 @@ from ..shards.result import ShardEnd, ShardResult
 from ..submission_kinds import SubmissionKind
 from ..tracks import Task, Track
 from ..tracks.cut import Shard, cut
+from .kept import KeptShards
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,6 +67,7 @@ def evaluate(
     secret: Path | None = None,
     sensor: Path | None = None,
     figures: FigureChoice = FigureChoice.NONE,
+    kept: KeptShards | None = None,
     on_episode: Callable[[EpisodeRecord], None] = lambda _: None,
 ) -> Evaluation:
     """Evaluate a submission in processes of its own, one shard at a time in each.
@@ -81,6 +83,7 @@ def evaluate(
         secret: file with the secret of a sealed list.
         sensor: folder with a sensor of a team's own, in place of the challenge's.
         figures: which of the sensor's figures the blind run measures.
+        kept: shards that need not be played again, and where those that are played are kept.
         on_episode: gets each record, in the order in which episodes end.
 
     Raises:
@@ -106,7 +109,7 @@ def evaluate(
     ]
     records = []
     with ShardProcesses() as processes:
-        pool = _ShardPool(processes, orders, min(workers, len(orders)))
+        pool = _ShardPool(processes, orders, min(workers, len(orders)), kept)
         with closing(pool.run()) as finished:
             for record in finished:
                 records.append(record)
@@ -124,8 +127,11 @@ def evaluate(
 class _ShardPool:
     """Threads that each wait for one shard process after another."""
 
-    def __init__(self, processes: ShardProcesses, orders: Sequence[ShardOrder], workers: int) -> None:
+    def __init__(
+        self, processes: ShardProcesses, orders: Sequence[ShardOrder], workers: int, kept: KeptShards | None
+    ) -> None:
         self.results: list[ShardResult] = []
+        self._kept = kept
         self._processes = processes
         self._orders = deque(orders)
         self._lock = threading.Lock()
@@ -168,15 +174,26 @@ class _ShardPool:
         self._queue.put(None)
 
     def _run_order(self, order: ShardOrder, slot: int) -> None:
+        known = self._kept.load(order) if self._kept else None
+        result = self._play(order, slot) if known is None else known.result
+        for record in () if known is None else known.records:
+            self._queue.put(record)
+        self._queue.put(result)
+
+    def _play(self, order: ShardOrder, slot: int) -> ShardResult:
+        records = []
         with self._processes.running_shard(order.model_copy(update={"slot": slot})) as process:
             self._register(slot, process)
             for record in process.records():
+                records.append(record)
                 self._queue.put(record)
         if process.result.end is ShardEnd.BROKEN:
             # Shards before this one go on; later ones cannot change how the evaluation ends.
             with self._lock:
                 self._orders.clear()
-        self._queue.put(process.result)
+        elif self._kept:
+            self._kept.store(order, records, process.result)
+        return process.result
 
     def _register(self, slot: int, process: ShardProcess) -> None:
         with self._lock:

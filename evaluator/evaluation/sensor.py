@@ -1,19 +1,21 @@
 """A whole evaluation of a sensor with the standard estimator on this machine; called by `vitac sensor evaluate`."""
 
 import tempfile
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from ..episodes.records import EpisodeRecord
 from ..estimator.regression import Coefficients
 from ..figures.figures import FigureChoice, SensorFigures, merged
+from ..figures.table import missing_of
 from ..scoring.gain import SensingGain, sensing_gain
 from ..scoring.score import Rate
 from ..sensors.check import accepted_sensor
 from ..sensors.made import MadeSensor, made_sensor
 from ..strict_model import StrictModel
 from ..tracks import Player, load_track
+from .kept import KeptShards
 from .local import Evaluation, evaluate
 
 TRACK = "track_3"
@@ -36,6 +38,8 @@ class SensorReport(StrictModel):
     gain: SensingGain
     figures: SensorFigures | None = None
     figures_digest: str | None = None
+    not_measured: tuple[str, ...] = ()
+    """Why figures that were asked for are not there."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,7 +69,14 @@ class SensorEvaluation:
             gain=sensing_gain(self.standard.records, self.blind.records),
             figures=self.figures,
             figures_digest=None if self.figures is None else self.figures.digest,
+            not_measured=tuple(self._not_measured()),
         )
+
+    def _not_measured(self) -> Iterator[str]:
+        problems = (part.problem for part in self.blind.figures if part.problem is not None)
+        yield from dict.fromkeys(problems)
+        if self.figures is not None:
+            yield from missing_of(self.figures)
 
 
 def evaluate_sensor(
@@ -74,6 +85,7 @@ def evaluate_sensor(
     episodes: Iterable[int] | None = None,
     workers: int = 1,
     figures: FigureChoice = FigureChoice.NONE,
+    keep: Path | None = None,
     on_episode: Callable[[EpisodeRecord], None] = lambda _: None,
 ) -> SensorEvaluation:
     """Make the sensor in a folder and play both runs of the standard estimator.
@@ -83,6 +95,7 @@ def evaluate_sensor(
         episodes: numbers to play; all by default.
         workers: processes at once.
         figures: which of the sensor's figures are measured, too.
+        keep: folder where finished shards are kept and looked for; None keeps none.
         on_episode: gets each record of both runs.
 
     Raises:
@@ -106,6 +119,7 @@ def evaluate_sensor(
                 workers=workers,
                 sensor=path,
                 figures=figures,
+                kept=None if keep is None else KeptShards(keep, of=made.digest),
                 on_episode=on_episode,
             )
             for player in (Player.ESTIMATOR, Player.BLIND)

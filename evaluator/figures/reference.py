@@ -8,6 +8,7 @@ from ..sensors.manifest import SensorManifest
 from .figures import SensorFigures
 
 if TYPE_CHECKING:
+    from vitac.envs.fem.model.mesh import GelMesh
     from vitac.envs.tactile.design import SensorDesign
 
 FILE = Path(__file__).with_name("reference.json")
@@ -22,15 +23,20 @@ def reference_figures() -> SensorFigures:
 
 def reference_design() -> "SensorDesign":
     """Return that gel as a sensor of Track 3."""
+    from vitac.envs.tactile.gel import gelsight_mini_mesh
+
+    return design_of_gel(gelsight_mini_mesh())
+
+
+def design_of_gel(gel: "GelMesh") -> "SensorDesign":
+    """Return a gel with the default camera and markers, driven and sensing where its geometry says so."""
     from vitac.envs.sensor_design.faces import gel_of
     from vitac.envs.sensor_design.tetrahedra import Tetrahedra
     from vitac.envs.tactile.design import SensorDesign
-    from vitac.envs.tactile.gel import gelsight_mini_mesh
 
-    gel = gelsight_mini_mesh()
     nodes_mm = 1e3 * gel.rest_position_m
     nodes_mm[:, 2] -= nodes_mm[:, 2].min()
-    placed, sensing = gel_of(Tetrahedra(nodes_mm=nodes_mm, corners=gel.tetrahedra), name="the reference gel")
+    placed, sensing = gel_of(Tetrahedra(nodes_mm=nodes_mm, corners=gel.tetrahedra), name=gel.name)
     manifest = SensorManifest()
     return SensorDesign(
         gel=placed,

@@ -22,6 +22,20 @@ def rows_of(figures: SensorFigures, reference: SensorFigures) -> Iterator[Figure
         yield FigureRow(name, value, others.get(name, (None, unit))[0], unit)
 
 
+def missing_of(figures: SensorFigures) -> Iterator[str]:
+    """Yield a sentence for every figure that is not there: what it is, and why."""
+    touch, unmeasured = figures.touch, "no start was measured"
+    if None in (touch.normal_px_n, touch.shear_px_n, touch.pin_mm, *touch.edge_mm):
+        yield "Sensitivity or resolution has no median: no place of the map senses."
+    if figures.information is None:
+        reason = "at no start did all IPC steps converge" if figures.starts else unmeasured
+        yield f"Information and bounds are not there: {reason}."
+    if not figures.robustness:
+        yield f"The standard score under variations is not there: {unmeasured}."
+    if figures.cpu_s is None:
+        yield f"The CPU time of an episode is not there: {unmeasured}."
+
+
 def _values(figures: SensorFigures) -> dict[str, tuple[float | None, str]]:
     touch, grasp, information = figures.touch, figures.grasp, figures.information
     found: dict[str, tuple[float | None, str]] = {

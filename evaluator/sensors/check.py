@@ -12,13 +12,10 @@ from .manifest import SENSOR_NAME, SensorManifest, read_sensor
 from .package import GEL_NAME, MESH_NAME
 
 if TYPE_CHECKING:
+    from vitac.envs.sensor_design.tetrahedra import Tetrahedra
     from vitac.envs.tactile.design import SensorDesign
 
     from .meshing import MeshedGel
-
-# The grasp closes so far after it has touched the highest point.
-_REACHED_MM = 0.875
-_FEWEST_INSIDE = 20
 
 
 class SensorRefused(VitacError):
@@ -69,7 +66,7 @@ def check_sensor(path: Path, limits: SensorLimits | None = None) -> SensorCheck:
         return SensorCheck(findings=tuple(findings))
     design = mesh.meshed.design(manifest)
     markers = _markers(design)
-    findings += [_touching_faces(design), markers]
+    findings += [_tips(mesh.meshed.mesh, limits), markers]
     return SensorCheck(findings=tuple(findings), meshed=mesh.meshed, design=design if markers.ok else None)
 
 
@@ -97,26 +94,22 @@ def _files(path: Path) -> tuple[SensorManifest, Path, Path | None]:
     return read_sensor(path), path / GEL_NAME, own if own.exists() else None
 
 
-def _touching_faces(design: "SensorDesign") -> Finding:
-    """Count the nodes inside the faces that the grasp reaches: none in a ridge or a tip of one cell's width."""
-    import numpy as np
+def _tips(mesh: "Tetrahedra", limits: SensorLimits) -> Finding:
+    """Count the nodes of the parts that the grasp reaches: with few of them, another mesh touches differently."""
+    from vitac.envs.sensor_design.refining import tip_sizes
+    from vitac.envs.tactile.design import MILLIMETRE_M, TOUCHED_M
 
-    heights_mm = 1e3 * design.gel.rest_position_m[:, 2]
-    faces = design.sensing_triangles
-    touching = faces[heights_mm[faces].min(axis=1) >= heights_mm.max() - _REACHED_MM]
-    edges = np.sort(np.concatenate([touching[:, [i, (i + 1) % 3]] for i in range(3)]), axis=1)
-    sides, uses = np.unique(edges, axis=0, return_counts=True)
-    inside = len(np.setdiff1d(touching, sides[uses == 1]))
+    sizes = tip_sizes(mesh, depth_mm=TOUCHED_M / MILLIMETRE_M)
     return Finding(
-        rule=Rule.TOUCHING_FACES,
+        rule=Rule.TIPS,
         ok=True,
-        value=f"{inside} nodes inside",
-        limit=f"better {_FEWEST_INSIDE} or more",
+        value=f"{len(sizes)} with {sizes[0]} nodes or more",
+        limit=f"better {limits.wanted_tip_nodes} or more",
         problem=(
-            "What touches first is about one cell wide. Around it the motion of the surface depends on the mesh, and "
-            "another mesh may change surface_diff by half. What touches moves alike; make it wider if this matters."
+            "A part that touches first has so few nodes that surface_diff depends on the mesh. Draw fewer or larger "
+            "tips if this matters, or bring a finer tet.msh."
         ),
-        is_warning=inside < _FEWEST_INSIDE,
+        is_warning=sizes[0] < limits.wanted_tip_nodes,
     )
 
 

@@ -56,8 +56,8 @@ class Rule(StrEnum):
     """Between the surfaces of the mesh and of the STL."""
     BASE_NODES = "base_nodes"
     """The base of the mesh is exactly the case's."""
-    TOUCHING_FACES = "touching_faces"
-    """What touches first is a few nodes wide, so that `surface_diff` does not depend on the mesh; only warned of."""
+    TIPS = "tips"
+    """What touches first has nodes enough, so that `surface_diff` does not depend on the mesh; only warned of."""
     MARKERS = "markers"
     """All markers are on the sensing face and in the picture."""
 

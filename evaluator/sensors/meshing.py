@@ -91,6 +91,7 @@ class MeshCheck:
         from vitac.envs.sensor_design.columns import WallsTangled
         from vitac.envs.sensor_design.height_field import NotAHeightField
         from vitac.envs.sensor_design.mesher import FeatureBelowResolution, MeshGoal, mesh_height_field
+        from vitac.envs.tactile.design import MILLIMETRE_M, TOUCHED_M
 
         limits = self._limits
         goal = MeshGoal(
@@ -101,6 +102,8 @@ class MeshCheck:
             max_distance_mm=limits.max_distance_mm,
             max_volume_error=limits.max_volume_error,
             min_quality=limits.min_quality,
+            tip_depth_mm=TOUCHED_M / MILLIMETRE_M,
+            min_tip_nodes=limits.wanted_tip_nodes,
         )
         try:
             return mesh_height_field(surface, goal)

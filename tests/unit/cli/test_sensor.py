@@ -6,12 +6,15 @@ from types import SimpleNamespace
 
 import drawn_gels
 import numpy as np
+import own_sensors
 import pytest
 import short_calibration
 from PIL import Image
 from vitac.cli import main as cli
+from vitac.cli import sensor as sensor_command
 from vitac.evaluator.figures.figures import SensorFigures
-from vitac.evaluator.sensors.check import accepted_sensor
+from vitac.evaluator.sensors.check import accepted_sensor, check_sensor
+from vitac.evaluator.sensors.limits import sensor_limits
 from vitac.evaluator.sensors.made import made_sensor
 from vitac.evaluator.shards import process as shard_process
 
@@ -42,7 +45,7 @@ def folder(tmp_path: Path) -> Path:
 def test_check_prints_every_rule_with_value_and_limit(run: Run, folder: Path) -> None:
     code, out, _ = run("check", folder)
     assert code == 0
-    assert "ok       thickness" in out
+    assert "ok  thickness" in out
     assert "4.000 mm" in out
     assert "2 to 8 mm" in out
     assert "48 of 48 attached" in out
@@ -70,11 +73,11 @@ def test_mesh_prints_digest_and_figures(run: Run, folder: Path) -> None:
     code, out, _ = run("mesh", folder, "--json")
     figures = json.loads(out)
     assert code == 0
-    assert (figures["nodes"], figures["mesh"]) == (280, "generated")
+    assert (figures["nodes"], figures["mesh"]) == (289, "generated")
     assert figures["volume_mm3"] == pytest.approx(1351.844)
     assert figures["worst_quality"] > 0.1
     assert figures["digest"] in run("check", folder)[1]
-    assert figures["expected_cpu_s"] == 24
+    assert figures["expected_cpu_s"] == 25
     assert f"digest          {figures['digest']}" in run("mesh", folder)[1]
 
 
@@ -101,13 +104,17 @@ def one_tetrahedron(*_: object, **__: object) -> tuple[object, object]:
     return np.array([[0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 3]], float), np.array([[0, 1, 2, 3]])
 
 
-def test_check_warns_of_a_feature_of_one_cell_and_accepts_it(run: Run, folder: Path) -> None:
+def test_check_warns_of_tips_with_few_nodes_and_accepts_them(run: Run, folder: Path) -> None:
+    limits = sensor_limits().model_copy(update={"wanted_tip_nodes": 1})
+    meshed = check_sensor(folder, limits).meshed
+    assert meshed is not None
+    (folder / "tet.msh").write_text(own_sensors.msh(meshed.mesh))
     code, out, _ = run("check", folder)
     assert code == 0
-    assert "warning  touching_faces" in out
-    assert "touching_faces: What touches first is about one cell wide." in out
+    assert "warning  tips" in out
+    assert "tips: A part that touches first has so few nodes that surface_diff depends on the mesh." in out
     findings = json.loads(run("check", folder, "--json")[1])["findings"]
-    assert [it["rule"] for it in findings if it["is_warning"]] == ["touching_faces"]
+    assert [it["rule"] for it in findings if it["is_warning"]] == ["tips"]
 
 
 def test_mesh_of_a_broken_gel_names_the_rule(run: Run, folder: Path) -> None:
@@ -145,9 +152,10 @@ def test_evaluate_plays_the_estimator_with_and_without_sight_of_the_markers(
     run: Run, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(shard_process, "COMMAND", short_calibration.COMMAND)
+    monkeypatch.setattr(sensor_command, "_kept_folder", lambda: tmp_path / "kept")
     out_file = tmp_path / "report.json"
-    quick = ("--figures", "quick")
-    code, out, _ = run("evaluate", folder, "--episodes", "1:2", "--workers", 1, "--json", out_file, *quick)
+    command = ("evaluate", folder, "--episodes", "1:2", "--workers", 1, "--json", out_file, "--figures", "quick")
+    code, out, _ = run(*command)
     assert code == 0
     report = json.loads(out_file.read_text())
     assert [(row["task"], row["episodes"]) for row in report["runs"]] == [("sensor-standard", 2), ("sensor-blind", 2)]
@@ -162,7 +170,17 @@ def test_evaluate_plays_the_estimator_with_and_without_sight_of_the_markers(
     assert f"0 starts; digest of the figures {figures.digest}" in out
     assert f"force at the grasp              {figures.grasp.force_n:.4g}" in out
     assert "reference gel" in out
-    assert "standard score" not in out
+    assert "standard score," not in out
+    reasons = ["Information and bounds are not there: no start was measured."]
+    reasons.append("The standard score under variations is not there: no start was measured.")
+    assert report["not_measured"] == [*reasons, "The CPU time of an episode is not there: no start was measured."]
+    assert "\n".join(report["not_measured"]) in out
+    # Nothing is played again: the second run would find no process to play in.
+    monkeypatch.setattr(shard_process, "COMMAND", (sys.executable, "-c", "raise SystemExit(1)"))
+    assert run(*command)[:2] == (0, out)
+    assert json.loads(out_file.read_text()) == report
+    code, _, _ = run(*command, "--fresh")
+    assert code == 1
 
 
 def test_evaluate_of_a_broken_sensor_names_the_rule(run: Run, folder: Path) -> None:

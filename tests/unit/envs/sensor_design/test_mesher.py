@@ -4,6 +4,7 @@ import subprocess
 import sys
 import tracemalloc
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import drawn_gels
@@ -13,6 +14,7 @@ from vitac.envs.sensor_design.faces import gel_of
 from vitac.envs.sensor_design.height_field import NotAHeightField
 from vitac.envs.sensor_design.mesher import FeatureBelowResolution, MeshGoal, max_distance_mm, mesh_height_field
 from vitac.envs.sensor_design.placing import placed_on_base
+from vitac.envs.sensor_design.refining import tip_sizes
 from vitac.envs.sensor_design.surface import DrawnSurface
 from vitac.envs.sensor_design.tetrahedra import Tetrahedra
 
@@ -24,6 +26,8 @@ GOAL = MeshGoal(
     max_distance_mm=0.1,
     max_volume_error=0.01,
     min_quality=0.01,
+    tip_depth_mm=0.875,
+    min_tip_nodes=25,
 )
 GELS: dict[str, Callable[[], DrawnSurface]] = {
     "thin": lambda: drawn_gels.flat(2.0),
@@ -49,7 +53,7 @@ def test_mesh_is_that_of_the_drawing(name: str) -> None:
     assert 250 <= len(mesh.nodes_mm) <= 1000
     assert max_distance_mm(mesh.surface, drawn) <= 0.1
     assert mesh.volume_mm3 == pytest.approx(drawn.volume_mm3, rel=0.006)
-    assert mesh.qualities.min() > (0.01 if name == "round pillar" else 0.05)
+    assert mesh.qualities.min() > (0.01 if name in ("round pillar", "wedge") else 0.03)
     assert mesh.n_shared_faces == 0
     surface = mesh.surface
     assert (surface.n_open_edges, surface.n_mixed_edges, surface.n_branching_edges) == (0, 0, 0)
@@ -65,6 +69,24 @@ def test_base_is_exact(name: str) -> None:
 
 def test_sample_of_the_challenge_keeps_its_volume() -> None:
     assert meshed("sample").volume_mm3 == pytest.approx(2051.0833, abs=1e-3)
+
+
+def test_every_tip_gets_nodes_enough_where_the_whole_mesh_may_have_them() -> None:
+    drawn = placed_on_base(drawn_gels.pyramids(), length_mm=25.25, width_mm=20.75)
+    plain = mesh_height_field(drawn, replace(GOAL, min_tip_nodes=1))
+    assert tip_sizes(plain, depth_mm=0.875) == [1, 1, 1, 1]
+    assert tip_sizes(meshed("pyramids"), depth_mm=0.875) == [25, 25, 25, 25]
+    assert len(plain.nodes_mm) < len(meshed("pyramids").nodes_mm) < 500
+    short = mesh_height_field(drawn, replace(GOAL, max_nodes=len(plain.nodes_mm) + 10))
+    assert len(short.nodes_mm) == len(plain.nodes_mm) + 10
+    strict = replace(GOAL, min_quality=float(plain.qualities.min()))
+    assert mesh_height_field(drawn, strict).as_bytes() == plain.as_bytes()
+
+
+@pytest.mark.parametrize("name", ["thin", "thick", "sample", "reference", "dome"])
+def test_gel_that_touches_in_one_wide_part_is_meshed_as_ever(name: str) -> None:
+    drawn = placed_on_base(GELS[name](), length_mm=25.25, width_mm=20.75)
+    assert meshed(name).as_bytes() == mesh_height_field(drawn, replace(GOAL, min_tip_nodes=1)).as_bytes()
 
 
 def test_vertical_walls_keep_their_place() -> None:
@@ -128,7 +150,8 @@ def test_bytes_do_not_depend_on_threads_blas_or_cpu() -> None:
 
 
 def digest() -> str:
-    return hashlib.sha256(b"".join(meshed(name).as_bytes() for name in ("sample", "wedge", "dome"))).hexdigest()
+    names = ("sample", "wedge", "dome", "pyramids")
+    return hashlib.sha256(b"".join(meshed(name).as_bytes() for name in names)).hexdigest()
 
 
 def test_distance_from_slivers_takes_little_memory() -> None:

@@ -63,12 +63,35 @@ def test_ray_takes_the_first_face_that_it_leaves_by() -> None:
     np.testing.assert_allclose(places_m(sensor)[:, 2] * 1e3, [2.0, 2.0, 0.5], atol=1e-6)
 
 
-def test_area_weights_are_shares_of_the_area() -> None:
-    sensor = design("ridge")
-    weights = sensor.area_weights
-    assert weights.sum() == pytest.approx(1.0)
-    on_top = sensor.gel.rest_position_m[sensor.gel.sensing_nodes, 2] > 1.9e-3
-    assert weights[on_top].sum() == pytest.approx(2.0 * 14.0 / (25.25 * 20.75))
+def test_what_the_grasp_reaches_has_shares_of_its_area() -> None:
+    """Of the ridge its top, of the flat gel all of its face, of the pyramids what is 0.875 mm below the tips."""
+    for name, area_mm2 in (("ridge", 2.0 * 14.0), ("4 mm", 25.25 * 20.75)):
+        sensor = design(name)
+        touched = sensor.touched
+        assert touched.areas_m2.sum() == pytest.approx(1.0)
+        heights_m = sensor.gel.rest_position_m[sensor.gel.sensing_nodes[touched.corners], 2]
+        np.testing.assert_allclose(heights_m, 2e-3)
+        n_places = 16 * len(sensor.sensing_triangles)
+        assert len(touched.areas_m2) == n_places if name == "4 mm" else len(touched.areas_m2) < n_places
+        corners_m = sensor.gel.rest_position_m[sensor.gel.sensing_nodes[touched.corners[::16]]]
+        areas_m2 = 0.5 * np.linalg.norm(
+            np.cross(corners_m[:, 1] - corners_m[:, 0], corners_m[:, 2] - corners_m[:, 0]), axis=1
+        )
+        assert areas_m2.sum() * 1e6 == pytest.approx(area_mm2)
+    sensor = design("pyramids")
+    corners, weights, _ = sensor.touched
+    z_m = (sensor.gel.rest_position_m[sensor.gel.sensing_nodes[corners], 2] * weights).sum(axis=1)
+    top_m = sensor.gel.rest_position_m[:, 2].max()
+    assert top_m - 0.875e-3 <= z_m.min() < top_m - 0.8e-3
+
+
+def test_places_are_looked_for_below_the_highest_face_that_senses() -> None:
+    """Needles lean too much to sense: the floor between them does, however far below their tips it lies."""
+    sensor = design("pyramids")
+    floor_m = sensor.gel.rest_position_m[sensor.sensing_triangles, 2].max(axis=1) < 0.3e-3
+    needles = replace(sensor, sensing_triangles=sensor.sensing_triangles[floor_m])
+    assert needles.touched.areas_m2.sum() == pytest.approx(1.0)
+    assert len(needles.touched.areas_m2) == 16 * floor_m.sum() > 0
 
 
 def refined(min_nodes: int) -> SensorDesign:
@@ -81,6 +104,8 @@ def refined(min_nodes: int) -> SensorDesign:
         max_distance_mm=0.1,
         max_volume_error=0.01,
         min_quality=0.01,
+        tip_depth_mm=0.875,
+        min_tip_nodes=25,
     )
     gel, sensing = gel_of(mesh_height_field(drawn, goal), name="dome")
     return replace(design("dome"), gel=gel, sensing_triangles=sensing)

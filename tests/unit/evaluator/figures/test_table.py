@@ -1,5 +1,5 @@
 from vitac.evaluator.figures.reference import reference_figures
-from vitac.evaluator.figures.table import rows_of
+from vitac.evaluator.figures.table import missing_of, rows_of
 
 
 def test_every_figure_has_a_value_beside_that_of_the_reference_gel() -> None:
@@ -17,3 +17,17 @@ def test_figures_that_were_not_measured_have_no_row() -> None:
     assert len(rows) == 8
     fewer = list(rows_of(reference_figures(), quick))
     assert fewer[-1].reference is None
+
+
+def test_every_figure_that_is_missing_has_a_reason() -> None:
+    whole = reference_figures()
+    assert list(missing_of(whole)) == []
+    deaf = whole.touch.model_copy(update={"normal_px_n": None, "shear_px_n": None, "pin_mm": None})
+    assert list(missing_of(whole.model_copy(update={"touch": deaf}))) == [
+        "Sensitivity or resolution has no median: no place of the map senses."
+    ]
+    assert list(missing_of(whole.model_copy(update={"information": None}))) == [
+        "Information and bounds are not there: at no start did all IPC steps converge."
+    ]
+    quick = whole.model_copy(update={"starts": 0, "information": None, "robustness": (), "cpu_s": None})
+    assert [sentence.endswith("no start was measured.") for sentence in missing_of(quick)] == [True] * 3

@@ -169,11 +169,17 @@ def test_pipe_in_place_of_the_mesh_is_refused_without_waiting_for_it(tmp_path: P
     assert "no regular file" in problem(check)
 
 
-@pytest.mark.parametrize(("gel", "is_narrow"), [("4 mm", False), ("dome", False), ("ridge", True), ("pyramids", True)])
-def test_features_of_one_cell_are_warned_of_and_accepted(gel: str, is_narrow: bool, tmp_path: Path) -> None:
-    yaml = f"markers: {own_sensors.MARKERS}\n"
-    found = check_sensor(own_sensors.write_sensor(tmp_path, own_sensors.GELS[gel](), yaml))
-    (touching,) = [finding for finding in found.findings if finding.rule is Rule.TOUCHING_FACES]
+@pytest.mark.parametrize("gel", ["4 mm", "dome", "ridge", "pyramids"])
+def test_tips_have_nodes_enough_in_our_meshes_and_are_warned_of_in_others(gel: str, tmp_path: Path) -> None:
+    folder = own_sensors.write_sensor(tmp_path, own_sensors.GELS[gel](), f"markers: {own_sensors.MARKERS}\n")
+    assert [finding.is_warning for finding in check_sensor(folder).findings if finding.rule is Rule.TIPS] == [False]
+    plain = sensor_limits().model_copy(update={"wanted_tip_nodes": 1})
+    mesh = check_sensor(folder, plain).meshed
+    assert mesh is not None
+    (folder / "tet.msh").write_text(own_sensors.msh(mesh.mesh))
+    found = check_sensor(folder)
+    (tips,) = [finding for finding in found.findings if finding.rule is Rule.TIPS]
     assert found.ok
-    assert touching.ok
-    assert touching.is_warning is is_narrow
+    assert tips.ok
+    assert tips.is_warning is (gel in ("ridge", "pyramids"))
+    assert tips.value.startswith("4 with 1 nodes" if gel == "pyramids" else "1 with ")

@@ -1,0 +1,79 @@
+"""Shards that an evaluation on this machine has finished, so that the same evaluation goes on where it was ended."""
+
+import hashlib
+import os
+import tempfile
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from ..episodes.records import EpisodeRecord
+from ..shards.order import ShardOrder
+from ..shards.result import ShardResult
+from ..strict_model import StrictModel
+from ..version import evaluator_version, platform_class
+
+# A shard that was neither finished nor used again for so long [s] is removed.
+_UNUSED_S = 30 * 86400.0
+# What a result depends on is in the name of what is played; these say only where it lies and which process plays it.
+_NO_CONTENT = frozenset({"submission", "sensor", "slot"})
+
+
+class FinishedShard(StrictModel):
+    """A shard with all its records."""
+
+    records: tuple[EpisodeRecord, ...]
+    result: ShardResult
+
+
+class KeptShards:
+    """Finished shards in a folder, one file each, named by all that decides what is in it.
+
+    Args:
+        folder: made where it is not there.
+        of: digest of what is played; for the standard estimator that of the sensor.
+    """
+
+    def __init__(self, folder: Path, *, of: str) -> None:
+        self._folder, self._of = folder, of
+        with suppress(OSError):
+            folder.mkdir(parents=True, exist_ok=True)
+            _remove_unused(folder)
+
+    def load(self, order: ShardOrder) -> FinishedShard | None:
+        """Return a finished shard; None where it was not kept, or its file is damaged."""
+        path = self._path(order)
+        try:
+            finished = FinishedShard.model_validate_json(path.read_bytes())
+            os.utime(path)
+        except (OSError, ValidationError):
+            return None
+        return finished
+
+    def store(self, order: ShardOrder, records: Sequence[EpisodeRecord], result: ShardResult) -> None:
+        """Keep a shard whose episodes all have a record; without space for it nothing is kept."""
+        content = FinishedShard(records=tuple(records), result=result).model_dump_json().encode()
+        with suppress(OSError):
+            handle, name = tempfile.mkstemp(dir=self._folder)
+            try:
+                with os.fdopen(handle, "wb") as stream:
+                    stream.write(content)
+                Path(name).replace(self._path(order))
+            except OSError:
+                Path(name).unlink()
+                raise
+
+    def _path(self, order: ShardOrder) -> Path:
+        parts = (evaluator_version(), platform_class(), self._of, order.model_dump_json(exclude=set(_NO_CONTENT)))
+        digest = hashlib.sha256("\0".join(parts).encode()).hexdigest()
+        return self._folder / f"{digest}.json"
+
+
+def _remove_unused(folder: Path) -> None:
+    for path in folder.iterdir():
+        with suppress(FileNotFoundError):  # another process has removed it
+            if path.is_file() and time.time() - path.stat().st_mtime > _UNUSED_S:
+                path.unlink()

@@ -1,0 +1,114 @@
+"""Finished shards are found again by all that decides what is in them, and by nothing else."""
+
+import os
+import sys
+import time
+from pathlib import Path
+
+import fake_shard_process
+import pytest
+from vitac.evaluator.episodes.records import EpisodeRecord
+from vitac.evaluator.evaluation import kept as kept_module
+from vitac.evaluator.evaluation.kept import FinishedShard, KeptShards
+from vitac.evaluator.evaluation.local import Evaluation, evaluate
+from vitac.evaluator.shards import process as shard_process
+from vitac.evaluator.shards.order import ShardOrder
+from vitac.evaluator.submission_kinds import SubmissionKind
+from vitac.evaluator.tracks import load_track
+
+TRACK = load_track("track_1")
+TASK = TRACK.tasks["peg-insertion"]
+ORDER = ShardOrder(kind=SubmissionKind.MODEL, submission=Path("/a"), track="track_1", task="peg-insertion", shard=0)
+
+
+@pytest.fixture(autouse=True)
+def fake_command(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(shard_process, "COMMAND", (sys.executable, fake_shard_process.__file__))
+
+
+def play(folder: Path, behaviour: str = "succeed", episodes: tuple[int, ...] = (1, 2, 61)) -> Evaluation:
+    kept = KeptShards(folder, of="digest of a sensor")
+    return evaluate(submission_dir=Path(behaviour), track=TRACK, task=TASK, episodes=episodes, kept=kept)
+
+
+def finished(folder: Path) -> FinishedShard:
+    """One that was played."""
+    play(folder, episodes=(1,))
+    (file,) = folder.iterdir()
+    content = FinishedShard.model_validate_json(file.read_bytes())
+    file.unlink()
+    return content
+
+
+def test_ended_evaluation_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[EpisodeRecord] = []
+    first = play(tmp_path, episodes=(1, 2))
+    assert len(list(tmp_path.iterdir())) == 1
+    whole = play(tmp_path)
+    assert len(list(tmp_path.iterdir())) == 2
+    monkeypatch.setattr(shard_process, "COMMAND", (sys.executable, "-c", "raise SystemExit(1)"))
+    kept = KeptShards(tmp_path, of="digest of a sensor")
+    again = evaluate(
+        submission_dir=Path("elsewhere"),
+        track=TRACK,
+        task=TASK,
+        episodes=(1, 2, 61),
+        workers=2,
+        kept=kept,
+        on_episode=told.append,
+    )
+    assert again.result_hash == whole.result_hash != first.result_hash
+    assert again.records == whole.records
+    assert sorted(record.episode for record in told) == [1, 2, 61]
+
+
+def test_shard_of_a_broken_policy_is_not_kept(tmp_path: Path) -> None:
+    assert play(tmp_path, "cannot_load").failure is not None
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_only_the_same_shard_of_the_same_sensor_and_evaluator_is_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shard = finished(tmp_path)
+    kept = KeptShards(tmp_path, of="a")
+    kept.store(ORDER, shard.records, shard.result)
+    for same in (ORDER, ORDER.model_copy(update={"submission": Path("/b"), "sensor": Path("/s"), "slot": 3})):
+        assert kept.load(same) == shard
+    for other in ({"episodes": (1, 2)}, {"shard": 1}, {"task": "lock-opening"}, {"track": "track_3"}):
+        assert kept.load(ORDER.model_copy(update=other)) is None
+    assert KeptShards(tmp_path, of="b").load(ORDER) is None
+    monkeypatch.setattr(kept_module, "evaluator_version", lambda: "another")
+    assert kept.load(ORDER) is None
+
+
+def test_damaged_file_is_played_again(tmp_path: Path) -> None:
+    shard = finished(tmp_path)
+    kept = KeptShards(tmp_path, of="a")
+    kept.store(ORDER, shard.records, shard.result)
+    (file,) = tmp_path.iterdir()
+    for content in (file.read_bytes()[:-9], b"", b"[]", b"\xff"):
+        file.write_bytes(content)
+        assert kept.load(ORDER) is None
+    kept.store(ORDER, shard.records, shard.result)
+    assert kept.load(ORDER) == shard
+
+
+def test_what_nobody_used_for_a_month_is_removed(tmp_path: Path) -> None:
+    shard = finished(tmp_path)
+    kept = KeptShards(tmp_path, of="a")
+    for number in (0, 1):
+        kept.store(ORDER.model_copy(update={"shard": number}), shard.records, shard.result)
+    old_s = time.time() - 31 * 86400
+    for file in tmp_path.iterdir():
+        os.utime(file, (old_s, old_s))
+    assert kept.load(ORDER) == shard
+    KeptShards(tmp_path, of="a")
+    assert len(list(tmp_path.iterdir())) == 1
+    assert kept.load(ORDER) == shard
+
+
+def test_folder_that_cannot_be_written_keeps_nothing(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    whole = play(tmp_path / "file" / "folder")
+    assert whole.result_hash == play(tmp_path / "kept").result_hash
