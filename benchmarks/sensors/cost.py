@@ -25,7 +25,7 @@ from vitac.evaluator.episodes.reading import Observation
 from vitac.evaluator.estimator.calibration import calibrate
 from vitac.evaluator.estimator.playing import EstimatorPolicy, EstimatorSession
 from vitac.evaluator.figures.reference import design_of_gel, reference_design
-from vitac.evaluator.sensors.check import design_in
+from vitac.evaluator.sensors.made import design_in
 from vitac.evaluator.tracks import find_task
 
 TASK = find_task("sensor-standard")[1]
@@ -68,7 +68,7 @@ def play(number: int) -> tuple[Counter[str], float]:
     begun_s = process_time()
     env, session = state["env"], state["session"]
     record = run_episode(env=env, task=TASK, episode=TASK.episodes[number - 1], open_session=lambda: session)
-    motions_m = [value for info in record.infos for value in info["surface_diff_m"]]  # type: ignore[union-attr, index]
+    motions_m = np.array([info["surface_diff_m"] for info in record.infos], dtype=np.float64)
     faults = session.watched.faults + Counter({"not finite": int((~np.isfinite(motions_m)).sum())})
     return faults + Counter({record.outcome.value: 1}), process_time() - begun_s
 

@@ -27,7 +27,7 @@ class FacePlaces(NamedTuple):
 
     def where(self, chosen: NDArray[np.bool_]) -> "FacePlaces":
         """Return some of the places."""
-        return FacePlaces(*(part[chosen] for part in self))
+        return FacePlaces(self.corners[chosen], self.weights[chosen], self.areas_m2[chosen])
 
 
 def places_on_faces(positions_m: FloatArray, triangles: IndexArray) -> FacePlaces:
