@@ -12,6 +12,7 @@ from pathlib import Path
 
 import psycopg
 from psycopg import sql
+from psycopg.conninfo import conninfo_to_dict
 from vitac.server.db.engine import Database
 from vitac.server.db.schema import upgrade
 from vitac.server.postgres.embedded import EmbeddedPostgres
@@ -79,3 +80,12 @@ def fresh_database(template: str = TEMPLATE) -> Iterator[str]:
             yield postgres.cluster.dsn(name)
         finally:
             connection.execute(f"DROP DATABASE {name} WITH (FORCE)")
+
+
+@contextmanager
+def copied_database(address: str) -> Iterator[Database]:
+    """A copy of a database that nobody is connected to, with all its rows; dropped afterwards."""
+    with fresh_database(str(conninfo_to_dict(address)["dbname"])) as copied:
+        database = Database(copied)
+        yield database
+        database.dispose()

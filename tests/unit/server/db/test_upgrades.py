@@ -1,16 +1,15 @@
 """Databases that were made at an older revision and hold data show the same after an upgrade."""
 
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from typing import Any
 
 import psycopg
 import pytest
 from alembic import command
 from alembic.script import ScriptDirectory
-from databases import fresh_database
+from databases import copied_database, fresh_database
 from psycopg import sql
-from psycopg.conninfo import conninfo_to_dict
 from service_factories import LOCK, TASK, TRACK, make_principal, make_score, make_settings, play, shard_ids, submit
 from service_factories import submit_scored as scored
 from vitac.server.accounts.principals import CONSOLE
@@ -66,7 +65,7 @@ def shown_today(filled: str) -> dict[str, Any]:
 @pytest.fixture(scope="module")
 def fallen(filled: str, shown_today: dict[str, Any]) -> Iterator[Database]:
     """A copy of it that each test takes back to its revision: from the newest to the oldest, each step is made once."""
-    with a_copy(filled) as database:
+    with copied_database(filled) as database:
         yield database
 
 
@@ -79,7 +78,7 @@ def born_at() -> Iterator[dict[str, Database]]:
         for revision in OLDER:
             make_at(newest, revision)
             newest.dispose()
-            born[revision] = stack.enter_context(a_copy(newest.address))
+            born[revision] = stack.enter_context(copied_database(newest.address))
         yield born
 
 
@@ -96,14 +95,6 @@ def test_boards_and_submissions_are_the_same_after_an_upgrade(
     with born.transaction() as session:
         submit(session, make_principal(session, "Team D"), "new")
     born.dispose()
-
-
-@contextmanager
-def a_copy(address: str) -> Iterator[Database]:
-    with fresh_database(str(conninfo_to_dict(address)["dbname"])) as copied:
-        database = Database(copied)
-        yield database
-        database.dispose()
 
 
 def make_at(database: Database, revision: str) -> None:

@@ -1,9 +1,10 @@
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime, timedelta
 from uuid import UUID
 
 import pytest
 from database_work import database_work
+from databases import copied_database, fresh_database
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from service_factories import LOCK, TASK, TRACK, add_result, make_principal, make_score, submit_scored
@@ -90,18 +91,28 @@ def test_the_database_ranks_as_the_evaluator_does(database: Database, drawn: lis
         session.rollback()
 
 
+@pytest.fixture(scope="module")
+def address_of_many_results() -> Iterator[str]:
+    """A database with ten teams of a hundred results each, which takes seconds to fill."""
+    with fresh_database() as address:
+        database = Database(address)
+        with database.transaction() as session:
+            teams = [Team(name=f"Team {number}", name_key=f"team {number}") for number in range(10)]
+            session.add_all(teams)
+            for number in range(1000):
+                played = {TASK: make_score(number % 97), LOCK: make_score(number % 89)}
+                add_result(session, number, teams[number % 10], played, BEGIN + timedelta(seconds=number))
+        with database.transaction() as session:
+            session.execute(text("ANALYZE"))
+        database.dispose()
+        yield address
+
+
 @pytest.fixture
-def many_results(database: Database) -> Database:
-    """Ten teams with a hundred results each."""
-    with database.transaction() as session:
-        teams = [Team(name=f"Team {number}", name_key=f"team {number}") for number in range(10)]
-        session.add_all(teams)
-        for number in range(1000):
-            played = {TASK: make_score(number % 97), LOCK: make_score(number % 89)}
-            add_result(session, number, teams[number % 10], played, BEGIN + timedelta(seconds=number))
-    with database.transaction() as session:
-        session.execute(text("ANALYZE"))
-    return database
+def many_results(address_of_many_results: str) -> Iterator[Database]:
+    """A copy of it, which a test may change."""
+    with copied_database(address_of_many_results) as database:
+        yield database
 
 
 def test_boards_read_the_best_of_each_team_and_not_all_results(many_results: Database) -> None:
