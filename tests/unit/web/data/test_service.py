@@ -43,9 +43,11 @@ def test_a_submission_with_all_that_its_page_shows_is_read_by_few_statements_of_
     done: list[str] = []
     event.listen(database.engine, "begin", lambda _: done.append("begin"))
     event.listen(database.engine, "before_cursor_execute", lambda *given: done.append(given[2]))
-    detail = asyncio.run(data.submission(visitor, shown.id))
-    assert done.count("begin") == 1
-    assert len(done) - 1 <= 9, "\n".join(done)
+    for statements in (12, 9):  # the first one reads the boards, too
+        done.clear()
+        detail = asyncio.run(data.submission(visitor, shown.id))
+        assert done.count("begin") == 1
+        assert len(done) - 1 <= statements, "\n".join(done)
     assert (detail.submission.name, detail.episodes_with_output, list(detail.action_matches)) == ("second", 0, [])
     assert detail.submission.rank is not None
     assert {(result.submission_name, result.task) for result in detail.past} == {
