@@ -1,5 +1,5 @@
 import re
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime, timedelta, timezone
 
 from vitac.web.plots.dates import DatedRate, rates_by_date
 
@@ -43,3 +43,23 @@ def test_names_are_escaped_in_the_drawing_and_kept_in_the_table() -> None:
     assert "&lt;0&gt;" in figure.drawing
     assert "<0>" not in figure.drawing
     assert [row[1] for row in figure.table.rows] == ["<0>", "<1>"]
+
+
+def test_dates_are_those_of_utc_and_four_are_written_at_equal_distances() -> None:
+    figure = rates_by_date("h", "History", rates(0.1, 0.2, 0.3, 0.4))
+    written = re.findall(r'x="([\d.]+)" y="212"[^>]*>([\d-]+)<', figure.drawing)
+    assert [date for _, date in written] == ["2026-11-01", "2026-11-02", "2026-11-03", "2026-11-04"]
+    assert [float(x) for x, _ in written] == [70.0, 232.0, 394.0, 556.0]
+    west = [DatedRate(name="w", at=datetime(2026, 10, 31, 22, tzinfo=timezone(-timedelta(hours=5))), success_rate=0.5)]
+    assert rates_by_date("h", "History", west).table.rows == (("2026-11-01", "w", "50.0\N{NO-BREAK SPACE}%"),)
+
+
+def test_a_line_that_never_rises_stays_where_it_began() -> None:
+    path = re.search(r'class="best" d="([^"]+)"', rates_by_date("h", "History", rates(0.5, 0.5, 0.25)).drawing)
+    assert path is not None
+    assert path[1] == "M70.00 102.00H556.00"
+
+
+def test_of_equal_rates_the_earliest_is_called_the_best() -> None:
+    summary = rates_by_date("h", "History", rates(0.25, 0.75, 0.75)).summary
+    assert summary.startswith("3 from 2026-11-01 to 2026-11-03; the best is <1> with 75.0")
