@@ -1,5 +1,6 @@
 """The plan of the tree holds: few modules in a folder, and a folder for each family of names."""
 
+import ast
 import re
 import tomllib
 from collections import defaultdict
@@ -98,3 +99,40 @@ def test_the_architecture_has_the_order_of_the_contracts(repository: Path) -> No
 
 def layer_of(layers: list[set[str]], name: str) -> int:
     return next(number for number, layer in enumerate(layers) if name in layer)
+
+
+def imports_at_run_time(module: Path) -> Iterator[str]:
+    """Yield the names of the modules that are imported when a module runs, not only for its types."""
+    tree = ast.parse(module.read_text())
+    for_types = {
+        inner
+        for node in ast.walk(tree)
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+        for inner in ast.walk(node)
+    }
+    for node in set(ast.walk(tree)) - for_types:
+        if isinstance(node, ast.Import):
+            yield from (each.name for each in node.names)
+        elif isinstance(node, ast.ImportFrom) and not node.level:
+            yield node.module or ""
+
+
+def test_every_query_of_the_command_line_is_a_function_of_the_server(repository: Path) -> None:
+    modules = sorted((repository / "cli").rglob("*.py"))
+    assert len(modules) > 50
+    queries = ("sqlalchemy", "psycopg", "vitac.server.db.models")
+    found = {
+        str(module): name for module in modules for name in imports_at_run_time(module) if name.startswith(queries)
+    }
+    assert found == {}, "give the server a function for it"
+
+
+def test_no_function_of_the_physics_takes_more_than_six_parameters(repository: Path) -> None:
+    found = {}
+    for module in (repository / "envs" / "fem").rglob("*.py"):
+        for node in ast.walk(ast.parse(module.read_text())):
+            if isinstance(node, ast.FunctionDef):
+                taken = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
+                found[f"{module.name}: {node.name}"] = len([each for each in taken if each.arg not in ("self", "cls")])
+    assert len(found) > 200
+    assert {name: count for name, count in found.items() if count > 6} == {}, "group what belongs together"

@@ -1,0 +1,133 @@
+"""What of an evaluation is shown to whom: every combination of reader, publicity, list and kind."""
+
+from itertools import product
+from types import SimpleNamespace
+from typing import Any, cast
+from uuid import uuid4
+
+import pytest
+from service_factories import LOCK, TASK, TRACK, make_principal, submit
+from vitac.evaluator.submission_kinds import SubmissionKind
+from vitac.evaluator.tracks import ListKind, load_track
+from vitac.server.accounts.principals import CONSOLE, VISITOR, Principal
+from vitac.server.accounts.visibility import (
+    Sight,
+    changeable,
+    is_sealed,
+    played_list_kind,
+    require_episodes,
+    sight_of,
+    visible,
+)
+from vitac.server.db.engine import Database
+from vitac.server.db.models import Evaluation
+from vitac.server.db.states import Role
+from vitac.server.errors import ProblemCode, ServiceError
+
+OURS = uuid4()
+READERS = {
+    "visitor": VISITOR,
+    "own": Principal(role=Role.TEAM, team_id=OURS, team_name="Ours"),
+    "other": Principal(role=Role.TEAM, team_id=uuid4(), team_name="Theirs"),
+    "judge": Principal(role=Role.JUDGE, judge_name="Judge"),
+    "organizer": CONSOLE,
+}
+OPEN, SEALED, REVEALED = "open", "sealed", "revealed"
+NOTHING, EPISODES, EVERYTHING = (
+    Sight(episodes=False, output=False),
+    Sight(episodes=True, output=False),
+    Sight(episodes=True, output=True),
+)
+
+
+def evaluation(
+    *,
+    listed: str = OPEN,
+    public: bool = False,
+    kind: SubmissionKind = SubmissionKind.MODEL,
+    tasks: tuple[str, ...] = (TASK,),
+    commitment: str | None = None,
+) -> Evaluation:
+    """What the rules look at of an evaluation of our team."""
+    sealed_list = None if listed == OPEN else SimpleNamespace(revealed_at=None if listed == SEALED else "a moment")
+    submission = SimpleNamespace(team_id=OURS, is_public=public, kind=kind, track=TRACK, tasks=list(tasks))
+    return cast(Evaluation, SimpleNamespace(submission=submission, sealed_list=sealed_list, commitment=commitment))
+
+
+SEEN = {
+    # reader: (private, public) of an open or revealed list; then the same of a sealed one
+    "visitor": ((NOTHING, EPISODES), (NOTHING, NOTHING)),
+    "own": ((EVERYTHING, EVERYTHING), (NOTHING, NOTHING)),
+    "other": ((NOTHING, EPISODES), (NOTHING, NOTHING)),
+    "judge": ((EVERYTHING, EVERYTHING), (NOTHING, NOTHING)),
+    "organizer": ((EVERYTHING, EVERYTHING), (EVERYTHING, EVERYTHING)),
+}
+
+
+@pytest.mark.parametrize("reader", READERS)
+def test_what_is_shown_of_a_model(reader: str) -> None:
+    for listed, public in product((OPEN, REVEALED, SEALED), (False, True)):
+        found = sight_of(READERS[reader], evaluation(listed=listed, public=public))
+        assert found == SEEN[reader][listed == SEALED][public], (listed, public)
+
+
+@pytest.mark.parametrize("kind", [SubmissionKind.LOG, SubmissionKind.TEXT_LOG])
+@pytest.mark.parametrize("reader", READERS)
+def test_nobody_sees_an_output_of_a_log_because_no_policy_ran(reader: str, kind: SubmissionKind) -> None:
+    for listed, public in product((OPEN, REVEALED, SEALED), (False, True)):
+        of_model = SEEN[reader][listed == SEALED][public]
+        found = sight_of(READERS[reader], evaluation(listed=listed, public=public, kind=kind))
+        assert found == Sight(episodes=of_model.episodes, output=False), (listed, public)
+
+
+@pytest.mark.parametrize("reader", READERS)
+def test_episodes_that_are_not_shown_are_refused_with_the_reason(reader: str) -> None:
+    for listed in (OPEN, SEALED):
+        asked = evaluation(listed=listed, public=True)
+        if SEEN[reader][listed == SEALED][True].episodes:
+            require_episodes(READERS[reader], asked)
+            continue
+        with pytest.raises(ServiceError) as refused:
+            require_episodes(READERS[reader], asked)
+        assert refused.value.code is ProblemCode.LIST_SEALED
+
+
+def test_a_list_is_sealed_until_its_secret_is_published() -> None:
+    assert [is_sealed(evaluation(listed=listed)) for listed in (OPEN, SEALED, REVEALED)] == [False, True, False]
+
+
+def test_a_stage_or_a_task_of_the_file_can_have_a_sealed_list(monkeypatch: pytest.MonkeyPatch) -> None:
+    both = evaluation(tasks=(TASK, LOCK))
+    assert played_list_kind(both) is ListKind.PUBLIC
+    assert played_list_kind(evaluation(commitment="c" * 64)) is ListKind.SEALED
+    track = load_track(TRACK)
+    lock = track.tasks[LOCK]
+    sealed = lock.model_copy(update={"episode_list": lock.episode_list.model_copy(update={"commitment": "c"})})
+    changed = track.model_copy(update={"tasks": {**track.tasks, LOCK: sealed}})
+    monkeypatch.setattr("vitac.server.accounts.visibility.load_track", lambda _: changed)
+    assert played_list_kind(both) is ListKind.SEALED, "one of its tasks is enough"
+    assert played_list_kind(evaluation(tasks=(TASK,))) is ListKind.PUBLIC
+    assert is_sealed(both)
+    assert not is_sealed(evaluation(listed=REVEALED, tasks=(LOCK,))), "a stage's own list counts before the file's"
+
+
+def refused_code(call: Any, *arguments: Any) -> ProblemCode | None:
+    try:
+        call(*arguments)
+    except ServiceError as error:
+        return error.code
+    return None
+
+
+def test_who_may_see_and_who_may_change_a_submission(database: Database) -> None:
+    with database.transaction() as session:
+        owner, other = make_principal(session), make_principal(session, "Team B")
+        found = submit(session, owner).id
+        readers = {"own": owner, "other": other, **{name: READERS[name] for name in ("visitor", "judge", "organizer")}}
+        seen = {name: refused_code(visible, session, by, found) for name, by in readers.items()}
+        changed = {name: refused_code(changeable, session, by, found) for name, by in readers.items()}
+        absent = {refused_code(visible, session, by, uuid4()) for by in readers.values()}
+    hidden = dict.fromkeys(("other", "visitor"), ProblemCode.NOT_FOUND)
+    assert {name: code for name, code in seen.items() if code} == hidden
+    assert {name: code for name, code in changed.items() if code} == {**hidden, "judge": ProblemCode.FORBIDDEN}
+    assert absent == {ProblemCode.NOT_FOUND}, "one that is hidden looks like one that is not there"
