@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING
 
 from vitac.envs.errors import VitacError
+from vitac.envs.maniskill.definition import is_maniskill
 
 from ..episodes.episode import make_environment
 from ..episodes.records import EpisodeRecord
@@ -75,7 +76,7 @@ def replay(
     from vitac.envs.drawing.playback import record as play
     from vitac.envs.tasks.task_env import TactileTaskEnv
 
-    env = make_environment(task, sensor=sensor)
+    env = None if is_maniskill(task.env_id) else make_environment(task, sensor=sensor)
     if not isinstance(env, TactileTaskEnv):
         raise NotPlayable(
             f"Episodes of {task.env_id} are not shown in 3D: a playback shows two gels and what they hold."

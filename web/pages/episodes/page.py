@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from starlette.exceptions import HTTPException
 from starlette.responses import JSONResponse, RedirectResponse, Response
+from vitac.envs.maniskill.definition import is_maniskill
 from vitac.evaluator.tracks import load_track
 from vitac.server.db.states import OPEN_PLAYBACK_STATES, PlaybackState
 from vitac.server.errors import ServiceError
@@ -46,8 +47,15 @@ class Player:
     shown: ShownEpisodeView
 
     @property
+    def env_id(self) -> str:
+        """Environment of its task."""
+        return load_track(self.shown.track).tasks[self.shown.task].env_id
+
+    @property
     def state(self) -> str:
-        """State of its playback, empty as long as nobody has asked for it."""
+        """State of its playback: empty as long as nobody has asked for it, `none` where there cannot be one."""
+        if is_maniskill(self.env_id):
+            return "none"
         return "" if self.shown.playback is None else self.shown.playback.state.value
 
     @property
@@ -59,6 +67,8 @@ class Player:
     @property
     def text(self) -> str:
         """What is said of a playback that is not there, or not yet."""
+        if is_maniskill(self.env_id):
+            return f"Episodes of {self.env_id} are not shown in 3D."
         return "" if self.shown.playback is None else progress(self.shown.playback)
 
 

@@ -98,6 +98,17 @@ def test_an_environment_of_another_kind_is_not_shown(recorded: Recorded, monkeyp
         replay(task, record, ignore)
 
 
+def test_an_episode_of_maniskill_is_not_shown_and_its_packages_are_not_asked_for(
+    recorded: Recorded, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, task = find_task("pick-cube")
+    made: list[object] = []
+    monkeypatch.setattr(making, "make_environment", lambda *_, **__: made.append(task))
+    with pytest.raises(NotPlayable, match=r"Episodes of ManiSkill/PickCube-v1 are not shown in 3D"):
+        replay(task, recorded(env_steps=1), ignore)
+    assert made == []
+
+
 def test_the_start_is_the_recorded_one_with_the_seed_of_the_list(recorded: Recorded) -> None:
     _, task = find_task("peg-insertion")
     assert start_of(task, recorded(number=7)) == task.episodes[6]

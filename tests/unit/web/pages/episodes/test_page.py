@@ -54,6 +54,17 @@ def test_without_a_still_the_page_says_what_the_worker_lacks(data: FixedData, vi
     assert "<img" not in html.partition('class="player"')[2]
 
 
+def test_an_episode_of_maniskill_says_that_it_is_not_shown_in_3d_and_offers_nothing(
+    data: FixedData, visitor: AsgiBrowser
+) -> None:
+    html = visitor.get(data.show(COMPLETED.id, a_shown_episode(None, task="pick-cube"))).text
+    assert "Episodes of ManiSkill/PickCube-v1 are not shown in 3D." in html
+    assert 'data-state="none"' in html
+    assert "The task was solved." in html
+    for absent in ("Make the playback", "<progress", "<canvas", "note bad"):
+        assert absent not in html
+
+
 def test_looking_computes_nothing_and_offers_to(data: FixedData, visitor: AsgiBrowser) -> None:
     html = visitor.get(show(data, None)).text
     assert "Make the playback" in html
