@@ -36,6 +36,16 @@ def test_pages_are_accessible_fit_and_raise_no_error(
     context.close()
 
 
+def test_the_scene_in_the_rules_stands_in_line_with_the_text(browser: Browser, site: SiteUnderTest) -> None:
+    page = browser.new_page(viewport=PHONE)  # type: ignore[arg-type]
+    page.goto(f"{site.address}/tracks/track_1/rules")
+    left_px = page.get_by_role("heading", level=1).evaluate("heading => heading.getBoundingClientRect().left")
+    picture = page.locator("figure.scene img").evaluate("image => image.getBoundingClientRect().toJSON()")
+    assert picture["left"] == left_px
+    assert picture["width"] == pytest.approx(PHONE["width"] - 2 * left_px, abs=1)
+    page.close()
+
+
 @pytest.mark.parametrize(("scheme", "size"), [("light", DESK), ("dark", PHONE)], ids=["light desk", "dark phone"])
 def test_operations_are_accessible_fit_and_need_no_javascript(
     browser: Browser, site: SiteUnderTest, scheme: str, size: dict[str, int]
