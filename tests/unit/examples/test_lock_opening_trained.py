@@ -86,6 +86,19 @@ def test_opens_enough_in_four_fifths_of_the_heuristics_env_steps(figures: dict[s
         assert figures[starts]["mean_steps"] <= 0.8 * figures["heuristic"][starts]["mean_steps"]
 
 
+def test_three_seeds_open_enough_and_as_fast_on_average(example: Path, figures: dict[str, Any]) -> None:
+    card = (example / "README.md").read_text()
+    assert sorted(figures["seeds"]) == ["2", "3"]
+    for seed, found in figures["seeds"].items():
+        assert found["fresh"]["starts"] == f"stream {stream(int(seed), Use.REPORT)}"
+        assert found["fresh"]["success_rate"] >= 0.95
+        assert found["public"]["successes"] >= 155
+        assert f"| {seed} | {100 * found['fresh']['success_rate']:.1f} [" in card
+    for starts in ("fresh", "public"):
+        env_steps = [found[starts]["mean_steps"] for found in (figures, *figures["seeds"].values())]
+        assert np.mean(env_steps) <= 0.8 * figures["heuristic"][starts]["mean_steps"]
+
+
 def test_card_tells_the_measured_figures(example: Path, figures: dict[str, Any]) -> None:
     card = (example / "README.md").read_text()
     for found in (figures["public"], figures["fresh"]):

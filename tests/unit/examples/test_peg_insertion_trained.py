@@ -66,9 +66,15 @@ def test_log_is_that_of_its_recipe(example: Path, figures: dict[str, Any]) -> No
     assert figures["round"] == max(rows, key=lambda row: (row["student"]["successes"], row["round"]))["round"]
 
 
+def test_episodes_converge(figures: dict[str, Any]) -> None:
+    played = [figures[part] for part in ("public", "fresh", "more_fresh")]
+    assert sum(found["episodes"] for found in played) >= 2000
+    assert sum(found["ends"].get("not_converged", 0) for found in played) <= 2
+
+
 def test_card_tells_the_measured_figures(example: Path, figures: dict[str, Any]) -> None:
     card = (example / "README.md").read_text()
-    for part in ("public", "fresh", "public_with_truth"):
+    for part in ("public", "fresh", "more_fresh", "public_with_truth"):
         found = figures[part]
         low, high = 100 * found["interval"]["low"], 100 * found["interval"]["high"]
         told = (
