@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import secrets
 import sys
 from dataclasses import asdict
@@ -90,6 +91,13 @@ def audit(
     receipt: Annotated[
         list[Path] | None, typer.Option(help="A receipt that you kept; it must be in the chain. May be repeated.")
     ] = None,
+    noted: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="NUMBER:DIGEST of a receipt that you noted, such as the last one on the page /receipts; it must be in "
+            "the chain. May be repeated."
+        ),
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Check a board: chain, signatures, scores against receipts, and a sample of its episodes; exit code 0 if right."""
@@ -103,13 +111,29 @@ def audit(
         each.require_valid(key)
     seed = secrets.randbits(63) if seed is None else seed
     with compiling_shown():
-        found = audit_export(export, public_key=key, held=held, episodes=episodes, seed=seed, on_episode=_progress)
+        found = audit_export(
+            export,
+            public_key=key,
+            held=held,
+            noted=dict(map(_noted, noted or ())),
+            episodes=episodes,
+            seed=seed,
+            on_episode=_progress,
+        )
     if as_json:
         print_json(asdict(found) | {"seed": seed})
     else:
         _print(found, key, seed)
     if found.findings:
         raise typer.Exit(1)
+
+
+def _noted(text: str) -> tuple[int, str]:
+    """Return number and digest of a receipt that somebody noted."""
+    number, _, digest = text.partition(":")
+    if not (number.isdecimal() and re.fullmatch("[0-9a-f]{64}", digest)):
+        raise typer.BadParameter(f"expected NUMBER:DIGEST with 64 hexadecimal digits, got {text!r}")
+    return int(number), digest
 
 
 def _at_service(named: str, server: str | None, token_file: Path | None) -> tuple[Receipt, str]:

@@ -6,8 +6,8 @@ receipts that teams keep (`held`) tell of that: they are not in the new one.
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from math import inf
 from pathlib import Path
+from types import MappingProxyType
 from uuid import UUID
 
 import numpy as np
@@ -23,6 +23,15 @@ from vitac.evaluator.tracks.sealed import commitment_of, sealed_track
 from vitac.evaluator.version import evaluator_version
 from vitac.server.views.leaderboards import LeaderboardEntryView, LeaderboardView
 
+from .completeness import (
+    check_entries,
+    check_head,
+    check_noted,
+    check_opened,
+    check_teams,
+    place,
+    reached,
+)
 from .export import ExportDescription, ExportReader
 from .receipt import Link, Receipt, ReceiptRejected, Result, TaskResult
 
@@ -74,6 +83,7 @@ def audit(
     *,
     public_key: str | None = None,
     held: Collection[Receipt] = (),
+    noted: Mapping[int, str] = MappingProxyType({}),
     episodes: int = 10,
     seed: int = 0,
     on_episode: Callable[[SampledEpisode], None] = lambda _: None,
@@ -84,6 +94,7 @@ def audit(
         path: the export.
         public_key: of the service [hex], from elsewhere; None: that of the export.
         held: receipts that were kept elsewhere and must be in the chain.
+        noted: digests of links by their number, noted elsewhere, such as that of the last one on a past day.
         episodes: how many are run again.
         seed: chooses them.
         on_episode: called after each of these.
@@ -100,8 +111,12 @@ def audit(
         for receipt in held:
             if chain.get(receipt.link.number) != receipt.link:
                 found.findings.append(f"Receipt {receipt.link.number}, which was kept elsewhere, is not in the chain.")
+        for number, digest in noted.items():
+            found.findings += check_noted(chain, number, digest)
+        found.findings += check_head(described, chain)
         receipts = _check_receipts(reader.receipts(), chain, found)
         _check_board(described, receipts, found)
+        _check_completeness(described, chain, receipts, found)
         logs = list(_check_logs(reader, receipts, found))
         _resimulate(reader, logs, count=episodes, seed=seed, found=found, on_episode=on_episode)
         return found
@@ -157,13 +172,27 @@ def _check_board(described: ExportDescription, receipts: Mapping[UUID, Receipt],
     ranked = [entry for entry in board.entries if entry.rank is not None]
     if [entry.rank for entry in ranked] != list(range(1, len(ranked) + 1)):
         found.findings.append("The ranks of the board do not count from 1.")
-    if ranked != sorted(ranked, key=lambda entry: _place(described.ranking, entry)):
+    if ranked != sorted(ranked, key=lambda entry: place(described.ranking, entry)):
         found.findings.append("The order of the board is not that of its scores.")
+
+
+def _check_completeness(
+    described: ExportDescription, chain: Mapping[int, Link], receipts: Mapping[UUID, Receipt], found: Audit
+) -> None:
+    """Report results of the stage that are not here, of other teams, or missing on the board."""
+    if described.format == "vitac-receipts-1":
+        found.unchecked.append("Whether results were left out, and of which teams they are: the export is an old one.")
+        return
+    found.findings += check_opened(described, chain, receipts)
+    if unnamed := sum(link.board is None for link in chain.values()):
+        found.unchecked.append(f"Of which board {unnamed} receipts are: they are of the first format.")
+    for is_wrong, sentence in (*check_teams(described, receipts), *check_entries(described, receipts)):
+        (found.findings if is_wrong else found.unchecked).append(sentence)
 
 
 def _differences(board: LeaderboardView, entry: LeaderboardEntryView, result: Result) -> Iterator[str]:
     tasks = {task.task: task for task in result.tasks}
-    ranked_by = result.combined if board.task is None else tasks.get(board.task)
+    ranked_by = reached(board.task, result)
     pairs: list[tuple[str, object, object]] = [
         ("track", board.track, result.track),
         ("stage", board.stage or "", result.stage),
@@ -182,16 +211,6 @@ def _differences(board: LeaderboardView, entry: LeaderboardEntryView, result: Re
     for name, on_board, in_receipt in pairs:
         if on_board != in_receipt:
             yield f"{name} is {on_board} on the board, {in_receipt} in the receipt."
-
-
-def _place(ranking: Sequence[str], entry: LeaderboardEntryView) -> tuple[float, ...]:
-    steps = inf if entry.mean_steps is None else entry.mean_steps
-    values = {
-        "success_rate": -entry.success_rate,
-        "mean_steps": steps,
-        "submitted_at": entry.submitted_at.timestamp(),
-    }
-    return tuple(values[key] for key in ranking)
 
 
 def _check_logs(reader: ExportReader, receipts: Mapping[UUID, Receipt], found: Audit) -> Iterator[_Log]:

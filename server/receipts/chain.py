@@ -7,13 +7,14 @@ from datetime import UTC, datetime
 from uuid import UUID
 
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
-from sqlalchemy import select
+from sqlalchemy import and_, or_, select
 from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session, defer
+from vitac.evaluator.submission_kinds import SubmissionKind
 
 from ..db.advisory_locks import AdvisoryLock, wait_for_turn
-from ..db.models import Evaluation, ReceiptKey, ReceiptRow
-from .receipt import CombinedResult, Link, Receipt, Result, TaskResult, sign
+from ..db.models import Evaluation, ReceiptKey, ReceiptRow, Submission
+from .receipt import CombinedResult, Link, Receipt, Result, TaskResult, board_name, sign, team_commitment
 
 _SALT_BYTES = 16
 _TASK_FIELDS = tuple(TaskResult.model_fields)
@@ -95,7 +96,20 @@ def links(session: Session, *, after: int = 0, limit: int | None = None) -> list
 def receipts_of(session: Session, evaluations: Collection[UUID]) -> Mapping[UUID, Receipt]:
     """Return the receipts of some evaluations, by evaluation; those without one are left out."""
     rows = session.scalars(select(ReceiptRow).where(ReceiptRow.evaluation_id.in_(evaluations)))
-    return {row.evaluation_id: Receipt(link=_link(row), result=Result.model_validate_json(row.result)) for row in rows}
+    return {row.evaluation_id: _receipt(row) for row in rows}
+
+
+def receipts_of_board(session: Session, track: str, stage: str, kind: SubmissionKind) -> Sequence[Receipt]:
+    """Return the receipts of all results of a stage, on its boards or not, the first one first."""
+    of_stage = (Submission.track == track, Submission.stage == stage, Submission.kind == kind)
+    rows = session.scalars(
+        select(ReceiptRow)
+        .outerjoin(Evaluation, Evaluation.id == ReceiptRow.evaluation_id)
+        .outerjoin(Submission, Submission.id == Evaluation.submission_id)
+        .where(or_(and_(*of_stage), ReceiptRow.board == board_name(track, stage, kind)))
+        .order_by(ReceiptRow.number)
+    )
+    return [_receipt(row) for row in rows]
 
 
 def receipts_of_submission(session: Session, submission_id: UUID) -> Sequence[Receipt]:
@@ -104,16 +118,21 @@ def receipts_of_submission(session: Session, submission_id: UUID) -> Sequence[Re
     return sorted(receipts_of(session, ids).values(), key=lambda receipt: receipt.link.number)
 
 
+def _receipt(row: ReceiptRow) -> Receipt:
+    return Receipt.of(_link(row), Result.model_validate_json(row.result))
+
+
 def _link(row: ReceiptRow) -> Link:
     return Link(**{name: getattr(row, name) for name in Link.model_fields})
 
 
 def _result(evaluation: Evaluation, combined: CombinedResult | None) -> Result:
     submission, finished_at = evaluation.submission, evaluation.finished_at
+    salt = secrets.token_hex(_SALT_BYTES)
     scores = evaluation.scores or []
     return Result.model_validate(
         {
-            "salt": secrets.token_hex(_SALT_BYTES),
+            "salt": salt,
             "evaluation": evaluation.id,
             "submission": submission.id,
             "submission_digest": submission.digest,
@@ -131,5 +150,6 @@ def _result(evaluation: Evaluation, combined: CombinedResult | None) -> Result:
             "submitted_at": submission.submitted_at.astimezone(UTC),
             "finished_at": finished_at and finished_at.astimezone(UTC),
             "issued_at": datetime.now(UTC),
+            "team_sha256": team_commitment(salt, submission.team.name),
         }
     )

@@ -1,7 +1,8 @@
 """A board with its receipts, the chain and the records behind it in one zip, to be audited anywhere.
 
-`export.json` says whose it is and holds the board, `chain.jsonl` all links, `receipts.jsonl` the receipts of entries of
-the board, and `logs/EVALUATION/TASK.jsonl` what was played for them, as `vitac evaluate --log` writes it.
+`export.json` says whose it is and holds the board, `chain.jsonl` all links, `receipts.jsonl` the receipts of
+all results of the board's stage, also of those that are not on it, and `logs/EVALUATION/TASK.jsonl` what was played
+for entries of the board, as `vitac evaluate --log` writes it.
 """
 
 import zipfile
@@ -12,10 +13,11 @@ from pathlib import Path
 from typing import BinaryIO, Final, Literal, TypeVar, cast
 from uuid import UUID
 
-from pydantic import ValidationError
+from pydantic import NonNegativeInt, ValidationError
 from vitac.envs.errors import VitacError
 from vitac.evaluator.logs.packing import MAX_UNPACKED_BYTES
 from vitac.evaluator.strict_model import StrictModel, explain
+from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.views.leaderboards import LeaderboardView
 
 from .receipt import Link, PublicKey, Receipt, Sha256
@@ -31,10 +33,24 @@ class ExportRejected(VitacError):
     """A file is no export of a board's receipts, or damaged; make it again with `vitac admin receipt export`."""
 
 
+class ExportedTeam(StrictModel):
+    """A team with results in an export."""
+
+    name: str
+    evaluations: tuple[UUID, ...]
+    former_names: tuple[str, ...] = ()
+    """That it, or a team that was merged into it, had before, as the service says."""
+    left_out: str | None = None
+    """Why it is on no board; null: it is."""
+    is_removed: bool = False
+    """Whether its data were deleted, with all names that it had."""
+
+
 class ExportDescription(StrictModel):
     """What an export holds."""
 
-    format: Literal["vitac-receipts-1"] = "vitac-receipts-1"
+    format: Literal["vitac-receipts-1", "vitac-receipts-2"] = "vitac-receipts-2"
+    """The first one holds only receipts of entries of the board, and tells nothing of teams."""
     made_at: datetime
     public_key: PublicKey
     ranking: tuple[Literal["success_rate", "mean_steps", "submitted_at"], ...]
@@ -42,6 +58,14 @@ class ExportDescription(StrictModel):
     secret: Sha256 | None
     """Of the stage's sealed list, once published; null for a public list, and before."""
     board: LeaderboardView
+    kind: SubmissionKind = SubmissionKind.MODEL
+    """Of the submissions on the board."""
+    receipts: NonNegativeInt | None = None
+    """How many there are in the chain, as the service says."""
+    last: Sha256 | None = None
+    """Digest of the last one."""
+    teams: tuple[ExportedTeam, ...] = ()
+    """With results of the stage."""
 
 
 def log_name(evaluation: UUID, task: str) -> str:

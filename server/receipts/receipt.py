@@ -6,12 +6,12 @@ salted hash, so that all links are public while results of sealed lists and froz
 
 import hashlib
 from datetime import datetime
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 from uuid import UUID
 
 from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
-from pydantic import Field, NonNegativeInt, PositiveInt
+from pydantic import Field, NonNegativeInt, PositiveInt, model_validator
 from vitac.envs.errors import VitacError
 from vitac.evaluator.episodes.records import canonical_json
 from vitac.evaluator.strict_model import StrictModel, Word
@@ -72,10 +72,32 @@ class Result(StrictModel):
     submitted_at: datetime
     finished_at: datetime
     issued_at: datetime
+    team_sha256: Sha256 | None = None
+    """Of the name that the team had then, with the salt (`team_commitment`); null in a receipt of the first format."""
 
     def digest(self) -> str:
         """Return the SHA-256 [hex] by which the chain names this result."""
-        return hashlib.sha256(canonical_json(self.model_dump(mode="json"))).hexdigest()
+        left_out = {"team_sha256"} if self.team_sha256 is None else None
+        return hashlib.sha256(canonical_json(self.model_dump(mode="json", exclude=left_out))).hexdigest()
+
+    @property
+    def board(self) -> str:
+        """On which board the result may be, as the chain names it."""
+        return board_name(self.track, self.stage, self.kind)
+
+    def is_of_team(self, name: str) -> bool:
+        """Return whether the team had that name when the receipt was issued; False where the receipt names no team."""
+        return self.team_sha256 == team_commitment(self.salt, name)
+
+
+def team_commitment(salt: str, name: str) -> str:
+    """Return the SHA-256 [hex] by which a receipt names a team: its name cannot be read from it, only compared."""
+    return hashlib.sha256(canonical_json({"salt": salt, "team": name})).hexdigest()
+
+
+def board_name(track: str, stage: str, kind: SubmissionKind) -> str:
+    """Return how the chain names the boards of a stage: those of all tasks together and of each one."""
+    return f"{track}/{stage}/{kind}"
 
 
 class Link(StrictModel):
@@ -86,13 +108,14 @@ class Link(StrictModel):
     result_sha256: Sha256
     public_key: PublicKey
     signature: Annotated[str, Field(pattern=r"^[0-9a-f]{128}$")]
+    board: Annotated[str, Field(max_length=300)] | None = None
+    """Track, stage and kind (`board_name`), so that nothing of a board can be left out of an export unseen; null in a
+    link of the first format."""
 
     @property
     def digest(self) -> str:
         """SHA-256 [hex] over all but the signature."""
-        return hashlib.sha256(
-            _signed_bytes(self.number, self.previous, self.result_sha256, self.public_key)
-        ).hexdigest()
+        return hashlib.sha256(self._signed_bytes()).hexdigest()
 
     def require_signature(self) -> None:
         """Refuse a link that the holder of its key has not signed.
@@ -100,22 +123,41 @@ class Link(StrictModel):
         Raises:
             ReceiptRejected: the signature is another one.
         """
-        content = _signed_bytes(self.number, self.previous, self.result_sha256, self.public_key)
         try:
             key = Ed25519PublicKey.from_public_bytes(bytes.fromhex(self.public_key))
-            key.verify(bytes.fromhex(self.signature), content)
+            key.verify(bytes.fromhex(self.signature), self._signed_bytes())
         except (InvalidSignature, ValueError) as error:
             raise ReceiptRejected(
                 f"Receipt {self.number} is not signed by {self.public_key}: something in it was changed."
             ) from error
 
+    def _signed_bytes(self) -> bytes:
+        return _signed_bytes(self.number, self.previous, self.result_sha256, self.public_key, self.board)
+
 
 class Receipt(StrictModel):
     """A link of the chain with the result that it stands for."""
 
-    format: Literal["vitac-receipt-1"] = "vitac-receipt-1"
+    format: Literal["vitac-receipt-1", "vitac-receipt-2"] = "vitac-receipt-2"
+    """The first one names neither team nor board."""
     link: Link
     result: Result
+
+    @classmethod
+    def of(cls, link: Link, result: Result) -> Self:
+        """Return the receipt of a link and its result, in the format in which it was issued."""
+        return cls(format="vitac-receipt-1" if link.board is None else "vitac-receipt-2", link=link, result=result)
+
+    @model_validator(mode="after")
+    def _is_of_one_format(self) -> Self:
+        names_both = {
+            self.format == "vitac-receipt-2",
+            self.link.board is not None,
+            self.result.team_sha256 is not None,
+        }
+        if len(names_both) > 1:
+            raise ValueError(f"expected team and board in vitac-receipt-2 and neither before, got {self.format}")
+        return self
 
     def require_valid(self, public_key: str | None = None) -> None:
         """Refuse a receipt that is not whole, or not of that key.
@@ -130,6 +172,10 @@ class Receipt(StrictModel):
             raise ReceiptRejected(
                 f"The result of receipt {self.link.number} was changed: expected SHA-256 {self.link.result_sha256}, "
                 f"got {self.result.digest()}."
+            )
+        if self.link.board not in {None, self.result.board}:
+            raise ReceiptRejected(
+                f"Receipt {self.link.number} is of another board: expected {self.result.board}, got {self.link.board}."
             )
         if public_key is not None and self.link.public_key != public_key:
             raise ReceiptRejected(
@@ -146,21 +192,23 @@ def sign(private_key: bytes, *, number: int, previous: str | None, result: Resul
         private_key: 32 bytes.
         number: of the receipt, from 1.
         previous: digest of the link before; None for the first.
-        result: what it says.
+        result: what it says; one without a team makes a receipt of the first format.
     """
     key = Ed25519PrivateKey.from_private_bytes(private_key)
     public_key = key.public_key().public_bytes_raw().hex()
-    content = _signed_bytes(number, previous, result.digest(), public_key)
+    board = None if result.team_sha256 is None else result.board
+    content = _signed_bytes(number, previous, result.digest(), public_key, board)
     link = Link(
         number=number,
         previous=previous,
         result_sha256=result.digest(),
         public_key=public_key,
         signature=key.sign(content).hex(),
+        board=board,
     )
-    return Receipt(link=link, result=result)
+    return Receipt.of(link, result)
 
 
-def _signed_bytes(number: int, previous: str | None, result_sha256: str, public_key: str) -> bytes:
+def _signed_bytes(number: int, previous: str | None, result_sha256: str, public_key: str, board: str | None) -> bytes:
     content = {"number": number, "previous": previous, "result_sha256": result_sha256, "public_key": public_key}
-    return _SIGNED + canonical_json(content)
+    return _SIGNED + canonical_json(content if board is None else content | {"board": board})

@@ -9,6 +9,7 @@ from pathlib import Path
 from sqlalchemy.orm import Session
 from vitac.evaluator.logs.log import LogHeader, write_log
 from vitac.evaluator.strict_model import StrictModel
+from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.accounts.visibility import is_sealed
 from vitac.server.competition.definition import DEFAULT_RANKING
 from vitac.server.competition.schedule import track_rules
@@ -17,7 +18,7 @@ from vitac.server.db.models import Evaluation
 from vitac.server.evaluations.episode_store import EpisodeKey, records_of
 from vitac.server.evaluations.provenance import manifest_of
 from vitac.server.leaderboards.standings import leaderboard
-from vitac.server.receipts.chain import chain_state, links, receipts_of
+from vitac.server.receipts.chain import chain_state, links, receipts_of_board
 from vitac.server.receipts.export import (
     CHAIN_NAME,
     DESCRIPTION_NAME,
@@ -26,6 +27,7 @@ from vitac.server.receipts.export import (
     log_name,
 )
 
+from .exported_teams import teams_of
 from .publishing import ResultsNotWritten
 
 
@@ -34,7 +36,8 @@ def export_receipts(
 ) -> ExportDescription:
     """Write the board of a track with all that its audit needs to a new file.
 
-    Records of a sealed list are left out until its secret is published.
+    It holds the receipts of all results of the stage, or nobody could tell that one was taken off the board. Records
+    of a sealed list are left out until its secret is published.
 
     Args:
         session: of the transaction.
@@ -50,19 +53,24 @@ def export_receipts(
     board = leaderboard(session, track, task=task, stage=stage, live=True).view
     rules = track_rules(session, track)
     sealed = list_of_stage(session, track, board.stage) if board.stage else None
+    state = chain_state(session)
+    receipts = receipts_of_board(session, track, board.stage or "", SubmissionKind.MODEL)
     description = ExportDescription(
         made_at=datetime.now(UTC),
-        public_key=chain_state(session).public_key,
+        public_key=state.public_key,
         ranking=tuple(key.value for key in (rules.ranking if rules else DEFAULT_RANKING)),
         secret=sealed.secret if sealed and sealed.revealed_at else None,
         board=board,
+        receipts=state.receipts,
+        last=state.last,
+        teams=teams_of(session, [receipt.result.evaluation for receipt in receipts]),
     )
     evaluations = [entry.evaluation_id for entry in board.entries]
     try:
         with zipfile.ZipFile(path, "x", zipfile.ZIP_DEFLATED) as archive:
             archive.writestr(DESCRIPTION_NAME, description.model_dump_json(indent=1))
             archive.writestr(CHAIN_NAME, _lines(links(session)))
-            archive.writestr(RECEIPTS_NAME, _lines(receipts_of(session, evaluations).values()))
+            archive.writestr(RECEIPTS_NAME, _lines(receipts))
             for evaluation_id in evaluations:
                 _write_logs(session, archive, session.get_one(Evaluation, evaluation_id))
     except OSError as error:

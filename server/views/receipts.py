@@ -14,6 +14,7 @@ class LinkView(View):
     public_key: str
     signature: str = Field(description="Ed25519, by that key.")
     digest: str = Field(description="SHA-256 of all but the signature.")
+    board: str | None = Field(description="Track, stage and kind of the result; null in one of the first format.")
 
 
 class ChainView(View):

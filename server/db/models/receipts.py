@@ -30,6 +30,7 @@ class ReceiptRow(Base):
         digest: of its link.
         previous: digest of the link before; NULL for the first.
         result: as the JSON text that is hashed.
+        board: on which the result may be; NULL in a receipt of the first format.
     """
 
     __tablename__ = "receipts"
@@ -48,3 +49,4 @@ class ReceiptRow(Base):
     result_sha256: Mapped[str] = mapped_column(String(64))
     public_key: Mapped[str] = mapped_column(String(64))
     signature: Mapped[str] = mapped_column(String(128))
+    board: Mapped[str | None] = mapped_column(index=True)

@@ -5,7 +5,7 @@ from typing import Any
 from uuid import UUID
 
 from vitac.evaluator.submission_kinds import SubmissionKind
-from vitac.server.receipts.receipt import CombinedResult, Receipt, Result, TaskResult, sign
+from vitac.server.receipts.receipt import CombinedResult, Receipt, Result, TaskResult, sign, team_commitment
 
 KEY = bytes(range(32))
 WHEN = datetime(2031, 2, 1, 12, 30, 15, 250_000, tzinfo=UTC)
@@ -41,6 +41,7 @@ def a_result(number: int = 1, **changes: Any) -> Result:
         "finished_at": WHEN,
         "issued_at": WHEN,
     }
+    values["team_sha256"] = team_commitment(changes.get("salt", values["salt"]), "Ants")
     return Result(**(values | changes))
 
 

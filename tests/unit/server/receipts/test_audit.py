@@ -1,6 +1,8 @@
 """A board is exported from a database, as it is and after somebody has changed something in it, and audited."""
 
-from collections.abc import Iterator, Sequence
+import json
+import zipfile
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +31,8 @@ from vitac.evaluator.logs.checks import known_without_running
 from vitac.evaluator.shards.result import ShardEnd, ShardResult
 from vitac.evaluator.tracks import find_task
 from vitac.evaluator.version import evaluator_hash, platform_class
+from vitac.server.accounts import merging, teams
+from vitac.server.accounts.principals import CONSOLE
 from vitac.server.db.engine import Database
 from vitac.server.db.models import EpisodeResult, ReceiptKey, ReceiptRow
 from vitac.server.evaluations import lifecycle
@@ -37,15 +41,18 @@ from vitac.server.kept import Kept
 from vitac.server.leaderboards import changes as changes_of_boards
 from vitac.server.leaderboards import standings
 from vitac.server.leaderboards.made_boards import MadeBoards
+from vitac.server.people import team_data
 from vitac.server.receipts import chain
 from vitac.server.receipts.audit import Audit, audit
-from vitac.server.receipts.export import ExportRejected, read_receipt
+from vitac.server.receipts.export import CHAIN_NAME, DESCRIPTION_NAME, ExportRejected, read_receipt
 from vitac.server.receipts.receipt import sign
 from vitac.server.results.exporting import export_receipts
 from vitac.server.results.publishing import ResultsNotWritten
 
 SEED = 1
 EPISODES = 270
+ADDED = {"kind", "receipts", "last", "teams"}
+"""What the second format of exports says."""
 TEAMS = ("Ants", "Bees", "Cats")
 
 
@@ -113,14 +120,20 @@ def database() -> Iterator[Database]:
         database.dispose()
 
 
-def audited(database: Database, folder: Path, *changes: Executable, **options: Any) -> Audit:
+def audited(
+    database: Database, folder: Path, *changes: Executable | Callable[[Session], None], **options: Any
+) -> Audit:
     """The audit of the board after changes that somebody can make who has the database."""
     standings._made_boards = MadeBoards()
     changes_of_boards._kept = Kept(at_most=1)  # nothing notes these changes
     with Session(database.engine) as session:
         session.execute(text("SET LOCAL session_replication_role = replica"))  # no triggers, no foreign keys
         for change in changes:
-            session.execute(change)
+            if callable(change):
+                change(session)
+            else:
+                session.execute(change)
+        session.expire_all()
         export_receipts(session, folder / "board.zip", TRACK, task=TASK)
     return audit(folder / "board.zip", **({"episodes": 0} | options))
 
@@ -154,6 +167,18 @@ SCORES = """
 """
 
 
+SWAPPED_NAMES = """
+    UPDATE teams SET name = CASE name WHEN 'Ants' THEN 'Bees' ELSE 'Ants' END WHERE name IN ('Ants', 'Bees')
+"""
+SWAPPED = """
+    UPDATE {table} SET team_id = (SELECT max(id::text)::uuid FROM teams WHERE name IN ('Ants', 'Bees')
+    AND id <> {table}.team_id) WHERE team_id IN (SELECT id FROM teams WHERE name IN ('Ants', 'Bees'))
+"""
+SWAPPED_SUBMISSIONS, SWAPPED_RESULTS = SWAPPED.format(table="submissions"), SWAPPED.format(table="board_results")
+REMOVED_WINNER = "DELETE FROM board_results WHERE team_id = (SELECT id FROM teams WHERE name = 'Ants')"
+REMOVED_SUBMISSION = REMOVED_WINNER.replace("board_results", "submissions")
+
+
 @pytest.mark.parametrize(
     ("statements", "finding"),
     [
@@ -174,6 +199,12 @@ SCORES = """
         ),
         (["UPDATE receipts SET previous = repeat('0', 64) WHERE number = 3"], "does not follow the one before it"),
         (["UPDATE receipts SET signature = repeat('0', 128) WHERE number = 2"], "Receipt 2 is not signed"),
+        ([SWAPPED_NAMES], "Ants: receipt 2 was issued to another team"),
+        ([SWAPPED_SUBMISSIONS, SWAPPED_RESULTS], "Bees: receipt 1 was issued to another team"),
+        ([REMOVED_WINNER], "Ants: receipt 1 is of this board, but the team is not on it"),
+        ([REMOVED_WINNER, "UPDATE submissions SET stage = 'other'"], "is not on it"),
+        ([REMOVED_WINNER, REMOVED_SUBMISSION], "Receipt 1 is of a result that the export gives to no team"),
+        (["UPDATE receipts SET board = 'track_2//model' WHERE number = 1"], "Receipt 1 is not signed by"),
         (["UPDATE receipt_key SET public_key = repeat('1', 64)"], "is signed by another key"),
     ],
 )
@@ -182,6 +213,99 @@ def test_a_tampered_database_is_found(
 ) -> None:
     findings = audited(database, tmp_path, *map(text, statements)).findings
     assert any(finding in each for each in findings), findings
+
+
+def test_a_removed_last_receipt_is_found_by_its_digest_that_was_noted(database: Database, tmp_path: Path) -> None:
+    with database.transaction() as session:
+        state = chain.chain_state(session)
+    assert state.last is not None
+    noted = {state.receipts: state.last}
+    assert audited(database, tmp_path, noted=noted).findings == []
+    (tmp_path / "board.zip").unlink()
+    removed = [
+        "DELETE FROM receipts WHERE number = 3",
+        "DELETE FROM board_results WHERE team_id = (SELECT id FROM teams WHERE name = 'Cats')",
+    ]
+    found = audited(database, tmp_path, *map(text, removed))
+    assert found.findings == [], "in itself what is left is right"
+    told = audit(tmp_path / "board.zip", episodes=0, noted=noted).findings
+    assert told == [f"Expected receipt 3 with the noted digest {state.last}, got none: the chain ends before."]
+    other = audit(tmp_path / "board.zip", episodes=0, noted={2: "0" * 64}).findings
+    assert "with the noted digest 000" in other[0]
+    shortened = _without_last_link(tmp_path)
+    assert "Expected 2 receipts in the chain" in audit(shortened, episodes=0).findings[0]
+
+
+def _without_last_link(folder: Path) -> Path:
+    """The export with a chain that ends one link earlier than it says."""
+    shortened = folder / "shortened.zip"
+    with zipfile.ZipFile(folder / "board.zip") as whole, zipfile.ZipFile(shortened, "w") as cut:
+        for name in whole.namelist():
+            content = whole.read(name)
+            cut.writestr(name, b"".join(content.splitlines(keepends=True)[:-1]) if name == CHAIN_NAME else content)
+    return shortened
+
+
+def test_what_organizers_did_with_teams_is_told_and_is_no_finding(database: Database, tmp_path: Path) -> None:
+    def renamed(session: Session) -> None:
+        teams.rename(session, CONSOLE, teams.find(session, "Ants"), "Moths")
+        teams.disqualify(session, CONSOLE, teams.find(session, "Bees"), "two accounts")
+        team_data.erase(session, CONSOLE, teams.find(session, "Cats"))
+
+    found = audited(database, tmp_path, renamed)
+    assert found.findings == []
+    assert found.unchecked[0] == (
+        "Moths: receipt 1 was issued to 'Ants'; the service says that this team was renamed or merged."
+    )
+    assert "the service says that the team's names were deleted" in " ".join(found.unchecked)
+    assert "Bees: receipt 2; the service leaves the team out: disqualified, two accounts." in found.unchecked
+    assert "Cats" not in (tmp_path / "board.zip").read_bytes().decode("latin-1")
+    with zipfile.ZipFile(tmp_path / "board.zip") as export:
+        assert b"Cats" not in export.read(DESCRIPTION_NAME), "no name of a team that was removed"
+    (tmp_path / "board.zip").unlink()
+
+    def merged(session: Session) -> None:
+        teams.rename(session, CONSOLE, teams.find(session, "Bees"), "Wasps")
+        merging.merge(session, CONSOLE, teams.find(session, "Wasps"), teams.find(session, "Ants"))
+
+    found = audited(database, tmp_path, merged)
+    assert found.findings == []
+    assert found.unchecked == [
+        "Ants: receipt 2 was issued to 'Bees'; the service says that this team was renamed or merged."
+    ]
+
+
+def test_receipts_and_exports_of_the_first_format_are_still_right(database: Database, tmp_path: Path) -> None:
+    """They name neither team nor board; what cannot be checked of them is told."""
+
+    def resigned(session: Session) -> None:
+        rows = session.execute(text("SELECT evaluation_id FROM receipts ORDER BY number")).scalars().all()
+        old, previous = chain.receipts_of(session, rows), None
+        for number, row in enumerate(rows, start=1):
+            result = old[row].result.model_copy(update={"team_sha256": None})
+            made = sign(KEY, number=number, previous=previous, result=result)
+            assert made.format == "vitac-receipt-1"
+            previous = made.link.digest
+            changes = made.link.model_dump(exclude={"number"}) | {"digest": made.link.digest}
+            changes["result"] = result.model_dump_json(exclude={"team_sha256"})
+            session.execute(update(ReceiptRow).where(ReceiptRow.number == number).values(changes))
+        session.execute(update(ReceiptKey).values(public_key=made.link.public_key))
+
+    found = audited(database, tmp_path, resigned)
+    assert found.findings == []
+    assert found.unchecked[0] == "Of which board 3 receipts are: they are of the first format."
+    assert "Ants: receipt 1 names no team; it is of the first format." in found.unchecked
+    old = tmp_path / "old.zip"
+    with zipfile.ZipFile(tmp_path / "board.zip") as export, zipfile.ZipFile(old, "w") as written:
+        for name in export.namelist():
+            content = export.read(name)
+            if name == DESCRIPTION_NAME:
+                described = json.loads(content) | {"format": "vitac-receipts-1"}
+                content = json.dumps({key: described[key] for key in described if key not in ADDED}).encode()
+            written.writestr(name, content)
+    found = audit(old, episodes=0)
+    assert (found.findings, len(found.unchecked)) == ([], 1)
+    assert "the export is an old one" in found.unchecked[0]
 
 
 def test_a_whole_new_chain_is_found_by_its_key_and_by_a_receipt_that_was_kept(

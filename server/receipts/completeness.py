@@ -1,0 +1,127 @@
+"""Checks that nothing was left out of an export, and that its results are of the teams that they are shown for."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from math import inf
+from uuid import UUID
+
+from vitac.server.views.leaderboards import LeaderboardEntryView
+
+from .export import ExportDescription, ExportedTeam
+from .receipt import CombinedResult, Link, Receipt, Result, TaskResult, board_name
+
+
+def check_head(described: ExportDescription, chain: Mapping[int, Link]) -> Iterator[str]:
+    """Yield a finding where the chain is not as long as the export says, or ends with another link."""
+    last = chain[max(chain)].digest if chain else None
+    if described.receipts is not None and (described.receipts, described.last) != (len(chain), last):
+        yield (
+            f"Expected {described.receipts} receipts in the chain, the last one {described.last}, got {len(chain)}, "
+            f"the last one {last}."
+        )
+
+
+def check_noted(chain: Mapping[int, Link], number: int, digest: str) -> Iterator[str]:
+    """Yield a finding where the chain no longer has the link of that number and digest, which somebody noted."""
+    link = chain.get(number)
+    if link is None or link.digest != digest:
+        found = f"digest {link.digest}" if link else "none: the chain ends before"
+        yield f"Expected receipt {number} with the noted digest {digest}, got {found}."
+
+
+def check_opened(
+    described: ExportDescription, chain: Mapping[int, Link], receipts: Mapping[UUID, Receipt]
+) -> Iterator[str]:
+    """Yield a finding for each link of the board's stage without its receipt in the export."""
+    stage = board_name(described.board.track, described.board.stage or "", described.kind)
+    opened = {receipt.link.number for receipt in receipts.values()}
+    for number, link in chain.items():
+        if link.board == stage and number not in opened:
+            yield f"Receipt {number} is of this board, but the export does not hold it."
+
+
+def check_teams(described: ExportDescription, receipts: Mapping[UUID, Receipt]) -> Iterator[tuple[bool, str]]:
+    """Yield whether it is wrong, and what, for each result that is not clearly of the team that it is shown for."""
+    teams = teams_by_evaluation(described)
+    for evaluation, receipt in receipts.items():
+        team, number = teams.get(evaluation), receipt.link.number
+        if team is None:
+            yield True, f"Receipt {number} is of a result that the export gives to no team."
+        elif receipt.result.team_sha256 is None:
+            yield False, f"{team.name}: receipt {number} names no team; it is of the first format."
+        elif receipt.result.is_of_team(team.name):
+            continue
+        elif former := next((name for name in team.former_names if receipt.result.is_of_team(name)), None):
+            why = "the service says that this team was renamed or merged."
+            yield False, f"{team.name}: receipt {number} was issued to {former!r}; {why}"
+        elif team.is_removed:
+            yield False, f"{team.name}: whose receipt {number} is; the service says that the team's names were deleted."
+        else:
+            yield True, f"{team.name}: receipt {number} was issued to another team."
+
+
+def check_entries(described: ExportDescription, receipts: Mapping[UUID, Receipt]) -> Iterator[tuple[bool, str]]:
+    """Yield whether it is wrong, and what, for each result that is missing on the board.
+
+    Of a submission that was evaluated again only the newest receipt is compared: a rejudgement takes the others away.
+    """
+    teams, board = teams_by_evaluation(described), described.board
+    entries = {entry.team: entry for entry in board.entries}
+    for entry in board.entries:
+        team = teams.get(entry.evaluation_id)
+        if team is not None and team.name != entry.team:
+            yield True, f"{entry.team}: the export gives its result to {team.name}."
+    for receipt in _newest(receipts):
+        team, ranked_by = teams.get(receipt.result.evaluation), reached(board.task, receipt.result)
+        if team is None or ranked_by is None or receipt.result.evaluator_version != board.evaluator_version:
+            continue
+        shown = entries.get(team.name)
+        if team.left_out:
+            yield (
+                False,
+                f"{team.name}: receipt {receipt.link.number}; the service leaves the team out: {team.left_out}.",
+            )
+        elif shown is None:
+            yield True, f"{team.name}: receipt {receipt.link.number} is of this board, but the team is not on it."
+        elif shown.rank is not None and _place_of_result(described, receipt.result) < place(described.ranking, shown):
+            yield True, f"{team.name}: receipt {receipt.link.number} is better than its entry on the board."
+
+
+def reached(task: str | None, result: Result) -> TaskResult | CombinedResult | None:
+    """Return what a board compares of a result; None where it is on no such board."""
+    if task is None:
+        return result.combined
+    return next((found for found in result.tasks if found.task == task), None)
+
+
+def place(ranking: Sequence[str], entry: LeaderboardEntryView) -> tuple[float, ...]:
+    """Return what sorts entries as the board does."""
+    return _place(ranking, entry.success_rate, entry.mean_steps, entry.submitted_at.timestamp())
+
+
+def teams_by_evaluation(described: ExportDescription) -> Mapping[UUID, ExportedTeam]:
+    """Return the team of each result."""
+    return {evaluation: team for team in described.teams for evaluation in team.evaluations}
+
+
+def _newest(receipts: Mapping[UUID, Receipt]) -> Iterator[Receipt]:
+    """Yield the last receipt of each submission."""
+    in_order = sorted(receipts.values(), key=lambda receipt: receipt.link.number)
+    yield from {receipt.result.submission: receipt for receipt in in_order}.values()
+
+
+def _place_of_result(described: ExportDescription, result: Result) -> tuple[float, ...]:
+    ranked_by = reached(described.board.task, result)
+    if ranked_by is None:
+        return (inf,)
+    return _place(described.ranking, ranked_by.success_rate, ranked_by.mean_steps, result.submitted_at.timestamp())
+
+
+def _place(
+    ranking: Sequence[str], success_rate: float, mean_steps: float | None, submitted_at: float
+) -> tuple[float, ...]:
+    values = {
+        "success_rate": -success_rate,
+        "mean_steps": inf if mean_steps is None else mean_steps,
+        "submitted_at": submitted_at,
+    }
+    return tuple(values[key] for key in ranking)

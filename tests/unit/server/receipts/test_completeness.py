@@ -1,0 +1,176 @@
+"""What an audit says of results that are missing on a board, on made-up exports of one team or two."""
+
+from datetime import timedelta
+from typing import Any
+from uuid import UUID
+
+import pytest
+from made_receipts import KEY, WHEN, a_result
+from vitac.evaluator.submission_kinds import SubmissionKind
+from vitac.evaluator.tracks import ListKind
+from vitac.server.receipts.completeness import check_entries, check_head, check_noted, check_opened, check_teams
+from vitac.server.receipts.export import ExportDescription, ExportedTeam
+from vitac.server.receipts.receipt import Receipt, Result, sign, team_commitment
+from vitac.server.views.leaderboards import LeaderboardEntryView, LeaderboardView
+
+TASK = "peg-insertion"
+VERSION = "1.0+abcdef"
+
+
+def a_named_result(number: int, team: str = "Ants", successes: int = 100, **changes: Any) -> Result:
+    """The result of a team in one task."""
+    plain = a_result(number)
+    reached = {"successes": successes, "success_rate": successes / 270, "mean_steps": changes.pop("steps", 4.0)}
+    task = plain.tasks[0].model_copy(update=reached)
+    return plain.model_copy(update={"tasks": (task,), "team_sha256": team_commitment(plain.salt, team), **changes})
+
+
+def chained(*results: Result) -> list[Receipt]:
+    """The receipts of results, one after the other."""
+    made: list[Receipt] = []
+    for number, result in enumerate(results, start=1):
+        made.append(sign(KEY, number=number, previous=made[-1].link.digest if made else None, result=result))
+    return made
+
+
+def an_entry(result: Result, team: str = "Ants", rank: int | None = 1) -> LeaderboardEntryView:
+    task = result.tasks[0]
+    return LeaderboardEntryView(
+        rank=rank,
+        rank_range=None,
+        stale=False,
+        team=team,
+        evaluation_id=result.evaluation,
+        submission_id=result.submission,
+        submission_name="zero",
+        kind=SubmissionKind.MODEL,
+        submitted_at=result.submitted_at,
+        evaluated_at=result.finished_at,
+        episodes=task.episodes,
+        successes=task.successes,
+        success_rate=task.success_rate,
+        success_rate_interval=(0, 1),
+        mean_steps=task.mean_steps,
+        scores=[],
+        result_hash=task.result_hash,
+        evaluator_version=VERSION,
+        list_kind=ListKind.PUBLIC,
+    )
+
+
+def exported(
+    receipts: list[Receipt], *entries: LeaderboardEntryView, teams: dict[str, list[int]] | None = None, **changes: Any
+) -> ExportDescription:
+    """An export of the board of a task; all results are of the Ants where no teams are given."""
+    board = LeaderboardView(
+        track="track_1",
+        title="Track 1",
+        tasks=[TASK],
+        task=TASK,
+        stage=None,
+        frozen_at=None,
+        list_kind=ListKind.PUBLIC,
+        ranking_rule="-",
+        evaluator_version=VERSION,
+        revision="1",
+        generated_at=WHEN,
+        teams=len(entries),
+        entries=list(entries),
+    )
+    given = teams or {"Ants": [receipt.link.number for receipt in receipts]}
+    values: dict[str, Any] = {
+        "made_at": WHEN,
+        "public_key": receipts[0].link.public_key,
+        "ranking": ("success_rate", "mean_steps", "submitted_at"),
+        "secret": None,
+        "board": board,
+        "receipts": len(receipts),
+        "last": receipts[-1].link.digest,
+        "teams": tuple(
+            ExportedTeam(name=name, evaluations=tuple(UUID(int=number) for number in numbers))
+            for name, numbers in given.items()
+        ),
+    }
+    return ExportDescription(**(values | changes))
+
+
+def by_evaluation(receipts: list[Receipt]) -> dict[UUID, Receipt]:
+    return {receipt.result.evaluation: receipt for receipt in receipts}
+
+
+@pytest.mark.parametrize(
+    ("changes", "is_found"),
+    [
+        ({"successes": 101}, True),
+        ({"steps": 3.0}, True),
+        ({"submitted_at": WHEN - timedelta(seconds=1)}, True),
+        ({}, False),
+        ({"successes": 99}, False),
+        ({"steps": None}, False),
+        ({"successes": 200, "evaluator_version": "0.9+0"}, False),
+        ({"successes": 200, "submission": a_result(1).submission}, False),
+    ],
+)
+def test_a_result_that_is_better_than_its_teams_entry_is_found(changes: dict[str, Any], is_found: bool) -> None:
+    """Not one of another evaluator version, and not one that the submission's newer result has replaced."""
+    shown = a_named_result(2)
+    receipts = chained(a_named_result(1, **changes), shown)
+    if changes.get("submission"):
+        shown = shown.model_copy(update={"submission": changes["submission"]})
+        receipts = chained(receipts[0].result, shown)
+    described = exported(receipts, an_entry(shown))
+    found = list(check_entries(described, by_evaluation(receipts)))
+    expected = (True, "Ants: receipt 1 is better than its entry on the board.")
+    assert found == ([expected] if is_found else [])
+
+
+def test_a_result_of_another_task_is_not_missed() -> None:
+    receipts = chained(a_named_result(1))
+    other = exported(receipts).model_copy(
+        update={"board": exported(receipts).board.model_copy(update={"task": "other"})}
+    )
+    assert list(check_entries(other, by_evaluation(receipts))) == []
+    missing = list(check_entries(exported(receipts), by_evaluation(receipts)))
+    assert missing == [(True, "Ants: receipt 1 is of this board, but the team is not on it.")]
+
+
+def test_an_entry_that_is_given_to_two_teams_is_found() -> None:
+    receipts = chained(a_named_result(1))
+    described = exported(receipts, an_entry(receipts[0].result, team="Bees"), teams={"Ants": [1]})
+    assert (True, "Bees: the export gives its result to Ants.") in list(
+        check_entries(described, by_evaluation(receipts))
+    )
+
+
+def test_a_receipt_is_of_the_team_whose_name_it_was_issued_to() -> None:
+    receipts = chained(a_named_result(1), a_named_result(2, team="Bees"))
+    right = exported(receipts, teams={"Ants": [1], "Bees": [2]})
+    assert list(check_teams(right, by_evaluation(receipts))) == []
+    swapped = exported(receipts, teams={"Ants": [2], "Bees": [1]})
+    assert [is_wrong for is_wrong, _ in check_teams(swapped, by_evaluation(receipts))] == [True, True]
+    nobody = exported(receipts, teams={"Ants": [1]})
+    assert list(check_teams(nobody, by_evaluation(receipts))) == [
+        (True, "Receipt 2 is of a result that the export gives to no team.")
+    ]
+
+
+def test_a_link_of_the_board_without_its_receipt_is_found() -> None:
+    receipts = chained(a_named_result(1), a_named_result(2), a_named_result(3, track="track_2"))
+    chain = {receipt.link.number: receipt.link for receipt in receipts}
+    described = exported(receipts)
+    assert list(check_opened(described, chain, by_evaluation(receipts))) == []
+    assert list(check_opened(described, chain, by_evaluation(receipts[:1]))) == [
+        "Receipt 2 is of this board, but the export does not hold it."
+    ], "the third one is of another track"
+
+
+def test_the_end_of_the_chain_is_compared_with_what_was_published() -> None:
+    receipts = chained(a_named_result(1), a_named_result(2))
+    chain = {receipt.link.number: receipt.link for receipt in receipts}
+    described = exported(receipts)
+    assert list(check_head(described, chain)) == []
+    assert len(list(check_head(described, {1: chain[1]}))) == 1
+    assert len(list(check_head(described, {}))) == 1
+    assert list(check_noted(chain, 2, chain[2].digest)) == []
+    assert "got digest" in next(check_noted(chain, 2, chain[1].digest))
+    assert "the chain ends before" in next(check_noted(chain, 3, chain[1].digest))
