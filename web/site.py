@@ -91,6 +91,11 @@ class Viewer:
         return self.visitor.name
 
     @property
+    def shown_as(self) -> str:
+        """The name of the own team on boards."""
+        return self.visitor.shown_as
+
+    @property
     def is_organizer(self) -> bool:
         """Whether all teams' submissions are shown."""
         return self.visitor.is_organizer

@@ -13,7 +13,8 @@ from vitac.server.errors import ProblemCode, ServiceError, not_found
 
 from ..views.accounts import OrganizerTeamView, TeamView
 from . import names
-from .principals import Principal
+from .principals import CONSOLE, Principal
+from .shown_names import shown_id, shown_name
 
 NAME_LENGTH = 64
 CONTACT_LENGTH = 254
@@ -233,15 +234,17 @@ def reinstate(session: Session, by: Principal, team: Team) -> None:
         record(session, by, "team.reinstate", f"team:{team.id}", {"reason": None}, before=before)
 
 
-def team_view(team: Team) -> TeamView:
-    """Return a team as everybody sees it."""
-    return TeamView(id=team.id, name=team.name, created_at=team.created_at)
+def team_view(team: Team, by: Principal) -> TeamView:
+    """Return a team as somebody sees it."""
+    return TeamView(
+        id=shown_id(team, by), name=shown_name(team, by), shown_as=shown_name(team), created_at=team.created_at
+    )
 
 
 def organizer_team_view(team: Team) -> OrganizerTeamView:
     """Return a team as organizers see it."""
     return OrganizerTeamView(
-        **dict(team_view(team)),
+        **dict(team_view(team, CONSOLE)),
         contact=team.contact,
         disqualified_for=team.disqualified_for,
         approved_at=team.approved_at,

@@ -189,6 +189,9 @@ class CompetitionDefinition(StrictModel):
     appeal_days: PositiveInt | None = Field(
         default=None, description="So long after the end of an evaluation its team may appeal; null: no appeals."
     )
+    anonymous: bool = Field(
+        default=False, description="Teams see each other under random names until the competition is final."
+    )
     tracks: dict[Word, CompetitionTrack] = Field(min_length=1)
 
     def stage(self, track: str, name: str) -> Stage | None:

@@ -34,6 +34,7 @@ def competition_view(session: Session, at: datetime | None = None) -> Competitio
         rules=list(found.rules),
         currency=found.currency,
         teams_locked=found.teams_locked,
+        anonymous=found.anonymous,
         tracks=[_track(name, track, lists, now) for name, track in found.tracks.items()],
         frozen_at=row.frozen_at,
         finalized_at=row.finalized_at,

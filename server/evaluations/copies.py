@@ -18,6 +18,8 @@ from sqlalchemy.orm import Session, aliased
 from vitac.evaluator.episodes.records import ActionSequence
 from vitac.evaluator.submission_kinds import SubmissionKind
 
+from ..accounts.principals import Principal
+from ..accounts.shown_names import shown_name
 from ..db.among import among
 from ..db.models import BoardResult, EpisodeResult, Evaluation, LogCopy, Submission, Team
 from ..db.states import EvaluationState
@@ -108,19 +110,19 @@ def _beginnings(session: Session, episodes: Collection[int]) -> dict[int, bytes]
     return {episode: (found[: (len(found) + 1) // 2] + 0.0).tobytes() for episode, found in actions.items()}
 
 
-def copies_among(session: Session, evaluations: Collection[UUID]) -> dict[UUID, LogCopyView]:
-    """Return what was found of these evaluations."""
+def copies_among(session: Session, evaluations: Collection[UUID], by: Principal) -> dict[UUID, LogCopyView]:
+    """Return what was found of these evaluations, with the teams as somebody sees them."""
     if not evaluations:
         return {}
     rows = session.execute(
-        select(LogCopy.evaluation_id, Team.name, LogCopy.episodes, BoardResult.is_copy)
+        select(LogCopy.evaluation_id, Team, LogCopy.episodes, BoardResult.is_copy)
         .join(Submission, Submission.id == LogCopy.earlier_submission_id)
         .join(Team, Team.id == Submission.team_id)
         .join(BoardResult, BoardResult.evaluation_id == LogCopy.evaluation_id)
         .where(among(LogCopy.evaluation_id, evaluations))
     )
     return {
-        evaluation_id: LogCopyView(team=team, episodes=episodes, ranked=not is_copy)
+        evaluation_id: LogCopyView(team=shown_name(team, by), episodes=episodes, ranked=not is_copy)
         for evaluation_id, team, episodes, is_copy in rows
     }
 

@@ -16,6 +16,8 @@ from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import Track
 from vitac.evaluator.version import evaluator_version
 from vitac.server.accounts import teams
+from vitac.server.accounts.principals import VISITOR
+from vitac.server.accounts.shown_names import are_hidden, shown_name
 from vitac.server.accounts.visibility import played_list_kind
 from vitac.server.competition.schedule import boards_stand_since, shown_stage
 from vitac.server.db.models import BoardResult, Evaluation, Team
@@ -56,11 +58,14 @@ def log_boards(session: Session, track_name: str, *, stage: str | None = None) -
     """
     track, of_stage = load_known_track(track_name), shown_stage(session, track_name, stage)
     until = (boards_stand_since(session) if of_stage else None) or EVER
+    hidden = are_hidden(session)
     found = kept_until_change(
-        session, ("logs", track.name, of_stage, until), lambda: _found(session, track, of_stage, until)
+        session,
+        ("logs", track.name, of_stage, until, hidden),
+        lambda: _found(session, track, of_stage, until, hidden=hidden),
     )
     made = partial(_view, session, track, found)
-    return _made_boards.get((track.name, of_stage), found.revision, made, named_at=found.named_at)
+    return _made_boards.get((track.name, of_stage), found.revision, made, names=found.names)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,19 +77,19 @@ class _Shown:
     copies: Mapping[UUID, LogCopyView]
     text_logs: Sequence[UUID]
     revision: str
-    named_at: datetime | None
+    names: str
 
 
-def _found(session: Session, track: Track, stage: str, until: datetime) -> _Shown:
+def _found(session: Session, track: Track, stage: str, until: datetime, *, hidden: bool) -> _Shown:
     boards = {task: Board(track=track.name, stage=stage, kind=SubmissionKind.LOG, task=task) for task in track.tasks}
     best = {task: best_entries(session, board, until=until) for task, board in boards.items()}
     named = {"track": track.name, "stage": stage, "until": until, "at_most": MAX_TEXT_LOGS}
     text_logs = session.scalars(_newest_text_logs(), named).all()
-    copies = copies_among(session, [entry.evaluation_id for entries in best.values() for entry in entries])
+    copies = copies_among(session, [entry.evaluation_id for entries in best.values() for entry in entries], VISITOR)
     ranked = [part for task, entries in best.items() for part in (task, *entries)]
-    named_at = teams.last_named_at(session)
-    revision = revision_of(f"logs of {track.name} {stage} {named_at}", [*ranked, *sorted(copies.items()), *text_logs])
-    return _Shown(stage=stage, best=best, copies=copies, text_logs=text_logs, revision=revision, named_at=named_at)
+    names = f"{teams.last_named_at(session)} {hidden}"
+    revision = revision_of(f"logs of {track.name} {stage} {names}", [*ranked, *sorted(copies.items()), *text_logs])
+    return _Shown(stage=stage, best=best, copies=copies, text_logs=text_logs, revision=revision, names=names)
 
 
 def _view(session: Session, track: Track, shown: _Shown, last: LogBoardsView | None) -> LogBoardsView:
@@ -154,7 +159,7 @@ def _entry(entry: BestEntry, evaluation: Evaluation) -> LogEntryView:
     return LogEntryView(
         rank=entry.rank,
         stale=evaluation.evaluator_version != evaluator_version(),
-        team=submission.team.name,
+        team=shown_name(submission.team),
         evaluation_id=evaluation.id,
         submission_id=submission.id,
         submission_name=submission.name,
@@ -176,7 +181,7 @@ def _text_log(evaluation: Evaluation) -> TextLogEntryView:
     submission = evaluation.submission
     claim, score = LogClaim.model_validate(submission.manifest), score_views(evaluation)[0]
     return TextLogEntryView(
-        team=submission.team.name,
+        team=shown_name(submission.team),
         task=score.task,
         evaluation_id=evaluation.id,
         submission_id=submission.id,

@@ -1,13 +1,12 @@
 """Boards as they were last made: kept by this process until a new entry changes them.
 
 An entry never changes, since a completed evaluation and its submission's name do not. So the ids of the entries, and
-when a team was last given another name, say whether a board that was made before is still right.
+under which names teams are shown, say whether a board that was made before is still right.
 """
 
 import hashlib
 from collections.abc import Callable, Hashable, Iterable
 from dataclasses import dataclass
-from datetime import datetime
 from functools import cached_property
 from importlib.metadata import version
 from typing import Generic, TypeVar
@@ -25,11 +24,11 @@ class MadeBoard(Generic[BoardT]):
 
     Attributes:
         view: the board.
-        named_at: when a team was last given another name; entries from before then are not used again.
+        names: changes whenever a team is shown under another name; entries from before then are not used again.
     """
 
     view: BoardT
-    named_at: datetime | None = None
+    names: str = ""
 
     @cached_property
     def body(self) -> bytes:
@@ -49,13 +48,13 @@ class MadeBoards(Generic[BoardT]):
         revision: str,
         make: Callable[[BoardT | None], BoardT],
         *,
-        named_at: datetime | None = None,
+        names: str = "",
     ) -> MadeBoard[BoardT]:
         """Return the board of that revision, made anew out of the one that is kept where that is another one."""
         made = self._made.get(board)
         if made is None or made.view.revision != revision:
-            last = made.view if made is not None and made.named_at == named_at else None
-            made = MadeBoard(view=make(last), named_at=named_at)
+            last = made.view if made is not None and made.names == names else None
+            made = MadeBoard(view=make(last), names=names)
             self._made[board] = made
         return made
 

@@ -12,6 +12,7 @@ from vitac.evaluator.tracks import load_track
 from vitac.server.db.states import EvaluationState
 
 from ..accounts.principals import Principal
+from ..accounts.shown_names import is_hidden
 from ..accounts.teams import team_view
 from ..competition.definition import DEFAULT_RANKING
 from ..competition.schedule import boards_stand_since, track_rules
@@ -55,7 +56,7 @@ def submission_views(
         evaluations=rows,
         by=by,
         findings=findings_of(session, [found for found in newest if found.id not in rows.hidden]),
-        copies=copies_among(session, [found.id for found in newest if found.submission.kind is SubmissionKind.LOG]),
+        copies=copies_among(session, [found.id for found in newest if found.submission.kind is SubmissionKind.LOG], by),
         workers=fleet(session, settings),
         places=cache(partial(_places, session, by)),
     )
@@ -96,10 +97,13 @@ def _view(runs: Sequence[Evaluation], shown: _Shown) -> SubmissionView:
     log_view = SERVED_KINDS[submission.kind].log_view
     finding, copy = shown.findings.get(newest.id), shown.copies.get(newest.id)
     ranks = _ranks(submission, newest, shown.places)
+    log = log_view(submission, newest, finding, copy) if log_view else None
+    if log is not None and is_hidden(submission.team, shown.by):
+        log = log.model_copy(update={"team_named": None})
     shown_runs = runs if shown.by.may_see(submission.team_id) else runs[:1]
     return SubmissionView(
         id=submission.id,
-        team=team_view(submission.team),
+        team=team_view(submission.team, shown.by),
         kind=submission.kind,
         track=submission.track,
         stage=submission.stage or None,
@@ -116,7 +120,7 @@ def _view(runs: Sequence[Evaluation], shown: _Shown) -> SubmissionView:
         workers=_workers(submission, newest, shown),
         rank=ranks.get(None),
         task_ranks={task: place for task, place in ranks.items() if task is not None},
-        log=log_view(submission, newest, finding, copy) if log_view else None,
+        log=log,
     )
 
 

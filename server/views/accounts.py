@@ -15,6 +15,7 @@ class TeamView(View):
 
     id: UUID
     name: str
+    shown_as: str = Field(description="The name that others see; until an anonymous competition is final a random one.")
     created_at: datetime
 
 

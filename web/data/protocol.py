@@ -50,6 +50,11 @@ class Visitor:
         return self.principal.team_name or f"{self.principal.role}s"
 
     @property
+    def shown_as(self) -> str:
+        """The name of the own team on boards."""
+        return self.principal.team_shown_as or self.name
+
+    @property
     def is_organizer(self) -> bool:
         """Whether all teams' submissions are shown."""
         return self.principal.is_organizer
@@ -61,7 +66,7 @@ class Visitor:
 
     def may_see(self, team: str) -> bool:
         """Return whether the submissions of a team are shown."""
-        return self.principal.reads_all_teams or self.name == team
+        return self.principal.reads_all_teams or team in {self.name, self.shown_as}
 
 
 @dataclass(frozen=True, kw_only=True)

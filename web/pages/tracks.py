@@ -183,7 +183,7 @@ async def _leaderboard(request: Request, name: str) -> Response:
     board = await site.data.leaderboard(name, task, stage)
     viewer = await viewer_of(request)
     query = board_query(task, stage)
-    shown = board_page(request, f"/tracks/{name}{query}", board.entries, viewer.name if viewer else None)
+    shown = board_page(request, f"/tracks/{name}{query}", board.entries, viewer.shown_as if viewer else None)
     public = await site.data.public_among([entry.submission_id for entry in shown.entries])
     counted = list(track.tasks.values()) if task is None else [track.tasks[task]]
     return page(
@@ -211,7 +211,7 @@ def _dates(request: Request, board: LeaderboardView, viewer: Viewer | None) -> M
     ranked = [entry for entry in board.entries if entry.rank is not None]
     if len(ranked) < 2:
         return Markup()
-    own = viewer.name if viewer is not None and viewer.name in {entry.team for entry in ranked} else None
+    own = viewer.shown_as if viewer is not None and viewer.shown_as in {entry.team for entry in ranked} else None
 
     def make() -> str:
         rates = [
@@ -273,13 +273,13 @@ def entry_rows(
         of: what else the row of an entry depends on.
     """
     fragments = site_of(request).fragments
-    name = viewer.name if viewer is not None else None
+    name = viewer.shown_as if viewer is not None else None
 
     def row(entry: EntryT) -> Markup:
         own = name == entry.team
         linked = entry.submission_id in public or (viewer is not None and viewer.may_see(entry.team))
         return fragments.get(
-            (template, of(entry), entry.evaluation_id, own, linked),
+            (template, of(entry), entry.evaluation_id, entry.team, own, linked),
             lambda: render(template, request, entry=entry, own=own, linked=linked, **values(entry)),
         )
 

@@ -30,6 +30,7 @@ def command(
         {
             "server": client.server,
             "as": owner_of(me),
+            **({"shown as": me["team"]["shown_as"]} if me["team"] is not None else {}),
             "token": token["label"],
             "expires": token["expires_at"] or "never",
         }

@@ -28,7 +28,8 @@ class Team(Base):
 
     A disqualified team is on no board and submits nothing; `disqualified_for` says why. A team submits once an
     organizer has accepted it (`approved_at`); a refused one never does. `named_at` is when it was last shown under
-    another name. Of a team that was removed (`erased_at`) only its submissions' names and scores are left.
+    another name, and `pseudonym` the random name under which others see it until an anonymous competition is final. Of
+    a team that was removed (`erased_at`) only its submissions' names and scores are left.
     """
 
     __tablename__ = "teams"
@@ -47,6 +48,9 @@ class Team(Base):
     refused_for: Mapped[str | None]
     named_at: Mapped[datetime] = mapped_column(server_default=func.now())
     erased_at: Mapped[datetime | None]
+    pseudonym: Mapped[str] = mapped_column(
+        String(64), server_default=text("'Team ' || upper(substr(md5(gen_random_uuid()::text), 1, 10))")
+    )
 
 
 class Member(Base):

@@ -73,6 +73,9 @@ class CompetitionView(View):
     rules: list[str]
     currency: str
     teams_locked: datetime | None
+    anonymous: bool = Field(
+        default=False, description="Whether teams are shown under random names until everything is final."
+    )
     tracks: list[CompetitionTrackView]
     frozen_at: datetime | None = Field(description="Since then boards stand still; null: they do not.")
     finalized_at: datetime | None = Field(description="Since then everything is final.")

@@ -93,7 +93,7 @@ def an_id(name: str) -> UUID:
 
 def a_team(name: str) -> TeamView:
     """A team of that name."""
-    return TeamView(id=an_id(name), name=name, created_at=NOW)
+    return TeamView(id=an_id(name), name=name, shown_as=name, created_at=NOW)
 
 
 def a_score(successes: tuple[int, ...], mean_steps: float | None, task: str = TASK) -> TaskScoreView:
