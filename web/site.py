@@ -91,9 +91,9 @@ class Viewer:
         return self.visitor.name
 
     @property
-    def shown_as(self) -> str:
-        """The name of the own team on boards."""
-        return self.visitor.shown_as
+    def own_names(self) -> frozenset[str]:
+        """The names under which the own team may be on boards."""
+        return self.visitor.own_names
 
     @property
     def is_organizer(self) -> bool:

@@ -33,7 +33,7 @@ def add(
     settings = load_settings()
     with open_service(settings) as services, services.database.transaction() as session:
         team, issued = register(session, settings, CONSOLE, NewTeam(name=name, contact=contact))
-        shown = teams.organizer_team_view(team).model_dump()
+        shown = teams.organizer_team_view(session, team).model_dump()
     if as_json:
         print_json({"team": shown, "secret": issued.secret})
         return
@@ -51,7 +51,7 @@ def list_teams(
 
     with transaction() as session:
         listed = teams.waiting(session) if waiting else teams.list_teams(session)
-        found = [teams.organizer_team_view(team).model_dump() for team in listed]
+        found = [teams.organizer_team_view(session, team).model_dump() for team in listed]
     none = "No team waits." if waiting else "No team yet; `vitac admin team add NAME` makes one."
     columns = ("name", "contact", "created_at", "approved_at", "refused_for", "disqualified_for", "id")
     print_records(found, columns, none=none, as_json=as_json)
@@ -235,6 +235,6 @@ def _change(team: str, change: "Callable[[Session, Team], None]", *, dry_run: bo
         found = teams.find(session, team)
         change(session, found)
         session.flush()
-        print_record(teams.organizer_team_view(found).model_dump(mode="json"), as_json=as_json)
+        print_record(teams.organizer_team_view(session, found).model_dump(mode="json"), as_json=as_json)
         if dry_run:
             raise typer.Exit  # which takes the change back

@@ -272,7 +272,7 @@ def own_team_view(session: Session, by: Principal, team: Team) -> OwnTeamView:
         raise not_found("team", team.id)
     usable = select(Invitation).where(*_usable(team)).order_by(Invitation.created_at, Invitation.id)
     return OwnTeamView(
-        **dict(teams.organizer_team_view(team)),
+        **dict(teams.organizer_team_view(session, team)),
         members=[_member_view(member) for member in of_team(session, team.id)],
         invitations=[InvitationView.model_validate(found, from_attributes=True) for found in session.scalars(usable)],
     )

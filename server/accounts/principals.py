@@ -15,7 +15,7 @@ class Principal:
         role: what may be done; None for a visitor without a token.
         team_id: of a team's token.
         team_name: of a team's token.
-        team_shown_as: under which name others see that team.
+        team_pseudonym: under which others see that team while names are hidden.
         token_id: None for a visitor, and for the organizer's command line on the server machine.
         member_id: whose token it is; None: shared by the team.
         member_name: name of that member.
@@ -26,7 +26,7 @@ class Principal:
     role: Role | None
     team_id: UUID | None = None
     team_name: str | None = None
-    team_shown_as: str | None = None
+    team_pseudonym: str | None = None
     token_id: UUID | None = None
     member_id: UUID | None = None
     member_name: str | None = None

@@ -1,8 +1,10 @@
 """Under which names teams are shown: their own, or until the end of an anonymous competition ones that tell nothing."""
 
+from dataclasses import dataclass
+from typing import Self
 from uuid import NAMESPACE_OID, UUID, uuid5
 
-from sqlalchemy.orm import Session, object_session
+from sqlalchemy.orm import Session
 
 from ..db.models import Competition, Team
 from .principals import VISITOR, Principal
@@ -14,17 +16,35 @@ def are_hidden(session: Session) -> bool:
     return row is not None and row.finalized_at is None and bool(row.definition.get("anonymous"))
 
 
-def is_hidden(team: Team, by: Principal) -> bool:
-    """Return whether somebody may not see which team it is; its members, judges and organizers may."""
-    session = object_session(team)
-    return session is not None and not by.may_see(team.id) and are_hidden(session)
+@dataclass(frozen=True, kw_only=True)
+class ShownNames:
+    """The names under which somebody sees teams.
 
+    Attributes:
+        by: who sees them.
+        hidden: whether others' names are hidden now (`are_hidden`).
+    """
 
-def shown_name(team: Team, by: Principal = VISITOR) -> str:
-    """Return the name under which somebody sees a team."""
-    return team.pseudonym if is_hidden(team, by) else team.name
+    by: Principal
+    hidden: bool
 
+    @classmethod
+    def read(cls, session: Session, by: Principal = VISITOR) -> Self:
+        """Return those of now."""
+        return cls(by=by, hidden=are_hidden(session))
 
-def shown_id(team: Team, by: Principal) -> UUID:
-    """Return the id under which somebody sees a team: its own one would tell which it was elsewhere."""
-    return uuid5(NAMESPACE_OID, team.pseudonym) if is_hidden(team, by) else team.id
+    def hides(self, team: Team) -> bool:
+        """Return whether it is not told which team it is; its members, judges and organizers always see it."""
+        return self.hidden and not self.by.may_see(team.id)
+
+    def name_of(self, team: Team) -> str:
+        """Return the name that is shown."""
+        return team.pseudonym if self.hides(team) else team.name
+
+    def name_for_others(self, team: Team) -> str:
+        """Return the name that is shown to everybody else."""
+        return team.pseudonym if self.hidden else team.name
+
+    def id_of(self, team: Team) -> UUID:
+        """Return the id that is shown: a hidden team's own one would tell which it was elsewhere."""
+        return uuid5(NAMESPACE_OID, team.pseudonym) if self.hides(team) else team.id

@@ -14,7 +14,7 @@ from vitac.server.errors import ProblemCode, ServiceError, not_found
 from ..views.accounts import OrganizerTeamView, TeamView
 from . import names
 from .principals import CONSOLE, Principal
-from .shown_names import shown_id, shown_name
+from .shown_names import ShownNames
 
 NAME_LENGTH = 64
 CONTACT_LENGTH = 254
@@ -234,17 +234,20 @@ def reinstate(session: Session, by: Principal, team: Team) -> None:
         record(session, by, "team.reinstate", f"team:{team.id}", {"reason": None}, before=before)
 
 
-def team_view(team: Team, by: Principal) -> TeamView:
+def team_view(team: Team, names_shown: ShownNames) -> TeamView:
     """Return a team as somebody sees it."""
     return TeamView(
-        id=shown_id(team, by), name=shown_name(team, by), shown_as=shown_name(team), created_at=team.created_at
+        id=names_shown.id_of(team),
+        name=names_shown.name_of(team),
+        shown_as=names_shown.name_for_others(team),
+        created_at=team.created_at,
     )
 
 
-def organizer_team_view(team: Team) -> OrganizerTeamView:
+def organizer_team_view(session: Session, team: Team) -> OrganizerTeamView:
     """Return a team as organizers see it."""
     return OrganizerTeamView(
-        **dict(team_view(team, CONSOLE)),
+        **dict(team_view(team, ShownNames.read(session, CONSOLE))),
         contact=team.contact,
         disqualified_for=team.disqualified_for,
         approved_at=team.approved_at,

@@ -17,7 +17,6 @@ from vitac.server.errors import ProblemCode, ServiceError, not_found
 from ..views.accounts import NewTokenView, TokenView
 from . import names
 from .principals import Principal
-from .shown_names import shown_name
 
 PREFIX = "vitac_"
 SECRET_BYTES = 32
@@ -241,7 +240,7 @@ def _principal(session: Session, token: ApiToken | None) -> Principal:
         role=token.role,
         team_id=token.team_id,
         team_name=token.team.name if token.team is not None else None,
-        team_shown_as=shown_name(token.team) if token.team is not None else None,
+        team_pseudonym=token.team.pseudonym if token.team is not None else None,
         token_id=token.id,
         member_id=token.member_id,
         member_name=token.member.name if token.member is not None else None,

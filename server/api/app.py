@@ -21,7 +21,7 @@ from .middleware.body_limit import BodyLimit
 from .middleware.request_head import RequestHead
 from .middleware.request_times import RequestTimes
 from .middleware.shutdown import Shutdown
-from .people import appeals, members, messages
+from .people import appeals, members, messages, rejudgements
 from .resumable import routes as uploads
 from .resumable.protocol import ProtocolVersion
 
@@ -124,6 +124,7 @@ def _routes() -> Sequence[BaseRoute]:
     for router in (
         teams.router,
         members.router,
+        rejudgements.router,
         messages.router,
         appeals.router,
         submissions.router,

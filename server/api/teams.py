@@ -11,6 +11,7 @@ from sqlalchemy.orm import Session
 from vitac.server.accounts import registration, teams, tokens
 from vitac.server.accounts.principals import CONSOLE, Principal
 from vitac.server.accounts.quotas import charge, uses
+from vitac.server.accounts.shown_names import ShownNames
 from vitac.server.competition.schedule import stage_quota_uses
 from vitac.server.db.models import ApiToken, Team
 from vitac.server.db.states import Quota, Role
@@ -66,7 +67,7 @@ def post_team(
             session, services.settings, principal, registration.NewTeam(**new.model_dump())
         )
         return RegisteredTeamView(
-            team=teams.team_view(team, CONSOLE),
+            team=teams.team_view(team, ShownNames.read(session, CONSOLE)),
             token=tokens.new_token_view(issued),
             waits_for_approval=team.approved_at is None,
         )
@@ -113,7 +114,7 @@ def get_me(services: ServicesOf, principal: PrincipalOf) -> MeView:
         stage_uses = stage_quota_uses(session, team) if team is not None else []
         return MeView(
             role=cast("Role", principal.role),  # a visitor without a token does not come here
-            team=teams.team_view(team, principal) if team is not None else None,
+            team=teams.team_view(team, ShownNames.read(session, principal)) if team is not None else None,
             token=tokens.token_view(token) if token is not None else None,
             quotas=_quotas(session, services, principal),
             stage_quotas=[StageQuotaView(**vars(use)) for use in stage_uses],

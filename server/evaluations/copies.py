@@ -18,8 +18,7 @@ from sqlalchemy.orm import Session, aliased
 from vitac.evaluator.episodes.records import ActionSequence
 from vitac.evaluator.submission_kinds import SubmissionKind
 
-from ..accounts.principals import Principal
-from ..accounts.shown_names import shown_name
+from ..accounts.shown_names import ShownNames
 from ..db.among import among
 from ..db.models import BoardResult, EpisodeResult, Evaluation, LogCopy, Submission, Team
 from ..db.states import EvaluationState
@@ -110,8 +109,8 @@ def _beginnings(session: Session, episodes: Collection[int]) -> dict[int, bytes]
     return {episode: (found[: (len(found) + 1) // 2] + 0.0).tobytes() for episode, found in actions.items()}
 
 
-def copies_among(session: Session, evaluations: Collection[UUID], by: Principal) -> dict[UUID, LogCopyView]:
-    """Return what was found of these evaluations, with the teams as somebody sees them."""
+def copies_among(session: Session, evaluations: Collection[UUID], names: ShownNames) -> dict[UUID, LogCopyView]:
+    """Return what was found of these evaluations, with the teams under the names that are shown."""
     if not evaluations:
         return {}
     rows = session.execute(
@@ -122,7 +121,7 @@ def copies_among(session: Session, evaluations: Collection[UUID], by: Principal)
         .where(among(LogCopy.evaluation_id, evaluations))
     )
     return {
-        evaluation_id: LogCopyView(team=shown_name(team, by), episodes=episodes, ranked=not is_copy)
+        evaluation_id: LogCopyView(team=names.name_of(team), episodes=episodes, ranked=not is_copy)
         for evaluation_id, team, episodes, is_copy in rows
     }
 

@@ -17,7 +17,7 @@ from vitac.evaluator.tracks import Track
 from vitac.evaluator.version import evaluator_version
 from vitac.server.accounts import teams
 from vitac.server.accounts.principals import VISITOR
-from vitac.server.accounts.shown_names import are_hidden, shown_name
+from vitac.server.accounts.shown_names import ShownNames
 from vitac.server.accounts.visibility import played_list_kind
 from vitac.server.competition.schedule import boards_stand_since, shown_stage
 from vitac.server.db.models import BoardResult, Evaluation, Team
@@ -58,11 +58,11 @@ def log_boards(session: Session, track_name: str, *, stage: str | None = None) -
     """
     track, of_stage = load_known_track(track_name), shown_stage(session, track_name, stage)
     until = (boards_stand_since(session) if of_stage else None) or EVER
-    hidden = are_hidden(session)
+    shown_names = ShownNames.read(session, VISITOR)
     found = kept_until_change(
         session,
-        ("logs", track.name, of_stage, until, hidden),
-        lambda: _found(session, track, of_stage, until, hidden=hidden),
+        ("logs", track.name, of_stage, until, shown_names),
+        lambda: _found(session, track, of_stage, until, shown_names),
     )
     made = partial(_view, session, track, found)
     return _made_boards.get((track.name, of_stage), found.revision, made, names=found.names)
@@ -78,21 +78,31 @@ class _Shown:
     text_logs: Sequence[UUID]
     revision: str
     names: str
+    shown_names: ShownNames
 
 
-def _found(session: Session, track: Track, stage: str, until: datetime, *, hidden: bool) -> _Shown:
+def _found(session: Session, track: Track, stage: str, until: datetime, shown_names: ShownNames) -> _Shown:
     boards = {task: Board(track=track.name, stage=stage, kind=SubmissionKind.LOG, task=task) for task in track.tasks}
     best = {task: best_entries(session, board, until=until) for task, board in boards.items()}
     named = {"track": track.name, "stage": stage, "until": until, "at_most": MAX_TEXT_LOGS}
     text_logs = session.scalars(_newest_text_logs(), named).all()
-    copies = copies_among(session, [entry.evaluation_id for entries in best.values() for entry in entries], VISITOR)
+    copies = copies_among(session, [entry.evaluation_id for entries in best.values() for entry in entries], shown_names)
     ranked = [part for task, entries in best.items() for part in (task, *entries)]
-    names = f"{teams.last_named_at(session)} {hidden}"
+    names = f"{teams.last_named_at(session)} {shown_names.hidden}"
     revision = revision_of(f"logs of {track.name} {stage} {names}", [*ranked, *sorted(copies.items()), *text_logs])
-    return _Shown(stage=stage, best=best, copies=copies, text_logs=text_logs, revision=revision, names=names)
+    return _Shown(
+        stage=stage,
+        best=best,
+        copies=copies,
+        text_logs=text_logs,
+        revision=revision,
+        names=names,
+        shown_names=shown_names,
+    )
 
 
 def _view(session: Session, track: Track, shown: _Shown, last: LogBoardsView | None) -> LogBoardsView:
+    entry_of = partial(_entry, names=shown.shown_names)
     entries_before = {board.task: board.entries for board in last.boards} if last else {}
     return LogBoardsView(
         track=track.name,
@@ -109,20 +119,20 @@ def _view(session: Session, track: Track, shown: _Shown, last: LogBoardsView | N
                 title=task.title,
                 entries=[
                     view.model_copy(update={"copy_of": shown.copies.get(view.evaluation_id)})
-                    for view in made_entries(session, shown.best[name], entries_before.get(name, ()), _entry)
+                    for view in made_entries(session, shown.best[name], entries_before.get(name, ()), entry_of)
                 ],
             )
             for name, task in track.tasks.items()
         ],
-        text_logs=_text_logs(session, shown.text_logs, last.text_logs if last else ()),
+        text_logs=_text_logs(session, shown, last.text_logs if last else ()),
     )
 
 
-def _text_logs(session: Session, ids: Sequence[UUID], last: Iterable[TextLogEntryView]) -> list[TextLogEntryView]:
+def _text_logs(session: Session, shown: _Shown, last: Iterable[TextLogEntryView]) -> list[TextLogEntryView]:
     """Return the views of text logs by their evaluations; those that were there before, too, are not read again."""
     kept = {view.evaluation_id: view for view in last}
-    new = completed_evaluations(session, set(ids) - kept.keys())
-    return [_text_log(new[found]) if found in new else kept[found] for found in ids]
+    new = completed_evaluations(session, set(shown.text_logs) - kept.keys())
+    return [_text_log(new[found], shown.shown_names) if found in new else kept[found] for found in shown.text_logs]
 
 
 @cache  # building it takes longer than running it
@@ -152,14 +162,14 @@ def _newest_text_logs() -> Select[UUID]:
     )
 
 
-def _entry(entry: BestEntry, evaluation: Evaluation) -> LogEntryView:
+def _entry(entry: BestEntry, evaluation: Evaluation, *, names: ShownNames) -> LogEntryView:
     submission = evaluation.submission
     score = score_views(evaluation)[0]
     claim = LogClaim.model_validate(submission.manifest)
     return LogEntryView(
         rank=entry.rank,
         stale=evaluation.evaluator_version != evaluator_version(),
-        team=shown_name(submission.team),
+        team=names.name_of(submission.team),
         evaluation_id=evaluation.id,
         submission_id=submission.id,
         submission_name=submission.name,
@@ -177,11 +187,11 @@ def _entry(entry: BestEntry, evaluation: Evaluation) -> LogEntryView:
     )
 
 
-def _text_log(evaluation: Evaluation) -> TextLogEntryView:
+def _text_log(evaluation: Evaluation, names: ShownNames) -> TextLogEntryView:
     submission = evaluation.submission
     claim, score = LogClaim.model_validate(submission.manifest), score_views(evaluation)[0]
     return TextLogEntryView(
-        team=shown_name(submission.team),
+        team=names.name_of(submission.team),
         task=score.task,
         evaluation_id=evaluation.id,
         submission_id=submission.id,

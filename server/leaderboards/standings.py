@@ -12,8 +12,8 @@ from sqlalchemy.orm import Session, defer, selectinload
 from vitac.evaluator.tracks import ListKind, Track
 from vitac.evaluator.version import evaluator_version
 from vitac.server.accounts import teams
-from vitac.server.accounts.principals import CONSOLE, VISITOR, Principal
-from vitac.server.accounts.shown_names import are_hidden, shown_name
+from vitac.server.accounts.principals import CONSOLE, VISITOR
+from vitac.server.accounts.shown_names import ShownNames
 from vitac.server.accounts.visibility import played_list_kind
 from vitac.server.competition.definition import DEFAULT_RANKING
 from vitac.server.competition.schedule import boards_stand_since, shown_stage, track_rules
@@ -62,12 +62,18 @@ def leaderboard(
     )
     played = track.tasks[task or next(iter(track.tasks))].episode_list.kind
     list_kind = ListKind.SEALED if commitment_of_stage(session, track_name, of_stage) else played
-    reader = CONSOLE if live else VISITOR
-    names = f"{named_at} {not live and are_hidden(session)}"
+    shown_names = ShownNames.read(session, CONSOLE if live else VISITOR)
+    names = f"{named_at} {shown_names.hidden and not live}"
     revision = revision_of(f"{board} {frozen_at} {list_kind} {names}", best)
     rule = rules.ranking_sentence if rules else None
     shown = _Shown(
-        board=board, list_kind=list_kind, rule=rule, best=best, frozen_at=frozen_at, reader=reader, revision=revision
+        board=board,
+        list_kind=list_kind,
+        rule=rule,
+        best=best,
+        frozen_at=frozen_at,
+        names=shown_names,
+        revision=revision,
     )
     made = partial(_view, session, track, shown)
     return _made_boards.get((board, live), revision, made, names=names)
@@ -81,7 +87,7 @@ class _Shown:
         list_kind: of the episodes that submissions to it play.
         rule: how it is ranked, where that is not what the track's file says.
         frozen_at: since when it stands still; None: it does not.
-        reader: as whom teams' names are seen.
+        names: under which teams are shown.
     """
 
     board: Board
@@ -89,14 +95,14 @@ class _Shown:
     rule: str | None
     best: Collection[BestEntry]
     frozen_at: datetime | None
-    reader: Principal
+    names: ShownNames
     revision: str
 
 
 def _view(session: Session, track: Track, shown: _Shown, last: LeaderboardView | None) -> LeaderboardView:
     task = shown.board.task
     entries = _with_rank_ranges(
-        made_entries(session, shown.best, last.entries if last else (), partial(_entry, task=task, reader=shown.reader))
+        made_entries(session, shown.best, last.entries if last else (), partial(_entry, task=task, names=shown.names))
     )
     return LeaderboardView(
         track=track.name,
@@ -163,7 +169,7 @@ def completed_evaluations(session: Session, ids: Collection[UUID]) -> Mapping[UU
     return {evaluation.id: evaluation for evaluation in found}
 
 
-def _entry(entry: BestEntry, evaluation: Evaluation, *, task: str | None, reader: Principal) -> LeaderboardEntryView:
+def _entry(entry: BestEntry, evaluation: Evaluation, *, task: str | None, names: ShownNames) -> LeaderboardEntryView:
     submission, found = evaluation.submission, scores_of(evaluation)
     scores = [score for score in task_views(evaluation, found) if task in {None, score.task}]
     ranked_by = combination_of(submission, found) if task is None else found[task]
@@ -173,7 +179,7 @@ def _entry(entry: BestEntry, evaluation: Evaluation, *, task: str | None, reader
         rank=entry.rank,
         rank_range=None,
         stale=evaluation.evaluator_version != evaluator_version(),
-        team=shown_name(submission.team, reader),
+        team=names.name_of(submission.team),
         evaluation_id=evaluation.id,
         submission_id=submission.id,
         submission_name=submission.name,

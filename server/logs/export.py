@@ -6,7 +6,7 @@ from uuid import UUID
 from sqlalchemy.orm import Session
 from vitac.evaluator.logs.log import LogHeader, write_log
 from vitac.server.accounts.principals import Principal
-from vitac.server.accounts.shown_names import shown_name
+from vitac.server.accounts.shown_names import ShownNames
 from vitac.server.accounts.visibility import require_episodes, visible
 from vitac.server.db.states import EvaluationState
 from vitac.server.errors import ProblemCode, ServiceError
@@ -48,7 +48,7 @@ def export_log(session: Session, by: Principal, submission_id: UUID, task: str |
             tasks=submission.tasks,
         )
     header = LogHeader(
-        team=shown_name(submission.team, by),
+        team=ShownNames.read(session, by).name_of(submission.team),
         submission_digest=submission.digest if submission.kind.form.runs_policy else None,
         manifest=manifest_of(session, evaluation, chosen),
     )

@@ -17,7 +17,7 @@ from vitac.evaluator.tracks import load_track
 from vitac.evaluator.version import evaluator_version
 
 from ..accounts.principals import Principal
-from ..accounts.shown_names import shown_name
+from ..accounts.shown_names import ShownNames
 from ..accounts.visibility import sight_of
 from ..db.advisory_locks import AdvisoryLock, wait_for_turn
 from ..db.models import EpisodeResult, Playback, Shard
@@ -120,7 +120,7 @@ def shown_episode(
     playback = find_playback(session, episode)
     return ShownEpisodeView(
         submission_name=submission.name,
-        team=shown_name(submission.team, by),
+        team=ShownNames.read(session, by).name_of(submission.team),
         track=episode.track,
         task=task,
         episode=number,

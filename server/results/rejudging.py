@@ -1,5 +1,6 @@
 """Submissions evaluated again, beside their results, with the present evaluator; applied or discarded together."""
 
+import hashlib
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
@@ -7,6 +8,7 @@ from uuid import UUID
 
 from sqlalchemy import delete, exists, select
 from sqlalchemy.orm import Session, aliased, defer, joinedload
+from vitac.evaluator.episodes.records import canonical_json
 from vitac.evaluator.scoring.ranking import CombinedScore
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.version import evaluator_version
@@ -165,15 +167,29 @@ def comparison(session: Session, rejudgement: Rejudgement) -> list[RejudgedSubmi
     )
 
 
-def apply(session: Session, by: Principal, rejudgement_id: UUID) -> list[RejudgedSubmission]:
+def revision_of(rows: Sequence[RejudgedSubmission]) -> str:
+    """Return what changes whenever applying a rejudgement would do something else."""
+    content = {str(row.submission): asdict(row) | {"submission": None} for row in rows}
+    return hashlib.sha256(canonical_json(content)).hexdigest()
+
+
+def apply(
+    session: Session, by: Principal, rejudgement_id: UUID, *, shown: str | None = None
+) -> list[RejudgedSubmission]:
     """Make the new results those of their submissions, with a receipt each; the present ones leave the boards.
 
     What machines failed or somebody cancelled keeps its present result, and so does what was evaluated once more since
     the rejudgement began: that result is the newer one.
 
+    Args:
+        session: of the transaction.
+        by: an organizer.
+        rejudgement_id: which one.
+        shown: the revision of what was seen before (`revision_of`); None: whatever it is now.
+
     Raises:
         ServiceError: not an organizer, no such rejudgement, it has ended, the competition is final, its boards stand
-            still, or an evaluation goes on.
+            still, an evaluation goes on, or something has changed since it was shown.
     """
     found = _lock_open(session, by, rejudgement_id)
     competition = _going_on(session, found.stage)
@@ -189,6 +205,10 @@ def apply(session: Session, by: Principal, rejudgement_id: UUID) -> list[Rejudge
         raise ServiceError(
             ProblemCode.STAGE_NOT_OVER,
             f"Expected no evaluation of the rejudgement that waits or runs, got {len(going_on)}; wait, or discard it.",
+        )
+    if shown is not None and shown != revision_of(rows):
+        raise ServiceError(
+            ProblemCode.RESULTS_OUTDATED, "Something has changed since you looked, so nothing was applied. Look again."
         )
     now = datetime.now(UTC)
     # By id: an evaluation of another rejudgement is locked in the same order.

@@ -12,7 +12,7 @@ from vitac.evaluator.tracks import load_track
 from vitac.server.db.states import EvaluationState
 
 from ..accounts.principals import Principal
-from ..accounts.shown_names import is_hidden
+from ..accounts.shown_names import ShownNames
 from ..accounts.teams import team_view
 from ..competition.definition import DEFAULT_RANKING
 from ..competition.schedule import boards_stand_since, track_rules
@@ -52,11 +52,15 @@ def submission_views(
     """
     newest = [found[0] for found in runs.values()]
     rows = EvaluationRows.read(session, newest, by, with_output=with_output)
+    names = ShownNames.read(session, by)
     shown = _Shown(
         evaluations=rows,
         by=by,
+        names=names,
         findings=findings_of(session, [found for found in newest if found.id not in rows.hidden]),
-        copies=copies_among(session, [found.id for found in newest if found.submission.kind is SubmissionKind.LOG], by),
+        copies=copies_among(
+            session, [found.id for found in newest if found.submission.kind is SubmissionKind.LOG], names
+        ),
         workers=fleet(session, settings),
         places=cache(partial(_places, session, by)),
     )
@@ -77,6 +81,7 @@ class _Shown:
 
     Attributes:
         by: who asks.
+        names: under which teams are shown to them.
         evaluations: of their newest evaluations.
         findings: against logs, by evaluation, where single episodes are shown.
         copies: among logs, by evaluation.
@@ -85,6 +90,7 @@ class _Shown:
     """
 
     by: Principal
+    names: ShownNames
     evaluations: EvaluationRows
     findings: Mapping[UUID, LogFinding]
     copies: Mapping[UUID, LogCopyView]
@@ -98,12 +104,12 @@ def _view(runs: Sequence[Evaluation], shown: _Shown) -> SubmissionView:
     finding, copy = shown.findings.get(newest.id), shown.copies.get(newest.id)
     ranks = _ranks(submission, newest, shown.places)
     log = log_view(submission, newest, finding, copy) if log_view else None
-    if log is not None and is_hidden(submission.team, shown.by):
+    if log is not None and shown.names.hides(submission.team):
         log = log.model_copy(update={"team_named": None})
     shown_runs = runs if shown.by.may_see(submission.team_id) else runs[:1]
     return SubmissionView(
         id=submission.id,
-        team=team_view(submission.team, shown.by),
+        team=team_view(submission.team, shown.names),
         kind=submission.kind,
         track=submission.track,
         stage=submission.stage or None,

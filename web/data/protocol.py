@@ -50,9 +50,9 @@ class Visitor:
         return self.principal.team_name or f"{self.principal.role}s"
 
     @property
-    def shown_as(self) -> str:
-        """The name of the own team on boards."""
-        return self.principal.team_shown_as or self.name
+    def own_names(self) -> frozenset[str]:
+        """The names under which the own team may be on boards."""
+        return frozenset({self.name, self.principal.team_pseudonym or self.name})
 
     @property
     def is_organizer(self) -> bool:
@@ -66,7 +66,7 @@ class Visitor:
 
     def may_see(self, team: str) -> bool:
         """Return whether the submissions of a team are shown."""
-        return self.principal.reads_all_teams or team in {self.name, self.shown_as}
+        return self.principal.reads_all_teams or team in self.own_names
 
 
 @dataclass(frozen=True, kw_only=True)

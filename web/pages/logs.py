@@ -26,7 +26,7 @@ async def logs(request: Request) -> Response:
         board_page,
         request,
         f"/tracks/{track.name}/logs{board_query(None, stage)}",
-        own_team=viewer.shown_as if viewer else None,
+        own_names=viewer.own_names if viewer else (),
     )
     shown = {board.task: paged(board.entries, section=f"logs-{board.task}") for board in found.boards}
     text_logs = paged(found.text_logs, section=TEXT_LOGS)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 from urllib.parse import urlencode
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Collection, Sequence
     from uuid import UUID
 
     from starlette.requests import Request
@@ -83,7 +83,7 @@ class BoardPage(Generic[EntryT]):
 
 
 def board_page(
-    request: Request, address: str, entries: Sequence[EntryT], own_team: str | None, *, section: str = ""
+    request: Request, address: str, entries: Sequence[EntryT], own_names: Collection[str], *, section: str = ""
 ) -> BoardPage[EntryT]:
     """Return the page that a request asks for; one that there is not is the nearest one.
 
@@ -91,7 +91,7 @@ def board_page(
         request: with `q`, part of a team's name in any case, and `page`, or `page-SECTION` of a section.
         address: of the board.
         entries: all of them.
-        own_team: name of the visitor's team.
+        own_names: under which the visitor's team may be there.
         section: id of the board, where a page has several.
     """
     parameter = f"page-{section}" if section else "page"
@@ -99,7 +99,7 @@ def board_page(
     found = [entry for entry in entries if search.casefold() in entry.team.casefold()] if search else list(entries)
     pages = max(1, -(-len(found) // PAGE_ENTRIES))
     number = min(pages, max(1, _whole(request.query_params.get(parameter, "1"))))
-    place = next((place for place, entry in enumerate(entries) if entry.team == own_team), None)
+    place = next((place for place, entry in enumerate(entries) if entry.team in own_names), None)
     return BoardPage(
         entries=found[(number - 1) * PAGE_ENTRIES : number * PAGE_ENTRIES],
         number=number,

@@ -11,7 +11,7 @@ from starlette.staticfiles import StaticFiles
 from ..headers import SecurityHeaders
 from ..rendering import STATIC
 from . import documentation, errors, logs, operations, sandbox, sensors, submissions, tracks
-from .contest import archive, competition, home, judging, receipts
+from .contest import archive, competition, home, judging, receipts, rejudging
 from .episodes import page as episodes
 from .files import boards
 from .files import submissions as tables
@@ -111,6 +111,10 @@ def _router() -> APIRouter:
         (judging.ADDRESS, judging.judging, "GET"),
         (f"{judging.ADDRESS}/marks", judging.give_marks, "POST"),
         (f"{judging.ADDRESS}/conflict", judging.declare_conflict, "POST"),
+        (rejudging.ADDRESS, rejudging.rejudgements, "GET"),
+        (f"{rejudging.ADDRESS}/start", rejudging.start, "POST"),
+        (f"{rejudging.ADDRESS}/apply", rejudging.apply, "POST"),
+        (f"{rejudging.ADDRESS}/discard", rejudging.discard, "POST"),
         (desk.ADDRESS, desk.desk, "GET"),
         (f"{desk.ADDRESS}/{{action}}", desk.change, "POST"),
         ("/join", team.join_form, "GET"),

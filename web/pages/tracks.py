@@ -183,7 +183,7 @@ async def _leaderboard(request: Request, name: str) -> Response:
     board = await site.data.leaderboard(name, task, stage)
     viewer = await viewer_of(request)
     query = board_query(task, stage)
-    shown = board_page(request, f"/tracks/{name}{query}", board.entries, viewer.shown_as if viewer else None)
+    shown = board_page(request, f"/tracks/{name}{query}", board.entries, viewer.own_names if viewer else ())
     public = await site.data.public_among([entry.submission_id for entry in shown.entries])
     counted = list(track.tasks.values()) if task is None else [track.tasks[task]]
     return page(
@@ -211,7 +211,7 @@ def _dates(request: Request, board: LeaderboardView, viewer: Viewer | None) -> M
     ranked = [entry for entry in board.entries if entry.rank is not None]
     if len(ranked) < 2:
         return Markup()
-    own = viewer.shown_as if viewer is not None and viewer.shown_as in {entry.team for entry in ranked} else None
+    own = next((entry.team for entry in ranked if viewer is not None and entry.team in viewer.own_names), None)
 
     def make() -> str:
         rates = [
@@ -273,10 +273,10 @@ def entry_rows(
         of: what else the row of an entry depends on.
     """
     fragments = site_of(request).fragments
-    name = viewer.shown_as if viewer is not None else None
+    own_names = viewer.own_names if viewer is not None else ()
 
     def row(entry: EntryT) -> Markup:
-        own = name == entry.team
+        own = entry.team in own_names
         linked = entry.submission_id in public or (viewer is not None and viewer.may_see(entry.team))
         return fragments.get(
             (template, of(entry), entry.evaluation_id, entry.team, own, linked),

@@ -11,6 +11,7 @@ from sqlalchemy.orm import Session
 from vitac.server.accounts import members, merging, teams, tokens
 from vitac.server.accounts.passwords import MAX_LENGTH, MIN_LENGTH
 from vitac.server.accounts.principals import CONSOLE, Principal
+from vitac.server.accounts.shown_names import ShownNames
 from vitac.server.db.models import Team
 from vitac.server.db.states import NoticeKind
 from vitac.server.notices import webhooks
@@ -90,7 +91,7 @@ def join_team(request: Request, services: ServicesOf, new: NewMember) -> Registe
     with services.database.transaction() as session:
         member, issued = members.join(session, members.NewMember(**new.model_dump()), _lifetime(services))
         return RegisteredTeamView(
-            team=teams.team_view(member.team, CONSOLE),
+            team=teams.team_view(member.team, ShownNames.read(session, CONSOLE)),
             token=tokens.new_token_view(issued),
             waits_for_approval=member.team.approved_at is None,
         )

@@ -72,7 +72,7 @@ async def desk(request: Request) -> Response:
     def read(session: Session) -> Desk:
         by.require_organizer()
         return Desk(
-            waiting=[teams.organizer_team_view(team) for team in teams.waiting(session)],
+            waiting=[teams.organizer_team_view(session, team) for team in teams.waiting(session)],
             troubles=troubles(session),
             asked=questions.visible(session, by, open_only=True),
             appealed=appeals.visible(session, by, open_only=True),

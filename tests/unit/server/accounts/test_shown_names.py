@@ -11,7 +11,7 @@ from service_factories import LOCK, TASK, TRACK, make_score, play_all, submit, s
 from sqlalchemy import select, update
 from vitac.server.accounts import teams
 from vitac.server.accounts.principals import CONSOLE, VISITOR, Principal
-from vitac.server.accounts.shown_names import are_hidden, shown_id, shown_name
+from vitac.server.accounts.shown_names import ShownNames, are_hidden
 from vitac.server.db.models import Competition, Submission, Team
 from vitac.server.db.states import Role
 from vitac.server.leaderboards.standings import leaderboard
@@ -113,7 +113,8 @@ def test_organizers_boards_winners_and_receipts_have_the_names(service: CliServi
         submission = session.scalars(select(Submission).where(Submission.team_id == team.id)).one()
         (receipt,) = receipts(session, member_of(team), submission.id)
         assert receipt.result.is_of_team(NAME), "so that the audit works with the names that are published at the end"
-        assert shown_id(team, member_of(team)) == team.id != shown_id(team, VISITOR)
+        assert ShownNames.read(session, member_of(team)).id_of(team) == team.id
+        assert ShownNames.read(session, VISITOR).id_of(team) != team.id
 
 
 def test_the_names_are_shown_again_once_the_competition_is_final(service: CliService) -> None:
@@ -131,5 +132,5 @@ def test_the_names_are_shown_again_once_the_competition_is_final(service: CliSer
         assert are_hidden(session)
         row.definition = row.definition | {"anonymous": False}
         assert not are_hidden(session)
-        assert shown_name(teams.find(session, NAME)) == NAME
+        assert ShownNames.read(session).name_of(teams.find(session, NAME)) == NAME
         row.definition = row.definition | {"anonymous": True}

@@ -101,7 +101,7 @@ def test_a_disqualified_team_is_reinstated_and_both_are_recorded(database: Datab
     with database.transaction() as session:
         team = teams.find(session, "Team A")
         teams.disqualify(session, CONSOLE, team, " two   accounts ")
-        assert teams.organizer_team_view(team).disqualified_for == "two accounts"
+        assert teams.organizer_team_view(session, team).disqualified_for == "two accounts"
         session.flush()
         with pytest.raises(ServiceError, match="is disqualified: two accounts"):
             teams.disqualify(session, CONSOLE, team, "again")

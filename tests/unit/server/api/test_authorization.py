@@ -10,13 +10,24 @@ from uuid import UUID, uuid4
 import drawn_gels
 import pytest
 from service_client import POLICY, Service, bearer, make_archive
-from service_factories import TRACK, make_principal, play_all
+from service_factories import TASK, TRACK, make_principal, make_score, play_all, submit_scored
 from sqlalchemy import delete
 from vitac.server.accounts import members, tokens
 from vitac.server.accounts.principals import CONSOLE
-from vitac.server.db.models import ApiToken, Appeal, Competition, Invitation, Question, Submission, Team, Webhook
+from vitac.server.db.models import (
+    ApiToken,
+    Appeal,
+    Competition,
+    Invitation,
+    Question,
+    Rejudgement,
+    Submission,
+    Team,
+    Webhook,
+)
 from vitac.server.db.states import Role
 from vitac.server.people import announcements, appeals, questions
+from vitac.server.results.rejudging import revision_of
 
 from competitions import make_competition, put_in_place
 
@@ -24,6 +35,7 @@ from competitions import make_competition, put_in_place
 class Who(StrEnum):
     VISITOR = "visitor"  # without a token
     OWNER = "owner"  # the team whose thing it is
+    MEMBER = "member"  # of that team, who is not its captain
     OTHER = "other"  # another team
     JUDGE = "judge"
     ORGANIZER = "organizer"
@@ -31,15 +43,17 @@ class Who(StrEnum):
 
 EVERYBODY = frozenset(Who)
 SIGNED_IN = EVERYBODY - {Who.VISITOR}
-READERS = frozenset({Who.OWNER, Who.JUDGE, Who.ORGANIZER})
-CHANGERS = frozenset({Who.OWNER, Who.ORGANIZER})
+READERS = frozenset({Who.OWNER, Who.MEMBER, Who.JUDGE, Who.ORGANIZER})
+CHANGERS = frozenset({Who.OWNER, Who.MEMBER, Who.ORGANIZER})
+LEADERS = CHANGERS - {Who.MEMBER}
 JUDGES = frozenset({Who.JUDGE, Who.ORGANIZER})
-TEAMS = frozenset({Who.OWNER, Who.OTHER})
+TEAMS = frozenset({Who.OWNER, Who.MEMBER, Who.OTHER})
 
 SUBMISSION = "/api/v1/submissions/{submission_id}"
 UPLOAD = "/api/v1/uploads/{upload_id}"
 TEAM = "/api/v1/teams/{team_id}"
 APPEAL = "/api/v1/appeals/{appeal_id}"
+REJUDGEMENT = "/api/v1/rejudgements/{rejudgement_id}"
 MEMBER = f"{TEAM}/members/{{member_id}}"
 MATRIX: dict[tuple[str, str], frozenset[Who]] = {
     ("get", "/health"): EVERYBODY,
@@ -59,14 +73,14 @@ MATRIX: dict[tuple[str, str], frozenset[Who]] = {
     ("post", f"{TEAM}/merge"): frozenset({Who.ORGANIZER}),
     ("get", f"{TEAM}/data"): CHANGERS,
     ("delete", TEAM): frozenset({Who.ORGANIZER}),
-    ("post", f"{TEAM}/invitations"): CHANGERS,
-    ("delete", f"{TEAM}/invitations/{{invitation_id}}"): CHANGERS,
-    ("get", f"{TEAM}/webhooks"): CHANGERS,
-    ("post", f"{TEAM}/webhooks"): CHANGERS,
-    ("delete", f"{TEAM}/webhooks/{{webhook_id}}"): CHANGERS,
-    ("put", f"{TEAM}/captain"): CHANGERS,
-    ("patch", MEMBER): CHANGERS,
-    ("delete", MEMBER): CHANGERS,
+    ("post", f"{TEAM}/invitations"): LEADERS,
+    ("delete", f"{TEAM}/invitations/{{invitation_id}}"): LEADERS,
+    ("get", f"{TEAM}/webhooks"): LEADERS,
+    ("post", f"{TEAM}/webhooks"): LEADERS,
+    ("delete", f"{TEAM}/webhooks/{{webhook_id}}"): LEADERS,
+    ("put", f"{TEAM}/captain"): LEADERS,
+    ("patch", MEMBER): LEADERS,
+    ("delete", MEMBER): LEADERS,
     ("get", "/api/v1/announcements"): EVERYBODY,
     ("post", "/api/v1/announcements"): frozenset({Who.ORGANIZER}),
     ("delete", "/api/v1/announcements/{announcement_id}"): frozenset({Who.ORGANIZER}),
@@ -82,7 +96,7 @@ MATRIX: dict[tuple[str, str], frozenset[Who]] = {
     ("get", "/api/v1/me"): SIGNED_IN,
     ("get", "/api/v1/tokens"): SIGNED_IN,
     ("post", "/api/v1/tokens"): TEAMS | {Who.ORGANIZER},
-    ("delete", "/api/v1/tokens/{token_id}"): CHANGERS,
+    ("delete", "/api/v1/tokens/{token_id}"): LEADERS,
     ("get", "/api/v1/submissions"): SIGNED_IN,
     ("post", "/api/v1/submissions"): TEAMS | {Who.ORGANIZER},
     ("get", SUBMISSION): READERS,
@@ -97,6 +111,11 @@ MATRIX: dict[tuple[str, str], frozenset[Who]] = {
     ("put", f"{SUBMISSION}/public"): CHANGERS,
     ("put", f"{SUBMISSION}/marks"): JUDGES,
     ("post", "/api/v1/judging/conflicts"): JUDGES,
+    ("get", "/api/v1/rejudgements"): frozenset({Who.ORGANIZER}),
+    ("post", "/api/v1/rejudgements"): frozenset({Who.ORGANIZER}),
+    ("get", REJUDGEMENT): frozenset({Who.ORGANIZER}),
+    ("post", f"{REJUDGEMENT}/apply"): frozenset({Who.ORGANIZER}),
+    ("post", f"{REJUDGEMENT}/discard"): frozenset({Who.ORGANIZER}),
     ("get", "/api/v1/judging/{track}"): frozenset({Who.ORGANIZER}),
     ("post", f"{SUBMISSION}/cancel"): CHANGERS,
     ("post", f"{SUBMISSION}/requeue"): frozenset({Who.ORGANIZER}),
@@ -106,7 +125,7 @@ MATRIX: dict[tuple[str, str], frozenset[Who]] = {
     ("patch", UPLOAD): CHANGERS,
     ("delete", UPLOAD): CHANGERS,
     ("post", f"{UPLOAD}/submission"): CHANGERS,
-    ("post", f"{MEMBER}/token"): CHANGERS,  # last: from then on the shared token no longer leads the team
+    ("post", f"{MEMBER}/token"): LEADERS,  # last: from then on the shared token no longer leads the team
 }
 """Who gets an answer of the route about a thing of the team OWNER. All others: 401 without a token, else 403 or 404."""
 
@@ -158,6 +177,8 @@ class Setting:
             elif "{member_id}" in path:
                 # The captain of a team without a token of its own is who has the team's; who leaves is another one.
                 ids["member_id"] = self.new_member() if method == "delete" else self.captain()
+        if "{rejudgement_id}" in path:
+            ids["rejudgement_id"] = self.new_rejudgement()
         if "{upload_id}" in path:
             ids["upload_id"] = self.new_upload()
         if "{token_id}" in path:
@@ -191,6 +212,20 @@ class Setting:
         with self.service.database.transaction() as session:
             by, submission_id = self.service.principal, UUID(self.submission_id)
             return str(appeals.open_appeal(session, by, submission_id, "Look again.").id)
+
+    def new_rejudgement(self) -> str:
+        """Id of an open rejudgement of nothing."""
+        with self.service.database.transaction() as session:
+            made = Rejudgement(track="track_3", stage="", reason="Look again.")
+            session.add(made)
+            session.flush()
+            return str(made.id)
+
+    def new_result(self) -> str:
+        """Id of a scored model of a further team."""
+        with self.service.database.transaction() as session:
+            by = make_principal(session, f"Team {uuid4().hex[:12]}")
+            return str(submit_scored(session, by, uuid4().hex, {TASK: make_score(50)}).id)
 
     def forget_appeals(self) -> None:
         """Removes all, so that the submission can be appealed against."""
@@ -267,6 +302,10 @@ BODIES: dict[tuple[str, str], Options] = {
     ("post", "/api/v1/judging/conflicts"): lambda _, who: {
         "json": {"team": "Team A", "reason": "friends", **_named(who)}
     },
+    ("post", "/api/v1/rejudgements"): lambda setting, _: {
+        "json": {"track": TRACK, "submissions": [setting.new_result()], "reason": "Look again."}
+    },
+    ("post", f"{REJUDGEMENT}/apply"): lambda *_: {"json": {"shown": revision_of([])}},
     ("post", "/api/v1/tokens"): lambda *_: {"json": {"label": "new"}},
     ("post", "/api/v1/submissions"): lambda _, who: {
         "content": make_archive(),
@@ -303,12 +342,17 @@ def setting(service: Service) -> Setting:
         submission = session.get_one(Submission, UUID(submission_id))
         judge = tokens.issue(session, CONSOLE, role=Role.JUDGE, label="judge", lifetime=None).secret
     play_all(service.services.database, submission)
+    with service.services.database.transaction() as session:
+        team = session.get_one(Team, service.principal.team_id)
+        code = members.invite(session, CONSOLE, team)[1]
+        joined = members.join(session, members.NewMember(code=code, name="Ann"), timedelta(days=1))[1]
     return Setting(
         service=service,
         submission_id=submission_id,
         tokens={
             Who.VISITOR: None,
             Who.OWNER: service.token,
+            Who.MEMBER: joined.secret,
             Who.OTHER: service.other_token,
             Who.JUDGE: judge,
             Who.ORGANIZER: service.organizer_token,

@@ -15,7 +15,8 @@ from service_factories import (
 from sqlalchemy import text
 from vitac.evaluator.episodes.records import ActionSequence, EpisodeRecord
 from vitac.evaluator.submission_kinds import SubmissionKind
-from vitac.server.accounts.principals import Principal
+from vitac.server.accounts.principals import CONSOLE, Principal
+from vitac.server.accounts.shown_names import ShownNames
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Submission
 from vitac.server.db.schema import downgrade, upgrade
@@ -79,7 +80,7 @@ def ending_otherwise(after: int) -> RecordOf:
 def found(database: Database, *submissions: Submission) -> list[LogCopyView | None]:
     with database.transaction() as session:
         ids = [newest_evaluation(session, submission).id for submission in submissions]
-        copies = copies_among(session, ids)
+        copies = copies_among(session, ids, ShownNames.read(session, CONSOLE))
     return [copies.get(evaluation_id) for evaluation_id in ids]
 
 

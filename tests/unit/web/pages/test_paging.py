@@ -14,7 +14,7 @@ def asked(
     query: str, entries: list[LeaderboardEntryView] = ENTRIES, own: str | None = None
 ) -> BoardPage[LeaderboardEntryView]:
     request = Request({"type": "http", "method": "GET", "path": "/", "headers": [], "query_string": query.encode()})
-    return board_page(request, f"/tracks/track_1?task={TASK}", entries, own)
+    return board_page(request, f"/tracks/track_1?task={TASK}", entries, {own} if own else ())
 
 
 def ranks(page: BoardPage[LeaderboardEntryView]) -> list[int | None]:

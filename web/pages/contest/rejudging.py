@@ -1,0 +1,84 @@
+"""The organizers' page of rejudgements: what would change, and the forms that start, apply and discard one."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from starlette.responses import Response
+from vitac.server.errors import ProblemCode, ServiceError
+from vitac.server.results import rejudging
+from vitac.server.results.rejudging_view import rejudgement_detail_view, rejudgement_view
+
+from ...site import page, require_viewer, site_of
+from ..people.action import act, id_in
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from sqlalchemy.orm import Session
+    from starlette.requests import Request
+    from vitac.server.accounts.principals import Principal
+    from vitac.server.views.contest.rejudging import RejudgementDetailView, RejudgementView
+
+ADDRESS = "/rejudging"
+
+
+async def rejudgements(request: Request) -> Response:
+    """Show open rejudgements with what they would change, and those that have ended.
+
+    Raises:
+        ServiceError: the visitor is no organizer.
+    """
+    viewer = await require_viewer(request)
+    if isinstance(viewer, Response):
+        return viewer
+
+    def read(session: Session) -> tuple[list[RejudgementDetailView], list[RejudgementView]]:
+        viewer.visitor.principal.require_organizer()
+        found = rejudging.rejudgements(session)
+        ended = [one for one in found if one.applied_at or one.discarded_at]
+        open_ones = [rejudgement_detail_view(session, one) for one in found if one not in ended]
+        return open_ones, [rejudgement_view(one) for one in ended]
+
+    site = site_of(request)
+    open_ones, ended = await site.data.ask(read)
+    return page(
+        request,
+        "rejudging.html",
+        viewer=viewer,
+        section="/desk",
+        open_ones=open_ones,
+        ended=ended,
+        tracks=site.tracks,
+    )
+
+
+async def start(request: Request) -> Response:
+    """Evaluate the models of a stage again."""
+
+    def started(session: Session, by: Principal, fields: Mapping[str, str]) -> None:
+        reason = " ".join(fields.get("reason", "").split())
+        if not 1 <= len(reason) <= 500:
+            raise ServiceError(
+                ProblemCode.INVALID_REQUEST, f"Expected a reason of 1 to 500 characters, got {len(reason)}."
+            )
+        stage = fields.get("stage", "").strip() or None
+        rejudging.start(session, by, track=fields.get("track", ""), stage=stage, reason=reason)
+
+    return await act(request, started, back=ADDRESS)
+
+
+async def apply(request: Request) -> Response:
+    """Make the new results count, if they are those that the page showed."""
+
+    def applied(session: Session, by: Principal, fields: Mapping[str, str]) -> None:
+        rejudging.apply(session, by, id_in(fields, "id"), shown=fields.get("shown", ""))
+
+    return await act(request, applied, back=ADDRESS)
+
+
+async def discard(request: Request) -> Response:
+    """Leave the present results as they are."""
+    return await act(
+        request, lambda session, by, fields: rejudging.discard(session, by, id_in(fields, "id")), back=ADDRESS
+    )
