@@ -45,6 +45,7 @@ class JudgedTeam:
     Attributes:
         judges: who gave marks.
         conflicts: judges who declared a conflict of interest with the team.
+        set_aside: those of them who had given marks, before a merge brought the conflict; these do not count.
         mark: mean of the judges' means; None without any.
         spread: standard deviation of the judges' means; None of fewer than two.
         figures: share of the other sensors that this one is better than, over all figures; None where not measured.
@@ -56,6 +57,7 @@ class JudgedTeam:
     success_rate: float
     judges: tuple[str, ...]
     conflicts: tuple[str, ...]
+    set_aside: tuple[str, ...]
     criteria: tuple[JudgedCriterion, ...]
     mark: float | None
     spread: float | None
@@ -246,6 +248,7 @@ def _judged(session: Session, rubric: Judging, entry: LeaderboardEntryView, figu
         success_rate=entry.success_rate,
         judges=tuple(by_judge),
         conflicts=tuple(sorted(conflicts)),
+        set_aside=tuple(sorted({row.judge for row in rows} & set(conflicts))),
         criteria=tuple(
             _criterion(name, [row.mark for row in known if row.criterion == name]) for name in names if known
         ),

@@ -75,10 +75,10 @@ def check_entries(described: ExportDescription, receipts: Mapping[UUID, Receipt]
         if team is None or ranked_by is None or receipt.result.evaluator_version != board.evaluator_version:
             continue
         shown = entries.get(team.name)
-        if team.left_out:
+        if team.off_boards:
             yield (
                 False,
-                f"{team.name}: receipt {receipt.link.number}; the service leaves the team out: {team.left_out}.",
+                f"{team.name}: receipt {receipt.link.number}; the service leaves the team out: {team.off_boards}.",
             )
         elif shown is None:
             yield True, f"{team.name}: receipt {receipt.link.number} is of this board, but the team is not on it."

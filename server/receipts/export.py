@@ -40,7 +40,7 @@ class ExportedTeam(StrictModel):
     evaluations: tuple[UUID, ...]
     former_names: tuple[str, ...] = ()
     """That it, or a team that was merged into it, had before, as the service says."""
-    left_out: str | None = None
+    off_boards: str | None = None
     """Why it is on no board; null: it is."""
     is_removed: bool = False
     """Whether its data were deleted, with all names that it had."""

@@ -77,8 +77,8 @@ class Result(StrictModel):
 
     def digest(self) -> str:
         """Return the SHA-256 [hex] by which the chain names this result."""
-        left_out = {"team_sha256"} if self.team_sha256 is None else None
-        return hashlib.sha256(canonical_json(self.model_dump(mode="json", exclude=left_out))).hexdigest()
+        without = {"team_sha256"} if self.team_sha256 is None else None
+        return hashlib.sha256(canonical_json(self.model_dump(mode="json", exclude=without))).hexdigest()
 
     @property
     def board(self) -> str:

@@ -30,7 +30,7 @@ def _exported(session: Session, team: Team, evaluations: Collection[UUID]) -> Ex
         name=team.name,
         evaluations=tuple(evaluations),
         former_names=() if is_removed else tuple(sorted(set(_former_names(session, str(team.id))) - {team.name})),
-        left_out=f"disqualified, {team.disqualified_for}" if team.disqualified_at is not None else None,
+        off_boards=f"disqualified, {team.disqualified_for}" if team.disqualified_at is not None else None,
         is_removed=is_removed,
     )
 

@@ -91,7 +91,7 @@ def _row(team: "JudgedTeam") -> list[object]:
         team.spread,
         percent(team.figures),
         percent(team.total),
-        ", ".join(team.conflicts),
+        ", ".join(f"{name} (marks set aside)" if name in team.set_aside else name for name in team.conflicts),
     ]
 
 

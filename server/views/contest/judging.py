@@ -23,6 +23,9 @@ class JudgedTeamView(View):
     success_rate: float
     judges: list[str]
     conflicts: list[str] = Field(description="Judges who do not judge this team.")
+    set_aside: list[str] = Field(
+        description="Those of them who had given marks, before a merge of teams brought the conflict: not counted."
+    )
     criteria: list[JudgedCriterionView]
     mark: float | None = Field(description="Mean of the judges' means, from 0 to 10.")
     spread: float | None = Field(description="Standard deviation of these; null of fewer than two judges.")

@@ -10,6 +10,9 @@ if TYPE_CHECKING:
     from starlette.requests import Request
     from starlette.responses import Response
 
+N_SAID = 3
+"""Of the newest announcements on the page; all of them have a page of their own."""
+
 
 async def competition(request: Request) -> Response:
     """Show the competition to everybody.
@@ -17,5 +20,7 @@ async def competition(request: Request) -> Response:
     Raises:
         ServiceError: this service runs none.
     """
-    found = await site_of(request).data.competition()
-    return page(request, "competition.html", viewer=await viewer_of(request), section="/competition", found=found)
+    data = site_of(request).data
+    found, said = await data.competition(), await data.announcements()
+    viewer = await viewer_of(request)
+    return page(request, "competition.html", viewer=viewer, section="/competition", found=found, said=said[:N_SAID])

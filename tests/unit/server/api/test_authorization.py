@@ -95,7 +95,7 @@ MATRIX: dict[tuple[str, str], frozenset[Who]] = {
     ("put", f"{APPEAL}/ruling"): frozenset({Who.ORGANIZER}),
     ("get", "/api/v1/me"): SIGNED_IN,
     ("get", "/api/v1/tokens"): SIGNED_IN,
-    ("post", "/api/v1/tokens"): TEAMS | {Who.ORGANIZER},
+    ("post", "/api/v1/tokens"): (TEAMS - {Who.MEMBER}) | {Who.ORGANIZER},
     ("delete", "/api/v1/tokens/{token_id}"): LEADERS,
     ("get", "/api/v1/submissions"): SIGNED_IN,
     ("post", "/api/v1/submissions"): TEAMS | {Who.ORGANIZER},

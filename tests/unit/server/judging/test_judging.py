@@ -7,7 +7,7 @@ from service_factories import TASK, TRACK, make_principal, make_score, submit_sc
 from sqlalchemy import select
 from submission_steps import refused
 from vitac.evaluator.figures.figures import GraspFigures, Information, SensitivityMap, SensorFigures, TouchFigures
-from vitac.server.accounts import teams, tokens
+from vitac.server.accounts import merging, teams, tokens
 from vitac.server.accounts.audit import newest_entries
 from vitac.server.accounts.principals import CONSOLE, Principal
 from vitac.server.db.engine import Database
@@ -91,6 +91,18 @@ def test_a_judge_with_a_conflict_of_interest_judges_the_others_only(
     assert found["Bees"].judges == ("Dr. Y",)
     with pytest.raises(Exception, match="advises two of them"):
         mark(database, stage["Ants"], by=JUDGE)
+
+
+def test_marks_from_before_a_merge_with_a_team_of_a_conflict_are_shown_as_set_aside(
+    database: Database, stage: dict[str, Submission]
+) -> None:
+    mark(database, stage["Ants"], by=JUDGE)
+    mark(database, stage["Ants"], "Prof. X")
+    with database.transaction() as session:
+        declare_conflict(session, JUDGE, "Bees", "advises them")
+        merging.merge(session, CONSOLE, teams.find(session, "Bees"), teams.find(session, "Ants"))
+    merged = shown(database)["Ants"]
+    assert (merged.judges, merged.conflicts, merged.set_aside) == (("Prof. X",), ("Dr. Y",), ("Dr. Y",))
 
 
 def test_a_judge_is_one_however_the_marks_come_in(database: Database, stage: dict[str, Submission]) -> None:

@@ -11,6 +11,7 @@ from vitac.server.views.contest.competition import (
     StageView,
     WinnerView,
 )
+from vitac.server.views.contest.people import AnnouncementView
 
 OPENS, CLOSES = datetime(2031, 1, 1, tzinfo=UTC), datetime(2031, 2, 1, 12, tzinfo=UTC)
 
@@ -79,3 +80,18 @@ def test_a_frozen_competition_says_so(data: FixedData, browser: AsgiBrowser) -> 
 
 def test_without_a_competition_there_is_no_page(browser: AsgiBrowser) -> None:
     assert browser.get("/competition").status_code == 404
+
+
+def test_the_newest_announcements_and_hidden_names_are_told(data: FixedData, browser: AsgiBrowser) -> None:
+    plain = shown(data, browser)
+    assert "All announcements" not in plain
+    assert "under random names" not in plain
+    data.said = [
+        AnnouncementView(id=number, title=f"News <{number}>", text="All\nis well.", published_at=OPENS)
+        for number in (4, 3, 2, 1)
+    ]
+    html = shown(data, browser, anonymous=True)
+    for text in ("News &lt;4&gt;", "News &lt;2&gt;", "All\nis well.", 'href="/announcements"', "under random names"):
+        assert text in html, text
+    assert "News &lt;1&gt;" not in html, "the others are on the page of announcements"
+    assert "under random names" not in shown(data, browser, anonymous=True, finalized_at=CLOSES)

@@ -78,7 +78,7 @@ def test_an_organizer_starts_looks_at_and_applies_a_rejudgement(service: CliServ
     play_proposed(service)
     assert all(rank is None for rank, _ in board(service)), "nothing has changed yet"
     shown = organizer.get("/rejudging").text
-    for what in ("&lt;the&gt; new evaluator", "&lt;Bees&gt;", "30.0 %", "50.0 %", "rank 1", "2 of 2 would change"):
+    for what in ("&lt;the&gt; new evaluator", "&lt;Bees&gt;", "30.0", "50.0", "rank 1", "2 of 2 would change"):
         assert what in shown, what
     number = field(shown, "id")
     stale = organizer.send("/rejudging", "/rejudging/apply", id=number, shown=before)
