@@ -1,5 +1,6 @@
 """Teams, their members, limits and tokens, and the audit log."""
 
+import secrets
 from datetime import datetime
 from typing import Any
 from uuid import UUID, uuid4
@@ -48,9 +49,7 @@ class Team(Base):
     refused_for: Mapped[str | None]
     named_at: Mapped[datetime] = mapped_column(server_default=func.now())
     erased_at: Mapped[datetime | None]
-    pseudonym: Mapped[str] = mapped_column(
-        String(64), server_default=text("'Team ' || upper(substr(md5(gen_random_uuid()::text), 1, 10))")
-    )
+    pseudonym: Mapped[str] = mapped_column(String(64), default=lambda: f"Team {secrets.token_hex(5).upper()}")
 
 
 class Member(Base):

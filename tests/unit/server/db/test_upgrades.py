@@ -110,6 +110,7 @@ def copy_rows(source: str, target: str) -> None:
         assert tables == old.execute(TABLES).fetchall()
         born.execute("SET session_replication_role = replica")  # no foreign keys and triggers meanwhile
         for table, columns in tables:
+            born.execute(sql.SQL("DELETE FROM {}").format(sql.Identifier(table)))  # a migration may have written some
             names = sql.SQL(", ").join(map(sql.Identifier, columns))
             rows = sql.SQL("COPY {} ({}) {}").format(sql.Identifier(table), names, sql.SQL("TO STDOUT"))
             place = sql.SQL("COPY {} ({}) {}").format(sql.Identifier(table), names, sql.SQL("FROM STDIN"))
