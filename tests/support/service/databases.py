@@ -41,6 +41,7 @@ def state_directory() -> Path:
     """A new folder that the database's user can reach also when the tests run as root; pytest's own let nobody in."""
     folder = Path(tempfile.mkdtemp(prefix="vitac-test-", dir=place_of_folders()))
     folder.chmod(0o711 if os.geteuid() == 0 else 0o700)
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)  # memory is not for what tests leave behind
     return folder
 
 
@@ -50,12 +51,7 @@ def shared_cluster() -> EmbeddedPostgres:
     folder = state_directory()
     postgres = EmbeddedPostgres(folder, options=FAST)
     postgres.start()
-
-    def end() -> None:
-        postgres.stop()
-        shutil.rmtree(folder, ignore_errors=True)
-
-    atexit.register(end)
+    atexit.register(postgres.stop)  # before its folder is removed: what was registered last comes first
     with psycopg.connect(postgres.cluster.dsn("postgres"), autocommit=True) as connection:
         connection.execute(f"CREATE DATABASE {TEMPLATE}")
         if connection.info.server_version >= 160_000:
