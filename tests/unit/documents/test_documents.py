@@ -35,6 +35,17 @@ def test_links_lead_somewhere(repository: Path) -> None:
     assert broken == []
 
 
+def test_documents_of_the_site_link_to_no_document_outside_it(repository: Path) -> None:
+    """The site is built of `docs` alone and treats such a link as broken."""
+    site = (repository / "docs").resolve()
+    outside = []
+    for document in site.rglob("*.md"):
+        for target in re.findall(r"\]\(([^)#\s]+\.(?:md|ipynb))[^)]*\)", document.read_text()):
+            if "://" not in target and not (document.parent / target).resolve().is_relative_to(site):
+                outside.append(f"{document.relative_to(site)}: {target}")
+    assert outside == []
+
+
 def test_commands_shown_exist(repository: Path) -> None:
     known = {noun.name for noun in NOUNS}
     unknown = []
