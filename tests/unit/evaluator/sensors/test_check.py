@@ -183,3 +183,17 @@ def test_tips_have_nodes_enough_in_our_meshes_and_are_warned_of_in_others(gel: s
     assert tips.ok
     assert tips.is_warning is (gel in ("ridge", "pyramids"))
     assert tips.value.startswith("4 with 1 nodes" if gel == "pyramids" else "1 with ")
+
+
+def test_limits_of_a_mesh_hold_exactly(ridge: Tetrahedra, tmp_path: Path) -> None:
+    folder, limits = write_sensor(tmp_path, drawn_gels.ridge(), mesh=msh(ridge)), sensor_limits()
+    nodes, quality = len(ridge.nodes_mm), float(ridge.qualities.min())
+    for kept in ({"min_nodes": nodes}, {"max_nodes": nodes}, {"min_quality": quality - 1e-6}):
+        assert Rule.NODES not in broken(check_sensor(folder, limits.model_copy(update=kept)))
+        assert Rule.QUALITY not in broken(check_sensor(folder, limits.model_copy(update=kept)))
+    for name, value, rule in (
+        ("min_nodes", nodes + 1, Rule.NODES),
+        ("max_nodes", nodes - 1, Rule.NODES),
+        ("min_quality", quality + 1e-6, Rule.QUALITY),
+    ):
+        assert broken(check_sensor(folder, limits.model_copy(update={name: value}))) == [rule]

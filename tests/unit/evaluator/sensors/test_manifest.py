@@ -31,6 +31,11 @@ def test_single_markers_are_taken_as_they_are(tmp_path: Path) -> None:
     np.testing.assert_array_equal(drawn, [[0, 1], [2.5, -3]])
 
 
+def test_as_many_markers_as_a_picture_holds_are_taken(tmp_path: Path) -> None:
+    assert len(read(f"markers: {{points_mm: {[[0, 0]] * 128}}}", tmp_path).markers.drawn_mm()) == 128
+    assert len(read("markers: {grid: {columns: 16, rows: 8}}", tmp_path).markers.drawn_mm()) == 128
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [

@@ -190,3 +190,31 @@ def test_more_near_pairs_than_can_be_compared_are_refused(tmp_path: Path, monkey
     check = checked(drawn_gels.dome(), tmp_path)
     assert broken(check) == [Rule.TRIANGLES]
     assert "pairs of near triangles" in check.findings[-1].value
+
+
+# Just inside and just outside of each limit; STL files keep 24 bits of a number.
+BORDERS: dict[Rule, tuple[Callable[[float], DrawnSurface], float, float]] = {
+    Rule.BASE_LENGTH: (lambda by: drawn_gels.stretched(drawn_gels.flat(), (1 + by / 25.25, 1, 1)), 0.0199, 0.0202),
+    Rule.BASE_WIDTH: (lambda by: drawn_gels.stretched(drawn_gels.flat(), (1, 1 - by / 20.75, 1)), 0.0199, 0.0202),
+    Rule.BEYOND_BASE: (drawn_gels.leaning, 0.019, 0.021),
+    Rule.UNIT: (lambda length: drawn_gels.moved(drawn_gels.flat(), scale=length / 25.25), 39.9, 40.1),
+}
+
+
+@pytest.mark.parametrize("rule", BORDERS)
+def test_value_beside_a_limit_is_accepted_and_one_past_it_refused(rule: Rule, tmp_path: Path) -> None:
+    draw, inside, outside = BORDERS[rule]
+    assert rule not in broken(checked(draw(inside), tmp_path))
+    assert broken(checked(draw(outside), tmp_path))[0] is rule
+
+
+@pytest.mark.parametrize(("thickness_mm", "fits"), [(1.999, False), (2.0, True), (8.0, True), (8.001, False)])
+def test_thickness_is_from_two_to_eight_millimetres(thickness_mm: float, fits: bool, tmp_path: Path) -> None:
+    assert broken(checked(drawn_gels.flat(thickness_mm), tmp_path)) == ([] if fits else [Rule.THICKNESS])
+
+
+def test_number_of_triangles_is_limited_exactly(tmp_path: Path) -> None:
+    record = drawn_gels.stl_bytes(drawn_gels.flat())[84:134]
+    for count, rule in ((LIMITS.max_triangles, None), (LIMITS.max_triangles + 1, Rule.TRIANGLES)):
+        found = checked(b"\0" * 80 + count.to_bytes(4, "little") + record * count, tmp_path)
+        assert (Rule.TRIANGLES in broken(found)) is (rule is not None)
