@@ -1,7 +1,8 @@
 """One evaluation and what is said about it, through the eyes of each role."""
 
 from collections.abc import Iterator
-from datetime import timedelta
+from datetime import datetime, timedelta
+from zoneinfo import ZoneInfo
 
 import pytest
 from browser_checks import DESK, Complaints, violations
@@ -12,16 +13,17 @@ from vitac.server.accounts import members, teams, tokens
 from vitac.server.accounts.principals import CONSOLE, Principal
 from vitac.server.db.states import Role
 from vitac.server.people import announcements, appeals, questions
+from vitac.server.results import rejudging
 
 from competitions import make_competition, open_now, put_in_place
 
 WEEK = timedelta(days=7)
 PAGES = {
-    "visitor": ("/announcements", "/join", "/sign-in"),
+    "visitor": ("/announcements", "/competition", "/join", "/sign-in"),
     "other": ("/appeals",),
     "judge": ("/appeals", "/judging", "SUBMISSION"),
     "participant": ("/team", "/announcements", "/appeals", "SUBMISSION"),
-    "organizer": ("/desk", "/appeals", "/judging", "SUBMISSION"),
+    "organizer": ("/desk", "/appeals", "/judging", "/rejudging", "SUBMISSION"),
 }
 """What each role looks at."""
 SEES = {
@@ -30,6 +32,8 @@ SEES = {
     "/desk": "May we ask?",
     "/team": "Ann",
     "/judging": "The structure",
+    "/competition": "All is well.",
+    "/rejudging": "The worker was wrong.",
 }
 """Words that the page shows to whom it concerns."""
 
@@ -61,6 +65,7 @@ def secrets(service: CliService) -> dict[str, str]:
     play_all(service.database, submission)
     with service.database.transaction() as session:
         appeals.open_appeal(session, team, submission.id, "The peg was in the hole.")
+        rejudging.start(session, CONSOLE, track="track_1", reason="The worker was wrong.")
         return {
             "submission": str(submission.id),
             "participant": make_secret(session, team),
@@ -88,6 +93,22 @@ def test_each_role_sees_its_pages_without_a_barrier(
             expect(page.get_by_text(SEES[path]).first).to_be_attached()
         elif path in SEES:
             assert SEES[path] not in page.content(), "what another team says is not shown"
+    assert complaints.heard == []
+
+
+def test_a_schedule_is_shown_in_the_readers_own_time(page: Page, service: CliService, secrets: dict[str, str]) -> None:
+    complaints = Complaints(page)
+    page.context.new_cdp_session(page).send("Emulation.setTimezoneOverride", {"timezoneId": "Asia/Tokyo"})
+    page.goto(f"{service.address}/competition")
+    schedule = page.locator(".schedule time")
+    own = page.locator(".schedule time + .sub")
+    assert own.count() == schedule.count() > 0
+    moment = schedule.first.get_attribute("datetime")
+    assert moment is not None
+    there = datetime.fromisoformat(moment).astimezone(ZoneInfo("Asia/Tokyo"))
+    expect(own.first).to_contain_text("GMT+9")
+    expect(own.first).to_contain_text(str(there.day))
+    expect(own.first).to_contain_text(f":{there:%M}")
     assert complaints.heard == []
 
 
