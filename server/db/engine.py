@@ -54,6 +54,13 @@ class Database:
         with self._sessions.begin() as session:
             yield session
 
+    @contextmanager
+    def snapshot(self) -> Iterator[Session]:
+        """Return the same, but all statements see the database as it was at the first one."""
+        with self.transaction() as session:
+            session.connection(execution_options={"isolation_level": "REPEATABLE READ"})
+            yield session
+
     def retrying(self, work: Callable[[Session], ResultT], *, give_up_after_s: float) -> ResultT:
         """Run a transaction again while the database is unavailable (restart, kill, full disk); for repeatable work.
 

@@ -62,7 +62,8 @@ def check_teams(described: ExportDescription, receipts: Mapping[UUID, Receipt]) 
 def check_entries(described: ExportDescription, receipts: Mapping[UUID, Receipt]) -> Iterator[tuple[bool, str]]:
     """Yield whether it is wrong, and what, for each result that is missing on the board.
 
-    Of a submission that was evaluated again only the newest receipt is compared: a rejudgement takes the others away.
+    All results of a submission that was evaluated again are compared, as its board holds them all; only a rejudgement
+    takes some away, and the export says which.
     """
     teams, board = teams_by_evaluation(described), described.board
     entries = {entry.team: entry for entry in board.entries}
@@ -70,20 +71,24 @@ def check_entries(described: ExportDescription, receipts: Mapping[UUID, Receipt]
         team = teams.get(entry.evaluation_id)
         if team is not None and team.name != entry.team:
             yield True, f"{entry.team}: the export gives its result to {team.name}."
-    for receipt in _newest(receipts):
+    for receipt in receipts.values():
         team, ranked_by = teams.get(receipt.result.evaluation), reached(board.task, receipt.result)
         if team is None or ranked_by is None or receipt.result.evaluator_version != board.evaluator_version:
             continue
-        shown = entries.get(team.name)
+        shown, told = entries.get(team.name), f"{team.name}: receipt {receipt.link.number}"
         if team.off_boards:
-            yield (
-                False,
-                f"{team.name}: receipt {receipt.link.number}; the service leaves the team out: {team.off_boards}.",
-            )
-        elif shown is None:
-            yield True, f"{team.name}: receipt {receipt.link.number} is of this board, but the team is not on it."
+            yield False, f"{told}; the service leaves the team out: {team.off_boards}."
+            continue
+        if shown is None:
+            missing = f"{told} is of this board, but the team is not on it"
         elif shown.rank is not None and _place_of_result(described, receipt.result) < place(described.ranking, shown):
-            yield True, f"{team.name}: receipt {receipt.link.number} is better than its entry on the board."
+            missing = f"{told} is better than its entry on the board"
+        else:
+            continue
+        if receipt.result.evaluation in described.set_aside:
+            yield False, f"{missing}; the service says that a rejudgement took it away."
+        else:
+            yield True, f"{missing}."
 
 
 def reached(task: str | None, result: Result) -> TaskResult | CombinedResult | None:
@@ -101,12 +106,6 @@ def place(ranking: Sequence[str], entry: LeaderboardEntryView) -> tuple[float, .
 def teams_by_evaluation(described: ExportDescription) -> Mapping[UUID, ExportedTeam]:
     """Return the team of each result."""
     return {evaluation: team for team in described.teams for evaluation in team.evaluations}
-
-
-def _newest(receipts: Mapping[UUID, Receipt]) -> Iterator[Receipt]:
-    """Yield the last receipt of each submission."""
-    in_order = sorted(receipts.values(), key=lambda receipt: receipt.link.number)
-    yield from {receipt.result.submission: receipt for receipt in in_order}.values()
 
 
 def _place_of_result(described: ExportDescription, result: Result) -> tuple[float, ...]:

@@ -66,6 +66,8 @@ class ExportDescription(StrictModel):
     """Digest of the last one."""
     teams: tuple[ExportedTeam, ...] = ()
     """With results of the stage."""
+    set_aside: tuple[UUID, ...] = ()
+    """Evaluations whose results a rejudgement took off the boards, as the service says."""
 
 
 def log_name(evaluation: UUID, task: str) -> str:

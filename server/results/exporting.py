@@ -29,6 +29,7 @@ from vitac.server.receipts.export import (
 
 from .exported_teams import teams_of
 from .publishing import ResultsNotWritten
+from .rejudging import set_aside
 
 
 def export_receipts(
@@ -40,7 +41,7 @@ def export_receipts(
     of a sealed list are left out until its secret is published.
 
     Args:
-        session: of the transaction.
+        session: of a transaction that sees one moment (`Database.snapshot`): results may end meanwhile.
         path: of the new file.
         track: whose board.
         task: as for `leaderboard`.
@@ -55,6 +56,7 @@ def export_receipts(
     sealed = list_of_stage(session, track, board.stage) if board.stage else None
     state = chain_state(session)
     receipts = receipts_of_board(session, track, board.stage or "", SubmissionKind.MODEL)
+    results = [receipt.result.evaluation for receipt in receipts]
     description = ExportDescription(
         made_at=datetime.now(UTC),
         public_key=state.public_key,
@@ -63,7 +65,8 @@ def export_receipts(
         board=board,
         receipts=state.receipts,
         last=state.last,
-        teams=teams_of(session, [receipt.result.evaluation for receipt in receipts]),
+        teams=teams_of(session, results),
+        set_aside=set_aside(session, results),
     )
     evaluations = [entry.evaluation_id for entry in board.entries]
     try:

@@ -17,6 +17,7 @@ from ..accounts.audit import record
 from ..accounts.principals import Principal
 from ..competition.definition import DEFAULT_RANKING, RankingKey
 from ..competition.schedule import shown_stage, track_rules
+from ..db.among import among
 from ..db.models import BoardResult, Competition, Evaluation, Rejudgement, Submission, Team
 from ..db.row_locks import lock_evaluation
 from ..db.states import ACTIVE_EVALUATION_STATES, TERMINAL_EVALUATION_STATES, EvaluationState, NoticeKind
@@ -135,6 +136,19 @@ def find(session: Session, rejudgement_id: UUID) -> Rejudgement:
 def rejudgements(session: Session) -> Sequence[Rejudgement]:
     """Return all rejudgements, newest first."""
     return session.scalars(select(Rejudgement).order_by(Rejudgement.started_at.desc(), Rejudgement.id)).all()
+
+
+def set_aside(session: Session, evaluations: Collection[UUID]) -> tuple[UUID, ...]:
+    """Return those of some evaluations that an applied rejudgement has taken off the boards, by id."""
+    newer = aliased(Evaluation)
+    is_replaced = exists().where(
+        newer.submission_id == Evaluation.submission_id,
+        newer.rejudgement_id.is_not(None),
+        ~newer.is_proposed,
+        newer.created_at > Evaluation.created_at,
+    )
+    rows = session.scalars(select(Evaluation.id).where(among(Evaluation.id, evaluations), is_replaced))
+    return tuple(sorted(rows))
 
 
 def comparison(session: Session, rejudgement: Rejudgement) -> list[RejudgedSubmission]:

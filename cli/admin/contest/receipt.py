@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from ...service.database import transaction
+from ...service.database import snapshot, transaction
 from ...terminal.output import AsJson, print_record
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
@@ -33,7 +33,7 @@ def export(
     """Write a board with its receipts and records for `vitac receipt audit`; of a sealed list without records."""
     from vitac.server.results.exporting import export_receipts
 
-    with transaction() as session:
+    with snapshot() as session:
         made = export_receipts(session, file, track, task=task, stage=stage)
     content = {"file": str(file), "entries": len(made.board.entries), "public_key": made.public_key}
     print_record(content, as_json=as_json)

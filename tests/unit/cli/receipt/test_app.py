@@ -1,13 +1,19 @@
 import json
+from collections.abc import Collection
 from pathlib import Path
+from uuid import UUID
 
 import pytest
 from cli_service import CliService
-from service_factories import LOCK, TASK, TRACK, play_all, submit
+from service_factories import LOCK, TASK, TRACK, make_principal, play_all, submit
+from sqlalchemy.orm import Session
 from typer.testing import Result
 from vitac.server.accounts import teams
 from vitac.server.accounts.principals import Principal
 from vitac.server.db.states import Role
+from vitac.server.receipts.export import ExportedTeam
+from vitac.server.results import exporting
+from vitac.server.results.exported_teams import teams_of
 
 
 @pytest.fixture
@@ -55,11 +61,24 @@ def test_a_submission_without_a_result_has_no_receipt(service: CliService) -> No
     assert "has no final result" in refusal(service.run("receipt", "verify", str(waits.id)))
 
 
-def test_boards_are_exported_and_audited(played: tuple[CliService, str], tmp_path: Path) -> None:
+def test_boards_are_exported_and_audited(
+    played: tuple[CliService, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also where a result gets its receipt while a file is written: that one is not in it."""
     service, _ = played
     files = {task: str(tmp_path / f"{task}.zip") for task in (TASK, LOCK)}
-    for task, file in files.items():
-        assert service.run("admin", "receipt", "export", TRACK, file, "--task", task).exit_code == 0
+    assert service.run("admin", "receipt", "export", TRACK, files[TASK], "--task", TASK).exit_code == 0
+
+    def with_a_late_result(session: Session, evaluations: Collection[UUID]) -> tuple[ExportedTeam, ...]:
+        with service.database.transaction() as other:
+            late = submit(other, make_principal(other, "Bees"), tasks=(LOCK,))
+        play_all(service.database, late)
+        return teams_of(session, evaluations)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(exporting, "teams_of", with_a_late_result)
+        assert service.run("admin", "receipt", "export", TRACK, files[LOCK], "--task", LOCK).exit_code == 0
+    assert json.loads(service.run("admin", "receipt", "key", "--json").stdout)["receipts"] == 2
     key = json.loads(service.run("admin", "receipt", "key", "--json").stdout)["public_key"]
     empty = service.run("receipt", "audit", files[LOCK], "--key", key)
     assert empty.exit_code == 0, empty.stdout

@@ -37,6 +37,18 @@ def test_work_of_a_lost_transaction_is_not_half_done(database: Database) -> None
         assert session.scalar(text("SELECT count(*) FROM audit_log")) == 1
 
 
+def test_a_snapshot_does_not_see_what_others_write_meanwhile(database: Database) -> None:
+    count = text("SELECT count(*) FROM audit_log")
+    with database.snapshot() as session:
+        assert session.scalar(count) == 0
+        with database.transaction() as other:
+            other.execute(text("INSERT INTO audit_log (actor, action, subject, after) VALUES ('a', 'b', 'c', '{}')"))
+        assert session.scalar(count) == 0
+    with database.transaction() as session:
+        assert session.scalar(count) == 1
+        assert session.scalar(text("SHOW transaction_isolation")) == "read committed", "the next one is as before"
+
+
 def test_work_is_repeated_while_the_disk_of_the_database_is_full(database: Database) -> None:
     tries: list[int] = []
 

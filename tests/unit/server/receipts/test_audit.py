@@ -21,7 +21,7 @@ from service_factories import (
     shard_ids,
     submit,
 )
-from sqlalchemy import Executable, text, update
+from sqlalchemy import Executable, func, select, text, update
 from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
 from vitac.evaluator.episodes.episode import make_environment
@@ -34,7 +34,8 @@ from vitac.evaluator.version import evaluator_hash, platform_class
 from vitac.server.accounts import merging, teams
 from vitac.server.accounts.principals import CONSOLE
 from vitac.server.db.engine import Database
-from vitac.server.db.models import EpisodeResult, ReceiptKey, ReceiptRow
+from vitac.server.db.models import EpisodeResult, Evaluation, ReceiptKey, ReceiptRow, Submission, Team
+from vitac.server.db.states import EvaluationState
 from vitac.server.evaluations import lifecycle
 from vitac.server.evaluations.episode_store import row_values
 from vitac.server.kept import Kept
@@ -46,12 +47,13 @@ from vitac.server.receipts import chain
 from vitac.server.receipts.audit import Audit, audit
 from vitac.server.receipts.export import CHAIN_NAME, DESCRIPTION_NAME, ExportRejected, read_receipt
 from vitac.server.receipts.receipt import sign
+from vitac.server.results import rejudging
 from vitac.server.results.exporting import export_receipts
 from vitac.server.results.publishing import ResultsNotWritten
 
 SEED = 1
 EPISODES = 270
-ADDED = {"kind", "receipts", "last", "teams"}
+ADDED = {"kind", "receipts", "last", "teams", "set_aside"}
 """What the second format of exports says."""
 TEAMS = ("Ants", "Bees", "Cats")
 
@@ -273,6 +275,21 @@ def test_what_organizers_did_with_teams_is_told_and_is_no_finding(database: Data
     assert found.unchecked == [
         "Ants: receipt 2 was issued to 'Bees'; the service says that this team was renamed or merged."
     ]
+
+
+def test_a_policy_that_failed_in_a_rejudgement_is_told_and_is_no_finding(database: Database, tmp_path: Path) -> None:
+    def rejudged(session: Session) -> None:
+        chosen = session.scalars(select(Submission.id).join(Team).where(Team.name == "Ants")).all()
+        made = rejudging.start(session, CONSOLE, track=TRACK, submissions=chosen, reason="in doubt")
+        failed = {"state": EvaluationState.FAILED, "verdict_code": "crashed", "finished_at": func.now()}
+        session.execute(update(Evaluation).where(Evaluation.rejudgement_id == made.id).values(failed))
+        rejudging.apply(session, CONSOLE, made.id)
+
+    found = audited(database, tmp_path, rejudged)
+    assert found.findings == []
+    assert found.entries == len(TEAMS) - 1
+    why = "the service says that a rejudgement took it away."
+    assert found.unchecked == [f"Ants: receipt 1 is of this board, but the team is not on it; {why}"]
 
 
 def test_receipts_and_exports_of_the_first_format_are_still_right(database: Database, tmp_path: Path) -> None:

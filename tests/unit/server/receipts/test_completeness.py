@@ -108,20 +108,30 @@ def by_evaluation(receipts: list[Receipt]) -> dict[UUID, Receipt]:
         ({"successes": 99}, False),
         ({"steps": None}, False),
         ({"successes": 200, "evaluator_version": "0.9+0"}, False),
-        ({"successes": 200, "submission": a_result(1).submission}, False),
+        ({"successes": 200, "submission": a_result(2).submission}, True),
     ],
 )
 def test_a_result_that_is_better_than_its_teams_entry_is_found(changes: dict[str, Any], is_found: bool) -> None:
-    """Not one of another evaluator version, and not one that the submission's newer result has replaced."""
+    """Also of a submission that was evaluated again, but not one of another evaluator version."""
     shown = a_named_result(2)
     receipts = chained(a_named_result(1, **changes), shown)
-    if changes.get("submission"):
-        shown = shown.model_copy(update={"submission": changes["submission"]})
-        receipts = chained(receipts[0].result, shown)
     described = exported(receipts, an_entry(shown))
     found = list(check_entries(described, by_evaluation(receipts)))
     expected = (True, "Ants: receipt 1 is better than its entry on the board.")
     assert found == ([expected] if is_found else [])
+
+
+def test_what_the_service_says_a_rejudgement_took_away_is_told_and_is_no_finding() -> None:
+    results = [a_named_result(1, successes=200), a_named_result(2), a_named_result(3, team="Bees")]
+    receipts, teams = chained(*results), {"Ants": [1, 2], "Bees": [3]}
+    described = exported(receipts, an_entry(results[1]), teams=teams, set_aside=(UUID(int=1), UUID(int=3)))
+    why = "; the service says that a rejudgement took it away."
+    assert list(check_entries(described, by_evaluation(receipts))) == [
+        (False, f"Ants: receipt 1 is better than its entry on the board{why}"),
+        (False, f"Bees: receipt 3 is of this board, but the team is not on it{why}"),
+    ]
+    untold = exported(receipts, an_entry(results[1]), teams=teams, set_aside=(UUID(int=2),))
+    assert [is_wrong for is_wrong, _ in check_entries(untold, by_evaluation(receipts))] == [True, True]
 
 
 def test_a_result_of_another_task_is_not_missed() -> None:
