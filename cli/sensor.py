@@ -178,7 +178,7 @@ def evaluate(
 def _kept_folder() -> Path:
     from vitac.envs.kernel_cache.folders import cache_root
 
-    return cache_root() / "sensors"
+    return cache_root() / "finished-shards-v1"
 
 
 def _evaluate_policy(sensor: Path, policy: Path, episodes: str | None, workers: int | None, json: Path | None) -> None:

@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import re
 import tempfile
 import time
 from collections.abc import Sequence
@@ -20,6 +21,10 @@ from ..version import evaluator_version, platform_class
 _UNUSED_S = 30 * 86400.0
 # What a result depends on is in the name of what is played; these say only where it lies and which process plays it.
 _NO_CONTENT = frozenset({"submission", "sensor", "slot"})
+# Begins the name of a file that is being written.
+_UNFINISHED = "unfinished-shard-"
+# Names that are given here; whatever else lies in the folder is not ours to remove.
+_OWN_NAME = re.compile(rf"[0-9a-f]{{64}}\.json|{_UNFINISHED}\w+")
 
 
 class FinishedShard(StrictModel):
@@ -27,6 +32,11 @@ class FinishedShard(StrictModel):
 
     records: tuple[EpisodeRecord, ...]
     result: ShardResult
+
+    def answers(self, order: ShardOrder) -> bool:
+        """Return whether it is the shard of an order that names its episodes."""
+        played = {(record.task, record.episode) for record in self.records}
+        return self.result.index == order.shard and played == {(order.task, it) for it in order.episodes or ()}
 
 
 class KeptShards:
@@ -44,20 +54,20 @@ class KeptShards:
             _remove_unused(folder)
 
     def load(self, order: ShardOrder) -> FinishedShard | None:
-        """Return a finished shard; None where it was not kept, or its file is damaged."""
+        """Return a finished shard; None where it was not kept, or its file is damaged or of another shard."""
         path = self._path(order)
         try:
             finished = FinishedShard.model_validate_json(path.read_bytes())
             os.utime(path)
         except (OSError, ValidationError):
             return None
-        return finished
+        return finished if finished.answers(order) else None
 
     def store(self, order: ShardOrder, records: Sequence[EpisodeRecord], result: ShardResult) -> None:
         """Keep a shard whose episodes all have a record; without space for it nothing is kept."""
         content = FinishedShard(records=tuple(records), result=result).model_dump_json().encode()
         with suppress(OSError):
-            handle, name = tempfile.mkstemp(dir=self._folder)
+            handle, name = tempfile.mkstemp(dir=self._folder, prefix=_UNFINISHED)
             try:
                 with os.fdopen(handle, "wb") as stream:
                     stream.write(content)
@@ -74,6 +84,8 @@ class KeptShards:
 
 def _remove_unused(folder: Path) -> None:
     for path in folder.iterdir():
-        with suppress(FileNotFoundError):  # another process has removed it
-            if path.is_file() and time.time() - path.stat().st_mtime > _UNUSED_S:
+        if not _OWN_NAME.fullmatch(path.name):
+            continue
+        with suppress(OSError):  # another process has removed it, or it is a folder or not ours
+            if time.time() - path.lstat().st_mtime > _UNUSED_S:
                 path.unlink()

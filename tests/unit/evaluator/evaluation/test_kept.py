@@ -11,6 +11,7 @@ from vitac.evaluator.episodes.records import EpisodeRecord
 from vitac.evaluator.evaluation import kept as kept_module
 from vitac.evaluator.evaluation.kept import FinishedShard, KeptShards
 from vitac.evaluator.evaluation.local import Evaluation, evaluate
+from vitac.evaluator.figures.figures import FigureChoice
 from vitac.evaluator.shards import process as shard_process
 from vitac.evaluator.shards.order import ShardOrder
 from vitac.evaluator.submission_kinds import SubmissionKind
@@ -18,7 +19,9 @@ from vitac.evaluator.tracks import load_track
 
 TRACK = load_track("track_1")
 TASK = TRACK.tasks["peg-insertion"]
-ORDER = ShardOrder(kind=SubmissionKind.MODEL, submission=Path("/a"), track="track_1", task="peg-insertion", shard=0)
+ORDER = ShardOrder(
+    kind=SubmissionKind.MODEL, submission=Path("/a"), track="track_1", task="peg-insertion", shard=0, episodes=(1,)
+)
 
 
 @pytest.fixture(autouse=True)
@@ -26,9 +29,16 @@ def fake_command(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(shard_process, "COMMAND", (sys.executable, fake_shard_process.__file__))
 
 
-def play(folder: Path, behaviour: str = "succeed", episodes: tuple[int, ...] = (1, 2, 61)) -> Evaluation:
+def play(
+    folder: Path,
+    behaviour: str = "succeed",
+    episodes: tuple[int, ...] = (1, 2, 61),
+    figures: FigureChoice = FigureChoice.NONE,
+) -> Evaluation:
     kept = KeptShards(folder, of="digest of a sensor")
-    return evaluate(submission_dir=Path(behaviour), track=TRACK, task=TASK, episodes=episodes, kept=kept)
+    return evaluate(
+        submission_dir=Path(behaviour), track=TRACK, task=TASK, episodes=episodes, kept=kept, figures=figures
+    )
 
 
 def finished(folder: Path) -> FinishedShard:
@@ -106,6 +116,58 @@ def test_what_nobody_used_for_a_month_is_removed(tmp_path: Path) -> None:
     KeptShards(tmp_path, of="a")
     assert len(list(tmp_path.iterdir())) == 1
     assert kept.load(ORDER) == shard
+
+
+def test_a_run_that_measures_no_figures_is_found_whichever_were_asked_for(tmp_path: Path) -> None:
+    play(tmp_path, episodes=(1,), figures=FigureChoice.NONE)
+    for figures in FigureChoice:
+        play(tmp_path, episodes=(1,), figures=figures)
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_a_file_of_another_shard_is_played_again(tmp_path: Path) -> None:
+    shard = finished(tmp_path)
+    (record,) = shard.records
+    kept = KeptShards(tmp_path, of="a")
+    for records, index in (
+        ((), 0),
+        ((record,), 1),
+        ((record, record.model_copy(update={"episode": 2})), 0),
+        ((record.model_copy(update={"episode": 2}),), 0),
+        ((record.model_copy(update={"task": "lock-opening"}),), 0),
+    ):
+        kept.store(ORDER, records, shard.result.model_copy(update={"index": index}))
+        assert kept.load(ORDER) is None
+    kept.store(ORDER, shard.records, shard.result)
+    assert kept.load(ORDER) == shard
+    all_of_it = ORDER.model_copy(update={"episodes": None})
+    kept.store(all_of_it, shard.records, shard.result)
+    assert kept.load(all_of_it) is None, "it does not say which episodes there must be"
+
+
+def test_files_of_the_users_own_are_never_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shard = finished(tmp_path)
+    digest = "0123456789abcdef" * 4
+    own = (
+        "notes.txt",
+        "tmpab12cd34",
+        "sensor.json",
+        f"{digest}.json.bak",
+        f"my-{digest}.json",
+        f"{digest.upper()}.json",
+    )
+    for name in (*own, f"{digest}.json"):
+        (tmp_path / name).write_text("kept for years")
+    (tmp_path / f"{digest[::-1]}.json").mkdir()
+    with monkeypatch.context() as killed:  # before the file has its name
+        killed.setattr(Path, "replace", lambda *_: None)
+        KeptShards(tmp_path, of="a").store(ORDER, shard.records, shard.result)
+    assert len(list(tmp_path.iterdir())) == len(own) + 3
+    old_s = time.time() - 31 * 86400
+    for path in tmp_path.iterdir():
+        os.utime(path, (old_s, old_s))
+    KeptShards(tmp_path, of="a")
+    assert {path.name for path in tmp_path.iterdir()} == {*own, f"{digest[::-1]}.json"}
 
 
 def test_folder_that_cannot_be_written_keeps_nothing(tmp_path: Path) -> None:
