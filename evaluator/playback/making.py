@@ -11,12 +11,19 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING
 
 from vitac.envs.errors import VitacError
-from vitac.envs.maniskill.definition import is_maniskill
 
 from ..episodes.episode import make_environment
 from ..episodes.records import EpisodeRecord
 from ..tracks import Episode, Task, load_track
-from .order import CAMERAS_FILE, SCENE_FILE, STILL_FILE, PlaybackMessage, PlaybackOrder
+from .order import (
+    CAMERAS_FILE,
+    SCENE_FILE,
+    STILL_FILE,
+    NotPlayable,
+    PlaybackMessage,
+    PlaybackOrder,
+    require_playable,
+)
 
 if TYPE_CHECKING:
     import numpy as np
@@ -32,10 +39,6 @@ STILL_WIDTH_PX = 1200
 
 class StatesDiffer(VitacError):
     """A re-simulated state is not the recorded one, so what would be shown is not what was scored."""
-
-
-class NotPlayable(VitacError):
-    """The environment of a task has no gels and parts as a playback shows them."""
 
 
 def make(order: PlaybackOrder, on_step: OnStep) -> None:
@@ -76,11 +79,10 @@ def replay(
     from vitac.envs.drawing.playback import record as play
     from vitac.envs.tasks.task_env import TactileTaskEnv
 
-    env = None if is_maniskill(task.env_id) else make_environment(task, sensor=sensor)
+    require_playable(task.env_id)
+    env = make_environment(task, sensor=sensor)
     if not isinstance(env, TactileTaskEnv):
-        raise NotPlayable(
-            f"Episodes of {task.env_id} are not shown in 3D: a playback shows two gels and what they hold."
-        )
+        raise NotPlayable(task.env_id)
     remaining = iter(record.actions.to_array())
     played = 0
 

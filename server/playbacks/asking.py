@@ -12,7 +12,7 @@ from uuid import UUID
 from sqlalchemy import ColumnElement, func, select
 from sqlalchemy.orm import Session
 from vitac.evaluator.episodes.records import EpisodeRecord, canonical_json
-from vitac.evaluator.playback.order import FORMAT
+from vitac.evaluator.playback.order import FORMAT, NotPlayable, require_playable
 from vitac.evaluator.tracks import load_track
 from vitac.evaluator.version import evaluator_version
 
@@ -60,8 +60,12 @@ def ask(session: Session, settings: Settings, by: Principal, episode: EpisodeRes
     """Return the playback of an episode; one that is not there is queued, and made when no evaluation waits.
 
     Raises:
-        ServiceError: too_many_requests, with how many are possible.
+        ServiceError: too_many_requests, with how many are possible; invalid_request where no worker can make it.
     """
+    try:
+        require_playable(load_track(episode.track).tasks[episode.task].env_id)
+    except NotPlayable as error:
+        raise ServiceError(ProblemCode.INVALID_REQUEST, str(error)) from error
     asked_by = requester(by)
     wait_for_turn(session, AdvisoryLock.PLAYBACK_OF_REQUESTER, asked_by)
     # The second of two who ask at the same time waits here for the first one.

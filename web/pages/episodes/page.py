@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from starlette.exceptions import HTTPException
 from starlette.responses import JSONResponse, RedirectResponse, Response
 from vitac.envs.maniskill.definition import is_maniskill
+from vitac.evaluator.playback.order import NotPlayable
 from vitac.evaluator.tracks import load_track
 from vitac.server.db.states import OPEN_PLAYBACK_STATES, PlaybackState
 from vitac.server.errors import ServiceError
@@ -68,7 +69,7 @@ class Player:
     def text(self) -> str:
         """What is said of a playback that is not there, or not yet."""
         if is_maniskill(self.env_id):
-            return f"Episodes of {self.env_id} are not shown in 3D."
+            return str(NotPlayable(self.env_id))
         return "" if self.shown.playback is None else progress(self.shown.playback)
 
 

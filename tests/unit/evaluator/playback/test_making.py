@@ -14,8 +14,8 @@ from vitac.evaluator.episodes.episode import make_environment
 from vitac.evaluator.episodes.records import ActionSequence, EpisodeOutcome, EpisodeRecord
 from vitac.evaluator.episodes.replay import resimulate
 from vitac.evaluator.playback import making
-from vitac.evaluator.playback.making import NotPlayable, StatesDiffer, make, replay, serve, start_of
-from vitac.evaluator.playback.order import CAMERAS_FILE, SCENE_FILE, STILL_FILE, PlaybackOrder
+from vitac.evaluator.playback.making import StatesDiffer, make, replay, serve, start_of
+from vitac.evaluator.playback.order import CAMERAS_FILE, SCENE_FILE, STILL_FILE, NotPlayable, PlaybackOrder
 from vitac.evaluator.sensors.check import accepted_sensor
 from vitac.evaluator.sensors.made import made_sensor
 from vitac.evaluator.tracks import find_task

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 from asked_playbacks import SETTINGS, Played, played
-from service_factories import TASK, make_principal, make_score, submit_scored
+from service_factories import TASK, make_principal, make_score, play, shard_ids, submit_scored, submit_to
 from sqlalchemy import text, update
 from vitac.evaluator.tracks import ListKind, load_track
 from vitac.server.accounts import visibility
@@ -14,7 +14,7 @@ from vitac.server.db.models import Playback, Shard
 from vitac.server.db.states import PlaybackState, Role, ShardState
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.playbacks import asking
-from vitac.server.playbacks.asking import ask, find_episode, playback_key, playback_view, requester
+from vitac.server.playbacks.asking import ask, find_episode, find_playback, playback_key, playback_view, requester
 from vitac.server.queue.jobs import MAKE_PLAYBACK, RUN_SHARD
 from vitac.server.sharing.public_pages import set_public
 
@@ -175,6 +175,23 @@ def test_an_episode_that_is_not_there_is_not_found(team_a: Played, task: str, nu
     with team_a.database.transaction() as session, pytest.raises(ServiceError) as refused:
         find_episode(session, team_a.by, team_a.submission.id, task, number)
     assert refused.value.code is ProblemCode.NOT_FOUND
+
+
+def test_an_episode_of_maniskill_is_refused_and_nothing_is_queued(database: Database) -> None:
+    with database.transaction() as session:
+        by = make_principal(session)
+        submission = submit_to(session, by, track="maniskill", task="pick-cube")
+        first = shard_ids(session, submission)[0]
+    play(database, first)
+    for asking_one in (by, CONSOLE):
+        with database.transaction() as session:
+            episode = find_episode(session, asking_one, submission.id, "pick-cube", 1)
+            with pytest.raises(ServiceError, match=r"ManiSkill/PickCube-v1 are not shown in 3D: a play") as refused:
+                ask(session, SETTINGS, asking_one, episode)
+            assert refused.value.code is ProblemCode.INVALID_REQUEST
+    with database.transaction() as session:
+        assert find_playback(session, episode) is None
+    assert MAKE_PLAYBACK not in {task for task, _ in jobs(database)}
 
 
 def test_another_teams_episode_is_not_found(team_a: Played) -> None:

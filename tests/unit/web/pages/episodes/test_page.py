@@ -3,6 +3,7 @@ from asgi_browser import AsgiBrowser
 from page_fixtures import TASK, FixedData, an_id
 from played_episodes import KEY, a_playback, a_shown_episode
 from visits import COMPLETED, QUEUED, form_token, sign_in
+from vitac.evaluator.playback.order import NotPlayable
 from vitac.server.db.states import PlaybackState
 from vitac.web.data.protocol import EpisodeAddress
 from vitac.web.pages.episodes import page
@@ -58,7 +59,7 @@ def test_an_episode_of_maniskill_says_that_it_is_not_shown_in_3d_and_offers_noth
     data: FixedData, visitor: AsgiBrowser
 ) -> None:
     html = visitor.get(data.show(COMPLETED.id, a_shown_episode(None, task="pick-cube"))).text
-    assert "Episodes of ManiSkill/PickCube-v1 are not shown in 3D." in html
+    assert str(NotPlayable("ManiSkill/PickCube-v1")) in html
     assert 'data-state="none"' in html
     assert "The task was solved." in html
     for absent in ("Make the playback", "<progress", "<canvas", "note bad"):
