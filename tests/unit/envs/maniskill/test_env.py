@@ -1,8 +1,11 @@
 """The adapter on a stand-in for ManiSkill, and on the real one where the extra is installed."""
 
+import gc
 import json
 import subprocess
 import sys
+import weakref
+from collections.abc import Iterator
 from types import SimpleNamespace
 from typing import Any
 
@@ -303,6 +306,46 @@ def test_pictures_without_a_driver_are_refused_with_what_to_install(monkeypatch:
         pick_cube(settings={"obs_mode": "rgb"})
     with pytest.raises(ManiSkillMissing, match=r"PushT-v1 with obs_mode state is drawn"):
         ManiSkillEnv("ManiSkill/PushT-v1", max_steps=5)
+
+
+@pytest.fixture
+def loaded_stand_ins(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Stands in for what `_made` imports; each environment is a new one of the stand-in."""
+    torch = SimpleNamespace(set_num_threads=lambda count: None, inference_mode=lambda: lambda method: method)
+    gymnasium = SimpleNamespace(make=lambda name, **settings: SimpleNamespace(unwrapped=FakePickCube()))
+    for name, module in (("torch", torch), ("gymnasium", gymnasium), ("mani_skill", None), ("mani_skill.envs", None)):
+        monkeypatch.setitem(sys.modules, name, module or SimpleNamespace())
+    monkeypatch.setattr(adapter, "missing_packages", tuple)
+    monkeypatch.setattr(adapter, "has_driver", lambda: True)
+    monkeypatch.setattr(adapter, "version", lambda package: "1")
+    for name in adapter._SAME_ON_EVERY_CPU:  # set by `_made`, and here as before again after the test
+        monkeypatch.setenv(name, "1")
+    adapter._keep_what_is_loaded.cache_clear()
+    yield
+    adapter._keep_what_is_loaded.cache_clear()
+
+
+@pytest.mark.usefixtures("loaded_stand_ins")
+def test_environments_that_others_replace_are_freed() -> None:
+    replaced = []
+    for _ in range(3):
+        env = pick_cube()
+        env.reset(options=START)
+        replaced.append(weakref.ref(env._env))
+    gc.collect()
+    assert [it() is None for it in replaced] == [True, True, False]
+
+
+@pytest.mark.usefixtures("loaded_stand_ins")
+def test_all_that_is_loaded_is_kept_from_collections_once_after_the_garbage_is_gone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    done: list[str] = []
+    for name in ("collect", "freeze"):
+        monkeypatch.setattr(gc, name, lambda name=name: done.append(name))
+    for _ in range(2):
+        pick_cube()
+    assert done == ["collect", "freeze"]
 
 
 def test_the_adapter_is_imported_without_maniskill() -> None:
