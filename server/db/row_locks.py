@@ -1,11 +1,20 @@
 """Locks on rows that several transactions change, taken in one order; called by queue, evaluations and submissions."""
 
+from collections.abc import Callable
+from typing import TypeVar
 from uuid import UUID
 
-from sqlalchemy import Select, select
+from psycopg.errors import LockNotAvailable
+from sqlalchemy import Select, select, text
+from sqlalchemy.exc import OperationalError
 from sqlalchemy.orm import Session
 
 from .models import Evaluation
+
+ResultT = TypeVar("ResultT")
+
+LOCK_WAIT = "100ms"
+"""So long work that can be done later waits for a lock: others that go on hold theirs for a few milliseconds."""
 
 
 def lock_evaluation(session: Session, evaluation_id: UUID) -> Evaluation:
@@ -19,6 +28,21 @@ def lock_evaluation(session: Session, evaluation_id: UUID) -> Evaluation:
 def try_lock_evaluation(session: Session, evaluation_id: UUID) -> Evaluation | None:
     """Return the evaluation, locked; None where somebody else holds it, without waiting for them."""
     return session.scalars(_evaluation(evaluation_id).with_for_update(key_share=True, skip_locked=True)).one_or_none()
+
+
+def unless_held(session: Session, work: Callable[[], ResultT]) -> ResultT | None:
+    """Return what `work` returns; None, with nothing of it done, where somebody else holds a row that it needs."""
+    try:
+        with session.begin_nested():
+            session.execute(text(f"SET LOCAL lock_timeout = '{LOCK_WAIT}'"))
+            result = work()
+            session.flush()
+            session.execute(text("SET LOCAL lock_timeout TO DEFAULT"))
+    except OperationalError as error:
+        if not isinstance(error.orig, LockNotAvailable):
+            raise
+        return None
+    return result
 
 
 def _evaluation(evaluation_id: UUID) -> Select[Evaluation]:

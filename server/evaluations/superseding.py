@@ -2,13 +2,14 @@
 
 from collections.abc import Sequence
 from datetime import timedelta
+from functools import partial
 from uuid import UUID
 
 import structlog
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 from vitac.evaluator.version import evaluator_version
-from vitac.server.db.row_locks import lock_evaluation
+from vitac.server.db.row_locks import try_lock_evaluation, unless_held
 from vitac.server.evaluations import lifecycle
 
 from ..db.advisory_locks import AdvisoryLock, try_lock
@@ -35,7 +36,8 @@ def supersede_outdated(session: Session, settings: Settings) -> int:
     if not workers_alive(session, settings, current).alive:
         return 0
     outdated = _outdated(session, settings, current)
-    return sum(_begin_again(session, evaluation_id, current) for evaluation_id in outdated)
+    begun = [unless_held(session, partial(_begin_again, session, evaluation_id, current)) for evaluation_id in outdated]
+    return begun.count(True)
 
 
 def _outdated(session: Session, settings: Settings, current: str) -> Sequence[UUID]:
@@ -54,8 +56,8 @@ def _outdated(session: Session, settings: Settings, current: str) -> Sequence[UU
 
 
 def _begin_again(session: Session, evaluation_id: UUID, current: str) -> bool:
-    evaluation = lock_evaluation(session, evaluation_id)
-    if evaluation.state not in ACTIVE_EVALUATION_STATES:
+    evaluation = try_lock_evaluation(session, evaluation_id)
+    if evaluation is None or evaluation.state not in ACTIVE_EVALUATION_STATES:
         return False
     lifecycle.cancel(session, evaluation)
     session.flush()

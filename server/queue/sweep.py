@@ -8,6 +8,7 @@ transaction holds its locks: the sweep passes over what it holds, and loses its 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import timedelta
+from functools import partial
 
 import structlog
 from sqlalchemy import ColumnElement, Interval, Select, cast, func, select, text
@@ -15,7 +16,7 @@ from sqlalchemy.orm import Session
 
 from ..db.advisory_locks import AdvisoryLock, try_lock
 from ..db.models import Evaluation, Shard, Submission
-from ..db.row_locks import try_lock_evaluation
+from ..db.row_locks import try_lock_evaluation, unless_held
 from ..db.states import ShardState
 from ..settings import Settings
 from ..tracks import family_of
@@ -52,7 +53,7 @@ def sweep(session: Session, settings: Settings, *, give_up: GiveUp) -> Sweep:
         return Sweep()
     session.execute(text(f"SET LOCAL idle_in_transaction_session_timeout = '{IDLE_LIMIT}'"))
     expired = _shards_with_expired_lease(session, settings)
-    recovered = [_recover(session, shard_id, settings, give_up) for shard_id in expired]
+    recovered = [unless_held(session, partial(_recover, session, shard_id, settings, give_up)) for shard_id in expired]
     woken = _enqueue_missing_jobs(session, settings)
     forget_jobs_of_ended_shards(session)
     return Sweep(queued_again=recovered.count(True), given_up=recovered.count(False), woken=woken)
@@ -82,8 +83,8 @@ def _recover(session: Session, shard_id: int, settings: Settings, give_up: GiveU
     if shard is None:
         return None
     if shard.attempts >= settings.shard_attempts:
-        logger.error("shard_given_up", shard=shard_id, attempts=shard.attempts)
         give_up(session, evaluation, _explain(shard))
+        logger.error("shard_given_up", shard=shard_id, attempts=shard.attempts)
         return False
     logger.warning("shard_lost", shard=shard_id, worker=str(shard.worker_id), attempts=shard.attempts)
     _queue_again(session, shard, evaluation)

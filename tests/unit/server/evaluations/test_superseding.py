@@ -7,7 +7,8 @@ from vitac.evaluator.version import evaluator_version
 from vitac.server.accounts.principals import Principal
 from vitac.server.db.advisory_locks import AdvisoryLock
 from vitac.server.db.engine import Database
-from vitac.server.db.models import Evaluation, Submission, Worker
+from vitac.server.db.models import Evaluation, Shard, Submission, Worker
+from vitac.server.db.row_locks import lock_evaluation
 from vitac.server.db.states import EvaluationState, WorkerState
 from vitac.server.evaluations import superseding
 from vitac.server.evaluations.history import newest_evaluation
@@ -86,6 +87,7 @@ def add_worker(database: Database, version: str) -> None:
 
 def supersede(database: Database) -> int:
     with database.transaction() as session:
+        session.execute(text("SET LOCAL statement_timeout = '5s'"))  # else one that waits would hang the test
         return supersede_outdated(session, SETTINGS)
 
 
@@ -162,3 +164,23 @@ def test_two_processes_at_once_do_it_once(database: Database, outdated: Submissi
         session.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": AdvisoryLock.SUPERSEDE})
         assert supersede(database) == 0
     assert supersede(database) == 1
+
+
+@pytest.mark.parametrize("held", ["evaluation", "shard"])
+def test_a_process_that_stands_still_with_a_lock_keeps_no_other_evaluation_from_being_begun_again(
+    database: Database, principal: Principal, outdated: Submission, held: str
+) -> None:
+    with database.transaction() as session:
+        other = submit(session, principal, "other")
+        session.execute(text("UPDATE evaluations SET evaluator_version = 'yesterday'"))
+    add_worker(database, evaluator_version())
+    with database.transaction() as stuck:
+        if held == "evaluation":
+            lock_evaluation(stuck, newest(database, outdated).id)
+        else:
+            stuck.get_one(Shard, shard_ids(stuck, outdated)[-1], with_for_update=True)
+        assert supersede(database) == 1
+        assert newest(database, outdated).state is EvaluationState.RUNNING
+        assert newest(database, other).evaluator_version == evaluator_version()
+    assert supersede(database) == 1
+    assert newest(database, outdated).evaluator_version == evaluator_version()

@@ -14,12 +14,12 @@ from service_factories import (
     store,
     submit,
 )
-from sqlalchemy import select, text
+from sqlalchemy import select, text, update
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.orm import Session
 from vitac.server.db.advisory_locks import AdvisoryLock
 from vitac.server.db.engine import Database
-from vitac.server.db.models import Shard, Submission
+from vitac.server.db.models import Shard, Submission, Team, Webhook
 from vitac.server.db.row_locks import lock_evaluation
 from vitac.server.db.states import EvaluationState, ShardState
 from vitac.server.evaluations.history import newest_evaluation
@@ -53,6 +53,7 @@ def ids_of(database: Database, submission: Submission) -> list[int]:
 def run_sweep(database: Database, settings: Settings = SETTINGS) -> Sweep:
     with database.transaction() as session:
         session.execute(text("SELECT pg_sleep(0.01)"))
+        session.execute(text("SET LOCAL statement_timeout = '5s'"))  # else a sweep that waits would hang the test
         return sweep(session, settings, give_up=fail_by_machines)
 
 
@@ -117,6 +118,32 @@ def test_a_process_that_stands_still_with_a_lock_keeps_no_other_shard_from_being
             assert [state_of(session, shard) for shard in (first, second)] == [ShardState.RUNNING, ShardState.QUEUED]
     assert run_sweep(database).queued_again == 1
     assert set(jobs(database)) >= {first, second}
+
+
+@pytest.mark.parametrize("held", [Shard, Team])
+def test_an_evaluation_that_cannot_be_given_up_now_keeps_no_other_shard_from_being_found(
+    database: Database, submission: Submission, held: type[Shard | Team]
+) -> None:
+    with database.transaction() as session:
+        session.add(Webhook(team_id=submission.team_id, address="https://example.org", secret="0" * 64))
+        other = submit(session, make_principal(session, "Team B"), "other")
+    first, sibling = ids_of(database, submission)[:2]
+    lost = (first, ids_of(database, other)[0])
+    for shard in lost:
+        claim(database, shard, lease_s=0.001)
+    with database.transaction() as session:
+        last = {"token": SETTINGS.shard_attempts, "attempts": SETTINGS.shard_attempts}
+        session.execute(update(Shard).where(Shard.id == first).values(last))
+    with database.transaction() as stuck:
+        stuck.get_one(held, sibling if held is Shard else submission.team_id, with_for_update=True)
+        assert run_sweep(database) == Sweep(queued_again=1)
+        with database.transaction() as session:
+            assert [state_of(session, shard) for shard in lost] == [ShardState.RUNNING, ShardState.QUEUED]
+            assert newest_evaluation(session, submission).state is EvaluationState.RUNNING
+    assert run_sweep(database) == Sweep(given_up=1)
+    with database.transaction() as session:
+        assert newest_evaluation(session, submission).state is EvaluationState.FAILED
+        assert newest_evaluation(session, other).state is EvaluationState.RUNNING
 
 
 def test_a_sweep_that_stands_still_is_ended_by_the_database_and_another_takes_over(
