@@ -45,6 +45,17 @@ def evaluator_version() -> str:
     return f"{EVALUATOR_RELEASE}+{evaluator_hash()[:12]}"
 
 
+def sources_hash(package: str) -> str:
+    """Return the SHA-256 [hex] of the sources of a package, counted as those of the evaluator are.
+
+    Raises:
+        ModuleNotFoundError: the package is not installed.
+    """
+    digest = hashlib.sha256()
+    _add_sources(digest, package)
+    return digest.hexdigest()
+
+
 PLATFORM_CLASSES = frozenset({"aarch64-linux", "x86_64-linux"})
 """Those that logs may come from whose states differ from ours: the sandbox, and so an evaluation, needs Linux."""
 

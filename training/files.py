@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import re
 import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -16,6 +17,8 @@ from vitac.envs.errors import VitacError
 Arrays = dict[str, NDArray[Any]]
 
 _DIGEST = "digest"
+_LEFTOVER = re.compile(r"\..+\.(?P<process>[0-9]+)\.new")
+"""Name of a file that is not whole yet."""
 
 
 class FileDamaged(VitacError):
@@ -53,7 +56,7 @@ def write_bytes(path: Path, data: bytes) -> None:
 
 @contextmanager
 def _replacing(path: Path) -> Iterator[BinaryIO]:
-    new = path.with_name(f".{path.name}.{os.getpid()}.new")
+    new = path.with_name(f".{path.name}.{os.getpid()}.new")  # `_LEFTOVER` finds it
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with new.open("wb") as file:
@@ -66,6 +69,27 @@ def _replacing(path: Path) -> Iterator[BinaryIO]:
     finally:
         with suppress(OSError):
             new.unlink(missing_ok=True)  # also after Ctrl-C
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Remove the files in a folder that processes which are no more left half written."""
+    for path in folder.glob(".*.new"):
+        named = _LEFTOVER.fullmatch(path.name)
+        if named and not _is_another_running(int(named["process"])):
+            with suppress(OSError):
+                path.unlink()
+
+
+def _is_another_running(process: int) -> bool:
+    if process == os.getpid():  # in a container, also that of the run before
+        return False
+    try:
+        os.kill(process, 0)
+    except PermissionError:
+        return True
+    except (ProcessLookupError, OverflowError):
+        return False
+    return True
 
 
 def load(path: Path) -> Arrays:

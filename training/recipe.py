@@ -4,7 +4,7 @@ import hashlib
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 from vitac.evaluator.strict_model import StrictModel, parse_yaml
 
 from .learning.assessor import AssessorPlan
@@ -98,6 +98,13 @@ class Recipe(StrictModel):
     """How often the assessor assesses the student, and the student learns of it, in a round."""
     student: StudentRecipe = StudentRecipe()
     """How the student is learned."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _is_not_of_a_search(cls, content: object) -> object:
+        if isinstance(content, dict) and content.get("task") == "lock-opening":
+            raise ValueError("a policy for lock-opening is searched; run `vitac train search` with this recipe")
+        return content
 
     def digest(self) -> str:
         """Return the SHA-256 [hex] of all values."""

@@ -14,13 +14,14 @@ import numpy as np
 from vitac.envs.errors import VitacError
 from vitac.evaluator.scoring.score import Rate, rate
 from vitac.evaluator.strict_model import StrictModel
-from vitac.evaluator.version import evaluator_hash
+from vitac.evaluator.version import evaluator_hash, sources_hash
 
 from .actors import ActorKind
 from .collection import Batch, Networks, collect
 from .episodes import Episodes
-from .files import load, save, write_text
+from .files import load, remove_leftovers, save, write_text
 from .learners import Learners
+from .log import Row, extend_log, read_log
 from .progress import Progress
 from .recipe import Recipe
 from .streams import Use
@@ -103,10 +104,12 @@ class Run:
         Raises:
             OtherRun: the folder is that of another run.
             NotSaved: the disk is full.
+            FileDamaged: networks or log are not what was written.
             TrainingDiverged: a loss is no number any more; all rounds before are kept.
         """
         claim(self.folder.path, self.recipe)
         self._known.clear()
+        judged = {result.number: result for result in read_log(self.folder.log, _result)}
         results: list[RoundResult] = []
         networks: Networks | None = None
         numbers = range(1, self.recipe.rounds + 1)
@@ -115,9 +118,9 @@ class Run:
         for number in numbers:
             self._play(number, networks)
             networks = self._learned(number)
-            results.append(self._judged(number, networks))
+            results.append(judged.get(number) or self._judged(number, networks))
+            extend_log(self.folder.log, [_row(result) for result in results])
             self._tell_round(results[-1], progress.left(number, len(numbers)))
-            self._write_log(results)
         return results
 
     def collect_first(self) -> int:
@@ -168,18 +171,6 @@ class Run:
         found = f"student {told(result.student)}, critic {told(result.critic)}, {result.env_steps} env steps"
         self.tell(f"round {result.number} of {self.recipe.rounds}: {found}{left}")
 
-    def _write_log(self, results: Sequence[RoundResult]) -> None:
-        rows = [
-            {
-                "round": result.number,
-                "env_steps": result.env_steps,
-                "student": result.student.model_dump(),
-                "critic": result.critic.model_dump(),
-            }
-            for result in results
-        ]
-        write_text(self.folder.log, "".join(json.dumps(row) + "\n" for row in rows))
-
     def _batch(self, kind: ActorKind, use: Use, first: int, count: int, noise: float) -> Batch:
         return Batch(kind=kind, seed=self.recipe.seed, use=use, first=first, count=count, noise=noise)
 
@@ -196,38 +187,57 @@ class Run:
 
 
 def claim(folder: Path, recipe: StrictModel) -> None:
-    """Write what the folder of a run is for, or make sure that it is for this.
+    """Write what the folder of a run is for, or make sure that it is for this; remove what a kill left half written.
 
     Raises:
         OtherRun: it is that of another recipe or version.
         NotSaved: the disk is full.
     """
-    told_now = {"recipe": json.loads(recipe.model_dump_json()), "made_by": evaluator_hash()}
+    told_now = {
+        "recipe": json.loads(recipe.model_dump_json()),
+        "made_by": evaluator_hash(),
+        "trained_by": sources_hash("vitac.training"),
+    }
     path = folder / "run.json"
-    if path.exists():
-        if json.loads(path.read_text()) != told_now:
-            raise OtherRun(f"{folder} holds a run of another recipe or version; give another folder.")
-        return
-    write_text(path, json.dumps(told_now, indent=1) + "\n")
+    if not path.exists():
+        write_text(path, json.dumps(told_now, indent=1) + "\n")
+    elif json.loads(path.read_text()) != told_now:
+        raise OtherRun(f"{folder} holds a run of another recipe or version; give another folder.")
+    for written in (folder, folder / "episodes", folder / "submission" / "Track_1"):
+        remove_leftovers(written)
 
 
 def results_of(folder: Folder) -> list[RoundResult]:
     """Read what the rounds of a run found.
 
     Raises:
-        OtherRun: no round is finished there.
+        FileDamaged: the log is not what was written.
+        OtherRun: no round is finished there, or the folder is that of a search.
     """
-    if not folder.log.exists():
+    results = read_log(folder.log, _result)
+    if not results:
         raise OtherRun(f"{folder.path} holds no finished round; train first.")
-    return [
-        RoundResult(
-            number=row["round"],
-            student=Rate.model_validate(row["student"]),
-            critic=Rate.model_validate(row["critic"]),
-            env_steps=row["env_steps"],
-        )
-        for row in map(json.loads, folder.log.read_text().splitlines())
-    ]
+    return results
+
+
+def _row(result: RoundResult) -> Row:
+    return {
+        "round": result.number,
+        "env_steps": result.env_steps,
+        "student": result.student.model_dump(),
+        "critic": result.critic.model_dump(),
+    }
+
+
+def _result(row: Row) -> RoundResult:
+    if "generation" in row:
+        raise OtherRun("The folder is that of a search, which writes its submission itself: into `submission` there.")
+    return RoundResult(
+        number=row["round"],
+        student=Rate.model_validate(row["student"]),
+        critic=Rate.model_validate(row["critic"]),
+        env_steps=row["env_steps"],
+    )
 
 
 def told(found: Rate) -> str:

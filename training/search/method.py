@@ -6,9 +6,8 @@ the same bits as one that was not, however many processes play.
 """
 
 import io
-import json
 import shutil
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cache, partial
 from multiprocessing import get_context
@@ -22,6 +21,7 @@ from vitac.evaluator.scoring.score import Rate, rate
 from vitac.evaluator.tracks import find_task
 
 from ..files import load, save, write_bytes, write_text
+from ..log import Row, extend_log, read_log
 from ..progress import Progress
 from ..run import Folder, Tell, claim, told
 from ..streams import Use, stream
@@ -112,19 +112,21 @@ class Search:
             NothingSolved: no candidate of a generation solved an episode.
             NotSaved: the disk is full.
             OtherRun: the folder is that of another recipe or version.
+            FileDamaged: what a generation found, or the log, is not what was written.
         """
         claim(self.folder.path, self.recipe)
         mean, spread = np.zeros((ACTIONS, FEATURES)), np.full((ACTIONS, FEATURES), FIRST_SPREAD)
         mean[:, 0] = -FIRST_PULL, -FIRST_LIFT
+        judged = {generation.number: generation for generation in read_log(self.folder.log, _generation)}
         found: list[Generation] = []
         numbers = range(1, self.recipe.generations + 1)
         progress = Progress()
         progress.left(sum(self.folder.networks(number).exists() for number in numbers), len(numbers))
         for number in numbers:
             mean, spread = self._next(number, mean, spread)
-            found.append(self._judged(number, mean))
+            found.append(judged.get(number) or self._judged(number, mean))
+            extend_log(self.folder.log, [_row(generation) for generation in found])
             self._tell_generation(found[-1], progress.left(number, len(numbers)))
-            write_text(self.folder.log, "".join(json.dumps(_row(each)) + "\n" for each in found))
         chosen = best(found)
         export(load(self.folder.networks(chosen.number))["mean"], self.folder.path / "submission")
         return found
@@ -213,8 +215,13 @@ def play(env: Any, weights: FloatArray, start: tuple[int, int]) -> Ending:
     return Ending(solved=False, env_steps=LONGEST_ENV_STEPS)
 
 
-def _row(each: Generation) -> Mapping[str, Any]:
+def _row(each: Generation) -> Row:
     return {"generation": each.number, "solved": each.solved.model_dump(), "mean_env_steps": each.mean_env_steps}
+
+
+def _generation(row: Row) -> Generation:
+    solved = Rate.model_validate(row["solved"])
+    return Generation(number=row["generation"], solved=solved, mean_env_steps=row["mean_env_steps"])
 
 
 @cache

@@ -27,6 +27,13 @@ class SearchRecipe(StrictModel):
     chosen_by: Count = 100
     """Held-out episodes by which the best generation is chosen."""
 
+    @model_validator(mode="before")
+    @classmethod
+    def _is_not_of_a_training(cls, content: object) -> object:
+        if isinstance(content, dict) and content.get("task") == "peg-insertion":
+            raise ValueError("a policy for peg-insertion is trained in rounds; run `vitac train` with this recipe")
+        return content
+
     @model_validator(mode="after")
     def _keeps_some(self) -> "SearchRecipe":
         if self.kept > self.candidates:

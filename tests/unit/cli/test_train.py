@@ -9,6 +9,7 @@ from toy_lock import ToyLock
 from toy_peg import ToyPeg
 from typer.testing import CliRunner
 from vitac.cli.main import build_app
+from vitac.evaluator.strict_model import DocumentRejected
 from vitac.evaluator.submission.manifest import load_manifest
 
 RECIPE = """task: peg-insertion
@@ -98,9 +99,21 @@ def test_searches_and_writes_a_submission(tmp_path: Path) -> None:
     assert f"generation {again['best']}" in searched.stdout
 
 
-def test_recipe_of_the_other_method_is_refused(recipe: str, tmp_path: Path) -> None:
-    found = vitac("train", "search", recipe, "--out", str(tmp_path / "run"))
-    assert found.exit_code != 0
+@pytest.mark.parametrize(
+    ("verb", "task", "right"),
+    [
+        ("search", "peg-insertion", "vitac train"),
+        ("run", "lock-opening", "vitac train search"),
+        ("collect", "lock-opening", "vitac train search"),
+    ],
+)
+def test_recipe_of_the_other_method_is_refused_and_the_right_verb_named(
+    recipe: str, tmp_path: Path, verb: str, task: str, right: str
+) -> None:
+    Path(recipe).write_text(f"task: {task}\nseed: 1\n")
+    found = vitac("train", verb, recipe, "--out", str(tmp_path / "run"))
+    assert isinstance(found.exception, DocumentRejected)
+    assert str(found.exception).endswith(f"run `{right}` with this recipe.")
     assert not (tmp_path / "run").exists()
 
 

@@ -56,6 +56,16 @@ def test_hash_ignores_files_that_are_not_packaged_sources(copied_sources: Path) 
     assert fresh_hash() == before
 
 
+def test_hash_of_one_packages_sources_changes_with_them_alone(copied_sources: Path) -> None:
+    before = {package: version.sources_hash(f"vitac.{package}") for package in ("envs", "evaluator")}
+    (copied_sources / "envs" / "notes.txt").write_text("x")
+    assert version.sources_hash("vitac.envs") == before["envs"]
+    (copied_sources / "envs" / "errors.py").write_text("")
+    assert version.sources_hash("vitac.envs") != before["envs"]
+    assert version.sources_hash("vitac.evaluator") == before["evaluator"]
+    assert len(set(before.values())) == 2
+
+
 @pytest.mark.parametrize("name", ["envs/errors.py", "evaluator/tracks/track_1.yaml"])
 def test_hash_changes_with_a_source(copied_sources: Path, name: str) -> None:
     before = fresh_hash()

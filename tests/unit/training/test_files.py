@@ -2,11 +2,12 @@
 
 import errno
 import os
+import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
-from vitac.training.files import FileDamaged, NotSaved, digest, load, save, write_text
+from vitac.training.files import FileDamaged, NotSaved, digest, load, remove_leftovers, save, write_text
 
 ARRAYS = {"actions": np.arange(6, dtype=np.float32).reshape(2, 3), "solved": np.array([True, False])}
 
@@ -94,6 +95,35 @@ def test_text_is_replaced_as_a_whole(tmp_path: Path) -> None:
     for text in ("first\n", "second\n"):
         write_text(path, text)
         assert path.read_text() == text
+
+
+def test_leftovers_of_processes_that_are_no_more_are_removed_and_nothing_else(tmp_path: Path) -> None:
+    ended = subprocess.Popen(["true"])
+    ended.wait()
+    dead = {f".round-001.npz.{ended.pid}.new", f".log.jsonl.{os.getpid()}.new", f".log.jsonl.{'9' * 30}.new"}
+    kept = {f".log.jsonl.{os.getppid()}.new", f".log.jsonl.{ended.pid}.new.bak", ".mine.new", ".1.new", "log.jsonl"}
+    for name in dead | kept:
+        (tmp_path / name).write_bytes(b"half")
+    folder = f".folder.{ended.pid}.new"
+    (tmp_path / folder).mkdir()
+    remove_leftovers(tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == kept | {folder}
+    remove_leftovers(tmp_path / "nowhere")
+
+
+def test_half_of_a_file_that_a_kill_leaves_is_a_leftover(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Path, "unlink", lambda *_, **__: None)  # like a kill
+
+    def stop(_: int) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(os, "fsync", stop)
+    with pytest.raises(KeyboardInterrupt):
+        save(tmp_path / "round-001.npz", ARRAYS)
+    monkeypatch.undo()
+    assert len(list(tmp_path.iterdir())) == 1
+    remove_leftovers(tmp_path)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_digest_tells_names_types_shapes_and_values_apart() -> None:

@@ -42,6 +42,7 @@ def test_values_reach_the_learners(tmp_path: Path) -> None:
         ("task: peg-insertion\nseed: 3\nnoise: .nan\n", "noise"),
         ("task: peg-insertion\nseed: 3\nseed: 4\n", "given twice"),
         ("- 1\n", "recipe.yaml"),
+        ("task: lock-opening\nseed: 3\ngenerations: 2\n", r"is searched; run `vitac train search` with this recipe\.$"),
     ],
 )
 def test_mistakes_are_named(tmp_path: Path, text: str, told: str) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from toy_peg import ToyPeg
 from vitac.evaluator.scoring.score import rate
+from vitac.training.files import FileDamaged
 from vitac.training.learning.network import Learner, TrainingDiverged
 from vitac.training.recipe import AssessorRecipe, CriticRecipe, Recipe, StudentRecipe
 from vitac.training.run import Folder, OtherRun, RoundResult, Run, best, results_of, told
@@ -99,6 +100,59 @@ def test_stopped_run_ends_with_the_same_bits(tmp_path: Path, stop_at: str) -> No
     assert files(tmp_path / "stopped") == files(tmp_path / "whole")
 
 
+def test_log_never_gets_shorter_and_what_is_in_it_is_not_judged_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stop(line: str) -> None:
+        if line.startswith("round 2, critic: "):
+            raise Stopped
+
+    with pytest.raises(Stopped):
+        Run(recipe=RECIPE, folder=Folder(path=tmp_path), tell=stop).go()
+    assert [result.number for result in results_of(Folder(path=tmp_path))] == [1]
+    finished = run(tmp_path).go()
+    log = (tmp_path / "log.jsonl").read_bytes()
+    heard: list[bytes] = []
+
+    def hear(_: str) -> None:
+        heard.append((tmp_path / "log.jsonl").read_bytes())
+
+    monkeypatch.setattr(Run, "_judged", None)
+    assert Run(recipe=RECIPE, folder=Folder(path=tmp_path), tell=hear).go() == finished
+    assert set(heard) == {log}
+
+
+def test_damaged_log_is_told_and_made_again_from_what_is_kept(tmp_path: Path, toy: list[ToyPeg]) -> None:
+    run(tmp_path).go()
+    before, episodes = files(tmp_path), len(toy[0].resets)
+    log = tmp_path / "log.jsonl"
+    log.write_text('{"round": 1}\n')
+    for use in (run(tmp_path).go, lambda: results_of(Folder(path=tmp_path))):
+        with pytest.raises(FileDamaged, match=r"log.jsonl does not hold what was written; delete it and run it again"):
+            use()
+    log.unlink()
+    run(tmp_path).go()
+    assert files(tmp_path) == before
+    assert len(toy[0].resets) == episodes
+
+
+def test_what_a_kill_left_half_written_is_removed_at_the_next_start(tmp_path: Path) -> None:
+    run(tmp_path).collect_first()
+    before = files(tmp_path)
+    for name in (
+        ".log.jsonl.4194999.new",
+        "episodes/.one.npz.4194999.new",
+        "submission/Track_1/.weights.npz.4194999.new",
+    ):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_bytes(b"half")
+    with pytest.raises(OtherRun):
+        run(tmp_path, RECIPE.model_copy(update={"seed": 3})).collect_first()
+    assert len(files(tmp_path)) == len(before) + 3
+    run(tmp_path).collect_first()
+    assert files(tmp_path) == before
+
+
 def test_collecting_first_is_what_the_run_does_first(tmp_path: Path, toy: list[ToyPeg]) -> None:
     assert run(tmp_path).collect_first() == 60
     episodes = len(toy[0].resets)
@@ -120,6 +174,17 @@ def test_folder_of_another_version_is_refused(tmp_path: Path, monkeypatch: pytes
     monkeypatch.setattr("vitac.training.run.evaluator_hash", lambda: "another")
     with pytest.raises(OtherRun):
         run(tmp_path).go()
+
+
+def test_folder_of_other_training_code_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run(tmp_path).collect_first()
+    before = files(tmp_path)
+    monkeypatch.setattr(
+        "vitac.training.run.sources_hash", lambda package: {"vitac.training": "a learner that was changed"}[package]
+    )
+    with pytest.raises(OtherRun, match="another recipe or version"):
+        run(tmp_path).go()
+    assert files(tmp_path) == before
 
 
 def test_results_of_an_unfinished_run_are_refused(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from toy_lock import ToyLock
 from vitac.evaluator.scoring.score import rate
 from vitac.evaluator.submission.manifest import load_manifest
 from vitac.training.files import NotSaved, load
-from vitac.training.run import Folder, OtherRun
+from vitac.training.run import Folder, OtherRun, results_of
 from vitac.training.search import policy
 from vitac.training.search.method import (
     FIRST_LIFT,
@@ -124,6 +124,35 @@ def test_stopped_search_ends_with_the_same_bits(small: Path, tmp_path: Path, sto
     assert not (tmp_path / "submission").exists()
     search(tmp_path, SMALL).go()
     assert files(tmp_path) == files(small)
+
+
+def test_search_that_goes_on_judges_nothing_again_and_keeps_its_log(small: Path, tmp_path: Path) -> None:
+    def stop(line: str) -> None:
+        if line.startswith("generation 2"):
+            raise Stopped
+
+    env, heard = ToyLock(), []
+    with pytest.raises(Stopped):
+        Search(recipe=SMALL, folder=Folder(path=tmp_path), make=lambda: env, tell=stop).go()
+    log = tmp_path / "log.jsonl"
+    kept = log.read_bytes()
+    assert len(kept.splitlines()) == 2
+
+    def hear(_: str) -> None:
+        heard.append(log.read_bytes())
+
+    for _ in range(2):
+        Search(recipe=SMALL, folder=Folder(path=tmp_path), make=lambda: env, tell=hear).go()
+    whole = (small / "log.jsonl").read_bytes()
+    assert heard == [kept, kept, *[whole] * 4]
+    judged = [number for seed, number in env.resets if seed == stream(SMALL.seed, Use.CHOOSE)]
+    assert judged == [*range(SMALL.chosen_by)] * SMALL.generations
+    assert files(tmp_path) == files(small)
+
+
+def test_log_of_a_search_is_no_runs(small: Path) -> None:
+    with pytest.raises(OtherRun, match="that of a search, which writes its submission itself"):
+        results_of(Folder(path=small))
 
 
 def test_starts_that_choose_teach_nothing_and_none_is_reported(tmp_path: Path) -> None:

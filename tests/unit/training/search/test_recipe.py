@@ -24,7 +24,8 @@ def test_task_and_seed_are_enough(tmp_path: Path) -> None:
     [
         ("task: lock-opening\n", "Missing key 'seed'"),
         ("task: lock-opening\nseed: 3\ngeneration: 2\n", "Unknown key 'generation'; did you mean 'generations'"),
-        ("task: peg-insertion\nseed: 3\n", "task: Input should be 'lock-opening'"),
+        ("task: fusion-insertion\nseed: 3\n", "task: Input should be 'lock-opening'"),
+        ("task: peg-insertion\nrounds: 3\n", r"trained in rounds; run `vitac train` with this recipe\.$"),
         ("task: lock-opening\nseed: -1\n", "seed: Input should be greater than or equal to 0"),
         ("task: lock-opening\nseed: 3\ncandidates: 4\nkept: 5\n", "'kept' is 5, expected at most .* candidates, 4"),
         ("task: lock-opening\nseed: 3\nepisodes: 0\n", "episodes: Input should be greater"),
