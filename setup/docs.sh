@@ -7,7 +7,7 @@
 docs_stamp=$root/web/documentation/vitac-stamp
 
 docs_fingerprint() {
-  for folder in docs envs/tasks evaluator/episodes evaluator/scoring examples/peg_insertion_heuristic server/api server/views training; do
+  for folder in docs envs evaluator examples/peg_insertion_heuristic server/api server/views training; do
     find "$root/$folder" -type f ! -path "$root/docs/generated/*" ! -path "$root/docs/tutorials/*/tutorial_*" ! -name '*.pyc' 2>/dev/null || true
   done | sort | tr '\n' '\0' | xargs -0 cat "$root/requirements/docs.lock" | cksum | tr ' ' '-'
 }
@@ -20,9 +20,7 @@ install_docs_packages() {
   read_stamp
   if installed_profile_covers dev; then return; fi
   logged "installing what builds the documentation" '' '' \
-    pip install --retries 1 --timeout 10 --require-hashes --only-binary :all: --no-deps -r "$root/requirements/docs.lock" && return
-  note_failure documentation "$(docs_fingerprint)"
-  return 1
+    pip install --retries 1 --timeout 10 --require-hashes --only-binary :all: --no-deps -r "$root/requirements/docs.lock"
 }
 
 # Replaces the site only once the new one is whole; any warning is an error.
@@ -49,8 +47,9 @@ ensure_docs() {
       logged "building the documentation (its tutorial and pictures take up to a minute once)" '' '' build_docs; then
       end_steps "the documentation is ready ($(($(date +%s) - started)) s)"
     else
+      note_failure documentation "$(docs_fingerprint)"
       unlock_setup
-      end_steps "building the documentation failed; the reason is in $log"
+      end_steps "building the documentation failed; the reason is in $log. A start in an hour tries again."
       return 1
     fi
   fi

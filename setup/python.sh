@@ -1,9 +1,10 @@
 # shellcheck shell=sh
 # Keeps .venv in line with requirements/*.lock and pyproject.toml. Read by ../vitac, which sets `root`.
 #
-# .venv/vitac-stamp is written last and says what is installed: `<profile> <fingerprint> <place> <interpreter>`. If it is
-# missing, the set-up was interrupted and .venv is rebuilt, as after a move of the folder or of the interpreter; with an
-# outdated fingerprint it is updated in place.
+# .venv/vitac-stamp says what is installed: `<profile> <fingerprint> <place> <interpreter>`. If it is missing, the first
+# set-up was interrupted and .venv is rebuilt, as after a move of the folder or of the interpreter. A .venv that was once
+# complete is only changed in place, where other commands may be running from it: with an outdated fingerprint it is
+# updated, and with `unfinished`, which it has while pip runs, the next command repairs it.
 
 : "${root:?set by ../vitac}"
 venv=$root/.venv
@@ -98,11 +99,23 @@ link_packages() {
   done
 }
 
+write_stamp() { # profile, fingerprint
+  printf '%s %s %s %s\n' "$1" "$2" "$(place)" "$(readlink -f "$venv/bin/python")" >"$stamp.new" && mv "$stamp.new" "$stamp"
+}
+
+# Exits with the cause. Where pip had not begun to install, .venv is as complete as before, and its stamp says so again.
+fail_packages() { # what failed
+  if [ -n "$has_profile" ] && ! in_log '^Installing collected packages'; then
+    write_stamp "$has_profile" "$has_fingerprint" || true
+  fi
+  fail_setup "$1" 1000
+}
+
 install_python() { # profile
   started=$(date +%s)
   : >"$log"
   if venv_is_valid; then
-    rm -f "$stamp"
+    write_stamp "$has_profile" unfinished || fail_setup "writing $stamp" 1000
   else
     rm -rf "$venv"
     logged "creating .venv with $python" '' '' "$python" -I -m venv "$venv" || fail_setup "creating .venv" 1000
@@ -111,13 +124,12 @@ install_python() { # profile
     lock=$root/requirements/$part.lock
     heading="installing Python packages"
     logged "$heading" "$(grep -c '==' "$lock")" 'Collecting ' \
-      pip install --require-hashes --only-binary :all: --no-deps -r "$lock" || fail_setup "$heading" 1000
+      pip install --require-hashes --only-binary :all: --no-deps -r "$lock" || fail_packages "$heading"
   done
   logged "installing ViTac Arena" '' '' \
-    pip install --no-index --no-deps --no-build-isolation -e "$root" || fail_setup "installing ViTac Arena" 1000
+    pip install --no-index --no-deps --no-build-isolation -e "$root" || fail_packages "installing ViTac Arena"
   link_packages
-  printf '%s %s %s %s\n' "$1" "$(fingerprint)" "$(place)" "$(readlink -f "$venv/bin/python")" >"$stamp.new"
-  mv "$stamp.new" "$stamp"
+  write_stamp "$1" "$(fingerprint)"
   end_steps "Python packages are ready ($(($(date +%s) - started)) s)"
 }
 

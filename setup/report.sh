@@ -93,7 +93,7 @@ can_set_up() {
   return 1
 }
 
-# Notes that something with this fingerprint could not be fetched, so that each start of the next hour does not try again.
+# Notes that something with this fingerprint could not be fetched or built, so that each start of the next hour does not try again.
 note_failure() { # name, fingerprint
   printf '%s %s\n' "$(date +%s)" "$2" >"$root/.system/failed-$1"
 }
@@ -103,7 +103,7 @@ failed_lately() { # name, fingerprint
   read -r failed_at failed_of 2>/dev/null <"$root/.system/failed-$1" || return 1
   case $failed_at in '' | *[!0-9]*) return 1 ;; esac
   if [ "$failed_of" != "$2" ] || [ $(($(date +%s) - failed_at)) -ge 3600 ]; then return 1; fi
-  say "what the $1 needs could not be fetched less than an hour ago; remove $root/.system/failed-$1 to try again now."
+  say "the $1 could not be fetched or built less than an hour ago; remove $root/.system/failed-$1 to try again now."
 }
 
 forget_failures() {

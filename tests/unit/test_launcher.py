@@ -223,6 +223,23 @@ def test_only_commands_of_the_service_bring_server_and_database(checkout: Checko
     assert checkout.calls == ["venv", *wanted[noun.extra]]
 
 
+@pytest.mark.parametrize(
+    ("words", "lock"),
+    [
+        ("sensor show folder", "show"),
+        ("sensor check folder", "base"),
+        ("sensor evaluate folder", "base"),
+        ("sandbox", "base"),
+        ("admin appeal replay 1", "server"),
+        ("admin appeal list", "server"),
+    ],
+)
+def test_verbs_bring_what_they_need_and_no_more(checkout: Checkout, words: str, lock: str) -> None:
+    ran = checkout.run(str(checkout.root / "vitac"), *words.split())
+    assert checkout.calls == ["venv", f"pip {lock}.lock"]
+    assert ran.stdout.startswith("".join(f"<{word}>" for word in words.split()))
+
+
 def test_service_and_drawing_are_added_to_each_other(checkout: Checkout) -> None:
     for command in ("show", "admin", "worker", "show", "admin", "evaluate"):
         checkout.run(str(checkout.root / "vitac"), command)
@@ -329,6 +346,61 @@ def test_remakes_an_environment_that_was_cut_off(checkout: Checkout) -> None:
     assert not (checkout.root / ".venv" / "leftover").exists()
 
 
+@pytest.mark.parametrize("error", ["Failed to resolve 'a.host'", "No space left on device", "HASH"])
+def test_an_addition_that_could_not_be_downloaded_leaves_what_worked(checkout: Checkout, error: str) -> None:
+    checkout.run()
+    stamp = checkout.root / ".venv" / "vitac-stamp"
+    before = stamp.read_text()
+    failed = checkout.run(str(checkout.root / "vitac"), "show", FAKE_PIP_ERROR=error)
+    assert (failed.returncode, failed.stdout) == (1, "")
+    assert stamp.read_text() == before
+    after = checkout.run()
+    assert (after.returncode, after.stderr) == (7, "")
+    assert checkout.calls == ["venv", "pip base.lock", "pip show.lock"]
+
+
+def test_an_update_that_could_not_be_downloaded_is_tried_again_in_place(checkout: Checkout) -> None:
+    checkout.run()
+    with (checkout.root / "pyproject.toml").open("a") as file:
+        file.write("# changed\n")
+    kept = checkout.root / ".venv" / "vitac-torch"
+    kept.touch()
+    for _ in range(2):
+        assert "cannot be reached" in checkout.run(FAKE_PIP_ERROR="Failed to resolve 'a.host'").stderr
+    assert checkout.run().returncode == 7
+    assert checkout.calls == ["venv", *["pip base.lock"] * 4]
+    assert kept.exists()
+
+
+def test_an_addition_that_failed_half_way_is_repaired_in_place(checkout: Checkout) -> None:
+    checkout.run(str(checkout.root / "vitac"), "show")
+    kept = checkout.root / ".venv" / "vitac-maniskill"
+    kept.touch()
+    stamp = checkout.root / ".venv" / "vitac-stamp"
+    for _ in range(2):
+        checkout.run(str(checkout.root / "vitac"), "admin", FAKE_PIP_ERROR="Installing collected packages: numpy")
+        assert stamp.read_text().startswith("show unfinished ")
+    for _ in range(2):
+        assert checkout.run().returncode == 7
+    added = ["pip server.lock"] * 2  # which fail before those that draw come
+    assert checkout.calls == ["venv", "pip show.lock", *added, "pip show.lock"]
+    assert kept.exists()
+
+
+def test_a_set_up_that_was_killed_in_an_addition_is_repaired_in_place(checkout: Checkout, tmp_path: Path) -> None:
+    checkout.run()
+    gate = tmp_path / "gate"
+    os.mkfifo(gate)
+    killed = checkout.start(str(checkout.root / "vitac"), "show", FAKE_GATE=str(gate))
+    with gate.open("w") as opened:  # returns when pip waits at the gate
+        killed.kill()
+        killed.wait()
+        opened.write("go\n")
+    killed.communicate()
+    assert checkout.run().returncode == 7
+    assert checkout.calls == ["venv", "pip base.lock", "pip show.lock", "pip base.lock"]
+
+
 def test_remakes_an_environment_whose_interpreter_is_gone(checkout: Checkout) -> None:
     checkout.run()
     (checkout.root / ".venv" / "bin" / "python").unlink()
@@ -413,7 +485,7 @@ def test_exports_the_sandbox_program_it_found(checkout: Checkout, tmp_path: Path
     assert checkout.run(str(checkout.root / "vitac"), "demo", VITAC_BWRAP="/own/bwrap").stdout == "/own/bwrap\n"
 
 
-@pytest.mark.parametrize("words", ["demo", "evaluate folder", "check folder", "worker", "log match"])
+@pytest.mark.parametrize("words", ["demo", "evaluate folder", "check folder", "worker", "log match", "sandbox"])
 def test_refuses_to_run_policies_without_a_sandbox(checkout: Checkout, tmp_path: Path, words: str) -> None:
     (tmp_path / "bin" / "bwrap").unlink()
     ran = checkout.run(str(checkout.root / "vitac"), *words.split())
@@ -422,7 +494,9 @@ def test_refuses_to_run_policies_without_a_sandbox(checkout: Checkout, tmp_path:
     assert "apt-get install bubblewrap" in ran.stderr
 
 
-@pytest.mark.parametrize("words", ["status", "log show", "serve", "doctor", ""])
+@pytest.mark.parametrize(
+    "words", ["status", "log show", "serve", "doctor", "sensor evaluate", "admin appeal replay", ""]
+)
 def test_other_commands_run_without_a_sandbox(checkout: Checkout, tmp_path: Path, words: str) -> None:
     (tmp_path / "bin" / "bwrap").unlink()
     assert checkout.run(str(checkout.root / "vitac"), *words.split()).returncode == 7
@@ -466,7 +540,7 @@ def test_goes_on_without_the_player_where_its_packages_cannot_be_fetched(checkou
     assert "pages show still pictures" in ran.stderr
     assert not checkout.player.exists()
     again = checkout.run(str(checkout.root / "vitac"), "serve")
-    assert "what the player needs could not be fetched less than an hour ago" in again.stderr
+    assert "the player could not be fetched or built less than an hour ago" in again.stderr
     assert checkout.player_calls == ["npm ci"]
     mark = checkout.root / ".system" / "failed-player"
     mark.write_text(f"{int(time.time()) - 3601} {mark.read_text().split()[1]}\n")
@@ -498,7 +572,7 @@ def test_documentation_whose_packages_cannot_be_fetched_is_not_tried_at_each_sta
     checkout.run(*serve[:1], "worker")
     first, second = checkout.run(*serve, FAKE_PIP_ERROR="no network"), checkout.run(*serve)
     assert "building the documentation failed" in first.stderr
-    assert "what the documentation needs could not be fetched less than an hour ago" in second.stderr
+    assert "the documentation could not be fetched or built less than an hour ago" in second.stderr
     assert (second.returncode, checkout.calls.count("pip docs.lock")) == (7, 1)
 
 
@@ -557,6 +631,26 @@ def test_root_installs_the_debian_package_with_fresh_lists(debian: Checkout, tmp
     assert debian.run(str(debian.root / "vitac"), "demo").stderr == ""
 
 
+@pytest.mark.parametrize(
+    ("words", "fetches"),
+    [
+        ("sandbox", True),
+        ("sensor evaluate folder --policy other", True),
+        ("admin appeal replay 1", True),
+        ("sensor show folder", False),
+        ("admin appeal list", False),
+    ],
+)
+def test_commands_that_run_policies_fetch_the_sandbox_program(
+    debian: Checkout, tmp_path: Path, words: str, fetches: bool
+) -> None:
+    become(0, tmp_path)
+    ran = debian.run(str(debian.root / "vitac"), *words.split())
+    assert ran.returncode == 7
+    assert ("bubblewrap is ready" in ran.stderr) is fetches
+    assert (tmp_path / "bin" / "bwrap").exists() is fetches
+
+
 def test_a_normal_user_gets_the_package_unpacked_with_its_libraries(debian: Checkout, tmp_path: Path) -> None:
     become(1000, tmp_path)
     debian.run(str(debian.root / "vitac"), "worker")
@@ -589,6 +683,31 @@ def test_serving_builds_the_documentation_once_and_again_after_a_change(checkout
     assert checkout.calls[5:] == ["pip docs.lock", "sphinx"]
 
 
+def test_what_the_documentation_runs_and_imports_builds_it_again(checkout: Checkout) -> None:
+    serve = (str(checkout.root / "vitac"), "serve")
+    places = ("envs/fem/solver.py", "envs/drawing/picture.py", "evaluator/agent/session.py", "training/run.py")
+    for number, place in enumerate(places, 1):
+        (checkout.root / place).parent.mkdir(parents=True)
+        (checkout.root / place).write_text("changed = True")
+        checkout.run(*serve)
+        assert checkout.calls.count("sphinx") == number, place
+    (checkout.root / "envs" / "fem" / "solver.pyc").touch()
+    checkout.run(*serve)
+    assert checkout.calls.count("sphinx") == len(places)
+
+
+def test_the_demo_does_not_wait_for_the_documentation(checkout: Checkout) -> None:
+    demo = (str(checkout.root / "vitac"), "demo")
+    assert checkout.run(*demo).returncode == 7
+    assert checkout.calls == ["venv", "pip server.lock", "pip show.lock"]
+    assert not (checkout.root / "web" / "documentation").exists()
+    checkout.run(str(checkout.root / "vitac"), "serve")
+    (checkout.root / "docs" / "index.md").write_text("# Changed")
+    assert checkout.run(*demo).stderr == ""
+    assert checkout.calls.count("sphinx") == 1
+    assert (checkout.root / "web" / "documentation").is_dir()
+
+
 def test_serves_without_documentation_where_it_cannot_be_built(checkout: Checkout) -> None:
     serve = (str(checkout.root / "vitac"), "serve")
     ran = checkout.run(*serve, FAKE_SPHINX_ERROR="WARNING: a broken link")
@@ -597,6 +716,10 @@ def test_serves_without_documentation_where_it_cannot_be_built(checkout: Checkou
     assert "continuing without it" in ran.stderr
     assert "a broken link" in (checkout.root / ".system" / "setup.log").read_text()
     assert not (checkout.root / "web" / "documentation").exists()
+    again = checkout.run(*serve)
+    assert "the documentation could not be fetched or built less than an hour ago" in again.stderr
+    assert (again.returncode, checkout.calls.count("sphinx")) == (7, 1)
+    (checkout.root / "docs" / "index.md").write_text("# Mended")
     assert checkout.run(*serve).stderr.count("the documentation is ready") == 1
 
 

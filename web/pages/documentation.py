@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 SITE = Path(__file__).parents[1] / "documentation"
 PATH = "/docs"
 NOT_BUILT = (
-    "The documentation was not built when this service was set up. In a checkout, ./vitac serve builds it and says "
-    "what is missing; its source is the folder docs."
+    "The documentation was not built when this service was started. In a checkout, ./vitac serve builds it (about a "
+    "minute, once) and says what is missing; ./vitac demo shows it from then on. Its source is the folder docs."
 )
 POLICY_FILE = "content-security-policy.txt"
 

@@ -50,7 +50,8 @@ def test_a_site_that_was_not_built_says_how_to_build_it(
 ) -> None:
     answer = AsgiBrowser(application(data, tmp_path / "missing", monkeypatch)).get("/docs/")
     assert answer.status_code == 503
-    assert "./vitac serve builds it" in answer.text
+    assert "./vitac serve builds it (about a minute, once)" in answer.text
+    assert "./vitac demo shows it from then on" in answer.text
 
 
 def test_every_page_leads_to_the_documentation(browser: AsgiBrowser) -> None:
