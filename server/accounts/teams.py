@@ -240,7 +240,7 @@ def team_view(team: Team, names_shown: ShownNames) -> TeamView:
         id=names_shown.id_of(team),
         name=names_shown.name_of(team),
         shown_as=names_shown.name_for_others(team),
-        created_at=team.created_at,
+        created_at=None if names_shown.hides(team) else team.created_at,
     )
 
 
@@ -265,14 +265,20 @@ def _removed() -> ServiceError:
 
 
 def _refuse_look_alike(session: Session, shown: str, *, but: Team | None = None) -> None:
-    """Refuse a name that readers would take for another team's."""
+    """Refuse a name that readers would take for another team's, or for the one that hides another team."""
     session.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": _REGISTRATION_LOCK})
-    query = select(Team.name).where(Team.name_key != name_key(shown))
-    others = session.scalars(query if but is None else query.where(Team.id != but.id))
-    taken = next((name for name in others if names.look_alike(shown, name)), None)
+    query = select(Team.name, Team.pseudonym)
+    others = session.execute(query if but is None else query.where(Team.id != but.id)).all()
+    like = [row.name for row in others if names.look_alike(shown, row.name)]
+    taken = next((name for name in like if name_key(name) != name_key(shown)), None)
     if taken is not None:
         raise ServiceError(
             ProblemCode.TEAM_EXISTS, f"The name {shown!r} looks like that of team {taken!r}; choose another name."
+        )
+    if any(names.look_alike(shown, row.pseudonym) for row in others):
+        raise ServiceError(
+            ProblemCode.TEAM_EXISTS,
+            f"The name {shown!r} looks like one under which another team is shown; choose another name.",
         )
 
 

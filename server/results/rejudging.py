@@ -6,13 +6,14 @@ from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from uuid import UUID
 
-from sqlalchemy import delete, exists, select
+from sqlalchemy import ColumnElement, delete, exists, select, true
 from sqlalchemy.orm import Session, aliased, defer, joinedload
 from vitac.evaluator.episodes.records import canonical_json
 from vitac.evaluator.scoring.ranking import CombinedScore
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.version import evaluator_version
 
+from ..accounts import names
 from ..accounts.audit import record
 from ..accounts.principals import Principal
 from ..competition.definition import DEFAULT_RANKING, RankingKey
@@ -31,6 +32,8 @@ from ..leaderboards.best_entries import takes_part
 from ..notices.outbox import announce_evaluation
 from ..receipts.chain import issue
 from ..tracks import load_known_track
+
+REASON_LENGTH = 500
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,7 +59,7 @@ class RejudgedSubmission:
     Attributes:
         state: of the new evaluation.
         changes: whether score or rank would be another one; False before the end.
-        is_left_out: whether it keeps its present result: machines failed it, it was cancelled, or the submission was
+        keeps_result: whether it keeps its present result: machines failed it, it was cancelled, or the submission was
             evaluated once more since the rejudgement began.
     """
 
@@ -67,7 +70,7 @@ class RejudgedSubmission:
     before: Standing
     after: Standing
     changes: bool
-    is_left_out: bool
+    keeps_result: bool
 
 
 def start(
@@ -90,15 +93,16 @@ def start(
         reason: for the audit log.
 
     Raises:
-        ServiceError: not an organizer, the competition is final, nothing is to be evaluated, a submission is none of
-            the stage's models, or is being evaluated.
+        ServiceError: not an organizer, the reason cannot be shown, the competition is final, nothing is to be
+            evaluated, a submission is none of the stage's models, or is being evaluated.
     """
     by.require_organizer()
+    shown_reason = names.clean(reason, what="A reason", min_length=1, max_length=REASON_LENGTH)
     load_known_track(track)
     of_stage = shown_stage(session, track, stage)
     _going_on(session, of_stage)
     chosen = _chosen(session, track, of_stage, submissions)
-    made = Rejudgement(track=track, stage=of_stage, reason=reason)
+    made = Rejudgement(track=track, stage=of_stage, reason=shown_reason)
     session.add(made)
     session.flush()
     for submission in chosen:
@@ -115,7 +119,7 @@ def start(
         "stage": of_stage,
         "submissions": [str(submission.id) for submission in chosen],
         "evaluator_version": evaluator_version(),
-        "reason": reason,
+        "reason": shown_reason,
     }
     record(session, by, "rejudgement.start", _subject(made), after)
     return made
@@ -155,24 +159,21 @@ def comparison(session: Session, rejudgement: Rejudgement) -> list[RejudgedSubmi
     """Return each submission before and after, those that change first.
 
     Ranks are those among all models of the stage as if every evaluator version counted alike, so that a board from
-    before an upgrade can be compared with the one after it.
+    before an upgrade can be compared with the one after it. Of a rejudgement that has ended, results are compared as
+    they were then, among the teams that take part now.
     """
     new, kept = _newest_of(session, rejudgement), _evaluated_since(session, rejudgement)
-    present = {
-        submission: evaluation
-        for submission, evaluation in _present(session, rejudgement).items()
-        if evaluation.rejudgement_id != rejudgement.id
-    }
+    present = _present(session, rejudgement)
     rules = track_rules(session, rejudgement.track)
     keys = rules.ranking if rules else DEFAULT_RANKING
-    replaced = {submission: run for submission, run in new.items() if not _is_left_out(run, kept)}
-    ranks_before, ranks_after = _ranks(present, keys), _ranks(present | replaced, keys)
+    replaced = {submission: run for submission, run in new.items() if not _keeps_result(run, kept)}
+    ranks_before, ranks_after = _ranks(present, keys), _ranks({**present, **replaced}, keys)
     rows = [
         _compared(
             evaluation,
             present.get(submission),
             (ranks_before.get(submission), ranks_after.get(submission)),
-            is_left_out=_is_left_out(evaluation, kept),
+            keeps_result=_keeps_result(evaluation, kept),
         )
         for submission, evaluation in new.items()
     ]
@@ -227,7 +228,7 @@ def apply(
     now = datetime.now(UTC)
     # By id: an evaluation of another rejudgement is locked in the same order.
     chosen = sorted(_newest_of(session, found).values(), key=lambda evaluation: evaluation.id)
-    keeping = {row.submission for row in rows if row.is_left_out}
+    keeping = {row.submission for row in rows if row.keeps_result}
     replacing = [lock_evaluation(session, one.id) for one in chosen if one.submission_id not in keeping]
     completed = [evaluation for evaluation in replacing if evaluation.state is EvaluationState.COMPLETED]
     for evaluation in replacing:
@@ -296,8 +297,7 @@ def _evaluated_since(session: Session, rejudgement: Rejudgement) -> frozenset[UU
         .join(proposed, proposed.submission_id == newer.submission_id)
         .where(
             proposed.rejudgement_id == rejudgement.id,
-            newer.rejudgement_id.is_distinct_from(rejudgement.id),
-            ~newer.is_proposed,
+            *_counted(newer, rejudgement),
             newer.created_at > rejudgement.started_at,
         )
     )
@@ -317,7 +317,8 @@ def _newest_of(session: Session, rejudgement: Rejudgement) -> Mapping[UUID, Eval
 
 
 def _present(session: Session, rejudgement: Rejudgement) -> Mapping[UUID, Evaluation]:
-    """Return the newest result of each model of the stage whose team takes part."""
+    """Return the newest result of each model of the stage whose team takes part, beside this rejudgement's own."""
+    ended = _ended_at(rejudgement)
     rows = session.scalars(
         select(Evaluation)
         .join(Submission)
@@ -327,13 +328,28 @@ def _present(session: Session, rejudgement: Rejudgement) -> Mapping[UUID, Evalua
             Submission.stage == rejudgement.stage,
             Submission.kind == SubmissionKind.MODEL,
             Evaluation.state == EvaluationState.COMPLETED,
-            ~Evaluation.is_proposed,
+            *_counted(Evaluation, rejudgement),
+            true() if ended is None else Evaluation.finished_at < ended,
             takes_part(),
         )
         .options(defer(Evaluation.log_tail), joinedload(Evaluation.submission).joinedload(Submission.team))
         .order_by(Evaluation.created_at, Evaluation.run)
     )
     return {evaluation.submission_id: evaluation for evaluation in rows}
+
+
+def _counted(evaluation: type[Evaluation], rejudgement: Rejudgement) -> tuple[ColumnElement[bool], ...]:
+    """Return whether an evaluation is no other rejudgement's proposal and not of this one: now, or at its end."""
+    conditions = (~evaluation.is_proposed, evaluation.rejudgement_id.is_distinct_from(rejudgement.id))
+    ended = _ended_at(rejudgement)
+    if ended is None:
+        return conditions
+    applied_later = exists().where(Rejudgement.id == evaluation.rejudgement_id, Rejudgement.applied_at > ended)
+    return (*conditions, evaluation.created_at < ended, ~applied_later)
+
+
+def _ended_at(rejudgement: Rejudgement) -> datetime | None:
+    return rejudgement.applied_at or rejudgement.discarded_at
 
 
 def _ranks(results: Mapping[UUID, Evaluation], keys: Sequence[RankingKey]) -> dict[UUID, int]:
@@ -358,7 +374,7 @@ def _key(key: RankingKey, evaluation: Evaluation, score: CombinedScore) -> float
 
 
 def _compared(
-    new: Evaluation, old: Evaluation | None, ranks: tuple[int | None, int | None], *, is_left_out: bool
+    new: Evaluation, old: Evaluation | None, ranks: tuple[int | None, int | None], *, keeps_result: bool
 ) -> RejudgedSubmission:
     before, after = _standing(old, ranks[0]), _standing(new, ranks[1])
     same = all(
@@ -371,8 +387,8 @@ def _compared(
         state=new.state,
         before=before,
         after=after,
-        changes=new.state in TERMINAL_EVALUATION_STATES and not is_left_out and not same,
-        is_left_out=is_left_out,
+        changes=new.state in TERMINAL_EVALUATION_STATES and not keeps_result and not same,
+        keeps_result=keeps_result,
     )
 
 
@@ -387,7 +403,7 @@ def _standing(evaluation: Evaluation | None, rank: int | None) -> Standing:
     )
 
 
-def _is_left_out(evaluation: Evaluation, kept: Collection[UUID]) -> bool:
+def _keeps_result(evaluation: Evaluation, kept: Collection[UUID]) -> bool:
     """Return whether the result of a proposed evaluation is not taken; `kept`: submissions with a newer one."""
     by_machines = evaluation.verdict_code == ServiceVerdict.MACHINE_FAILED.value
     return evaluation.submission_id in kept or evaluation.state is EvaluationState.CANCELLED or by_machines
@@ -415,7 +431,7 @@ def _going_on(session: Session, stage: str) -> Competition | None:
 
 
 def _audited(rows: Sequence[RejudgedSubmission], side: str) -> dict[str, object]:
-    return {str(row.submission): asdict(getattr(row, side)) for row in rows if not row.is_left_out}
+    return {str(row.submission): asdict(getattr(row, side)) for row in rows if not row.keeps_result}
 
 
 def _subject(rejudgement: Rejudgement) -> str:

@@ -16,7 +16,7 @@ class TeamView(View):
     id: UUID
     name: str
     shown_as: str = Field(description="The name that others see; until an anonymous competition is final a random one.")
-    created_at: datetime
+    created_at: datetime | None = Field(description="When it registered; null where its name is hidden.")
 
 
 class OrganizerTeamView(TeamView):

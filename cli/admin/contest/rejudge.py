@@ -110,5 +110,5 @@ def _print(found: "list[RejudgedSubmission]", *, as_json: bool) -> None:
 def _row(row: "RejudgedSubmission") -> list[object]:
     pairs = [(percent(row.before.success_rate), percent(row.after.success_rate))]
     pairs += [(getattr(row.before, name), getattr(row.after, name)) for name in ("mean_steps", "rank")]
-    note = "keeps its result" if row.is_left_out else row.after.verdict or ("changes" if row.changes else None)
+    note = "keeps its result" if row.keeps_result else row.after.verdict or ("changes" if row.changes else None)
     return [row.team, row.submission, row.state.value, *(cell for pair in pairs for cell in pair), note]

@@ -1,7 +1,6 @@
 """Routes of rejudgements, for organizers: submissions evaluated again beside their results, applied or discarded."""
 
 from http import HTTPStatus
-from typing import Annotated
 from uuid import UUID
 
 from fastapi import APIRouter, Response
@@ -22,7 +21,7 @@ class NewRejudgement(BaseModel):
     track: str = Field(max_length=100)
     stage: str | None = Field(default=None, max_length=100, description="The one that opened last without it.")
     submissions: list[UUID] = Field(default=[], max_length=10_000, description="Empty: all models of the stage.")
-    reason: Annotated[str, Field(min_length=1, max_length=500, pattern=r"^[^\x00-\x1f\x7f]+$")]
+    reason: str = Field(max_length=rejudging.REASON_LENGTH, description="In one line, for the audit log.")
 
 
 class Application(BaseModel):

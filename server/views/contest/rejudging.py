@@ -41,7 +41,7 @@ class RejudgedSubmissionView(View):
     before: StandingView
     after: StandingView
     changes: bool = Field(description="Whether score or rank would be another one.")
-    is_left_out: bool = Field(description="Whether it keeps its present result.")
+    keeps_result: bool = Field(description="Whether it keeps its present result.")
 
 
 class RejudgementDetailView(RejudgementView):

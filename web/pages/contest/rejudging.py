@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from starlette.responses import Response
-from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.results import rejudging
 from vitac.server.results.rejudging_view import rejudgement_detail_view, rejudgement_view
 
@@ -57,13 +56,8 @@ async def start(request: Request) -> Response:
     """Evaluate the models of a stage again."""
 
     def started(session: Session, by: Principal, fields: Mapping[str, str]) -> None:
-        reason = " ".join(fields.get("reason", "").split())
-        if not 1 <= len(reason) <= 500:
-            raise ServiceError(
-                ProblemCode.INVALID_REQUEST, f"Expected a reason of 1 to 500 characters, got {len(reason)}."
-            )
         stage = fields.get("stage", "").strip() or None
-        rejudging.start(session, by, track=fields.get("track", ""), stage=stage, reason=reason)
+        rejudging.start(session, by, track=fields.get("track", ""), stage=stage, reason=fields.get("reason", ""))
 
     return await act(request, started, back=ADDRESS)
 

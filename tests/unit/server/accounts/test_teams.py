@@ -57,6 +57,20 @@ def test_names_in_other_scripts_are_not_refused(database: Database, name: str) -
     assert register(database, name) == name
 
 
+def test_a_name_that_hides_another_team_is_refused_and_does_not_tell_which(database: Database) -> None:
+    register(database, "Ants")
+    with database.transaction() as session:
+        ants, bees = teams.find(session, "Ants"), teams.register(session, CONSOLE, name="Bees")
+        ants.pseudonym = "Team 0A1B2C3D4E"
+        for taken in ("Team 0A1B2C3D4E", "team  0a1b2c3d4e", "Team OA1B2C3D4E", "\u0422eam 0A1B2C3D4E"):
+            with pytest.raises(ServiceError, match="another team is shown") as refused:
+                teams.register(session, None, name=taken)
+            assert (refused.value.code, "Ants" in str(refused.value)) == (ProblemCode.TEAM_EXISTS, False)
+        with pytest.raises(ServiceError, match="another team is shown"):
+            teams.rename(session, CONSOLE, bees, "Team 0A1B2C3D4E")
+        assert bees.name == "Bees"
+
+
 def test_compatibility_forms_are_shown_as_what_they_stand_for(database: Database) -> None:
     assert register(database, "Ｔｅａｍ\u2460 ﬁn") == "Team1 fin"
 

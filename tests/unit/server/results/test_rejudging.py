@@ -110,6 +110,7 @@ def test_new_results_stand_beside_the_present_ones_until_they_are_applied(
     assert ranks == {"Ants": (1, 2), "Bees": (2, 3), "Cats": (3, 1)}
     assert (rows["Cats"].before.success_rate, rows["Cats"].after.success_rate) == (0.35, 0.5)
     assert all(row.changes for row in rows.values())
+    shown = compared(database, rejudgement)
 
     with database.transaction() as session:
         told = rejudging.apply(session, CONSOLE, rejudgement)
@@ -122,6 +123,7 @@ def test_new_results_stand_beside_the_present_ones_until_they_are_applied(
         entry = newest_entries(session, 1)[0]
         assert (entry.action, entry.before is not None) == ("rejudgement.apply", True)
         assert entry.after[str(upgraded["Cats"].id)]["rank"] == 1
+    assert compared(database, rejudgement) == shown, "it still says what it has changed"
     with refused(ProblemCode.NOT_REQUEUABLE), database.transaction() as session:
         rejudging.discard(session, CONSOLE, rejudgement)
 
@@ -183,7 +185,7 @@ def test_a_policy_that_fails_now_leaves_the_board_and_lost_machines_change_nothi
         assert lifecycle.count_machine_failures(session, Submission.id == upgraded["Bees"].id) == 0
     rows = compared(database, rejudgement)
     assert rows["Ants"].after.verdict == VerdictCode.CRASHED
-    assert (rows["Ants"].changes, rows["Bees"].is_left_out, rows["Bees"].changes) == (True, True, False)
+    assert (rows["Ants"].changes, rows["Bees"].keeps_result, rows["Bees"].changes) == (True, True, False)
     with database.transaction() as session:
         rejudging.apply(session, CONSOLE, rejudgement)
     assert standings(database) == [("Bees", 1, 0.8), ("Cats", 2, 0.5)]
@@ -194,6 +196,8 @@ def test_what_cannot_be_rejudged_is_refused(database: Database, upgraded: dict[s
         with refused(code), database.transaction() as session:
             rejudging.start(session, by, **({"track": TRACK, "reason": "x"} | options))
 
+    for reason in ("", " ", "two\x00parts", "x" * 501, "turned \u202e around"):
+        refuse(ProblemCode.INVALID_REQUEST, reason=reason)
     refuse(ProblemCode.UNKNOWN_TRACK, track="nothing")
     refuse(ProblemCode.UNKNOWN_STAGE, stage="stage1")
     refuse(ProblemCode.NOT_FOUND, submissions=[UUID(int=1)])
@@ -210,17 +214,22 @@ def test_an_older_rejudgement_takes_no_newer_result_away(database: Database, upg
     play_proposed(database, older)
     newer = start(database, upgraded["Ants"])
     play_proposed(database, newer, Ants=make_record)
+    seen = compared(database, newer)
+    assert seen["Ants"].changes
     with database.transaction() as session:
         runs.run_again(session, CONSOLE, upgraded["Bees"].id)
         rejudging.apply(session, CONSOLE, newer)
     rows = compared(database, older)
-    assert {team for team, row in rows.items() if row.is_left_out} == {"Ants", "Bees"}, "one waits, one is complete"
+    assert {team for team, row in rows.items() if row.keeps_result} == {"Ants", "Bees"}, "one waits, one is complete"
     assert not rows["Ants"].changes
     with database.transaction() as session:
         rejudging.apply(session, CONSOLE, older)
+    assert compared(database, newer) == seen
     assert standings(database) == [("Ants", 1, 1.0), ("Cats", 2, 0.5), ("Bees", None, 0.8)]
     play_all(database, upgraded["Bees"])
     assert [rate for team, _, rate in standings(database) if team == "Bees"] == [1.0]
+    assert compared(database, older) == rows, "whatever came after it"
+    assert compared(database, newer) == seen
     with database.transaction() as session:
         for team, run in (("Ants", newer), ("Bees", None), ("Cats", older)):
             assert newest_evaluation(session, upgraded[team]).rejudgement_id == run

@@ -63,8 +63,9 @@ def test_an_organizer_starts_looks_at_and_applies_a_rejudgement(service: CliServ
     assert judge.get("/rejudging").status_code == 403
     assert anybody.get("/rejudging").status_code == 303
     assert 'href="/rejudging"' in organizer.get("/desk").text
-    refused = organizer.send("/rejudging", "/rejudging/start", track=TRACK, reason=" ")
-    assert refused.status_code == 422
+    for reason in (" ", "a\x00b", "x" * 501):
+        refused = organizer.send("/rejudging", "/rejudging/start", track=TRACK, reason=reason)
+        assert refused.status_code == 422
     refused = organizer.send("/rejudging", "/rejudging/start", track="none", reason="x")
     assert refused.status_code == 404
     assert judge.send("/announcements", "/rejudging/start", track=TRACK, reason="x").status_code == 403
@@ -115,6 +116,9 @@ def test_programs_do_the_same_over_the_api(service: CliService) -> None:
         applied = client.post(f"{address}/apply", json={"shown": looked["revision"]}).json()
         assert applied["applied_at"] is not None
         assert applied["submissions"] == looked["submissions"], "as it was looked at"
+        assert client.get(address).json()["submissions"] == looked["submissions"], "and so it stays"
+        for reason in ("a\x00b", "", "x" * 501):
+            assert client.post(base, json={"track": TRACK, "reason": reason}).status_code == 422
         other = client.post(base, json={"track": TRACK, "reason": "in vain"}).json()
         assert client.post(f"{base}/{other['id']}/discard").status_code == 204
         listed = client.get(base).json()
