@@ -14,8 +14,9 @@ if TYPE_CHECKING:
 
 _NO_TORCH = "No module named 'torch'"
 _TORCH_REMEDY = (
-    "The submission needs torch, which is not installed here: ./vitac --torch check adds its build for CPUs. A service "
-    "has torch only if its page Sandbox lists it."
+    "The submission needs torch, which is not installed here: ./vitac --torch check adds its build for CPUs, "
+    "from an index that PIP_EXTRA_INDEX_URL names if pip's own does not have it. A service has torch only if its page "
+    "Sandbox lists it."
 )
 
 

@@ -48,17 +48,17 @@ torch_for_cpus() {
 install_addition() { # name
   lock=$root/requirements/$1.lock
   : >"$log"
-  heading="installing $(addition_title "$1")"
-  logged "$heading" "$(grep -c '==' "$lock")" 'Collecting ' \
-    pip install --require-hashes --only-binary :all: --no-deps -r "$lock" || fail_setup "$heading" "$(addition_mib "$1")"
-  heading="installing torch for CPUs"
+  heading="installing torch for CPUs" # first, for PyPI has none for x86_64
   if ! logged "$heading" '' '' pip install --only-binary :all: --no-deps "$(torch_for_cpus)"; then
     if in_log 'No matching distribution'; then
       end_steps "$heading failed"
-      die "$(torch_for_cpus) is not on the package index that pip is configured for. Name the index that torch's own pages give for CPUs in PIP_EXTRA_INDEX_URL and run the command again."
+      die "$(torch_for_cpus) is not on the package index that pip is configured for. Nothing was added. Name the index that torch's own pages give for CPUs in PIP_EXTRA_INDEX_URL and run the command again."
     fi
     fail_setup "$heading" "$(addition_mib "$1")"
   fi
+  heading="installing $(addition_title "$1")"
+  logged "$heading" "$(grep -c '==' "$lock")" 'Collecting ' \
+    pip install --require-hashes --only-binary :all: --no-deps -r "$lock" || fail_setup "$heading" "$(addition_mib "$1")"
   addition_fingerprint "$1" >"$root/.venv/vitac-$1"
   end_steps "$(addition_title "$1") is ready"
 }

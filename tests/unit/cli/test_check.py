@@ -78,6 +78,7 @@ def test_a_submission_that_needs_torch_is_told_how_to_add_it(
     assert result.exit_code == 1
     assert message in refused
     assert ("The submission needs torch, which is not installed here: ./vitac --torch check adds" in refused) is is_told
+    assert ("from an index that PIP_EXTRA_INDEX_URL names if pip's own does not have it" in refused) is is_told
 
 
 def test_a_failure_without_output_keeps_that_of_the_one_before(tmp_path: Path, played: list[EpisodeRecord]) -> None:
