@@ -1,5 +1,6 @@
 """`vitac admin backup` and `vitac admin restore`: the whole service in one file."""
 
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -9,7 +10,7 @@ import typer
 
 from ..service.database import load_settings, open_service
 from ..terminal.output import AsJson, print_record
-from .consent import Yes, require_consent
+from .consent import NOTHING_CHANGED, DryRun, Yes, require_consent
 
 if TYPE_CHECKING:
     from vitac.server.backup.archive import BackupDescription
@@ -30,14 +31,20 @@ def back_up(
 def restore(
     file: Annotated[Path, typer.Argument(help="A file of `vitac admin backup`.", exists=True, dir_okay=False)],
     yes: Yes = False,
+    dry_run: DryRun = False,
     as_json: AsJson = False,
 ) -> None:
     """Bring a backup into a service without data; stop its workers first."""
     from vitac.server.backup import restore
 
-    require_consent(f"Replace the empty database by the one in {file}?", yes=yes)
-    with open_service(load_settings()) as services, _progress() as on_file:
-        description = restore.restore(services, file, on_file=on_file)
+    if dry_run:
+        with open_service(load_settings()) as services:
+            description = restore.check(services, file)
+        print(NOTHING_CHANGED, file=sys.stderr)
+    else:
+        require_consent(f"Replace the empty database by the one in {file}?", yes=yes)
+        with open_service(load_settings()) as services, _progress() as on_file:
+            description = restore.restore(services, file, on_file=on_file)
     _print(file, description, as_json=as_json)
 
 

@@ -1,4 +1,7 @@
-"""Changes that cannot be taken back: asked about first, then made in one transaction. Called by the admin nouns."""
+"""Changes of the admin commands: asked about where they are for good, made in one transaction, taken back in a dry run.
+
+Called by the nouns.
+"""
 
 import sys
 from collections.abc import Callable, Iterator
@@ -19,7 +22,10 @@ Yes = Annotated[bool, typer.Option("--yes", help="Do not ask.")]
 """The option of a command that changes something for good."""
 
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Only say what would change.")]
-"""The option of a command that changes several things at once."""
+"""The option of every command that changes something."""
+
+NOTHING_CHANGED = "Dry run: nothing was changed."
+"""Printed on stderr, so that the output is what the change itself would print."""
 
 
 class ConsentMissing(VitacError):
@@ -54,7 +60,9 @@ def change_as_shown(
     """
     with transaction() as session:
         shown = change(session)
-        if dry_run or not yes:
+        if dry_run:
+            take_back(session)
+        elif not yes:
             session.rollback()
     show(shown)
     if dry_run or yes:
@@ -69,16 +77,33 @@ def change_as_shown(
 
 
 @contextmanager
-def consented_transaction(question: str, *, yes: bool) -> Iterator["Session"]:
-    """Ask, then open the service that the environment names and one transaction on its database.
+def change_transaction(*, dry_run: bool, question: str | None = None, yes: bool = False) -> Iterator["Session"]:
+    """Open the service that the environment names and one transaction on its database, for one change.
+
+    What is printed of the change is read inside and printed after the block, when it is kept.
+
+    Args:
+        dry_run: take the change back at the end of the block, and ask nothing.
+        question: asked first, of a change for good.
+        yes: do not ask.
 
     Raises:
         ConsentMissing: nobody can be asked.
         typer.Abort: the answer was no.
     """
-    require_consent(question, yes=yes)
+    if question is not None and not dry_run:
+        require_consent(question, yes=yes)
     with transaction() as session:
         yield session
+        if dry_run:
+            take_back(session)
+
+
+def take_back(session: "Session") -> None:
+    """End a dry run: let the database refuse what it would refuse, take the change back, and say so."""
+    session.flush()
+    session.rollback()
+    print(NOTHING_CHANGED, file=sys.stderr)
 
 
 def require_consent(question: str, *, yes: bool) -> None:

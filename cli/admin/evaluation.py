@@ -6,8 +6,8 @@ from uuid import UUID
 import typer
 
 from ..service.database import load_settings, open_service, transaction
-from ..terminal.output import AsJson, moment, percent, print_json, print_pairs, print_table
-from .consent import Yes, consented_transaction
+from ..terminal.output import AsJson, moment, percent, print_done, print_json, print_pairs, print_table
+from .consent import DryRun, Yes, change_transaction
 from .state import known_state
 
 if TYPE_CHECKING:
@@ -67,30 +67,39 @@ def show(
 def requeue(
     evaluation: EvaluationId,
     yes: Yes = False,
+    dry_run: DryRun = False,
+    as_json: AsJson = False,
 ) -> None:
     """Start a new run of the same submission, all episodes anew; this evaluation stays as it is."""
     from vitac.server.accounts.principals import CONSOLE
     from vitac.server.evaluations import listing
     from vitac.server.submissions import runs
+    from vitac.server.submissions.listing import get
 
-    with consented_transaction(f"Run the submission of evaluation {evaluation} once more?", yes=yes) as session:
-        submission_id = runs.run_again(session, CONSOLE, listing.find(session, evaluation).submission_id).id
-    print(f"queued submission {submission_id} again")
+    question = f"Run the submission of evaluation {evaluation} once more?"
+    with change_transaction(dry_run=dry_run, question=question, yes=yes) as session:
+        submission = runs.run_again(session, CONSOLE, listing.find(session, evaluation).submission_id).id
+        shown = get(session, load_settings(), CONSOLE, submission).model_dump(mode="json")
+    print_done(f"queued submission {submission} again", shown, as_json=as_json)
 
 
 @app.command()
 def cancel(
     evaluation: EvaluationId,
     yes: Yes = False,
+    dry_run: DryRun = False,
+    as_json: AsJson = False,
 ) -> None:
     """Cancel an evaluation that waits or runs."""
     from vitac.server.accounts.principals import CONSOLE
     from vitac.server.evaluations import listing
     from vitac.server.submissions import runs
 
-    with consented_transaction(f"Cancel evaluation {evaluation}?", yes=yes) as session:
+    question = f"Cancel evaluation {evaluation}?"
+    with change_transaction(dry_run=dry_run, question=question, yes=yes) as session:
         runs.cancel_evaluation(session, CONSOLE, listing.find(session, evaluation))
-    print(f"cancelled {evaluation}")
+        shown = listing.show_evaluation(session, load_settings(), evaluation).model_dump(mode="json")
+    print_done(f"cancelled {evaluation}", shown, as_json=as_json)
 
 
 def _row(row: "EvaluationRowView") -> list[object]:

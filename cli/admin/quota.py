@@ -4,8 +4,9 @@ from typing import Annotated
 
 import typer
 
-from ..service.database import load_settings, open_service, transaction
-from ..terminal.output import AsJson, print_records
+from ..service.database import load_settings, transaction
+from ..terminal.output import AsJson, print_done, print_records
+from .consent import DryRun, change_transaction
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
@@ -20,9 +21,8 @@ def list_quotas(team: TeamName, as_json: AsJson = False) -> None:
     from vitac.server.accounts import teams
     from vitac.server.accounts.quotas import uses
 
-    settings = load_settings()
-    with open_service(settings) as services, services.database.transaction() as session:
-        found = [vars(use) for use in uses(session, settings.quotas, teams.find(session, team).id)]
+    with transaction() as session:
+        found = [vars(use) for use in uses(session, load_settings().quotas, teams.find(session, team).id)]
     print_records(found, ("quota", "limit", "used", "opens_at"), none="No quota.", as_json=as_json)
 
 
@@ -31,6 +31,8 @@ def set_quota(
     team: TeamName,
     quota: Annotated[str, typer.Argument(help="Name of the quota, as `list` shows it.")],
     limit: Annotated[str, typer.Argument(help=f"A number, {UNLIMITED}, or {DEFAULT} for the setting's.")],
+    dry_run: DryRun = False,
+    as_json: AsJson = False,
 ) -> None:
     """Give a team a limit of its own."""
     from vitac.server.accounts import quotas, teams
@@ -41,10 +43,12 @@ def set_quota(
         raise typer.BadParameter(f"{quota!r} is no quota; they are {', '.join(Quota)}")
     if limit not in {UNLIMITED, DEFAULT} and not (limit.isascii() and limit.isdigit() and len(limit) < 10):
         raise typer.BadParameter(f"{limit!r} is neither a number nor {UNLIMITED} nor {DEFAULT}")
-    with transaction() as session:
+    with change_transaction(dry_run=dry_run) as session:
         found = teams.find(session, team)
         if limit == DEFAULT:
             quotas.reset_quota(session, CONSOLE, found, Quota(quota))
         else:
             quotas.set_quota(session, CONSOLE, found, Quota(quota), None if limit == UNLIMITED else int(limit))
-    print(f"{quota} of {found.name}: {limit}")
+        used = quotas.uses(session, load_settings().quotas, found.id)
+        sentence = f"{quota} of {found.name}: {limit}"
+    print_done(sentence, next(vars(use) for use in used if use.quota == quota), as_json=as_json)

@@ -6,8 +6,8 @@ from uuid import UUID
 import typer
 
 from ..service.database import load_settings, open_service
-from ..terminal.output import AsJson, moment, percent, print_json, print_table
-from .consent import Yes, consented_transaction
+from ..terminal.output import AsJson, moment, percent, print_done, print_json, print_table
+from .consent import DryRun, Yes, change_transaction
 from .state import known_state
 
 if TYPE_CHECKING:
@@ -70,28 +70,36 @@ def show(
 def requeue(
     submission: SubmissionId,
     yes: Yes = False,
+    dry_run: DryRun = False,
+    as_json: AsJson = False,
 ) -> None:
     """Evaluate a submission once more, all episodes anew. Earlier results stay; the newest run is the one shown."""
     from vitac.server.accounts.principals import CONSOLE
-    from vitac.server.submissions import runs
+    from vitac.server.submissions import listing, runs
 
-    with consented_transaction(f"Evaluate submission {submission} once more?", yes=yes) as session:
+    question = f"Evaluate submission {submission} once more?"
+    with change_transaction(dry_run=dry_run, question=question, yes=yes) as session:
         runs.run_again(session, CONSOLE, submission)
-    print(f"queued {submission} again")
+        shown = listing.get(session, load_settings(), CONSOLE, submission).model_dump(mode="json")
+    print_done(f"queued {submission} again", shown, as_json=as_json)
 
 
 @app.command()
 def cancel(
     submission: SubmissionId,
     yes: Yes = False,
+    dry_run: DryRun = False,
+    as_json: AsJson = False,
 ) -> None:
     """Cancel the evaluation of a submission; its workers stop within seconds."""
     from vitac.server.accounts.principals import CONSOLE
-    from vitac.server.submissions import runs
+    from vitac.server.submissions import listing, runs
 
-    with consented_transaction(f"Cancel the evaluation of submission {submission}?", yes=yes) as session:
+    question = f"Cancel the evaluation of submission {submission}?"
+    with change_transaction(dry_run=dry_run, question=question, yes=yes) as session:
         runs.cancel(session, CONSOLE, submission)
-    print(f"cancelled {submission}")
+        shown = listing.get(session, load_settings(), CONSOLE, submission).model_dump(mode="json")
+    print_done(f"cancelled {submission}", shown, as_json=as_json)
 
 
 def _row(item: "SubmissionView") -> list[object]:

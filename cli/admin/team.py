@@ -4,9 +4,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..service.database import load_settings, open_service, transaction
+from ..service.database import load_settings, transaction
 from ..terminal.output import AsJson, print_json, print_pairs, print_record, print_records
-from .consent import DryRun, Yes, require_consent
+from .consent import DryRun, Yes, change_transaction
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -23,6 +23,7 @@ TeamName = Annotated[str, typer.Argument(help="Name or id.")]
 def add(
     name: Annotated[str, typer.Argument(help="The team's name, 2 to 64 characters.")],
     contact: Annotated[str | None, typer.Option(help="Where organizers reach the team.")] = None,
+    dry_run: DryRun = False,
     as_json: AsJson = False,
 ) -> None:
     """Add a team and print its API token, which is shown only now."""
@@ -30,15 +31,16 @@ def add(
     from vitac.server.accounts.principals import CONSOLE
     from vitac.server.accounts.registration import NewTeam, register
 
-    settings = load_settings()
-    with open_service(settings) as services, services.database.transaction() as session:
-        team, issued = register(session, settings, CONSOLE, NewTeam(name=name, contact=contact))
-        shown = teams.organizer_team_view(session, team).model_dump()
+    with change_transaction(dry_run=dry_run) as session:
+        team, issued = register(session, load_settings(), CONSOLE, NewTeam(name=name, contact=contact))
+        shown = teams.organizer_team_view(session, team).model_dump() | ({"id": None} if dry_run else {})
+    secret = None if dry_run else issued.secret
     if as_json:
-        print_json({"team": shown, "secret": issued.secret})
+        print_json({"team": shown, "secret": secret})
         return
-    print_pairs({"team": team.name, "id": team.id, "token": issued.secret})
-    print("\nThe token is not shown again. Hand it to the team; it is used as VITAC_TOKEN.")
+    print_pairs({"team": shown["name"], "id": shown["id"], "token": secret})
+    if not dry_run:
+        print("\nThe token is not shown again. Hand it to the team; it is used as VITAC_TOKEN.")
 
 
 @app.command("list")
@@ -146,25 +148,27 @@ def remove_member(
     from vitac.server.accounts import members
     from vitac.server.accounts.principals import CONSOLE
 
-    if not dry_run:
-        require_consent(f"Remove {member} from {team}?", yes=yes)
-
     def change(session: "Session", found: "Team") -> None:
         members.remove(session, CONSOLE, members.find_by_name(session, found, member))
 
-    _change(team, change, dry_run=dry_run, as_json=as_json)
+    _change(team, change, question=f"Remove {member} from {team}?", yes=yes, dry_run=dry_run, as_json=as_json)
 
 
 @app.command()
-def data(team: TeamName) -> None:
-    """Print everything that the service has of a team, as JSON."""
+def data(team: TeamName, as_json: AsJson = False) -> None:
+    """Say how much the service has of a team; with --json print all of it."""
     from vitac.server.accounts import teams
     from vitac.server.accounts.principals import CONSOLE
     from vitac.server.people.team_data import export
 
-    settings = load_settings()
-    with open_service(settings) as services, services.database.transaction() as session:
-        print_json(export(session, settings, CONSOLE, teams.find(session, team)).model_dump(mode="json"))
+    with transaction() as session:
+        found = export(session, load_settings(), CONSOLE, teams.find(session, team)).model_dump(mode="json")
+    if as_json:
+        print_json(found)
+        return
+    lists = {"members": found["team"]["members"]} | {name: part for name, part in found.items() if type(part) is list}
+    print_pairs({"team": found["team"]["name"]} | {name.replace("_", " "): len(part) for name, part in lists.items()})
+    print("\n--json prints all of it.")
 
 
 @app.command()
@@ -173,9 +177,14 @@ def delete(team: TeamName, yes: Yes = False, dry_run: DryRun = False, as_json: A
     from vitac.server.accounts.principals import CONSOLE
     from vitac.server.people.team_data import erase
 
-    if not dry_run:
-        require_consent(f"Remove {team} with all that it uploaded for good?", yes=yes)
-    _change(team, lambda session, found: erase(session, CONSOLE, found), dry_run=dry_run, as_json=as_json)
+    _change(
+        team,
+        lambda session, found: erase(session, CONSOLE, found),
+        question=f"Remove {team} with all that it uploaded for good?",
+        yes=yes,
+        dry_run=dry_run,
+        as_json=as_json,
+    )
 
 
 @app.command()
@@ -190,13 +199,10 @@ def merge(
     from vitac.server.accounts import merging, teams
     from vitac.server.accounts.principals import CONSOLE
 
-    if not dry_run:
-        require_consent(f"Merge {team} into {into} for good?", yes=yes)
-
     def change(session: "Session", found: "Team") -> None:
         merging.merge(session, CONSOLE, teams.find(session, team), found)
 
-    _change(into, change, dry_run=dry_run, as_json=as_json)
+    _change(into, change, question=f"Merge {team} into {into} for good?", yes=yes, dry_run=dry_run, as_json=as_json)
 
 
 @app.command()
@@ -211,10 +217,13 @@ def disqualify(
     from vitac.server.accounts import teams
     from vitac.server.accounts.principals import CONSOLE
 
-    if not dry_run:
-        require_consent(f"Disqualify {team}?", yes=yes)
     _change(
-        team, lambda session, found: teams.disqualify(session, CONSOLE, found, reason), dry_run=dry_run, as_json=as_json
+        team,
+        lambda session, found: teams.disqualify(session, CONSOLE, found, reason),
+        question=f"Disqualify {team}?",
+        yes=yes,
+        dry_run=dry_run,
+        as_json=as_json,
     )
 
 
@@ -227,14 +236,21 @@ def reinstate(team: TeamName, dry_run: DryRun = False, as_json: AsJson = False) 
     _change(team, lambda session, found: teams.reinstate(session, CONSOLE, found), dry_run=dry_run, as_json=as_json)
 
 
-def _change(team: str, change: "Callable[[Session, Team], None]", *, dry_run: bool, as_json: bool) -> None:
-    """Change a team and print what it is then; a dry run takes the change back."""
+def _change(
+    team: str,
+    change: "Callable[[Session, Team], None]",
+    *,
+    dry_run: bool,
+    as_json: bool,
+    question: str | None = None,
+    yes: bool = False,
+) -> None:
+    """Change a team and print what it is then."""
     from vitac.server.accounts import teams
 
-    with transaction() as session:
+    with change_transaction(dry_run=dry_run, question=question, yes=yes) as session:
         found = teams.find(session, team)
         change(session, found)
         session.flush()
-        print_record(teams.organizer_team_view(session, found).model_dump(mode="json"), as_json=as_json)
-        if dry_run:
-            raise typer.Exit  # which takes the change back
+        shown = teams.organizer_team_view(session, found).model_dump(mode="json")
+    print_record(shown, as_json=as_json)

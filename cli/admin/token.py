@@ -6,9 +6,9 @@ from uuid import UUID
 
 import typer
 
-from ..service.database import load_settings, open_service, transaction
-from ..terminal.output import AsJson, print_json, print_pairs, print_records
-from .consent import Yes, consented_transaction
+from ..service.database import load_settings, transaction
+from ..terminal.output import AsJson, print_done, print_json, print_pairs, print_records
+from .consent import DryRun, Yes, change_transaction
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
@@ -26,6 +26,7 @@ def add(
     days: Annotated[
         int | None, typer.Option(min=1, help="Days until it expires; default: VITAC_TOKEN_LIFETIME_DAYS.")
     ] = None,
+    dry_run: DryRun = False,
     as_json: AsJson = False,
 ) -> None:
     """Add a token and print it, which happens only now."""
@@ -38,22 +39,22 @@ def add(
     if judge and label is None:
         raise typer.BadParameter("name the judge with --label: marks and conflicts of interest are kept under it")
     role = Role.ORGANIZER if organizer else Role.JUDGE if judge else Role.TEAM
-    settings = load_settings()
-    with open_service(settings) as services, services.database.transaction() as session:
+    with change_transaction(dry_run=dry_run) as session:
         issued = tokens.issue(
             session,
             CONSOLE,
             role=role,
             label=label or "added by an organizer",
             team=None if team is None else teams.find(session, team),
-            lifetime=timedelta(days=days or settings.token_lifetime_days),
+            lifetime=timedelta(days=days or load_settings().token_lifetime_days),
         )
-        shown = tokens.new_token_view(issued).model_dump()
+        shown = tokens.new_token_view(issued).model_dump() | ({"id": None, "secret": None} if dry_run else {})
     if as_json:
         print_json(shown)
         return
     print_pairs(shown)
-    print("\nThe secret is not shown again. It is used as VITAC_TOKEN.")
+    if not dry_run:
+        print("\nThe secret is not shown again. It is used as VITAC_TOKEN.")
 
 
 @app.command("list")
@@ -72,11 +73,13 @@ def list_tokens(as_json: AsJson = False) -> None:
 def revoke(
     token: Annotated[UUID, typer.Argument(help="Id of the token (not its secret).")],
     yes: Yes = False,
+    dry_run: DryRun = False,
+    as_json: AsJson = False,
 ) -> None:
     """End a token at once, for good."""
     from vitac.server.accounts import tokens
     from vitac.server.accounts.principals import CONSOLE
 
-    with consented_transaction(f"Revoke token {token} for good?", yes=yes) as session:
-        tokens.revoke(session, CONSOLE, token)
-    print(f"revoked {token}")
+    with change_transaction(dry_run=dry_run, question=f"Revoke token {token} for good?", yes=yes) as session:
+        shown = tokens.token_view(tokens.revoke(session, CONSOLE, token)).model_dump()
+    print_done(f"revoked {token}", shown, as_json=as_json)

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 GAP = "  "
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
-"""The option of every read command."""
+"""The option of every command that reads or changes something."""
 
 
 def print_json(content: object) -> None:
@@ -53,6 +53,14 @@ def print_record(record: Mapping[str, object], *, as_json: bool) -> None:
         print_json(record)
     else:
         print_pairs(record)
+
+
+def print_done(sentence: str, record: Mapping[str, object], *, as_json: bool) -> None:
+    """Print what a command has done: as JSON the record of it, else one sentence."""
+    if as_json:
+        print_json(record)
+    else:
+        print(sentence)
 
 
 def print_records(records: Sequence[Mapping[str, object]], columns: Sequence[str], *, none: str, as_json: bool) -> None:

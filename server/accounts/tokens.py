@@ -174,8 +174,8 @@ def _own(by: Principal) -> ColumnElement[bool]:
     return ApiToken.team_id == by.team_id if by.leads_team else ApiToken.member_id == by.member_id
 
 
-def revoke(session: Session, by: Principal, token_id: UUID) -> None:
-    """End a token or session at once; ending it again changes nothing.
+def revoke(session: Session, by: Principal, token_id: UUID) -> ApiToken:
+    """End a token or session at once, and return it; ending it again changes nothing.
 
     Raises:
         ServiceError: there is no such token that the principal may end.
@@ -186,6 +186,7 @@ def revoke(session: Session, by: Principal, token_id: UUID) -> None:
         raise not_found("token", token_id)
     if token.revoked_at is None:
         _end(session, by, token)
+    return token
 
 
 def _end(session: Session, by: Principal, token: ApiToken) -> None:

@@ -24,6 +24,18 @@ class ServiceNotEmpty(VitacError):
     """A backup is restored only into a service without data and without running workers; nothing was changed."""
 
 
+def check(services: Services, source: Path) -> BackupDescription:
+    """Check whether a backup is whole and could be restored into this service; change nothing.
+
+    Raises:
+        BackupRejected: the file is not a whole backup, or of a newer version.
+        ServiceNotEmpty: the service has data, or workers that use its database.
+    """
+    with BackupReader.opened(source) as reader:
+        _check(services, reader)
+        return reader.description
+
+
 def restore(
     services: Services, source: Path, *, on_file: Callable[[int, int], None] = lambda *_: None
 ) -> BackupDescription:

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ...service.database import transaction
-from ...terminal.output import AsJson, moment, print_json, print_pairs, print_records, print_table
-from ..consent import DryRun, Yes, change_as_shown, require_consent
+from ...terminal.output import AsJson, moment, print_json, print_pairs, print_record, print_records, print_table
+from ..consent import DryRun, Yes, change_as_shown, change_transaction
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -111,7 +111,9 @@ def lists(as_json: AsJson = False) -> None:
 
 
 @app.command()
-def reveal(track: TrackName, stage: StageName, yes: Yes = False, dry_run: DryRun = False) -> None:
+def reveal(
+    track: TrackName, stage: StageName, yes: Yes = False, dry_run: DryRun = False, as_json: AsJson = False
+) -> None:
     """Publish the secret of a stage's sealed list, for good, after the stage has closed."""
     from vitac.server.accounts.principals import CONSOLE
     from vitac.server.competition.schedule import require_over
@@ -119,14 +121,12 @@ def reveal(track: TrackName, stage: StageName, yes: Yes = False, dry_run: DryRun
 
     with transaction() as session:
         require_over(session, track, stage)
-    if not dry_run:
-        require_consent(f"Publish the episodes of stage {stage} of {track} for good?", yes=yes)
-    with transaction() as session:
+    question = f"Publish the episodes of stage {stage} of {track} for good?"
+    with change_transaction(dry_run=dry_run, question=question, yes=yes) as session:
         require_over(session, track, stage)  # the stage may have been prolonged meanwhile
         found = reveal_list(session, CONSOLE, track, stage)
-        print(f"commitment {found.commitment}\nsecret {found.secret if not dry_run else 'not shown: dry run'}")
-        if dry_run:
-            raise typer.Exit  # which takes the change back
+        shown = {"track": track, "stage": stage, "commitment": found.commitment, "secret": found.secret}
+    print_record(shown | ({"secret": None} if dry_run else {}), as_json=as_json)
 
 
 def _print_changes(changes: "Sequence[Change]", *, as_json: bool) -> None:

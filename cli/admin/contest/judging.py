@@ -7,7 +7,8 @@ from uuid import UUID
 import typer
 
 from ...service.database import transaction
-from ...terminal.output import AsJson, percent, print_json, print_table
+from ...terminal.output import AsJson, percent, print_done, print_json, print_table
+from ..consent import DryRun, change_transaction
 
 if TYPE_CHECKING:
     from vitac.server.judging.judging import JudgedTeam
@@ -37,14 +38,18 @@ def mark(
     submission: Annotated[UUID, typer.Argument(help="Id of the submission.")],
     marks: Annotated[list[str], typer.Argument(help="CRITERION=MARK for every criterion.")],
     judge: Judge,
+    dry_run: DryRun = False,
+    as_json: AsJson = False,
 ) -> None:
     """Write down the marks of a judge, in place of those from before."""
     from vitac.server.accounts.principals import CONSOLE
     from vitac.server.judging.judging import give_marks
 
-    with transaction() as session:
-        give_marks(session, CONSOLE, submission, _parsed(marks), judge=judge)
-    print(f"marks of {judge} for {submission}")
+    given = _parsed(marks)
+    with change_transaction(dry_run=dry_run) as session:
+        give_marks(session, CONSOLE, submission, given, judge=judge)
+    content = {"submission": submission, "judge": judge, "marks": given}
+    print_done(f"marks of {judge} for {submission}", content, as_json=as_json)
 
 
 @app.command()
@@ -52,14 +57,16 @@ def conflict(
     team: Annotated[str, typer.Argument(help="Name or id of the team.")],
     judge: Judge,
     reason: Annotated[str, typer.Option(help="In words.")],
+    dry_run: DryRun = False,
+    as_json: AsJson = False,
 ) -> None:
     """Note a conflict of interest: the judge's marks of that team are taken away, and no new ones accepted."""
     from vitac.server.accounts.principals import CONSOLE
     from vitac.server.judging.judging import declare_conflict
 
-    with transaction() as session:
+    with change_transaction(dry_run=dry_run) as session:
         declare_conflict(session, CONSOLE, team, reason, judge=judge)
-    print(f"{judge} does not judge {team}")
+    print_done(f"{judge} does not judge {team}", {"team": team, "judge": judge, "reason": reason}, as_json=as_json)
 
 
 @app.command()

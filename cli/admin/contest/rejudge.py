@@ -7,8 +7,8 @@ from uuid import UUID
 import typer
 
 from ...service.database import transaction
-from ...terminal.output import AsJson, percent, print_json, print_records, print_table
-from ..consent import DryRun, Yes, change_as_shown, consented_transaction
+from ...terminal.output import AsJson, percent, print_done, print_json, print_records, print_table
+from ..consent import DryRun, Yes, change_as_shown, change_transaction
 
 if TYPE_CHECKING:
     from vitac.server.results.rejudging import RejudgedSubmission
@@ -27,19 +27,21 @@ def start(
     submission: Annotated[
         list[UUID] | None, typer.Option(help="Only this one; may be repeated. All models of the stage without it.")
     ] = None,
+    dry_run: DryRun = False,
     as_json: AsJson = False,
 ) -> None:
     """Evaluate submissions again with the present evaluator; nobody but organizers sees it, no result changes."""
     from vitac.server.accounts.principals import CONSOLE
     from vitac.server.results import rejudging
 
-    with transaction() as session:
+    with change_transaction(dry_run=dry_run) as session:
         made = rejudging.start(session, CONSOLE, track=track, stage=stage, submissions=submission or (), reason=reason)
-        content = {"id": str(made.id), "submissions": len(rejudging.comparison(session, made))}
-    if as_json:
-        print_json(content)
-    else:
-        print(f"rejudgement {content['id']} of {content['submissions']} submissions; see `vitac admin rejudge show`")
+        count = len(rejudging.comparison(session, made))
+    if dry_run:
+        print_done(f"{count} submissions", {"id": None, "submissions": count}, as_json=as_json)
+        return
+    sentence = f"rejudgement {made.id} of {count} submissions; see `vitac admin rejudge show`"
+    print_done(sentence, {"id": made.id, "submissions": count}, as_json=as_json)
 
 
 @app.command("list")
@@ -89,14 +91,14 @@ def apply(rejudgement: RejudgementId, yes: Yes = False, dry_run: DryRun = False,
 
 
 @app.command()
-def discard(rejudgement: RejudgementId, yes: Yes = False) -> None:
+def discard(rejudgement: RejudgementId, yes: Yes = False, dry_run: DryRun = False, as_json: AsJson = False) -> None:
     """Leave all present results as they are."""
     from vitac.server.accounts.principals import CONSOLE
     from vitac.server.results import rejudging
 
-    with consented_transaction("Discard the new results?", yes=yes) as session:
+    with change_transaction(dry_run=dry_run, question="Discard the new results?", yes=yes) as session:
         rejudging.discard(session, CONSOLE, rejudgement)
-    print(f"discarded {rejudgement}")
+    print_done(f"discarded {rejudgement}", {"id": rejudgement, "discarded": True}, as_json=as_json)
 
 
 def _print(found: "list[RejudgedSubmission]", *, as_json: bool) -> None:

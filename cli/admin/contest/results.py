@@ -7,8 +7,8 @@ from typing import Annotated
 import typer
 
 from ...service.database import transaction
-from ...terminal.output import AsJson, print_json, print_records
-from ..consent import DryRun, Yes, change_as_shown, consented_transaction
+from ...terminal.output import AsJson, print_done, print_json, print_records
+from ..consent import DryRun, Yes, change_as_shown, change_transaction
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
@@ -16,25 +16,25 @@ COLUMNS = ("track", "place", "team", "amount", "currency", "rank", "success_rate
 
 
 @app.command()
-def freeze() -> None:
+def freeze(dry_run: DryRun = False, as_json: AsJson = False) -> None:
     """Let the boards of all stages stand still for everybody but organizers; `unfreeze` takes it back."""
     from vitac.server.accounts.principals import CONSOLE
     from vitac.server.results.finishing import freeze as freeze_boards
 
-    with transaction() as session:
+    with change_transaction(dry_run=dry_run) as session:
         freeze_boards(session, CONSOLE)
-    print("boards stand still")
+    print_done("boards stand still", {"frozen": True}, as_json=as_json)
 
 
 @app.command()
-def unfreeze(yes: Yes = False) -> None:
+def unfreeze(yes: Yes = False, dry_run: DryRun = False, as_json: AsJson = False) -> None:
     """Show all results again."""
     from vitac.server.accounts.principals import CONSOLE
     from vitac.server.results.finishing import unfreeze as unfreeze_boards
 
-    with consented_transaction("Show all results on the boards again?", yes=yes) as session:
+    with change_transaction(dry_run=dry_run, question="Show all results on the boards again?", yes=yes) as session:
         unfreeze_boards(session, CONSOLE)
-    print("boards show all results")
+    print_done("boards show all results", {"frozen": False}, as_json=as_json)
 
 
 @app.command()

@@ -5,8 +5,8 @@ from typing import Annotated
 import typer
 
 from ...service.database import transaction
-from ...terminal.output import AsJson, print_record, print_records
-from ..consent import DryRun
+from ...terminal.output import AsJson, print_done, print_record, print_records
+from ..consent import DryRun, change_transaction
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
@@ -24,11 +24,10 @@ def publish(
     from vitac.server.people import announcements
     from vitac.server.views.contest.people import AnnouncementView
 
-    with transaction() as session:
+    with change_transaction(dry_run=dry_run) as session:
         made = announcements.publish(session, CONSOLE, title=title, text=text, notify=notify)
-        print_record(AnnouncementView.model_validate(made, from_attributes=True).model_dump(), as_json=as_json)
-        if dry_run:
-            raise typer.Exit  # which takes the change back
+        shown = AnnouncementView.model_validate(made, from_attributes=True).model_dump()
+    print_record(shown | ({"id": None} if dry_run else {}), as_json=as_json)
 
 
 @app.command("list")
@@ -45,13 +44,13 @@ def list_announcements(as_json: AsJson = False) -> None:
 def withdraw(
     announcement: Annotated[int, typer.Argument(min=1, max=2_147_483_647, help="Number of the announcement.")],
     dry_run: DryRun = False,
+    as_json: AsJson = False,
 ) -> None:
     """Show an announcement to nobody from now on."""
     from vitac.server.accounts.principals import CONSOLE
     from vitac.server.people.announcements import withdraw as withdraw_announcement
 
-    with transaction() as session:
+    with change_transaction(dry_run=dry_run) as session:
         withdraw_announcement(session, CONSOLE, announcement)
-        print(f"announcement {announcement} is withdrawn")
-        if dry_run:
-            raise typer.Exit  # which takes the change back
+    content = {"id": announcement, "withdrawn": True}
+    print_done(f"announcement {announcement} is withdrawn", content, as_json=as_json)

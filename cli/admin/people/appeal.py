@@ -7,7 +7,7 @@ import typer
 
 from ...service.database import load_settings, open_service, transaction
 from ...terminal.output import AsJson, print_json, print_pairs, print_record, print_records
-from ..consent import DryRun
+from ..consent import DryRun, change_transaction, take_back
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
@@ -77,9 +77,9 @@ def replay(
             )
             shown = AppealReplayView.model_validate(made, from_attributes=True).model_dump(mode="json")
             failure = played.record.failure.message if played.record.failure is not None else None
-            print_record(shown | {"failure": failure}, as_json=as_json)
             if dry_run:
-                raise typer.Exit  # which takes the note back
+                take_back(session)
+    print_record(shown | {"failure": failure}, as_json=as_json)
 
 
 @app.command()
@@ -95,9 +95,8 @@ def rule(
     from vitac.server.people.appeals import appeal_view
     from vitac.server.people.appeals import rule as rule_on
 
-    with transaction() as session:
+    with change_transaction(dry_run=dry_run) as session:
         found = rule_on(session, CONSOLE, appeal, text, upheld=upheld)
         session.flush()
-        print_record(appeal_view(found, CONSOLE).model_dump(mode="json", exclude={"replays"}), as_json=as_json)
-        if dry_run:
-            raise typer.Exit  # which takes the change back
+        shown = appeal_view(found, CONSOLE).model_dump(mode="json", exclude={"replays"})
+    print_record(shown, as_json=as_json)

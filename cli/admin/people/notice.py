@@ -7,7 +7,7 @@ import typer
 
 from ...service.database import transaction
 from ...terminal.output import AsJson, print_record, print_records
-from ..consent import DryRun
+from ..consent import DryRun, change_transaction
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
@@ -38,9 +38,6 @@ def retry(
     from vitac.server.notices.outbox import notice_view
     from vitac.server.notices.outbox import retry as send_again
 
-    with transaction() as session:
-        found = send_again(session, CONSOLE, notice)
-        session.flush()
-        print_record(notice_view(found).model_dump(mode="json"), as_json=as_json)
-        if dry_run:
-            raise typer.Exit  # which takes the change back
+    with change_transaction(dry_run=dry_run) as session:
+        shown = notice_view(send_again(session, CONSOLE, notice)).model_dump(mode="json")
+    print_record(shown, as_json=as_json)

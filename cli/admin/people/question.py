@@ -5,8 +5,8 @@ from typing import Annotated
 import typer
 
 from ...service.database import transaction
-from ...terminal.output import AsJson, print_record, print_records
-from ..consent import DryRun
+from ...terminal.output import AsJson, print_done, print_record, print_records
+from ..consent import DryRun, change_transaction
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
@@ -41,21 +41,17 @@ def answer(
     from vitac.server.people.questions import answer as answer_question
     from vitac.server.people.questions import question_view
 
-    with transaction() as session:
-        found = answer_question(session, CONSOLE, question, text, public=public)
-        print_record(question_view(found, CONSOLE).model_dump(), as_json=as_json)
-        if dry_run:
-            raise typer.Exit  # which takes the change back
+    with change_transaction(dry_run=dry_run) as session:
+        shown = question_view(answer_question(session, CONSOLE, question, text, public=public), CONSOLE).model_dump()
+    print_record(shown, as_json=as_json)
 
 
 @app.command()
-def hide(question: QuestionNumber, dry_run: DryRun = False) -> None:
+def hide(question: QuestionNumber, dry_run: DryRun = False, as_json: AsJson = False) -> None:
     """Answer a question no longer, and show it to nobody but its team."""
     from vitac.server.accounts.principals import CONSOLE
     from vitac.server.people.questions import hide as hide_question
 
-    with transaction() as session:
+    with change_transaction(dry_run=dry_run) as session:
         hide_question(session, CONSOLE, question)
-        print(f"question {question} is hidden")
-        if dry_run:
-            raise typer.Exit  # which takes the change back
+    print_done(f"question {question} is hidden", {"id": question, "hidden": True}, as_json=as_json)

@@ -97,6 +97,27 @@ def test_a_token_is_for_a_team_or_for_organizers(service: CliService, arguments:
     assert admin(service, "token", "add", *arguments).exit_code == 2
 
 
+def test_a_dry_run_shows_no_secret_that_is_not_kept(service: CliService) -> None:
+    added = json.loads(admin(service, "team", "add", "Bears", "--dry-run", "--json").stdout)
+    assert (added["team"]["name"], added["team"]["id"], added["secret"]) == ("Bears", None, None)
+    shown = admin(service, "token", "add", "--organizer", "--dry-run").stdout
+    assert "organizer" in shown
+    assert "vitac_" not in shown
+    assert "not shown again" not in shown + admin(service, "team", "add", "Bears", "--dry-run").stdout
+    assert isinstance(admin(service, "team", "add", "Team A", "--dry-run").exception, ServiceError)
+    assert [token["role"] for token in read(service, "token", "list")] == ["team"]  # type: ignore[attr-defined]
+    assert "Bears" not in admin(service, "team", "list").stdout
+
+
+def test_the_data_of_a_team_is_counted_or_printed_whole(service: CliService, submission_id: str) -> None:
+    found = read(service, "team", "data", "Team A")
+    assert isinstance(found, dict)
+    assert [submission["id"] for submission in found["submissions"]] == [submission_id]
+    counted = dict(line.rsplit(None, 1) for line in admin(service, "team", "data", "Team A").stdout.splitlines()[1:-2])
+    assert (counted["members"], counted["submissions"], counted["webhooks"]) == ("1", "1", "0")
+    assert submission_id not in str(counted)
+
+
 # ---- submissions and evaluations ----
 
 
@@ -117,8 +138,11 @@ def test_shows_a_submission_of_any_team(service: CliService, submission_id: str)
 
 
 def test_cancels_a_submission_and_writes_the_audit_log(service: CliService, submission_id: str) -> None:
-    assert admin(service, "submission", "cancel", submission_id, "--yes").exit_code == 0
-    assert "cancelled" in admin(service, "submission", "show", submission_id).stdout
+    assert admin(service, "submission", "cancel", submission_id, "--dry-run").exit_code == 0
+    assert "queued" in admin(service, "submission", "show", submission_id).stdout
+    cancelled = json.loads(admin(service, "submission", "cancel", submission_id, "--yes", "--json").stdout)
+    assert cancelled == read(service, "submission", "show", submission_id)
+    assert cancelled["evaluation"]["state"] == "cancelled"
     with service.database.transaction() as session:
         newest = newest_entries(session, 1)[0]
     assert (newest.actor, newest.action) == ("organizer:console", "submission.cancel")
@@ -184,8 +208,13 @@ def test_episodes_that_differ_from_the_stored_ones_are_shown_as_an_alarm(
 
 def test_requeues_and_cancels_by_evaluation(service: CliService, submission_id: str) -> None:
     first = evaluation_of(service)
-    assert admin(service, "evaluation", "cancel", first, "--yes").exit_code == 0
-    assert admin(service, "evaluation", "requeue", first, "--yes").exit_code == 0
+    cancelled = json.loads(admin(service, "evaluation", "cancel", first, "--yes", "--json").stdout)
+    assert cancelled == read(service, "evaluation", "show", first)
+    assert admin(service, "evaluation", "requeue", first, "--dry-run").exit_code == 0
+    assert evaluation_of(service) == first
+    queued = json.loads(admin(service, "evaluation", "requeue", first, "--yes", "--json").stdout)
+    assert (queued["id"], queued["evaluation"]["state"]) == (submission_id, "queued")
+    assert queued["evaluation"]["id"] == evaluation_of(service) != first
     refused = admin(service, "evaluation", "cancel", first, "--yes")
     assert isinstance(refused.exception, ServiceError)
     assert "a newer run" in str(refused.exception)

@@ -1,4 +1,7 @@
-"""Every admin command that changes something writes the audit log; a new command has to be listed here."""
+"""Every admin command that changes something writes the audit log, but not in a dry run, and prints JSON.
+
+A new command has to be listed here.
+"""
 
 import json
 from collections.abc import Iterator
@@ -8,11 +11,13 @@ from pathlib import Path
 import pytest
 import typer
 from cli_service import CliService, submission_folder
+from every_table import rows_of_every_table
 from service_factories import TASK, make_record, play_all, submit
 from sqlalchemy import func, select, update
 from sqlalchemy.orm import Session
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 from vitac.cli.admin.app import app
+from vitac.cli.admin.consent import NOTHING_CHANGED
 from vitac.server.accounts import members, teams
 from vitac.server.accounts.audit import newest_entries
 from vitac.server.accounts.principals import CONSOLE, Principal
@@ -106,18 +111,45 @@ TRIED_ELSEWHERE = {
 (tests/unit/cli/admin/contest/test_rejudge.py), or a judged track (tests/unit/server/judging/test_judging.py)."""
 
 
-def commands(group: TyperGroup, path: str = "") -> Iterator[str]:
+WITHOUT_DRY_RUN = {"backup"}
+"""It writes a file, and of the service only the line in the audit log that says so."""
+
+
+def commands(group: TyperGroup, path: str = "") -> Iterator[tuple[str, TyperCommand]]:
     for name, command in group.commands.items():
         if isinstance(command, TyperGroup):
             yield from commands(command, f"{path}{name} ")
         else:
-            yield f"{path}{name}"
+            assert isinstance(command, TyperCommand)
+            yield f"{path}{name}", command
 
 
-def test_every_command_is_a_read_or_a_change() -> None:
+@pytest.fixture(scope="module")
+def options() -> dict[str, set[str]]:
+    """The options of every command."""
     group = typer.main.get_command(app)
     assert isinstance(group, TyperGroup)
-    assert set(commands(group)) == READS | set(CHANGES) | TRIED_ELSEWHERE
+    return {name: {text for given in command.params for text in given.opts} for name, command in commands(group)}
+
+
+def test_every_command_is_a_read_or_a_change(options: dict[str, set[str]]) -> None:
+    assert set(options) == READS | set(CHANGES) | TRIED_ELSEWHERE
+    assert READS.isdisjoint(CHANGES)
+    assert READS.isdisjoint(TRIED_ELSEWHERE)
+
+
+def test_every_command_prints_json(options: dict[str, set[str]]) -> None:
+    assert [name for name, given in options.items() if "--json" not in given] == []
+
+
+def test_every_change_has_a_dry_run_and_no_read_has_one(options: dict[str, set[str]]) -> None:
+    assert {name for name, given in options.items() if "--dry-run" not in given} == READS | WITHOUT_DRY_RUN
+
+
+def test_nothing_but_a_change_asks(options: dict[str, set[str]]) -> None:
+    asking = {name for name, given in options.items() if "--yes" in given}
+    assert asking.isdisjoint(READS)
+    assert {name for name, (arguments, _) in CHANGES.items() if "--yes" in arguments} == asking - TRIED_ELSEWHERE
 
 
 def there_is(service: CliService, name: str, tmp_path: Path) -> str:
@@ -189,6 +221,28 @@ def make_team_to_change(session: Session, *, waits: bool) -> None:
     teams.register(session, CONSOLE, name="Waiting", waits=waits)
 
 
+def dry_run(service: CliService, command: str, given: list[str]) -> object:
+    """What a command says that it would do, without asking; no row of any table is another one after it."""
+    before = kept_rows(service)
+    done = service.run("admin", *command.split(), *(text for text in given if text != "--yes"), "--dry-run", "--json")
+    assert done.exit_code == 0, (done.output, done.exception)
+    assert done.stderr.splitlines()[-1] == NOTHING_CHANGED
+    assert kept_rows(service) == before
+    assert "vitac_" not in done.stdout, "a token that is not kept is not shown"
+    return json.loads(done.stdout)
+
+
+def kept_rows(service: CliService) -> dict[str, list[str]]:
+    """All rows, but for those that the server beside writes by itself when it starts."""
+    rows = rows_of_every_table(service.database)
+    return {table: found for table, found in rows.items() if table not in {"receipt_key", "metric_totals"}}
+
+
+def shape(content: object) -> object:
+    """Names of fields, or how many there are."""
+    return set(content) if isinstance(content, dict) else len(content) if isinstance(content, list) else None
+
+
 @pytest.mark.parametrize("command", CHANGES)
 def test_a_change_is_written_to_the_audit_log(
     service: CliService, command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -200,8 +254,12 @@ def test_a_change_is_written_to_the_audit_log(
     given = [there_is(service, name, tmp_path) if name.isupper() else name for name in arguments]
     with service.database.transaction() as session:
         last = newest_entries(session, 1)[0].id
-    done = service.run("admin", *command.split(), *given)
+    tried = None if command in WITHOUT_DRY_RUN else dry_run(service, command, given)
+    done = service.run("admin", *command.split(), *given, "--json")
     assert done.exit_code == 0, (done.output, done.exception)
+    made = json.loads(done.stdout)
+    assert tried is None or shape(tried) == shape(made)
+    assert NOTHING_CHANGED not in done.stderr
     with service.database.transaction() as session:
         written = [entry for entry in newest_entries(session, 5) if entry.id > last]
     assert action in {entry.action for entry in written}

@@ -3,6 +3,7 @@ from pathlib import Path
 
 from cli_service import CliService, submission_folder
 from databases import fresh_database
+from vitac.cli.admin.consent import NOTHING_CHANGED
 from vitac.server.backup.restore import ServiceNotEmpty
 
 
@@ -13,6 +14,10 @@ def test_backup_is_restored_into_an_empty_service(service: CliService, tmp_path:
     with fresh_database() as address:
         service.environment.update(VITAC_DATABASE_URL=address, VITAC_STATE_DIR=str(tmp_path / "new"))
         (tmp_path / "new").mkdir()
+        tried = service.run("admin", "restore", str(tmp_path / "backup.tar"), "--dry-run", "--json")
+        assert (tried.exit_code, json.loads(tried.stdout)) == (0, json.loads(done.stdout))
+        assert tried.stderr.strip() == NOTHING_CHANGED
+        assert "No team yet" in service.run("admin", "team", "list").stdout
         restored = service.run("admin", "restore", str(tmp_path / "backup.tar"), "--yes")
         assert restored.exit_code == 0, restored.output
         assert "Team A" in service.run("admin", "team", "list").stdout
@@ -28,6 +33,8 @@ def test_restore_asks_first(service: CliService, tmp_path: Path) -> None:
 def test_restore_over_data_is_refused(service: CliService, tmp_path: Path) -> None:
     file = tmp_path / "backup.tar"
     service.run("admin", "backup", str(file))
-    done = service.run("admin", "restore", str(file), "--yes")
-    assert isinstance(done.exception, ServiceNotEmpty)
-    assert "restore into a new one" in str(done.exception)
+    for option in ("--dry-run", "--yes"):
+        done = service.run("admin", "restore", str(file), option)
+        assert isinstance(done.exception, ServiceNotEmpty)
+        assert "restore into a new one" in str(done.exception)
+        assert NOTHING_CHANGED not in done.stderr

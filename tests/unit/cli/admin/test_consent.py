@@ -4,7 +4,14 @@ from contextlib import contextmanager
 import pytest
 import typer
 from vitac.cli.admin import consent
-from vitac.cli.admin.consent import ChangedMeanwhile, ConsentMissing, change_as_shown, require_consent
+from vitac.cli.admin.consent import (
+    NOTHING_CHANGED,
+    ChangedMeanwhile,
+    ConsentMissing,
+    change_as_shown,
+    change_transaction,
+    require_consent,
+)
 
 
 class FakeSession:
@@ -13,7 +20,11 @@ class FakeSession:
     def __init__(self) -> None:
         self.committed: list[int] = []
         self.added: list[int] = []
+        self.flushed: list[int] = []
         self.is_open = False
+
+    def flush(self) -> None:
+        self.flushed = list(self.added)
 
     def rollback(self) -> None:
         self.added.clear()
@@ -80,3 +91,53 @@ def test_a_change_that_was_refused_or_is_another_one_now_is_not_made(session: Fa
     with pytest.raises(ChangedMeanwhile, match="nothing was done"):
         changed(session, 1, 2)
     assert session.committed == []
+
+
+def test_a_dry_run_lets_the_database_refuse_and_keeps_nothing(
+    session: FakeSession, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert changed(session, 1, dry_run=True) == [1]
+    assert (session.flushed, session.committed, session.is_open) == ([1], [], False)
+    assert capsys.readouterr() == ("", f"{NOTHING_CHANGED}\n")
+    assert changed(session, 2, yes=True) == changed(session, 2, 2) == [2]
+    assert capsys.readouterr().err == "", "a change that is asked about is no dry run"
+
+
+def change_one(
+    session: FakeSession,
+    *,
+    dry_run: bool = False,
+    yes: bool = False,
+    question: str | None = None,
+    refused: bool = False,
+) -> None:
+    with change_transaction(dry_run=dry_run, yes=yes, question=question) as opened:
+        assert opened is session  # type: ignore[comparison-overlap]
+        session.added.append(1)
+        if refused:
+            raise RuntimeError
+
+
+def test_a_change_in_one_transaction_is_kept_with_consent_only(
+    session: FakeSession, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.stdin.isatty", lambda: False, raising=False)
+    with pytest.raises(ConsentMissing, match="Sure"):
+        change_one(session, question="Sure?")
+    assert session.committed == []
+    change_one(session, dry_run=True, question="Sure?")
+    assert (session.flushed, session.committed) == ([1], [])
+    assert capsys.readouterr().err == f"{NOTHING_CHANGED}\n"
+    change_one(session, yes=True, question="Sure?")
+    change_one(session)
+    assert session.committed == [1, 1]
+    assert capsys.readouterr() == ("", "")
+
+
+def test_a_dry_run_that_is_refused_does_not_say_that_it_ran(
+    session: FakeSession, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(RuntimeError):
+        change_one(session, dry_run=True, refused=True)
+    assert (session.committed, session.added) == ([], [])
+    assert capsys.readouterr().err == ""

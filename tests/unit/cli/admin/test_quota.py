@@ -12,9 +12,13 @@ def limit_of(service: CliService, quota: str) -> object:
 def test_a_limit_is_set_and_reset(service: CliService) -> None:
     before = limit_of(service, "tokens")
     for given, shown in (("7", 7), ("unlimited", None), ("default", before)):
-        done = service.run("admin", "quota", "set", "team a", "tokens", given)
+        unchanged = limit_of(service, "tokens")
+        dry = service.run("admin", "quota", "set", "team a", "tokens", given, "--dry-run")
+        assert (dry.exit_code, dry.stdout.strip()) == (0, f"tokens of Team A: {given}")
+        assert limit_of(service, "tokens") == unchanged
+        done = service.run("admin", "quota", "set", "team a", "tokens", given, "--json")
         assert done.exit_code == 0, done.output
-        assert limit_of(service, "tokens") == shown
+        assert json.loads(done.stdout)["limit"] == limit_of(service, "tokens") == shown
 
 
 @pytest.mark.parametrize("arguments", [("nothing", "1"), ("tokens", "-1"), ("tokens", "many"), ("tokens", "9" * 10)])

@@ -23,7 +23,7 @@ from vitac.server.api.app import create_app
 from vitac.server.backup import backup
 from vitac.server.backup.archive import BackupReader, BackupRejected
 from vitac.server.backup.backup import BackupNotMade, back_up
-from vitac.server.backup.restore import ServiceNotEmpty, restore
+from vitac.server.backup.restore import ServiceNotEmpty, check, restore
 from vitac.server.db import engine
 from vitac.server.db.advisory_locks import AdvisoryLock, try_lock
 from vitac.server.db.engine import Database
@@ -108,7 +108,10 @@ def test_restored_service_shows_the_same_boards_byte_for_byte(
     before = {page: undated(service.get(page).content) for page in pages}
     description = back_up(service.services, file)
     assert description.blobs == (digest,)
-    restore(empty, file)
+    untouched = rows_of_every_table(empty.database)
+    assert check(empty, file) == description
+    assert rows_of_every_table(empty.database) == untouched
+    assert restore(empty, file) == description
     assert is_current(empty.database)
     with serving(create_app(empty.settings, services=empty)) as (host, port):
         restored = f"http://{host}:{port}{API}"
@@ -221,6 +224,8 @@ def test_service_with_data_is_left_as_it_is(service: Service, file: Path) -> Non
     back_up(service.services, file)
     with pytest.raises(ServiceNotEmpty, match="got 2 teams, 3 api_tokens, 1 submissions"):
         restore(service.services, file)
+    with pytest.raises(ServiceNotEmpty, match="restore into a new one"):
+        check(service.services, file)
     assert count(service.services, Team) == 2
 
 
@@ -335,8 +340,10 @@ def test_backup_that_is_not_whole_is_refused_before_anything_changes(
 ) -> None:
     upload_and_play(service)
     back_up(service.services, file)
-    with rewritten(file, change) as changed, pytest.raises(BackupRejected, match=reason):
-        restore(empty, changed)
+    with rewritten(file, change) as changed:
+        for bring in (check, restore):
+            with pytest.raises(BackupRejected, match=reason):
+                bring(empty, changed)
     assert is_current(empty.database)
     assert list(empty.settings.state_dir.rglob("sha256/*/*")) == []
 

@@ -66,11 +66,13 @@ def test_a_list_is_revealed_after_its_stage_and_fits_its_commitment(service: Cli
     assert isinstance(early.exception, ServiceError)
     assert "closes at" in str(early.exception)
     dry = service.run("admin", "competition", "reveal", TRACK, FIRST, "--dry-run")
-    assert (dry.exit_code, "dry run" in dry.stdout) == (0, True)
     listed = json.loads(service.run("admin", "competition", "lists", "--json").stdout)
     assert [each["secret"] for each in listed] == [None, None]
-    assert service.run("admin", "competition", "reveal", TRACK, FIRST, "--yes").exit_code == 0
+    assert (dry.exit_code, listed[0]["commitment"] in dry.stdout) == (0, True)
+    assert dry.stdout.splitlines()[-1].split() == ["secret", "-"]
+    revealed = json.loads(service.run("admin", "competition", "reveal", TRACK, FIRST, "--yes", "--json").stdout)
     listed = json.loads(service.run("admin", "competition", "lists", "--json").stdout)
+    assert revealed == {name: listed[0][name] for name in ("track", "stage", "commitment", "secret")}
     assert commitment_of(bytes.fromhex(listed[0]["secret"])) == listed[0]["commitment"]
     assert listed[1]["secret"] is None
 

@@ -13,8 +13,11 @@ def test_a_rejudgement_is_started_shown_and_applied(service: CliService) -> None
             submit_scored(session, make_principal(session, name), name, {TASK: make_score(successes)})
         outdate(session)
     assert service.run("admin", "rejudge", "list").stdout.strip() == "There is none."
-    started = service.run("admin", "rejudge", "start", "--track", TRACK, "--reason", "upgrade", "--json")
-    made = json.loads(started.stdout)
+    start = ("admin", "rejudge", "start", "--track", TRACK, "--reason", "upgrade")
+    assert service.run(*start, "--dry-run").stdout.strip() == "2 submissions"
+    assert json.loads(service.run(*start, "--dry-run", "--json").stdout) == {"id": None, "submissions": 2}
+    assert service.run("admin", "rejudge", "list").stdout.strip() == "There is none."
+    made = json.loads(service.run(*start, "--json").stdout)
     assert made["submissions"] == 2
     assert "2 would change" not in service.run("admin", "rejudge", "show", made["id"]).stdout
     early = service.run("admin", "rejudge", "apply", made["id"], "--yes")
@@ -37,5 +40,8 @@ def test_a_rejudgement_is_discarded(service: CliService) -> None:
     arguments = ("--track", TRACK, "--reason", "doubt")
     made = json.loads(service.run("admin", "rejudge", "start", *arguments, "--json").stdout)["id"]
     assert isinstance(service.run("admin", "rejudge", "discard", made).exception, ConsentMissing)
+    dry = service.run("admin", "rejudge", "discard", made, "--dry-run", "--json")
+    assert json.loads(dry.stdout) == {"id": made, "discarded": True}
+    assert "cancelled" not in service.run("admin", "rejudge", "show", made).stdout
     assert service.run("admin", "rejudge", "discard", made, "--yes").stdout.strip() == f"discarded {made}"
     assert "cancelled" in service.run("admin", "rejudge", "show", made).stdout

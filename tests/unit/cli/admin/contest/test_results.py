@@ -24,9 +24,12 @@ def played(service: CliService) -> CliService:
 
 
 def test_boards_are_frozen_and_unfrozen(played: CliService) -> None:
+    assert json.loads(played.run("admin", "results", "freeze", "--dry-run", "--json").stdout) == {"frozen": True}
     assert played.run("admin", "results", "freeze").stdout.strip() == "boards stand still"
     assert isinstance(played.run("admin", "results", "unfreeze").exception, ConsentMissing)
-    assert played.run("admin", "results", "unfreeze", "--yes").exit_code == 0
+    assert played.run("admin", "results", "unfreeze", "--dry-run").stdout.strip() == "boards show all results"
+    done = played.run("admin", "results", "unfreeze", "--yes", "--json")
+    assert (done.exit_code, json.loads(done.stdout)) == (0, {"frozen": False})
 
 
 def test_the_end_comes_with_consent_and_once(played: CliService) -> None:
