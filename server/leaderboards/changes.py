@@ -30,9 +30,9 @@ def kept_until_change(session: Session, key: Hashable, read: Callable[[], ValueT
         key: all that the value depends on besides.
         read: reads the value, which nobody may change.
     """
-    # Marks are random: neither other changes, nor those of another database have the same number and sum.
+    # Marks are random: other changes do not have the same number and sum. A copy of a database has them, though.
     seen = session.execute(select(func.count(), func.sum(BoardChange.mark))).one()
-    return cast(ValueT, _kept.get((*seen, evaluator_version(), key), read))
+    return cast(ValueT, _kept.get((session.get_bind().engine.url, *seen, evaluator_version(), key), read))
 
 
 def forget_old_notes(session: Session) -> None:

@@ -38,6 +38,9 @@ from vitac.server.evaluations import lifecycle
 from vitac.server.evaluations.episode_store import row_values, store_episodes
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.evaluations.scores import store_scores
+from vitac.server.kept import Kept
+from vitac.server.leaderboards import changes, log_boards, standings
+from vitac.server.leaderboards.made_boards import MadeBoards
 from vitac.server.logs.claims import LogClaim
 from vitac.server.queue import leases
 from vitac.server.queue.leases import Lease
@@ -62,6 +65,13 @@ def sha256(text: str) -> str:
 
 def make_settings(**values: Any) -> Settings:
     return Settings(**values)
+
+
+def forget_boards() -> None:
+    """Lets this process read all boards anew: also those of a copy of a database, and after changes without a note."""
+    changes._kept = Kept(at_most=200)
+    standings._made_boards = MadeBoards()
+    log_boards._made_boards = MadeBoards()
 
 
 def make_principal(session: Session, team: str = "Team A") -> Principal:

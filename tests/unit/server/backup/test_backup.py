@@ -16,7 +16,7 @@ from databases import fresh_database
 from every_table import fill_every_table, rows_of_every_table
 from httpx import Client
 from service_client import API, Service, bearer, make_archive, running_service, serving
-from service_factories import make_principal, make_settings, play_all
+from service_factories import forget_boards, make_principal, make_settings, play_all
 from sqlalchemy import func, select
 from vitac.server.accounts.audit import newest_entries
 from vitac.server.api.app import create_app
@@ -113,6 +113,7 @@ def test_restored_service_shows_the_same_boards_byte_for_byte(
     assert rows_of_every_table(empty.database) == untouched
     assert restore(empty, file) == description
     assert is_current(empty.database)
+    forget_boards()
     with serving(create_app(empty.settings, services=empty)) as (host, port):
         restored = f"http://{host}:{port}{API}"
         with Client(base_url=restored, headers=bearer(service.token)) as client:

@@ -1,6 +1,6 @@
 """Databases that were made at an older revision and hold data show the same after an upgrade."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from typing import Any
 
@@ -10,14 +10,24 @@ from alembic import command
 from alembic.script import ScriptDirectory
 from databases import copied_database, fresh_database
 from psycopg import sql
-from service_factories import LOCK, TASK, TRACK, make_principal, make_score, make_settings, play, shard_ids, submit
+from service_factories import (
+    LOCK,
+    TASK,
+    TRACK,
+    forget_boards,
+    make_principal,
+    make_score,
+    make_settings,
+    play,
+    shard_ids,
+    submit,
+)
 from service_factories import submit_scored as scored
 from vitac.server.accounts.principals import CONSOLE
 from vitac.server.db import schema
 from vitac.server.db.engine import Database
-from vitac.server.db.schema import downgrade, is_current, newest_revision, upgrade
+from vitac.server.db.schema import downgrade, installed_revision, is_current, newest_revision, upgrade
 from vitac.server.leaderboards import standings
-from vitac.server.leaderboards.made_boards import MadeBoards
 from vitac.server.submissions import listing
 
 OLDER = sorted(
@@ -63,10 +73,20 @@ def shown_today(filled: str) -> dict[str, Any]:
 
 
 @pytest.fixture(scope="module")
-def fallen(filled: str, shown_today: dict[str, Any]) -> Iterator[Database]:
-    """A copy of it that each test takes back to its revision: from the newest to the oldest, each step is made once."""
-    with copied_database(filled) as database:
-        yield database
+def fallen_to(filled: str, shown_today: dict[str, Any]) -> Iterator[Callable[[str], Database]]:
+    """Gives a copy of it at a revision: asked for from the newest to the oldest, each step is made once."""
+    with ExitStack() as stack:
+        copies: list[tuple[str, Database]] = []
+
+        def at(revision: str) -> Database:
+            if not copies or copies[-1][0] < revision:
+                copies.append((revision, stack.enter_context(copied_database(filled))))
+            fallen = copies[-1][1]
+            downgrade(fallen, revision)
+            copies[-1] = (revision, fallen)
+            return fallen
+
+        yield at
 
 
 @pytest.fixture(scope="module")
@@ -82,13 +102,18 @@ def born_at() -> Iterator[dict[str, Database]]:
         yield born
 
 
+def test_revisions_are_given_in_any_order(fallen_to: Callable[[str], Database]) -> None:
+    for revision in (OLDER[-2], OLDER[-1]):
+        with fallen_to(revision).engine.connect() as connection:
+            assert installed_revision(connection) == revision
+
+
 @pytest.mark.parametrize("revision", OLDER[::-1])
 def test_boards_and_submissions_are_the_same_after_an_upgrade(
-    fallen: Database, born_at: dict[str, Database], shown_today: dict[str, Any], revision: str
+    fallen_to: Callable[[str], Database], born_at: dict[str, Database], shown_today: dict[str, Any], revision: str
 ) -> None:
-    downgrade(fallen, revision)
     born = born_at[revision]
-    copy_rows(fallen.address, born.address)
+    copy_rows(fallen_to(revision).address, born.address)
     upgrade(born)
     assert is_current(born)
     assert shown(born) == shown_today
@@ -124,7 +149,7 @@ def copy_rows(source: str, target: str) -> None:
 
 def shown(database: Database) -> dict[str, Any]:
     """What people see: all boards and submissions, without times that pass."""
-    standings._made_boards = MadeBoards()  # else boards of another database of equal content would be shown
+    forget_boards()
     with database.transaction() as session:
         boards = [standings.leaderboard(session, TRACK, task=task).view for task in (None, TASK, LOCK)]
         found = listing.list_submissions(session, make_settings(), CONSOLE).items

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 
 import pytest
+from databases import copied_database
 from service_factories import TASK, TRACK, make_principal, make_score, submit_scored
 from sqlalchemy import delete, func, insert, select, update
 from sqlalchemy.orm import Session
@@ -37,6 +38,14 @@ def scored(database: Database) -> Database:
         for name, successes in (("Ants", 50), ("Bees", 70)):
             submit_scored(session, make_principal(session, name), name, {TASK: make_score(successes)})
     return database
+
+
+def test_a_copy_of_a_database_has_values_of_its_own(scored: Database) -> None:
+    reader = Reader()
+    scored.dispose()
+    with copied_database(scored.address) as copy, copy.transaction() as of_copy, scored.transaction() as session:
+        assert [reader.in_(session), reader.in_(of_copy)] == [1, 2]
+        assert [reader.in_(session), reader.in_(of_copy)] == [1, 2]
 
 
 def add_a_result(session: Session) -> None:

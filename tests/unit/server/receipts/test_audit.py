@@ -15,6 +15,7 @@ from service_factories import (
     TASK,
     TRACK,
     claim,
+    forget_boards,
     make_principal,
     make_record,
     sha256,
@@ -38,10 +39,6 @@ from vitac.server.db.models import EpisodeResult, Evaluation, ReceiptKey, Receip
 from vitac.server.db.states import EvaluationState
 from vitac.server.evaluations import lifecycle
 from vitac.server.evaluations.episode_store import row_values
-from vitac.server.kept import Kept
-from vitac.server.leaderboards import changes as changes_of_boards
-from vitac.server.leaderboards import standings
-from vitac.server.leaderboards.made_boards import MadeBoards
 from vitac.server.people import team_data
 from vitac.server.receipts import chain
 from vitac.server.receipts.audit import Audit, audit
@@ -126,8 +123,7 @@ def audited(
     database: Database, folder: Path, *changes: Executable | Callable[[Session], None], **options: Any
 ) -> Audit:
     """The audit of the board after changes that somebody can make who has the database."""
-    standings._made_boards = MadeBoards()
-    changes_of_boards._kept = Kept(at_most=1)  # nothing notes these changes
+    forget_boards()  # nothing notes these changes
     with Session(database.engine) as session:
         session.execute(text("SET LOCAL session_replication_role = replica"))  # no triggers, no foreign keys
         for change in changes:
