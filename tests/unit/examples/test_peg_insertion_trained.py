@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from example_policies import flow
+from vitac.evaluator.scoring.score import rate
 from vitac.evaluator.submission.manifest import load_manifest
 from vitac.training.export import LARGEST_BYTES
 from vitac.training.recipe import read_recipe
@@ -72,13 +73,27 @@ def test_episodes_converge(figures: dict[str, Any]) -> None:
     assert sum(found["ends"].get("not_converged", 0) for found in played) <= 2
 
 
+def percent(found: dict[str, Any]) -> str:
+    low, high = 100 * found["interval"]["low"], 100 * found["interval"]["high"]
+    return f"{100 * found['success_rate']:.1f} % [{low:.1f}, {high:.1f}]"
+
+
+def test_training_page_tells_what_half_of_the_rounds_and_the_heuristic_solved(
+    repository: Path, figures: dict[str, Any]
+) -> None:
+    page = " ".join((repository / "docs" / "training.md").read_text().split())
+    trained, heuristic = figures["first_200"]["after_round_3"], figures["first_200"]["heuristic"]
+    for found in (trained, heuristic):
+        assert (found["starts"], found["episodes"]) == (figures["fresh"]["starts"], 200)
+        assert rate(found["successes"], 200).model_dump().items() <= found.items()
+    assert f"they solved {trained['successes']} of 200 fresh starts ({percent(trained)})" in page
+    assert f"the heuristic {heuristic['successes']} of the same 200 ({percent(heuristic)})" in page
+
+
 def test_card_tells_the_measured_figures(example: Path, figures: dict[str, Any]) -> None:
     card = (example / "README.md").read_text()
     for part in ("public", "fresh", "more_fresh", "public_with_truth"):
         found = figures[part]
-        low, high = 100 * found["interval"]["low"], 100 * found["interval"]["high"]
-        told = (
-            f"{found['successes']} of {found['episodes']} ({100 * found['success_rate']:.1f} % [{low:.1f}, {high:.1f}])"
-        )
+        told = f"{found['successes']} of {found['episodes']} ({percent(found)})"
         assert told in card, told
         assert sum(shape["episodes"] for shape in found["by_shape"].values()) == found["episodes"]
