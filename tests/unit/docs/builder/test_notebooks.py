@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+import vitac.training
 from notebooks import code_version, kept_results, remove_leftovers
 from vitac.evaluator import version
 
@@ -33,7 +34,7 @@ def test_the_version_of_results_follows_evaluator_and_training(tmp_path: Path, m
     monkeypatch.setattr(version, "evaluator_hash", lambda: "0" * 64)
     other_evaluator = code_version()
     (tmp_path / "policy.py").write_text("changed = True")
-    monkeypatch.setattr("vitac.training.__path__", [str(tmp_path)])
+    monkeypatch.setattr(vitac.training.__spec__, "submodule_search_locations", [str(tmp_path)])
     assert len({before, other_evaluator, code_version()}) == 3
 
 
