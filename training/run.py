@@ -190,7 +190,7 @@ def claim(folder: Path, recipe: StrictModel) -> None:
     """Write what the folder of a run is for, or make sure that it is for this; remove what a kill left half written.
 
     Raises:
-        OtherRun: it is that of another recipe or version.
+        OtherRun: it is that of another recipe or version, or does not say which.
         NotSaved: the disk is full.
     """
     told_now = {
@@ -199,10 +199,14 @@ def claim(folder: Path, recipe: StrictModel) -> None:
         "trained_by": sources_hash("vitac.training"),
     }
     path = folder / "run.json"
-    if not path.exists():
-        write_text(path, json.dumps(told_now, indent=1) + "\n")
-    elif json.loads(path.read_text()) != told_now:
-        raise OtherRun(f"{folder} holds a run of another recipe or version; give another folder.")
+    text = json.dumps(told_now, indent=1) + "\n"
+    if path.exists():
+        if path.read_bytes() != text.encode():
+            raise OtherRun(f"{folder} holds a run of another recipe or version; give another folder.")
+    elif any(folder.glob("round-*.npz")):
+        raise OtherRun(f"{folder} holds rounds but no run.json that says of which recipe; give another folder.")
+    else:
+        write_text(path, text)
     for written in (folder, folder / "episodes", folder / "submission" / "Track_1"):
         remove_leftovers(written)
 

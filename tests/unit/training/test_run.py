@@ -176,6 +176,20 @@ def test_folder_of_another_version_is_refused(tmp_path: Path, monkeypatch: pytes
         run(tmp_path).go()
 
 
+def test_folder_that_does_not_say_what_it_is_for_is_refused(tmp_path: Path) -> None:
+    run(tmp_path).go()
+    described = tmp_path / "run.json"
+    for damage in (b"", b"{", b"\xff", described.read_bytes()[:-20]):
+        described.write_bytes(damage)
+        with pytest.raises(OtherRun, match="another recipe or version"):
+            run(tmp_path).go()
+    described.unlink()
+    before = files(tmp_path)
+    with pytest.raises(OtherRun, match=r"holds rounds but no run.json that says of which recipe; give another folder"):
+        run(tmp_path, RECIPE.model_copy(update={"seed": 3})).go()
+    assert files(tmp_path) == before
+
+
 def test_folder_of_other_training_code_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run(tmp_path).collect_first()
     before = files(tmp_path)
