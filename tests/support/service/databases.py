@@ -1,10 +1,12 @@
 """One embedded PostgreSQL per test run and a fresh migrated database per test; imported by tests that need it."""
 
 import atexit
+import fcntl
 import os
 import secrets
 import shutil
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
@@ -20,8 +22,12 @@ from vitac.server.postgres.embedded import EmbeddedPostgres
 TEMPLATE = "vitac_template"
 FAST = ("fsync=off", "synchronous_commit=off", "full_page_writes=off")
 MEMORY = Path("/dev/shm")
+MEMORY_USE = Path("/proc/meminfo")
 NEEDED_BYTES = 4 << 30
 """Free memory with which folders are made there; those of a whole run take less than 1 GB."""
+FOLDERS = "vitac-run-"
+YOUNG_S = 60.0
+"""A folder of this age may be somebody's who is about to hold it [s]."""
 
 
 @cache
@@ -33,13 +39,53 @@ def place_of_folders() -> Path:
     if not MEMORY.is_dir() or not os.access(MEMORY, os.W_OK):
         return Path("/tmp")
     found = os.statvfs(MEMORY)
-    has_room = found.f_bavail * found.f_frsize >= NEEDED_BYTES
+    # What the disk may take, and what the machine has: that disk's own limit says nothing of others' use of memory.
+    has_room = min(found.f_bavail * found.f_frsize, free_memory_bytes()) >= NEEDED_BYTES
     return MEMORY if has_room and not found.f_flag & os.ST_NOEXEC else Path("/tmp")
+
+
+def free_memory_bytes() -> int:
+    """What programs can still take before the machine swaps."""
+    fields = dict(line.split(":") for line in MEMORY_USE.read_text().splitlines())
+    return int(fields["MemAvailable"].removesuffix("kB")) * 1024
+
+
+@cache
+def remove_left_behind(place: Path) -> None:
+    """Remove the folders of runs that were killed: the process that made a folder holds it until it ends."""
+    for folder in place.glob(f"{FOLDERS}*"):
+        try:
+            found = folder.lstat()
+            if found.st_uid != os.geteuid() or time.time() - found.st_mtime < YOUNG_S:
+                continue
+            handle = hold(folder)
+        except OSError:  # somebody holds it or has removed it meanwhile, or it is no folder
+            continue
+        shutil.rmtree(folder, ignore_errors=True)
+        os.close(handle)
+
+
+def hold(folder: Path) -> int:
+    """Lock a folder until what this returns is closed, at the latest when this process ends, however that happens.
+
+    Raises:
+        OSError: another one holds it, it cannot be opened, or it is a link or a file.
+    """
+    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(handle)
+        raise
+    return handle
 
 
 def state_directory() -> Path:
     """A new folder that the database's user can reach also when the tests run as root; pytest's own let nobody in."""
-    folder = Path(tempfile.mkdtemp(prefix="vitac-test-", dir=place_of_folders()))
+    place = place_of_folders()
+    remove_left_behind(place)
+    folder = Path(tempfile.mkdtemp(prefix=FOLDERS, dir=place))
+    hold(folder)
     folder.chmod(0o711 if os.geteuid() == 0 else 0o700)
     atexit.register(shutil.rmtree, folder, ignore_errors=True)  # memory is not for what tests leave behind
     return folder
