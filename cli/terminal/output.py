@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
@@ -20,6 +21,11 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 def print_json(content: object) -> None:
     """Print JSON, with times and ids as text."""
     print(json.dumps(content, indent=2, ensure_ascii=False, default=_as_text))
+
+
+def warn(sentence: str) -> None:
+    """Print what is easily overlooked on standard error."""
+    print(f"WARNING: {sentence}", file=sys.stderr)
 
 
 def print_table(columns: Sequence[str], rows: Sequence[Sequence[object]], *, none: str) -> None:

@@ -10,10 +10,9 @@ depends_on = None
 
 
 def upgrade() -> None:
-    """Give one to every team; the default is computed for each row, and the service makes those of new teams."""
+    """Give one to every team: the default is computed for each row, also of teams that are added later."""
     made = sa.text("'Team ' || upper(substr(md5(gen_random_uuid()::text), 1, 10))")
     op.add_column("teams", sa.Column("pseudonym", sa.String(length=64), server_default=made, nullable=False))
-    op.alter_column("teams", "pseudonym", server_default=None)
 
 
 def downgrade() -> None:

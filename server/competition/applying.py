@@ -1,6 +1,6 @@
 """Makes a competition file the competition of this service: what changes by it, and the change itself."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
@@ -18,6 +18,13 @@ from .sealing import list_of_stage, seal, withdraw
 
 _NAMES = ("name", "place")
 """Fields by which the members of a list are told apart."""
+
+_HIDING = (
+    "anonymous is switched on: from now on others see teams under random names, but whoever has seen results with the "
+    "real names knows them again."
+)
+_SHOWING = "anonymous is switched off: from now on everybody sees the real names of all teams, also on older results."
+"""What is said where names are hidden or shown that were not before."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,10 +87,22 @@ def apply(session: Session, by: Principal, definition: CompetitionDefinition) ->
     return found
 
 
-def warnings_about(definition: CompetitionDefinition, at: datetime | None = None) -> list[str]:
-    """Return what takes effect at once where a file is applied, because its moment is over; `at` None: now."""
+def warnings_about(
+    definition: CompetitionDefinition, changes: Sequence[Change] = (), at: datetime | None = None
+) -> list[str]:
+    """Return what takes effect at once where a file is applied, and cannot be taken back or is easily overlooked.
+
+    Args:
+        definition: the file.
+        changes: what it changes (`changes_by`).
+        at: the moment; None: now.
+    """
     now = at or datetime.now(UTC)
-    found = []
+    found = [
+        _HIDING if change.after else _SHOWING
+        for change in changes
+        if change.place == "anonymous" and change.before is not None
+    ]
     if definition.teams_locked is not None and definition.teams_locked <= now:
         found.append(
             f"teams_locked is {definition.teams_locked:%F %T} UTC, which is over: from now on only organizers register "

@@ -5,7 +5,7 @@ from typing import Annotated
 import typer
 
 from ...service.database import transaction
-from ...terminal.output import AsJson, percent, print_json, print_table
+from ...terminal.output import AsJson, percent, print_json, print_table, warn
 from ..consent import DryRun, Yes, change_as_shown
 from .competition import StageName, TrackName
 
@@ -66,6 +66,8 @@ def confirm(
             print_json({"track": track, "stage": stage, "teams": found})
         else:
             print(f"{stage} of {track}: {', '.join(found) or 'no team'}")
+        if not found:
+            warn(f"no team takes part in {stage} of {track}; `vitac admin advance propose` shows the board before.")
 
     change_as_shown(
         lambda session: confirm_teams(session, CONSOLE, track, stage, add=add or (), without=without or ()),

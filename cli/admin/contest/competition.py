@@ -1,13 +1,12 @@
 """`vitac admin competition`: the competition's file, its stages and their sealed lists."""
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from ...service.database import transaction
-from ...terminal.output import AsJson, moment, print_json, print_pairs, print_record, print_records, print_table
+from ...terminal.output import AsJson, moment, print_json, print_pairs, print_record, print_records, print_table, warn
 from ..consent import DryRun, Yes, change_as_shown, change_transaction
 
 if TYPE_CHECKING:
@@ -62,8 +61,8 @@ def apply(file: CompetitionFile, yes: Yes = False, dry_run: DryRun = False, as_j
 
     def show(found: "Sequence[Change]") -> None:
         _print_changes(found, as_json=as_json)
-        for warning in warnings_about(definition) if found else ():
-            print(f"WARNING: {warning}", file=sys.stderr)
+        for warning in warnings_about(definition, found) if found else ():
+            warn(warning)
 
     change_as_shown(
         lambda session: apply_definition(session, CONSOLE, definition),

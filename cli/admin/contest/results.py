@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from ...service.database import transaction
-from ...terminal.output import AsJson, print_done, print_json, print_records
+from ...terminal.output import AsJson, print_done, print_json, print_records, warn
 from ..consent import DryRun, Yes, change_as_shown, change_transaction
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
@@ -53,9 +53,14 @@ def finalize(yes: Yes = False, dry_run: DryRun = False, as_json: AsJson = False)
     from vitac.server.accounts.principals import CONSOLE
     from vitac.server.results.finishing import finalize as finalize_results
 
+    def show(found: "list[dict[str, object]]") -> None:
+        print_records(found, COLUMNS, none="Nobody wins.", as_json=as_json)
+        if not found:
+            warn("nobody wins: there is no prize, or no team is ranked in the last stage of a track with prizes.")
+
     change_as_shown(
         lambda session: [asdict(winner) for winner in finalize_results(session, CONSOLE)],
-        lambda found: print_records(found, COLUMNS, none="Nobody wins.", as_json=as_json),
+        show,
         "End the competition for good with these winners?",
         yes=yes,
         dry_run=dry_run,

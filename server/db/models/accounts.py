@@ -1,6 +1,5 @@
 """Teams, their members, limits and tokens, and the audit log."""
 
-import secrets
 from datetime import datetime
 from typing import Any
 from uuid import UUID, uuid4
@@ -22,6 +21,9 @@ from sqlalchemy.orm import Mapped, mapped_column, relationship
 from vitac.server.db.states import MemberRole, Quota, Role
 
 from .base import Base, closed_set
+
+_RANDOM_NAME = text("('Team '::text || upper(substr(md5((gen_random_uuid())::text), 1, 10)))")
+"""What nobody can foresee; as the database writes it, so that models and migrations can be compared."""
 
 
 class Team(Base):
@@ -49,7 +51,7 @@ class Team(Base):
     refused_for: Mapped[str | None]
     named_at: Mapped[datetime] = mapped_column(server_default=func.now())
     erased_at: Mapped[datetime | None]
-    pseudonym: Mapped[str] = mapped_column(String(64), default=lambda: f"Team {secrets.token_hex(5).upper()}")
+    pseudonym: Mapped[str] = mapped_column(String(64), server_default=_RANDOM_NAME)
 
 
 class Member(Base):

@@ -1,3 +1,4 @@
+import re
 import shutil
 import threading
 from collections.abc import Iterable, Iterator, Mapping
@@ -71,6 +72,19 @@ def test_constraints_and_indexes_of_models_and_migrations_agree(migrated: Databa
     Base.metadata.create_all(empty.engine)
     assert rows(migrated, CONSTRAINTS) == rows(empty, CONSTRAINTS)
     assert rows(migrated, INDEXES) == rows(empty, INDEXES)
+
+
+def test_a_server_of_the_release_before_still_registers_teams(migrated: Database) -> None:
+    """It names no pseudonym."""
+    with migrated.engine.begin() as connection:
+        for name in ("Ants", "Bees"):
+            values = {"name": name, "key": name.lower()}
+            connection.execute(
+                text("INSERT INTO teams (id, name, name_key) VALUES (gen_random_uuid(), :name, :key)"), values
+            )
+    made = [str(pseudonym) for (pseudonym,) in rows(migrated, "SELECT pseudonym FROM teams")]
+    assert len(set(made)) == 2
+    assert all(re.fullmatch("Team [0-9A-F]{10}", pseudonym) for pseudonym in made), made
 
 
 def test_upgrade_of_an_empty_database_reaches_the_newest_revision_and_is_repeatable(empty: Database) -> None:

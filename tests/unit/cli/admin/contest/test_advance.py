@@ -53,3 +53,12 @@ def test_results_of_another_version_are_named(played: CliService) -> None:
     shown = played.run("admin", "advance", "propose", TRACK, SECOND).stdout
     assert "No team is ranked in stage1." in shown
     assert "made by another evaluator version: Ants, Bees" in shown
+
+
+def test_a_stage_without_any_team_is_warned_of(played: CliService) -> None:
+    arguments = ("admin", "advance", "confirm", TRACK, SECOND, "--without", "Ants")
+    for way in ("--dry-run", "--yes"):
+        done = played.run(*arguments, way, "--json")
+        assert (done.exit_code, json.loads(done.stdout)["teams"]) == (0, [])
+        assert "WARNING: no team takes part in stage2 of track_1" in done.stderr
+    assert played.run("admin", "advance", "confirm", TRACK, SECOND, "--yes").stderr == ""

@@ -93,3 +93,16 @@ def test_what_a_file_closes_at_once_is_told_before_it_is_applied(service: CliSer
         assert "track_3" not in done.stderr, "its submissions are collected elsewhere"
         assert len(json.loads(done.stdout)) > 10
     assert service.run("admin", "competition", "apply", example).stderr == "", "nothing changes any more"
+
+
+def test_hiding_and_showing_names_is_warned_of(service: CliService, tmp_path: Path) -> None:
+    told = []
+    for anonymous in (True, False, True):
+        file = str(write_competition(tmp_path, make_competition(anonymous=anonymous)))
+        done = service.run("admin", "competition", "apply", file, "--yes")
+        assert done.exit_code == 0
+        told.append(done.stderr)
+    assert told[0] == "", "nothing was shown before"
+    assert "WARNING: anonymous is switched off: from now on everybody sees the real names" in told[1]
+    assert "WARNING: anonymous is switched on" in told[2]
+    assert "knows them again" in told[2]

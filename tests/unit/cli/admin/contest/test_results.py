@@ -5,6 +5,8 @@ import pytest
 from cli_service import CliService
 from service_factories import TASK, TRACK, make_principal, make_score, submit_scored
 from vitac.cli.admin.consent import ConsentMissing
+from vitac.server.accounts import teams
+from vitac.server.accounts.principals import CONSOLE
 from vitac.server.errors import ServiceError
 
 from competitions import make_competition, moved, open_now, put_in_place
@@ -43,6 +45,17 @@ def test_the_end_comes_with_consent_and_once(played: CliService) -> None:
     again = played.run("admin", "results", "finalize", "--yes")
     assert isinstance(again.exception, ServiceError)
     assert "is final since" in str(again.exception)
+
+
+def test_an_end_without_winners_is_warned_of(played: CliService) -> None:
+    assert "WARNING" not in played.run("admin", "results", "finalize", "--dry-run").stderr
+    with played.database.transaction() as session:
+        for name in ("Ants", "Bees"):
+            teams.disqualify(session, CONSOLE, teams.find(session, name), "two accounts")
+    for way in ("--dry-run", "--yes"):
+        done = played.run("admin", "results", "finalize", way)
+        assert (done.exit_code, done.stdout.strip()) == (0, "Nobody wins.")
+        assert "WARNING: nobody wins" in done.stderr
 
 
 def test_the_files_are_published_into_a_new_folder(played: CliService, tmp_path: Path) -> None:
