@@ -68,13 +68,18 @@ def test_opens_a_lock_of_every_key_in_few_env_steps(policy: Any) -> None:
     assert max(end["env_steps"] for end in ends) <= 6
 
 
-def test_log_is_that_of_its_recipe(example: Path, figures: dict[str, Any]) -> None:
+def test_logs_are_those_of_the_recipe_and_say_which_generation_was_chosen(
+    example: Path, figures: dict[str, Any]
+) -> None:
     recipe = read_search_recipe(example / "recipe.yaml")
-    rows = [json.loads(line) for line in (example / "log.jsonl").read_text().splitlines()]
-    assert [row["generation"] for row in rows] == list(range(1, recipe.generations + 1))
-    chosen = max(rows, key=lambda row: (row["solved"]["successes"], -row["mean_env_steps"], row["generation"]))
-    assert figures["generation"] == chosen["generation"]
-    assert figures["fresh"]["starts"] == f"stream {stream(recipe.seed, Use.REPORT)}"
+    for seed, found in {str(recipe.seed): figures, **figures["seeds"]}.items():
+        log = example / ("log.jsonl" if found is figures else f"log_seed_{seed}.jsonl")
+        rows = [json.loads(line) for line in log.read_text().splitlines()]
+        assert [row["generation"] for row in rows] == list(range(1, recipe.generations + 1))
+        assert {row["solved"]["episodes"] for row in rows} == {recipe.chosen_by}
+        chosen = max(rows, key=lambda row: (row["solved"]["successes"], -row["mean_env_steps"], row["generation"]))
+        assert found["generation"] == chosen["generation"]
+        assert found["fresh"]["starts"] == f"stream {stream(int(seed), Use.REPORT)}"
 
 
 def test_opens_enough_in_four_fifths_of_the_heuristics_env_steps(figures: dict[str, Any]) -> None:
