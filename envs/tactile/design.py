@@ -6,6 +6,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import VitacError
 from ..fem.model.mesh import GelMesh
 from .attachment import Attachment, Fault, attach_along_rays
 from .camera import CameraIntrinsics, camera_frame, project
@@ -19,6 +20,10 @@ IndexArray = NDArray[np.int64]
 MILLIMETRE_M = 1e-3
 TOUCHED_M = 0.875e-3
 """How far the ranked grasp closes after it has touched the highest point [m]; what lies below touches nothing flat."""
+
+
+class NothingReached(VitacError):
+    """A gel touches only with faces that do not sense."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -58,20 +63,33 @@ class SensorDesign:
 
     @cached_property
     def touched(self) -> FacePlaces:
-        """Places on what the grasp can reach: at most `TOUCHED_M` below the highest of the sensing faces, undeformed.
+        """Places on what the grasp can reach: at most `TOUCHED_M` below the highest point of the gel, undeformed.
 
         Their areas are shares of the whole. Corners are places among the sensing nodes, ascending.
+
+        Raises:
+            NothingReached: no sensing face is there.
         """
         gel = self.gel
         found = places_on_faces(gel.rest_position_m, self.sensing_triangles)
         heights_m = interpolated(gel.rest_position_m, found.corners, found.weights)[:, 2]
-        highest_m = gel.rest_position_m[self.sensing_triangles.reshape(-1), 2].max()
-        reached = found.where(heights_m >= highest_m - TOUCHED_M)
+        reached = found.where(heights_m >= gel.rest_position_m[:, 2].max() - TOUCHED_M)
+        if len(reached.areas_m2) == 0:
+            raise NothingReached(
+                f"Expected a sensing face at most {TOUCHED_M / MILLIMETRE_M:g} mm below the highest point of the gel, "
+                f"got the highest one {self.sensing_depth_m / MILLIMETRE_M:.3f} mm below it."
+            )
         return FacePlaces(
             corners=np.searchsorted(gel.sensing_nodes, reached.corners),
             weights=reached.weights,
             areas_m2=reached.areas_m2 / reached.areas_m2.sum(),
         )
+
+    @property
+    def sensing_depth_m(self) -> float:
+        """How far the highest corner of a sensing face is below the highest point of the gel [m], undeformed."""
+        z_m = self.gel.rest_position_m[:, 2]
+        return float(z_m.max() - z_m[self.sensing_triangles].max())
 
     def as_bytes(self) -> bytes:
         """Return what a hash of results has to cover besides the gel: sensing faces, camera and markers."""

@@ -66,8 +66,9 @@ def check_sensor(path: Path, limits: SensorLimits | None = None) -> SensorCheck:
         return SensorCheck(findings=tuple(findings))
     design = mesh.meshed.design(manifest)
     markers = _markers(design)
-    findings += [_tips(mesh.meshed.mesh, limits), markers]
-    return SensorCheck(findings=tuple(findings), meshed=mesh.meshed, design=design if markers.ok else None)
+    reach = _reach(design)
+    findings += [reach, _tips(mesh.meshed.mesh, limits), markers]
+    return SensorCheck(findings=tuple(findings), meshed=mesh.meshed, design=design if reach.ok and markers.ok else None)
 
 
 def accepted_sensor(path: Path) -> SensorCheck:
@@ -92,6 +93,19 @@ def _files(path: Path) -> tuple[SensorManifest, Path, Path | None]:
         return SensorManifest(), path, None
     own = path / MESH_NAME
     return read_sensor(path), path / GEL_NAME, own if own.exists() else None
+
+
+def _reach(design: "SensorDesign") -> Finding:
+    """Ask for a sensing face near the highest point: of one that touches nothing, `surface_diff` says nothing."""
+    from vitac.envs.tactile.design import MILLIMETRE_M, TOUCHED_M
+
+    return Finding(
+        rule=Rule.REACH,
+        ok=design.sensing_depth_m < TOUCHED_M,
+        value=f"highest sensing face {design.sensing_depth_m / MILLIMETRE_M:.3f} mm below the highest point",
+        limit=f"less than {TOUCHED_M / MILLIMETRE_M:g} mm",
+        problem="What touches first leans too much to sense. Draw tips that lean at most 60 degrees, or flat tops.",
+    )
 
 
 def _tips(mesh: "Tetrahedra", limits: SensorLimits) -> Finding:

@@ -56,6 +56,8 @@ class Rule(StrEnum):
     """Between the surfaces of the mesh and of the STL."""
     BASE_NODES = "base_nodes"
     """The base of the mesh is exactly the case's."""
+    REACH = "reach"
+    """A face that senses is among what the grasp can reach."""
     TIPS = "tips"
     """What touches first has nodes enough, so that `surface_diff` does not depend on the mesh; only warned of."""
     MARKERS = "markers"

@@ -48,13 +48,13 @@ def pit() -> DrawnSurface:
     return pillars([[(-4, -4), (4, -4), (4, 4), (-4, 4)]], floor_mm=4.0, top_mm=3.0)
 
 
-def pyramids() -> DrawnSurface:
-    """Four pyramids of 5 mm on a floor."""
+def pyramids(*, half_mm: float = 2.5, height_mm: float = 2.0) -> DrawnSurface:
+    """Four square pyramids on a floor."""
     centres = [(x, y) for x in (-5.0, 5.0) for y in (-4.0, 4.0)]
-    squares = [rectangle(x - 2.5, x + 2.5, y - 2.5, y + 2.5) for x, y in centres]
+    squares = [rectangle(x - half_mm, x + half_mm, y - half_mm, y + half_mm) for x, y in centres]
     faces = _box_with_openings(2.5, squares)
     for (x, y), square in zip(centres, squares, strict=True):
-        tip = np.array([x, y, 4.5])
+        tip = np.array([x, y, 2.5 + height_mm])
         faces += [Face(outline_mm=np.array([*_at(square[[i - 1, i]], 2.5), tip])) for i in range(4)]
     return _drawn(faces)
 

@@ -10,7 +10,7 @@ from vitac.envs.sensor_design.mesher import MeshGoal, mesh_height_field
 from vitac.envs.sensor_design.placing import placed_on_base
 from vitac.envs.tactile.attachment import Fault, attach_along_rays
 from vitac.envs.tactile.camera import camera_frame, project
-from vitac.envs.tactile.design import SensorDesign
+from vitac.envs.tactile.design import NothingReached, SensorDesign
 from vitac.envs.tactile.markers import MarkerSettings
 from vitac.envs.tactile.sensor import DesignedSensor, MarkersNotAttached
 from vitac.envs.tactile.thickness import eye_distance_m, highest_mm
@@ -85,13 +85,14 @@ def test_what_the_grasp_reaches_has_shares_of_its_area() -> None:
     assert top_m - 0.875e-3 <= z_m.min() < top_m - 0.8e-3
 
 
-def test_places_are_looked_for_below_the_highest_face_that_senses() -> None:
-    """Needles lean too much to sense: the floor between them does, however far below their tips it lies."""
+def test_needles_that_lean_too_much_to_sense_leave_nothing_to_measure() -> None:
+    """The floor between them senses, but the grasp does not reach it."""
     sensor = design("pyramids")
-    floor_m = sensor.gel.rest_position_m[sensor.sensing_triangles, 2].max(axis=1) < 0.3e-3
-    needles = replace(sensor, sensing_triangles=sensor.sensing_triangles[floor_m])
-    assert needles.touched.areas_m2.sum() == pytest.approx(1.0)
-    assert len(needles.touched.areas_m2) == 16 * floor_m.sum() > 0
+    floor = sensor.gel.rest_position_m[sensor.sensing_triangles, 2].max(axis=1) < 0.3e-3
+    needles = replace(sensor, sensing_triangles=sensor.sensing_triangles[floor])
+    assert needles.sensing_depth_m == pytest.approx(2e-3)
+    with pytest.raises(NothingReached, match=r"at most 0\.875 mm below .*, got the highest one 2\.000 mm below"):
+        _ = needles.touched
 
 
 def refined(min_nodes: int) -> SensorDesign:

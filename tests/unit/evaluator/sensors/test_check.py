@@ -169,6 +169,19 @@ def test_pipe_in_place_of_the_mesh_is_refused_without_waiting_for_it(tmp_path: P
     assert "no regular file" in problem(check)
 
 
+@pytest.mark.parametrize(("height_mm", "faults"), [(1.6, []), (2.0, [Rule.REACH])])
+def test_needles_that_touch_first_and_do_not_sense_are_refused(
+    height_mm: float, faults: list[Rule], tmp_path: Path
+) -> None:
+    """Flanks of 58 and of 63 degrees: without a face that senses near the tips, no motion would end an episode."""
+    drawn = drawn_gels.pyramids(half_mm=1.0, height_mm=height_mm)
+    check = check_sensor(write_sensor(tmp_path, drawn, "markers: {points_mm: [[0, 0]]}\n"))
+    assert broken(check) == faults
+    assert (check.design is None) is bool(faults)
+    if faults:
+        assert "highest sensing face 2.000 mm below the highest point" in problem(check)
+
+
 @pytest.mark.parametrize("gel", ["4 mm", "dome", "ridge", "pyramids"])
 def test_tips_have_nodes_enough_in_our_meshes_and_are_warned_of_in_others(gel: str, tmp_path: Path) -> None:
     folder = own_sensors.write_sensor(tmp_path, own_sensors.GELS[gel](), f"markers: {own_sensors.MARKERS}\n")
