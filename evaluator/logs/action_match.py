@@ -87,7 +87,8 @@ def compare_actions(log: Mapping[int, ActionSequence], model: Mapping[int, Actio
 
 
 def _compare_episode(number: int, log: ActionSequence, model: ActionSequence | None) -> EpisodeMatch:
-    ours, theirs = log.to_array(), model.to_array() if model else np.empty((0, log.shape[1]), np.float32)
+    ours = log.to_array()
+    theirs = model.to_array() if model else ours[:0]
     equal = (one.tobytes() == other.tobytes() for one, other in zip(ours, theirs, strict=False))
     reproduced = sum(takewhile(bool, equal))
     complete = len(ours) == len(theirs) == reproduced
