@@ -70,31 +70,36 @@ class SensorDesign:
         Raises:
             NothingReached: no sensing face is there.
         """
-        gel = self.gel
-        found = places_on_faces(gel.rest_position_m, self.sensing_triangles)
-        heights_m = interpolated(gel.rest_position_m, found.corners, found.weights)[:, 2]
-        reached = found.where(heights_m >= gel.rest_position_m[:, 2].max() - TOUCHED_M)
-        if len(reached.areas_m2) == 0:
+        places, depths_m = self._sensing_places
+        if self.sensing_depth_m > TOUCHED_M:
             raise NothingReached(
                 f"Expected a sensing face at most {TOUCHED_M / MILLIMETRE_M:g} mm below the highest point of the gel, "
                 f"got the highest one {self.sensing_depth_m / MILLIMETRE_M:.3f} mm below it."
             )
+        reached = places.where(depths_m <= TOUCHED_M)
         return FacePlaces(
-            corners=np.searchsorted(gel.sensing_nodes, reached.corners),
+            corners=np.searchsorted(self.gel.sensing_nodes, reached.corners),
             weights=reached.weights,
             areas_m2=reached.areas_m2 / reached.areas_m2.sum(),
         )
 
     @property
     def sensing_depth_m(self) -> float:
-        """How far the highest corner of a sensing face is below the highest point of the gel [m], undeformed."""
-        z_m = self.gel.rest_position_m[:, 2]
-        return float(z_m.max() - z_m[self.sensing_triangles].max())
+        """How far the highest place on a sensing face is below the highest point of the gel [m], undeformed."""
+        return float(self._sensing_places[1].min())
 
     def as_bytes(self) -> bytes:
         """Return what a hash of results has to cover besides the gel: sensing faces, camera and markers."""
         numbers = np.array([*self.camera, *self.markers_mm.reshape(-1)], dtype="<f8")
         return self.sensing_triangles.astype("<i8").tobytes() + numbers.tobytes()
+
+    @cached_property
+    def _sensing_places(self) -> tuple[FacePlaces, FloatArray]:
+        """Places on the sensing faces, and how far each is below the highest point of the gel [m], undeformed."""
+        position_m = self.gel.rest_position_m
+        places = places_on_faces(position_m, self.sensing_triangles)
+        heights_m = interpolated(position_m, places.corners, places.weights)[:, 2]
+        return places, position_m[:, 2].max() - heights_m
 
     @property
     def _drawn_m(self) -> FloatArray:

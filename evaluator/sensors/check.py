@@ -101,9 +101,9 @@ def _reach(design: "SensorDesign") -> Finding:
 
     return Finding(
         rule=Rule.REACH,
-        ok=design.sensing_depth_m < TOUCHED_M,
+        ok=design.sensing_depth_m <= TOUCHED_M,
         value=f"highest sensing face {design.sensing_depth_m / MILLIMETRE_M:.3f} mm below the highest point",
-        limit=f"less than {TOUCHED_M / MILLIMETRE_M:g} mm",
+        limit=f"at most {TOUCHED_M / MILLIMETRE_M:g} mm",
         problem="What touches first leans too much to sense. Draw tips that lean at most 60 degrees, or flat tops.",
     )
 

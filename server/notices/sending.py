@@ -100,7 +100,7 @@ class NoticeSender:
 
     def _next(self, channel: NoticeChannel) -> Callable[[], None] | None:
         teams = self._teams_at_work[channel]
-        claimed = claim(self._database, [channel], apart_from=teams)
+        claimed = claim(self._database, [channel], apart_from=tuple(teams))  # copied: threads that end take teams out
         if claimed is None:
             return None
         teams.add(claimed.notice.team_id)

@@ -1,3 +1,4 @@
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import cache
 
@@ -10,7 +11,7 @@ from vitac.envs.sensor_design.mesher import MeshGoal, mesh_height_field
 from vitac.envs.sensor_design.placing import placed_on_base
 from vitac.envs.tactile.attachment import Fault, attach_along_rays
 from vitac.envs.tactile.camera import camera_frame, project
-from vitac.envs.tactile.design import NothingReached, SensorDesign
+from vitac.envs.tactile.design import TOUCHED_M, NothingReached, SensorDesign
 from vitac.envs.tactile.markers import MarkerSettings
 from vitac.envs.tactile.sensor import DesignedSensor, MarkersNotAttached
 from vitac.envs.tactile.thickness import eye_distance_m, highest_mm
@@ -93,6 +94,19 @@ def test_needles_that_lean_too_much_to_sense_leave_nothing_to_measure() -> None:
     assert needles.sensing_depth_m == pytest.approx(2e-3)
     with pytest.raises(NothingReached, match=r"at most 0\.875 mm below .*, got the highest one 2\.000 mm below"):
         _ = needles.touched
+
+
+def test_a_face_is_reached_where_a_place_on_it_is_not_only_a_corner() -> None:
+    sensor = design("pyramids")
+    reached = []
+    for face in sensor.sensing_triangles:
+        alone = replace(sensor, sensing_triangles=face[None])
+        top_m, z_m = sensor.gel.rest_position_m[:, 2].max(), sensor.gel.rest_position_m[face, 2]
+        assert top_m - z_m.max() <= alone.sensing_depth_m + 1e-12 <= top_m - z_m.min() + 2e-12
+        reached.append(alone.sensing_depth_m <= TOUCHED_M)
+        with nullcontext() if reached[-1] else pytest.raises(NothingReached):
+            assert alone.touched.areas_m2.sum() == pytest.approx(1.0)
+    assert set(reached) == {True, False}
 
 
 def refined(min_nodes: int) -> SensorDesign:
