@@ -7,7 +7,7 @@ from sqlalchemy.orm import Session
 
 from ..db.models import Rejudgement
 from ..views.contest.rejudging import RejudgedSubmissionView, RejudgementDetailView, RejudgementView
-from .rejudging import RejudgedSubmission, comparison, revision_of
+from .rejudged import RejudgedSubmission, comparison, revision_of
 
 
 def rejudgement_view(rejudgement: Rejudgement) -> RejudgementView:

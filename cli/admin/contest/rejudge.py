@@ -11,7 +11,7 @@ from ...terminal.output import AsJson, percent, print_done, print_json, print_re
 from ..consent import DryRun, Yes, change_as_shown, change_transaction
 
 if TYPE_CHECKING:
-    from vitac.server.results.rejudging import RejudgedSubmission
+    from vitac.server.results.rejudged import RejudgedSubmission
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
@@ -33,10 +33,11 @@ def start(
     """Evaluate submissions again with the present evaluator; nobody but organizers sees it, no result changes."""
     from vitac.server.accounts.principals import CONSOLE
     from vitac.server.results import rejudging
+    from vitac.server.results.rejudged import comparison
 
     with change_transaction(dry_run=dry_run) as session:
         made = rejudging.start(session, CONSOLE, track=track, stage=stage, submissions=submission or (), reason=reason)
-        count = len(rejudging.comparison(session, made))
+        count = len(comparison(session, made))
     if dry_run:
         print_done(f"{count} submissions", {"id": None, "submissions": count}, as_json=as_json)
         return
@@ -69,9 +70,10 @@ def list_rejudgements(as_json: AsJson = False) -> None:
 def show(rejudgement: RejudgementId, as_json: AsJson = False) -> None:
     """Show which scores and ranks would change."""
     from vitac.server.results import rejudging
+    from vitac.server.results.rejudged import comparison
 
     with transaction() as session:
-        found = rejudging.comparison(session, rejudging.find(session, rejudgement))
+        found = comparison(session, rejudging.find(session, rejudgement))
     _print(found, as_json=as_json)
 
 

@@ -27,7 +27,7 @@ from vitac.server.db.models import (
 )
 from vitac.server.db.states import Role
 from vitac.server.people import announcements, appeals, questions
-from vitac.server.results.rejudging import revision_of
+from vitac.server.results.rejudged import revision_of
 
 from competitions import make_competition, put_in_place
 

@@ -35,7 +35,7 @@ from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.leaderboards.standings import leaderboard
 from vitac.server.receipts.chain import chain_state, receipts_of_submission
 from vitac.server.results import rejudging
-from vitac.server.results.rejudging import RejudgedSubmission
+from vitac.server.results.rejudged import RejudgedSubmission, comparison
 from vitac.server.submissions import creation, runs
 
 from competitions import make_competition, open_now, put_in_place
@@ -88,7 +88,7 @@ def play_proposed(database: Database, rejudgement: UUID, **plays: RecordOf) -> N
 
 def compared(database: Database, rejudgement: UUID) -> dict[str, RejudgedSubmission]:
     with database.transaction() as session:
-        rows = rejudging.comparison(session, rejudging.find(session, rejudgement))
+        rows = comparison(session, rejudging.find(session, rejudgement))
     return {row.team: row for row in rows}
 
 
