@@ -46,10 +46,3 @@ def transaction() -> Iterator[Session]:
     """Open the service that the environment names and one transaction on its database."""
     with open_service(load_settings()) as services, services.database.transaction() as session:
         yield session
-
-
-@contextmanager
-def snapshot() -> Iterator[Session]:
-    """Open the same for reading what must fit together: all statements see the database as it was at the first one."""
-    with open_service(load_settings()) as services, services.database.snapshot() as session:
-        yield session

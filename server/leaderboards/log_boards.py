@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cache, partial
+from typing import Self
 from uuid import UUID
 
 from sqlalchemy import Select, bindparam, select
@@ -19,7 +20,8 @@ from vitac.server.accounts import teams
 from vitac.server.accounts.principals import VISITOR
 from vitac.server.accounts.shown_names import ShownNames
 from vitac.server.accounts.visibility import played_list_kind
-from vitac.server.competition.schedule import boards_stand_since, shown_stage
+from vitac.server.competition.definition import DEFAULT_RANKING, CompetitionTrack, RankingKey
+from vitac.server.competition.schedule import boards_stand_since, shown_stage, track_rules
 from vitac.server.db.models import BoardResult, Evaluation, Team
 from vitac.server.evaluations.copies import copies_among
 from vitac.server.evaluations.scores import score_views
@@ -33,8 +35,10 @@ from vitac.server.tracks import load_known_track
 from vitac.server.views.leaderboards import LogBoardsView, LogBoardView, LogEntryView, TextLogEntryView
 from vitac.server.views.logs import LogCopyView
 
-RANKING_RULE = (
-    "Higher success rate first; then fewer mean env steps of the successful episodes; then the earlier submission. "
+_USUAL_RANKING = (
+    "Higher success rate first; then fewer mean env steps of the successful episodes; then the earlier submission."
+)
+_WHAT_IS_RANKED = (
     "Only verified logs are ranked, the best of each team, task by task, and never together with models. "
     "A log is not ranked if half of its episodes or more have the states of an earlier submission of another team, "
     "half-way through or to the end."
@@ -57,15 +61,30 @@ def log_boards(session: Session, track_name: str, *, stage: str | None = None) -
         ServiceError: there is no such track or stage.
     """
     track, of_stage = load_known_track(track_name), shown_stage(session, track_name, stage)
+    rules = track_rules(session, track_name)
+    ranking = _Ranking.of(rules)
     until = (boards_stand_since(session) if of_stage else None) or EVER
     shown_names = ShownNames.read(session, VISITOR)
     found = kept_until_change(
         session,
-        ("logs", track.name, of_stage, until, shown_names),
-        lambda: _found(session, track, of_stage, until, shown_names),
+        ("logs", track.name, of_stage, until, shown_names, ranking),
+        lambda: _found(session, track, of_stage, until, shown_names, ranking),
     )
     made = partial(_view, session, track, found)
     return _made_boards.get((track.name, of_stage), found.revision, made, names=found.names)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Ranking:
+    """What logs are compared by, and that as a sentence."""
+
+    keys: tuple[RankingKey, ...]
+    rule: str
+
+    @classmethod
+    def of(cls, rules: CompetitionTrack | None) -> Self:
+        told = (rules.ranking_sentence if rules else None) or _USUAL_RANKING
+        return cls(keys=rules.ranking if rules else DEFAULT_RANKING, rule=f"{told} {_WHAT_IS_RANKED}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,17 +98,30 @@ class _Shown:
     revision: str
     names: str
     shown_names: ShownNames
+    ranking_rule: str
 
 
-def _found(session: Session, track: Track, stage: str, until: datetime, shown_names: ShownNames) -> _Shown:
-    boards = {task: Board(track=track.name, stage=stage, kind=SubmissionKind.LOG, task=task) for task in track.tasks}
+def _found(
+    session: Session,
+    track: Track,
+    stage: str,
+    until: datetime,
+    shown_names: ShownNames,
+    ranking: _Ranking,
+) -> _Shown:
+    boards = {
+        task: Board(track=track.name, stage=stage, kind=SubmissionKind.LOG, task=task, ranking=ranking.keys)
+        for task in track.tasks
+    }
     best = {task: best_entries(session, board, until=until) for task, board in boards.items()}
     named = {"track": track.name, "stage": stage, "until": until, "at_most": MAX_TEXT_LOGS}
     text_logs = session.scalars(_newest_text_logs(), named).all()
     copies = copies_among(session, [entry.evaluation_id for entries in best.values() for entry in entries], shown_names)
     ranked = [part for task, entries in best.items() for part in (task, *entries)]
     names = f"{teams.last_named_at(session)} {shown_names.hidden}"
-    revision = revision_of(f"logs of {track.name} {stage} {names}", [*ranked, *sorted(copies.items()), *text_logs])
+    revision = revision_of(
+        f"logs of {track.name} {stage} {names} {ranking.rule}", [*ranked, *sorted(copies.items()), *text_logs]
+    )
     return _Shown(
         stage=stage,
         best=best,
@@ -98,6 +130,7 @@ def _found(session: Session, track: Track, stage: str, until: datetime, shown_na
         revision=revision,
         names=names,
         shown_names=shown_names,
+        ranking_rule=ranking.rule,
     )
 
 
@@ -109,7 +142,7 @@ def _view(session: Session, track: Track, shown: _Shown, last: LogBoardsView | N
         title=track.title,
         stage=shown.stage or None,
         label=SubmissionKind.LOG.form.worth,
-        ranking_rule=RANKING_RULE,
+        ranking_rule=shown.ranking_rule,
         evaluator_version=evaluator_version(),
         revision=shown.revision,
         generated_at=datetime.now(UTC),

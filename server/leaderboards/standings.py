@@ -9,6 +9,7 @@ from uuid import UUID
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session, defer, selectinload
+from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import ListKind, Track
 from vitac.evaluator.version import evaluator_version
 from vitac.server.accounts import teams
@@ -33,7 +34,13 @@ _made_boards: MadeBoards[LeaderboardView] = MadeBoards()
 
 
 def leaderboard(
-    session: Session, track_name: str, *, task: str | None = None, stage: str | None = None, live: bool = False
+    session: Session,
+    track_name: str,
+    *,
+    task: str | None = None,
+    stage: str | None = None,
+    kind: SubmissionKind = SubmissionKind.MODEL,
+    live: bool = False,
 ) -> MadeBoard[LeaderboardView]:
     """Return the best entry of each team, ranked; then teams with results of another evaluator version only.
 
@@ -42,6 +49,7 @@ def leaderboard(
         track_name: whose board.
         task: ranks the submissions that play this task by it alone; None: all tasks of the track together.
         stage: of the competition; None: the one that opened last.
+        kind: what is ranked; logs only task by task.
         live: for organizers: as it is, also while boards are frozen or names are hidden.
 
     Raises:
@@ -52,7 +60,7 @@ def leaderboard(
         require_task(track, task)
     of_stage, rules = shown_stage(session, track_name, stage), track_rules(session, track_name)
     ranking = rules.ranking if rules else DEFAULT_RANKING
-    board = Board(track=track_name, task=task, stage=of_stage, ranking=ranking)
+    board = Board(track=track_name, kind=kind, task=task, stage=of_stage, ranking=ranking)
     frozen_at = None if live or not board.stage else boards_stand_since(session)
     until = frozen_at or EVER
     best, named_at = kept_until_change(

@@ -11,14 +11,16 @@ from types import MappingProxyType
 from uuid import UUID
 
 import numpy as np
-from vitac.evaluator.episodes.episode import make_environment
+from vitac.envs.errors import VitacError
+from vitac.evaluator.episodes.episode import Environment, make_environment
 from vitac.evaluator.episodes.provenance import make_manifest
 from vitac.evaluator.episodes.records import EpisodeRecord, result_hash
 from vitac.evaluator.logs.checks import known_without_running, why_impossible
 from vitac.evaluator.logs.log import LogHeader, LogReader, LogRejected
 from vitac.evaluator.logs.verification import check_episode
 from vitac.evaluator.scoring.score import score
-from vitac.evaluator.tracks import Track, load_track
+from vitac.evaluator.sensors.made import read_made_sensor
+from vitac.evaluator.tracks import Task, Track, load_track
 from vitac.evaluator.tracks.sealed import commitment_of, sealed_track
 from vitac.evaluator.version import evaluator_version
 from vitac.server.views.leaderboards import LeaderboardEntryView, LeaderboardView
@@ -274,15 +276,9 @@ def _resimulate(
     on_episode: Callable[[SampledEpisode], None],
 ) -> None:
     """Run a sample of all episodes through the physics again, and report those that give other states."""
-    tracks = {log.header.manifest.track: load_track(log.header.manifest.track) for log in logs}
-    playable = [log for log in logs if not tracks[log.header.manifest.track].has_sensor]
-    if len(playable) < len(logs):
-        found.unchecked.append(
-            "Episodes with sensors of teams are not run again: the export does not hold the sensors."
-        )
-    everything = [(log, number) for log in playable for number in log.episodes]
+    everything = [(log, number) for log in logs for number in log.episodes]
     chosen = np.random.default_rng(seed).choice(len(everything), size=min(count, len(everything)), replace=False)
-    for log in playable:
+    for log in logs:
         numbers = {everything[index][1] for index in chosen if everything[index][0] is log}
         if numbers:
             _resimulate_log(reader, log, numbers, found, on_episode)
@@ -300,7 +296,9 @@ def _resimulate_log(
     if reader.description.secret is not None:
         track = sealed_track(track, bytes.fromhex(reader.description.secret))
     task = track.tasks[log.task]
-    env = make_environment(task, None, ())
+    env = _environment(reader, log, track, task, found)
+    if env is None:
+        return
     manifest = make_manifest(track, task, env)
     for record in (record for record in records if record.episode in numbers):
         sampled = SampledEpisode(evaluation=log.evaluation, task=log.task, episode=record.episode)
@@ -311,6 +309,29 @@ def _resimulate_log(
             )
         found.resimulated.append(sampled)
         on_episode(sampled)
+
+
+def _environment(reader: ExportReader, log: _Log, track: Track, task: Task, found: Audit) -> Environment | None:
+    """Return what a log was played in; None, with the reason in `found`, where it is another one or not here."""
+    place = f"Evaluation {log.evaluation}, {log.task}"
+    if track.has_sensor and not reader.has_sensor(log.evaluation):
+        found.unchecked.append(f"{place}: its episodes are not run again, for the export does not hold its sensor.")
+        return None
+    try:
+        sensor = read_made_sensor(reader.sensor(log.evaluation)).design() if track.has_sensor else None
+    except (VitacError, IndexError, ValueError) as error:
+        found.findings.append(f"{place}: the sensor cannot be used. {error}")
+        return None
+    try:
+        env = make_environment(task, None, (), sensor=sensor)
+    except VitacError as error:
+        found.unchecked.append(f"{place}: its episodes cannot be run again here. {error}")
+        return None
+    if env.mesh_hash() != log.header.manifest.mesh_hash:
+        what = "the sensor in the export is not the one that was" if sensor else "other meshes than these were"
+        found.findings.append(f"{place}: {what} played with.")
+        return None
+    return env
 
 
 def _track(described: ExportDescription, result: Result) -> Track | None:

@@ -71,6 +71,9 @@ def check_entries(described: ExportDescription, receipts: Mapping[UUID, Receipt]
         team = teams.get(entry.evaluation_id)
         if team is not None and team.name != entry.team:
             yield True, f"{entry.team}: the export gives its result to {team.name}."
+        is_current = entry.evaluator_version == board.evaluator_version
+        if entry.rank is None and is_current and entry.evaluation_id not in described.copies:
+            yield True, f"{entry.team}: its result has no rank, though it is of the board's evaluator version."
     for receipt in receipts.values():
         team, ranked_by = teams.get(receipt.result.evaluation), reached(board.task, receipt.result)
         if team is None or ranked_by is None or receipt.result.evaluator_version != board.evaluator_version:
@@ -78,6 +81,9 @@ def check_entries(described: ExportDescription, receipts: Mapping[UUID, Receipt]
         shown, told = entries.get(team.name), f"{team.name}: receipt {receipt.link.number}"
         if team.off_boards:
             yield False, f"{told}; the service leaves the team out: {team.off_boards}."
+            continue
+        if receipt.result.evaluation in described.copies:
+            yield False, f"{told}; the service says that this log is a copy of an earlier one, so it is not ranked."
             continue
         if shown is None:
             missing = f"{told} is of this board, but the team is not on it"

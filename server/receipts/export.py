@@ -1,8 +1,9 @@
 """A board with its receipts, the chain and the records behind it in one zip, to be audited anywhere.
 
 `export.json` says whose it is and holds the board, `chain.jsonl` all links, `receipts.jsonl` the receipts of
-all results of the board's stage, also of those that are not on it, and `logs/EVALUATION/TASK.jsonl` what was played
-for entries of the board, as `vitac evaluate --log` writes it.
+all results of the board's stage, also of those that are not on it, `logs/EVALUATION/TASK.jsonl` what was played for
+entries of the board, as `vitac evaluate --log` writes it, and `sensors/EVALUATION.json` the sensor that it was played
+with, where that is a team's own.
 """
 
 import zipfile
@@ -16,6 +17,7 @@ from uuid import UUID
 from pydantic import NonNegativeInt, ValidationError
 from vitac.envs.errors import VitacError
 from vitac.evaluator.logs.packing import MAX_UNPACKED_BYTES
+from vitac.evaluator.sensors.made import MAX_BYTES as MAX_SENSOR_BYTES
 from vitac.evaluator.strict_model import StrictModel, explain
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.views.leaderboards import LeaderboardView
@@ -68,11 +70,18 @@ class ExportDescription(StrictModel):
     """With results of the stage."""
     set_aside: tuple[UUID, ...] = ()
     """Evaluations whose results a rejudgement took off the boards, as the service says."""
+    copies: tuple[UUID, ...] = ()
+    """Evaluations of logs with the states of an earlier submission of another team, as the service says: unranked."""
 
 
 def log_name(evaluation: UUID, task: str) -> str:
     """Return the name of a log in an export."""
     return f"logs/{evaluation}/{task}.jsonl"
+
+
+def sensor_name(evaluation: UUID) -> str:
+    """Return the name of a team's sensor in an export."""
+    return f"sensors/{evaluation}.json"
 
 
 class ExportReader:
@@ -115,6 +124,15 @@ class ExportReader:
         """Open the log of a task."""
         with self._open(log_name(evaluation, task)) as stream:
             yield stream
+
+    def has_sensor(self, evaluation: UUID) -> bool:
+        """Return whether the sensor of an evaluation is here."""
+        return sensor_name(evaluation) in self._names
+
+    def sensor(self, evaluation: UUID) -> bytes:
+        """Return the file of a sensor, of a larger one than any may be only its beginning."""
+        with self._open(sensor_name(evaluation)) as stream:
+            return stream.read(MAX_SENSOR_BYTES + 1)
 
     def _lines(self, model: type[ModelT], name: str) -> Iterator[ModelT]:
         with self._open(name) as stream:

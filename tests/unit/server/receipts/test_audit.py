@@ -6,39 +6,21 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
+from audited_boards import complete, environment_of, played_again, sampled
 from databases import fresh_database
 from made_receipts import KEY
-from service_factories import (
-    ISOLATION,
-    TASK,
-    TRACK,
-    claim,
-    forget_boards,
-    make_principal,
-    make_record,
-    sha256,
-    shard_ids,
-    submit,
-)
+from obstore.store import MemoryStore
+from service_factories import TASK, TRACK, forget_boards, make_principal, make_record, submit
 from sqlalchemy import Executable, func, select, text, update
-from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
-from vitac.evaluator.episodes.episode import make_environment
-from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord, Manifest
-from vitac.evaluator.episodes.replay import resimulate
-from vitac.evaluator.logs.checks import known_without_running
-from vitac.evaluator.shards.result import ShardEnd, ShardResult
-from vitac.evaluator.tracks import find_task
-from vitac.evaluator.version import evaluator_hash, platform_class
+from vitac.evaluator.episodes.episode import Environment
+from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord
 from vitac.server.accounts import merging, teams
 from vitac.server.accounts.principals import CONSOLE
 from vitac.server.db.engine import Database
-from vitac.server.db.models import EpisodeResult, Evaluation, ReceiptKey, ReceiptRow, Submission, Team
+from vitac.server.db.models import Evaluation, ReceiptKey, ReceiptRow, Submission, Team
 from vitac.server.db.states import EvaluationState
-from vitac.server.evaluations import lifecycle
-from vitac.server.evaluations.episode_store import row_values
 from vitac.server.people import team_data
 from vitac.server.receipts import chain
 from vitac.server.receipts.audit import Audit, audit
@@ -47,74 +29,39 @@ from vitac.server.receipts.receipt import sign
 from vitac.server.results import rejudging
 from vitac.server.results.exporting import export_receipts
 from vitac.server.results.publishing import ResultsNotWritten
+from vitac.server.storage.blobs import BlobStore
 
 SEED = 1
-EPISODES = 270
-ADDED = {"kind", "receipts", "last", "teams", "set_aside"}
+ADDED = {"kind", "receipts", "last", "teams", "set_aside", "copies"}
 """What the second format of exports says."""
 TEAMS = ("Ants", "Bees", "Cats")
+NO_FILES = BlobStore(MemoryStore())
 
 
-def sampled(seed: int) -> int:
-    """Which episode an audit of one episode runs again, counted over all entries of the board."""
-    return int(np.random.default_rng(seed).choice(len(TEAMS) * EPISODES, size=1, replace=False)[0])
-
-
-def played_again(number: int) -> EpisodeRecord:
-    """The record of an episode that really happens if the gripper does not move."""
-    task = find_task(TASK)[1]
-    episode = task.episodes[number - 1]
-    steps = np.zeros((task.max_steps, 3), np.float32)
-    played = resimulate(make_environment(task, None, ()), episode, steps)
-    assert played.end_step is not None
-    assert played.outcome is not None
-    made = make_record(number, outcome=played.outcome)
-    n_steps = played.end_step
-    return made.model_copy(
-        update={
-            "env_steps": n_steps,
-            "actions": type(made.actions).from_array(steps[:n_steps]),
-            "state_hashes": played.state_hashes[: n_steps + 1],
-            "infos": played.infos[:n_steps],
-        }
-    )
-
-
-def finish_all(database: Database, team: int, real: EpisodeRecord) -> None:
+def finish_all(database: Database, team: int, env: Environment, real: EpisodeRecord) -> None:
     """A submission of a team that fails in the first `team` episodes, complete; one of its records is given."""
-    task = find_task(TASK)[1]
-    manifest = Manifest(
-        **known_without_running(find_task(TASK)[0], task),  # type: ignore[arg-type]
-        evaluator_hash=evaluator_hash(),
-        solver_version="1",
-        mesh_hash=sha256("mesh"),
-        platform_class=platform_class(),
-    )
+
+    def record_of(_task: str, number: int) -> EpisodeRecord:
+        if (team, number) == (1, real.episode):
+            return real
+        return make_record(number, EpisodeOutcome.TACTILE if number <= 5 * team else EpisodeOutcome.SUCCESS)
+
     with database.transaction() as session:
         submission = submit(session, make_principal(session, TEAMS[team]), TEAMS[team])
-        ids = shard_ids(session, submission)
-    for shard_id in ids:
-        lease = claim(database, shard_id)
-        records = [
-            make_record(number, EpisodeOutcome.TACTILE if number <= 5 * team else EpisodeOutcome.SUCCESS)
-            for number in lease.episodes
-        ]
-        records = [real if (team, record.episode) == (1, real.episode) else record for record in records]
-        with database.transaction() as session:
-            session.execute(insert(EpisodeResult), [row_values(lease, record) for record in records])
-            ended = ShardResult(index=lease.number, end=ShardEnd.COMPLETE, manifest=manifest, isolation=ISOLATION)
-            lifecycle.finish_shard(session, lease, ended)
+    complete(database, submission, env, record_of)
 
 
 @pytest.fixture(scope="module")
 def database() -> Iterator[Database]:
     """A database with three teams on a board; what a test changes in it is taken back."""
-    assert sampled(SEED) // EPISODES == 1, "the seed samples an episode of the second team"
+    entry, number = sampled(SEED, len(TEAMS))
+    assert entry == 1, "the seed samples an episode of the second team"
     with fresh_database() as address:
         database = Database(address)
-        real = played_again(sampled(SEED) % EPISODES + 1)
+        env = environment_of(TASK)
+        real = played_again(TASK, number, env)
         for team in range(len(TEAMS)):
-            finish_all(database, team, real)
+            finish_all(database, team, env, real)
         yield database
         database.dispose()
 
@@ -132,7 +79,7 @@ def audited(
             else:
                 session.execute(change)
         session.expire_all()
-        export_receipts(session, folder / "board.zip", TRACK, task=TASK)
+        export_receipts(session, NO_FILES, folder / "board.zip", TRACK, task=TASK)
     return audit(folder / "board.zip", **({"episodes": 0} | options))
 
 
@@ -145,12 +92,12 @@ def test_an_untouched_board_is_found_right_and_a_sampled_episode_gives_the_same_
     assert found.findings == []
     assert found.unchecked == []
     assert (found.links, found.entries, found.logs) == (3, 3, 3)
-    assert [sample.episode for sample in found.resimulated] == [sampled(SEED) % EPISODES + 1]
+    assert [sample.episode for sample in found.resimulated] == [sampled(SEED, len(TEAMS))[1]]
     other = audit(tmp_path / "board.zip", episodes=1, seed=SEED + 1)
     assert len(other.findings) == 1, "the other records are made up, which only the physics tells"
     assert "diverge" in other.findings[0].lower() or "differs" in other.findings[0].lower()
     with pytest.raises(ResultsNotWritten, match="Name a new file"), database.transaction() as session:
-        export_receipts(session, tmp_path / "board.zip", TRACK)
+        export_receipts(session, NO_FILES, tmp_path / "board.zip", TRACK)
 
 
 SCORE = "UPDATE {} SET success_rate = 1, mean_steps = 1 WHERE {}"
