@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 def command(
     file: Annotated[
         Path,
-        typer.Argument(callback=existing_file, help="Our own log or records, or a 2025 text log as JSON lines."),
+        typer.Argument(callback=existing_file, help="Our own log or records, or a 2025 text log, gzipped or not."),
     ],
     task: Annotated[str, typer.Option(help="Task of the recording.")],
     assets: Annotated[

@@ -10,6 +10,7 @@ from typing import Protocol
 
 from sqlalchemy.orm import Session
 from vitac.evaluator.episodes.records import EpisodeRecord, Manifest
+from vitac.evaluator.estimator.regression import Coefficients
 from vitac.evaluator.figures.figures import FigureChoice
 from vitac.evaluator.scoring.failures import is_broken
 from vitac.evaluator.shards.order import ShardOrder
@@ -23,7 +24,15 @@ from vitac.server.queue import leases
 from vitac.server.queue.leases import Lease
 from vitac.server.services import Services
 from vitac.server.storage import stored_files
-from vitac.server.submissions.figures import coefficients_file, has_part, is_measured_by, part_file
+from vitac.server.storage.blobs import StoredFileLost
+from vitac.server.submissions.figures import (
+    coefficients_digest,
+    coefficients_file,
+    has_part,
+    is_measured_by,
+    is_played_by_estimator,
+    part_file,
+)
 from vitac.server.submissions.files import add_files
 from vitac.server.uploads.checked_upload import UploadedFile
 
@@ -118,7 +127,7 @@ class ShardRun(LeasedRun[RunningShard]):
         with tempfile.TemporaryDirectory(prefix="upload-", dir=self._services.settings.scratch_dir) as name:
             folder, files = Path(name), []
             if result.coefficients is not None:
-                files.append(coefficients_file(result.coefficients, folder))
+                files.append(coefficients_file(result.coefficients, self._lease, folder))
             if result.figures is not None:
                 files.append(part_file(result.figures, self._lease, folder))
                 if result.figures.problem is not None:
@@ -136,6 +145,7 @@ class ShardRun(LeasedRun[RunningShard]):
             submission=path,
             sensor=sensor,
             figures=FigureChoice.ALL if is_measured_by(self._lease) else FigureChoice.NONE,
+            coefficients=self._coefficients(),
             track=self._lease.track,
             task=self._lease.task,
             secret=secret,
@@ -145,6 +155,21 @@ class ShardRun(LeasedRun[RunningShard]):
             skip=tuple(sorted(stored.numbers)),
             earlier_failures=stored.failures,
         )
+
+    def _coefficients(self) -> Coefficients | None:
+        """Return what the standard estimator has learned in an earlier shard; None where it is to learn it now."""
+        if not is_played_by_estimator(self._lease):
+            return None
+        known = (self._lease.submission_id, self._lease.evaluator_version)
+        digest: str | None = self._database(lambda session: coefficients_digest(session, *known))
+        if digest is None:
+            return None
+        try:
+            content = self._with_storage(partial(self._services.blobs.read, digest))
+        except StoredFileLost:
+            self._logger.warning("coefficients_lost", sha256=digest)
+            return None
+        return Coefficients.model_validate_json(content)
 
     def _store(self, records: Sequence[EpisodeRecord]) -> None:
         self._database(lambda session: store_episodes(session, self._lease, records))

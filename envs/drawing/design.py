@@ -1,4 +1,4 @@
-"""A still picture of a team's own sensor: the gel from both sides, and its markers as the camera sees them."""
+"""A still picture of a team's own sensor: the gel with its markers from both sides, and what the camera sees."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,6 +12,7 @@ from ..tactile.design import SensorDesign
 from .plots import INK, QUIET, TICK_PT, style
 from .projection.camera import ParallelCamera
 from .projection.shading import lit
+from .projection.visibility import Visible
 from .sensor_view import IMAGE_HEIGHT_PX, IMAGE_WIDTH_PX
 
 FloatArray = NDArray[np.float64]
@@ -20,6 +21,8 @@ _WIDTH_IN, _HEIGHT_IN = 12.0, 4.0
 _SENSING, _DRIVEN, _OTHER = (0.36, 0.62, 0.72), (0.85, 0.62, 0.35), (0.80, 0.82, 0.84)
 _VIEW_PX = (600, 500)
 _VIEW_HEIGHT_M = 0.028
+# A marker lies on a face; a pixel's depth may differ from the marker's by this much.
+_DEPTH_SLACK_M = 2e-4
 _FAULT_COLOUR = "#b2182b"
 # Name of a view, height of the eye above the base's plane [deg].
 _VIEWS = (("sensing face", 40.0), ("back face", -40.0))
@@ -47,7 +50,7 @@ def draw_design(design: SensorDesign, *, title: str, width_px: int) -> NDArray[n
 
 
 def _draw_gel(axes: Axes, design: SensorDesign, elevation_deg: float) -> None:
-    """Draw the faces that look at the eye, the farthest first."""
+    """Draw the faces that look at the eye, the farthest first, and the printed markers that nothing hides."""
     camera = ParallelCamera(
         azimuth_deg=-60.0,
         elevation_deg=elevation_deg,
@@ -64,6 +67,11 @@ def _draw_gel(axes: Axes, design: SensorDesign, elevation_deg: float) -> None:
     order = visible[np.argsort(-seen[visible, :, 2].mean(axis=1), kind="stable")]
     colours = lit(_face_colours(design)[order], normals[order])
     axes.add_collection(PolyCollection(list(seen[order, :, :2]), facecolors=colours, edgecolors=INK, linewidths=0.25))
+    buffer = Visible.nothing(camera)
+    buffer.add(seen[visible], first=0)
+    markers = camera.project(design.printed_m)
+    free = markers[~buffer.hides(markers, slack_m=_DEPTH_SLACK_M)]
+    axes.plot(*free[:, :2].T, linestyle="", marker="o", markersize=2.0, color=INK)
     axes.set(xlim=(0, _VIEW_PX[0]), ylim=(_VIEW_PX[1], 0), aspect="equal", xticks=(), yticks=())
 
 

@@ -61,6 +61,14 @@ class SensorDesign:
         in_camera_m = camera_frame(self._drawn_m, np.eye(3), np.zeros(3), eye_distance_m(self.gel))
         return np.asarray(project(in_camera_m, self.camera))
 
+    @property
+    def printed_m(self) -> FloatArray:
+        """Where the attached markers are on the undeformed gel [m], shape [a, 3]; others are left out."""
+        found = self.attachment
+        attached = found.faults == Fault.NONE
+        corners = self.gel.surface_triangles[found.triangles[attached]]
+        return interpolated(self.gel.rest_position_m, corners, found.weights[attached])
+
     @cached_property
     def touched(self) -> FacePlaces:
         """Places on what the grasp can reach: at most `TOUCHED_M` below the highest point of the gel, undeformed.

@@ -19,8 +19,9 @@ from ..version import evaluator_version, platform_class
 
 # A shard that was neither finished nor used again for so long [s] is removed.
 _UNUSED_S = 30 * 86400.0
-# What a result depends on is in the name of what is played; these say only where it lies and which process plays it.
-_NO_CONTENT = frozenset({"submission", "sensor", "slot"})
+# What a result depends on is in the name of what is played; these say only where it lies, which process plays it, and
+# what would be learned again.
+_NO_CONTENT = frozenset({"submission", "sensor", "slot", "coefficients"})
 # Begins the name of a file that is being written.
 _UNFINISHED = "unfinished-shard-"
 # Names that are given here; whatever else lies in the folder is not ours to remove.

@@ -67,6 +67,7 @@ def evaluate(
     secret: Path | None = None,
     sensor: Path | None = None,
     figures: FigureChoice = FigureChoice.NONE,
+    coefficients: Coefficients | None = None,
     kept: KeptShards | None = None,
     on_episode: Callable[[EpisodeRecord], None] = lambda _: None,
 ) -> Evaluation:
@@ -83,6 +84,7 @@ def evaluate(
         secret: file with the secret of a sealed list.
         sensor: folder with a sensor of a team's own, in place of the challenge's.
         figures: which of the sensor's figures the blind run measures.
+        coefficients: of the standard estimator for the sensor; it is calibrated without them.
         kept: shards that need not be played again, and where those that are played are kept.
         on_episode: gets each record, in the order in which episodes end.
 
@@ -104,6 +106,7 @@ def evaluate(
             assets_dir=assets_dir.resolve() if assets_dir else None,
             sensor=sensor.resolve() if sensor else None,
             figures=figures if task.player is Player.BLIND else FigureChoice.NONE,
+            coefficients=coefficients,
         )
         for shard in shards
     ]
@@ -132,6 +135,8 @@ class _ShardPool:
     ) -> None:
         self.results: list[ShardResult] = []
         self._kept = kept
+        self._coefficients: Coefficients | None = None
+        """Of a shard that is over, so that the shards after it need not learn the same."""
         self._processes = processes
         self._orders = deque(orders)
         self._lock = threading.Lock()
@@ -176,13 +181,15 @@ class _ShardPool:
     def _run_order(self, order: ShardOrder, slot: int) -> None:
         known = self._kept.load(order) if self._kept else None
         result = self._play(order, slot) if known is None else known.result
+        self._coefficients = result.coefficients or self._coefficients
         for record in () if known is None else known.records:
             self._queue.put(record)
         self._queue.put(result)
 
     def _play(self, order: ShardOrder, slot: int) -> ShardResult:
         records = []
-        with self._processes.running_shard(order.model_copy(update={"slot": slot})) as process:
+        given = {"slot": slot, "coefficients": order.coefficients or self._coefficients}
+        with self._processes.running_shard(order.model_copy(update=given)) as process:
             self._register(slot, process)
             for record in process.records():
                 records.append(record)

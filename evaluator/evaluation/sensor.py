@@ -3,6 +3,7 @@
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from ..episodes.records import EpisodeRecord
@@ -110,20 +111,19 @@ def evaluate_sensor(
     with tempfile.TemporaryDirectory() as scratch:
         path = Path(scratch) / "sensor.json"
         path.write_bytes(made.as_bytes())
-        standard, blind = (
-            evaluate(
-                submission_dir=folder,
-                track=track,
-                task=tasks[player],
-                episodes=chosen,
-                workers=workers,
-                sensor=path,
-                figures=figures,
-                kept=None if keep is None else KeptShards(keep, of=made.digest),
-                on_episode=on_episode,
-            )
-            for player in (Player.ESTIMATOR, Player.BLIND)
+        run = partial(
+            evaluate,
+            submission_dir=folder,
+            track=track,
+            episodes=chosen,
+            workers=workers,
+            sensor=path,
+            figures=figures,
+            kept=None if keep is None else KeptShards(keep, of=made.digest),
+            on_episode=on_episode,
         )
+        standard = run(task=tasks[Player.ESTIMATOR])
+        blind = run(task=tasks[Player.BLIND], coefficients=standard.coefficients)
     assert standard.coefficients is not None  # noqa: S101 - of every run of the estimator
     offsets = [start.offset for start in tasks[Player.BLIND].episode_list.starts]
     return SensorEvaluation(

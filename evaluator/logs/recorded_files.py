@@ -1,8 +1,9 @@
-"""Reads files of recorded actions: our own logs and records, and 2025 text logs converted to JSON lines."""
+"""Reads files of recorded actions: our own logs and records, and 2025 text logs, as written or as JSON lines."""
 
 import json
 from collections.abc import Iterator
 from pathlib import Path
+from typing import BinaryIO
 
 from pydantic import BaseModel, ConfigDict, PositiveInt
 
@@ -12,6 +13,7 @@ from ..tracks import Task
 from .log import MAX_LINE_BYTES, LogReader, is_log
 from .packing import open_log
 from .recordings import Recording, RecordingRejected, episode_at, recorded_actions, recording_of
+from .text_2025 import is_text_log, read_text_log, summarize, to_json_lines
 from .text_2025.scripts import all_scripts
 
 
@@ -40,18 +42,23 @@ def read_recordings(path: Path, task: Task) -> Iterator[Recording]:
     """Yield the recorded episodes of a file.
 
     Args:
-        path: one of our logs; or JSON lines, each one of our episode records or a converted 2025 episode.
+        path: one of our logs; a 2025 text log; or JSON lines, each one of our episode records or a converted 2025
+            episode. Any of them may be gzipped.
         task: task that the recordings must be of.
 
     Raises:
         RecordingRejected: a line cannot be read or is of another task.
         LogRejected: one of our logs is truncated or altered.
+        TextLogRejected: a text log cannot be read, or is of no script of 2025.
     """
     if is_log(path):
         with open_log(path) as stream:
             yield from (recording_of(record, task) for record in LogReader(stream).records())
         return
     with open_log(path) as stream:
+        if is_text_log(stream.peek()):
+            yield from _recordings_of_text(stream, task)
+            return
         lines = enumerate(iter(lambda: stream.readline(MAX_LINE_BYTES + 1), b""), start=1)
         yield from (_recording_in(line, number, task) for number, line in lines)
 
@@ -67,6 +74,17 @@ def _recording_in(line: bytes, number: int, task: Task) -> Recording:
         raise RecordingRejected(f"{place} is not JSON: {error!s:.120}.") from error
     except DocumentRejected as error:
         raise RecordingRejected(str(error)) from error
+
+
+def _recordings_of_text(stream: BinaryIO, task: Task) -> Iterator[Recording]:
+    log = read_text_log(stream)
+    script, _ = summarize(log)
+    for line in to_json_lines(log, script):
+        place = f"Test {line['episode']}"
+        try:
+            yield _recording_of_2025(validate(_EpisodeOf2025, line, place), place, task)
+        except DocumentRejected as error:
+            raise RecordingRejected(str(error)) from error
 
 
 def _recording_of_2025(content: _EpisodeOf2025, place: str, task: Task) -> Recording:

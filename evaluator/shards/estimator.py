@@ -31,7 +31,7 @@ class NoSensor(VitacError):
 def run_estimator(
     order: ShardOrder, track: Track, task: Task, shard: Shard, on_episode: Callable[[EpisodeRecord], None]
 ) -> ShardResult:
-    """Calibrate the estimator to the order's sensor, or take what this process has, and play the shard.
+    """Calibrate the estimator to the order's sensor, or take what the order or this process has, and play the shard.
 
     The blind run measures the sensor's figures, too, where they are asked for: at the starts of its episodes, so that
     they are shared out among the workers as the episodes are.
@@ -42,7 +42,7 @@ def run_estimator(
     """
     if order.sensor is None:
         raise NoSensor(f"Expected a sensor for {task.name}, got none.")
-    coefficients = calibrated(task, order.sensor)
+    coefficients = order.coefficients or calibrated(task, order.sensor)
     design = design_in(order.sensor)
     session = EstimatorSession(coefficients, task.definition.action_scale, is_blind=task.player is Player.BLIND)
 

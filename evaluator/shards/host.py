@@ -126,7 +126,9 @@ class SimulationHost:
     def _waits_for_calibration(self, ordered: _Ordered) -> bool:
         """Have the order of the standard estimator wait for the coefficients of its sensor; False if it need not."""
         sensor, task = ordered.order.sensor, _known_task(ordered.order)
-        if sensor is None or task is None or task.player is Player.POLICY or is_calibrated(task, sensor):
+        if sensor is None or task is None or task.player is Player.POLICY:
+            return False
+        if ordered.order.coefficients is not None or is_calibrated(task, sensor):
             return False
         key = (task.env_id, sensor)
         if key not in self._calibrations:

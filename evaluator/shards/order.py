@@ -11,6 +11,7 @@ from vitac.envs.maniskill.definition import is_maniskill
 
 from ..agent.limits import Limits
 from ..episodes.records import EpisodeRecord, PolicyFailure
+from ..estimator.regression import Coefficients
 from ..figures.figures import FigureChoice
 from ..strict_model import StrictModel
 from ..submission_kinds import SubmissionKind
@@ -26,7 +27,7 @@ WAITS: Final = PROCESS_ID.pack(0)
 LOAD_ALL: Final = "load-all"
 """Argument of a host that loads the simulation of every task while it has nothing else to do."""
 
-_OF_ONE_SHARD: Final = frozenset({"secret", "shard", "episodes", "skip", "earlier_failures"})
+_OF_ONE_SHARD: Final = frozenset({"secret", "shard", "episodes", "skip", "earlier_failures", "coefficients"})
 """Which episodes are played, and from where they are taken; environment and policy are the same for all lists."""
 
 
@@ -35,7 +36,8 @@ class ShardOrder(StrictModel):
 
     `submission` is the folder of an unpacked archive, or the file of a log; `secret` the file with the secret of a
     sealed list, without which the public one is played; `sensor` a folder with a sensor of a team's own, or the
-    file of a made one. `figures` says which of the sensor's figures its blind run measures a part of.
+    file of a made one. `figures` says which of the sensor's figures its blind run measures a part of. `coefficients`
+    are what the standard estimator has learned of the sensor; without them it is calibrated first.
     """
 
     kind: SubmissionKind
@@ -50,6 +52,7 @@ class ShardOrder(StrictModel):
     assets_dir: Path | None = None
     sensor: Path | None = None
     figures: FigureChoice = FigureChoice.NONE
+    coefficients: Coefficients | None = None
     skip: tuple[int, ...] = ()
     earlier_failures: tuple[PolicyFailure, ...] = ()
 

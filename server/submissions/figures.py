@@ -19,21 +19,36 @@ from ..queue.leases import Lease
 from ..uploads.checked_upload import UploadedFile
 
 
-def coefficients_file(coefficients: Coefficients, folder: Path) -> UploadedFile:
+def coefficients_file(coefficients: Coefficients, lease: Lease, folder: Path) -> UploadedFile:
     """Return what is stored of what the standard estimator has learned; every shard learns the same.
 
     Args:
         coefficients: of the estimator.
+        lease: on a shard that it has played.
         folder: where the file is written.
     """
-    return _written(FileRole.COEFFICIENTS, folder / "coefficients.json", coefficients.as_bytes(), {})
+    facts = {"evaluator_version": lease.evaluator_version}
+    return _written(FileRole.COEFFICIENTS, folder / "coefficients.json", coefficients.as_bytes(), facts)
+
+
+def coefficients_digest(session: Session, submission_id: UUID, evaluator_version: str) -> str | None:
+    """Return the digest of what an evaluator's estimator has learned of a submission's sensor; None before."""
+    return session.scalar(
+        select(SubmissionFile.sha256)
+        .where(*_learned(submission_id, FileRole.COEFFICIENTS, evaluator_version))
+        .order_by(SubmissionFile.sha256)
+        .limit(1)
+    )
+
+
+def is_played_by_estimator(lease: Lease) -> bool:
+    """Return whether our standard estimator plays a shard, seeing or blind."""
+    return _player_of(lease) is not Player.POLICY
 
 
 def is_measured_by(lease: Lease) -> bool:
     """Return whether a shard measures a part of the figures: each of the blind run of a sensor does."""
-    if lease.sensor_sha256 is None:
-        return False
-    return load_track(lease.track).tasks[lease.task].player is Player.BLIND
+    return _player_of(lease) is Player.BLIND
 
 
 def has_part(session: Session, lease: Lease) -> bool:
@@ -85,6 +100,11 @@ def figures_of(
     return merged(parts, [start.offset for start in blind.episode_list.starts])
 
 
+def _player_of(lease: Lease) -> Player:
+    """Return who plays a shard; without a sensor that is always the submission."""
+    return Player.POLICY if lease.sensor_sha256 is None else load_track(lease.track).tasks[lease.task].player
+
+
 def _written(role: FileRole, path: Path, content: bytes, facts: dict[str, Any]) -> UploadedFile:
     path.write_bytes(content)
     digest = hashlib.sha256(content).hexdigest()
@@ -93,8 +113,14 @@ def _written(role: FileRole, path: Path, content: bytes, facts: dict[str, Any]) 
 
 def _parts(submission_id: UUID, evaluator_version: str, commitment: str | None) -> tuple[ColumnElement[bool], ...]:
     return (
-        SubmissionFile.submission_id == submission_id,
-        SubmissionFile.role == FileRole.FIGURES,
-        SubmissionFile.facts["evaluator_version"].as_string() == evaluator_version,
+        *_learned(submission_id, FileRole.FIGURES, evaluator_version),
         SubmissionFile.facts["commitment"].as_string().is_not_distinct_from(commitment),
+    )
+
+
+def _learned(submission_id: UUID, role: FileRole, evaluator_version: str) -> tuple[ColumnElement[bool], ...]:
+    return (
+        SubmissionFile.submission_id == submission_id,
+        SubmissionFile.role == role,
+        SubmissionFile.facts["evaluator_version"].as_string() == evaluator_version,
     )

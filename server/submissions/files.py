@@ -15,7 +15,8 @@ from ..uploads.checked_upload import UploadedFile
 def add_files(session: Session, submission_id: UUID, files: Iterable[UploadedFile]) -> None:
     """Add the files of a submission; those that it has already stay, but for its sensor, of which it has one.
 
-    Another mesher makes another sensor of the same archive: from then on that is the one that is played.
+    Another mesher makes another sensor of the same archive: from then on that is the one that is played. What is known
+    of a file is what was said last: another evaluator may learn the same of a sensor.
     """
     for file in files:
         if file.role is FileRole.SENSOR:
@@ -31,7 +32,7 @@ def add_files(session: Session, submission_id: UUID, files: Iterable[UploadedFil
                 name=file.name,
                 facts=file.facts,
             )
-            .on_conflict_do_nothing()
+            .on_conflict_do_update(index_elements=["submission_id", "role", "sha256"], set_={"facts": file.facts})
         )
 
 

@@ -14,7 +14,7 @@ from ..db.states import EvaluationState, FileRole
 from ..errors import not_found
 from ..evaluations.history import newest_evaluation
 from ..views.submissions import DocumentView, EpisodeView, SensorView
-from .figures import figures_of
+from .figures import coefficients_digest, figures_of
 from .files import file_of
 from .listing import episodes
 
@@ -27,13 +27,12 @@ def sensor(session: Session, by: Principal, submission_id: UUID) -> SensorView:
     """
     submission = visible(session, by, submission_id)
     made, described = (_file(session, submission_id, role) for role in (FileRole.SENSOR, FileRole.DOCUMENT))
-    learned = file_of(session, submission_id, FileRole.COEFFICIENTS)
     evaluation = newest_evaluation(session, submission)
     return SensorView(
         digest=made.sha256,
         **made.facts,
         document=DocumentView(name=described.name, n_bytes=described.n_bytes, sha256=described.sha256),
-        coefficients_sha256=None if learned is None else learned.sha256,
+        coefficients_sha256=coefficients_digest(session, submission_id, evaluation.evaluator_version),
         gain=_gain(session, by, submission),
         figures=figures_of(session, submission, evaluation, with_starts=sight_of(by, evaluation).episodes),
     )

@@ -2,7 +2,7 @@
 
 from .checks import check
 from .conversion import to_json_lines
-from .messages import TextLogRejected
+from .messages import TextLogRejected, is_text_log
 from .reader import TextEpisode, TextLog, TextStep, read_text_log
 from .scripts import Script, script_of
 from .summary import TextLogSummary, summarize
@@ -15,6 +15,7 @@ __all__ = [
     "TextLogSummary",
     "TextStep",
     "check",
+    "is_text_log",
     "read_text_log",
     "script_of",
     "summarize",

@@ -21,9 +21,11 @@ _INFO_KEYS = (
 
 
 def to_json_lines(log: TextLog, script: Script) -> Iterator[dict[str, Any]]:
-    """Yield one JSON object for each episode that is also in the list."""
-    for episode, start in zip(log.episodes, script.starts(hole_top(log, script)), strict=False):
-        yield _episode(episode, start, script)
+    """Yield one JSON object for each episode that is also in the list, with the start that has its number there."""
+    starts = script.starts(hole_top(log, script))
+    for episode in log.episodes:
+        if 1 <= episode.number <= len(starts):
+            yield _episode(episode, starts[episode.number - 1], script)
 
 
 def _episode(episode: TextEpisode, start: Start, script: Script) -> dict[str, Any]:

@@ -43,6 +43,11 @@ class Message:
     text: str
 
 
+def is_text_log(start: bytes) -> bool:
+    """Return whether a file with this start is one: its first line begins like a message."""
+    return _PREFIX.match(start.decode("utf-8", "replace")) is not None
+
+
 def messages(stream: BinaryIO) -> Iterator[Message]:
     """Yield the messages of a log in order; a line without a prefix continues the message before it.
 

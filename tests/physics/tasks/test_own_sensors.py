@@ -136,3 +136,27 @@ def test_mesh_hash_tells_designs_apart() -> None:
     hashes = {PegInsertionEnv(sensor=design(name)).mesh_hash() for name in ("2 mm", "4 mm", "ridge")}
     assert len(hashes | {PegInsertionEnv().mesh_hash()}) == 4
     assert PegInsertionEnv(gel=design("4 mm").gel).mesh_hash() not in hashes
+
+
+def test_mesh_hash_changes_with_anything_that_a_team_draws() -> None:
+    sensor = design("ridge")
+    moved = sensor.gel.rest_position_m.copy()
+    moved[-1, 0] = np.nextafter(moved[-1, 0], 1.0)
+    unsensing = sensor.gel.sensing.copy()
+    unsensing[np.flatnonzero(unsensing)[0]] = False
+    variants = {
+        "focal length": replace(sensor, camera=sensor.camera._replace(focal_v_px=np.nextafter(325.0, 326.0))),
+        "centre of the picture": replace(sensor, camera=sensor.camera._replace(centre_u_px=160.5)),
+        "a marker": replace(sensor, markers_mm=np.vstack([sensor.markers_mm[:-1], sensor.markers_mm[-1] + 1e-9])),
+        "order of markers": replace(sensor, markers_mm=sensor.markers_mm[::-1]),
+        "one marker less": replace(sensor, markers_mm=sensor.markers_mm[:-1]),
+        "a face that senses": replace(sensor, sensing_triangles=sensor.sensing_triangles[1:]),
+        "a label of a node": replace(sensor, gel=replace(sensor.gel, sensing=unsensing)),
+        "a node": replace(sensor, gel=replace(sensor.gel, rest_position_m=moved)),
+        "order of tetrahedra": replace(sensor, gel=replace(sensor.gel, tetrahedra=sensor.gel.tetrahedra[::-1])),
+    }
+    hashes = {name: PegInsertionEnv(sensor=variant).mesh_hash() for name, variant in variants.items()}
+    unchanged = PegInsertionEnv(sensor=replace(sensor)).mesh_hash()
+    assert unchanged == PegInsertionEnv(sensor=sensor).mesh_hash()
+    assert [name for name, found in hashes.items() if found == unchanged] == []
+    assert len(set(hashes.values())) == len(variants)

@@ -6,11 +6,16 @@ from tempfile import TemporaryDirectory
 
 import drawn_gels
 import numpy as np
+from numpy.typing import NDArray
 from vitac.envs.sensor_design.surface import DrawnSurface
 from vitac.envs.sensor_design.tetrahedra import Tetrahedra
 from vitac.envs.tactile.design import SensorDesign
 from vitac.evaluator.sensors.check import check_sensor
 from vitac.evaluator.sensors.limits import sensor_limits
+
+FloatArray = NDArray[np.float64]
+Cells = tuple[int, int, int]
+Void = tuple[tuple[int, int], tuple[int, int], tuple[int, int]]
 
 GELS: dict[str, Callable[[], DrawnSurface]] = {
     "2 mm": lambda: drawn_gels.flat(2.0),
@@ -25,9 +30,9 @@ MARKERS = "{grid: {columns: 8, rows: 6, spacing_mm: [2.4, 2.0]}}"
 
 # The six tetrahedra of a cube, whose corners are numbered by x + 2 y + 4 z.
 _CUBE = ((0, 1, 3, 7), (0, 3, 2, 7), (0, 2, 6, 7), (0, 6, 4, 7), (0, 4, 5, 7), (0, 5, 1, 7))
-_CELLS = (9, 7, 4)
+_CELLS: Cells = (9, 7, 4)
 # Cells without material: from and to along x, y and z.
-_VOID = ((3, 6), (2, 5), (1, 3))
+_VOID: Void = ((3, 6), (2, 5), (1, 3))
 
 
 def design(
@@ -67,25 +72,43 @@ def msh(mesh: Tetrahedra, *, scale: float = 1e-3, by_mm: tuple[float, float, flo
     return "\n".join([*lines, "$EndElements", ""])
 
 
-def hollow() -> tuple[DrawnSurface, Tetrahedra]:
-    """A box of 4 mm with a closed cavity in it, and tetrahedra that fill it."""
-    extent_mm = np.array([drawn_gels.LENGTH_MM, drawn_gels.WIDTH_MM, 4.0])
-    lines = [np.linspace(0.0, extent, count + 1) for extent, count in zip(extent_mm, _CELLS, strict=True)]
-    counts = np.array(_CELLS) + 1
+def block(counts: Cells = _CELLS, *, thickness_mm: float = 4.0, void: Void | None = None) -> Tetrahedra:
+    """Tetrahedra that fill a box on the base but for a void, of so many cells along x, y and z."""
+    extent_mm = _extent_mm(thickness_mm)
+    lines = [np.linspace(0.0, extent, count + 1) for extent, count in zip(extent_mm, counts, strict=True)]
     nodes = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 3) - extent_mm * [0.5, 0.5, 0.0]
-    cells = [cell for cell in np.ndindex(_CELLS) if not all(a <= i < b for i, (a, b) in zip(cell, _VOID, strict=True))]
     corners = []
-    for cell in cells:
+    for cell in np.ndindex(counts):
+        if void is not None and all(a <= i < b for i, (a, b) in zip(cell, void, strict=True)):
+            continue
         steps = [(k & 1, k >> 1 & 1, k >> 2) for k in range(8)]
-        cube = [int(np.ravel_multi_index(tuple(np.add(cell, step)), tuple(counts))) for step in steps]
+        cube = [int(np.ravel_multi_index(tuple(np.add(cell, step)), tuple(np.array(counts) + 1))) for step in steps]
         corners += [[cube[k] for k in tetrahedron] for tetrahedron in _CUBE]
     used, kept = np.unique(corners, return_inverse=True)
-    low, high = (np.array([line[limits[k]] for line, limits in zip(lines, _VOID, strict=True)]) for k in (0, 1))
+    return Tetrahedra(nodes_mm=nodes[used], corners=kept.reshape(-1, 4).astype(np.int64))
+
+
+def with_nodes_inside(mesh: Tetrahedra, count: int) -> Tetrahedra:
+    """The same with a node in the middle of each of the first tetrahedra, which become four."""
+    nodes, corners = list(mesh.nodes_mm), mesh.corners[count:].tolist()
+    for split in mesh.corners[:count].tolist():
+        corners += [[len(nodes) if k == left_out else split[k] for k in range(4)] for left_out in range(4)]
+        nodes.append(mesh.nodes_mm[split].mean(axis=0))
+    return Tetrahedra(nodes_mm=np.array(nodes), corners=np.array(corners, dtype=np.int64))
+
+
+def hollow() -> tuple[DrawnSurface, Tetrahedra]:
+    """A box of 4 mm with a closed cavity in it, and tetrahedra that fill it."""
+    extent_mm = _extent_mm(4.0)
+    low, high = (extent_mm * [limits[k] / count for limits, count in zip(_VOID, _CELLS, strict=True)] for k in (0, 1))
     box = drawn_gels.stretched(drawn_gels.flat(4.0), tuple((high - low) / extent_mm))
     middle = 0.5 * (low + high) - 0.5 * extent_mm
     void = drawn_gels.turned_inside_out(drawn_gels.moved(box, by=(middle[0], middle[1], low[2])))
-    tetrahedra = Tetrahedra(nodes_mm=nodes[used], corners=kept.reshape(-1, 4).astype(np.int64))
-    return drawn_gels.together(drawn_gels.flat(4.0), void), tetrahedra
+    return drawn_gels.together(drawn_gels.flat(4.0), void), block(void=_VOID)
+
+
+def _extent_mm(thickness_mm: float) -> FloatArray:
+    return np.array([drawn_gels.LENGTH_MM, drawn_gels.WIDTH_MM, thickness_mm])
 
 
 def hollow_design() -> SensorDesign:

@@ -7,6 +7,7 @@ from contextlib import contextmanager
 
 from service_factories import ISOLATION, make_manifest, make_record
 from vitac.evaluator.episodes.records import EpisodeRecord, PolicyFailure
+from vitac.evaluator.estimator.regression import Coefficients
 from vitac.evaluator.figures.figures import FiguresPart
 from vitac.evaluator.scoring.failures import is_broken
 from vitac.evaluator.shards.order import ShardOrder
@@ -25,12 +26,14 @@ class FakeShard:
         record_of: Callable[[int], EpisodeRecord],
         gate: Callable[[int], None],
         figures_of: Callable[[ShardOrder], FiguresPart | None],
+        coefficients: Coefficients | None,
     ) -> None:
         self.order = order
         self.killed = threading.Event()
         self._record_of = record_of
         self._gate = gate
         self._figures_of = figures_of
+        self._coefficients = coefficients
         self._result: ShardResult | None = None
 
     def records(self) -> Iterator[EpisodeRecord]:
@@ -52,6 +55,7 @@ class FakeShard:
             manifest=make_manifest(self.order.task),
             isolation=ISOLATION,
             figures=self._figures_of(self.order),
+            coefficients=self._coefficients,
         )
 
     @property
@@ -71,15 +75,17 @@ class FakeShards:
         record_of: Callable[[int], EpisodeRecord] = make_record,
         gate: Callable[[int], None] = lambda number: None,
         figures_of: Callable[[ShardOrder], FiguresPart | None] = lambda order: None,
+        coefficients: Coefficients | None = None,
     ) -> None:
         self.started: list[FakeShard] = []
         self.record_of = record_of
         self.gate = gate
         self.figures_of = figures_of
+        self.coefficients = coefficients
 
     @contextmanager
     def __call__(self, order: ShardOrder) -> Iterator[FakeShard]:
-        shard = FakeShard(order, self.record_of, self.gate, self.figures_of)
+        shard = FakeShard(order, self.record_of, self.gate, self.figures_of, self.coefficients)
         self.started.append(shard)
         try:
             yield shard

@@ -4,9 +4,11 @@ from pathlib import Path
 import pytest
 from evaluation_fakes import FakeEnvironment
 from evaluation_records import make_manifest, make_record
+from text_log_writer import text_log
 from vitac.cli import main as cli
 from vitac.evaluator.episodes import episode
 from vitac.evaluator.logs.log import LogHeader, write_log
+from vitac.evaluator.logs.text_2025.scripts import all_scripts
 from vitac.evaluator.tracks import Task
 
 LINE = {
@@ -158,6 +160,21 @@ def test_profile_of_the_track_file_sets_how_it_was_recorded(
     assert code == 0
     assert asked_settings == [{"gripper_z_mm": 0.0, "indentation_mm": 1.0, "z_step_mm": 0.075}]
     assert out.startswith("Profile challenge-2025-log: gripper_z_mm 0.0, indentation_mm 1.0, z_step_mm 0.075. The org")
+
+
+def test_text_log_of_2025_is_taken_as_it_is(
+    asked_settings: list[dict[str, object]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (script,) = (it for it in all_scripts() if it.track == "Track_3")
+    steps = [{"n": n, "action": [0.5, 0, 0]} for n in (1, 2)]
+    tests = [{"episode": 1, "initial_offset": [-4, -4, -8], "steps": steps, "result": "FAIL"}]
+    log = tmp_path / "peg_insertion.log"
+    log.write_text(text_log(tests, script.environment, script.md5[0]))
+    code, out, _ = run(capsys, log, "--task", "sensor-design", "--profile", "challenge-2025-log")
+    assert code == 0
+    assert asked_settings == [{"gripper_z_mm": 0.0, "indentation_mm": 1.0, "z_step_mm": 0.075}]
+    assert "Episode 1: cuboid at -4 -4 -8\n" in out
+    assert "recorded no success after 2 env steps\n" in out
 
 
 def test_without_a_profile_the_settings_are_those_that_rank(

@@ -24,13 +24,6 @@ def design(name: str) -> SensorDesign:
     return own_sensors.design(own_sensors.GELS[name]())
 
 
-def places_m(sensor: SensorDesign) -> np.ndarray:
-    """Where the markers are printed, in the frame of the gel."""
-    found = sensor.attachment
-    corners = sensor.gel.rest_position_m[sensor.gel.surface_triangles[found.triangles]]
-    return np.asarray((corners * found.weights[:, :, None]).sum(axis=1))
-
-
 def at_rest(sensor: SensorDesign, settings: MarkerSettings = QUIET) -> tuple[DesignedSensor, np.ndarray]:
     tactile = DesignedSensor(sensor, settings)
     view = tactile.view_m(sensor.gel.rest_position_m, np.eye(3), np.zeros(3))
@@ -45,7 +38,7 @@ def test_markers_lie_in_their_triangles_on_the_cameras_ray(name: str) -> None:
     assert (found.faults == Fault.NONE).all()
     assert (found.weights >= 0.0).all()
     np.testing.assert_allclose(found.weights.sum(axis=1), 1.0)
-    seen = camera_frame(places_m(sensor), np.eye(3), np.zeros(3), eye_distance_m(sensor.gel))
+    seen = camera_frame(sensor.printed_m, np.eye(3), np.zeros(3), eye_distance_m(sensor.gel))
     np.testing.assert_allclose(project(seen, sensor.camera), sensor.rest_pixels, atol=1e-6)
     sensing = {tuple(sorted(row)) for row in sensor.sensing_triangles.tolist()}
     carrying = sensor.gel.surface_triangles[found.triangles].tolist()
@@ -54,14 +47,14 @@ def test_markers_lie_in_their_triangles_on_the_cameras_ray(name: str) -> None:
 
 def test_markers_of_a_flat_gel_are_where_they_are_drawn() -> None:
     sensor = design("4 mm")
-    np.testing.assert_allclose(places_m(sensor)[:, :2] * 1e3, sensor.markers_mm, atol=1e-9)
-    np.testing.assert_allclose(places_m(sensor)[:, 2], 2e-3, atol=1e-12)
+    np.testing.assert_allclose(sensor.printed_m[:, :2] * 1e3, sensor.markers_mm, atol=1e-9)
+    np.testing.assert_allclose(sensor.printed_m[:, 2], 2e-3, atol=1e-12)
 
 
 def test_ray_takes_the_first_face_that_it_leaves_by() -> None:
     """Beside the ridge the ray meets the floor; a marker drawn over the ridge is on top of it."""
     sensor = own_sensors.design(drawn_gels.ridge(), "{points_mm: [[0, 0], [0.9, 6.9], [3, 0]]}")
-    np.testing.assert_allclose(places_m(sensor)[:, 2] * 1e3, [2.0, 2.0, 0.5], atol=1e-6)
+    np.testing.assert_allclose(sensor.printed_m[:, 2] * 1e3, [2.0, 2.0, 0.5], atol=1e-6)
 
 
 def test_what_the_grasp_reaches_has_shares_of_its_area() -> None:
@@ -170,6 +163,7 @@ def test_markers_are_lost_with_the_organizers_probability_but_never_all() -> Non
 def test_design_whose_markers_are_off_its_faces_is_refused() -> None:
     broken = replace(design("4 mm"), markers_mm=np.array([[0.0, 0.0], [40.0, 0.0]]))
     assert broken.attachment.faults.tolist() == [Fault.NONE, Fault.OFF_THE_GEL]
+    np.testing.assert_allclose(broken.printed_m, [[0.0, 0.0, 2e-3]], atol=1e-12)
     with pytest.raises(MarkersNotAttached, match="1 of 2 markers"):
         DesignedSensor(broken, MarkerSettings())
 

@@ -4,11 +4,16 @@ from typing import Any
 
 import fake_shard_process
 import pytest
+from evaluation_records import make_manifest
 from vitac.evaluator.agent.verdicts import VerdictCode
 from vitac.evaluator.episodes.records import EpisodeRecord
+from vitac.evaluator.estimator.regression import Coefficients
+from vitac.evaluator.evaluation.kept import FinishedShard
 from vitac.evaluator.evaluation.local import Evaluation, evaluate
 from vitac.evaluator.shards import process as shard_process
+from vitac.evaluator.shards.order import ShardOrder
 from vitac.evaluator.shards.process import ShardProcessFailed
+from vitac.evaluator.shards.result import ShardEnd, ShardResult
 from vitac.evaluator.tracks import load_track
 from vitac.evaluator.tracks.cut import UnknownEpisodes
 
@@ -65,6 +70,43 @@ def test_fault_of_the_machine_ends_the_evaluation_with_its_reason() -> None:
 def test_unknown_episode_is_refused_before_anything_runs() -> None:
     with pytest.raises(UnknownEpisodes):
         run("exit_early", episodes=[271])
+
+
+class KeptFirstShard:
+    """What an ended evaluation left: its first shard, with what the estimator had learned."""
+
+    def __init__(self, learned: Coefficients) -> None:
+        self._learned = learned
+
+    def load(self, order: ShardOrder) -> FinishedShard | None:
+        manifest = make_manifest(task=order.task)
+        ended = ShardResult(
+            index=order.shard, end=ShardEnd.COMPLETE, manifest=manifest, isolation=None, coefficients=self._learned
+        )
+        return FinishedShard(records=(), result=ended) if order.shard == 0 else None
+
+    def store(self, *_: object) -> None:
+        """Keep nothing."""
+
+
+@pytest.mark.parametrize("from_where", ["a shard that was kept", "the run before"])
+def test_estimator_is_not_calibrated_to_a_sensor_that_it_knows(from_where: str, tmp_path: Path) -> None:
+    """The fake calibrates for ever."""
+    learned = Coefficients(mesh_hash="0" * 64, starts=7, regressions=())
+    options: dict[str, Any] = {"coefficients": learned}
+    if from_where == "a shard that was kept":
+        options = {"kept": KeptFirstShard(learned)}
+    track = load_track("track_3")
+    found = evaluate(
+        submission_dir=Path("succeed"),
+        track=track,
+        task=track.tasks["sensor-standard"],
+        episodes=(1, 28, 55),
+        sensor=tmp_path,
+        **options,
+    )
+    assert found.coefficients == learned
+    assert not (tmp_path / "begun").exists()
 
 
 def test_interrupt_ends_every_process() -> None:

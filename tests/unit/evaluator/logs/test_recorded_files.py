@@ -1,4 +1,6 @@
+import gzip
 import json
+import re
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -6,14 +8,21 @@ from typing import Any
 import numpy as np
 import pytest
 from evaluation_records import make_manifest, make_record
+from text_log_writer import text_log
 from vitac.evaluator.logs.log import MAX_LINE_BYTES, LogHeader, LogRejected, write_log
 from vitac.evaluator.logs.recorded_files import read_recordings
 from vitac.evaluator.logs.recordings import Recording, RecordingRejected, recording_of
+from vitac.evaluator.logs.text_2025 import TextLogRejected
 from vitac.evaluator.logs.text_2025.scripts import all_scripts
 from vitac.evaluator.tracks import find_task
 
 _, TASK = find_task("peg-insertion")
+SENSOR_TASK = find_task("sensor-design")[1]
 VISION = next(script for script in all_scripts() if script.hole_tops_mm)
+PEG, SENSOR = (
+    next(script for script in all_scripts() if (script.track, script.task) == (track, "peg_insertion"))
+    for track in ("Track_1", "Track_3")
+)
 
 LINE = {
     "episode": 4,
@@ -233,3 +242,96 @@ def test_the_start_of_a_peg_line_is_taken_as_it_was_printed() -> None:
     offset = [-4.000001, -2.0, 2.0]
     (recording,) = read_recordings_of(json.dumps({**LINE, "initial_offset": offset}))
     assert recording.episode.offset == tuple(offset)
+
+
+INFO: dict[str, Any] = {
+    "info_steps": 1,
+    "surface_diff_m": [0.0005, 0.00075],
+    "tactile_movement_too_large": False,
+    "too_many_steps": False,
+    "error_too_large": False,
+    "peg_relative_z_mm": [0.5, -0.25, 0.125, 1.0],
+    "is_success": False,
+    "relative_motion_mm_deg": [0.0, 0.5, 0.25, -0.125],
+    "gt_offset_mm_deg": [1.0, 2.0, 3.0],
+    "offset_obs": [1.0, 2.0, 3.0],
+    "reward": -0.5,
+}
+
+
+def written(path: Path, *numbers: int, script: Any = SENSOR, **changes: Any) -> Path:
+    """A 2025 text log of these tests, each of two env steps."""
+    starts = script.starts()
+    tests = [
+        {
+            "episode": number,
+            "initial_offset": starts[number - 1].offset,
+            "steps": [{"n": n, "action": [0.5, -0.25, n / 4], **INFO} for n in (1, 2)],
+            "result": "SUCCESS" if number % 2 else "FAIL",
+            **changes,
+        }
+        for number in numbers
+    ]
+    path.write_text(text_log(tests, script.environment, script.md5[0]))
+    return path
+
+
+@pytest.mark.parametrize(("script", "task"), [(PEG, TASK), (SENSOR, SENSOR_TASK)])
+def test_reads_a_text_log_as_the_script_wrote_it(script: Any, task: Any, tmp_path: Path) -> None:
+    recordings = list(read_recordings(written(tmp_path / "run.log", 1, 2, 3, script=script), task))
+    assert [(it.episode.number, it.episode.shape, it.success) for it in recordings] == [
+        (1, "cuboid", True),
+        (2, "trapezoid", False),
+        (3, "concave1", True),
+    ]
+    assert recordings[0].episode.offset == (-4.0, -4.0, -8.0)
+    assert recordings[2].actions.tolist() == [[0.5, -0.25, 0.25], [0.5, -0.25, 0.5]]
+    assert [info["surface_diff_m"] for info in recordings[1].infos] == [[0.0005, 0.00075]] * 2
+    assert recordings[1].infos[0]["peg_relative_z_mm"] == [0.5, -0.25, 0.125, 1.0]
+
+
+def test_a_text_log_may_be_gzipped_and_begin_with_blanks(tmp_path: Path) -> None:
+    """The organizers' own log of Track 1 begins with three blanks."""
+    plain = written(tmp_path / "run.log", 1)
+    packed = tmp_path / "run.log.gz"
+    packed.write_bytes(gzip.compress(b"   " + plain.read_bytes()))
+    assert [it.episode for it in read_recordings(packed, SENSOR_TASK)] == [
+        it.episode for it in read_recordings(plain, SENSOR_TASK)
+    ]
+
+
+def test_a_test_that_a_text_log_lacks_changes_no_start_of_the_others(tmp_path: Path) -> None:
+    recordings = list(read_recordings(written(tmp_path / "run.log", 1, 3, 7, 271 - 1), SENSOR_TASK))
+    starts = SENSOR.starts()
+    assert [(it.episode.number, it.episode.shape, it.episode.offset) for it in recordings] == [
+        (number, starts[number - 1].shape, starts[number - 1].offset) for number in (1, 3, 7, 270)
+    ]
+
+
+def test_the_organizers_text_log_gives_what_its_converted_lines_give(reference_dir: Path) -> None:
+    logs = reference_dir / "logs"
+    written_by_them = list(read_recordings(logs / "track1_peg_insertion.first90.log", TASK))
+    converted = list(read_recordings(logs / "track1_peg_insertion.repeat0.jsonl", TASK))
+    assert len(written_by_them) == 90
+    for ours, theirs in zip(written_by_them, converted, strict=True):
+        assert (ours.episode, ours.success, ours.infos) == (theirs.episode, theirs.success, theirs.infos)
+        assert ours.actions.tobytes() == theirs.actions.tobytes()
+
+
+def test_text_log_of_another_task_or_with_other_actions_is_refused_by_its_test(tmp_path: Path) -> None:
+    log = written(tmp_path / "run.log", 1)
+    with pytest.raises(RecordingRejected, match=r"^Test 1 is of task 'peg_insertion', expected 'lock-opening'"):
+        list(read_recordings(log, find_task("lock-opening")[1]))
+    two = written(tmp_path / "two.log", 2, steps=[{"n": 1, **INFO, "action": [0.5, 0.5]}])
+    with pytest.raises(RecordingRejected, match=r"^Test 2: expected actions \[x, y, theta\]"):
+        list(read_recordings(two, SENSOR_TASK))
+    text = log.read_text()
+    log.write_text(re.sub(r"array\(\[0\.0005[^)]*\)", "'much'", text))
+    with pytest.raises(RecordingRejected, match=r"^Test 1: steps\.0\.surface_diff_m"):
+        list(read_recordings(log, SENSOR_TASK))
+    log.write_text(text.replace("Action: [ 0.5", "Action: [ nan"))
+    with pytest.raises(TextLogRejected, match="expected a finite number, got 'nan'"):
+        list(read_recordings(log, SENSOR_TASK))
+    log.write_text(text.splitlines()[0])
+    with pytest.raises(TextLogRejected, match="one of them is missing"):
+        list(read_recordings(log, SENSOR_TASK))

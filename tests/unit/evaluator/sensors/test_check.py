@@ -6,7 +6,7 @@ import drawn_gels
 import numpy as np
 import own_sensors
 import pytest
-from own_sensors import msh, write_sensor
+from own_sensors import block, msh, with_nodes_inside, write_sensor
 from vitac.envs.sensor_design.surface import DrawnSurface
 from vitac.envs.sensor_design.tetrahedra import Tetrahedra
 from vitac.evaluator.sensors.check import SensorCheck, check_sensor
@@ -210,3 +210,43 @@ def test_limits_of_a_mesh_hold_exactly(ridge: Tetrahedra, tmp_path: Path) -> Non
         ("min_quality", quality + 1e-6, Rule.QUALITY),
     ):
         assert broken(check_sensor(folder, limits.model_copy(update={name: value}))) == [rule]
+
+
+def scaled(mesh: Tetrahedra, *factors: float) -> Tetrahedra:
+    return Tetrahedra(nodes_mm=mesh.nodes_mm * factors, corners=mesh.corners)
+
+
+def dented(by_mm: float) -> Tetrahedra:
+    """A flat gel with one node of its top moved down: hardly any volume is lost."""
+    mesh = block()
+    inner = np.flatnonzero((mesh.nodes_mm[:, 2] == 4.0) & (np.abs(mesh.nodes_mm[:, :2]).max(axis=1) < 4.0))
+    mesh.nodes_mm[inner[0], 2] -= by_mm
+    return mesh
+
+
+# For each rule of a mesh the last value that is accepted, the first one that is refused, and a mesh with it.
+MESH_BORDERS: dict[str, tuple[Rule, Callable[[float], Tetrahedra], float, float]] = {
+    "fewest nodes": (Rule.NODES, lambda nodes: with_nodes_inside(block((5, 5, 3)), int(nodes) - 144), 150, 149),
+    "most nodes": (Rule.NODES, lambda nodes: with_nodes_inside(block((9, 9, 9)), int(nodes) - 1000), 1000, 1001),
+    "less volume": (Rule.VOLUME, lambda share: scaled(block(), 1.0, 1.0, 1.0 - share), 0.00999, 0.01001),
+    "more volume": (Rule.VOLUME, lambda share: scaled(block(), 1.0, 1.0, 1.0 + share), 0.00999, 0.01001),
+    "distance": (Rule.DISTANCE, dented, 0.0999, 0.1001),
+    "shorter base": (Rule.BASE_NODES, lambda by: scaled(block(), 1.0 - by / 25.25, 1.0, 1.0), 0.00099, 0.00101),
+    "wider base": (Rule.BASE_NODES, lambda by: scaled(block(), 1.0, 1.0 + by / 20.75, 1.0), 0.00099, 0.00101),
+}
+
+
+@pytest.mark.parametrize("name", MESH_BORDERS)
+def test_own_mesh_beside_a_limit_is_accepted_and_one_past_it_refused(name: str, tmp_path: Path) -> None:
+    rule, mesh_with, accepted, refused = MESH_BORDERS[name]
+    for value, expected in ((accepted, []), (refused, [rule])):
+        folder = write_sensor(tmp_path, drawn_gels.flat(), mesh=msh(mesh_with(value)))
+        assert broken(check_sensor(folder)) == expected, (value, problem(check_sensor(folder)))
+
+
+def test_size_of_an_own_mesh_is_limited_to_the_byte(tmp_path: Path) -> None:
+    text, most = msh(block()), sensor_limits().max_stl_bytes
+    for n_bytes, expected in ((most, []), (most + 1, [Rule.TET_MSH])):
+        folder = write_sensor(tmp_path, drawn_gels.flat(), mesh=text.ljust(n_bytes))
+        assert broken(check_sensor(folder)) == expected
+    assert f"expected at most {most} bytes" in problem(check_sensor(folder))

@@ -74,3 +74,9 @@ def test_pipe_is_refused_without_waiting_for_it(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "sensor.yaml")
     with pytest.raises(SensorRejected, match="no regular file"):
         read_sensor(tmp_path)
+
+
+def test_size_is_limited_to_the_byte(tmp_path: Path) -> None:
+    assert read(b"{}".ljust(16 * 1024), tmp_path) == SensorManifest()
+    with pytest.raises(SensorRejected, match="larger than 16384 bytes"):
+        read(b"{}".ljust(16 * 1024 + 1), tmp_path)

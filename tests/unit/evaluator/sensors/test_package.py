@@ -1,3 +1,4 @@
+import os
 from pathlib import Path
 
 import pytest
@@ -47,4 +48,14 @@ def test_empty_and_large_documents_are_refused(folder: Path, n_bytes: int, monke
     monkeypatch.setattr(package, "MAX_DOCUMENT_BYTES", 4)
     (folder / "design.pdf").write_bytes(b"x" * n_bytes)
     with pytest.raises(SensorRejected, match=f"has {n_bytes} bytes, expected 1 to 4"):
+        design_document(folder)
+
+
+def test_size_of_a_document_is_limited_to_the_byte(folder: Path) -> None:
+    document = folder / "design.pdf"
+    document.touch()
+    os.truncate(document, package.MAX_DOCUMENT_BYTES)
+    assert design_document(folder).n_bytes == 20 * 2**20
+    os.truncate(document, package.MAX_DOCUMENT_BYTES + 1)
+    with pytest.raises(SensorRejected, match=r"has 20971521 bytes, expected 1 to 20971520"):
         design_document(folder)

@@ -218,3 +218,10 @@ def test_number_of_triangles_is_limited_exactly(tmp_path: Path) -> None:
     for count, rule in ((LIMITS.max_triangles, None), (LIMITS.max_triangles + 1, Rule.TRIANGLES)):
         found = checked(b"\0" * 80 + count.to_bytes(4, "little") + record * count, tmp_path)
         assert (Rule.TRIANGLES in broken(found)) is (rule is not None)
+
+
+def test_size_of_the_file_is_limited_to_the_byte(tmp_path: Path) -> None:
+    rows = [f"vertex {x!r} {y!r} {z!r}" for x, y, z in drawn_gels.flat().corners_mm.reshape(-1, 3).tolist()]
+    text = "\n".join(["solid gel", *rows, "endsolid gel"]).encode()
+    for n_bytes, faults in ((LIMITS.max_stl_bytes, []), (LIMITS.max_stl_bytes + 1, [Rule.READABLE])):
+        assert broken(checked(text.ljust(n_bytes), tmp_path)) == faults

@@ -1,5 +1,6 @@
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import drawn_gels
 import pytest
@@ -39,7 +40,7 @@ def measured(episode: Episode) -> StartFigures:
 
 
 def run(
-    folder: Path, task: str, choice: FigureChoice, numbers: Sequence[int], skip: tuple[int, ...] = ()
+    folder: Path, task: str, choice: FigureChoice, numbers: Sequence[int], **changes: Any
 ) -> tuple[ShardResult, list[EpisodeRecord]]:
     (shard,) = cut(TRACK.tasks[task], numbers)
     order = ShardOrder(
@@ -50,7 +51,7 @@ def run(
         shard=shard.index,
         sensor=folder,
         figures=choice,
-        skip=skip,
+        **changes,
     )
     records: list[EpisodeRecord] = []
     return estimator.run_estimator(order, TRACK, TRACK.tasks[task], shard, records.append), records
@@ -65,6 +66,20 @@ def test_blind_run_measures_at_the_starts_of_its_shard(folder: Path) -> None:
     assert result.figures.touch is not None
     assert result.figures.grasp is not None
     assert result.figures.problem is None
+
+
+def test_coefficients_of_the_order_are_played_with_and_nothing_is_calibrated(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    learned, played = run(folder, "sensor-standard", FigureChoice.NONE, [1])
+    assert learned.coefficients is not None
+    monkeypatch.setattr(calibration, "_calibrated", {})
+    monkeypatch.setattr(calibration, "calibrate", None)
+    again, records = run(folder, "sensor-standard", FigureChoice.NONE, [1], coefficients=learned.coefficients)
+    assert again.coefficients == learned.coefficients
+    assert [record.state_hashes for record in records] == [record.state_hashes for record in played]
+    other = learned.coefficients.model_copy(update={"regressions": learned.coefficients.regressions[:1]})
+    assert run(folder, "sensor-standard", FigureChoice.NONE, [1], coefficients=other)[0].coefficients == other
 
 
 def test_starts_of_episodes_that_were_played_before_are_measured(folder: Path) -> None:

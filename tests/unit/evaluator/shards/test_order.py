@@ -8,6 +8,7 @@ from pydantic import ValidationError
 from vitac.evaluator.agent.limits import Limits
 from vitac.evaluator.agent.verdicts import VerdictCode
 from vitac.evaluator.episodes.records import FailureStage, PolicyFailure
+from vitac.evaluator.estimator.regression import Coefficients
 from vitac.evaluator.figures.figures import FigureChoice
 from vitac.evaluator.shards.order import PROCESS_ID, WAITS, ShardMessage, ShardOrder
 from vitac.evaluator.submission_kinds import SubmissionKind
@@ -21,6 +22,7 @@ OWN = {
     "episodes": (1, 2),
     "skip": (3,),
     "earlier_failures": (FAILURE,),
+    "coefficients": Coefficients(mesh_hash="0" * 64, starts=3, regressions=()),
 }
 """What may differ between two orders that share."""
 SHARED = {

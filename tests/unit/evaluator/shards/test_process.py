@@ -10,6 +10,7 @@ from pathlib import Path
 import fake_shard_process
 import pytest
 from vitac.evaluator.episodes.records import EpisodeRecord
+from vitac.evaluator.estimator.regression import Coefficients
 from vitac.evaluator.shards import process as shard_process
 from vitac.evaluator.shards.order import ShardOrder
 from vitac.evaluator.shards.process import ShardProcess, ShardProcesses, ShardProcessFailed
@@ -314,6 +315,15 @@ def test_while_a_sensor_is_calibrated_other_shards_run_and_its_own_wait(
     with processes.running_shard(order("succeed")), processes.running_shard(of_sensor(first, shard=1)) as later:
         assert starts_of(later) == 1
     assert not (first / "begun").exists()
+
+
+def test_a_sensor_whose_coefficients_come_with_the_order_is_not_calibrated(
+    processes: ShardProcesses, tmp_path: Path
+) -> None:
+    known = Coefficients(mesh_hash="0" * 64, starts=5, regressions=())
+    with processes.running_shard(of_sensor(tmp_path).model_copy(update={"coefficients": known})) as process:
+        assert starts_of(process) == 5
+    assert not (tmp_path / "begun").exists()
 
 
 def test_a_shard_that_is_ended_while_it_waits_for_its_calibration_leaves_the_host_to_the_others(

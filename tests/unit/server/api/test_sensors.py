@@ -13,6 +13,7 @@ from service_factories import claim, make_record, play_all, shard_ids, store
 from sqlalchemy import delete, select, text, update
 from vitac.envs.errors import VitacError
 from vitac.evaluator.agent.verdicts import SandboxFailed
+from vitac.evaluator.estimator.regression import Coefficients
 from vitac.evaluator.figures.figures import FigureChoice, FiguresPart, SensorFigures, Variation
 from vitac.evaluator.playback.order import SCENE_FILE, PlaybackOrder
 from vitac.evaluator.sensors.made import design_in, read_made_sensor
@@ -281,6 +282,48 @@ def test_figures_are_put_together_of_what_the_shards_of_the_blind_run_measured(s
         evaluation = newest_evaluation(session, session.get_one(Submission, identity))
         evaluation.evaluator_version = "0+old"
     assert service.get(f"/submissions/{identity}/sensor").json()["figures"] is None
+
+
+def test_what_the_estimator_has_learned_goes_with_later_shards_of_the_same_evaluator(service: Service) -> None:
+    """After a worker was killed, and on other machines, no sensor is calibrated anew."""
+    identity = service.upload(package(tasks="sensor-design")).json()["id"]
+    with service.database.transaction() as session:
+        ids = shard_ids(session, session.get_one(Submission, identity))
+    own, first, second, blind, another = (ids[n] for n in (0, 10, 11, 20, 12))
+    learned = Coefficients(mesh_hash="a" * 64, starts=180, regressions=())
+    shards = FakeShards(coefficients=learned)
+    for shard in (first, second, blind):
+        run_shard(service, claim(service.database, shard), shards)
+    shards.coefficients = None
+    run_shard(service, claim(service.database, own), shards)
+    assert [(it.order.task, it.order.coefficients) for it in shards.started] == [
+        ("sensor-standard", None),
+        ("sensor-standard", learned),
+        ("sensor-blind", learned),
+        ("sensor-design", None),
+    ]
+    address = f"/submissions/{identity}/sensor"
+    assert service.get(address).json()["coefficients_sha256"] == learned.digest
+    with service.database.transaction() as session:
+        of_estimator = SubmissionFile.role == FileRole.COEFFICIENTS
+        session.execute(update(SubmissionFile).where(of_estimator).values(facts={"evaluator_version": "0+old"}))
+    assert service.get(address).json()["coefficients_sha256"] is None
+    shards = FakeShards(coefficients=learned)
+    run_shard(service, claim(service.database, another), shards)
+    assert [it.order.coefficients for it in shards.started] == [None]
+    assert service.get(address).json()["coefficients_sha256"] == learned.digest
+
+
+def test_coefficients_that_the_storage_has_lost_are_learned_anew(service: Service) -> None:
+    identity = service.upload(package()).json()["id"]
+    with service.database.transaction() as session:
+        first, second = shard_ids(session, session.get_one(Submission, identity))[:2]
+    shards = FakeShards(coefficients=Coefficients(mesh_hash="b" * 64, starts=180, regressions=()))
+    run_shard(service, claim(service.database, first), shards)
+    assert shards.coefficients is not None
+    service.services.blobs.delete(shards.coefficients.digest)
+    run_shard(service, claim(service.database, second), shards)
+    assert [it.order.coefficients for it in shards.started] == [None, None]
 
 
 def test_figures_on_a_sealed_list_are_its_own_and_those_of_starts_only_for_organizers(service: Service) -> None:

@@ -114,6 +114,13 @@ def test_tests_beyond_the_list_are_left_out_and_the_others_follow_its_order() ->
     ]
 
 
+def test_a_test_has_the_start_of_its_number_where_others_are_missing_or_have_none() -> None:
+    log = TextLog(episodes=[episode(number) for number in (0, 2, 5, len(PEG.starts()) + 1)])
+    found = [(line["episode"], line["shape"], line["initial_offset"]) for line in converted(log)]
+    second, fifth = PEG.starts()[1], PEG.starts()[4]
+    assert found == [(2, second.shape, list(second.offset)), (5, fifth.shape, list(fifth.offset))]
+
+
 @pytest.mark.parametrize("top_mm", FUSION.hole_tops_mm)
 def test_a_vision_log_says_the_side_and_starts_in_the_books_of_its_era(top_mm: float) -> None:
     starts = FUSION.starts(top_mm)

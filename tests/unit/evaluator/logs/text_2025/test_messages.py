@@ -12,6 +12,7 @@ from vitac.evaluator.logs.text_2025.messages import (
     MAX_LOG_BYTES,
     Message,
     TextLogRejected,
+    is_text_log,
     messages,
     number,
     printed_dict,
@@ -40,6 +41,23 @@ def test_lines_without_prefix_belong_to_the_message_before() -> None:
 
 def test_hand_edited_first_line_with_blanks_is_read() -> None:
     assert read(f"   {LINE}#KEY: deg\n")[0].text == "#KEY: deg"
+
+
+@pytest.mark.parametrize(
+    ("start", "expected"),
+    [
+        (LINE + "#KEY: deg\n", True),
+        ("   " + LINE, True),
+        (LINE.replace("INFO     ", "INFO "), True),
+        ('{"episode": 1}\n', False),
+        (LINE[:40], False),
+        ("2025\n", False),
+        ("", False),
+        ("\x00\xff" + LINE, False),
+    ],
+)
+def test_text_log_is_told_by_how_it_starts(start: str, expected: bool) -> None:
+    assert is_text_log(start.encode("latin-1")) is expected
 
 
 def test_windows_line_ends_are_read() -> None:
