@@ -4,13 +4,13 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 
-from vitac.server.db.availability import DatabaseUnreachable, once_available
-from vitac.server.db.engine import Database
-from vitac.server.db.schema import upgrade
-from vitac.server.metrics.instruments import Instruments
-from vitac.server.postgres.embedded import EmbeddedPostgres
-from vitac.server.settings import Settings
-from vitac.server.storage.blobs import BlobStore
+from .db.availability import DatabaseUnreachable, once_available
+from .db.engine import Database
+from .db.schema import upgrade
+from .metrics.instruments import Instruments
+from .postgres.embedded import EmbeddedPostgres
+from .settings import Settings
+from .storage.blobs import BlobStore
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,9 +4,10 @@ from dataclasses import asdict
 
 from vitac.envs.tasks.definition import Family
 from vitac.evaluator.tracks import Task, Track, UnknownTrack, list_tracks, load_track
-from vitac.server.errors import ProblemCode, ServiceError
-from vitac.server.settings import Settings
-from vitac.server.views.tracks import TrackListView, TrackTaskView, TrackView
+
+from .errors import ProblemCode, ServiceError
+from .settings import Settings
+from .views.tracks import TrackListView, TrackTaskView, TrackView
 
 
 def load_known_track(name: str) -> Track:

@@ -5,12 +5,12 @@ from typing import TYPE_CHECKING, Any
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session
-from vitac.server.db.models import AuditEntry
 
+from ..db.models import AuditEntry
 from ..views.accounts import AuditEntryView
 
 if TYPE_CHECKING:
-    from vitac.server.accounts.principals import Principal
+    from .principals import Principal
 
 
 def record(

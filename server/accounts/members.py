@@ -8,15 +8,15 @@ from uuid import UUID
 
 from sqlalchemy import ColumnElement, func, select
 from sqlalchemy.orm import Session
-from vitac.server.accounts import names, passwords, teams, tokens
-from vitac.server.accounts.audit import record
-from vitac.server.accounts.principals import Principal
-from vitac.server.accounts.tokens import IssuedToken
-from vitac.server.db.models import ApiToken, Invitation, Member, Team
-from vitac.server.db.states import MemberRole, NoticeKind, Role
-from vitac.server.errors import ProblemCode, ServiceError, not_found
 
+from ..db.models import ApiToken, Invitation, Member, Team
+from ..db.states import MemberRole, NoticeKind, Role
+from ..errors import ProblemCode, ServiceError, not_found
 from ..views.accounts import InvitationView, MemberView, NewInvitationView, OwnTeamView
+from . import names, passwords, teams, tokens
+from .audit import record
+from .principals import Principal
+from .tokens import IssuedToken
 
 CODE_PREFIX = "vitac-join-"
 INVITATION_LIFETIME = timedelta(days=7)

@@ -5,10 +5,8 @@ from datetime import UTC, datetime
 from sqlalchemy import delete, exists, select, update
 from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session, aliased
-from vitac.server.accounts import teams
-from vitac.server.accounts.audit import record
-from vitac.server.accounts.principals import Principal
-from vitac.server.db.models import (
+
+from ..db.models import (
     ApiToken,
     Appeal,
     BoardResult,
@@ -23,8 +21,11 @@ from vitac.server.db.models import (
     Team,
     Webhook,
 )
-from vitac.server.db.states import MemberRole
-from vitac.server.errors import ProblemCode, ServiceError
+from ..db.states import MemberRole
+from ..errors import ProblemCode, ServiceError
+from . import teams
+from .audit import record
+from .principals import Principal
 
 
 def merge(session: Session, by: Principal, team: Team, into: Team) -> None:

@@ -4,7 +4,7 @@ import re
 import unicodedata
 from typing import Final
 
-from vitac.server.errors import ProblemCode, ServiceError
+from ..errors import ProblemCode, ServiceError
 
 _INVISIBLE: Final = re.compile(
     "[\u034f\u115f\u1160\u17b4\u17b5\u180b-\u180f\u2800\u3164\ufe00-\ufe0f\uffa0\U0001d159\U000e0100-\U000e01ef]"

@@ -4,7 +4,8 @@ import threading
 
 from argon2 import PasswordHasher
 from argon2.exceptions import InvalidHashError, VerifyMismatchError
-from vitac.server.errors import ProblemCode, ServiceError
+
+from ..errors import ProblemCode, ServiceError
 
 MIN_LENGTH, MAX_LENGTH = 12, 256
 _HASHER = PasswordHasher()

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from uuid import UUID
 
-from vitac.server.db.states import Role
-from vitac.server.errors import ProblemCode, ServiceError, not_found
+from ..db.states import Role
+from ..errors import ProblemCode, ServiceError, not_found
 
 
 @dataclass(frozen=True, kw_only=True)

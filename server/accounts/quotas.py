@@ -13,13 +13,13 @@ from uuid import UUID
 from sqlalchemy import Select, delete, func, or_, select
 from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
-from vitac.server.accounts import teams
-from vitac.server.accounts.audit import record
-from vitac.server.db.models import ApiToken, Evaluation, Submission, Team, TeamQuota
-from vitac.server.db.states import ACTIVE_EVALUATION_STATES, EvaluationState, Quota
-from vitac.server.errors import ProblemCode, ServiceError
-from vitac.server.settings import Quotas
 
+from ..db.models import ApiToken, Evaluation, Submission, Team, TeamQuota
+from ..db.states import ACTIVE_EVALUATION_STATES, EvaluationState, Quota
+from ..errors import ProblemCode, ServiceError
+from ..settings import Quotas
+from . import teams
+from .audit import record
 from .principals import Principal
 
 DAILY = frozenset({Quota.SCORED_RUNS_PER_DAY, Quota.ATTEMPTS_PER_DAY})

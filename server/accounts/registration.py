@@ -5,12 +5,13 @@ from dataclasses import dataclass
 from datetime import timedelta
 
 from sqlalchemy.orm import Session
-from vitac.server.accounts import members, teams, tokens
-from vitac.server.accounts.principals import CONSOLE, Principal
-from vitac.server.accounts.tokens import IssuedToken
-from vitac.server.db.models import Team
-from vitac.server.errors import ProblemCode, ServiceError
-from vitac.server.settings import Registration, Settings
+
+from ..db.models import Team
+from ..errors import ProblemCode, ServiceError
+from ..settings import Registration, Settings
+from . import members, teams, tokens
+from .principals import CONSOLE, Principal
+from .tokens import IssuedToken
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,13 +6,13 @@ from uuid import UUID
 from sqlalchemy import func, select, text
 from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
-from vitac.server.accounts.audit import record
-from vitac.server.db.models import Competition, Member, Team
-from vitac.server.db.states import MemberRole, Role
-from vitac.server.errors import ProblemCode, ServiceError, not_found
 
+from ..db.models import Competition, Member, Team
+from ..db.states import MemberRole, Role
+from ..errors import ProblemCode, ServiceError, not_found
 from ..views.accounts import OrganizerTeamView, TeamView
 from . import names
+from .audit import record
 from .principals import CONSOLE, Principal
 from .shown_names import ShownNames
 

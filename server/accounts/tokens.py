@@ -9,13 +9,13 @@ from uuid import UUID
 
 from sqlalchemy import ColumnElement, exists, or_, select
 from sqlalchemy.orm import Session, joinedload
-from vitac.server.accounts.audit import record
-from vitac.server.db.models import ApiToken, Member, Team
-from vitac.server.db.states import MemberRole, Role
-from vitac.server.errors import ProblemCode, ServiceError, not_found
 
+from ..db.models import ApiToken, Member, Team
+from ..db.states import MemberRole, Role
+from ..errors import ProblemCode, ServiceError, not_found
 from ..views.accounts import NewTokenView, TokenView
 from . import names
+from .audit import record
 from .principals import Principal
 
 PREFIX = "vitac_"

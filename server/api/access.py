@@ -4,10 +4,11 @@ from typing import Annotated
 
 from fastapi import Depends, Path, Request
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
-from vitac.server.accounts import tokens
-from vitac.server.accounts.principals import VISITOR, Principal
-from vitac.server.errors import token_missing
-from vitac.server.services import Services
+
+from ..accounts import tokens
+from ..accounts.principals import VISITOR, Principal
+from ..errors import token_missing
+from ..services import Services
 
 bearer = HTTPBearer(auto_error=False, description="An API token: `vitac_` and 43 characters.")
 

@@ -9,13 +9,13 @@ from pathlib import Path
 from fastapi import APIRouter, FastAPI
 from fastapi.concurrency import run_in_threadpool
 from starlette.routing import BaseRoute
-from vitac.server.housekeeping import Housekeeping
-from vitac.server.notices.sending import NoticeSender
-from vitac.server.operations.exposition import Exposition
-from vitac.server.services import Services, open_services
-from vitac.server.settings import Settings
 
+from ..housekeeping import Housekeeping
 from ..limiter import ConcurrencyLimiter, SignInLimiters, WindowLimiter
+from ..notices.sending import NoticeSender
+from ..operations.exposition import Exposition
+from ..services import Services, open_services
+from ..settings import Settings
 from . import health, judging, metrics, problems, receipts, submissions, teams, tracks
 from .middleware.body_limit import BodyLimit
 from .middleware.request_head import RequestHead

@@ -4,13 +4,13 @@ from importlib.metadata import version
 
 from fastapi import APIRouter, Response
 from sqlalchemy.exc import DBAPIError
-from vitac.server.db.schema import is_current
-from vitac.server.errors import ServiceError
-from vitac.server.queue.workers import workers_alive
-from vitac.server.services import Services
-from vitac.server.views.operations import HealthView, ReadyView
-from vitac.server.views.workers import WorkersView
 
+from ..db.schema import is_current
+from ..errors import ServiceError
+from ..queue.workers import workers_alive
+from ..services import Services
+from ..views.operations import HealthView, ReadyView
+from ..views.workers import WorkersView
 from .access import ServicesOf
 
 router = APIRouter(tags=["health"])

@@ -7,9 +7,9 @@ from uuid import UUID
 
 from fastapi import APIRouter, Query, Response
 from pydantic import BaseModel, ConfigDict, Field
-from vitac.server.judging import judging
-from vitac.server.views.contest.judging import JudgedTeamView
 
+from ..judging import judging
+from ..views.contest.judging import JudgedTeamView
 from .access import PrincipalOf, ServicesOf
 from .problems import RESPONSES
 

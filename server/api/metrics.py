@@ -6,9 +6,9 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Request, Response
 from fastapi.security import HTTPAuthorizationCredentials
 from prometheus_client import CONTENT_TYPE_LATEST
-from vitac.server.errors import ProblemCode, ServiceError
-from vitac.server.operations.exposition import Exposition
 
+from ..errors import ProblemCode, ServiceError
+from ..operations.exposition import Exposition
 from .access import bearer, principal_of, services_of
 
 router = APIRouter(tags=["health"])

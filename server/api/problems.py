@@ -12,10 +12,11 @@ from pydantic import BaseModel, ConfigDict
 from sqlalchemy.exc import DBAPIError, SQLAlchemyError
 from sqlalchemy.exc import TimeoutError as PoolTimeout
 from starlette.exceptions import HTTPException
-from vitac.server.db.engine import is_connection_loss
-from vitac.server.errors import ProblemCode, ServiceError, storage_full
-from vitac.server.settings import Settings
-from vitac.server.storage.disk_space import has_space, is_disk_full
+
+from ..db.engine import is_connection_loss
+from ..errors import ProblemCode, ServiceError, storage_full
+from ..settings import Settings
+from ..storage.disk_space import has_space, is_disk_full
 
 logger = structlog.get_logger(__name__)
 

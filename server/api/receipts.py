@@ -4,10 +4,10 @@ from typing import Annotated
 from uuid import UUID
 
 from fastapi import APIRouter, Query
-from vitac.server.receipts.receipt import Receipt
-from vitac.server.submissions import receipts
-from vitac.server.views.receipts import ChainView
 
+from ..receipts.receipt import Receipt
+from ..submissions import receipts
+from ..views.receipts import ChainView
 from .access import PrincipalOf, ServicesOf
 from .problems import RESPONSES
 

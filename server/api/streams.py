@@ -5,12 +5,12 @@ from contextlib import ExitStack, asynccontextmanager
 from dataclasses import dataclass
 
 from fastapi.concurrency import run_in_threadpool
-from vitac.server.accounts.principals import Principal
-from vitac.server.accounts.quotas import exceeded, limit_of
-from vitac.server.db.states import Quota
-from vitac.server.services import Services
 
+from ..accounts.principals import Principal
+from ..accounts.quotas import exceeded, limit_of
+from ..db.states import Quota
 from ..limiter import ConcurrencyLimiter
+from ..services import Services
 
 
 @dataclass(frozen=True, kw_only=True)

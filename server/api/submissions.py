@@ -14,20 +14,20 @@ from fastapi.concurrency import run_in_threadpool
 from pydantic import BaseModel, ConfigDict, Field
 from sse_starlette import EventSourceResponse, ServerSentEvent
 from vitac.evaluator.submission_kinds import SubmissionKind
-from vitac.server.accounts.principals import Principal
-from vitac.server.accounts.visibility import visible
-from vitac.server.db.states import EvaluationState
-from vitac.server.errors import ProblemCode, ServiceError
-from vitac.server.logs import action_matches
-from vitac.server.logs.export import export_log
-from vitac.server.services import Services
-from vitac.server.sharing import public_pages
-from vitac.server.submissions import listing, output, runs, sensors, upload
-from vitac.server.submissions.watch import watch
-from vitac.server.views.logs import ActionMatchView
-from vitac.server.views.submissions import EpisodeView, OutputView, SensorView, SubmissionListView, SubmissionView
 
+from ..accounts.principals import Principal
+from ..accounts.visibility import visible
+from ..db.states import EvaluationState
+from ..errors import ProblemCode, ServiceError
 from ..limiter import UPLOADS
+from ..logs import action_matches
+from ..logs.export import export_log
+from ..services import Services
+from ..sharing import public_pages
+from ..submissions import listing, output, runs, sensors, upload
+from ..submissions.watch import watch
+from ..views.logs import ActionMatchView
+from ..views.submissions import EpisodeView, OutputView, SensorView, SubmissionListView, SubmissionView
 from .access import PrincipalOf, ReaderOf, ServicesOf
 from .problems import RESPONSES
 from .streams import OpenStreams

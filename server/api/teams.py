@@ -8,15 +8,17 @@ from uuid import UUID
 from fastapi import APIRouter, Request, Response
 from pydantic import BaseModel, ConfigDict, Field
 from sqlalchemy.orm import Session
-from vitac.server.accounts import registration, teams, tokens
-from vitac.server.accounts.principals import CONSOLE, Principal
-from vitac.server.accounts.quotas import charge, uses
-from vitac.server.accounts.shown_names import ShownNames
-from vitac.server.competition.schedule import stage_quota_uses
-from vitac.server.db.models import ApiToken, Team
-from vitac.server.db.states import Quota, Role
-from vitac.server.services import Services
-from vitac.server.views.accounts import (
+
+from ..accounts import registration, teams, tokens
+from ..accounts.principals import CONSOLE, Principal
+from ..accounts.quotas import charge, uses
+from ..accounts.shown_names import ShownNames
+from ..competition.schedule import stage_quota_uses
+from ..db.models import ApiToken, Team
+from ..db.states import Quota, Role
+from ..limiter import client_key
+from ..services import Services
+from ..views.accounts import (
     MeView,
     NewTokenView,
     QuotaView,
@@ -24,8 +26,6 @@ from vitac.server.views.accounts import (
     StageQuotaView,
     TokenListView,
 )
-
-from ..limiter import client_key
 from .access import OptionalPrincipalOf, PrincipalOf, ServicesOf
 from .problems import RESPONSES
 

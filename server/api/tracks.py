@@ -3,17 +3,17 @@
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request, Response
-from vitac.server.competition.view import competition_view
-from vitac.server.leaderboards.log_boards import log_boards
-from vitac.server.leaderboards.made_boards import MadeBoard
-from vitac.server.leaderboards.standings import leaderboard
-from vitac.server.results.archive import archive_view
-from vitac.server.tracks import load_known_track, track_view, track_views
-from vitac.server.views.contest.archive import ArchiveView
-from vitac.server.views.contest.competition import CompetitionView
-from vitac.server.views.leaderboards import LeaderboardView, LogBoardsView
-from vitac.server.views.tracks import TrackListView, TrackView
 
+from ..competition.view import competition_view
+from ..leaderboards.log_boards import log_boards
+from ..leaderboards.made_boards import MadeBoard
+from ..leaderboards.standings import leaderboard
+from ..results.archive import archive_view
+from ..tracks import load_known_track, track_view, track_views
+from ..views.contest.archive import ArchiveView
+from ..views.contest.competition import CompetitionView
+from ..views.leaderboards import LeaderboardView, LogBoardsView
+from ..views.tracks import TrackListView, TrackView
 from .access import ServicesOf
 from .conditional import answer
 from .problems import RESPONSES

@@ -11,14 +11,14 @@ from pathlib import Path
 
 from sqlalchemy import Connection, text
 from vitac.envs.errors import VitacError
-from vitac.server.accounts.audit import record
-from vitac.server.accounts.principals import CONSOLE
-from vitac.server.db.models import PartialUpload, UploadPart
-from vitac.server.db.schema import installed_revision
-from vitac.server.postgres import tools
-from vitac.server.services import Services
-from vitac.server.submissions.files import stored_digests
 
+from ..accounts.audit import record
+from ..accounts.principals import CONSOLE
+from ..db.models import PartialUpload, UploadPart
+from ..db.schema import installed_revision
+from ..postgres import tools
+from ..services import Services
+from ..submissions.files import stored_digests
 from .archive import BLOB_FOLDER, DUMP_NAME, BackupDescription, BackupWriter
 
 

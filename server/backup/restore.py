@@ -7,16 +7,16 @@ from pathlib import Path
 from sqlalchemy import func, select, text
 from sqlalchemy.orm import Session
 from vitac.envs.errors import VitacError
-from vitac.server.accounts.audit import record
-from vitac.server.accounts.principals import CONSOLE
-from vitac.server.db.advisory_locks import AdvisoryLock, wait_for_lock
-from vitac.server.db.models import ApiToken, Submission, Team, Worker
-from vitac.server.db.schema import knows_revision, upgrade
-from vitac.server.postgres import tools
-from vitac.server.queue.workers import workers_alive
-from vitac.server.services import Services
-from vitac.server.settings import Settings
 
+from ..accounts.audit import record
+from ..accounts.principals import CONSOLE
+from ..db.advisory_locks import AdvisoryLock, wait_for_lock
+from ..db.models import ApiToken, Submission, Team, Worker
+from ..db.schema import knows_revision, upgrade
+from ..postgres import tools
+from ..queue.workers import workers_alive
+from ..services import Services
+from ..settings import Settings
 from .archive import BackupDescription, BackupReader, BackupRejected
 
 

@@ -15,22 +15,23 @@ from vitac.evaluator.shards.result import ShardEnd, ShardResult
 from vitac.evaluator.tracks import load_track
 from vitac.evaluator.tracks.cut import cut
 from vitac.evaluator.version import evaluator_hash, evaluator_version
-from vitac.server.competition.sealing import commitment_of_stage
-from vitac.server.db.models import Evaluation, Shard, Submission
-from vitac.server.db.row_locks import lock_evaluation
-from vitac.server.db.states import OPEN_SHARD_STATES, EvaluationState, NoticeKind, ShardState
-from vitac.server.evaluations.copies import flag_copies
-from vitac.server.evaluations.episode_store import EpisodeKey, count_stored, missing_episodes, records_of
-from vitac.server.evaluations.provenance import manifest_of
-from vitac.server.evaluations.scores import combine_hashes, combined_result, store_scores
-from vitac.server.evaluations.verdicts import ServiceVerdict
-from vitac.server.notices.outbox import announce_evaluation
-from vitac.server.queue.jobs import enqueue_shards, queue_name, withdraw_jobs
-from vitac.server.queue.leases import Lease, end_shard, hand_back, lock_held
-from vitac.server.queue.turns import next_turn
-from vitac.server.receipts.chain import issue
-from vitac.server.settings import Settings
-from vitac.server.tracks import family_of
+
+from ..competition.sealing import commitment_of_stage
+from ..db.models import Evaluation, Shard, Submission
+from ..db.row_locks import lock_evaluation
+from ..db.states import OPEN_SHARD_STATES, EvaluationState, NoticeKind, ShardState
+from ..notices.outbox import announce_evaluation
+from ..queue.jobs import enqueue_shards, queue_name, withdraw_jobs
+from ..queue.leases import Lease, end_shard, hand_back, lock_held
+from ..queue.turns import next_turn
+from ..receipts.chain import issue
+from ..settings import Settings
+from ..tracks import family_of
+from .copies import flag_copies
+from .episode_store import EpisodeKey, count_stored, missing_episodes, records_of
+from .provenance import manifest_of
+from .scores import combine_hashes, combined_result, store_scores
+from .verdicts import ServiceVerdict
 
 FREE_FAILURES_PER_DAY = 5
 """So many evaluations of a team that machines have ended within 24 hours cost it nothing."""

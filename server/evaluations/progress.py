@@ -8,10 +8,11 @@ from uuid import UUID
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 from vitac.evaluator.tracks import load_track
-from vitac.server.db.models import EpisodeResult, Evaluation, Shard, Submission
-from vitac.server.db.states import ACTIVE_EVALUATION_STATES, OPEN_SHARD_STATES, EvaluationState
-from vitac.server.db.stored_episodes import OF_EVALUATION
-from vitac.server.views.evaluations import ProgressView, TaskProgressView
+
+from ..db.models import EpisodeResult, Evaluation, Shard, Submission
+from ..db.states import ACTIVE_EVALUATION_STATES, OPEN_SHARD_STATES, EvaluationState
+from ..db.stored_episodes import OF_EVALUATION
+from ..views.evaluations import ProgressView, TaskProgressView
 
 EPISODES_FOR_TIMING = 300
 EpisodeCounts = Mapping[str, tuple[int, int]]

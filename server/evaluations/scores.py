@@ -7,9 +7,10 @@ from datetime import datetime
 from vitac.evaluator.scoring.ranking import CombinedScore, combine
 from vitac.evaluator.scoring.score import Interval, Rate, Score
 from vitac.evaluator.tracks import load_track
-from vitac.server.db.models import ALL_TASKS, BoardResult, Evaluation, Submission
-from vitac.server.receipts.receipt import CombinedResult
-from vitac.server.views.scores import ShapeScoreView, TaskScoreView
+
+from ..db.models import ALL_TASKS, BoardResult, Evaluation, Submission
+from ..receipts.receipt import CombinedResult
+from ..views.scores import ShapeScoreView, TaskScoreView
 
 
 def store_scores(

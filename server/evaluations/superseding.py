@@ -9,14 +9,14 @@ import structlog
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 from vitac.evaluator.version import evaluator_version
-from vitac.server.db.row_locks import try_lock_evaluation, unless_held
-from vitac.server.evaluations import lifecycle
 
 from ..db.advisory_locks import AdvisoryLock, try_lock
 from ..db.models import Evaluation, Worker
+from ..db.row_locks import try_lock_evaluation, unless_held
 from ..db.states import ACTIVE_EVALUATION_STATES, WorkerState
 from ..queue.workers import workers_alive
 from ..settings import Settings
+from . import lifecycle
 
 logger = structlog.get_logger(__name__)
 

@@ -9,12 +9,12 @@ from uuid import UUID
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 from vitac.evaluator.scoring.ranking import CombinedScore
-from vitac.server.db.states import ACTIVE_EVALUATION_STATES, TERMINAL_EVALUATION_STATES, EvaluationState
-from vitac.server.kept import Kept
 
 from ..accounts.principals import Principal
 from ..accounts.visibility import played_list_kind, sight_of
 from ..db.models import EpisodeResult, Evaluation
+from ..db.states import ACTIVE_EVALUATION_STATES, TERMINAL_EVALUATION_STATES, EvaluationState
+from ..kept import Kept
 from ..queue.workers import WorkersAlive
 from ..views.evaluations import (
     DifferingEpisodeView,

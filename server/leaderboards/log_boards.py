@@ -16,24 +16,25 @@ from sqlalchemy.orm import Session
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import Track
 from vitac.evaluator.version import evaluator_version
-from vitac.server.accounts import teams
-from vitac.server.accounts.principals import VISITOR
-from vitac.server.accounts.shown_names import ShownNames
-from vitac.server.accounts.visibility import played_list_kind
-from vitac.server.competition.definition import DEFAULT_RANKING, CompetitionTrack, RankingKey
-from vitac.server.competition.schedule import boards_stand_since, shown_stage, track_rules
-from vitac.server.db.models import BoardResult, Evaluation, Team
-from vitac.server.evaluations.copies import copies_among
-from vitac.server.evaluations.scores import score_views
-from vitac.server.leaderboards.best_entries import EVER, BestEntry, Board, best_entries, takes_part
-from vitac.server.leaderboards.changes import kept_until_change
-from vitac.server.leaderboards.made_boards import MadeBoard, MadeBoards, revision_of
-from vitac.server.leaderboards.standings import completed_evaluations, made_entries
-from vitac.server.logs.claims import LogClaim
-from vitac.server.logs.view import verification_of
-from vitac.server.tracks import load_known_track
-from vitac.server.views.leaderboards import LogBoardsView, LogBoardView, LogEntryView, TextLogEntryView
-from vitac.server.views.logs import LogCopyView
+
+from ..accounts import teams
+from ..accounts.principals import VISITOR
+from ..accounts.shown_names import ShownNames
+from ..accounts.visibility import played_list_kind
+from ..competition.definition import DEFAULT_RANKING, CompetitionTrack, RankingKey
+from ..competition.schedule import boards_stand_since, shown_stage, track_rules
+from ..db.models import BoardResult, Evaluation, Team
+from ..evaluations.copies import copies_among
+from ..evaluations.scores import score_views
+from ..logs.claims import LogClaim
+from ..logs.view import verification_of
+from ..tracks import load_known_track
+from ..views.leaderboards import LogBoardsView, LogBoardView, LogEntryView, TextLogEntryView
+from ..views.logs import LogCopyView
+from .best_entries import EVER, BestEntry, Board, best_entries, takes_part
+from .changes import kept_until_change
+from .made_boards import MadeBoard, MadeBoards, revision_of
+from .standings import completed_evaluations, made_entries
 
 _USUAL_RANKING = (
     "Higher success rate first; then fewer mean env steps of the successful episodes; then the earlier submission."

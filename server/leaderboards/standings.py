@@ -12,21 +12,22 @@ from sqlalchemy.orm import Session, defer, selectinload
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import ListKind, Track
 from vitac.evaluator.version import evaluator_version
-from vitac.server.accounts import teams
-from vitac.server.accounts.principals import CONSOLE, VISITOR
-from vitac.server.accounts.shown_names import ShownNames
-from vitac.server.accounts.visibility import played_list_kind
-from vitac.server.competition.definition import DEFAULT_RANKING
-from vitac.server.competition.schedule import boards_stand_since, shown_stage, track_rules
-from vitac.server.competition.sealing import commitment_of_stage
-from vitac.server.db.models import Evaluation, Submission
-from vitac.server.evaluations.scores import bounds, combination_of, scores_of, task_views
-from vitac.server.leaderboards.best_entries import EVER, BestEntry, Board, best_entries
-from vitac.server.leaderboards.changes import kept_until_change
-from vitac.server.leaderboards.made_boards import MadeBoard, MadeBoards, revision_of
-from vitac.server.leaderboards.rank_ranges import rank_ranges
-from vitac.server.tracks import load_known_track, require_task
-from vitac.server.views.leaderboards import LeaderboardEntryView, LeaderboardView, LogEntryView
+
+from ..accounts import teams
+from ..accounts.principals import CONSOLE, VISITOR
+from ..accounts.shown_names import ShownNames
+from ..accounts.visibility import played_list_kind
+from ..competition.definition import DEFAULT_RANKING
+from ..competition.schedule import boards_stand_since, shown_stage, track_rules
+from ..competition.sealing import commitment_of_stage
+from ..db.models import Evaluation, Submission
+from ..evaluations.scores import bounds, combination_of, scores_of, task_views
+from ..tracks import load_known_track, require_task
+from ..views.leaderboards import LeaderboardEntryView, LeaderboardView, LogEntryView
+from .best_entries import EVER, BestEntry, Board, best_entries
+from .changes import kept_until_change
+from .made_boards import MadeBoard, MadeBoards, revision_of
+from .rank_ranges import rank_ranges
 
 EntryT = TypeVar("EntryT", LeaderboardEntryView, LogEntryView)
 

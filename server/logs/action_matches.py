@@ -14,14 +14,15 @@ from sqlalchemy.orm import Session, defer, joinedload
 from vitac.evaluator.episodes.records import ActionSequence
 from vitac.evaluator.logs.action_match import EpisodeMatch, compare_actions
 from vitac.evaluator.submission_kinds import SubmissionKind
-from vitac.server.accounts.principals import Principal
-from vitac.server.accounts.visibility import sight_of, visible
-from vitac.server.db.models import EpisodeResult, Evaluation, Submission
-from vitac.server.db.states import EvaluationState
-from vitac.server.evaluations.episode_store import EpisodeKey
-from vitac.server.evaluations.history import newest_evaluation
-from vitac.server.kept import Kept
-from vitac.server.views.logs import ActionMatchView, MatchedEpisodeView
+
+from ..accounts.principals import Principal
+from ..accounts.visibility import sight_of, visible
+from ..db.models import EpisodeResult, Evaluation, Submission
+from ..db.states import EvaluationState
+from ..evaluations.episode_store import EpisodeKey
+from ..evaluations.history import newest_evaluation
+from ..kept import Kept
+from ..views.logs import ActionMatchView, MatchedEpisodeView
 
 MAX_MODELS = 20
 """So many models are compared, the ones evaluated last."""

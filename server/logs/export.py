@@ -5,14 +5,15 @@ from uuid import UUID
 
 from sqlalchemy.orm import Session
 from vitac.evaluator.logs.log import LogHeader, write_log
-from vitac.server.accounts.principals import Principal
-from vitac.server.accounts.shown_names import ShownNames
-from vitac.server.accounts.visibility import require_episodes, visible
-from vitac.server.db.states import EvaluationState
-from vitac.server.errors import ProblemCode, ServiceError
-from vitac.server.evaluations.episode_store import EpisodeKey, records_of
-from vitac.server.evaluations.history import newest_evaluation
-from vitac.server.evaluations.provenance import manifest_of
+
+from ..accounts.principals import Principal
+from ..accounts.shown_names import ShownNames
+from ..accounts.visibility import require_episodes, visible
+from ..db.states import EvaluationState
+from ..errors import ProblemCode, ServiceError
+from ..evaluations.episode_store import EpisodeKey, records_of
+from ..evaluations.history import newest_evaluation
+from ..evaluations.provenance import manifest_of
 
 
 def export_log(session: Session, by: Principal, submission_id: UUID, task: str | None) -> bytes:

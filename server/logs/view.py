@@ -7,12 +7,13 @@ from sqlalchemy import select
 from sqlalchemy.dialects.postgresql import distinct_on
 from sqlalchemy.orm import Session
 from vitac.evaluator.logs.findings import LogFinding, VerificationResult, why_tolerated
-from vitac.server.db.models import Evaluation, Shard, Submission
-from vitac.server.db.states import EvaluationState
-from vitac.server.evaluations.verdicts import REFUTING_RESULTS
-from vitac.server.logs.claims import LogClaim
-from vitac.server.tracks import known_task
-from vitac.server.views.logs import DivergenceView, LogCopyView, LogView
+
+from ..db.models import Evaluation, Shard, Submission
+from ..db.states import EvaluationState
+from ..evaluations.verdicts import REFUTING_RESULTS
+from ..tracks import known_task
+from ..views.logs import DivergenceView, LogCopyView, LogView
+from .claims import LogClaim
 
 
 def log_view(

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from sqlalchemy import select, text
 from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
-from vitac.server.db.engine import Database
-from vitac.server.db.models import MetricTotal
 
+from ..db.engine import Database
+from ..db.models import MetricTotal
 from .instruments import Instruments
 
 

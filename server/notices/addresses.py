@@ -6,7 +6,7 @@ from ipaddress import IPv4Address, IPv6Address, IPv6Network, ip_address
 from typing import Any
 from urllib.parse import SplitResult, urlsplit
 
-from vitac.server.errors import ProblemCode, ServiceError
+from ..errors import ProblemCode, ServiceError
 
 MAX_LENGTH = 500
 _NAT64 = IPv6Network("64:ff9b::/96")

@@ -4,10 +4,11 @@ from datetime import UTC, datetime, timedelta
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session
-from vitac.server.competition.schedule import current, is_qualified
-from vitac.server.db.models import Team
-from vitac.server.db.states import NoticeKind
-from vitac.server.notices.outbox import announce
+
+from ..competition.schedule import current, is_qualified
+from ..db.models import Team
+from ..db.states import NoticeKind
+from .outbox import announce
 
 NEAR = timedelta(hours=24)
 

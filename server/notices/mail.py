@@ -7,10 +7,9 @@ from email.utils import format_datetime
 from pathlib import Path
 from urllib.parse import SplitResult, unquote, urlsplit
 
-from vitac.server.db.models import Notice
-from vitac.server.db.states import NoticeKind
-from vitac.server.settings import Settings
-
+from ..db.models import Notice
+from ..db.states import NoticeKind
+from ..settings import Settings
 from .webhooks import Undelivered
 
 TIMEOUT_S = 20.0

@@ -8,12 +8,13 @@ from uuid import UUID
 from sqlalchemy import func, select
 from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
-from vitac.server.accounts.audit import record
-from vitac.server.accounts.principals import Principal
-from vitac.server.db.models import Evaluation, Member, Notice, Webhook
-from vitac.server.db.states import NoticeChannel, NoticeKind
-from vitac.server.errors import ProblemCode, ServiceError, not_found
-from vitac.server.views.contest.people import NoticeView
+
+from ..accounts.audit import record
+from ..accounts.principals import Principal
+from ..db.models import Evaluation, Member, Notice, Webhook
+from ..db.states import NoticeChannel, NoticeKind
+from ..errors import ProblemCode, ServiceError, not_found
+from ..views.contest.people import NoticeView
 
 MAX_MAILS_A_DAY = 200
 """To the members of one team: an address may be somebody else's, who did not ask for mails."""

@@ -12,12 +12,13 @@ from uuid import UUID
 import structlog
 from sqlalchemy import delete, select
 from sqlalchemy.orm import Session
-from vitac.server.db.engine import Database
-from vitac.server.db.models import Notice, Webhook
-from vitac.server.db.states import NoticeChannel
-from vitac.server.notices import deadlines, mail, webhooks
-from vitac.server.notices.webhooks import Undelivered
-from vitac.server.settings import Settings
+
+from ..db.engine import Database
+from ..db.models import Notice, Webhook
+from ..db.states import NoticeChannel
+from ..settings import Settings
+from . import deadlines, mail, webhooks
+from .webhooks import Undelivered
 
 logger = structlog.get_logger(__name__)
 

@@ -15,12 +15,12 @@ from uuid import UUID
 
 from sqlalchemy import delete, func, select
 from sqlalchemy.orm import Session
-from vitac.server.accounts import teams
-from vitac.server.accounts.audit import record
-from vitac.server.accounts.principals import Principal
-from vitac.server.db.models import Notice, Team, Webhook
-from vitac.server.errors import ProblemCode, ServiceError, not_found
 
+from ..accounts import teams
+from ..accounts.audit import record
+from ..accounts.principals import Principal
+from ..db.models import Notice, Team, Webhook
+from ..errors import ProblemCode, ServiceError, not_found
 from ..views.contest.people import NewWebhookView, WebhookView
 from . import addresses
 

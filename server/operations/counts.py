@@ -2,8 +2,8 @@
 
 from collections.abc import Iterator, Mapping
 
-from vitac.server.metrics.totals import SeriesKey
-from vitac.server.views.operations import CountsView
+from ..metrics.totals import SeriesKey
+from ..views.operations import CountsView
 
 SHARE = 0.95
 

@@ -12,13 +12,13 @@ from prometheus_client.core import GaugeMetricFamily
 from prometheus_client.metrics_core import Metric
 from prometheus_client.samples import Sample
 from sqlalchemy.exc import DBAPIError
-from vitac.server.db.states import WorkerState
-from vitac.server.metrics.instruments import Instruments
-from vitac.server.metrics.totals import SeriesKey, samples_of, totals
-from vitac.server.queue.workers import Disk, disk_of
-from vitac.server.services import Services
-from vitac.server.views.operations import OperationsView
 
+from ..db.states import WorkerState
+from ..metrics.instruments import Instruments
+from ..metrics.totals import SeriesKey, samples_of, totals
+from ..queue.workers import Disk, disk_of
+from ..services import Services
+from ..views.operations import OperationsView
 from .state import operations
 
 KEPT_S = 5.0

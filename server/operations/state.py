@@ -11,19 +11,19 @@ from typing import TypeVar
 from sqlalchemy import func, select
 from sqlalchemy.orm import InstrumentedAttribute, Session
 from vitac.evaluator.tracks import list_tracks, load_track
-from vitac.server.db.models import EpisodeResult, Evaluation, Shard, Submission, Worker
-from vitac.server.db.states import (
+
+from ..db.models import EpisodeResult, Evaluation, Shard, Submission, Worker
+from ..db.states import (
     ACTIVE_EVALUATION_STATES,
     OPEN_SHARD_STATES,
     EvaluationState,
     ShardState,
     WorkerState,
 )
-from vitac.server.metrics.totals import SeriesKey
-from vitac.server.queue.workers import worker_view
-from vitac.server.settings import Settings
-from vitac.server.views.operations import MachineWorkerView, OperationsView, QueueView, StorageView
-
+from ..metrics.totals import SeriesKey
+from ..queue.workers import worker_view
+from ..settings import Settings
+from ..views.operations import MachineWorkerView, OperationsView, QueueView, StorageView
 from .counts import counts_of
 
 StateT = TypeVar("StateT", bound=StrEnum)

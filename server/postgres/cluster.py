@@ -27,8 +27,8 @@ from urllib.parse import quote
 import psycopg
 import structlog
 from vitac.envs.errors import VitacError
-from vitac.server.state_directory import others_can_enter
 
+from ..state_directory import others_can_enter
 from .binaries import PostgresBinaries, copy_binaries, find_binaries
 from .leftovers import NOTICE_EVERY_S, forget_lock_files, wait_for_leftovers
 

@@ -15,10 +15,10 @@ from sqlalchemy.orm import Session
 from vitac.envs.errors import VitacError
 from vitac.evaluator.shards.result import ShardResult
 from vitac.evaluator.submission_kinds import SubmissionKind
-from vitac.server.db.models import Evaluation, Shard, SubmissionFile
-from vitac.server.db.row_locks import lock_evaluation
-from vitac.server.db.states import EvaluationState, FileRole, ShardState
 
+from ..db.models import Evaluation, Shard, SubmissionFile
+from ..db.row_locks import lock_evaluation
+from ..db.states import EvaluationState, FileRole, ShardState
 from ..tracks import family_of
 from .jobs import RETRY_PRIORITY, enqueue_shards, queue_name
 

@@ -12,11 +12,12 @@ from sqlalchemy import and_, delete, func, select, update
 from sqlalchemy.orm import Session
 from vitac.envs.tasks.definition import Family
 from vitac.evaluator.agent.description import SandboxDescription
-from vitac.server.db.models import Worker
-from vitac.server.db.states import WorkerState
-from vitac.server.errors import not_found
-from vitac.server.settings import Settings
-from vitac.server.views.workers import WorkerView
+
+from ..db.models import Worker
+from ..db.states import WorkerState
+from ..errors import not_found
+from ..settings import Settings
+from ..views.workers import WorkerView
 
 FORGOTTEN_AFTER = timedelta(days=7)
 

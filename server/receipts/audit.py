@@ -23,8 +23,8 @@ from vitac.evaluator.sensors.made import read_made_sensor
 from vitac.evaluator.tracks import Task, Track, load_track
 from vitac.evaluator.tracks.sealed import commitment_of, sealed_track
 from vitac.evaluator.version import evaluator_version
-from vitac.server.views.leaderboards import LeaderboardEntryView, LeaderboardView
 
+from ..views.leaderboards import LeaderboardEntryView, LeaderboardView
 from .completeness import (
     check_entries,
     check_head,

@@ -4,8 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from math import inf
 from uuid import UUID
 
-from vitac.server.views.leaderboards import LeaderboardEntryView
-
+from ..views.leaderboards import LeaderboardEntryView
 from .export import ExportDescription, ExportedTeam
 from .receipt import CombinedResult, Link, Receipt, Result, TaskResult, board_name
 

@@ -20,8 +20,8 @@ from vitac.evaluator.logs.packing import MAX_UNPACKED_BYTES
 from vitac.evaluator.sensors.made import MAX_BYTES as MAX_SENSOR_BYTES
 from vitac.evaluator.strict_model import StrictModel, explain
 from vitac.evaluator.submission_kinds import SubmissionKind
-from vitac.server.views.leaderboards import LeaderboardView
 
+from ..views.leaderboards import LeaderboardView
 from .receipt import Link, PublicKey, Receipt, Sha256
 
 DESCRIPTION_NAME: Final = "export.json"

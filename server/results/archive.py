@@ -1,12 +1,13 @@
 """A competition after its end: what was final then, whatever happens to evaluator, teams and boards since."""
 
 from sqlalchemy.orm import Session
-from vitac.server.competition.view import competition_view
-from vitac.server.db.models import Competition
-from vitac.server.errors import ProblemCode, ServiceError
-from vitac.server.receipts.chain import chain_state
-from vitac.server.views.contest.archive import ArchiveView
-from vitac.server.views.leaderboards import LeaderboardView
+
+from ..competition.view import competition_view
+from ..db.models import Competition
+from ..errors import ProblemCode, ServiceError
+from ..receipts.chain import chain_state
+from ..views.contest.archive import ArchiveView
+from ..views.leaderboards import LeaderboardView
 
 
 def archive_view(session: Session) -> ArchiveView:

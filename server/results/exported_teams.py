@@ -5,8 +5,9 @@ from uuid import UUID
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session
-from vitac.server.db.models import AuditEntry, Evaluation, Submission, Team
-from vitac.server.receipts.export import ExportedTeam
+
+from ..db.models import AuditEntry, Evaluation, Submission, Team
+from ..receipts.export import ExportedTeam
 
 
 def teams_of(session: Session, evaluations: Collection[UUID]) -> tuple[ExportedTeam, ...]:

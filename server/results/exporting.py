@@ -12,19 +12,20 @@ from sqlalchemy.orm import Session
 from vitac.evaluator.logs.log import LogHeader, write_log
 from vitac.evaluator.strict_model import StrictModel
 from vitac.evaluator.submission_kinds import SubmissionKind
-from vitac.server.accounts.visibility import is_sealed
-from vitac.server.competition.definition import DEFAULT_RANKING
-from vitac.server.competition.schedule import track_rules
-from vitac.server.competition.sealing import list_of_stage
-from vitac.server.db.among import among
-from vitac.server.db.models import BoardResult, Evaluation
-from vitac.server.db.states import FileRole
-from vitac.server.errors import ProblemCode, ServiceError
-from vitac.server.evaluations.episode_store import EpisodeKey, records_of
-from vitac.server.evaluations.provenance import manifest_of
-from vitac.server.leaderboards.standings import leaderboard
-from vitac.server.receipts.chain import chain_state, links, receipts_of_board
-from vitac.server.receipts.export import (
+
+from ..accounts.visibility import is_sealed
+from ..competition.definition import DEFAULT_RANKING
+from ..competition.schedule import track_rules
+from ..competition.sealing import list_of_stage
+from ..db.among import among
+from ..db.models import BoardResult, Evaluation
+from ..db.states import FileRole
+from ..errors import ProblemCode, ServiceError
+from ..evaluations.episode_store import EpisodeKey, records_of
+from ..evaluations.provenance import manifest_of
+from ..leaderboards.standings import leaderboard
+from ..receipts.chain import chain_state, links, receipts_of_board
+from ..receipts.export import (
     CHAIN_NAME,
     DESCRIPTION_NAME,
     RECEIPTS_NAME,
@@ -32,10 +33,9 @@ from vitac.server.receipts.export import (
     log_name,
     sensor_name,
 )
-from vitac.server.storage.blobs import BlobStore
-from vitac.server.submissions.files import file_of
-from vitac.server.tracks import load_known_track
-
+from ..storage.blobs import BlobStore
+from ..submissions.files import file_of
+from ..tracks import load_known_track
 from .exported_teams import teams_of
 from .publishing import ResultsNotWritten
 from .rejudging import set_aside

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING
 import obstore
 from obstore.exceptions import BaseError, NotFoundError
 from obstore.store import LocalStore, ObjectStore, from_url
-from vitac.server.errors import ProblemCode, ServiceError, storage_full
-from vitac.server.settings import Settings
 
+from ..errors import ProblemCode, ServiceError, storage_full
+from ..settings import Settings
 from .disk_space import is_disk_full
 
 if TYPE_CHECKING:

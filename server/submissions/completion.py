@@ -4,13 +4,13 @@ from contextlib import suppress
 from dataclasses import replace
 from uuid import UUID
 
-from vitac.server.accounts.principals import Principal
-from vitac.server.db.models import PartialUpload
-from vitac.server.errors import ProblemCode, ServiceError
-from vitac.server.services import Services
-from vitac.server.submissions import creation
-from vitac.server.uploads import intake, partial
-from vitac.server.uploads.acceptance import accept
+from ..accounts.principals import Principal
+from ..db.models import PartialUpload
+from ..errors import ProblemCode, ServiceError
+from ..services import Services
+from ..uploads import intake, partial
+from ..uploads.acceptance import accept
+from . import creation
 
 _TRANSIENT = frozenset(
     {

@@ -9,7 +9,6 @@ from sqlalchemy.orm import Session
 from vitac.evaluator.logs.findings import LogFinding
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import load_track
-from vitac.server.db.states import EvaluationState
 
 from ..accounts.principals import Principal
 from ..accounts.shown_names import ShownNames
@@ -17,6 +16,7 @@ from ..accounts.teams import team_view
 from ..competition.definition import DEFAULT_RANKING
 from ..competition.schedule import boards_stand_since, track_rules
 from ..db.models import Evaluation, Submission
+from ..db.states import EvaluationState
 from ..evaluations.copies import copies_among
 from ..evaluations.view import EvaluationRows, evaluation_view, summary_view
 from ..leaderboards.best_entries import EVER, PlacesOfBoards, places

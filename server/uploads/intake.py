@@ -11,9 +11,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from vitac.server.errors import ProblemCode, ServiceError
-from vitac.server.settings import Settings
-from vitac.server.storage.scratch import new_folder
+from ..errors import ProblemCode, ServiceError
+from ..settings import Settings
+from ..storage.scratch import new_folder
 
 FILE_NAME = "upload"
 UPLOAD_FOLDER = "upload"

@@ -9,12 +9,13 @@ from vitac.evaluator.logs.log import LogReader, LogRejected
 from vitac.evaluator.logs.packing import UnpackFailed, open_log
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import Task, Track, list_tracks, load_track
-from vitac.server.accounts.teams import name_key
-from vitac.server.errors import ProblemCode, ServiceError
-from vitac.server.logs.claims import LogClaim
-from vitac.server.settings import Settings
-from vitac.server.uploads.checked_upload import CheckedUpload
-from vitac.server.uploads.intake import ReceivedFile
+
+from ..accounts.teams import name_key
+from ..errors import ProblemCode, ServiceError
+from ..logs.claims import LogClaim
+from ..settings import Settings
+from .checked_upload import CheckedUpload
+from .intake import ReceivedFile
 
 DIGITS_IN_NAME = 8
 """A log has no name of its own: it is called after the start of its digest."""

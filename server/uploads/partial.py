@@ -15,13 +15,13 @@ from uuid import UUID
 from sqlalchemy import delete, func, select, update
 from sqlalchemy.orm import Session, joinedload
 from vitac.evaluator.submission_kinds import SubmissionKind
-from vitac.server.accounts import teams
-from vitac.server.accounts.principals import Principal
-from vitac.server.db.models import PartialUpload, Team, UploadPart
-from vitac.server.errors import ProblemCode, ServiceError, not_found
-from vitac.server.services import Services
-from vitac.server.settings import Settings
 
+from ..accounts import teams
+from ..accounts.principals import Principal
+from ..db.models import PartialUpload, Team, UploadPart
+from ..errors import ProblemCode, ServiceError, not_found
+from ..services import Services
+from ..settings import Settings
 from .intake import FILE_NAME, ReceivedFile, check_announced_size
 from .kinds import SERVED_KINDS
 

@@ -12,12 +12,13 @@ from vitac.evaluator.logs.text_2025 import Script, TextLog, TextLogRejected, rea
 from vitac.evaluator.logs.text_2025.recordings import track_and_task_names, why_not_resimulated
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import Task
-from vitac.server.logs.claims import LogClaim
-from vitac.server.settings import Settings
-from vitac.server.tracks import load_known_track
-from vitac.server.uploads.checked_upload import CheckedUpload
-from vitac.server.uploads.intake import ReceivedFile
-from vitac.server.uploads.logs import DIGITS_IN_NAME, impossible, rejected, require_own_team
+
+from ..logs.claims import LogClaim
+from ..settings import Settings
+from ..tracks import load_known_track
+from .checked_upload import CheckedUpload
+from .intake import ReceivedFile
+from .logs import DIGITS_IN_NAME, impossible, rejected, require_own_team
 
 NOT_A_TEXT_LOG = "not_a_text_log"
 OUT_OF_PLACE = "out_of_place"

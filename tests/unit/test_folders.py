@@ -117,6 +117,17 @@ def imports_at_run_time(module: Path) -> Iterator[str]:
             yield node.module or ""
 
 
+def test_inside_a_top_folder_imports_are_relative(repository: Path) -> None:
+    modules = [(top, module) for top in PRODUCT for module in (repository / top).rglob("*.py")]
+    assert len(modules) > 500
+    absolute = {
+        str(module.relative_to(repository)): lines
+        for top, module in modules
+        if (lines := re.findall(rf"^ *(?:from|import) vitac\.{top}\b.*", module.read_text(), re.MULTILINE))
+    }
+    assert absolute == {}, "write `from ..folder.module import name`: a folder's own name is for the others"
+
+
 def test_every_query_of_the_command_line_is_a_function_of_the_server(repository: Path) -> None:
     modules = sorted((repository / "cli").rglob("*.py"))
     assert len(modules) > 50

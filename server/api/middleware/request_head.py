@@ -6,8 +6,8 @@ a proxy in front may see another end of the request than we do (RFC 9112, sectio
 
 from starlette.requests import Request
 from starlette.types import ASGIApp, Receive, Scope, Send
-from vitac.server.errors import ProblemCode, ServiceError
 
+from ...errors import ProblemCode, ServiceError
 from ..problems import problem
 
 

@@ -4,7 +4,8 @@ import time
 from http import HTTPMethod
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
-from vitac.server.services import Services
+
+from ...services import Services
 
 UNKNOWN = "unknown"
 """Label of what no route answers: names that clients make up may not become labels."""

@@ -4,8 +4,8 @@ import asyncio
 
 from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
-from vitac.server.errors import ProblemCode, ServiceError
 
+from ...errors import ProblemCode, ServiceError
 from ..problems import problem
 
 

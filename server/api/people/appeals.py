@@ -5,9 +5,9 @@ from uuid import UUID
 
 from fastapi import APIRouter
 from pydantic import BaseModel, ConfigDict, Field
-from vitac.server.people import appeals
-from vitac.server.views.contest.people import AppealListView, AppealView
 
+from ...people import appeals
+from ...views.contest.people import AppealListView, AppealView
 from ..access import PrincipalOf, RowNumber, ServicesOf
 from ..problems import RESPONSES
 from ..teams import ONE_LINE

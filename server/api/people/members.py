@@ -8,19 +8,19 @@ from uuid import UUID
 from fastapi import APIRouter, Request, Response
 from pydantic import BaseModel, ConfigDict, Field
 from sqlalchemy.orm import Session
-from vitac.server.accounts import members, merging, teams, tokens
-from vitac.server.accounts.passwords import MAX_LENGTH, MIN_LENGTH
-from vitac.server.accounts.principals import CONSOLE, Principal
-from vitac.server.accounts.shown_names import ShownNames
-from vitac.server.db.models import Team
-from vitac.server.db.states import NoticeKind
-from vitac.server.notices import webhooks
-from vitac.server.people import team_data
-from vitac.server.services import Services
-from vitac.server.views.accounts import NewInvitationView, NewTokenView, OwnTeamView, RegisteredTeamView
-from vitac.server.views.contest.people import NewWebhookView, TeamDataView, WebhookListView
 
+from ...accounts import members, merging, teams, tokens
+from ...accounts.passwords import MAX_LENGTH, MIN_LENGTH
+from ...accounts.principals import CONSOLE, Principal
+from ...accounts.shown_names import ShownNames
+from ...db.models import Team
+from ...db.states import NoticeKind
 from ...errors import not_found
+from ...notices import webhooks
+from ...people import team_data
+from ...services import Services
+from ...views.accounts import NewInvitationView, NewTokenView, OwnTeamView, RegisteredTeamView
+from ...views.contest.people import NewWebhookView, TeamDataView, WebhookListView
 from ..access import PrincipalOf, ServicesOf
 from ..problems import RESPONSES
 from ..teams import ONE_LINE, note_registration

@@ -4,9 +4,9 @@ from http import HTTPStatus
 
 from fastapi import APIRouter, Response
 from pydantic import BaseModel, ConfigDict, Field
-from vitac.server.people import announcements, questions
-from vitac.server.views.contest.people import AnnouncementListView, AnnouncementView, QuestionListView, QuestionView
 
+from ...people import announcements, questions
+from ...views.contest.people import AnnouncementListView, AnnouncementView, QuestionListView, QuestionView
 from ..access import OptionalPrincipalOf, PrincipalOf, RowNumber, ServicesOf
 from ..problems import RESPONSES
 

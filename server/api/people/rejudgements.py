@@ -5,11 +5,12 @@ from uuid import UUID
 
 from fastapi import APIRouter, Response
 from pydantic import BaseModel, ConfigDict, Field
-from vitac.server.api.access import PrincipalOf, ServicesOf
-from vitac.server.api.problems import RESPONSES
-from vitac.server.results import rejudging
-from vitac.server.results.rejudging_view import rejudgement_detail_view, rejudgement_view
-from vitac.server.views.contest.rejudging import RejudgementDetailView, RejudgementView
+
+from ...results import rejudging
+from ...results.rejudging_view import rejudgement_detail_view, rejudgement_view
+from ...views.contest.rejudging import RejudgementDetailView, RejudgementView
+from ..access import PrincipalOf, ServicesOf
+from ..problems import RESPONSES
 
 router = APIRouter(prefix="/rejudgements", tags=["rejudging"], responses=RESPONSES)
 

@@ -8,11 +8,11 @@ from uuid import UUID
 
 from fastapi.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect
-from vitac.server.errors import ProblemCode, ServiceError
-from vitac.server.services import Services
-from vitac.server.uploads import intake, partial
-from vitac.server.uploads.partial import StoredPart
 
+from ...errors import ProblemCode, ServiceError
+from ...services import Services
+from ...uploads import intake, partial
+from ...uploads.partial import StoredPart
 from .protocol import CHECKSUMS, Checksum
 
 PART_BYTES = 4 << 20

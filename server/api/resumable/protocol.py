@@ -17,8 +17,8 @@ from typing import Any, Final
 from starlette.datastructures import MutableHeaders
 from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
-from vitac.server.errors import ProblemCode, ServiceError
 
+from ...errors import ProblemCode, ServiceError
 from ..problems import problem
 
 VERSION: Final = "1.0.0"

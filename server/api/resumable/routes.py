@@ -8,20 +8,20 @@ from uuid import UUID
 from fastapi import APIRouter, Header, Request, Response
 from fastapi.concurrency import run_in_threadpool
 from vitac.evaluator.submission_kinds import SubmissionKind
-from vitac.server.accounts.principals import Principal
-from vitac.server.db.models import PartialUpload
-from vitac.server.errors import ProblemCode, ServiceError
-from vitac.server.services import Services
-from vitac.server.submissions import completion, creation, listing
-from vitac.server.tracks import load_known_track
-from vitac.server.uploads import partial
-from vitac.server.uploads.acceptance import check_kind
-from vitac.server.uploads.file_names import check_file_name
-from vitac.server.uploads.kinds import SERVED_KINDS
-from vitac.server.uploads.partial import UploadPlan
-from vitac.server.views.submissions import SubmissionView
 
+from ...accounts.principals import Principal
+from ...db.models import PartialUpload
+from ...errors import ProblemCode, ServiceError
 from ...limiter import UPLOADS
+from ...services import Services
+from ...submissions import completion, creation, listing
+from ...tracks import load_known_track
+from ...uploads import partial
+from ...uploads.acceptance import check_kind
+from ...uploads.file_names import check_file_name
+from ...uploads.kinds import SERVED_KINDS
+from ...uploads.partial import UploadPlan
+from ...views.submissions import SubmissionView
 from ..access import PrincipalOf, ServicesOf
 from ..problems import RESPONSES, problem
 from . import protocol

@@ -18,8 +18,8 @@ from sqlalchemy import (
 )
 from sqlalchemy.dialects.postgresql import JSONB
 from sqlalchemy.orm import Mapped, mapped_column, relationship
-from vitac.server.db.states import MemberRole, Quota, Role
 
+from ..states import MemberRole, Quota, Role
 from .base import Base, closed_set
 
 _RANDOM_NAME = text("('Team '::text || upper(substr(md5((gen_random_uuid())::text), 1, 10)))")

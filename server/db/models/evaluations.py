@@ -21,8 +21,8 @@ from sqlalchemy import (
 from sqlalchemy.dialects.postgresql import JSONB
 from sqlalchemy.orm import Mapped, mapped_column, relationship
 from vitac.evaluator.submission_kinds import SubmissionKind
-from vitac.server.db.states import EvaluationState, ShardState
 
+from ..states import EvaluationState, ShardState
 from .base import Base, closed_set, sha256_check
 from .competition import SealedList
 from .submissions import Submission

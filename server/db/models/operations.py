@@ -7,8 +7,8 @@ from uuid import UUID, uuid4
 from sqlalchemy import BigInteger, Float, Text, func
 from sqlalchemy.dialects.postgresql import ARRAY, JSONB
 from sqlalchemy.orm import Mapped, mapped_column
-from vitac.server.db.states import WorkerState
 
+from ..states import WorkerState
 from .base import Base, closed_set
 
 

@@ -4,8 +4,8 @@ from datetime import datetime
 
 from sqlalchemy import BigInteger, CheckConstraint, ForeignKey, Identity, Index, String, func, text
 from sqlalchemy.orm import Mapped, mapped_column, relationship
-from vitac.server.db.states import PlaybackState
 
+from ..states import PlaybackState
 from .base import Base, closed_set, sha256_check
 from .evaluations import EpisodeResult
 
