@@ -6,13 +6,14 @@ from uuid import NAMESPACE_OID, UUID, uuid5
 
 from sqlalchemy.orm import Session
 
-from ..db.models import Competition, Team
+from ..db.competition_row import competition_row
+from ..db.models import Team
 from .principals import VISITOR, Principal
 
 
 def are_hidden(session: Session) -> bool:
     """Return whether teams are shown to others under random names: the competition says so, and is not final."""
-    row = session.get(Competition, 1)
+    row = competition_row(session)
     return row is not None and row.finalized_at is None and bool(row.definition.get("anonymous"))
 
 

@@ -7,7 +7,8 @@ from sqlalchemy import func, select, text
 from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
 
-from ..db.models import Competition, Member, Team
+from ..db.competition_row import competition_row
+from ..db.models import Member, Team
 from ..db.states import MemberRole, Role
 from ..errors import ProblemCode, ServiceError, not_found
 from ..views.accounts import OrganizerTeamView, TeamView
@@ -142,7 +143,7 @@ def require_unlocked(session: Session, by: Principal | None) -> None:
     """
     if by is not None and by.is_organizer:
         return
-    competition = session.get(Competition, 1)
+    competition = competition_row(session)
     locked = competition.definition.get("teams_locked") if competition else None
     if locked is not None and (at := datetime.fromisoformat(locked)) <= datetime.now(UTC):
         raise ServiceError(

@@ -11,6 +11,7 @@ from vitac.evaluator.tracks import ListKind
 
 from ..accounts.audit import record
 from ..accounts.principals import Principal
+from ..db.competition_row import competition_row, lock_competition, require_not_final
 from ..db.models import Competition, Submission
 from ..errors import ProblemCode, ServiceError
 from .definition import CompetitionDefinition
@@ -48,12 +49,10 @@ def changes_by(session: Session, definition: CompetitionDefinition) -> list[Chan
     Raises:
         ServiceError: the competition is final, or submissions were made by what it takes away.
     """
-    row = session.get(Competition, 1)
+    row = competition_row(session)
     old = CompetitionDefinition.model_validate(row.definition) if row else None
-    if row is not None and row.finalized_at is not None and old != definition:
-        raise ServiceError(
-            ProblemCode.COMPETITION_FINAL, f"{row.definition['title']} is final since {row.finalized_at:%F %T} UTC."
-        )
+    if old != definition:
+        require_not_final(row)
     _refuse_loss(session, definition)
     return list(_differences(old, definition))
 
@@ -67,12 +66,12 @@ def apply(session: Session, by: Principal, definition: CompetitionDefinition) ->
         ServiceError: not an organizer, or as `changes_by`.
     """
     by.require_organizer()
-    row = session.get(Competition, 1, with_for_update=True)
+    row = lock_competition(session)
     before = row.definition if row else None
     found = changes_by(session, definition)
     after = definition.model_dump(mode="json")
     if row is None:
-        row = Competition(id=1, definition=after)
+        row = Competition(definition=after)
         session.add(row)
     elif before != after:
         row.definition, row.applied_at = after, datetime.now(UTC)

@@ -11,7 +11,8 @@ from vitac.evaluator.submission_kinds import SubmissionKind
 
 from ..accounts import teams
 from ..accounts.principals import Principal
-from ..db.models import Competition, Evaluation, Qualification, Submission, Team
+from ..db.competition_row import competition_row
+from ..db.models import Evaluation, Qualification, Submission, Team
 from ..db.states import ACTIVE_EVALUATION_STATES, EvaluationState
 from ..db.stored_episodes import OF_EVALUATION
 from ..errors import ProblemCode, ServiceError
@@ -30,7 +31,7 @@ _COUNTED: Mapping[str, frozenset[EvaluationState]] = MappingProxyType(
 
 def current(session: Session) -> CompetitionDefinition | None:
     """Return the competition of this service; None: none was applied."""
-    row = session.get(Competition, 1)
+    row = competition_row(session)
     return CompetitionDefinition.model_validate(row.definition) if row else None
 
 
@@ -191,7 +192,7 @@ def require_over(session: Session, track: str, stage: str, at: datetime | None =
 
 def boards_stand_since(session: Session) -> datetime | None:
     """Return since when the boards of the competition are frozen; None: they are not."""
-    row = session.get(Competition, 1)
+    row = competition_row(session)
     return row.frozen_at if row else None
 
 

@@ -5,7 +5,8 @@ from datetime import UTC, datetime
 
 from sqlalchemy.orm import Session
 
-from ..db.models import Competition, SealedList
+from ..db.competition_row import competition_row
+from ..db.models import SealedList
 from ..errors import ProblemCode, ServiceError
 from ..views.contest.competition import CompetitionTrackView, CompetitionView, PrizeView, StageView, WinnerView
 from .definition import CompetitionDefinition, CompetitionTrack, Stage
@@ -20,7 +21,7 @@ def competition_view(session: Session, at: datetime | None = None) -> Competitio
     Raises:
         ServiceError: this service runs none.
     """
-    row = session.get(Competition, 1)
+    row = competition_row(session)
     if row is None:
         raise ServiceError(ProblemCode.NOT_FOUND, "This service runs no competition; all its tracks are for practice.")
     found, now = CompetitionDefinition.model_validate(row.definition), at or datetime.now(UTC)

@@ -20,7 +20,8 @@ from ..accounts.principals import CONSOLE, Principal
 from ..accounts.visibility import sight_of, visible
 from ..competition.definition import Judging
 from ..competition.schedule import current, shown_stage
-from ..db.models import Competition, Evaluation, JudgingConflict, JudgingMark, Submission
+from ..db.competition_row import lock_competition, require_not_final
+from ..db.models import Evaluation, JudgingConflict, JudgingMark, Submission
 from ..errors import ProblemCode, ServiceError
 from ..leaderboards.standings import leaderboard
 from ..submissions.figures import figures_of
@@ -310,8 +311,4 @@ def _take_away(session: Session, judge: str, condition: ColumnElement[bool]) -> 
 
 def _require_going_on(session: Session) -> None:
     """Refuse after the end; the end, and the same judge's marks from elsewhere, wait until these are written."""
-    row = session.get(Competition, 1, with_for_update=True, populate_existing=True)
-    if row is not None and row.finalized_at is not None:
-        raise ServiceError(
-            ProblemCode.COMPETITION_FINAL, f"{row.definition['title']} is final since {row.finalized_at:%F %T} UTC."
-        )
+    require_not_final(lock_competition(session))

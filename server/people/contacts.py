@@ -7,14 +7,15 @@ from sqlalchemy.orm import Session
 
 from ..accounts.audit import record
 from ..accounts.principals import CONSOLE
-from ..db.models import Competition, Member, Notice, Team
+from ..db.competition_row import competition_row
+from ..db.models import Member, Notice, Team
 from ..db.states import NoticeChannel
 from ..settings import Settings
 
 
 def forget_contacts(session: Session, settings: Settings, at: datetime | None = None) -> int:
     """Forget the addresses of people so long after the end of the competition; of how many. `at`: None is now."""
-    row = session.get(Competition, 1)
+    row = competition_row(session)
     days = settings.contacts_kept_days
     over = row.finalized_at if row is not None else None
     if days is None or over is None or (at or datetime.now(UTC)) < over + timedelta(days=days):

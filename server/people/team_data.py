@@ -12,11 +12,11 @@ from vitac.evaluator.episodes.records import EpisodeRecord
 from ..accounts import members, teams, tokens
 from ..accounts.audit import entry_view, record
 from ..accounts.principals import Principal
+from ..db.competition_row import lock_competition
 from ..db.models import (
     ApiToken,
     Appeal,
     AuditEntry,
-    Competition,
     EpisodeResult,
     Evaluation,
     Invitation,
@@ -111,7 +111,7 @@ def erase(session: Session, by: Principal, team: Team) -> None:
 
 def _rename_in_final_results(session: Session, team: Team) -> None:
     """Write a team's present name into winners and boards that were kept at the end of the competition."""
-    row = session.get(Competition, 1, with_for_update=True, populate_existing=True)
+    row = lock_competition(session)
     if row is None or not row.boards:
         return
     own = {str(found) for found in session.scalars(select(Submission.id).where(Submission.team_id == team.id))}

@@ -1,5 +1,6 @@
 """A competition after its end: what was final then, whatever happens to evaluator, teams and boards since."""
 
+from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from ..competition.view import competition_view
@@ -16,7 +17,7 @@ def archive_view(session: Session) -> ArchiveView:
     Raises:
         ServiceError: this service runs none, or it is not final.
     """
-    found, row = competition_view(session), session.get_one(Competition, 1)
+    found, row = competition_view(session), session.scalars(select(Competition)).one()
     if found.finalized_at is None:
         raise ServiceError(
             ProblemCode.NOT_FOUND, f"{found.title} goes on; its archive is here once the organizers have made it final."

@@ -10,6 +10,7 @@ from ..accounts.audit import record
 from ..accounts.principals import Principal
 from ..competition.definition import CompetitionDefinition, CompetitionTrack, Prize
 from ..competition.schedule import current
+from ..db.competition_row import competition_row, lock_competition, require_not_final
 from ..db.models import Competition
 from ..errors import ProblemCode, ServiceError
 from ..judging.judging import ranked_by_total
@@ -50,7 +51,6 @@ def freeze(session: Session, by: Principal) -> None:
         ServiceError: not an organizer, or there is no competition that goes on.
     """
     row = _lock(session, by)
-    _require_going_on(row)
     if row.frozen_at is None:
         row.frozen_at = datetime.now(UTC)
         record(session, by, "competition.freeze", _subject(row), {"frozen_at": row.frozen_at.isoformat()})
@@ -63,7 +63,6 @@ def unfreeze(session: Session, by: Principal) -> None:
         ServiceError: not an organizer, or there is no competition that goes on.
     """
     row = _lock(session, by)
-    _require_going_on(row)
     if row.frozen_at is not None:
         before = {"frozen_at": row.frozen_at.isoformat()}
         row.frozen_at = None
@@ -83,7 +82,6 @@ def finalize(session: Session, by: Principal, *, at: datetime | None = None) -> 
             over, a board has results of another evaluator version, or a judged track has an entry without a total.
     """
     row = _lock(session, by)
-    _require_going_on(row)
     definition = CompetitionDefinition.model_validate(row.definition)
     now = at or datetime.now(UTC)
     _require_over(session, definition, now)
@@ -102,7 +100,7 @@ def winners(session: Session) -> list[Winner]:
         ServiceError: there is no competition, a board has results of another evaluator version, or a judged track has
             an entry without a total.
     """
-    row = session.get(Competition, 1)
+    row = competition_row(session)
     definition = current(session)
     if row is None or definition is None:
         raise _no_competition()
@@ -168,18 +166,13 @@ def _single_prizes(prizes: Sequence[Prize]) -> list[Prize]:
 
 
 def _lock(session: Session, by: Principal) -> Competition:
+    """Return the competition, which goes on."""
     by.require_organizer()
-    row = session.get(Competition, 1, with_for_update=True, populate_existing=True)
+    row = lock_competition(session)
     if row is None:
         raise _no_competition()
+    require_not_final(row)
     return row
-
-
-def _require_going_on(row: Competition) -> None:
-    if row.finalized_at is not None:
-        raise ServiceError(
-            ProblemCode.COMPETITION_FINAL, f"{row.definition['title']} is final since {row.finalized_at:%F %T} UTC."
-        )
 
 
 def _require_over(session: Session, definition: CompetitionDefinition, now: datetime) -> None:

@@ -13,7 +13,7 @@ from vitac.envs.errors import VitacError
 
 from ..competition.definition import CompetitionDefinition
 from ..competition.schedule import current
-from ..db.models import Competition
+from ..db.competition_row import competition_row
 from ..errors import ProblemCode, ServiceError
 from ..views.leaderboards import LeaderboardView
 from .finishing import Winner, boards_of, winners
@@ -109,7 +109,7 @@ def result_files(session: Session) -> Mapping[str, str]:
     Raises:
         ServiceError: there is no competition, or a board has results of another evaluator version.
     """
-    definition, row = current(session), session.get(Competition, 1)
+    definition, row = current(session), competition_row(session)
     if definition is None or row is None:
         raise ServiceError(ProblemCode.NOT_FOUND, "There is no competition, so it has no results.")
     boards = boards_of(session, definition)

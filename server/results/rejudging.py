@@ -15,6 +15,7 @@ from ..accounts.audit import record
 from ..accounts.principals import Principal
 from ..competition.schedule import shown_stage
 from ..db.among import among
+from ..db.competition_row import lock_competition, require_not_final
 from ..db.models import BoardResult, Competition, Evaluation, Rejudgement, Submission, Team
 from ..db.row_locks import lock_evaluation
 from ..db.states import ACTIVE_EVALUATION_STATES, TERMINAL_EVALUATION_STATES, EvaluationState, NoticeKind
@@ -228,11 +229,8 @@ def _lock_open(session: Session, by: Principal, rejudgement_id: UUID) -> Rejudge
 
 def _going_on(session: Session, stage: str) -> Competition | None:
     """Return the competition of a stage, which neither ends nor is frozen meanwhile; None outside of one."""
-    row = session.get(Competition, 1, with_for_update={"read": True}, populate_existing=True) if stage else None
-    if row is not None and row.finalized_at is not None:
-        raise ServiceError(
-            ProblemCode.COMPETITION_FINAL, f"{row.definition['title']} is final since {row.finalized_at:%F %T} UTC."
-        )
+    row = lock_competition(session, shared=True) if stage else None
+    require_not_final(row)
     return row
 
 
