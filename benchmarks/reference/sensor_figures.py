@@ -14,7 +14,7 @@ from vitac.evaluator.estimator.calibration import calibrate
 from vitac.evaluator.figures.figures import FiguresPart, StartFigures, merged
 from vitac.evaluator.figures.reference import FILE, reference_design
 from vitac.evaluator.figures.starts import Measurement, measured_episodes
-from vitac.evaluator.tracks import Player, load_track
+from vitac.evaluator.tracks import load_track
 
 
 @cache
@@ -42,7 +42,7 @@ def main() -> None:
     print(FILE, figures.digest)
 
 
-TASK = next(task for task in load_track("track_3").tasks.values() if task.player is Player.BLIND)
+TASK = next(task for task in load_track("track_3").tasks.values() if task.measures_figures)
 
 if __name__ == "__main__":
     main()

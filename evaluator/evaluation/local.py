@@ -20,7 +20,7 @@ from ..shards.order import ShardOrder
 from ..shards.process import ShardProcess, ShardProcesses
 from ..shards.result import ShardEnd, ShardResult
 from ..submission_kinds import SubmissionKind
-from ..tracks import Player, Task, Track
+from ..tracks import Task, Track
 from ..tracks.cut import Shard, cut
 from .kept import KeptShards
 
@@ -105,7 +105,7 @@ def evaluate(
             limits=limits or Limits(),
             assets_dir=assets_dir.resolve() if assets_dir else None,
             sensor=sensor.resolve() if sensor else None,
-            figures=figures if task.player is Player.BLIND else FigureChoice.NONE,
+            figures=figures if task.measures_figures else FigureChoice.NONE,
             coefficients=coefficients,
         )
         for shard in shards

@@ -33,8 +33,8 @@ def run_estimator(
 ) -> ShardResult:
     """Calibrate the estimator to the order's sensor, or take what the order or this process has, and play the shard.
 
-    The blind run measures the sensor's figures, too, where they are asked for: at the starts of its episodes, so that
-    they are shared out among the workers as the episodes are.
+    Where the order asks for the sensor's figures, they are measured at the starts of its episodes, so that they are
+    shared out among the workers as the episodes are.
 
     Raises:
         NoSensor: the order has none.
@@ -49,8 +49,7 @@ def run_estimator(
     def load(_folder: Path, _limits: object, _slot: int) -> nullcontext[EstimatorSession]:
         return nullcontext(session)
 
-    choice = order.figures if task.player is Player.BLIND else FigureChoice.NONE
-    figures = _Figures(Measurement(task, design, coefficients), task, shard, choice)
+    figures = _Figures(Measurement(task, design, coefficients), task, shard, order.figures)
 
     def played(record: EpisodeRecord) -> None:
         on_episode(record)

@@ -152,6 +152,11 @@ class Task(StrictModel):
         return environment_definition(self.env_id, self.settings)
 
     @property
+    def measures_figures(self) -> bool:
+        """Return whether its shards measure the figures of the sensor, too: those of the blind run do."""
+        return self.player is Player.BLIND
+
+    @property
     def observables(self) -> tuple[Observable[Any], ...]:
         """Return what a policy observes, nothing privileged."""
         return self.definition.public_observables

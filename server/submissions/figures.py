@@ -47,8 +47,8 @@ def is_played_by_estimator(lease: Lease) -> bool:
 
 
 def is_measured_by(lease: Lease) -> bool:
-    """Return whether a shard measures a part of the figures: each of the blind run of a sensor does."""
-    return _player_of(lease) is Player.BLIND
+    """Return whether a shard measures a part of the figures of its sensor."""
+    return lease.sensor_sha256 is not None and load_track(lease.track).tasks[lease.task].measures_figures
 
 
 def has_part(session: Session, lease: Lease) -> bool:
@@ -96,8 +96,8 @@ def figures_of(
     if not with_starts:
         parts = [part.model_copy(update={"starts": ()}) for part in parts]
     track = played_track(session, submission.track, evaluation.commitment)
-    blind = next(task for task in track.tasks.values() if task.player is Player.BLIND)
-    return merged(parts, [start.offset for start in blind.episode_list.starts])
+    measured = next(task for task in track.tasks.values() if task.measures_figures)
+    return merged(parts, [start.offset for start in measured.episode_list.starts])
 
 
 def _player_of(lease: Lease) -> Player:

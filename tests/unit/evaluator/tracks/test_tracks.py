@@ -315,6 +315,8 @@ def test_boards_of_sensors_are_those_of_policies_and_of_the_estimator() -> None:
         "sensor-blind": Player.BLIND,
     }
     assert len({task.digest() for task in track.tasks.values()}) == 3
+    assert [name for name, task in track.tasks.items() if task.measures_figures] == ["sensor-blind"]
+    assert not any(task.measures_figures for task in load_track("track_1").tasks.values())
 
 
 def test_estimator_plays_for_every_submission() -> None:
