@@ -163,11 +163,9 @@ class _Outputs:
 
 def _track(manifest: "SubmissionManifest", secret: Path | None) -> "Track":
     """Return the track of a submission, with the sealed lists of the secret if there is one."""
-    from vitac.evaluator.tracks import load_track
-    from vitac.evaluator.tracks.sealed import read_secret, sealed_track
+    from vitac.evaluator.tracks.sealed import load_played_track, read_secret
 
-    track = load_track(manifest.track)
-    return track if secret is None else sealed_track(track, read_secret(secret))
+    return load_played_track(manifest.track, read_secret(secret) if secret else None)
 
 
 def _chosen_task(manifest: "SubmissionManifest", task: str | None) -> str:

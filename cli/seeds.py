@@ -31,12 +31,11 @@ def verify(
 
     The exit code is 0 if they agree. `vitac evaluate --secret` plays the list.
     """
-    from vitac.evaluator.tracks import load_track
-    from vitac.evaluator.tracks.sealed import commitment_of, read_secret, sealed_track
+    from vitac.evaluator.tracks.sealed import commitment_of, load_played_track, read_secret
 
     found = read_secret(secret)
     agrees = commitment_of(found) == commitment.strip().lower()
-    tasks = sealed_track(load_track(track), found).tasks
+    tasks = load_played_track(track, found).tasks
     digests = {name: task.digest() for name, task in tasks.items()}
     if as_json:
         print_json({"agrees": agrees, "commitment": commitment_of(found), "track": track, "task_hashes": digests})

@@ -15,9 +15,9 @@ from vitac.evaluator.submission.manifest import load_manifest
 from vitac.evaluator.submission.staging import staged
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import load_track
-from vitac.evaluator.tracks.sealed import read_secret, sealed_track
+from vitac.evaluator.tracks.sealed import write_secret
 from vitac.server.accounts.principals import Principal
-from vitac.server.competition.sealing import secret_of
+from vitac.server.competition.sealing import played_track, secret_of
 from vitac.server.db.models import Submission
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.people import appeals
@@ -63,17 +63,14 @@ def replay(
         appeals.require_episode(session, evaluation, task, episode)
         submission = evaluation.submission
         _require_policy(submission)
-        secret = secret_of(session, evaluation.commitment) if evaluation.commitment is not None else None
+        track = played_track(session, submission.track, evaluation.commitment)
+        secret = None if evaluation.commitment is None else secret_of(session, evaluation.commitment)
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(dir=services.settings.scratch_dir)))
         archive = corrected or _fetched(services.blobs, submission, folder)
-        track = load_track(submission.track)
-        secret_file = None
+        secret_file = folder / "secret"
         if secret is not None:
-            secret_file = folder / "secret"
-            secret_file.touch(mode=0o600)
-            secret_file.write_text(f"{secret}\n")
-            track = sealed_track(track, read_secret(secret_file))
+            write_secret(secret_file, secret)
         unpacked = stack.enter_context(staged(archive))
         manifest = load_manifest(unpacked)
         if manifest.track != submission.track or task not in manifest.tasks:
@@ -88,7 +85,7 @@ def replay(
             task=track.tasks[task],
             episodes=[episode],
             limits=services.settings.limits,
-            secret=secret_file,
+            secret=None if secret is None else secret_file,
         )
         return Replay(
             record=played.records[0],

@@ -15,6 +15,7 @@ from vitac.evaluator.figures.figures import FigureChoice
 from vitac.evaluator.scoring.failures import is_broken
 from vitac.evaluator.shards.order import ShardOrder
 from vitac.evaluator.shards.result import ShardEnd, ShardResult
+from vitac.evaluator.tracks.sealed import write_secret
 from vitac.server.competition.sealing import secret_of
 from vitac.server.errors import ServiceError
 from vitac.server.evaluations.episode_store import StoredEpisodes, store_episodes, stored_episodes
@@ -118,8 +119,7 @@ class ShardRun(LeasedRun[RunningShard]):
         secret = self._database(lambda session: secret_of(session, commitment))
         folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="sealed-", dir=self._stage.folder))
         file = Path(folder) / "secret"
-        file.touch(mode=0o600)
-        file.write_text(secret)
+        write_secret(file, secret)
         return file
 
     def _keep(self, result: ShardResult) -> None:

@@ -14,9 +14,9 @@ from ..episodes.records import EpisodeRecord
 from ..sensors.made import design_in
 from ..submission.manifest import load_manifest
 from ..submission_kinds import SubmissionKind
-from ..tracks import Player, Task, Track, load_track
+from ..tracks import Player, Task, Track
 from ..tracks.cut import Shard, cut
-from ..tracks.sealed import read_secret, sealed_track
+from ..tracks.sealed import load_played_track, read_secret
 from .estimator import run_estimator
 from .log import LogShard, resimulate_log
 from .order import ShardMessage, ShardOrder
@@ -68,9 +68,7 @@ def execute(order: ShardOrder, answer: IO[str], preparation: Preparation) -> Non
 
 
 def _result_of(order: ShardOrder, preparation: Preparation, on_episode: OnEpisode) -> ShardResult:
-    track = load_track(order.track)
-    if order.secret is not None:
-        track = sealed_track(track, read_secret(order.secret))
+    track = load_played_track(order.track, read_secret(order.secret) if order.secret else None)
     task = track.tasks[order.task]
     shard = next(shard for shard in cut(task, order.episodes) if shard.index == order.shard)
     ordered = OrderedShard(order=order, track=track, task=task, shard=shard)

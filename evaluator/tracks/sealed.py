@@ -17,6 +17,7 @@ from typing import TypeVar
 from vitac.envs.errors import VitacError
 
 from .definition import EpisodeBlock, EpisodeList, Start, Task, Track
+from .registry import load_track
 
 SECRET_BYTES = 32
 _SECRET = re.compile(r"[0-9a-f]{64}")
@@ -41,12 +42,21 @@ def new_secret(path: Path) -> bytes:
     """
     secret = secrets.token_bytes(SECRET_BYTES)
     try:
-        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+        write_secret(path, secret)
     except OSError as error:
         raise SecretRejected(f"The secret cannot be written to {path}: {error.strerror}. Name a new file.") from error
+    return secret
+
+
+def write_secret(path: Path, secret: bytes) -> None:
+    """Write a secret to a new file that only its owner can read, as `read_secret` reads it.
+
+    Raises:
+        OSError: the file exists already or cannot be written.
+    """
+    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
     with os.fdopen(descriptor, "w", encoding="ascii") as file:
         file.write(secret.hex() + "\n")
-    return secret
 
 
 def read_secret(path: Path) -> bytes:
@@ -68,6 +78,17 @@ def read_secret(path: Path) -> bytes:
 def commitment_of(secret: bytes) -> str:
     """Return the SHA-256 [hex] that is published before a list is used: it fixes the list and tells nothing of it."""
     return hashlib.sha256(_COMMITTED + secret).hexdigest()
+
+
+def load_played_track(name: str, secret: bytes | None) -> Track:
+    """Return a track with the lists that are played: those of a secret, or the public ones for None.
+
+    Raises:
+        UnknownTrack: no such track.
+        SecretRejected: as `sealed_track`.
+    """
+    track = load_track(name)
+    return track if secret is None else sealed_track(track, secret)
 
 
 def sealed_track(track: Track, secret: bytes) -> Track:

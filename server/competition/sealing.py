@@ -8,8 +8,8 @@ from datetime import UTC, datetime
 
 from sqlalchemy import exists, func, select
 from sqlalchemy.orm import Session
-from vitac.evaluator.tracks import Track, load_track
-from vitac.evaluator.tracks.sealed import SECRET_BYTES, commitment_of, sealed_track
+from vitac.evaluator.tracks import Track
+from vitac.evaluator.tracks.sealed import SECRET_BYTES, commitment_of, load_played_track
 
 from ..accounts.audit import record
 from ..accounts.principals import Principal
@@ -117,15 +117,14 @@ def sealed_lists(session: Session) -> list[SealedList]:
     return list(session.scalars(select(SealedList).order_by(SealedList.track, SealedList.stage)))
 
 
-def secret_of(session: Session, commitment: str) -> str:
-    """Return the secret [hex] that belongs to a commitment, for the worker that plays the list."""
-    return session.get_one(SealedList, commitment).secret
+def secret_of(session: Session, commitment: str) -> bytes:
+    """Return the secret that belongs to a commitment, for the worker that plays the list."""
+    return bytes.fromhex(session.get_one(SealedList, commitment).secret)
 
 
 def played_track(session: Session, track: str, commitment: str | None) -> Track:
     """Return a track with the lists that were played: by the secret of a commitment, or the public ones for None."""
-    public = load_track(track)
-    return public if commitment is None else sealed_track(public, bytes.fromhex(secret_of(session, commitment)))
+    return load_played_track(track, None if commitment is None else secret_of(session, commitment))
 
 
 def list_seed_of(session: Session, commitment: str, track: str, task: str) -> int | None:

@@ -20,8 +20,8 @@ from vitac.evaluator.logs.log import LogHeader, LogReader, LogRejected
 from vitac.evaluator.logs.verification import check_episode
 from vitac.evaluator.scoring.score import score
 from vitac.evaluator.sensors.made import read_made_sensor
-from vitac.evaluator.tracks import Task, Track, load_track
-from vitac.evaluator.tracks.sealed import commitment_of, sealed_track
+from vitac.evaluator.tracks import Track, load_track
+from vitac.evaluator.tracks.sealed import commitment_of, load_played_track
 from vitac.evaluator.version import evaluator_version
 
 from ..views.leaderboards import LeaderboardEntryView, LeaderboardView
@@ -72,9 +72,10 @@ class Audit:
 
 @dataclass(frozen=True, kw_only=True)
 class _Log:
-    """A log of an export whose records agree with the receipt."""
+    """A log of an export whose records agree with the receipt, and the track with the list that it was made on."""
 
     evaluation: UUID
+    track: Track
     task: str
     header: LogHeader
     episodes: Sequence[int]
@@ -250,7 +251,7 @@ def _checked_log(reader: ExportReader, result: Result, task: TaskResult, team: s
         found.findings.append(f"{team}, {task.task}: {wrong}")
         return None
     numbers = [record.episode for record in records]
-    return _Log(evaluation=result.evaluation, task=task.task, header=header, episodes=numbers)
+    return _Log(evaluation=result.evaluation, track=track, task=task.task, header=header, episodes=numbers)
 
 
 def _wrong_records(track: Track, header: LogHeader, records: Sequence[EpisodeRecord], signed: TaskResult) -> str | None:
@@ -292,14 +293,11 @@ def _resimulate_log(
     on_episode: Callable[[SampledEpisode], None],
 ) -> None:
     header, records = _read(reader, log.evaluation, log.task)
-    track = load_track(header.manifest.track)
-    if reader.description.secret is not None:
-        track = sealed_track(track, bytes.fromhex(reader.description.secret))
-    task = track.tasks[log.task]
-    env = _environment(reader, log, track, task, found)
+    task = log.track.tasks[log.task]
+    env = _environment(reader, log, found)
     if env is None:
         return
-    manifest = make_manifest(track, task, env)
+    manifest = make_manifest(log.track, task, env)
     for record in (record for record in records if record.episode in numbers):
         sampled = SampledEpisode(evaluation=log.evaluation, task=log.task, episode=record.episode)
         checked = check_episode(env, task, manifest, header, record)
@@ -311,19 +309,20 @@ def _resimulate_log(
         on_episode(sampled)
 
 
-def _environment(reader: ExportReader, log: _Log, track: Track, task: Task, found: Audit) -> Environment | None:
+def _environment(reader: ExportReader, log: _Log, found: Audit) -> Environment | None:
     """Return what a log was played in; None, with the reason in `found`, where it is another one or not here."""
     place = f"Evaluation {log.evaluation}, {log.task}"
-    if track.has_sensor and not reader.has_sensor(log.evaluation):
+    has_sensor = log.track.has_sensor
+    if has_sensor and not reader.has_sensor(log.evaluation):
         found.unchecked.append(f"{place}: its episodes are not run again, for the export does not hold its sensor.")
         return None
     try:
-        sensor = read_made_sensor(reader.sensor(log.evaluation)).design() if track.has_sensor else None
+        sensor = read_made_sensor(reader.sensor(log.evaluation)).design() if has_sensor else None
     except (VitacError, IndexError, ValueError) as error:
         found.findings.append(f"{place}: the sensor cannot be used. {error}")
         return None
     try:
-        env = make_environment(task, None, (), sensor=sensor)
+        env = make_environment(log.track.tasks[log.task], None, (), sensor=sensor)
     except VitacError as error:
         found.unchecked.append(f"{place}: its episodes cannot be run again here. {error}")
         return None
@@ -336,12 +335,11 @@ def _environment(reader: ExportReader, log: _Log, track: Track, task: Task, foun
 
 def _track(described: ExportDescription, result: Result) -> Track | None:
     """Return the track with the list that a result was made on; None where its secret is not known."""
-    track = load_track(result.track)
     if result.commitment is None:
-        return track
+        return load_track(result.track)
     if described.secret is None or commitment_of(bytes.fromhex(described.secret)) != result.commitment:
         return None
-    return sealed_track(track, bytes.fromhex(described.secret))
+    return load_played_track(result.track, bytes.fromhex(described.secret))
 
 
 def _read(reader: ExportReader, evaluation: UUID, task: str) -> tuple[LogHeader, list[EpisodeRecord]]:

@@ -145,7 +145,7 @@ def test_a_shard_of_a_sealed_list_gets_the_secret_in_a_file_that_goes_with_it(
     shards.gate = gate
     assert ShardRun(services, stage, lease, shards).run() is RunEnd.FINISHED
     path, mode, text = seen[0]
-    assert (mode, text) == (0o600, made.secret)
+    assert (mode, text) == (0o600, f"{made.secret}\n")
     assert path.is_relative_to(stage.folder)
     assert not path.exists()
 

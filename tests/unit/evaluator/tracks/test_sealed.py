@@ -7,13 +7,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from vitac.envs.maniskill.definition import is_maniskill
 from vitac.envs.tasks.peg_insertion.variation import accepts_start
-from vitac.evaluator.tracks import ListKind, Task, Track, list_tracks, load_track
+from vitac.evaluator.tracks import ListKind, Task, Track, UnknownTrack, list_tracks, load_track
 from vitac.evaluator.tracks.sealed import (
     SecretRejected,
     commitment_of,
+    load_played_track,
     new_secret,
     read_secret,
     sealed_track,
+    write_secret,
 )
 
 SECRET = bytes(range(32))
@@ -84,6 +86,21 @@ def test_a_new_secret_is_its_owners_only_and_overwrites_nothing(tmp_path: Path) 
         new_secret(path)
     assert read_secret(path) == secret
     assert new_secret(tmp_path / "another") != secret
+    with pytest.raises(FileExistsError):
+        write_secret(path, SECRET)
+    write_secret(tmp_path / "copy", secret)
+    assert (tmp_path / "copy").read_text() == path.read_text()
+    assert stat.S_IMODE((tmp_path / "copy").stat().st_mode) == 0o600
+
+
+def test_a_track_is_played_with_its_public_lists_or_with_those_of_a_secret() -> None:
+    public = load_track("track_1")
+    assert load_played_track("track_1", None) == public
+    sealed = load_played_track("track_1", SECRET)
+    assert sealed == sealed_track(public, SECRET) != public
+    assert {task.episode_list.commitment for task in sealed.tasks.values()} == {commitment_of(SECRET)}
+    with pytest.raises(UnknownTrack):
+        load_played_track("track_0", SECRET)
 
 
 @pytest.mark.parametrize("content", [b"", b"00" * 31, b"00" * 33, b"zz" * 32, b"\xff" * 64, b"00" * 40_000])

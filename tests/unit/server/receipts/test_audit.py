@@ -83,6 +83,16 @@ def audited(
     return audit(folder / "board.zip", **({"episodes": 0} | options))
 
 
+def changed(folder: Path, member: str, change: Callable[[bytes], bytes]) -> Path:
+    """The export with other content in one of its members."""
+    path = folder / "changed.zip"
+    with zipfile.ZipFile(folder / "board.zip") as export, zipfile.ZipFile(path, "w") as written:
+        for name in export.namelist():
+            content = export.read(name)
+            written.writestr(name, change(content) if name == member else content)
+    return path
+
+
 def test_an_untouched_board_is_found_right_and_a_sampled_episode_gives_the_same_states(
     database: Database, tmp_path: Path
 ) -> None:
@@ -93,6 +103,10 @@ def test_an_untouched_board_is_found_right_and_a_sampled_episode_gives_the_same_
     assert found.unchecked == []
     assert (found.links, found.entries, found.logs) == (3, 3, 3)
     assert [sample.episode for sample in found.resimulated] == [sampled(SEED, len(TEAMS))[1]]
+    secret = {"secret": "1" * 64}
+    published = changed(tmp_path, DESCRIPTION_NAME, lambda content: json.dumps(json.loads(content) | secret).encode())
+    still = audit(published, episodes=1, seed=SEED).findings
+    assert still == [], "results of the public list are not run again on the sealed one"
     other = audit(tmp_path / "board.zip", episodes=1, seed=SEED + 1)
     assert len(other.findings) == 1, "the other records are made up, which only the physics tells"
     assert "diverge" in other.findings[0].lower() or "differs" in other.findings[0].lower()
@@ -177,18 +191,8 @@ def test_a_removed_last_receipt_is_found_by_its_digest_that_was_noted(database: 
     assert told == [f"Expected receipt 3 with the noted digest {state.last}, got none: the chain ends before."]
     other = audit(tmp_path / "board.zip", episodes=0, noted={2: "0" * 64}).findings
     assert "with the noted digest 000" in other[0]
-    shortened = _without_last_link(tmp_path)
+    shortened = changed(tmp_path, CHAIN_NAME, lambda content: b"".join(content.splitlines(keepends=True)[:-1]))
     assert "Expected 2 receipts in the chain" in audit(shortened, episodes=0).findings[0]
-
-
-def _without_last_link(folder: Path) -> Path:
-    """The export with a chain that ends one link earlier than it says."""
-    shortened = folder / "shortened.zip"
-    with zipfile.ZipFile(folder / "board.zip") as whole, zipfile.ZipFile(shortened, "w") as cut:
-        for name in whole.namelist():
-            content = whole.read(name)
-            cut.writestr(name, b"".join(content.splitlines(keepends=True)[:-1]) if name == CHAIN_NAME else content)
-    return shortened
 
 
 def test_what_organizers_did_with_teams_is_told_and_is_no_finding(database: Database, tmp_path: Path) -> None:
@@ -255,15 +259,12 @@ def test_receipts_and_exports_of_the_first_format_are_still_right(database: Data
     assert found.findings == []
     assert found.unchecked[0] == "Of which board 3 receipts are: they are of the first format."
     assert "Ants: receipt 1 names no team; it is of the first format." in found.unchecked
-    old = tmp_path / "old.zip"
-    with zipfile.ZipFile(tmp_path / "board.zip") as export, zipfile.ZipFile(old, "w") as written:
-        for name in export.namelist():
-            content = export.read(name)
-            if name == DESCRIPTION_NAME:
-                described = json.loads(content) | {"format": "vitac-receipts-1"}
-                content = json.dumps({key: described[key] for key in described if key not in ADDED}).encode()
-            written.writestr(name, content)
-    found = audit(old, episodes=0)
+
+    def in_first_format(content: bytes) -> bytes:
+        described = json.loads(content) | {"format": "vitac-receipts-1"}
+        return json.dumps({key: described[key] for key in described if key not in ADDED}).encode()
+
+    found = audit(changed(tmp_path, DESCRIPTION_NAME, in_first_format), episodes=0)
     assert (found.findings, len(found.unchecked)) == ([], 1)
     assert "the export is an old one" in found.unchecked[0]
 
