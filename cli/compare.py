@@ -10,6 +10,7 @@ import typer
 from vitac.envs.errors import VitacError
 
 from .client.http import client_from
+from .terminal.outcomes import print_meanings
 from .terminal.output import AsJson, print_json, print_pairs, print_table
 
 if TYPE_CHECKING:
@@ -75,6 +76,7 @@ def command(
         [tuple(row.values()) for row in differing],
         none="No episode is solved by one of them only.",
     )
+    print_meanings(str(end.outcome) for pair in found.pairs if pair.differs for end in (pair.first, pair.second))
     print()
     print_pairs({"first": one.name, "second": other.name} | _summary(found) | {"p_value": f"{found.p_value:.3g}"})
 

@@ -25,6 +25,7 @@ def show(log: LogFile, json: AsJson = False) -> None:
     from vitac.evaluator.episodes.records import NOT_HASHED
     from vitac.evaluator.scoring.score import score
 
+    from .terminal.outcomes import print_meanings
     from .terminal.output import print_json, print_table
 
     header, records = _read(log)
@@ -42,8 +43,7 @@ def show(log: LogFile, json: AsJson = False) -> None:
         for record in records
     ]
     print_table(("episode", "shape", "offset", "outcome", "env steps", "reward"), rows, none="no episodes")
-    for outcome in dict.fromkeys(record.outcome for record in records):
-        print(f"{outcome}: {outcome.sentence}")
+    print_meanings(record.outcome for record in records)
     if claimed:
         print(f"claimed: {claimed.successes} of {claimed.episodes} successes, {claimed.success_rate:.1%}")
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 from markupsafe import Markup
+from vitac.evaluator.episodes.records import EpisodeOutcome
 
 from .data.limits import size
 
@@ -45,6 +46,7 @@ def environment() -> Environment:
         size=size,
         number=number,
         within=within,
+        meaning=meaning,
     )
     return jinja
 
@@ -120,6 +122,11 @@ def number(count: int) -> str:
 def words(name: str) -> str:
     """Format an identifier as words: `peg-insertion` and `not_converged` as `peg insertion` and `not converged`."""
     return name.replace("_", " ").replace("-", " ")
+
+
+def meaning(outcome: str) -> str:
+    """Return what the word for an end of an episode means."""
+    return EpisodeOutcome(outcome).sentence
 
 
 def quantity(value: object) -> str:

@@ -1,9 +1,10 @@
 """Writes the parts of the reference that the code itself says: REST routes and environments.
 
-They are Markdown in `docs/generated/`, which pages of the reference include.
+They are Markdown in `docs/generated/`, which pages of the reference include. Others have docstrings by autodoc.
 """
 
 import inspect
+import re
 from collections.abc import Iterator, Mapping
 from importlib import import_module
 from pathlib import Path
@@ -14,12 +15,24 @@ from sphinx.application import Sphinx
 
 FOLDER = "generated"
 METHODS = ("get", "head", "post", "put", "patch", "delete", "options")
+SOURCE_NOTE = re.compile(r"\s\(challenge-facts\s[^)]*\)|\s\[D\d+\]")
+"""Where a number of the challenge is from, in a list of facts that readers of the site do not have."""
 
 
 def setup(app: Sphinx) -> dict[str, Any]:
     """Write the pages before Sphinx reads its sources."""
     app.connect("builder-inited", _write)
+    app.connect("autodoc-process-docstring", _for_readers)
     return {"parallel_read_safe": True}
+
+
+def _for_readers(_app: Sphinx, _what: str, _name: str, _thing: object, _options: object, lines: list[str]) -> None:
+    lines[:] = for_readers("\n".join(lines)).split("\n")
+
+
+def for_readers(docstring: str) -> str:
+    """Return a docstring without notes on sources, its magnitudes `|x|` as text instead of reStructuredText's names."""
+    return re.sub(r"\|(\w+)\|", r"\\|\1\\|", SOURCE_NOTE.sub("", docstring))
 
 
 def _write(app: Sphinx) -> None:
@@ -42,7 +55,8 @@ def environments_reference(animated: Mapping[str, str]) -> str:
     lines: list[str] = []
     for name, place in sorted(ENVIRONMENTS.items()):
         module, _, attribute = place.partition(":")
-        lines += [f"## {name}", animated[name], "", inspect.getdoc(getattr(import_module(module), attribute)) or "", ""]
+        docstring = inspect.getdoc(getattr(import_module(module), attribute)) or ""
+        lines += [f"## {name}", animated[name], "", SOURCE_NOTE.sub("", docstring), ""]
     return "\n".join(lines)
 
 

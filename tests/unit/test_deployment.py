@@ -95,6 +95,12 @@ def test_has_no_secret_of_its_own(repository: Path, services: dict[str, dict[str
     assert "VITAC_POSTGRES_PASSWORD:?" in services["server"]["environment"]["VITAC_DATABASE_URL"]
 
 
+def test_whoever_runs_it_says_who_may_register_and_with_which_code(services: dict[str, dict[str, Any]]) -> None:
+    environment = services["server"]["environment"]
+    assert environment["VITAC_REGISTRATION"] == "${VITAC_REGISTRATION:-open}"
+    assert environment["VITAC_INVITE_CODE"] is None, "passed on as it is set; empty counts as not set"
+
+
 def test_every_variable_is_explained(repository: Path) -> None:
     asked = set()
     for name in ("docker-compose.yml", "docker-compose.s3.yml"):

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from ...service.database import load_settings, open_service, transaction
+from ...terminal.outcomes import print_meanings
 from ...terminal.output import AsJson, print_json, print_pairs, print_record, print_records
 from ..consent import DryRun, change_transaction, take_back
 
@@ -45,6 +46,7 @@ def show(appeal: AppealNumber, as_json: AsJson = False) -> None:
     print()
     columns = ("task", "episode", "corrected", "old_outcome", "outcome", "old_env_steps", "env_steps", "same_states")
     print_records(replays, columns, none="No episode was played again.", as_json=False)
+    print_meanings(end for replay in replays for end in (replay["old_outcome"], replay["outcome"]))
 
 
 @app.command()

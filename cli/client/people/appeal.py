@@ -4,6 +4,7 @@ from typing import Annotated
 
 import typer
 
+from ...terminal.outcomes import print_meanings
 from ...terminal.output import AsJson, print_json, print_record, print_records
 from ..http import client_from
 from .team import Server
@@ -49,6 +50,7 @@ def show(appeal: AppealNumber, server: Server = None, as_json: AsJson = False) -
     print()
     columns = ("task", "episode", "corrected", "old_outcome", "outcome", "same_states")
     print_records(replays, columns, none="No episode was played again.", as_json=False)
+    print_meanings(end for replay in replays for end in (replay["old_outcome"], replay["outcome"]))
 
 
 @app.command()

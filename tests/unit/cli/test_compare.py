@@ -79,8 +79,9 @@ def test_people_see_the_episodes_that_one_of_them_solves(tmp_path: Path, capsys:
     code, out, _ = run(capsys, *files)
     table, summary = out.split("\n\n")
     assert code == 0
-    assert [line.split()[1] for line in table.splitlines()[1:]] == ["1", "5"]
+    assert [line.split()[1] for line in table.splitlines()[1:3]] == ["1", "5"]
     assert "success" in table
+    assert table.splitlines()[-2:] == ["success: The task was solved.", "steps: All env steps were used up."]
     shown = dict(line.rsplit(None, 1) for line in summary.strip().splitlines())
     assert (shown["only_first_solves"], shown["p_value"]) == ("1", "1")
     assert str(tmp_path / "a") in summary

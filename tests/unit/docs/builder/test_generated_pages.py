@@ -3,7 +3,7 @@
 from typing import Any
 
 import pytest
-from generated_pages import environments_reference, rest_reference
+from generated_pages import environments_reference, for_readers, rest_reference
 from vitac.envs import ENVIRONMENTS
 
 ITEM = {"$ref": "#/components/schemas/ItemView"}
@@ -82,3 +82,23 @@ def test_every_registered_environment_has_its_docstring() -> None:
         section = text.split(f"## {name}\n")[1].split("\n## ")[0]
         assert section.startswith(f"<img alt='{name} moves'>\n\n")
         assert "Observation space" in section
+
+
+@pytest.mark.parametrize(
+    ("docstring", "shown"),
+    [
+        ("Ranges of the grid (challenge-facts 4.2); noisy.", "Ranges of the grid; noisy."),
+        ("The defaults are the evaluation's (challenge-facts\n3, 7).", "The defaults are the evaluation's."),
+        ("Clipped (the 2025 code does not clip [D4]).", "Clipped (the 2025 code does not clip)."),
+        ("Offset [x, y]; the diagonal [D, D].", "Offset [x, y]; the diagonal [D, D]."),
+        ("Largest |x| and |y|, a | b.", r"Largest \|x\| and \|y\|, a | b."),
+    ],
+)
+def test_readers_are_not_sent_to_a_list_that_they_do_not_have(docstring: str, shown: str) -> None:
+    assert for_readers(docstring) == shown
+
+
+def test_environments_name_no_list_of_facts() -> None:
+    text = environments_reference(dict.fromkeys(ENVIRONMENTS, ""))
+    assert "the 2025 code does not clip)" in text
+    assert "challenge-facts" not in text

@@ -84,6 +84,8 @@ def test_counts_p_value_and_differing_episodes_are_shown(
     assert "<dd>0.125</dd>" in html
     assert html.count("<tr role=") == 1 + 7
     assert f'<option value="{OTHER.id}" selected' in html
+    for meaning in ("success: The task was solved.", "steps: All env steps were used up."):
+        assert html.count(f"<li>{meaning}</li>") == 1
 
 
 def test_each_differing_episode_leads_to_both_side_by_side(

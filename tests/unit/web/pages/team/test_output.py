@@ -22,6 +22,10 @@ def test_output_is_shown_by_episode_and_escaped(data: FixedData, browser: AsgiBr
     assert "&lt;b&gt;in 2&lt;/b&gt;" in html
     assert "<b>in" not in html
     assert "Later episodes" not in html
+    assert (
+        html.count("<li>not converged: The physics found no solution for an IPC step, even in smaller pieces.</li>")
+        == 1
+    )
 
 
 def test_more_episodes_are_one_link_away(data: FixedData, browser: AsgiBrowser) -> None:
@@ -44,7 +48,9 @@ def test_each_task_has_its_own_output(data: FixedData, browser: AsgiBrowser) -> 
 
 def test_silence_is_told(data: FixedData, browser: AsgiBrowser) -> None:
     sign_in(browser, "Gelbots")
-    assert "Nothing was printed." in browser.get(ADDRESS).text
+    html = browser.get(ADDRESS).text
+    assert "Nothing was printed." in html
+    assert "plain-list" not in html
     assert "Nothing was printed in the episodes after 9." in browser.get(f"{ADDRESS}?after=9").text
 
 
