@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from vitac.evaluator.episodes.records import EpisodeRecord
     from vitac.evaluator.evaluation.local import Evaluation
     from vitac.evaluator.scoring.score import Rate
@@ -216,8 +218,18 @@ def _print_summary(evaluation: "Evaluation", manifest: "SubmissionManifest") -> 
         print(f"mean env steps of the successes: {'none' if score.mean_steps is None else f'{score.mean_steps:.2f}'}")
         outcomes = [(outcome, count, outcome.sentence) for outcome, count in score.outcomes.items()]
         print_table(("outcome", "episodes", "meaning"), outcomes, none="")
+        _print_failures(evaluation.records)
         print("seconds: " + ", ".join(f"{name} {seconds:.1f}" for name, seconds in _seconds(evaluation).items()))
         print(f"result hash {evaluation.result_hash}")
+
+
+def _print_failures(records: "Sequence[EpisodeRecord]") -> None:
+    """Print each verdict once, with what it said first: why episodes are `policy_failed`."""
+    failed = [(record.episode, record.failure) for record in records if record.failure is not None]
+    for code in dict.fromkeys(failure.code for _, failure in failed):
+        numbers = [number for number, failure in failed if failure.code == code]
+        first = next(failure for _, failure in failed if failure.code == code)
+        print(f"{code}, episode {', '.join(map(str, numbers))}: {first.message} {code.sentence}")
 
 
 def _percentages(rate: "Rate") -> tuple[str, str]:

@@ -10,8 +10,9 @@ from ..verdicts import PolicyFailed, VerdictCode
 from .frames import Array
 
 ACTION_TYPES: Final = (
-    "An action is a NumPy array, list or tuple of integers or floating-point numbers, which are converted to float32; "
-    "truth values, complex numbers, text and objects fail the episode."
+    "An action is a NumPy array, list, tuple or torch tensor (on the CPU, without gradient) of integers or "
+    "floating-point numbers, which are converted to float32; truth values, complex numbers, text and objects fail the "
+    "episode."
 )
 """What `act` may return, as documents and the rules page say it."""
 

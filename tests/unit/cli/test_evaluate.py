@@ -10,6 +10,7 @@ import pytest
 import typer
 from vitac.cli import main as cli
 from vitac.cli.evaluate import parse_episodes
+from vitac.evaluator.agent.verdicts import VerdictCode
 from vitac.evaluator.episodes.records import result_hash
 from vitac.evaluator.evaluation.report import EvaluationReport
 from vitac.evaluator.logs.log import LogReader
@@ -150,6 +151,15 @@ def test_failing_policy_is_refused_with_its_verdict_and_output(
     assert "failed: crashed." in out
     assert "Segmentation fault" in out
     assert "result hash" not in out
+
+
+def test_why_a_policy_failed_in_single_episodes_is_told(submission: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (submission / "behaviour").write_text("fail")
+    code, out, _ = run(capsys, submission, "--episodes", "1:2")
+    told = [line for line in out.splitlines() if line.startswith("crashed, episode 1, 2: ")]
+    assert (code, len(told)) == (0, 1), "two failed episodes of a shard are counted, and the third ends the evaluation"
+    assert told[0].endswith(VerdictCode.CRASHED.sentence)
+    assert "result hash" in out
 
 
 def test_fault_of_the_machine_is_one_line(submission: Path, capsys: pytest.CaptureFixture[str]) -> None:

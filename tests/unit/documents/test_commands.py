@@ -136,7 +136,7 @@ def test_commands_of_the_documents_can_be_typed(repository: Path) -> None:
 
 
 def test_commands_of_messages_and_pages_can_be_typed(repository: Path) -> None:
-    found = []
+    found: list[str] = []
     for path in sorted(path for folder in SOURCES for path in (repository / folder).rglob("*.*")):
         if path.suffix in (".py", ".html", ".sh"):
             for spans in NAMED_IN_SOURCES.findall(path.read_text()):
