@@ -28,13 +28,14 @@ app.add_typer(receipt.app, name="receipt", help="Receipts of final results: key,
 app.add_typer(
     rejudge.app,
     name="rejudge",
-    help="Results of another evaluator beside the present ones: start, show, apply, discard.",
+    help="Results of another evaluator beside the present ones: start, list, show, apply, discard.",
 )
 app.add_typer(track.app, name="track", help="Track files of your own: check.")
 app.add_typer(
     team.app,
     name="team",
-    help="Teams: add, list, show, accept, refuse, rename, merge, disqualify, reinstate, data, delete, and members.",
+    help="Teams: add, list, show, accept, refuse, rename, merge, disqualify, reinstate, captain, remove-member, data, "
+    "delete.",
 )
 app.add_typer(quota.app, name="quota", help="Quotas of teams: list, set.")
 app.add_typer(token.app, name="token", help="API tokens: add, list, revoke.")

@@ -1,5 +1,6 @@
 """The end of a competition: boards that stand still, winners by the prize table, and the final word."""
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
@@ -114,6 +115,19 @@ def winners(session: Session) -> list[Winner]:
     ]
 
 
+def prizes_without_winner(session: Session, found: Sequence[Winner]) -> list[str]:
+    """Return for each track with prizes that nobody wins a sentence that names them, with how many of each."""
+    definition = current(session)
+    tracks = definition.tracks.items() if definition else ()
+    left = {name: _left_over(name, track, found) for name, track in tracks}
+    return [
+        f"{name}: nobody wins {', '.join(f'{count} x {place}' for place, count in prizes.items())}"
+        + ("." if definition and definition.tracks[name].taken_here else "; this service does not hold the track.")
+        for name, prizes in left.items()
+        if prizes
+    ]
+
+
 def boards_of(session: Session, definition: CompetitionDefinition) -> list[LeaderboardView]:
     """Return the board of every stage that is held here, as organizers see it now."""
     return [
@@ -159,6 +173,11 @@ def _in_order(
         return ranked_by_total(session, name, stage)
     board = leaderboard(session, name, stage=stage, live=True).view
     return [(entry, None) for entry in board.entries if entry.rank is not None]
+
+
+def _left_over(name: str, track: CompetitionTrack, found: Sequence[Winner]) -> Counter[str]:
+    given = Counter(winner.place for winner in found if winner.track == name)
+    return Counter({prize.place: prize.winners for prize in track.prizes}) - given
 
 
 def _single_prizes(prizes: Sequence[Prize]) -> list[Prize]:

@@ -1,9 +1,14 @@
 import re
+from pathlib import Path
 
+import checked_pages
 import pytest
 from browser_checks import DESK, PHONE, Complaints, violations
+from checked_pages import WITH_SCENES, unchecked
+from fastapi import APIRouter
 from page_fixtures import (
     FixedData,
+    a_finished_cup,
     a_leaderboard,
     a_score,
     a_submission,
@@ -15,6 +20,7 @@ from playwright.sync_api import Browser, Page, Route, expect
 from site_under_test import SiteUnderTest
 from vitac.server.db.states import EvaluationState, WorkerState
 from vitac.server.views.submissions import SubmissionView
+from vitac.web.pages.sandbox import sandbox
 
 A4_PAPER = {"width": 720, "height": 1050}  # px at 96 dpi, without margins
 
@@ -23,6 +29,7 @@ A4_PAPER = {"width": 720, "height": 1050}  # px at 96 dpi, without margins
 def test_pages_are_accessible_fit_and_raise_no_error(
     browser: Browser, site: SiteUnderTest, scheme: str, size: dict[str, int]
 ) -> None:
+    site.data.cup = a_finished_cup()
     context = browser.new_context(viewport=size, color_scheme=scheme)  # type: ignore[arg-type]
     page = context.new_page()
     complaints = Complaints(page)
@@ -34,6 +41,18 @@ def test_pages_are_accessible_fit_and_raise_no_error(
         assert violations(page) == [], path
     assert complaints.heard == []
     context.close()
+
+
+def test_every_page_is_looked_at_for_barriers(site: SiteUnderTest, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert unchecked(site.paths()) == []
+    for page, module in WITH_SCENES.items():
+        assert "violations(" in Path(__file__).with_name(f"{module}.py").read_text(encoding="utf-8"), page
+    router = APIRouter()
+    router.add_route("/new/{thing}", sandbox, methods=["GET"])
+    router.add_route("/new/{thing}.csv", sandbox, methods=["GET"])
+    monkeypatch.setattr(checked_pages, "pages", lambda: router)
+    assert unchecked(site.paths()) == ["/new/{thing}"]
+    assert unchecked(["/new/one?of=many"]) == []
 
 
 def test_the_scene_in_the_rules_stands_in_line_with_the_text(browser: Browser, site: SiteUnderTest) -> None:

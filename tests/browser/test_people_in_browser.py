@@ -6,6 +6,7 @@ from zoneinfo import ZoneInfo
 
 import pytest
 from browser_checks import DESK, Complaints, violations
+from checked_pages import PAGES_OF_ROLES
 from cli_service import CliService, cli_service
 from playwright.sync_api import Page, expect
 from service_factories import make_principal, make_secret, play_all, submit
@@ -18,14 +19,6 @@ from vitac.server.results import rejudging
 from competitions import make_competition, open_now, put_in_place
 
 WEEK = timedelta(days=7)
-PAGES = {
-    "visitor": ("/announcements", "/competition", "/join", "/sign-in"),
-    "other": ("/appeals",),
-    "judge": ("/appeals", "/judging", "SUBMISSION"),
-    "participant": ("/team", "/announcements", "/appeals", "SUBMISSION"),
-    "organizer": ("/desk", "/appeals", "/judging", "/rejudging", "SUBMISSION"),
-}
-"""What each role looks at."""
 SEES = {
     "/appeals": "The peg was in the hole.",
     "SUBMISSION": "100.0",
@@ -34,6 +27,7 @@ SEES = {
     "/judging": "The structure",
     "/competition": "All is well.",
     "/rejudging": "The worker was wrong.",
+    "/operations": "Operations",
 }
 """Words that the page shows to whom it concerns."""
 
@@ -75,7 +69,7 @@ def secrets(service: CliService) -> dict[str, str]:
         }
 
 
-@pytest.mark.parametrize("role", PAGES)
+@pytest.mark.parametrize("role", PAGES_OF_ROLES)
 def test_each_role_sees_its_pages_without_a_barrier(
     page: Page, service: CliService, secrets: dict[str, str], role: str
 ) -> None:
@@ -86,7 +80,7 @@ def test_each_role_sees_its_pages_without_a_barrier(
         page.get_by_label("API token").fill(secrets[role])
         page.get_by_role("button", name="Sign in").click()
         page.wait_for_url(f"{service.address}/submissions")
-    for path in PAGES[role]:
+    for path in PAGES_OF_ROLES[role]:
         page.goto(service.address + (f"/submissions/{secrets['submission']}" if path == "SUBMISSION" else path))
         assert violations(page) == [], path
         if path in SEES and role != "other":

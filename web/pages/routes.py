@@ -46,7 +46,7 @@ class VersionedStaticFiles(StaticFiles):
 def install(app: FastAPI, site: Site) -> None:
     """Add pages, static files, error pages and security headers to an application."""
     app.state.site = site
-    app.router.routes.extend(_router().routes)
+    app.router.routes.extend(pages().routes)
     app.mount(documentation.PATH, documentation.Documentation(), name="documentation")
     app.mount("/static", VersionedStaticFiles(directory=STATIC), name="static")
     app.add_middleware(SecurityHeaders)
@@ -54,7 +54,7 @@ def install(app: FastAPI, site: Site) -> None:
 
 
 @cache
-def _router() -> APIRouter:
+def pages() -> APIRouter:
     """Return the pages, which have no state: put together once for all applications of this process."""
     router = APIRouter()
     for path, page, method in (

@@ -2,13 +2,17 @@
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from ...service.database import transaction
 from ...terminal.output import AsJson, print_done, print_json, print_records, warn
 from ..consent import DryRun, Yes, change_as_shown, change_transaction
+
+if TYPE_CHECKING:
+    from sqlalchemy.orm import Session
+    from vitac.server.results.finishing import Winner
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
@@ -40,11 +44,13 @@ def unfreeze(yes: Yes = False, dry_run: DryRun = False, as_json: AsJson = False)
 @app.command()
 def winners(as_json: AsJson = False) -> None:
     """List who wins what: final, or by today's boards of the last stages."""
+    from vitac.server.results.finishing import prizes_without_winner
     from vitac.server.results.finishing import winners as all_winners
 
     with transaction() as session:
-        found = [asdict(winner) for winner in all_winners(session)]
-    print_records(found, COLUMNS, none="Nobody wins yet.", as_json=as_json)
+        found = all_winners(session)
+        left = prizes_without_winner(session, found)
+    _print(found, left, none="Nobody wins yet.", as_json=as_json)
 
 
 @app.command()
@@ -52,15 +58,15 @@ def finalize(yes: Yes = False, dry_run: DryRun = False, as_json: AsJson = False)
     """End the competition for good, with the winners as they are now."""
     from vitac.server.accounts.principals import CONSOLE
     from vitac.server.results.finishing import finalize as finalize_results
+    from vitac.server.results.finishing import prizes_without_winner
 
-    def show(found: "list[dict[str, object]]") -> None:
-        print_records(found, COLUMNS, none="Nobody wins.", as_json=as_json)
-        if not found:
-            warn("nobody wins: there is no prize, or no team is ranked in the last stage of a track with prizes.")
+    def change(session: "Session") -> "tuple[list[Winner], list[str]]":
+        found = finalize_results(session, CONSOLE)
+        return found, prizes_without_winner(session, found)
 
     change_as_shown(
-        lambda session: [asdict(winner) for winner in finalize_results(session, CONSOLE)],
-        show,
+        change,
+        lambda shown: _print(*shown, none="Nobody wins.", as_json=as_json),
         "End the competition for good with these winners?",
         yes=yes,
         dry_run=dry_run,
@@ -81,3 +87,12 @@ def publish(
         print_json(written)
     else:
         print("\n".join(written))
+
+
+def _print(found: "list[Winner]", left: list[str], *, none: str, as_json: bool) -> None:
+    """Print winners, and warn of prizes that nobody wins."""
+    print_records([asdict(winner) for winner in found], COLUMNS, none=none, as_json=as_json)
+    for sentence in left:
+        warn(sentence)
+    if not found and not left:
+        warn("nobody wins: the competition has no prizes.")

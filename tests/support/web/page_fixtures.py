@@ -31,7 +31,13 @@ from vitac.server.settings import Registration, load_settings
 from vitac.server.submissions.upload import AnnouncedUpload
 from vitac.server.views.accounts import TeamView
 from vitac.server.views.contest.archive import ArchiveView
-from vitac.server.views.contest.competition import CompetitionView
+from vitac.server.views.contest.competition import (
+    CompetitionTrackView,
+    CompetitionView,
+    PrizeView,
+    StageView,
+    WinnerView,
+)
 from vitac.server.views.contest.people import AnnouncementView
 from vitac.server.views.evaluations import (
     EvaluationSummaryView,
@@ -502,6 +508,27 @@ def a_sandbox(**changes: Any) -> SandboxDescription:
         "packages": {"numpy": "2.4.6", "pydantic": "2.14.0"},
     }
     return SandboxDescription(**(values | changes))
+
+
+def a_finished_cup() -> CompetitionView:
+    """A competition that is final, with one winner."""
+    stage = StageView(
+        name="final", title="Final", opens=NOW - timedelta(days=9), closes=NOW, is_open=False,
+        accepts=[SubmissionKind.MODEL], list_kind=ListKind.SEALED, commitment="9f3b" * 16, secret="9f3b" * 16,
+        scored_runs=3, attempts=None, qualified="the best 10 teams",
+    )  # fmt: skip
+    prize = PrizeView(place="first", amount=2000, winners=1, note="a talk")
+    track = CompetitionTrackView(
+        name="track_1", title="Touch", taken_here=True, ranking=["success_rate"], ties="", stages=[stage],
+        prizes=[prize],
+    )  # fmt: skip
+    won = WinnerView(
+        track="track_1", place="first", rank=1, team="<Bears>", amount=2000, success_rate=0.9, result_hash="9f3b" * 16
+    )
+    return CompetitionView(
+        name="cup", title="The cup", summary="", website=None, contact=None, rules=[], currency="USD",
+        teams_locked=None, tracks=[track], frozen_at=None, finalized_at=datetime(2031, 3, 1, tzinfo=UTC), winners=[won],
+    )  # fmt: skip
 
 
 @dataclass(kw_only=True)

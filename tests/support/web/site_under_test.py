@@ -28,6 +28,8 @@ class SiteUnderTest:
             "/tracks/track_1/rules",
             "/sandbox",
             "/receipts",
+            "/competition",
+            "/competition/archive",
             "/register",
             "/sign-in",
             "/submissions",

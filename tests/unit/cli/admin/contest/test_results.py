@@ -55,7 +55,26 @@ def test_an_end_without_winners_is_warned_of(played: CliService) -> None:
     for way in ("--dry-run", "--yes"):
         done = played.run("admin", "results", "finalize", way)
         assert (done.exit_code, done.stdout.strip()) == (0, "Nobody wins.")
-        assert "WARNING: nobody wins" in done.stderr
+        assert "WARNING: track_1: nobody wins 1 x first.\n" in done.stderr
+
+
+def test_each_prize_without_a_winner_is_named(played: CliService) -> None:
+    content = make_competition(prizes=[{"place": place, "amount": 1, "winners": 2} for place in ("first", "second")])
+    del content["tracks"][TRACK]["stages"][1]
+    content["tracks"]["track_2"] = content["tracks"][TRACK] | {"taken_here": False}
+    with played.database.transaction() as session:
+        put_in_place(session, moved(content, days=-20000))
+    for verb in (("winners",), ("finalize", "--dry-run")):
+        done = played.run("admin", "results", *verb)
+        assert done.stderr.splitlines()[-2:] == [
+            "WARNING: track_1: nobody wins 2 x second.",
+            "WARNING: track_2: nobody wins 2 x first, 2 x second; this service does not hold the track.",
+        ]
+        assert done.stdout.count("first") == 2
+    content["tracks"] = {TRACK: content["tracks"][TRACK] | {"prizes": []}}
+    with played.database.transaction() as session:
+        put_in_place(session, moved(content, days=0))
+    assert "the competition has no prizes" in played.run("admin", "results", "finalize", "--yes").stderr
 
 
 def test_the_files_are_published_into_a_new_folder(played: CliService, tmp_path: Path) -> None:

@@ -1,0 +1,37 @@
+"""Which pages a browser looks at for barriers, and where; a page of the site that is in none of these fails a test."""
+
+from collections.abc import Iterable
+
+from starlette.routing import Route
+from vitac.web.pages.routes import EPISODE, pages
+
+PAGES_OF_ROLES = {
+    "visitor": ("/announcements", "/competition", "/join", "/sign-in"),
+    "other": ("/appeals",),
+    "judge": ("/appeals", "/judging", "SUBMISSION"),
+    "participant": ("/team", "/announcements", "/appeals", "SUBMISSION"),
+    "organizer": ("/desk", "/appeals", "/judging", "/rejudging", "/operations", "SUBMISSION"),
+}
+"""What each role looks at in a service (`test_people_in_browser`)."""
+WITH_SCENES = {
+    EPISODE: "test_episodes_in_browser",
+    "/submissions/{submission_id}/sensor": "test_sensors_in_browser",
+}
+"""Pages that need a browser that draws scenes, by the modules that look at them."""
+PARTS = ("/scene", "/shape", "/playback", "/events", "/playback/{file}")
+"""Ends of addresses that a script asks for."""
+
+
+def unchecked(paths: Iterable[str]) -> list[str]:
+    """Routes of pages that are looked at neither at these paths nor by a role nor with a scene."""
+    looked_at = [path.partition("?")[0] for path in paths] + [path for of in PAGES_OF_ROLES.values() for path in of]
+    return [
+        route.path
+        for route in pages().routes
+        if isinstance(route, Route)
+        and "GET" in (route.methods or ())
+        and not route.path.endswith(PARTS)
+        and "." not in route.path
+        and route.path not in WITH_SCENES
+        and not any(route.path_regex.match(path) for path in looked_at)
+    ]
