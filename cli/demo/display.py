@@ -156,14 +156,14 @@ class DemoDisplay:
         )
 
 
-def interval_bar(rate: float, low: float, high: float, width: int = BAR_WIDTH) -> Text:
+def interval_bar(rate: float, low: float, high: float) -> Text:
     """Draw an interval of [0, 1] with its rate as a line of characters."""
 
     def place(fraction: float) -> int:
-        return min(width - 1, int(fraction * width))
+        return min(BAR_WIDTH - 1, int(fraction * BAR_WIDTH))
 
     bar = Text()
-    for position in range(width):
+    for position in range(BAR_WIDTH):
         if position == place(rate):
             bar.append("●", style=ACCENT)
         elif place(low) <= position <= place(high):

@@ -2,13 +2,13 @@
 
 from collections.abc import Iterable
 from math import sqrt
-from statistics import NormalDist
 
 from pydantic import Field, NonNegativeInt, PositiveInt
 from vitac.envs.errors import VitacError
 
 from ..strict_model import StrictModel
 from .comparison import FinishedEpisode, mcnemar_p_value
+from .score import NORMAL_QUANTILE
 
 
 class RunsDiffer(VitacError):
@@ -50,8 +50,8 @@ def sensing_gain(standard: Iterable[FinishedEpisode], blind: Iterable[FinishedEp
     )
 
 
-def paired_interval(only_first: int, only_second: int, pairs: int, confidence: float = 0.95) -> tuple[float, float]:
-    """Return the interval of the difference of two paired rates.
+def paired_interval(only_first: int, only_second: int, pairs: int) -> tuple[float, float]:
+    """Return the 95 % interval of the difference of two paired rates.
 
     With half an episode added to each of the four kinds of pairs, b and c of n differ, and the interval is
     (b - c) / n +- z sqrt(b + c - (b - c)^2 / n) / n.
@@ -62,10 +62,8 @@ def paired_interval(only_first: int, only_second: int, pairs: int, confidence: f
         only_first: pairs in which only the first succeeds.
         only_second: pairs in which only the second succeeds.
         pairs: all of them.
-        confidence: of the interval.
     """
-    z = NormalDist().inv_cdf(0.5 + confidence / 2)
     first, second, n = only_first + 0.5, only_second + 0.5, pairs + 2.0
     centre = (first - second) / n
-    half_width = z * sqrt(first + second - (first - second) * (first - second) / n) / n
+    half_width = NORMAL_QUANTILE * sqrt(first + second - (first - second) * (first - second) / n) / n
     return max(-1.0, centre - half_width), min(1.0, centre + half_width)

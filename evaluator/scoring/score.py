@@ -10,6 +10,9 @@ from pydantic import Field, NonNegativeInt, PositiveInt
 from ..episodes.records import EpisodeOutcome, EpisodeRecord
 from ..strict_model import StrictModel
 
+NORMAL_QUANTILE = NormalDist().inv_cdf(0.975)
+"""For the two ends of a 95 % interval."""
+
 
 class Interval(StrictModel):
     """A 95 % confidence interval of a rate."""
@@ -35,14 +38,14 @@ class Score(Rate):
     outcomes: dict[EpisodeOutcome, NonNegativeInt]
 
 
-def wilson_interval(successes: int, episodes: int, confidence: float = 0.95) -> Interval:
+def wilson_interval(successes: int, episodes: int) -> Interval:
     """Return Wilson's score interval of a binomial rate: inside [0, 1] and never empty, unlike p +- z s.
 
     With p = successes / n and z the normal quantile:
     (p + z^2 / 2n +- z sqrt(p (1 - p) / n + z^2 / 4n^2)) / (1 + z^2 / n).
     E. B. Wilson, Probable inference, the law of succession, and statistical inference, JASA 22 (1927) 209-212.
     """
-    z = NormalDist().inv_cdf(0.5 + confidence / 2)
+    z = NORMAL_QUANTILE
     rate, spread = successes / episodes, z * z / episodes
     centre = rate + spread / 2
     half_width = z * sqrt(rate * (1 - rate) / episodes + spread / (4 * episodes))

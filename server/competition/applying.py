@@ -86,17 +86,14 @@ def apply(session: Session, by: Principal, definition: CompetitionDefinition) ->
     return found
 
 
-def warnings_about(
-    definition: CompetitionDefinition, changes: Sequence[Change] = (), at: datetime | None = None
-) -> list[str]:
+def warnings_about(definition: CompetitionDefinition, changes: Sequence[Change]) -> list[str]:
     """Return what takes effect at once where a file is applied, and cannot be taken back or is easily overlooked.
 
     Args:
         definition: the file.
         changes: what it changes (`changes_by`).
-        at: the moment; None: now.
     """
-    now = at or datetime.now(UTC)
+    now = datetime.now(UTC)
     found = [
         _HIDING if change.after else _SHOWING
         for change in changes

@@ -173,7 +173,7 @@ def track_rules(session: Session, track: str) -> CompetitionTrack | None:
     return found if found and found.taken_here else None
 
 
-def require_over(session: Session, track: str, stage: str, at: datetime | None = None) -> Stage:
+def require_over(session: Session, track: str, stage: str) -> Stage:
     """Return a stage that has closed.
 
     Raises:
@@ -183,7 +183,7 @@ def require_over(session: Session, track: str, stage: str, at: datetime | None =
     found = competition.stage(track, stage) if competition else None
     if found is None:
         raise ServiceError(ProblemCode.UNKNOWN_STAGE, f"The competition has no stage {stage!r:.80} of {track!r:.80}.")
-    if (at or datetime.now(UTC)) < found.closes:
+    if datetime.now(UTC) < found.closes:
         raise ServiceError(
             ProblemCode.STAGE_NOT_OVER, f"Stage {stage} of {track} closes at {found.closes:%F %T} UTC; wait until then."
         )

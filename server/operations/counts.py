@@ -30,10 +30,10 @@ def counts_of(totals: Mapping[SeriesKey, float]) -> CountsView:
     )
 
 
-def bound_of(totals: Mapping[SeriesKey, float], histogram: str, share: float = SHARE) -> float | None:
-    """Return the smallest bound of a bucket [s] that holds the share of all observations.
+def bound_of(totals: Mapping[SeriesKey, float], histogram: str) -> float | None:
+    """Return the smallest bound of a bucket [s] that holds `SHARE` of all observations.
 
-    None without observations; infinite if the share took longer than the last bound.
+    None without observations; infinite if they took longer than the last bound.
     """
     buckets: dict[float, float] = {}
     for bound, count in _buckets(totals, f"{histogram}_bucket"):
@@ -41,7 +41,7 @@ def bound_of(totals: Mapping[SeriesKey, float], histogram: str, share: float = S
     observed = buckets.get(float("inf"), 0.0)
     if not observed:
         return None
-    return min(bound for bound, count in buckets.items() if count >= share * observed)
+    return min(bound for bound, count in buckets.items() if count >= SHARE * observed)
 
 
 def _buckets(totals: Mapping[SeriesKey, float], name: str) -> Iterator[tuple[float, float]]:

@@ -10,12 +10,12 @@ from ..accounts.audit import record
 from ..accounts.principals import Principal
 from ..db.models import Announcement, Team
 from ..db.states import NoticeKind
-from ..errors import ProblemCode, ServiceError, not_found
+from ..errors import not_found
 from ..notices.outbox import announce
 from ..views.contest.people import AnnouncementView
+from .texts import clean_text
 
 TITLE_LENGTH = 120
-TEXT_LENGTH = 4000
 SHOWN = 100
 
 
@@ -35,7 +35,7 @@ def publish(session: Session, by: Principal, *, title: str, text: str, notify: b
     by.require_organizer()
     made = Announcement(
         title=names.clean(title, what="A title", min_length=2, max_length=TITLE_LENGTH),
-        text=clean_text(text, what="An announcement", max_length=TEXT_LENGTH),
+        text=clean_text(text, what="An announcement"),
         published_at=datetime.now(UTC),
     )
     session.add(made)
@@ -69,19 +69,3 @@ def shown(session: Session) -> list[AnnouncementView]:
     """Return the announcements that everybody sees, newest first."""
     query = select(Announcement).where(Announcement.withdrawn_at.is_(None)).order_by(Announcement.id.desc())
     return [AnnouncementView.model_validate(one, from_attributes=True) for one in session.scalars(query.limit(SHOWN))]
-
-
-def clean_text(text: str, *, what: str, max_length: int) -> str:
-    """Return a text of several lines as it is kept: plain, without controls and characters that draw nothing.
-
-    Raises:
-        ServiceError: it is empty or too long, or has such characters.
-    """
-    lines = [line.rstrip() for line in text.replace("\r\n", "\n").strip().split("\n")]
-    kept = "\n".join(lines)
-    if not 2 <= len(kept) <= max_length or any(not line.replace("\t", "").isprintable() for line in lines):
-        raise ServiceError(
-            ProblemCode.INVALID_REQUEST,
-            f"{what} has 2 to {max_length} printable characters; got {len(kept)}: {kept[:60]!r}.",
-        )
-    return kept

@@ -19,9 +19,8 @@ from ..errors import ProblemCode, ServiceError, not_found
 from ..evaluations.episode_store import EpisodeKey
 from ..evaluations.history import newest_evaluation
 from ..views.contest.people import AppealReplayView, AppealView
-from .announcements import clean_text
+from .texts import clean_text
 
-TEXT_LENGTH = 4000
 MAX_OPEN = 3
 MAX_A_DAY = 20
 SHOWN = 200
@@ -52,7 +51,7 @@ def open_appeal(
             is an open appeal against it, or too many of the team.
     """
     submission = changeable(session, by, submission_id)
-    kept = clean_text(text, what="An appeal", max_length=TEXT_LENGTH)
+    kept = clean_text(text, what="An appeal")
     evaluation = newest_evaluation(session, submission)
     _require_time(session, evaluation)
     if task is not None or episode is not None:
@@ -107,7 +106,7 @@ def rule(session: Session, by: Principal, appeal_id: int, ruling: str, *, upheld
     """
     by.require_organizer()
     found = find(session, by, appeal_id)
-    kept = clean_text(ruling, what="A ruling", max_length=TEXT_LENGTH)
+    kept = clean_text(ruling, what="A ruling")
     _end(session, by, found, AppealState.UPHELD if upheld else AppealState.REJECTED, kept)
     return found
 

@@ -11,9 +11,8 @@ from ..accounts.principals import Principal
 from ..db.models import Question
 from ..errors import ProblemCode, ServiceError, not_found
 from ..views.contest.people import QuestionView
-from .announcements import clean_text
+from .texts import clean_text
 
-TEXT_LENGTH = 4000
 MAX_OPEN = 5
 MAX_A_DAY = 20
 SHOWN = 200
@@ -26,7 +25,7 @@ def ask(session: Session, by: Principal, text: str, *, public: bool) -> Question
         ServiceError: not a team, the text cannot be shown, or the team has asked too much.
     """
     team = teams.own(session, by)
-    kept = clean_text(text, what="A question", max_length=TEXT_LENGTH)
+    kept = clean_text(text, what="A question")
     teams.lock(session, team)
     day = datetime.now(UTC) - timedelta(days=1)
     of_team = select(func.count()).select_from(Question).where(Question.team_id == team.id)
@@ -52,7 +51,7 @@ def answer(session: Session, by: Principal, question_id: int, text: str, *, publ
         ServiceError: not an organizer, there is no such question, or the text cannot be shown.
     """
     by.require_organizer()
-    kept = clean_text(text, what="An answer", max_length=TEXT_LENGTH)
+    kept = clean_text(text, what="An answer")
     found = _locked(session, question_id)
     before = {"answer": found.answer, "public": found.public}
     found.answer, found.public, found.answered_at = kept, public, datetime.now(UTC)

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from markupsafe import Markup
 
 NICE = (1, 2, 2.5, 5, 10)
+MAX_TICKS = 5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,13 +32,13 @@ class Axis:
             return (self.begin + self.end) / 2
         return self.begin + (value - self.low) / (self.high - self.low) * (self.end - self.begin)
 
-    def ticks(self, at_most: int = 5) -> list[float]:
+    def ticks(self) -> list[float]:
         """Return round values to write beside the axis."""
         span = self.high - self.low
         if span <= 0:
             return [self.low]
-        magnitude = 10 ** floor(log10(span / at_most))
-        step = next(nice * magnitude for nice in NICE if span / (nice * magnitude) <= at_most)
+        magnitude = 10 ** floor(log10(span / MAX_TICKS))
+        step = next(nice * magnitude for nice in NICE if span / (nice * magnitude) <= MAX_TICKS)
         first = ceil(self.low / step - 1e-9)
         return [round(number * step, 10) for number in range(first, floor(self.high / step + 1e-9) + 1)]
 

@@ -7,6 +7,7 @@ from fastapi import APIRouter
 from pydantic import BaseModel, ConfigDict, Field
 
 from ...people import appeals
+from ...people.texts import TEXT_LENGTH
 from ...views.contest.people import AppealListView, AppealView
 from ..access import PrincipalOf, RowNumber, ServicesOf
 from ..problems import RESPONSES
@@ -20,7 +21,7 @@ class NewAppeal(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
     submission_id: UUID
-    text: str = Field(min_length=2, max_length=appeals.TEXT_LENGTH, description="What went wrong, as plain text.")
+    text: str = Field(min_length=2, max_length=TEXT_LENGTH, description="What went wrong, as plain text.")
     task: str | None = Field(default=None, max_length=100, pattern=ONE_LINE, description="In which task; null: in all.")
     episode: int | None = Field(default=None, ge=1, le=1_000_000, description="In which of its episodes.")
 
@@ -30,7 +31,7 @@ class Ruling(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
     upheld: bool
-    text: str = Field(min_length=2, max_length=appeals.TEXT_LENGTH, description="Why, as plain text.")
+    text: str = Field(min_length=2, max_length=TEXT_LENGTH, description="Why, as plain text.")
 
 
 @router.get("")

@@ -6,6 +6,7 @@ from fastapi import APIRouter, Response
 from pydantic import BaseModel, ConfigDict, Field
 
 from ...people import announcements, questions
+from ...people.texts import TEXT_LENGTH
 from ...views.contest.people import AnnouncementListView, AnnouncementView, QuestionListView, QuestionView
 from ..access import OptionalPrincipalOf, PrincipalOf, RowNumber, ServicesOf
 from ..problems import RESPONSES
@@ -18,7 +19,7 @@ class NewAnnouncement(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
     title: str = Field(min_length=2, max_length=announcements.TITLE_LENGTH)
-    text: str = Field(min_length=2, max_length=announcements.TEXT_LENGTH, description="Plain text.")
+    text: str = Field(min_length=2, max_length=TEXT_LENGTH, description="Plain text.")
     notify: bool = Field(default=False, description="Whether it is sent to all teams, too.")
 
 
@@ -26,7 +27,7 @@ class NewQuestion(BaseModel):
     """A question to the organizers."""
 
     model_config = ConfigDict(extra="forbid")
-    text: str = Field(min_length=2, max_length=questions.TEXT_LENGTH, description="Plain text.")
+    text: str = Field(min_length=2, max_length=TEXT_LENGTH, description="Plain text.")
     public: bool = Field(description="Whether everybody may see it, without the team's name, once it is answered.")
 
 
@@ -34,7 +35,7 @@ class Answer(BaseModel):
     """An answer of the organizers."""
 
     model_config = ConfigDict(extra="forbid")
-    text: str = Field(min_length=2, max_length=questions.TEXT_LENGTH, description="Plain text.")
+    text: str = Field(min_length=2, max_length=TEXT_LENGTH, description="Plain text.")
     public: bool = Field(description="Whether everybody sees question and answer.")
 
 

@@ -19,6 +19,7 @@ from vitac.server.db.models import Appeal, BoardResult, EpisodeResult, Evaluatio
 from vitac.server.db.states import AppealState, Role
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.people import appeals, team_data
+from vitac.server.people.texts import TEXT_LENGTH
 
 from competitions import make_competition, put_in_place
 
@@ -249,12 +250,12 @@ def test_a_text_that_cannot_be_shown_opens_and_ends_no_appeal(
     database: Database, played: tuple[Principal, Submission]
 ) -> None:
     team, submission = played
-    texts = ("", " x ", "x" * (appeals.TEXT_LENGTH + 1), "a\0b", "turned \u202e around")
+    texts = ("", " x ", "x" * (TEXT_LENGTH + 1), "a\0b", "turned \u202e around")
     with database.transaction() as session:
         for text in texts:
             with refused(ProblemCode.INVALID_REQUEST):
                 appeals.open_appeal(session, team, submission.id, text)
-        made = appeals.open_appeal(session, team, submission.id, "x" * appeals.TEXT_LENGTH)
+        made = appeals.open_appeal(session, team, submission.id, "x" * TEXT_LENGTH)
         for text in texts:
             with refused(ProblemCode.INVALID_REQUEST):
                 appeals.rule(session, CONSOLE, made.id, text, upheld=True)

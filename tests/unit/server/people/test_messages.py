@@ -48,10 +48,10 @@ def test_an_announcement_is_shown_to_everybody_and_sent_where_it_is_asked_for(da
             announcements.withdraw(session, CONSOLE, 4711)
 
 
-@pytest.mark.parametrize("text", ["", " \n ", "x" * 4001, "a\0b", "a\x1bb", "turned \u202e around", "a\u2028b"])
-def test_a_text_is_plain_and_bounded(database: Database, text: str) -> None:
-    with database.transaction() as session, refused(ProblemCode.INVALID_REQUEST):
-        announcements.publish(session, CONSOLE, title="Title", text=text, notify=False)
+def test_what_cannot_be_shown_is_not_announced(database: Database) -> None:
+    for title, text in (("Title", "a\0b"), ("Title", "x"), ("a\0b", "Text"), ("x" * 121, "Text")):
+        with database.transaction() as session, refused(ProblemCode.INVALID_REQUEST):
+            announcements.publish(session, CONSOLE, title=title, text=text, notify=False)
 
 
 def test_a_question_is_seen_by_whom_it_concerns(database: Database) -> None:
