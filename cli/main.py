@@ -40,7 +40,7 @@ NOUNS = (
     Noun(name="resimulate", module="resimulate", summary="Run recorded actions through the physics."),
     Noun(name="log", module="log", summary="Show, verify, compare, match and import evaluation logs."),
     Noun(name="seeds", module="seeds", summary="Make and verify the secrets of sealed episode lists."),
-    Noun(name="show", module="show", summary="Draw an episode: gels, parts and marker flow."),
+    Noun(name="show", module="show.command", summary="Draw an episode."),
     Noun(name="sensor", module="sensor", summary="Check, mesh and draw a sensor of your own."),
     Noun(name="train", module="train", summary="Train a policy from a recipe, and export it."),
     Noun(name="register", module="client.account.register", summary="Register a team at a service."),

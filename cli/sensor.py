@@ -104,7 +104,7 @@ def show(
     width: Annotated[int, typer.Option(min=600, max=4000, help="Width in pixels.")] = 1600,
 ) -> None:
     """Draw a sensor: its gel with driven and sensing faces, its markers, and what its camera sees."""
-    from .show import require_extra
+    from .show.command import require_extra
 
     require_extra()
     from vitac.envs.drawing.design import draw_design

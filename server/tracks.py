@@ -42,6 +42,12 @@ def family_of(track: str, task: str) -> Family:
     return known.definition.family if known else Family.TACTILE
 
 
+def playback_family_of(track: str, task: str) -> Family:
+    """Return what the playback of an episode needs: ManiSkill's are drawn, whatever their policies observe."""
+    family = family_of(track, task)
+    return Family.MANISKILL_PICTURES if family is Family.MANISKILL else family
+
+
 def known_task(track: str, task: str) -> Task | None:
     """Return a task by the name that a submission has kept; None where its track file is gone."""
     try:

@@ -10,7 +10,7 @@ from types import MappingProxyType
 from typing import Protocol
 
 from sqlalchemy.orm import Session
-from vitac.evaluator.playback.order import CAMERAS_FILE, SCENE_FILE, STILL_FILE, PlaybackOrder
+from vitac.evaluator.playback.order import CAMERAS_FILE, FILM_FILE, SCENE_FILE, STILL_FILE, PlaybackOrder
 from vitac.evaluator.playback.process import PlaybackFailed
 from vitac.evaluator.sensors.made import read_made_sensor
 from vitac.server.evaluations.lifecycle import RETRY_DELAY_S
@@ -24,7 +24,12 @@ from .leased_run import LeasedRun, RunningProcess
 FOLDER_PREFIX = "playback-"
 
 _COLUMNS: Mapping[str, str] = MappingProxyType(
-    {SCENE_FILE: "scene_sha256", CAMERAS_FILE: "cameras_sha256", STILL_FILE: "still_sha256"}
+    {
+        SCENE_FILE: "scene_sha256",
+        CAMERAS_FILE: "cameras_sha256",
+        STILL_FILE: "still_sha256",
+        FILM_FILE: "film_sha256",
+    }
 )
 
 

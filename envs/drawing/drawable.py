@@ -5,22 +5,11 @@ from pkgutil import resolve_name
 from ..errors import VitacError
 from ..scene.guided_motion import NextAction
 from ..scene.perspective import Perspective
-from ..tasks.definition import Family, TaskDefinition
 from ..tasks.registry import task_definitions
 
 
 class NotDrawable(VitacError):
     """A task has no perspective, or nobody has said where it goes; the message says which tasks can be drawn."""
-
-
-def require_tactile(task: TaskDefinition) -> None:
-    """Refuse a task whose environment is not on the tactile simulation, so that nothing of it can be drawn.
-
-    Raises:
-        NotDrawable: it is of another family.
-    """
-    if task.family is not Family.TACTILE:
-        raise NotDrawable(f"{task.env_id} is an environment of {task.family}: it cannot be drawn.")
 
 
 def perspective_of(env_id: str) -> Perspective:

@@ -119,7 +119,9 @@ def _observables(env_id: str, described: Described, obs_mode: str) -> tuple[Obse
 def _state(described: Described) -> Observable[Any]:
     parts, begin = [], 0
     for name, size in described.state:
-        parts.append(f"{begin} {name}" if size == 1 else f"{begin} to {begin + size - 1} {name}")
+        numbers = str(begin) if size == 1 else f"{begin} to {begin + size - 1}"
+        unit = _UNITS.get(name.rpartition("_")[2])
+        parts.append(f"{numbers} {name}" + (f" [{unit}]" if unit else ""))
         begin += size
     return _observable("state", (begin,), "float32", f"ManiSkill's state vector: {', '.join(parts)}.")
 
@@ -130,6 +132,21 @@ def _observable(name: str, shape: tuple[int, ...], dtype: str, meaning: str) -> 
         name=name, shape=shape, unit="SI", meaning=meaning, dtype=dtype, read=lambda observation, _: observation[name]
     )
 
+
+_UNITS = {
+    "qpos": "rad; m of sliding joints",
+    "qvel": "rad/s; m/s of sliding joints",
+    "pose": "position in m, quaternion wxyz",
+    "poses": "position in m, quaternion wxyz, of each",
+    "pos": "m",
+    "p": "m",
+    "size": "m",
+    "radius": "m",
+    "vertices": "m",
+    "vel": "m/s",
+    "q": "quaternion wxyz",
+}
+"""Unit of a part of the state vector by the last word of its name, where that says it."""
 
 _GRIPPER = ActionComponent(name="gripper", scale=1.0, unit="1", meaning="1 opens the gripper, -1 closes it.")
 _POSITION = tuple(

@@ -60,6 +60,7 @@ class ManiSkillEnv:
         max_steps: env steps after which an episode ends.
         observation_keys: what is returned of the observation; all by default.
         settings: fields of `ManiSkillSettings` that are not the defaults.
+        draws: whether `picture` is wanted, which needs a Vulkan driver.
 
     Attributes:
         solver_version: versions of what moves a state.
@@ -76,6 +77,7 @@ class ManiSkillEnv:
         max_steps: int,
         observation_keys: Sequence[str] | None = None,
         settings: Mapping[str, Any] | None = None,
+        draws: bool = False,
     ) -> None:
         self._settings = settings_from(ManiSkillSettings, dict(settings or {}))
         self._task = definition_of(env_id, settings or {})
@@ -88,7 +90,7 @@ class ManiSkillEnv:
         self.physics_cpu_s = 0.0
         self.marker_cpu_s = 0.0
         self.ipc_steps = 0
-        self._env = _made(self._name, self._settings)
+        self._env = _made(self._name, self._settings, draws=draws)
         self.solver_version = "+".join(f"{name}-{version(name).partition('+')[0]}" for name in _PACKAGES)
         size = int(self._env.single_action_space.shape[0])
         if size != len(self._task.actions):
@@ -112,6 +114,15 @@ class ManiSkillEnv:
     def picture_hash(self) -> str | None:
         """Return None: pictures come from a driver, whose bits change with the CPU."""
         return None
+
+    def picture(self) -> NDArray[np.uint8]:
+        """Return what the camera sees that the environment has for people, RGB, shape [h, w, 3].
+
+        Raises:
+            ManiSkillFailed: it was not made with `draws`, or the driver failed.
+        """
+        with self._working("picture"):
+            return unbatched(self._env.render()).astype(np.uint8)
 
     def reset(self, *, options: Mapping[str, object]) -> tuple[Observation, dict[str, Any]]:
         """Start an episode anew, bodies included, so that nothing of an earlier one remains in the simulation.
@@ -228,7 +239,7 @@ def missing_packages() -> tuple[str, ...]:
     return tuple(missing)
 
 
-def _made(name: str, settings: ManiSkillSettings) -> Any:
+def _made(name: str, settings: ManiSkillSettings, *, draws: bool) -> Any:
     missing = missing_packages()
     if missing:
         raise ManiSkillMissing(
@@ -250,10 +261,11 @@ def _made(name: str, settings: ManiSkillSettings) -> Any:
             f"torch {torch.__version__} finds none. Run it where both are there."
         )
     has_renderer = has_driver()
-    is_drawn = needs_driver(name, settings)
+    is_drawn = draws or needs_driver(name, settings)
     if is_drawn and not has_renderer:
+        what = f"A picture of {PREFIX}{name}" if draws else f"{PREFIX}{name} with obs_mode {settings.obs_mode}"
         raise ManiSkillMissing(
-            f"{PREFIX}{name} with obs_mode {settings.obs_mode} is drawn, and SAPIEN finds no Vulkan driver. "
+            f"{what} is drawn by SAPIEN, which finds no Vulkan driver. "
             "Install NVIDIA's driver, or Mesa 24.3 or newer: `apt-get install mesa-vulkan-drivers` on Debian 13 and "
             "Ubuntu 24.04, `apt-get install -t bookworm-backports mesa-vulkan-drivers` on Debian 12."
         )
@@ -265,6 +277,7 @@ def _made(name: str, settings: ManiSkillSettings) -> Any:
         obs_mode=settings.obs_mode,
         control_mode=settings.control_mode,
         sim_backend=settings.sim_backend,
+        render_mode="rgb_array" if draws else None,
         render_backend="none" if not is_drawn else "cpu" if on_cpu else "gpu",
     ).unwrapped
     # Nothing is learned here; without gradients an env step takes a tenth less time, and the same bits.

@@ -8,13 +8,15 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import VitacError
+from ..tasks.options import RNG_SEED
 from .catalogue import catalogue
+from .definition import PREFIX
+from .env import ManiSkillEnv
 
 WIDTH, HEIGHT = 480, 360
 """Size of a picture [px]."""
@@ -65,17 +67,10 @@ def write(picture: NDArray[np.uint8], file: Path) -> None:
 
 
 def _drawn(env_id: str) -> NDArray[np.uint8]:
-    import gymnasium
-    import mani_skill.envs  # noqa: F401 - registers them
-
-    made = gymnasium.make(
-        env_id, obs_mode="state", render_mode="rgb_array", sim_backend="physx_cpu", render_backend="cpu"
-    )
-    env: Any = made.unwrapped
-    env.reset(seed=0)
-    drawn = env.render()
-    picture: NDArray[np.uint8] = np.asarray(drawn.cpu().numpy() if hasattr(drawn, "cpu") else drawn).astype(np.uint8)
-    return picture.reshape(*picture.shape[-3:])
+    mode = next(iter(catalogue().environments[env_id].control_modes))
+    env = ManiSkillEnv(PREFIX + env_id, max_steps=1, settings={"control_mode": mode}, draws=True)
+    env.reset(options={RNG_SEED: 0})
+    return env.picture()
 
 
 if __name__ == "__main__":

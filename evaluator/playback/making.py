@@ -11,19 +11,14 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING
 
 from vitac.envs.errors import VitacError
+from vitac.envs.maniskill.definition import is_maniskill
 
 from ..episodes.episode import make_environment
 from ..episodes.records import EpisodeRecord
-from ..tracks import Episode, Task, load_track
-from .order import (
-    CAMERAS_FILE,
-    SCENE_FILE,
-    STILL_FILE,
-    NotPlayable,
-    PlaybackMessage,
-    PlaybackOrder,
-    require_playable,
-)
+from ..tracks import Task, load_track
+from .film import make_film
+from .order import CAMERAS_FILE, SCENE_FILE, STILL_FILE, NotPlayable, PlaybackMessage, PlaybackOrder
+from .recorded import require_same_end, require_same_state, start_of
 
 if TYPE_CHECKING:
     import numpy as np
@@ -37,14 +32,11 @@ OnStep = Callable[[int], None]
 STILL_WIDTH_PX = 1200
 
 
-class StatesDiffer(VitacError):
-    """A re-simulated state is not the recorded one, so what would be shown is not what was scored."""
-
-
 def make(order: PlaybackOrder, on_step: OnStep) -> None:
     """Write the files of an episode into the order's folder; the still only where it can be drawn.
 
     Raises:
+        ManiSkillMissing: a film is wanted, and what draws it is not here.
         StatesDiffer: the record is of another evaluator or platform class, or not true.
         PlaybackTooLarge: the episode does not fit into a file.
     """
@@ -52,6 +44,9 @@ def make(order: PlaybackOrder, on_step: OnStep) -> None:
     from vitac.envs.playback_files.scene import pack_scene
 
     task = load_track(order.track).tasks[order.record.task]
+    if is_maniskill(task.env_id):
+        make_film(task, order.record, on_step, order.folder, order.list_seed)
+        return
     sensor = None if order.sensor is None else order.sensor.design()
     playback = replay(task, order.record, on_step, order.list_seed, sensor)
     (order.folder / SCENE_FILE).write_bytes(pack_scene(playback))
@@ -79,53 +74,33 @@ def replay(
     from vitac.envs.drawing.playback import record as play
     from vitac.envs.tasks.task_env import TactileTaskEnv
 
-    require_playable(task.env_id)
     env = make_environment(task, sensor=sensor)
     if not isinstance(env, TactileTaskEnv):
-        raise NotPlayable(task.env_id)
+        raise NotPlayable(
+            f"Episodes of {task.env_id} are not shown in 3D: a playback shows two gels and what they hold."
+        )
     remaining = iter(record.actions.to_array())
     played = 0
 
     def next_action(_: object, __: object) -> "NDArray[np.float32] | None":
         nonlocal played
-        _require_same_state(env.state_hash(), record, played)
+        require_same_state(env.state_hash(), record, played)
         on_step(played)
         played += 1
         return next(remaining, None)
 
     playback = play(env, options=start_of(task, record, list_seed).options, next_action=next_action, pace=Pace.IPC_STEP)
     last = playback.moments[-1].env_step
-    _require_same_state(env.state_hash(), record, last)
-    if last != record.env_steps:
-        raise StatesDiffer(f"Expected {record.env_steps} env steps as recorded, got {last}.")
+    require_same_state(env.state_hash(), record, last)
+    require_same_end(last, record)
     if played <= last:  # It ended with its last env step, so nobody asked for another action.
         on_step(last)
     return playback
 
 
-def start_of(task: Task, record: EpisodeRecord, list_seed: int | None = None) -> Episode:
-    """Return where a recorded episode started, in the public list or in one with another seed."""
-    listed = task.episode_list
-    return Episode(
-        number=record.episode,
-        shape=record.shape,
-        offset=record.initial_offset,
-        offset_option=listed.offset_option,
-        list_seed=listed.list_seed if list_seed is None else list_seed,
-    )
-
-
 def can_draw() -> bool:
     """Return whether the packages that draw stills are installed (extra `show`)."""
     return find_spec("matplotlib") is not None and find_spec("PIL") is not None
-
-
-def _require_same_state(found: str, record: EpisodeRecord, env_step: int) -> None:
-    if env_step >= len(record.state_hashes) or found != record.state_hashes[env_step]:
-        raise StatesDiffer(
-            f"The state after env step {env_step} is not the recorded one: the episode was recorded with another "
-            "evaluator or on another platform class, so it cannot be shown here."
-        )
 
 
 def _draw_still(playback: "Playback", title: str, folder: Path) -> None:

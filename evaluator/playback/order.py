@@ -5,7 +5,7 @@ from typing import Final
 
 from pydantic import NonNegativeInt
 from vitac.envs.errors import VitacError
-from vitac.envs.maniskill.definition import is_maniskill
+from vitac.envs.tasks.definition import TaskDefinition
 
 from ..episodes.records import EpisodeRecord
 from ..sensors.made import MadeSensor
@@ -14,28 +14,24 @@ from ..strict_model import StrictModel
 FORMAT: Final = 1
 """Number of the file format; playbacks in an older one are made again."""
 
-SCENE_FILE, CAMERAS_FILE, STILL_FILE = "scene.bin.gz", "cameras.bin.gz", "still.png"
+SCENE_FILE, CAMERAS_FILE, STILL_FILE, FILM_FILE = "scene.bin.gz", "cameras.bin.gz", "still.png", "film.webp"
 
 
 class NotPlayable(VitacError):
-    """The environment of a task has no gels and parts as a playback shows them.
-
-    Args:
-        env_id: of the task.
-    """
-
-    def __init__(self, env_id: str) -> None:
-        super().__init__(f"Episodes of {env_id} are not shown in 3D: a playback shows two gels and what they hold.")
+    """There are no playbacks of a task's episodes; the message says why."""
 
 
-def require_playable(env_id: str) -> None:
-    """Refuse an environment that has no playbacks, before it is made.
+def require_playable(task: TaskDefinition) -> None:
+    """Refuse a task of which there are no playbacks, before one is asked for.
 
     Raises:
-        NotPlayable: it is one of ManiSkill's.
+        NotPlayable: its states do not repeat, so what would be shown is not what was scored.
     """
-    if is_maniskill(env_id):
-        raise NotPlayable(env_id)
+    if not task.repeats:
+        raise NotPlayable(
+            f"There are no playbacks of {task.env_id} with these settings: its states do not repeat, so what would be "
+            "shown is not what was scored."
+        )
 
 
 class PlaybackOrder(StrictModel):

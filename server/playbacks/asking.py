@@ -25,10 +25,11 @@ from ..db.states import OPEN_PLAYBACK_STATES, PlaybackState, ShardState
 from ..errors import ProblemCode, ServiceError, not_found
 from ..evaluations.episode_store import EpisodeKey
 from ..evaluations.history import newest_evaluation
-from ..queue.jobs import enqueue_playback
-from ..queue.workers import workers_alive
+from ..queue.jobs import enqueue_playback, queue_name
+from ..queue.workers import fleet
 from ..settings import Settings
 from ..sharing.public_pages import readable
+from ..tracks import playback_family_of
 from ..views.playbacks import PlaybackView, ShownEpisodeView
 
 FAILED_KEPT = timedelta(hours=1)
@@ -63,7 +64,7 @@ def ask(session: Session, settings: Settings, by: Principal, episode: EpisodeRes
         ServiceError: too_many_requests, with how many are possible; invalid_request where no worker can make it.
     """
     try:
-        require_playable(load_track(episode.track).tasks[episode.task].env_id)
+        require_playable(load_track(episode.track).tasks[episode.task].definition)
     except NotPlayable as error:
         raise ServiceError(ProblemCode.INVALID_REQUEST, str(error)) from error
     asked_by = requester(by)
@@ -88,8 +89,14 @@ def ask(session: Session, settings: Settings, by: Principal, episode: EpisodeRes
     )
     session.add(playback)
     session.flush()
-    enqueue_playback(session, playback.id, playback.evaluator_version)
+    queue = playback_queue(playback.evaluator_version, episode.track, episode.task)
+    enqueue_playback(session, playback.id, queue)
     return playback
+
+
+def playback_queue(evaluator_version: str, track: str, task: str) -> str:
+    """Return the queue from which those workers take playbacks of a task that can make them."""
+    return queue_name(evaluator_version, playback_family_of(track, task))
 
 
 def playback_key(episode: EpisodeResult) -> str:
@@ -142,13 +149,16 @@ def shown_episode(
 def playback_view(session: Session, settings: Settings, playback: Playback) -> PlaybackView:
     """Return a playback as the pages show it."""
     is_open = playback.state in OPEN_PLAYBACK_STATES
+    family = playback_family_of(playback.episode.track, playback.episode.task)
+    alive = fleet(session, settings).alive(playback.evaluator_version, family).alive if is_open else None
     return PlaybackView(
         key=playback.key,
         state=playback.state,
         env_steps=playback.episode.env_steps,
         env_steps_played=playback.env_steps_played,
         waits_for=_waits_for(session, playback) if playback.state is PlaybackState.QUEUED else 0,
-        workers=workers_alive(session, settings, playback.evaluator_version).alive if is_open else None,
+        family=family,
+        workers=alive,
         problem=playback.problem,
         has_cameras=playback.cameras_sha256 is not None,
         has_still=playback.still_sha256 is not None,

@@ -21,6 +21,8 @@ class PlaybackFile(StrEnum):
     """What the camera rig saw; compressed with gzip."""
     STILL = "still"
     """The end of the episode as `vitac show` draws it, PNG."""
+    FILM = "film"
+    """Pictures of an episode of ManiSkill one after the other, an animated WebP."""
 
 
 def digest_of(session: Session, episode: EpisodeResult, file: PlaybackFile) -> str:
@@ -46,7 +48,7 @@ def read(database: Database, blobs: BlobStore, digest: str) -> bytes:
         return blobs.read(digest)
     except StoredFileLost as error:
         with database.transaction() as session:
-            lost = (Playback.scene_sha256, Playback.cameras_sha256, Playback.still_sha256)
+            lost = (Playback.scene_sha256, Playback.cameras_sha256, Playback.still_sha256, Playback.film_sha256)
             for column in lost:
                 session.execute(delete(Playback).where(column == digest))
         raise not_found("playback file", digest) from error

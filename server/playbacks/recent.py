@@ -1,4 +1,4 @@
-"""The playback that the front page shows: the newest one of an episode that everybody may see. Called by the pages."""
+"""The playback that the front page plays: the newest one of an episode that everybody may see. Called by the pages."""
 
 from uuid import UUID
 
@@ -23,7 +23,7 @@ def newest_public_episode(session: Session, settings: Settings) -> PublicEpisode
     """Return the episode of a public submission whose playback was asked for last and is made; None without one."""
     newest = (
         select(Playback.episode_id, Playback.asked_at)
-        .where(Playback.state == PlaybackState.MADE, Playback.evaluator_version == evaluator_version())
+        .where(Playback.scene_sha256.is_not(None), Playback.evaluator_version == evaluator_version())
         .order_by(Playback.asked_at.desc())
         .limit(LOOKED_AT)
         .subquery()

@@ -19,6 +19,7 @@ from ..db.states import OPEN_PLAYBACK_STATES, FileRole, PlaybackState
 from ..queue.jobs import enqueue_playback, forget_jobs_of_ended_playbacks, has_waiting_playback_job
 from ..queue.leases import LeaseLost, lease_end
 from ..settings import Settings
+from .asking import playback_queue
 
 logger = structlog.get_logger(__name__)
 
@@ -110,7 +111,8 @@ def hand_back(session: Session, lease: PlaybackLease, *, counts_as_attempt: bool
         attempts=lease.attempt - (0 if counts_as_attempt else 1),
         lease_expires_at=None,
     )
-    enqueue_playback(session, lease.playback_id, lease.evaluator_version, delay_s=delay_s)
+    queue = playback_queue(lease.evaluator_version, lease.track, lease.record.task)
+    enqueue_playback(session, lease.playback_id, queue, delay_s=delay_s)
 
 
 def recover(session: Session, settings: Settings) -> int:
@@ -139,7 +141,8 @@ def recover(session: Session, settings: Settings) -> int:
         )
     ).all()
     for playback in waiting:
-        enqueue_playback(session, playback.id, playback.evaluator_version)
+        queue = playback_queue(playback.evaluator_version, playback.episode.track, playback.episode.task)
+        enqueue_playback(session, playback.id, queue)
     forget_jobs_of_ended_playbacks(session)
     return len(lost)
 
@@ -152,7 +155,8 @@ def remove_old(session: Session, settings: Settings) -> None:
 
 def stored_digests(session: Session) -> set[str]:
     """Return the SHA-256 of all files of playbacks."""
-    rows = session.execute(select(Playback.scene_sha256, Playback.cameras_sha256, Playback.still_sha256)).all()
+    files = (Playback.scene_sha256, Playback.cameras_sha256, Playback.still_sha256, Playback.film_sha256)
+    rows = session.execute(select(*files)).all()
     return {digest for row in rows for digest in row if digest is not None}
 
 

@@ -78,10 +78,7 @@ _WAS_TAKEN_FOR_SHARD = text("""
 
 
 def queue_name(evaluator_version: str, family: Family = Family.TACTILE) -> str:
-    """Queue of the shards of one evaluator version and family: only workers that can run both take them.
-
-    Playbacks are in that of the tactile family.
-    """
+    """Queue of the shards and playbacks of one evaluator version and family: workers that can run both take them."""
     return f"shards {evaluator_version}" + ("" if family is Family.TACTILE else f" {family}")
 
 
@@ -110,14 +107,13 @@ def enqueue_shards(
         _enqueue(session, RUN_SHARD, arguments, queue, delay_s=delay_s, priority=priority)
 
 
-def enqueue_playback(session: Session, playback_id: int, evaluator_version: str, *, delay_s: float = 0.0) -> None:
+def enqueue_playback(session: Session, playback_id: int, queue: str, *, delay_s: float = 0.0) -> None:
     """Add the job of a playback, which comes after all shards; visible when the session commits.
 
     Raises:
         DBAPIError: the database failed.
     """
     arguments = [{"playback_id": playback_id}]
-    queue = queue_name(evaluator_version)
     _enqueue(session, MAKE_PLAYBACK, arguments, queue, delay_s=delay_s, priority=PLAYBACK_PRIORITY)
 
 

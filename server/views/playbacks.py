@@ -2,6 +2,7 @@
 
 from uuid import UUID
 
+from vitac.envs.tasks.definition import Family
 from vitac.evaluator.episodes.records import EpisodeOutcome
 
 from ..db.states import PlaybackState
@@ -12,7 +13,7 @@ class PlaybackView(View):
     """A playback that somebody asked for.
 
     `waits_for` counts the shards and playbacks before it while it is queued; `workers` those that could make it while
-    it is not finished; `problem` says why there is none.
+    it is not finished, which can run `family`; `problem` says why there is none.
     """
 
     key: str
@@ -20,6 +21,7 @@ class PlaybackView(View):
     env_steps: int
     env_steps_played: int
     waits_for: int
+    family: Family
     workers: int | None
     problem: str | None
     has_cameras: bool

@@ -22,8 +22,11 @@ class Playback(Base):
         sha256_check("scene_sha256"),
         sha256_check("cameras_sha256"),
         sha256_check("still_sha256"),
+        sha256_check("film_sha256"),
         CheckConstraint("(state = 'running') = (lease_expires_at IS NOT NULL)", name="running_has_a_lease"),
-        CheckConstraint("(state = 'made') = (scene_sha256 IS NOT NULL)", name="made_has_a_scene"),
+        CheckConstraint(
+            "(state = 'made') = (scene_sha256 IS NOT NULL OR film_sha256 IS NOT NULL)", name="made_has_scene_or_film"
+        ),
         CheckConstraint("(state = 'failed') = (problem IS NOT NULL)", name="failed_has_a_problem"),
         CheckConstraint("attempts >= 0 AND token >= attempts AND env_steps_played >= 0", name="counts_from_zero"),
         Index("ix_playbacks_asked_by_asked_at", "asked_by", "asked_at"),
@@ -45,4 +48,5 @@ class Playback(Base):
     scene_sha256: Mapped[str | None] = mapped_column(String(64))
     cameras_sha256: Mapped[str | None] = mapped_column(String(64))
     still_sha256: Mapped[str | None] = mapped_column(String(64))
+    film_sha256: Mapped[str | None] = mapped_column(String(64))
     episode: Mapped[EpisodeResult] = relationship()

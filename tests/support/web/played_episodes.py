@@ -11,6 +11,7 @@ from vitac.envs.drawing.drawable import straight_to_target
 from vitac.envs.drawing.playback import Pace, Playback, record
 from vitac.envs.playback_files.cameras import pack_cameras
 from vitac.envs.playback_files.scene import pack_scene
+from vitac.envs.tasks.definition import Family
 from vitac.evaluator.episodes.episode import make_environment
 from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.evaluator.tracks import find_task
@@ -30,6 +31,7 @@ def a_playback(state: PlaybackState = PlaybackState.MADE, **changes: Any) -> Pla
         "env_steps": 3,
         "env_steps_played": 3 if state is PlaybackState.MADE else 0,
         "waits_for": 0,
+        "family": Family.TACTILE,
         "workers": None if state in {PlaybackState.MADE, PlaybackState.FAILED} else 1,
         "problem": "The states differ." if state is PlaybackState.FAILED else None,
         "has_cameras": False,

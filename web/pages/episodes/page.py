@@ -5,12 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache
 from http import HTTPStatus
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from starlette.exceptions import HTTPException
 from starlette.responses import JSONResponse, RedirectResponse, Response
 from vitac.envs.maniskill.definition import is_maniskill
-from vitac.evaluator.playback.order import NotPlayable
+from vitac.envs.tasks.definition import Family
+from vitac.evaluator.playback.order import NotPlayable, require_playable
 from vitac.evaluator.tracks import load_track
 from vitac.server.db.states import OPEN_PLAYBACK_STATES, PlaybackState
 from vitac.server.errors import ServiceError
@@ -24,6 +26,8 @@ from ...site import open_to_all, page, require_form_token, site_of, viewer_of, v
 from ..addresses import as_id
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from starlette.requests import Request
     from vitac.evaluator.tracks import Task
     from vitac.server.views.playbacks import PlaybackView, ShownEpisodeView
@@ -32,6 +36,15 @@ if TYPE_CHECKING:
 
 PLAYER = "playback.js"
 ONE_YEAR_S = 365 * 24 * 3600
+_PICTURES = {PlaybackFile.STILL: "image/png", PlaybackFile.FILM: "image/webp"}
+_NO_WORKER: Mapping[Family, str] = MappingProxyType(
+    {
+        Family.TACTILE: "Waiting: no worker is running.",
+        Family.MANISKILL_PICTURES: "Waiting: no running worker can draw ManiSkill’s environments, which takes its "
+        "packages and a Vulkan driver.",
+    }
+)
+"""What is said where no worker can make a playback, by what it takes."""
 _PLACES = "Expected an episode as NUMBER, or SUBMISSION:NUMBER for one of another submission, got {!r:.60}."
 
 
@@ -48,29 +61,51 @@ class Player:
     shown: ShownEpisodeView
 
     @property
-    def env_id(self) -> str:
-        """Environment of its task."""
-        return load_track(self.shown.track).tasks[self.shown.task].env_id
+    def task(self) -> Task:
+        """What is played."""
+        return load_track(self.shown.track).tasks[self.shown.task]
+
+    @property
+    def is_filmed(self) -> bool:
+        """Whether its playback is a film, as of ManiSkill's environments."""
+        return is_maniskill(self.task.env_id)
 
     @property
     def state(self) -> str:
-        """State of its playback: empty as long as nobody has asked for it, `none` where there cannot be one."""
-        if is_maniskill(self.env_id):
+        """State of its playback: empty as long as nobody has asked for it, `none` where there cannot be one.
+
+        A made film is `filmed`: the page's script has nothing to do for it.
+        """
+        if self._refusal:
             return "none"
-        return "" if self.shown.playback is None else self.shown.playback.state.value
+        if self.shown.playback is None:
+            return ""
+        state = self.shown.playback.state
+        return "filmed" if self.is_filmed and state is PlaybackState.MADE else state.value
 
     @property
     def heading(self) -> str:
         """How the episode is called above its player."""
+        if self.is_filmed:  # the start follows from a seed, and has no name
+            return f"{self.shown.submission_name}, episode {self.shown.episode}"
         start = ", ".join(f"{value:g}" for value in self.shown.initial_offset)
         return f"{self.shown.submission_name}, episode {self.shown.episode}: {words(self.shown.shape)} from ({start})"
 
     @property
     def text(self) -> str:
         """What is said of a playback that is not there, or not yet."""
-        if is_maniskill(self.env_id):
-            return str(NotPlayable(self.env_id))
-        return "" if self.shown.playback is None else progress(self.shown.playback)
+        if self._refusal or self.shown.playback is None:
+            return self._refusal
+        return progress(self.shown.playback)
+
+    @property
+    def _refusal(self) -> str:
+        """Why there are no playbacks of the task; empty where there are."""
+        try:
+            require_playable(self.task.definition)
+        except NotPlayable as error:
+            return str(error)
+        return ""
 
 
 @open_to_all
@@ -89,6 +124,7 @@ async def episode(request: Request) -> Response:
         viewer=viewer,
         section="" if viewer is None else "/submissions",
         players=players,
+        all_filmed=all(player.is_filmed for player in players),
         beside=beside,
         title=f"{task.title}, episode {place.number}",
         neighbours=_neighbours(place, task),
@@ -138,8 +174,8 @@ async def playback_file(request: Request) -> Response:
         "Cache-Control": f"private, max-age={ONE_YEAR_S}, immutable" if is_named else "no-cache",
         "Vary": "Cookie",
     }
-    if file is PlaybackFile.STILL:
-        return Response(content, media_type="image/png", headers=headers)
+    if file in _PICTURES:
+        return Response(content, media_type=_PICTURES[file], headers=headers)
     headers["Content-Encoding"] = "gzip"  # As it is stored; the browser unpacks it.
     return Response(content, media_type="application/octet-stream", headers=headers)
 
@@ -153,7 +189,7 @@ def progress(playback: PlaybackView) -> str:
     if playback.state is PlaybackState.MADE:
         return ""
     if playback.workers == 0:
-        return "Waiting: no worker is running."
+        return _NO_WORKER[playback.family]
     if playback.waits_for:
         return f"Waiting: {playback.waits_for} shards and playbacks come first, as evaluations go before playbacks."
     return "Waiting for a worker."

@@ -40,7 +40,25 @@ def test_the_state_vector_is_one_key_whose_parts_are_named_with_their_places() -
     assert (state.name, state.shape, state.dtype) == ("state", (42,), "float32")
     for part in ("0 to 8 agent_qpos", "9 to 17 agent_qvel", "18 extra_is_grasped", "19 to 25 extra_tcp_pose"):
         assert part in state.meaning
-    assert state.meaning.endswith("39 to 41 extra_obj_to_goal_pos.")
+    assert state.meaning.endswith("39 to 41 extra_obj_to_goal_pos [m].")
+
+
+@pytest.mark.parametrize(
+    ("env_id", "parts"),
+    [
+        ("PickCube-v1", ("agent_qpos [rad; m of sliding joints]", "pose [position in m, quaternion wxyz]")),
+        ("PegInsertionSide-v1", ("extra_peg_half_size [m]", "extra_box_hole_radius [m]")),
+        ("RollBall-v1", ("extra_ball_vel [m/s]",)),
+        ("TriFingerRotateCubeLevel0-v1", ("extra_obj_p [m]", "extra_goal_q [quaternion wxyz]", "tip_velocities,")),
+        ("PickCube-v1", ("18 extra_is_grasped,",)),
+    ],
+)
+def test_parts_of_the_state_have_the_unit_that_their_name_says_and_others_none(
+    env_id: str, parts: tuple[str, ...]
+) -> None:
+    (state,) = definition_of(f"ManiSkill/{env_id}", {"control_mode": "pd_joint_delta_pos"}).observables
+    for part in parts:
+        assert part in state.meaning
 
 
 def test_pictures_are_keys_of_their_own_and_show_no_true_pose() -> None:

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from fake_pick_cube import FakePickCube, in_place_of_maniskill
 from vitac.envs.maniskill import env as adapter
 from vitac.envs.maniskill.abilities import abilities
 from vitac.envs.maniskill.env import ManiSkillEnv, ManiSkillFailed, ManiSkillMissing
@@ -22,69 +23,9 @@ START = {"shape": "drawn", "variant": (0.0,), "rng_seed": (5, 3)}
 HOLD = np.zeros(7, np.float32)
 
 
-class Tensor:
-    """One environment's value with its batch dimension."""
-
-    def __init__(self, value: Any) -> None:
-        self._array = np.asarray([value])
-        self.ndim = self._array.ndim
-
-    def cpu(self) -> "Tensor":
-        return self
-
-    def numpy(self) -> np.ndarray:
-        return self._array
-
-    def __float__(self) -> float:
-        return float(self._array[0])
-
-    def __bool__(self) -> bool:
-        return bool(self._array[0])
-
-
-class FakePickCube:
-    """Succeeds at the third env step if told to; its state is the sum of its actions."""
-
-    def __init__(self) -> None:
-        self.single_action_space = SimpleNamespace(shape=(7,))
-        self.resets: list[tuple[int, dict[str, bool]]] = []
-        self.commands: list[np.ndarray] = []
-        self.solves, self.fails, self.raises = False, False, False
-        self.reward, self.force = 0.25, 1.0
-        self.state_size = 42
-
-    def reset(self, *, seed: int, options: dict[str, bool]) -> tuple[Tensor, dict[str, Any]]:
-        self.resets.append((seed, options))
-        self.state, self.steps = np.full(4, seed % 100, np.float32), 0
-        return self._observation(), {"elapsed_steps": Tensor(0), "reconfigure": True}
-
-    def step(self, action: np.ndarray) -> tuple[Tensor, Tensor, Tensor, Tensor, dict[str, Any]]:
-        if self.raises:
-            raise ValueError("PhysX\nlost a joint")
-        self.commands.append(action)
-        self.steps += 1
-        self.state = self.state + action.sum()
-        info = {
-            "success": Tensor(self.solves and self.steps == 3),
-            "fail": Tensor(self.fails),
-            "force": Tensor([self.force, 2.0]),
-        }
-        return self._observation(), Tensor(self.reward), Tensor(False), Tensor(False), info
-
-    def get_state(self) -> Tensor:
-        return Tensor(self.state)
-
-    def _observation(self) -> Tensor:
-        return Tensor(np.full(self.state_size, self.steps, np.float32))
-
-
 @pytest.fixture
 def fake(monkeypatch: pytest.MonkeyPatch) -> FakePickCube:
-    made = FakePickCube()
-    monkeypatch.setattr(adapter, "_made", lambda name, settings: made)
-    versions = {"mani-skill": "3.0.1", "sapien": "3.0.3", "torch": "2.13.0+cpu"}
-    monkeypatch.setattr(adapter, "version", versions.__getitem__)
-    return made
+    return in_place_of_maniskill(monkeypatch)
 
 
 def pick_cube(**arguments: Any) -> ManiSkillEnv:
@@ -302,10 +243,12 @@ def test_pictures_without_a_driver_are_refused_with_what_to_install(monkeypatch:
         monkeypatch.setitem(sys.modules, name, SimpleNamespace(set_num_threads=lambda count: None))
     monkeypatch.setattr(adapter, "missing_packages", tuple)
     monkeypatch.setattr(adapter, "has_driver", lambda: False)
-    with pytest.raises(ManiSkillMissing, match=r"obs_mode rgb is drawn, .* Mesa 24.3 or newer"):
+    with pytest.raises(ManiSkillMissing, match=r"obs_mode rgb is drawn by SAPIEN, which .* Mesa 24.3 or newer"):
         pick_cube(settings={"obs_mode": "rgb"})
     with pytest.raises(ManiSkillMissing, match=r"PushT-v1 with obs_mode state is drawn"):
         ManiSkillEnv("ManiSkill/PushT-v1", max_steps=5)
+    with pytest.raises(ManiSkillMissing, match=r"A picture of ManiSkill/PickCube-v1 is drawn by SAPIEN, which finds n"):
+        pick_cube(draws=True)
 
 
 @pytest.fixture

@@ -14,8 +14,9 @@ from vitac.evaluator.episodes.episode import make_environment
 from vitac.evaluator.episodes.records import ActionSequence, EpisodeOutcome, EpisodeRecord
 from vitac.evaluator.episodes.replay import resimulate
 from vitac.evaluator.playback import making
-from vitac.evaluator.playback.making import StatesDiffer, make, replay, serve, start_of
+from vitac.evaluator.playback.making import make, replay, serve
 from vitac.evaluator.playback.order import CAMERAS_FILE, SCENE_FILE, STILL_FILE, NotPlayable, PlaybackOrder
+from vitac.evaluator.playback.recorded import StatesDiffer, start_of
 from vitac.evaluator.sensors.check import accepted_sensor
 from vitac.evaluator.sensors.made import made_sensor
 from vitac.evaluator.tracks import find_task
@@ -96,17 +97,6 @@ def test_an_environment_of_another_kind_is_not_shown(recorded: Recorded, monkeyp
     monkeypatch.setattr(making, "make_environment", lambda _, **__: object())
     with pytest.raises(NotPlayable, match=r"Episodes of ViTac/PegInsertion-v1 are not shown in 3D"):
         replay(task, record, ignore)
-
-
-def test_an_episode_of_maniskill_is_not_shown_and_its_packages_are_not_asked_for(
-    recorded: Recorded, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    _, task = find_task("pick-cube")
-    made: list[object] = []
-    monkeypatch.setattr(making, "make_environment", lambda *_, **__: made.append(task))
-    with pytest.raises(NotPlayable, match=r"Episodes of ManiSkill/PickCube-v1 are not shown in 3D"):
-        replay(task, recorded(env_steps=1), ignore)
-    assert made == []
 
 
 def test_the_start_is_the_recorded_one_with_the_seed_of_the_list(recorded: Recorded) -> None:

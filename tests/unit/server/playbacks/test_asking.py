@@ -6,16 +6,21 @@ import pytest
 from asked_playbacks import SETTINGS, Played, played
 from service_factories import TASK, make_principal, make_score, play, shard_ids, submit_scored, submit_to
 from sqlalchemy import text, update
+from sqlalchemy.orm import Session
+from submission_steps import make_worker
+from vitac.envs.tasks.definition import Family
 from vitac.evaluator.tracks import ListKind, load_track
+from vitac.evaluator.version import evaluator_version
 from vitac.server.accounts import visibility
 from vitac.server.accounts.principals import CONSOLE, VISITOR, Principal
 from vitac.server.db.engine import Database
-from vitac.server.db.models import Playback, Shard
+from vitac.server.db.models import Playback, Shard, Submission
 from vitac.server.db.states import PlaybackState, Role, ShardState
 from vitac.server.errors import ProblemCode, ServiceError
-from vitac.server.playbacks import asking
+from vitac.server.playbacks import asking, work
 from vitac.server.playbacks.asking import ask, find_episode, find_playback, playback_key, playback_view, requester
-from vitac.server.queue.jobs import MAKE_PLAYBACK, RUN_SHARD
+from vitac.server.playbacks.files import PlaybackFile, digest_of
+from vitac.server.queue.jobs import MAKE_PLAYBACK, RUN_SHARD, queue_name
 from vitac.server.sharing.public_pages import set_public
 
 JUDGE = Principal(role=Role.JUDGE)
@@ -29,6 +34,12 @@ def jobs(database: Database) -> list[tuple[str, int]]:
     )
     with database.transaction() as session:
         return [(str(row[0]), row[1]) for row in session.execute(query)]
+
+
+def queues_of_playbacks(session: Session) -> list[str]:
+    """The queues in which playbacks wait."""
+    query = text("SELECT queue_name FROM procrastinate_jobs WHERE status = 'todo' AND task_name = :task ORDER BY id")
+    return list(session.scalars(query, {"task": MAKE_PLAYBACK}))
 
 
 def refusal(asked: Played, number: int, **settings: Any) -> ServiceError:
@@ -177,21 +188,58 @@ def test_an_episode_that_is_not_there_is_not_found(team_a: Played, task: str, nu
     assert refused.value.code is ProblemCode.NOT_FOUND
 
 
-def test_an_episode_of_maniskill_is_refused_and_nothing_is_queued(database: Database) -> None:
+@pytest.fixture
+def pick_cube(database: Database) -> Submission:
+    """A submission of ManiSkill whose first shard has been played."""
     with database.transaction() as session:
-        by = make_principal(session)
-        submission = submit_to(session, by, track="maniskill", task="pick-cube")
+        submission = submit_to(session, make_principal(session), track="maniskill", task="pick-cube")
         first = shard_ids(session, submission)[0]
     play(database, first)
-    for asking_one in (by, CONSOLE):
-        with database.transaction() as session:
-            episode = find_episode(session, asking_one, submission.id, "pick-cube", 1)
-            with pytest.raises(ServiceError, match=r"ManiSkill/PickCube-v1 are not shown in 3D: a play") as refused:
-                ask(session, SETTINGS, asking_one, episode)
-            assert refused.value.code is ProblemCode.INVALID_REQUEST
+    return submission
+
+
+def test_a_film_waits_for_workers_that_can_draw_until_it_is_made(database: Database, pick_cube: Submission) -> None:
+    able = queue_name(evaluator_version(), Family.MANISKILL_PICTURES)
+    make_worker(database)
+    make_worker(database, families=["tactile", "maniskill"])
     with database.transaction() as session:
-        assert find_playback(session, episode) is None
-    assert MAKE_PLAYBACK not in {task for task, _ in jobs(database)}
+        asked = ask(session, SETTINGS, CONSOLE, find_episode(session, CONSOLE, pick_cube.id, "pick-cube", 1))
+        assert queues_of_playbacks(session) == [able]
+        view = playback_view(session, SETTINGS, asked)
+        assert (view.family, view.workers) == (Family.MANISKILL_PICTURES, 0)
+        make_worker(database, families=["tactile", "maniskill", "maniskill-pictures"])
+        assert playback_view(session, SETTINGS, asked).workers == 1
+        lease = work.claim(session, asked.id, 60.0)
+        assert lease is not None
+        work.hand_back(session, lease, counts_as_attempt=False)
+        assert queues_of_playbacks(session) == [able, able]
+        session.execute(text("DELETE FROM procrastinate_jobs"))
+        session.execute(update(Playback).values(asked_at=datetime.now(UTC) - timedelta(hours=1)))
+        work.recover(session, SETTINGS)
+        assert queues_of_playbacks(session) == [able]
+        lease = work.claim(session, asked.id, 60.0)
+        assert lease is not None
+        work.end_made(session, lease, {"film_sha256": "1" * 64, "still_sha256": "2" * 64})
+        session.expire_all()
+        assert asked.state is PlaybackState.MADE
+        assert {"1" * 64, "2" * 64} <= work.stored_digests(session)
+        assert digest_of(session, asked.episode, PlaybackFile.FILM) == "1" * 64
+
+
+def test_what_does_not_repeat_is_refused_and_nothing_is_queued(
+    database: Database, pick_cube: Submission, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    track = load_track("maniskill")
+    task = track.tasks["pick-cube"]
+    on_gpu = task.model_copy(update={"settings": dict(task.settings) | {"sim_backend": "physx_cuda"}})
+    changed = track.model_copy(update={"tasks": {"pick-cube": on_gpu}})
+    monkeypatch.setattr(asking, "load_track", lambda _: changed)
+    with database.transaction() as session:
+        episode = find_episode(session, CONSOLE, pick_cube.id, "pick-cube", 1)
+        with pytest.raises(ServiceError, match=r"no playbacks of ManiSkill/PickCube-v1 .* do not repeat") as refused:
+            ask(session, SETTINGS, CONSOLE, episode)
+        assert refused.value.code is ProblemCode.INVALID_REQUEST
+        assert (find_playback(session, episode), queues_of_playbacks(session)) == (None, [])
 
 
 def test_another_teams_episode_is_not_found(team_a: Played) -> None:

@@ -17,11 +17,11 @@ from vitac.server.views.playbacks import PublicEpisodeView
 NOW = datetime(2026, 11, 22, 12, tzinfo=UTC)
 
 
-def make(team: Played, number: int, minutes: int, *, is_made: bool = True) -> None:
+def make(team: Played, number: int, minutes: int, *, is_made: bool = True, file: str = "scene_sha256") -> None:
     """Has the playback of an episode asked for at some minute, and made."""
     playback = team.ask(number)
     running = {"state": PlaybackState.RUNNING, "lease_expires_at": NOW}
-    made = {"state": PlaybackState.MADE, "lease_expires_at": None, "scene_sha256": sha256("scene"), "finished_at": NOW}
+    made = {"state": PlaybackState.MADE, "lease_expires_at": None, file: sha256("file"), "finished_at": NOW}
     with team.database.transaction() as session:
         for values in ({"asked_at": NOW + timedelta(minutes=minutes)}, *((running, made) if is_made else ())):
             session.execute(update(Playback).where(Playback.id == playback.id).values(**values))
@@ -107,3 +107,11 @@ def test_a_submission_that_becomes_private_meanwhile_is_passed_over(
 
     monkeypatch.setattr(recent, "public_among", privately)
     assert newest(team_a) is None
+
+
+def test_films_are_not_played_on_the_front_page(team_a: Played) -> None:
+    complete(team_a)
+    show(team_a)
+    make(team_a, 1, minutes=1)
+    make(team_a, 2, minutes=2, file="film_sha256")
+    assert number_of(newest(team_a)) == 1

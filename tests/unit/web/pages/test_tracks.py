@@ -176,7 +176,7 @@ def test_rules_show_the_scene_of_each_task_before_its_words(browser: AsgiBrowser
 
 def test_rules_of_maniskills_track_come_from_its_environments(browser: AsgiBrowser) -> None:
     html = browser.get("/tracks/maniskill/rules").text
-    for shown in ("36 to 38 extra_tcp_to_obj_pos", "(42) float32", "<code>gripper</code>", "0.1 m", "-0.1 rad"):
+    for shown in ("36 to 38 extra_tcp_to_obj_pos [m]", "(42) float32", "<code>gripper</code>", "0.1 m", "-0.1 rad"):
         assert shown in html
     (picture,) = re.findall(
         r'<img class="wide" src="(/static/scene-PickCube-v1\.jpg\?v=\w+)" width="480" height="360"', html
@@ -185,7 +185,14 @@ def test_rules_of_maniskills_track_come_from_its_environments(browser: AsgiBrows
     assert "There is no picture of this task" not in browser.get("/tracks/track_1/rules").text
     assert "within tolerance, by its outcomes" not in html
     assert "<dt>Control mode</dt><dd><code>pd_ee_delta_pos</code></dd>" in html
-    assert "Control mode" not in browser.get("/tracks/track_1/rules").text
+    assert '<p class="eyebrow">ManiSkill · Rules</p>' in html
+    assert "1 1</td>" not in html, "a number without a unit has none"
+    assert "Logs instead of models" in html
+    assert "2025 text logs" not in html
+    track_1 = browser.get("/tracks/track_1/rules").text
+    assert "Control mode" not in track_1
+    assert '<p class="eyebrow">Track 1 · Rules</p>' in track_1
+    assert "2025 text logs are accepted too" in track_1
 
 
 def test_a_task_on_a_gpu_says_that_it_does_not_repeat_and_one_without_a_picture_that_there_is_none(

@@ -3,8 +3,10 @@ from asgi_browser import AsgiBrowser
 from page_fixtures import TASK, FixedData, an_id
 from played_episodes import KEY, a_playback, a_shown_episode
 from visits import COMPLETED, QUEUED, form_token, sign_in
-from vitac.evaluator.playback.order import NotPlayable
+from vitac.envs.tasks.definition import Family
+from vitac.evaluator.tracks import load_track
 from vitac.server.db.states import PlaybackState
+from vitac.server.playbacks.files import PlaybackFile
 from vitac.web.data.protocol import EpisodeAddress
 from vitac.web.pages.episodes import page
 from vitac.web.pages.episodes.page import progress
@@ -55,13 +57,47 @@ def test_without_a_still_the_page_says_what_the_worker_lacks(data: FixedData, vi
     assert "<img" not in html.partition('class="player"')[2]
 
 
-def test_an_episode_of_maniskill_says_that_it_is_not_shown_in_3d_and_offers_nothing(
+def test_an_episode_of_maniskill_is_a_film_that_plays_only_when_it_is_asked_for(
     data: FixedData, visitor: AsgiBrowser
 ) -> None:
+    made = a_shown_episode(a_playback(family=Family.MANISKILL_PICTURES), task="pick-cube")
+    place = EpisodeAddress(submission_id=COMPLETED.id, task="pick-cube", number=5)
+    data.episodes[place] = made
+    data.files[place] = {PlaybackFile.FILM: b"RIFF film", PlaybackFile.STILL: b"PNG still"}
+    path = f"/submissions/{COMPLETED.id}/episodes/pick-cube/5"
+    html = visitor.get(path).text
+    assert 'data-state="filmed"' in html, "the script, which plays scenes, leaves it alone"
+    assert f'src="{path}/playback/still?v={KEY}"' in html
+    assert "<details" in html.partition(f'src="{path}/playback/film?v={KEY}"')[0]
+    assert "whose states were compared with the recorded ones" in html
+    for absent in ("<canvas", "Space plays", "3D player", "Make the playback", "drawn from (0)"):
+        assert absent not in html
+    answer = visitor.get(f"{path}/playback/film?v={KEY}")
+    assert (answer.content, answer.headers["content-type"]) == (b"RIFF film", "image/webp")
+
+
+def test_a_film_is_asked_for_and_waits_as_other_playbacks_do(data: FixedData, visitor: AsgiBrowser) -> None:
+    path = data.show(COMPLETED.id, a_shown_episode(None, task="pick-cube"))
+    html = visitor.get(path).text
+    assert ("Make the playback" in html, 'data-state=""' in html) == (True, True)
+    place = next(iter(data.episodes))
+    nobody = a_playback(PlaybackState.QUEUED, family=Family.MANISKILL_PICTURES, workers=0)
+    data.episodes[place] = a_shown_episode(nobody, task="pick-cube")
+    assert (
+        "no running worker can draw ManiSkill’s environments, which takes its packages and a Vulkan"
+        in visitor.get(path).text
+    )
+
+
+def test_what_does_not_repeat_says_so_and_offers_nothing(
+    data: FixedData, visitor: AsgiBrowser, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    task = load_track("maniskill").tasks["pick-cube"]
+    on_gpu = task.model_copy(update={"settings": dict(task.settings) | {"sim_backend": "physx_cuda"}})
+    monkeypatch.setattr(page.Player, "task", on_gpu)
     html = visitor.get(data.show(COMPLETED.id, a_shown_episode(None, task="pick-cube"))).text
-    assert str(NotPlayable("ManiSkill/PickCube-v1")) in html
-    assert 'data-state="none"' in html
-    assert "The task was solved." in html
+    assert "There are no playbacks of ManiSkill/PickCube-v1 with these settings: its states do not repeat" in html
+    assert ('data-state="none"' in html, "The task was solved." in html) == (True, True)
     for absent in ("Make the playback", "<progress", "<canvas", "note bad"):
         assert absent not in html
 

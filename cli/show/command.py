@@ -1,19 +1,19 @@
 """`vitac show`: draws an episode."""
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 import typer
 from vitac.envs.errors import VitacError
 from vitac.envs.extras import install_command
+from vitac.envs.maniskill.definition import is_maniskill
 
-from .terminal.existing import existing_file
-from .terminal.output import AsJson
+from ..terminal.existing import existing_file
+from ..terminal.output import AsJson
+from .film import film
+from .playing import NothingToShow, Played, Shown, Start, find_start, no_such_env_step, player
 
 if TYPE_CHECKING:
     import numpy as np
@@ -21,11 +21,9 @@ if TYPE_CHECKING:
     from vitac.envs.drawing.colouring import Quantity
     from vitac.envs.drawing.files import Destination, Kind
     from vitac.envs.drawing.picture import Caption
-    from vitac.envs.drawing.playback import NextAction, Pace, Playback
-    from vitac.envs.tasks.task_env import Info, Observation, TactileTaskEnv
+    from vitac.envs.drawing.playback import Pace, Playback
+    from vitac.envs.tasks.task_env import TactileTaskEnv
     from vitac.envs.vision.camera import Sight
-    from vitac.evaluator.logs.recordings import Recording
-    from vitac.evaluator.tracks import Episode, Task
 
 _EXTRA = "show"
 _PICTURE_WIDTH_PX, _ANIMATION_WIDTH_PX = 1600, 1000
@@ -34,38 +32,6 @@ _BETWEEN_MS, _ENV_STEP_MS, _END_MS = 120, 700, 2500
 
 class ExtraMissing(VitacError):
     """The drawing packages are not installed; the message is the command that installs them."""
-
-
-class NothingToShow(VitacError):
-    """The episode has no recorded actions, or no such env step."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Start:
-    """The start of an episode.
-
-    Attributes:
-        env_id: id of the environment.
-        title: names the episode.
-        options: reset options.
-        settings: of the environment that are not its defaults.
-        listed: task and episode of the list; None for a random start of an environment.
-    """
-
-    env_id: str
-    title: str
-    options: Mapping[str, object]
-    settings: Mapping[str, object] = field(default_factory=dict)
-    listed: "tuple[Task, Episode] | None" = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class Played:
-    """The start of an episode, its actions, and a description of where they come from."""
-
-    start: Start
-    next_action: "NextAction"
-    actions: str
 
 
 _Policy = Annotated[Path | None, typer.Option(help="Submission whose policy acts, in its sandbox.")]
@@ -77,7 +43,9 @@ _Out = Annotated[
     Path | None,
     typer.Option(help="FILE.png, .gif or .webp, or a new folder for a PNG per moment; TASK-EPISODE.png by default."),
 ]
-_Colour = Annotated[Literal["stress", "displacement"], typer.Option(help="Quantity that colours the gels.")]
+_Colour = Annotated[
+    Literal["stress", "displacement"] | None, typer.Option(help="Quantity that colours the gels; stress by default.")
+]
 _Step = Annotated[
     int | None, typer.Option(min=0, help="Env step that a PNG shows, 0 is the reset; the last by default.")
 ]
@@ -86,7 +54,8 @@ _Every = Annotated[
     typer.Option(help="Interval of pictures; ipc-step by default for animations."),
 ]
 _Width = Annotated[
-    int | None, typer.Option(min=600, max=4000, help="Width in pixels; 1600 by default, 1000 for animations.")
+    int | None,
+    typer.Option(min=600, max=4000, help="Width in pixels; 1600 by default, 1000 for animations, 640 for ManiSkill."),
 ]
 _Assets = Annotated[Path | None, typer.Option(help="Folder with the challenge's own meshes [env: VITAC_ASSETS_DIR].")]
 _View = Annotated[
@@ -106,7 +75,7 @@ def command(
     policy: _Policy = None,
     actions: _Actions = None,
     out: _Out = None,
-    colour: _Colour = "stress",
+    colour: _Colour = None,
     step: _Step = None,
     every: _Every = None,
     width: _Width = None,
@@ -117,15 +86,24 @@ def command(
     """Draw an episode: gels by stress or displacement, the held part, the fixed part cut open, and both marker flows.
 
     Without --policy and --actions the part moves straight to its target, which a policy cannot do because it does not
-    know where the target is.
+    know where the target is. Of ManiSkill's environments, SAPIEN draws what a camera beside the robot sees; without
+    actions, the start.
     """
     require_extra()
-    from vitac.envs.drawing.colouring import Quantity
-
     if policy and actions:
         raise typer.BadParameter("expected one of them, got both.", param_hint="--policy and --actions")
     destination = _destination(out or Path(f"{task.rpartition('/')[2]}-{episode}.png"), step)
-    caption, playback = _played(find_start(task, episode), policy, actions, assets, _pace(every, destination))
+    start = find_start(task, episode)
+    if is_maniskill(start.env_id):
+        tactile = {"--colour": colour, "--assets": assets, "--view": view != "episode", "--every": every == "ipc-step"}
+        _refuse_for_maniskill(start.env_id, [name for name, given in tactile.items() if given])
+        each_step = every == "env-step"
+        shown = film(start, (policy, actions), destination, step=step, each_step=each_step, width_px=width)
+        _report(shown, as_json=as_json)
+        return
+    from vitac.envs.drawing.colouring import Quantity
+
+    caption, playback = _played(start, policy, actions, assets, _pace(every, destination))
     width_px = width or (_ANIMATION_WIDTH_PX if destination.kind.is_animated else _PICTURE_WIDTH_PX)
     moments = _chosen(playback, destination.kind, step)
     if view == "cameras":
@@ -133,10 +111,25 @@ def command(
     elif view != "episode":
         pictures = _render(playback, caption.title, view, width_px=width_px, moments=moments)
     else:
-        pictures = _draw(playback, caption, Quantity(colour), width_px=width_px, moments=moments)
+        pictures = _draw(playback, caption, Quantity(colour or "stress"), width_px=width_px, moments=moments)
     names, durations_ms = zip(*_names_and_durations(playback), strict=True)
     written = destination.write(pictures, names=names[moments], durations_ms=durations_ms[moments])
-    _report(caption, playback, written, as_json=as_json)
+    last = playback.moments[-1]
+    shown = Shown(
+        title=caption.title,
+        actions=caption.actions,
+        end_reason=last.end_reason,
+        env_steps=last.env_step,
+        files=tuple(written),
+    )
+    _report(shown, as_json=as_json)
+
+
+def _refuse_for_maniskill(env_id: str, given: list[str]) -> None:
+    if given:
+        raise typer.BadParameter(
+            f"there are no gels and no cameras of ours in {env_id}.", param_hint=" and ".join(given)
+        )
 
 
 def _destination(path: Path, step: int | None) -> "Destination":
@@ -159,9 +152,9 @@ def _played(
     """Play the episode, and return what is written above its pictures and what is drawn of it."""
     from vitac.envs.drawing.picture import Caption
 
-    from .terminal.compiling import compiling_shown
+    from ..terminal.compiling import compiling_shown
 
-    with compiling_shown(), _player(start, policy, actions) as played:
+    with compiling_shown(), player(start, policy, actions) as played:
         playback = _record(played, assets, pace)
     start = played.start
     title = start.title if start.listed else f"{start.title}: {playback.held.name}"
@@ -177,34 +170,6 @@ def require_extra() -> None:
     if find_spec("matplotlib") and find_spec("PIL"):
         return
     raise ExtraMissing(f"Drawing needs the extra {_EXTRA!r}; install it with: {install_command(_EXTRA)}")
-
-
-def find_start(task: str, number: int) -> Start:
-    """Return an episode of a task's list, or a random start of an environment with the number as its seed.
-
-    Raises:
-        UnknownTask: there is neither such a task nor such an environment.
-        UnknownEpisodes: the list does not have that number.
-        NotDrawable: the task is not on the tactile simulation.
-    """
-    from vitac.envs import ENVIRONMENTS
-    from vitac.envs.drawing.drawable import require_tactile
-    from vitac.evaluator.tracks import find_task
-    from vitac.evaluator.tracks.cut import cut
-
-    if task in ENVIRONMENTS:
-        return Start(env_id=task, title=f"{task}, random start {number}", options={"rng_seed": number})
-    _, definition = find_task(task)
-    require_tactile(definition.definition)
-    (shard,) = cut(definition, [number])
-    return _listed(definition, shard.episodes[0])
-
-
-def _listed(task: "Task", episode: "Episode") -> Start:
-    title = f"{task.title}, episode {episode.number}: {episode.shape}"
-    return Start(
-        env_id=task.env_id, title=title, options=episode.options, settings=task.settings, listed=(task, episode)
-    )
 
 
 def _pace(every: str | None, destination: "Destination") -> "Pace":
@@ -228,82 +193,13 @@ def _record(played: Played, assets: Path | None, pace: "Pace") -> "Playback":
     return record(env, options=start.options, next_action=played.next_action, pace=pace)
 
 
-@contextmanager
-def _player(start: Start, policy: Path | None, actions: Path | None) -> Iterator[Played]:
-    from vitac.envs.drawing.drawable import straight_to_target
-    from vitac.envs.scene.guided_motion import DESCRIPTION
-
-    if not policy and not actions:
-        yield Played(start=start, next_action=straight_to_target(start.env_id), actions=DESCRIPTION)
-        return
-    if start.listed is None:
-        raise NothingToShow(f"Expected a task such as peg-insertion for --policy or --actions, got {start.env_id}.")
-    task, episode = start.listed
-    if policy:
-        with _policy_player(task, start, policy) as played:
-            yield played
-    elif actions:
-        recording = _recording(task, episode.number, actions)
-        start = _listed(task, recording.episode)
-        yield Played(start=start, next_action=_one_by_one(recording.actions), actions=actions.name)
-
-
-@contextmanager
-def _policy_player(task: "Task", start: Start, submission: Path) -> Iterator[Played]:
-    from vitac.evaluator.agent.session import PolicySession
-    from vitac.evaluator.episodes.episode import open_episode
-    from vitac.evaluator.episodes.reading import reading_of
-    from vitac.evaluator.submission.manifest import load_manifest, stage
-
-    with TemporaryDirectory(prefix="vitac-show-") as folder:
-        Path(folder).chmod(0o755)  # Under root the sandbox has its own user, which must be able to read the submission.
-        staged = stage(submission, Path(folder) / "submission")
-        manifest = load_manifest(staged)
-        if task.name not in manifest.tasks:
-            raise NothingToShow(
-                f"Expected one of the submission's tasks, {', '.join(manifest.tasks)}, got {task.name}."
-            )
-        reading = reading_of(task, manifest.observation_keys)
-        with (
-            PolicySession(staged, entry_point=manifest.entry_point) as session,
-            open_episode(session, task, reading) as policy,
-        ):
-            yield Played(
-                start=start,
-                next_action=lambda seen, _: policy.act({key: seen[key] for key in reading.sent}),
-                actions=manifest.name,
-            )
-
-
-def _recording(task: "Task", number: int, path: Path) -> "Recording":
-    from vitac.evaluator.logs.recorded_files import read_recordings
-
-    for recording in read_recordings(path, task):
-        if recording.episode.number == number:
-            return recording
-    raise NothingToShow(
-        f"{path} contains no actions for episode {number}; `vitac log show` lists the episodes of a log."
-    )
-
-
-def _one_by_one(actions: "NDArray[np.float32]") -> "NextAction":
-    remaining = iter(actions)
-
-    def next_action(_: "Observation", __: "Info") -> "NDArray[np.float32] | None":
-        return next(remaining, None)
-
-    return next_action
-
-
 def _chosen(playback: "Playback", kind: "Kind", step: int | None) -> slice:
     """Return the moments to draw."""
     if kind is not kind.PNG:
         return slice(None)
     ends = playback.last_moments
     if step is not None and step >= len(ends):
-        raise NothingToShow(
-            f"The episode ended after env step {len(ends) - 1}: expected --step 0 to {len(ends) - 1}, got {step}."
-        )
+        raise no_such_env_step(step, len(ends) - 1)
     index = ends[-1 if step is None else step]
     return slice(index, index + 1)
 
@@ -377,21 +273,20 @@ def _seen(playback: "Playback", moments: slice) -> "list[tuple[int, Sight]]":
     return seen
 
 
-def _report(caption: "Caption", playback: "Playback", written: list[Path], *, as_json: bool) -> None:
-    last = playback.moments[-1]
-    outcome = last.end_reason or "not ended"
+def _report(shown: Shown, *, as_json: bool) -> None:
+    outcome = shown.end_reason or "not ended"
     if as_json:
-        from .terminal.output import print_json
+        from ..terminal.output import print_json
 
-        files = [str(path) for path in written]
-        found = {"title": caption.title, "actions": caption.actions, "outcome": outcome, "env_steps": last.env_step}
+        files = [str(path) for path in shown.files]
+        found = {"title": shown.title, "actions": shown.actions, "outcome": outcome, "env_steps": shown.env_steps}
         print_json(found | {"files": files})
         return
-    print(f"{caption.title}: {outcome} after {last.env_step} env steps")
-    if last.end_reason:
+    print(f"{shown.title}: {outcome} after {shown.env_steps} env steps")
+    if shown.end_reason:
         from vitac.evaluator.episodes.records import EpisodeOutcome
 
-        print(EpisodeOutcome(last.end_reason).sentence)
-    print(f"actions: {caption.actions}")
-    for path in written:
+        print(EpisodeOutcome(shown.end_reason).sentence)
+    print(f"actions: {shown.actions}")
+    for path in shown.files:
         print(path)

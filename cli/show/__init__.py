@@ -1,0 +1,1 @@
+"""`vitac show`: draws an episode."""

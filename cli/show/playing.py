@@ -1,0 +1,184 @@
+"""What `vitac show` plays: a start, and what chooses the actions from there."""
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
+
+from vitac.envs.errors import VitacError
+from vitac.envs.maniskill.definition import is_maniskill
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+    from vitac.envs.drawing.playback import NextAction
+    from vitac.envs.tasks.task_env import Info, Observation
+    from vitac.evaluator.logs.recordings import Recording
+    from vitac.evaluator.tracks import Episode, Task
+
+START_ALONE = "none, so this is the start"
+
+
+class NothingToShow(VitacError):
+    """The episode has no recorded actions, or no such env step."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Start:
+    """The start of an episode.
+
+    Attributes:
+        env_id: id of the environment.
+        title: names the episode.
+        options: reset options.
+        settings: of the environment that are not its defaults.
+        listed: task and episode of the list; None for a random start of an environment.
+    """
+
+    env_id: str
+    title: str
+    options: Mapping[str, object]
+    settings: Mapping[str, object] = field(default_factory=dict)
+    listed: "tuple[Task, Episode] | None" = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Played:
+    """The start of an episode, its actions, and a description of where they come from."""
+
+    start: Start
+    next_action: "NextAction"
+    actions: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shown:
+    """What was drawn, and into which files.
+
+    Attributes:
+        title: of the episode.
+        actions: where they come from.
+        end_reason: why the episode has ended; None where the actions did before.
+        env_steps: that were played.
+        files: that were written.
+    """
+
+    title: str
+    actions: str
+    end_reason: str | None
+    env_steps: int
+    files: tuple[Path, ...]
+
+
+def no_such_env_step(step: int | None, last: int) -> NothingToShow:
+    """Return the refusal of an env step that the episode did not reach."""
+    return NothingToShow(f"The episode ended after env step {last}: expected --step 0 to {last}, got {step}.")
+
+
+def find_start(task: str, number: int) -> Start:
+    """Return an episode of a task's list, or a random start of an environment with the number as its seed.
+
+    Raises:
+        UnknownTask: there is neither such a task nor such an environment.
+        UnknownEpisodes: the list does not have that number.
+    """
+    from vitac.envs import ENVIRONMENTS
+    from vitac.evaluator.tracks import find_task
+    from vitac.evaluator.tracks.cut import cut
+
+    if task in ENVIRONMENTS:
+        return Start(env_id=task, title=f"{task}, random start {number}", options={"rng_seed": number})
+    _, definition = find_task(task)
+    (shard,) = cut(definition, [number])
+    return _listed(definition, shard.episodes[0])
+
+
+def _listed(task: "Task", episode: "Episode") -> Start:
+    shape = "" if is_maniskill(task.env_id) else f": {episode.shape}"
+    title = f"{task.title}, episode {episode.number}{shape}"
+    return Start(
+        env_id=task.env_id, title=title, options=episode.options, settings=task.settings, listed=(task, episode)
+    )
+
+
+@contextmanager
+def player(start: Start, policy: Path | None, actions: Path | None) -> Iterator[Played]:
+    """Give the episode that is to be played, with a policy, recorded actions, or a motion that knows the target.
+
+    Raises:
+        NothingToShow: nothing is recorded of the episode, or the submission does not play the task.
+        NotDrawable: nobody has said what the target of this environment is.
+        VitacError: the submission or the log cannot be read, or the policy not be loaded.
+    """
+    if not policy and not actions:
+        yield _without_observing(start)
+        return
+    if start.listed is None:
+        raise NothingToShow(f"Expected a task such as peg-insertion for --policy or --actions, got {start.env_id}.")
+    task, episode = start.listed
+    if policy:
+        with _policy_player(task, start, policy) as played:
+            yield played
+    elif actions:
+        recording = _recording(task, episode.number, actions)
+        start = _listed(task, recording.episode)
+        yield Played(start=start, next_action=_one_by_one(recording.actions), actions=actions.name)
+
+
+def _without_observing(start: Start) -> Played:
+    """Return the motion straight to the target; for ManiSkill, where nobody has said what that is, the start alone."""
+    from vitac.envs.drawing.drawable import straight_to_target
+    from vitac.envs.scene.guided_motion import DESCRIPTION
+
+    if is_maniskill(start.env_id):
+        return Played(start=start, next_action=lambda _, __: None, actions=START_ALONE)
+    return Played(start=start, next_action=straight_to_target(start.env_id), actions=DESCRIPTION)
+
+
+@contextmanager
+def _policy_player(task: "Task", start: Start, submission: Path) -> Iterator[Played]:
+    from vitac.evaluator.agent.session import PolicySession
+    from vitac.evaluator.episodes.episode import open_episode
+    from vitac.evaluator.episodes.reading import reading_of
+    from vitac.evaluator.submission.manifest import load_manifest, stage
+
+    with TemporaryDirectory(prefix="vitac-show-") as folder:
+        Path(folder).chmod(0o755)  # Under root the sandbox has its own user, which must be able to read the submission.
+        staged = stage(submission, Path(folder) / "submission")
+        manifest = load_manifest(staged)
+        if task.name not in manifest.tasks:
+            raise NothingToShow(
+                f"Expected one of the submission's tasks, {', '.join(manifest.tasks)}, got {task.name}."
+            )
+        reading = reading_of(task, manifest.observation_keys)
+        with (
+            PolicySession(staged, entry_point=manifest.entry_point) as session,
+            open_episode(session, task, reading) as policy,
+        ):
+            yield Played(
+                start=start,
+                next_action=lambda seen, _: policy.act({key: seen[key] for key in reading.sent}),
+                actions=manifest.name,
+            )
+
+
+def _recording(task: "Task", number: int, path: Path) -> "Recording":
+    from vitac.evaluator.logs.recorded_files import read_recordings
+
+    for recording in read_recordings(path, task):
+        if recording.episode.number == number:
+            return recording
+    raise NothingToShow(
+        f"{path} contains no actions for episode {number}; `vitac log show` lists the episodes of a log."
+    )
+
+
+def _one_by_one(actions: "NDArray[np.float32]") -> "NextAction":
+    remaining = iter(actions)
+
+    def next_action(_: "Observation", __: "Info") -> "NDArray[np.float32] | None":
+        return next(remaining, None)
+
+    return next_action

@@ -1,0 +1,54 @@
+"""Films of ManiSkill's episodes: their recorded actions are played again, and SAPIEN draws what a camera sees."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..episodes.records import EpisodeRecord
+from ..tracks import Task
+from .order import FILM_FILE, STILL_FILE
+from .recorded import require_same_end, require_same_state, start_of
+
+if TYPE_CHECKING:
+    from vitac.envs.maniskill.env import ManiSkillEnv
+    from vitac.envs.maniskill.film import Moment
+
+WIDTH_PX = 480
+
+
+def make_film(
+    task: Task, record: EpisodeRecord, on_step: Callable[[int], None], folder: Path, list_seed: int | None = None
+) -> None:
+    """Write the film of an episode and its last picture into a folder.
+
+    Raises:
+        ManiSkillMissing: a package or the driver that draws is missing.
+        StatesDiffer: a state is not the recorded one.
+    """
+    from vitac.envs.drawing.files import Destination
+    from vitac.envs.maniskill.env import ManiSkillEnv
+    from vitac.envs.maniskill.film import END_MS, ENV_STEP_MS, captioned, env_steps_between, shots
+
+    env = ManiSkillEnv(task.env_id, max_steps=task.max_steps, settings=dict(task.settings), draws=True)
+    moments = _as_recorded(env, task, record, on_step, list_seed)
+    drawn = list(shots(env, moments, env_steps_between(task.max_steps)))
+    require_same_end(drawn[-1].moment.env_step, record)
+    title = f"{task.title}, episode {record.episode}"
+    pictures = [captioned(shot, title, WIDTH_PX) for shot in drawn]
+    shown_ms = [ENV_STEP_MS] * (len(pictures) - 1) + [END_MS]
+    Destination.at(folder / FILM_FILE).write(pictures, names=[""] * len(pictures), durations_ms=shown_ms)
+    Destination.at(folder / STILL_FILE).write(pictures[-1:], names=["still"], durations_ms=[0])
+
+
+def _as_recorded(
+    env: "ManiSkillEnv", task: Task, record: EpisodeRecord, on_step: Callable[[int], None], list_seed: int | None
+) -> "Iterator[Moment]":
+    """Play the recorded actions, and compare every state before it is drawn."""
+    from vitac.envs.maniskill.film import play
+
+    remaining = iter(record.actions.to_array())
+    options = start_of(task, record, list_seed).options
+    for moment in play(env, options=options, next_action=lambda _, __: next(remaining, None)):
+        require_same_state(env.state_hash(), record, moment.env_step)
+        on_step(moment.env_step)
+        yield moment
