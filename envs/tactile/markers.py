@@ -11,7 +11,7 @@ in this order per sensor, left sensor first:
 """
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,8 @@ _GRID_HALF_Y_MM = 6.0
 _U_RANGE_PX = (5.0, 320.0)
 _V_RANGE_PX = (5.0, 240.0)
 _CANDIDATE_TRIANGLES = 4
+# Of so many meshes; every episode has new sensors, and the hull of a surface takes a millisecond.
+_SURFACES_KEPT = 4
 
 
 class NoMarkerVisible(VitacError):
@@ -73,8 +75,9 @@ class SensingSurface:
     triangles: IndexArray
 
     @classmethod
+    @lru_cache(maxsize=_SURFACES_KEPT)
     def of_gel(cls, mesh: GelMesh) -> "SensingSurface":
-        """Return the triangles of the mesh's boundary whose corners are all sensing nodes."""
+        """Return the triangles of the mesh's boundary whose corners are all sensing nodes; made once for a mesh."""
         number = np.full(len(mesh.rest_position_m), -1, dtype=np.int64)
         number[mesh.sensing_nodes] = np.arange(len(mesh.sensing_nodes))
         on_surface = mesh.sensing[mesh.surface_triangles].all(axis=1)

@@ -13,6 +13,7 @@ import signal
 import struct
 import time
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Final
 
@@ -154,7 +155,7 @@ class LoadedCopy:
         return device not in self._writeable_devices()
 
     def _writeable_devices(self) -> set[int]:
-        return {folder.stat().st_dev for folder in self._writeable_folders()}
+        return {folder.stat().st_dev for folder in self._writeable_folders}
 
     def _restore_files(self) -> bool:
         now = {file.descriptor: file for file in self._open_files()}
@@ -175,27 +176,28 @@ class LoadedCopy:
                 except FileNotFoundError as error:
                     raise TracedProcessGone from error
 
-    def _link(self, descriptor: int | str) -> Path:
+    def _link(self, descriptor: int) -> Path:
         return Path(f"/proc/{self.pid}/fd/{descriptor}")
 
     def _open_files(self) -> list[OpenFile]:
         files = []
         try:
-            for name in (entry.name for entry in Path(f"/proc/{self.pid}/fd").iterdir()):
-                lines = Path(f"/proc/{self.pid}/fdinfo/{name}").read_text().splitlines()
-                info = dict(line.split(":", 1) for line in lines if line.startswith(("pos:", "flags:")))
-                state = self._link(name).stat()
-                files.append(
-                    OpenFile(
-                        descriptor=int(name),
-                        target=str(self._link(name).readlink()),
-                        position=int(info["pos"]),
-                        flags=int(info["flags"], 8),
-                        mode=state.st_mode,
-                        owner=(state.st_uid, state.st_gid),
-                        locks=tuple(line for line in lines if line.startswith("lock:")),
+            with os.scandir(f"/proc/{self.pid}/fd") as links:
+                for link in links:
+                    lines = process_tree.text_of(f"/proc/{self.pid}/fdinfo/{link.name}").splitlines()
+                    info = dict(line.split(":", 1) for line in lines if line.startswith(("pos:", "flags:")))
+                    state = link.stat()
+                    files.append(
+                        OpenFile(
+                            descriptor=int(link.name),
+                            target=str(Path(link.path).readlink()),
+                            position=int(info["pos"]),
+                            flags=int(info["flags"], 8),
+                            mode=state.st_mode,
+                            owner=(state.st_uid, state.st_gid),
+                            locks=tuple(line for line in lines if line.startswith("lock:")),
+                        )
                     )
-                )
         except FileNotFoundError as error:
             raise TracedProcessGone from error
         return sorted(files, key=lambda file: file.descriptor)
@@ -225,7 +227,7 @@ class LoadedCopy:
     def _pending_signals(self) -> list[str]:
         """Return the pending signals of the frozen process as /proc shows them; they count against its user's limit."""
         try:
-            lines = Path(f"/proc/{self.pid}/status").read_text(errors="replace").splitlines()
+            lines = process_tree.text_of(f"/proc/{self.pid}/status").splitlines()
         except FileNotFoundError as error:
             raise TracedProcessGone from error
         return [line for line in lines if line.startswith(("SigQ:", "SigPnd:", "ShdPnd:"))]
@@ -244,13 +246,14 @@ class LoadedCopy:
 
     # Temporary files
 
-    def _writeable_folders(self) -> list[Path]:
-        return [Path(f"/proc/{self.pid}/root", folder) for folder in _WRITEABLE_FOLDERS]
+    @cached_property
+    def _writeable_folders(self) -> tuple[Path, ...]:
+        return tuple(Path(f"/proc/{self.pid}/root", folder) for folder in _WRITEABLE_FOLDERS)
 
     def _folder_states(self) -> list[tuple[int, ...]]:
         """Return what a policy can change about its two folders; what is made or removed in one shows in its times."""
         try:
-            states = [folder.stat() for folder in self._writeable_folders()]
+            states = [folder.stat() for folder in self._writeable_folders]
         except FileNotFoundError as error:
             raise TracedProcessGone from error
         return [
@@ -259,7 +262,7 @@ class LoadedCopy:
 
     def _wipe(self) -> None:
         """Empty the writeable folders after loading."""
-        for folder in self._writeable_folders():
+        for folder in self._writeable_folders:
             folder.chmod(_FOLDER_MODE)
             if _open_up(folder, _WIPED_DEPTH_MAX) > _WIPED_ENTRIES_MAX:
                 raise PolicyFailed(

@@ -65,6 +65,11 @@ class EpisodeKey:
         )
 
 
+_TABLE = EpisodeResult.metadata.tables[EpisodeResult.__tablename__]
+_ADD_NEW = insert(_TABLE).on_conflict_do_nothing(constraint="uq_episode_results_key").returning(_TABLE.c.episode)
+"""Built once, and given the rows as parameters: building it with them in it would take longer than running it."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class StoredEpisodes:
     """What is known of a shard before it runs."""
@@ -83,12 +88,7 @@ def store_episodes(session: Session, lease: Lease, records: Iterable[EpisodeReco
     by_number = {record.episode: record for record in sorted(records, key=lambda record: record.episode, reverse=True)}
     attempts = lock_held(session, lease)
     rows = {number: row_values(lease, record) for number, record in by_number.items()}
-    added = session.scalars(
-        insert(EpisodeResult)
-        .values(list(rows.values()))
-        .on_conflict_do_nothing(constraint="uq_episode_results_key")
-        .returning(EpisodeResult.episode)
-    ).all()
+    added = session.scalars(_ADD_NEW, list(rows.values())).all()
     for number in rows.keys() - set(added):
         _compare_with_stored(session, lease, by_number[number], rows[number]["record_digest"])
     if added and attempts:

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -180,6 +182,15 @@ def test_triangles_of_the_sensing_surface_cover_its_rectangle() -> None:
     corners = surface.vertices_m[surface.triangles] * 1e3
     a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     assert 0.5 * np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum() == pytest.approx(19.25 * 14.75)
+
+
+def test_surface_of_a_mesh_is_made_once_and_that_of_another_mesh_is_its_own() -> None:
+    mesh = gelsight_mini_mesh()
+    found = SensingSurface.of_gel(mesh)
+    assert SensingSurface.of_gel(mesh) is found
+    other = SensingSurface.of_gel(replace(mesh, rest_position_m=2 * mesh.rest_position_m))
+    assert np.array_equal(other.vertices_m, 2 * found.vertices_m)
+    assert np.array_equal(other.hull_m, 2 * found.hull_m)
 
 
 def test_gel_whose_sensing_nodes_form_no_triangle_is_refused() -> None:

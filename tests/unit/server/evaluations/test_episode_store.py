@@ -1,9 +1,10 @@
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import numpy as np
 import pytest
 from service_factories import claim, make_principal, make_record, sha256, shard_ids, state_of, store, submit, take_away
-from sqlalchemy import select, text
+from sqlalchemy import event, select, text
 from vitac.evaluator.episodes.records import ActionSequence, EpisodeOutcome
 from vitac.server.db.engine import Database
 from vitac.server.db.models import EpisodeResult
@@ -61,6 +62,24 @@ def test_episodes_are_stored_together_and_known_ones_left_as_they_are(database: 
         rows = session.scalars(select(EpisodeResult).order_by(EpisodeResult.episode)).all()
         assert [(row.episode, row.outcome) for row in rows] == [(1, "success"), (2, "success"), (3, "success")]
         assert missing_episodes(session, lease) == list(range(4, 28))
+
+
+def test_the_statement_that_stores_is_built_once_for_any_number_of_episodes(database: Database, shard_id: int) -> None:
+    lease = claim(database, shard_id)
+    built = set()
+
+    def note(*arguments: Any) -> None:
+        _, _, statement, _, context, _ = arguments
+        if statement.startswith("INSERT INTO episode_results"):
+            built.add(context.compiled)
+
+    event.listen(database.engine, "before_cursor_execute", note)
+    for numbers in ([1], [2, 3], [3, 4, 5, 6], [6]):
+        store(database, lease, [make_record(number) for number in numbers])
+    with database.transaction() as session:
+        assert missing_episodes(session, lease) == list(range(7, 28))
+    assert len(built) == 1
+    assert None not in built
 
 
 def test_evaluations_of_one_content_store_the_same_episodes_at_once_without_a_deadlock(

@@ -1,5 +1,6 @@
 import signal
 import subprocess
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -104,6 +105,30 @@ def test_reads_counters_of_version_1(tmp_path: Path) -> None:
     }
     group = group_with(tmp_path, MemoryIsolation.CGROUP_V1, files)
     assert (group.out_of_memory_kills(), group.refused_forks(), group.cpu_s()) == (4, 1, 2.0)
+
+
+def test_counters_are_read_anew_and_closed_with_the_group(tmp_path: Path) -> None:
+    folder = tmp_path / "group"
+    folder.mkdir()
+    group = group_with(folder, MemoryIsolation.CGROUP_V2, {"cpu.stat": "usage_usec 1000000\n"})
+    assert group.cpu_s() == 1.0
+    (folder / "cpu.stat").write_text("usage_usec 2500000\nuser_usec 1\n")
+    assert group.cpu_s() == 2.5
+    assert open_below(folder) == {"cpu.stat"}
+    (folder / "cpu.stat").unlink()
+    group.remove()
+    assert open_below(folder) == set()
+    with pytest.raises(FileNotFoundError):  # none is read from a file that the kernel has taken away
+        group.cpu_s()
+
+
+def open_below(folder: Path) -> set[str]:
+    """Names of the files in a folder that this process has open, removed ones too."""
+    targets = []
+    for link in Path("/proc/self/fd").iterdir():
+        with suppress(FileNotFoundError):  # that of this very iteration
+            targets.append(Path(str(link.readlink()).removesuffix(" (deleted)")))
+    return {target.name for target in targets if target.parent == folder}
 
 
 def test_groups_of_dead_evaluators_are_swept(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from vitac.evaluator.agent.isolation import process_tree
@@ -22,6 +23,18 @@ def parent() -> Iterator[int]:
 def test_finds_children(parent: int) -> None:
     assert len(list(process_tree.descendants(parent))) == 1
     assert parent in process_tree.descendants(os.getpid())
+
+
+def test_reads_a_file_of_any_length_and_of_any_bytes(tmp_path: Path) -> None:
+    (tmp_path / "long").write_bytes(b"x" * 200_001 + b"\xff")
+    assert process_tree.text_of(str(tmp_path / "long")) == "x" * 200_001 + "\N{REPLACEMENT CHARACTER}"
+    (tmp_path / "empty").touch()
+    assert process_tree.text_of(str(tmp_path / "empty")) == ""
+    with pytest.raises(FileNotFoundError):
+        process_tree.text_of("/proc/4194305/status")
+    before = len(list(Path("/proc/self/fd").iterdir()))
+    process_tree.text_of("/proc/self/status")
+    assert len(list(Path("/proc/self/fd").iterdir())) == before
 
 
 def test_reads_time_and_memory(parent: int) -> None:
