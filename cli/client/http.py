@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 import ssl
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -25,6 +26,12 @@ DEFAULT_SERVER = "http://127.0.0.1:8000"
 TIMEOUT_S = 30.0
 CONNECT_TIMEOUT_S = 10.0
 Json = dict[str, Any]
+_TOKEN = re.compile(r"[!-~]+")
+"""What can be sent as a token; whether it is one, the service says."""
+
+
+class TokenUnusable(VitacError):
+    """The token is empty or has blanks or letters that none has; the message says where it is from."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,6 +47,15 @@ class Client:
     server: str
     token: str | None = None
     transport: httpx.BaseTransport | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be sent as a token: to `httpx` it would look like a broken connection."""
+        if self.token is not None and not _TOKEN.fullmatch(self.token):
+            got = "more than one word or other letters" if self.token else "nothing"
+            raise TokenUnusable(
+                f"Expected one API token of `vitac_` and 43 letters, digits, - or _ for {self.server}, got {got}. Copy "
+                "it again, for `vitac login` or into the file or VITAC_TOKEN that you use."
+            )
 
     def me(self) -> Json:
         """Return the owner of the token."""

@@ -4,7 +4,7 @@ from pathlib import Path
 import httpx
 import pytest
 from vitac.cli.client import credentials
-from vitac.cli.client.http import DEFAULT_SERVER, Client, client_from
+from vitac.cli.client.http import DEFAULT_SERVER, Client, TokenUnusable, client_from
 from vitac.cli.client.refusals import HINTS, RequestRefused, ServiceUnreachable
 from vitac.envs.errors import VitacError
 from vitac.server.errors import ProblemCode
@@ -110,3 +110,15 @@ def test_an_address_without_scheme_or_a_missing_token_file_is_refused(tmp_path: 
         client_from("arena.test", None)
     with pytest.raises(VitacError, match=r"cannot be read.*--token-file"):
         client_from("http://arena.test", tmp_path / "none")
+
+
+@pytest.mark.parametrize(
+    "content", ["", "\n", "vitac_one vitac_two", "vitac_one\nvitac_two\n", "vitac_\u00e9", "vitac_\u200b"]
+)
+def test_what_cannot_be_sent_as_a_token_is_refused_before_a_service_is_asked(content: str, tmp_path: Path) -> None:
+    file = tmp_path / "token"
+    file.write_text(content)
+    with pytest.raises(TokenUnusable, match="Expected one API token") as caught:
+        client_from("http://arena.test", file)
+    assert "No service answers" not in str(caught.value)
+    assert content.strip() not in str(caught.value) or not content.strip(), "no secret is repeated"
