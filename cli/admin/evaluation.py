@@ -5,7 +5,7 @@ from uuid import UUID
 
 import typer
 
-from ..service.database import load_settings, open_service, transaction
+from ..service.database import load_settings, transaction
 from ..terminal.output import AsJson, moment, percent, print_done, print_json, print_pairs, print_table
 from .consent import DryRun, Yes, change_transaction
 from .state import known_state
@@ -49,9 +49,8 @@ def show(
     """Show an evaluation with its shards, and with the episodes that were played again with another result."""
     from vitac.server.evaluations import listing
 
-    settings = load_settings()
-    with open_service(settings) as services, services.database.transaction() as session:
-        found = listing.show_evaluation(session, settings, evaluation)
+    with transaction() as session:
+        found = listing.show_evaluation(session, load_settings(), evaluation)
     if as_json:
         print_json(found.model_dump(mode="json"))
         return

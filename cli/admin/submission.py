@@ -5,7 +5,7 @@ from uuid import UUID
 
 import typer
 
-from ..service.database import load_settings, open_service
+from ..service.database import load_settings, transaction
 from ..terminal.output import AsJson, moment, percent, print_done, print_json, print_table
 from .consent import DryRun, Yes, change_transaction
 from .state import known_state
@@ -33,10 +33,9 @@ def list_submissions(
     from vitac.server.submissions import listing
 
     wanted = None if state is None else known_state(state)
-    settings = load_settings()
-    with open_service(settings) as services, services.database.transaction() as session:
+    with transaction() as session:
         found = listing.list_submissions(
-            session, settings, CONSOLE, track=track, state=wanted, team=team, before=before, limit=limit
+            session, load_settings(), CONSOLE, track=track, state=wanted, team=team, before=before, limit=limit
         )
     if as_json:
         print_json(found.model_dump(mode="json"))
@@ -57,9 +56,8 @@ def show(
 
     from ..client.status import show as show_status
 
-    settings = load_settings()
-    with open_service(settings) as services, services.database.transaction() as session:
-        found = listing.get(session, settings, CONSOLE, submission).model_dump(mode="json")
+    with transaction() as session:
+        found = listing.get(session, load_settings(), CONSOLE, submission).model_dump(mode="json")
     if as_json:
         print_json(found)
     else:

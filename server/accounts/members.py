@@ -121,11 +121,7 @@ def remove(session: Session, by: Principal, member: Member) -> None:
     """
     if by.member_id != member.id:
         by.require_leader(member.team_id)
-    teams.require_unlocked(session, by)
-    teams.lock(session, member.team)
-    session.refresh(member)
-    if member.left_at is not None:
-        raise not_found("member", member.id)
+    _lock_present(session, by, member)
     if member.role is MemberRole.CAPTAIN:
         raise ServiceError(
             ProblemCode.INVALID_REQUEST, f"{member.name} is the captain; make another member the captain first."
@@ -143,11 +139,7 @@ def hand_over(session: Session, by: Principal, member: Member) -> None:
         ServiceError: not the captain, teams are locked, or they have left.
     """
     by.require_leader(member.team_id)
-    teams.require_unlocked(session, by)
-    teams.lock(session, member.team)
-    session.refresh(member)
-    if member.left_at is not None:
-        raise not_found("member", member.id)
+    _lock_present(session, by, member)
     old = captain_of(session, member.team)
     if old.id == member.id:
         return
@@ -156,6 +148,15 @@ def hand_over(session: Session, by: Principal, member: Member) -> None:
     member.role = MemberRole.CAPTAIN
     before, after = {"captain": old.name}, {"captain": member.name}
     record(session, by, "team.captain", f"team:{member.team_id}", after, before=before)
+
+
+def _lock_present(session: Session, by: Principal, member: Member) -> None:
+    """Lock the team of a member who is still in it, as long as teams may be changed."""
+    teams.require_unlocked(session, by)
+    teams.lock(session, member.team)
+    session.refresh(member)
+    if member.left_at is not None:
+        raise not_found("member", member.id)
 
 
 def renew_token(session: Session, by: Principal, member: Member, lifetime: timedelta) -> IssuedToken:

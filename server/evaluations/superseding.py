@@ -1,7 +1,6 @@
 """Evaluations that wait for an evaluator that no worker runs, as after an upgrade: started again with today's."""
 
 from collections.abc import Sequence
-from datetime import timedelta
 from functools import partial
 from uuid import UUID
 
@@ -13,8 +12,8 @@ from vitac.evaluator.version import evaluator_version
 from ..db.advisory_locks import AdvisoryLock, try_lock
 from ..db.models import Evaluation, Worker
 from ..db.row_locks import try_lock_evaluation, unless_held
-from ..db.states import ACTIVE_EVALUATION_STATES, WorkerState
-from ..queue.workers import workers_alive
+from ..db.states import ACTIVE_EVALUATION_STATES
+from ..queue.workers import is_alive, workers_alive
 from ..settings import Settings
 from . import lifecycle
 
@@ -41,8 +40,7 @@ def supersede_outdated(session: Session, settings: Settings) -> int:
 
 
 def _outdated(session: Session, settings: Settings, current: str) -> Sequence[UUID]:
-    lost = func.clock_timestamp() - timedelta(seconds=settings.worker_lost_after_s)
-    served = select(Worker.evaluator_version).where(Worker.state == WorkerState.READY, Worker.heartbeat_at > lost)
+    served = select(Worker.evaluator_version).where(is_alive(settings))
     return session.scalars(
         select(Evaluation.id)
         .where(

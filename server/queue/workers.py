@@ -8,7 +8,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from uuid import UUID
 
-from sqlalchemy import and_, delete, func, select, update
+from sqlalchemy import ColumnElement, and_, delete, func, select, update
 from sqlalchemy.orm import Session
 from vitac.envs.tasks.definition import Family
 from vitac.evaluator.agent.description import SandboxDescription
@@ -97,16 +97,21 @@ def heartbeat(session: Session, worker_id: UUID, state: WorkerState, disk: Disk,
     )
 
 
+def is_alive(settings: Settings) -> ColumnElement[bool]:
+    """Return the condition that a worker takes shards and is not lost."""
+    lost_before = func.clock_timestamp() - timedelta(seconds=settings.worker_lost_after_s)
+    return and_(Worker.state == WorkerState.READY, Worker.heartbeat_at > lost_before)
+
+
 def fleet(session: Session, settings: Settings) -> Fleet:
     """Return the workers that take shards and are not lost."""
-    lost_before = func.clock_timestamp() - timedelta(seconds=settings.worker_lost_after_s)
-    is_alive = and_(Worker.state == WorkerState.READY, Worker.heartbeat_at > lost_before)
+    taking = is_alive(settings)
     rows = session.execute(
         select(
             Worker.evaluator_version,
             Worker.families,
-            func.count().filter(is_alive),
-            func.coalesce(func.sum(Worker.slots).filter(is_alive), 0),
+            func.count().filter(taking),
+            func.coalesce(func.sum(Worker.slots).filter(taking), 0),
             func.max(Worker.heartbeat_at),
         ).group_by(Worker.evaluator_version, Worker.families)
     ).all()
@@ -125,9 +130,7 @@ def workers_alive(session: Session, settings: Settings, evaluator_version: str |
 def sandboxes(session: Session, settings: Settings) -> Sequence[SandboxDescription]:
     """Return what policies find on the workers that take shards, each once; without any, on the last one that did."""
     described = select(Worker.sandbox).where(Worker.sandbox.is_not(None)).order_by(Worker.heartbeat_at.desc())
-    lost_before = func.clock_timestamp() - timedelta(seconds=settings.worker_lost_after_s)
-    alive = described.where(Worker.state == WorkerState.READY, Worker.heartbeat_at > lost_before)
-    rows = session.scalars(alive).all() or session.scalars(described.limit(1)).all()
+    rows = session.scalars(described.where(is_alive(settings))).all() or session.scalars(described.limit(1)).all()
     found = []
     for row in rows:
         description = SandboxDescription.model_validate_json(json.dumps(row))
