@@ -12,12 +12,14 @@ from urllib.parse import quote
 
 from starlette.exceptions import HTTPException
 from starlette.responses import HTMLResponse, RedirectResponse
+from vitac.envs.errors import VitacError
 from vitac.server.api.conditional import answer
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.kept import Kept
 
 from .fragments import Fragments, Recent
 from .rendering import render
+from .session.forms import read_form
 from .session.signer import COOKIE
 
 if TYPE_CHECKING:
@@ -139,14 +141,24 @@ def visitor_of(viewer: Viewer | None) -> Visitor | None:
     return None if viewer is None else viewer.visitor
 
 
-async def require_viewer(request: Request) -> Viewer | RedirectResponse:
-    """Return the signed-in visitor, or a redirect to the sign-in page."""
+class SignInNeeded(VitacError):
+    """Only who is signed in sees this; the answer leads to the sign-in page."""
+
+
+async def require_viewer(request: Request) -> Viewer:
+    """Return the signed-in visitor.
+
+    Raises:
+        SignInNeeded: nobody is signed in.
+    """
     viewer = await viewer_of(request)
-    return viewer or sign_in_first(request)
+    if viewer is None:
+        raise SignInNeeded
+    return viewer
 
 
-def sign_in_first(request: Request) -> RedirectResponse:
-    """Return a redirect to the sign-in page, which leads back."""
+def sign_in_first(request: Request, _: Exception) -> RedirectResponse:
+    """Answer `SignInNeeded` with a redirect to the sign-in page, which leads back."""
     return RedirectResponse(f"/sign-in?next={quote(request.url.path)}", status_code=303)
 
 
@@ -162,7 +174,7 @@ def open_to_all(show: Page) -> Page:
             return await show(request)
         except ServiceError as error:
             if error.code is ProblemCode.MISSING_CREDENTIALS:
-                return sign_in_first(request)
+                raise SignInNeeded from error
             raise
 
     return shown
@@ -178,6 +190,19 @@ def require_form_token(request: Request, fields: Mapping[str, str], viewer: View
     if not site_of(request).signer.accepts_form_token(request.cookies.get(COOKIE), token):
         message = f"This form does not belong to {viewer.name}'s current session. Reload the page and try again."
         raise HTTPException(403, message)
+
+
+async def signed_in_form(request: Request) -> tuple[Viewer, Mapping[str, str]]:
+    """Return who sent a form, and its fields.
+
+    Raises:
+        SignInNeeded: nobody is signed in.
+        HTTPException: it was not sent by a page of this session.
+    """
+    viewer = await require_viewer(request)
+    fields = await read_form(request)
+    require_form_token(request, fields, viewer)
+    return viewer, fields
 
 
 def page(

@@ -12,7 +12,7 @@ from vitac.server.api.problems import refusal_of_failure
 from vitac.server.errors import ProblemCode, ServiceError
 
 from ..headers import HEADERS
-from ..site import page
+from ..site import SignInNeeded, page, sign_in_first
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable
@@ -46,7 +46,8 @@ MISSING = "This page does not exist or belongs to another team. Check the addres
 
 
 def install(app: FastAPI) -> None:
-    """Add HTML answers to the error handlers that the application already has."""
+    """Add HTML answers to the error handlers that the application already has, and the way to the sign-in page."""
+    app.add_exception_handler(SignInNeeded, sign_in_first)
     for kind in (ServiceError, HTTPException, SQLAlchemyError, OSError, Exception):
         app.add_exception_handler(kind, _handler_with_page(app.exception_handlers[kind]))
 

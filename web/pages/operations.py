@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from starlette.responses import Response
 from vitac.server.errors import ProblemCode, ServiceError
 
 from ..site import page, require_viewer, site_of
 
 if TYPE_CHECKING:
     from starlette.requests import Request
+    from starlette.responses import Response
 
 
 async def operations(request: Request) -> Response:
@@ -20,8 +20,6 @@ async def operations(request: Request) -> Response:
         ServiceError: the visitor is a team.
     """
     viewer = await require_viewer(request)
-    if isinstance(viewer, Response):
-        return viewer
     if not viewer.is_organizer:
         raise ServiceError(ProblemCode.FORBIDDEN, "This page is for organizers. Sign in with an organizer's token.")
     data = site_of(request).data

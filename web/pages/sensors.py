@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from starlette.responses import JSONResponse, Response
+from starlette.responses import JSONResponse
 from vitac.evaluator.figures.reference import reference_figures
 from vitac.evaluator.figures.table import rows_of
 
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from markupsafe import Markup
     from starlette.requests import Request
+    from starlette.responses import Response
     from vitac.evaluator.figures.figures import SensorFigures
 
     from ..data.protocol import ShownSensor
@@ -43,8 +44,6 @@ class Part:
 async def sensor(request: Request) -> Response:
     """Show the sensor of a submission, beside that of another one if the address names it."""
     viewer = await require_viewer(request)
-    if isinstance(viewer, Response):
-        return viewer
     data = site_of(request).data
     beside = request.query_params.get("beside", "").strip()
     ids = [as_id(text) for text in (request.path_params["submission_id"], *([beside] if beside else ()))]
@@ -65,8 +64,6 @@ async def sensor(request: Request) -> Response:
 async def shape(request: Request) -> Response:
     """Answer with the gel of a submission's sensor, for the page's script; it never changes."""
     viewer = await require_viewer(request)
-    if isinstance(viewer, Response):
-        return viewer
     shown = await site_of(request).data.sensor(viewer.visitor, as_id(request.path_params["submission_id"]))
     content = shown.looks.model_dump(mode="json", include={"vertices_mm", "triangles", "kinds"})
     return JSONResponse(content, headers={"Cache-Control": "private, max-age=3600", "Vary": "Cookie"})

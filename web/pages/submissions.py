@@ -14,8 +14,7 @@ from vitac.server.db.states import TERMINAL_EVALUATION_STATES, EvaluationState
 
 from ..plots.map import episode_map
 from ..rendering import render
-from ..session.forms import read_form
-from ..site import open_to_all, page, require_form_token, require_viewer, site_of, viewer_of, visitor_of
+from ..site import open_to_all, page, require_viewer, signed_in_form, site_of, viewer_of, visitor_of
 from .addresses import as_id
 from .team.figures import episode_figures, history_figures
 from .team.sharing import shared
@@ -47,8 +46,6 @@ class TaskPart:
 async def submissions(request: Request) -> Response:
     """List the visitor's submissions."""
     viewer = await require_viewer(request)
-    if isinstance(viewer, Response):
-        return viewer
     before = request.query_params.get("before")
     found = await site_of(request).data.submissions(viewer.visitor, None if before is None else as_id(before))
     return page(
@@ -107,10 +104,7 @@ async def events(request: Request) -> Response:
 
 async def cancel(request: Request) -> Response:
     """Cancel the evaluation of a submission."""
-    viewer = await require_viewer(request)
-    if isinstance(viewer, Response):
-        return viewer
-    require_form_token(request, await read_form(request), viewer)
+    viewer, _ = await signed_in_form(request)
     submission_id = as_id(request.path_params["submission_id"])
     await site_of(request).data.cancel(viewer.visitor, submission_id)
     return RedirectResponse(f"/submissions/{submission_id}", status_code=303)

@@ -8,7 +8,17 @@ import pytest
 from starlette.requests import Request
 from starlette.responses import Response
 from vitac.server.errors import ProblemCode, ServiceError
-from vitac.web.site import Site, Viewer, navigation, open_to_all, sign_in_first, visitor_of
+from vitac.web import site
+from vitac.web.site import (
+    SignInNeeded,
+    Site,
+    Viewer,
+    navigation,
+    open_to_all,
+    require_viewer,
+    sign_in_first,
+    visitor_of,
+)
 
 SITE = cast(Site, SimpleNamespace(tracks=("track_1", "track_2")))
 
@@ -64,12 +74,14 @@ def test_a_team_changes_its_own_an_organizer_everything_a_judge_nothing() -> Non
     ],
 )
 def test_who_has_to_sign_in_comes_back_to_where_they_were(path: str, target: str) -> None:
-    answer = sign_in_first(request(path))
+    answer = sign_in_first(request(path), SignInNeeded())
     assert (answer.status_code, answer.headers["location"]) == (303, target)
 
 
-@pytest.mark.parametrize("code", [ProblemCode.MISSING_CREDENTIALS, ProblemCode.NOT_FOUND])
-def test_only_what_needs_a_token_leads_to_the_sign_in_page(code: ProblemCode) -> None:
+@pytest.mark.parametrize(
+    ("code", "raised"), [(ProblemCode.MISSING_CREDENTIALS, SignInNeeded), (ProblemCode.NOT_FOUND, ServiceError)]
+)
+def test_only_what_needs_a_token_leads_to_the_sign_in_page(code: ProblemCode, raised: type[Exception]) -> None:
     @open_to_all
     async def show(_: Request) -> Any:
         raise ServiceError(code, "no")
@@ -77,12 +89,24 @@ def test_only_what_needs_a_token_leads_to_the_sign_in_page(code: ProblemCode) ->
     async def answer() -> Response:
         return await show(request())
 
-    if code is ProblemCode.MISSING_CREDENTIALS:
-        assert asyncio.run(answer()).headers["location"] == "/sign-in?next=/submissions/1"
-    else:
-        with pytest.raises(ServiceError):
-            asyncio.run(answer())
+    with pytest.raises(raised):
+        asyncio.run(answer())
     assert show.__name__ == "show"
+
+
+def test_a_visitor_is_asked_to_sign_in_before_anything_else_and_a_viewer_is_not(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    found: list[Viewer | None] = [None, viewer()]
+
+    async def next_viewer(_: Request) -> Viewer | None:
+        return found.pop(0)
+
+    monkeypatch.setattr(site, "viewer_of", next_viewer)
+    with pytest.raises(SignInNeeded):
+        asyncio.run(require_viewer(request()))
+    assert asyncio.run(require_viewer(request())).name == "Team A"
+    assert not found
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from starlette.responses import Response
 from vitac.evaluator.figures.reference import reference_figures
 from vitac.evaluator.figures.table import rows_of
 from vitac.server.errors import ProblemCode, ServiceError
@@ -19,6 +18,7 @@ if TYPE_CHECKING:
 
     from sqlalchemy.orm import Session
     from starlette.requests import Request
+    from starlette.responses import Response
     from vitac.evaluator.figures.figures import SensorFigures
     from vitac.evaluator.figures.table import FigureRow
     from vitac.server.accounts.principals import Principal
@@ -35,8 +35,6 @@ async def judging(request: Request) -> Response:
         ServiceError: the visitor is neither.
     """
     viewer = await require_viewer(request)
-    if isinstance(viewer, Response):
-        return viewer
     found = await site_of(request).data.ask(lambda session: sheets(session, viewer.visitor.principal))
     return page(request, "judging.html", viewer=viewer, section=ADDRESS, found=found, rows=_rows)
 

@@ -27,8 +27,6 @@ async def receipts(request: Request) -> Response:
 async def receipt_file(request: Request) -> Response:
     """Return the receipt of a submission's newest result."""
     viewer = await require_viewer(request)
-    if isinstance(viewer, Response):
-        return viewer
     found = await site_of(request).data.receipt(viewer.visitor, as_id(request.path_params["submission_id"]))
     name = f"receipt-{found.link.number}.json"
     return Response(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from starlette.responses import Response
 from vitac.server.results import rejudging
 from vitac.server.results.rejudging_view import rejudgement_detail_view, rejudgement_view
 
@@ -16,6 +15,7 @@ if TYPE_CHECKING:
 
     from sqlalchemy.orm import Session
     from starlette.requests import Request
+    from starlette.responses import Response
     from vitac.server.accounts.principals import Principal
     from vitac.server.views.contest.rejudging import RejudgementDetailView, RejudgementView
 
@@ -29,8 +29,6 @@ async def rejudgements(request: Request) -> Response:
         ServiceError: the visitor is no organizer.
     """
     viewer = await require_viewer(request)
-    if isinstance(viewer, Response):
-        return viewer
 
     def read(session: Session) -> tuple[list[RejudgementDetailView], list[RejudgementView]]:
         viewer.visitor.principal.require_organizer()

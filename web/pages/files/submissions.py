@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from starlette.responses import Response, StreamingResponse
+from starlette.responses import StreamingResponse
 from vitac.evaluator.tracks import load_track
 
 from ...site import open_to_all, require_viewer, site_of, viewer_of, visitor_of
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import AsyncIterator
 
     from starlette.requests import Request
+    from starlette.responses import Response
     from vitac.server.views.scores import ShapeScoreView, TaskScoreView
     from vitac.server.views.submissions import SubmissionListView, SubmissionView
 
@@ -116,8 +117,6 @@ TABLES = (
 async def submission_list(request: Request) -> Response:
     """Return all submissions that the visitor may see, newest first, a row for each task."""
     viewer = await require_viewer(request)
-    if isinstance(viewer, Response):
-        return viewer
     site, visitor = site_of(request), viewer.visitor
     first = await site.data.submissions(visitor, None)
     return attached(StreamingResponse(_pages(site, visitor, first), media_type="text/csv"), "submissions.csv")

@@ -2,39 +2,21 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
+from uuid import UUID
 
-from starlette.responses import RedirectResponse, Response
+from starlette.responses import RedirectResponse
 from vitac.server.errors import ProblemCode, ServiceError
 
-from ...session.forms import read_form
-from ...site import require_form_token, require_viewer, site_of
+from ...site import signed_in_form, site_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
-    from uuid import UUID
 
     from sqlalchemy.orm import Session
     from starlette.requests import Request
+    from starlette.responses import Response
     from vitac.server.accounts.principals import Principal
-
-    from ...site import Viewer
-
-ResultT = TypeVar("ResultT")
-
-
-async def signed_in_form(request: Request) -> tuple[Viewer, Mapping[str, str]] | Response:
-    """Return who sent a form and its fields, or the way to the sign-in page.
-
-    Raises:
-        HTTPException: it was not sent by a page of this session.
-    """
-    viewer = await require_viewer(request)
-    if isinstance(viewer, Response):
-        return viewer
-    fields = await read_form(request)
-    require_form_token(request, fields, viewer)
-    return viewer, fields
 
 
 async def act(
@@ -45,10 +27,7 @@ async def act(
     Raises:
         ServiceError: the service refuses it.
     """
-    sent = await signed_in_form(request)
-    if isinstance(sent, Response):
-        return sent
-    viewer, fields = sent
+    viewer, fields = await signed_in_form(request)
     await site_of(request).data.ask(lambda session: change(session, viewer.visitor.principal, fields))
     return RedirectResponse(back, status_code=303)
 
@@ -73,8 +52,6 @@ def id_in(fields: Mapping[str, str], name: str) -> UUID:
     Raises:
         ServiceError: there is none.
     """
-    from uuid import UUID
-
     try:
         return UUID(fields.get(name, ""))
     except ValueError:

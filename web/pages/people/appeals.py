@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from starlette.responses import Response
 from vitac.server.people import appeals
 
 from ...site import page, require_viewer, site_of
@@ -15,6 +14,7 @@ if TYPE_CHECKING:
 
     from sqlalchemy.orm import Session
     from starlette.requests import Request
+    from starlette.responses import Response
     from vitac.server.accounts.principals import Principal
 
 ADDRESS = "/appeals"
@@ -23,8 +23,6 @@ ADDRESS = "/appeals"
 async def list_appeals(request: Request) -> Response:
     """Show the appeals of the team, all to organizers and judges."""
     viewer = await require_viewer(request)
-    if isinstance(viewer, Response):
-        return viewer
     by = viewer.visitor.principal
     found = await site_of(request).data.ask(lambda session: appeals.visible(session, by))
     given = request.query_params.get("submission", "")

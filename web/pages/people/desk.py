@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from starlette.exceptions import HTTPException
-from starlette.responses import Response
 from vitac.server.accounts import teams
 from vitac.server.accounts.audit import entry_view, newest_entries
 from vitac.server.people import announcements, appeals, questions
@@ -23,6 +22,7 @@ if TYPE_CHECKING:
 
     from sqlalchemy.orm import Session
     from starlette.requests import Request
+    from starlette.responses import Response
     from vitac.server.accounts.principals import Principal
     from vitac.server.db.models import Team
     from vitac.server.people.troubles import StageState, Trouble
@@ -65,8 +65,6 @@ async def desk(request: Request) -> Response:
         ServiceError: the visitor is none.
     """
     viewer = await require_viewer(request)
-    if isinstance(viewer, Response):
-        return viewer
     by = viewer.visitor.principal
 
     def read(session: Session) -> Desk:

@@ -17,9 +17,9 @@ from vitac.server.limiter import client_key
 from vitac.server.people import team_data
 
 from ...session.forms import read_form
-from ...site import page, require_viewer, site_of, viewer_of
+from ...site import page, require_viewer, signed_in_form, site_of, viewer_of
 from ..team.sign_in import begin_session
-from .action import act, id_in, signed_in_form
+from .action import act, id_in
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -44,8 +44,6 @@ async def team(request: Request) -> Response:
         ServiceError: an organizer or judge belongs to none.
     """
     viewer = await require_viewer(request)
-    if isinstance(viewer, Response):
-        return viewer
     by = viewer.visitor.principal
 
     def read(session: Session) -> tuple[OwnTeamView, list[TokenView]]:
@@ -72,8 +70,6 @@ async def team(request: Request) -> Response:
 async def data(request: Request) -> Response:
     """Download everything that the service has of the team."""
     viewer = await require_viewer(request)
-    if isinstance(viewer, Response):
-        return viewer
     by, settings = viewer.visitor.principal, request.app.state.services.settings
     found = await site_of(request).data.ask(
         lambda session: team_data.export(session, settings, by, teams.own(session, by))
@@ -92,22 +88,18 @@ async def change(request: Request) -> Response:
 
 async def invite(request: Request) -> Response:
     """Make an invitation and show its code, which happens only now."""
-    sent = await signed_in_form(request)
-    if isinstance(sent, Response):
-        return sent
-    by = sent[0].visitor.principal
+    viewer, _ = await signed_in_form(request)
+    by = viewer.visitor.principal
     code = await site_of(request).data.ask(lambda session: members.invite(session, by, teams.own(session, by))[1])
     return page(
-        request, "people/secret.html", viewer=sent[0], section=ADDRESS, status=201, what="invitation", secret=code
+        request, "people/secret.html", viewer=viewer, section=ADDRESS, status=201, what="invitation", secret=code
     )
 
 
 async def renew_token(request: Request) -> Response:
     """Make a new token for the member who asks and show it, which happens only now; the browser stays signed in."""
-    sent = await signed_in_form(request)
-    if isinstance(sent, Response):
-        return sent
-    by, lifetime = sent[0].visitor.principal, _token_lifetime(request)
+    viewer, _ = await signed_in_form(request)
+    by, lifetime = viewer.visitor.principal, _token_lifetime(request)
 
     def made(session: Session) -> tuple[str, UUID]:
         issued = members.renew_token(session, by, _self(session, by), lifetime)

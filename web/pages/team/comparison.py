@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from starlette.responses import Response
 from vitac.evaluator.scoring.comparison import NothingToCompare, compare
 
 from ...site import page, require_viewer, site_of
@@ -15,6 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from starlette.requests import Request
+    from starlette.responses import Response
     from vitac.evaluator.scoring.comparison import Comparison
 
     from ...data.protocol import SubmissionDetail
@@ -27,8 +27,6 @@ COUNTS = ("both", "only_first", "only_second", "neither", "unpaired", "p_value")
 async def compare_pages(request: Request) -> Response:
     """Show the comparison with the submission that `?with=` names, or a form to choose one."""
     viewer = await require_viewer(request)
-    if isinstance(viewer, Response):
-        return viewer
     first, second = await _both(request, viewer)
     newest = await site_of(request).data.submissions(viewer.visitor, None, first.submission.track)
     offered = [other for other in newest.items if other.id != first.submission.id and other.evaluation.scores]
@@ -49,16 +47,12 @@ async def compare_pages(request: Request) -> Response:
 async def compare_csv(request: Request) -> Response:
     """Return the pairs of episodes as a file."""
     viewer = await require_viewer(request)
-    if isinstance(viewer, Response):
-        return viewer
     return csv_file("comparison", COLUMNS, _pairs(_compared(*await _both(request, viewer))))
 
 
 async def compare_json(request: Request) -> Response:
     """Return counts, p-value and pairs of episodes as a file; `result` is null where nothing can be compared."""
     viewer = await require_viewer(request)
-    if isinstance(viewer, Response):
-        return viewer
     first, second = await _both(request, viewer)
     found = _compared(first, second)
     result = {name: getattr(found, name) for name in COUNTS} if found else None

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from starlette.exceptions import HTTPException
-from starlette.responses import Response
 from vitac.evaluator.tracks import load_track
 
 from ...site import Tab, page, require_viewer, site_of
@@ -13,13 +12,12 @@ from ..addresses import as_id
 
 if TYPE_CHECKING:
     from starlette.requests import Request
+    from starlette.responses import Response
 
 
 async def output(request: Request) -> Response:
     """Show the output of a task's episodes, a page of them."""
     viewer = await require_viewer(request)
-    if isinstance(viewer, Response):
-        return viewer
     submission_id = as_id(request.path_params["submission_id"])
     task, after = request.query_params.get("task"), _number(request.query_params.get("after", "0"))
     data = site_of(request).data

@@ -7,19 +7,19 @@ from dataclasses import dataclass
 from hashlib import sha256
 from typing import TYPE_CHECKING
 
-from starlette.responses import RedirectResponse, Response
+from starlette.responses import RedirectResponse
 from vitac.evaluator.tracks import load_track
 from vitac.server.api.conditional import answer
 from vitac.server.db.states import EvaluationState
 
-from ...session.forms import read_form
 from ...sharing.citation import cite
 from ...sharing.preview import draw_preview
-from ...site import open_to_all, require_form_token, require_viewer, site_of
+from ...site import open_to_all, signed_in_form, site_of
 from ..addresses import as_id
 
 if TYPE_CHECKING:
     from starlette.requests import Request
+    from starlette.responses import Response
     from vitac.server.views.submissions import SubmissionView
 
     from ...sharing.citation import Citation
@@ -62,11 +62,7 @@ async def shared(request: Request, viewer: Viewer | None, found: SubmissionView,
 
 async def set_public(request: Request) -> Response:
     """Let everybody see the result of a submission, or its team only."""
-    viewer = await require_viewer(request)
-    if isinstance(viewer, Response):
-        return viewer
-    fields = await read_form(request)
-    require_form_token(request, fields, viewer)
+    viewer, fields = await signed_in_form(request)
     submission_id = as_id(request.path_params["submission_id"])
     await site_of(request).data.set_public(viewer.visitor, submission_id, public=fields.get("public") == "yes")
     return RedirectResponse(f"/submissions/{submission_id}#sharing", status_code=303)

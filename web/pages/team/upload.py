@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from starlette.responses import RedirectResponse, Response
+from starlette.responses import RedirectResponse
 from vitac.evaluator.submission_kinds import kind_of_file
 from vitac.server.errors import ServiceError
 from vitac.server.submissions.upload import AnnouncedUpload
@@ -15,6 +15,7 @@ from ..errors import wants_page
 
 if TYPE_CHECKING:
     from starlette.requests import Request
+    from starlette.responses import Response
 
     from ...site import Viewer
 
@@ -24,15 +25,12 @@ NO_FILE = "Choose a file first."
 
 async def upload_form(request: Request) -> Response:
     """Show the form."""
-    viewer = await require_viewer(request)
-    return viewer if isinstance(viewer, Response) else _form(request, viewer)
+    return _form(request, await require_viewer(request))
 
 
 async def upload(request: Request) -> Response:
     """Receive the file and go to its submission; a refusal is shown above the form."""
     viewer = await require_viewer(request)
-    if isinstance(viewer, Response):
-        return viewer
     form = await read_file_form(request)
     require_form_token(request, form.fields, viewer)
     if not form.file_name:
