@@ -16,6 +16,7 @@ extensions = [
     "animations",
     "generated_pages",
     "notebooks",
+    "plain_types",
     "finished_pages",
 ]
 exclude_patterns = ["builder", "generated", "tutorials/*/tutorial_*", "tutorials/peg_insertion_heuristic"]
