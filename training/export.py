@@ -42,10 +42,10 @@ def export(folder: Folder, chosen: RoundResult, destination: Path) -> Path:
     """
     if destination.exists():
         raise NotExportable(f"{destination} is there already; expected a new folder.")
-    state = part(load(folder.networks(chosen.number)), "student")
-    student = {name: array.astype(np.float16) for name, array in weights_of(state).items()}
+    state = load(folder.networks(chosen.number))
+    kept = {**weights_of(part(state, "student")), "belief": state["belief"]}
     packed = io.BytesIO()
-    np.savez_compressed(packed, **student)  # type: ignore[arg-type]
+    np.savez_compressed(packed, **{name: array.astype(np.float16) for name, array in kept.items()})  # type: ignore[arg-type]
     if len(packed.getvalue()) > LARGEST_BYTES:
         size = len(packed.getvalue())
         raise NotExportable(

@@ -9,6 +9,7 @@ from .actors import ActorKind
 from .collection import Networks
 from .episodes import Episodes, joined
 from .learning.assessor import Assessor, assessed
+from .learning.belief import fit_belief
 from .learning.critic import Critic
 from .learning.network import FloatArray
 from .learning.student import Student, histories_of, weights_of
@@ -33,6 +34,7 @@ class Learners:
         self._critic = Critic(recipe.critic.plan(), random)
         self._assessor = Assessor(recipe.assessor.plan(), random)
         self._student = Student(recipe.student.plan(), random)
+        self._belief: FloatArray = np.zeros((0, 3), dtype=np.float32)
 
     def learn(self, known: Known, number: int, random: np.random.Generator, tell: TellTurn) -> None:
         """Learn a round from all episodes so far.
@@ -46,6 +48,7 @@ class Learners:
             self._learn_of_critic(known, random, tell)
         else:
             self._learn_of_assessor(known, played, random, tell)
+        self._belief = fit_belief(weights_of(self._student.state()), _of_actors_without_truth(known))
 
     def networks(self) -> Networks:
         """Return what actors act by."""
@@ -55,13 +58,15 @@ class Learners:
     def state(self) -> dict[str, FloatArray]:
         """Return all that the next round goes on from."""
         learners = (("critic", self._critic), ("assessor", self._assessor), ("student", self._student))
-        return {f"{name}.{key}": value for name, learner in learners for key, value in learner.state().items()}
+        states = {f"{name}.{key}": value for name, learner in learners for key, value in learner.state().items()}
+        return {**states, "belief": self._belief}
 
     def restore(self, stored: Mapping[str, Any]) -> None:
         """Go on from a state."""
         self._critic.restore(part(stored, "critic"))
         self._assessor.restore(part(stored, "assessor"))
         self._student.restore(part(stored, "student"))
+        self._belief = stored["belief"]
 
     def _learn_of_critic(self, known: Known, random: np.random.Generator, tell: TellTurn) -> None:
         """Give the student the values of one who will know the truth from now on."""

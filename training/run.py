@@ -17,6 +17,7 @@ from vitac.evaluator.strict_model import StrictModel
 from vitac.evaluator.version import evaluator_hash, sources_hash
 
 from .actors import ActorKind
+from .charts import Charts
 from .collection import Batch, Networks, collect
 from .episodes import Episodes
 from .files import load, remove_leftovers, save, write_text
@@ -108,6 +109,10 @@ class Run:
             TrainingDiverged: a loss is no number any more; all rounds before are kept.
         """
         claim(self.folder.path, self.recipe)
+        with Charts(self.folder.path) as charts:
+            return self._rounds(charts)
+
+    def _rounds(self, charts: Charts) -> list[RoundResult]:
         self._known.clear()
         judged = {result.number: result for result in read_log(self.folder.log, _result)}
         results: list[RoundResult] = []
@@ -117,9 +122,11 @@ class Run:
         progress.left(sum(self.folder.networks(number).exists() for number in numbers), len(numbers))
         for number in numbers:
             self._play(number, networks)
-            networks = self._learned(number)
+            networks = self._learned(number, charts)
             results.append(judged.get(number) or self._judged(number, networks))
             extend_log(self.folder.log, [_row(result) for result in results])
+            if number not in judged:
+                charts.add_row(number, _row(results[-1]))
             self._tell_round(results[-1], progress.left(number, len(numbers)))
         return results
 
@@ -145,7 +152,7 @@ class Run:
             batch = self._batch(kind, Use.COLLECT, first + offset, count, recipe.noise)
             self._known.append((kind, self._collected(batch, networks)))
 
-    def _learned(self, number: int) -> Networks:
+    def _learned(self, number: int, charts: Charts) -> Networks:
         """Learn from all episodes, or read what was learned."""
         path = self.folder.networks(number)
         random = np.random.default_rng((self.recipe.seed, number))
@@ -155,7 +162,7 @@ class Run:
         else:
             if number > 1:
                 learners.restore(load(self.folder.networks(number - 1)))
-            learners.learn(self._known, number, random, partial(self._tell_turn, number))
+            learners.learn(self._known, number, random, partial(self._tell_turn, charts, number))
             save(path, learners.state())
         return learners.networks()
 
@@ -182,7 +189,8 @@ class Run:
 
         return collect(batch, self.folder.episodes, networks=networks, processes=self.processes, after_file=after_file)
 
-    def _tell_turn(self, number: int, who: str, turn: int, loss: float) -> None:
+    def _tell_turn(self, charts: Charts, number: int, who: str, turn: int, loss: float) -> None:
+        charts.add_loss(number, who, loss)
         self.tell(f"round {number}, {who}: turn {turn + 1}, loss {loss:.4f}")
 
 

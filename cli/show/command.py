@@ -120,6 +120,7 @@ def command(
         actions=caption.actions,
         end_reason=last.end_reason,
         env_steps=last.env_step,
+        beliefs=_beliefs(playback),
         files=tuple(written),
     )
     _report(shown, as_json=as_json)
@@ -190,7 +191,7 @@ def _record(played: Played, assets: Path | None, pace: "Pace") -> "Playback":
     arguments: dict[str, Any] = {"assets_dir": assets or assets_dir_from_environment(), **start.settings}
     made = gymnasium.make(start.env_id, disable_env_checker=True, **arguments)
     env = cast("TactileTaskEnv[Any, Any]", made.unwrapped)
-    return record(env, options=start.options, next_action=played.next_action, pace=pace)
+    return record(env, options=start.options, next_action=played.next_action, pace=pace, belief=played.belief)
 
 
 def _chosen(playback: "Playback", kind: "Kind", step: int | None) -> slice:
@@ -273,6 +274,17 @@ def _seen(playback: "Playback", moments: slice) -> "list[tuple[int, Sight]]":
     return seen
 
 
+def _beliefs(playback: "Playback") -> list[dict[str, Any]]:
+    """Return what the policy believed of the offset after an env step, beside what was true [mm, deg]."""
+    from vitac.envs.drawing.playback import TRUE_OFFSET
+
+    return [
+        {"env_step": moment.env_step, "believed": believed.tolist(), "true": moment.info[TRUE_OFFSET].tolist()}
+        for moment in playback.looks
+        if (believed := moment.believed) is not None
+    ]
+
+
 def _report(shown: Shown, *, as_json: bool) -> None:
     outcome = shown.end_reason or "not ended"
     if as_json:
@@ -280,7 +292,7 @@ def _report(shown: Shown, *, as_json: bool) -> None:
 
         files = [str(path) for path in shown.files]
         found = {"title": shown.title, "actions": shown.actions, "outcome": outcome, "env_steps": shown.env_steps}
-        print_json(found | {"files": files})
+        print_json(found | {"beliefs": shown.beliefs, "files": files})
         return
     print(f"{shown.title}: {outcome} after {shown.env_steps} env steps")
     if shown.end_reason:
@@ -288,5 +300,8 @@ def _report(shown: Shown, *, as_json: bool) -> None:
 
         print(EpisodeOutcome(shown.end_reason).sentence)
     print(f"actions: {shown.actions}")
+    for row in shown.beliefs:
+        believed, true = (" ".join(f"{value:+.2f}" for value in row[key]) for key in ("believed", "true"))
+        print(f"offset [mm, deg] before env step {row['env_step'] + 1}: believed {believed}, true {true}")
     for path in shown.files:
         print(path)

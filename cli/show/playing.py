@@ -1,11 +1,11 @@
 """What `vitac show` plays: a start, and what chooses the actions from there."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from vitac.envs.errors import VitacError
 from vitac.envs.maniskill.definition import is_maniskill
@@ -13,7 +13,7 @@ from vitac.envs.maniskill.definition import is_maniskill
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
-    from vitac.envs.drawing.playback import NextAction
+    from vitac.envs.drawing.playback import Belief, NextAction
     from vitac.envs.tasks.task_env import Info, Observation
     from vitac.evaluator.logs.recordings import Recording
     from vitac.evaluator.tracks import Episode, Task
@@ -46,11 +46,12 @@ class Start:
 
 @dataclass(frozen=True, kw_only=True)
 class Played:
-    """The start of an episode, its actions, and a description of where they come from."""
+    """The start of an episode, its actions, a description of where they come from, and what their policy believes."""
 
     start: Start
     next_action: "NextAction"
     actions: str
+    belief: "Belief | None" = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,6 +64,7 @@ class Shown:
         end_reason: why the episode has ended; None where the actions did before.
         env_steps: that were played.
         files: that were written.
+        beliefs: what the policy believed after env steps, beside what was true.
     """
 
     title: str
@@ -70,6 +72,7 @@ class Shown:
     end_reason: str | None
     env_steps: int
     files: tuple[Path, ...]
+    beliefs: Sequence[Mapping[str, Any]] = ()
 
 
 def no_such_env_step(step: int | None, last: int) -> NothingToShow:
@@ -140,7 +143,6 @@ def _without_observing(start: Start) -> Played:
 @contextmanager
 def _policy_player(task: "Task", start: Start, submission: Path) -> Iterator[Played]:
     from vitac.evaluator.agent.session import PolicySession
-    from vitac.evaluator.episodes.episode import open_episode
     from vitac.evaluator.episodes.reading import reading_of
     from vitac.evaluator.submission.manifest import load_manifest, stage
 
@@ -155,12 +157,13 @@ def _policy_player(task: "Task", start: Start, submission: Path) -> Iterator[Pla
         reading = reading_of(task, manifest.observation_keys)
         with (
             PolicySession(staged, entry_point=manifest.entry_point) as session,
-            open_episode(session, task, reading) as policy,
+            session.episode(task=task.name, action_shape=(len(task.actions),), clouds=reading.clouds) as policy,
         ):
             yield Played(
                 start=start,
                 next_action=lambda seen, _: policy.act({key: seen[key] for key in reading.sent}),
                 actions=manifest.name,
+                belief=policy.belief,
             )
 
 

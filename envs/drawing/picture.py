@@ -20,8 +20,8 @@ from ..scene.perspective import Beside, Perspective
 from .camera_view import camera_strip
 from .colouring import Quantity, colouring
 from .drawable import perspective_of
-from .playback import Moment, Playback
-from .plots import INK, QUIET, draw_progress, draw_section
+from .playback import TRUE_OFFSET, Moment, Playback
+from .plots import BELIEF_COLOUR, INK, QUIET, draw_progress, draw_section
 from .projection.frame import Frame
 from .scene_view import SceneImage, SceneView
 from .sensor_view import SIDES, SensorPanels
@@ -147,7 +147,12 @@ class Painter:
         left_mm, right_mm = (1e3 * moment.info["surface_diff_m"]).tolist()
         surfaces = f"surface_diff left {left_mm:.2f} mm, right {right_mm:.2f} mm"
         place = self._perspective.position(moment.info)
-        figure.text(0.02, 0.905, f"{place}     {surfaces}", size=_FONT_PT, color=INK, va="center")
+        height = 0.905
+        if moment.believed is not None:  # two lines in the room of one
+            height = 0.923
+            believed = f"believed: {self._perspective.position({TRUE_OFFSET: moment.believed})}"
+            figure.text(0.02, 0.895, believed, size=_FONT_PT, color=BELIEF_COLOUR, va="center")
+        figure.text(0.02, height, f"{place}     {surfaces}", size=_FONT_PT, color=INK, va="center")
         actions = shorten(f"actions: {self._caption.actions}", _LONGEST_LINE, placeholder=" …")
         figure.text(0.02, 0.03, actions, size=_FONT_PT, color=QUIET, va="center")
 

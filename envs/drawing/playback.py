@@ -1,7 +1,7 @@
 """An episode kept for drawing: what stands where after every env step, or after every IPC step. Made by `record`."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import partial
 from typing import Any
@@ -18,6 +18,11 @@ from ..vision.camera import Sight
 
 FloatArray = NDArray[np.float64]
 NextAction = Callable[[Observation, Info], NDArray[np.float32] | None]
+Belief = Callable[[int], NDArray[np.float32] | None]
+"""Gives the offset [mm, deg] of so many numbers that a policy believed in at its last look; None: it does not say."""
+
+TRUE_OFFSET = "gt_offset_mm_deg"
+"""Key of the info of tasks whose held part has an offset: what a policy may say what it believes of."""
 
 
 class Pace(StrEnum):
@@ -39,6 +44,8 @@ class Moment:
         marker_flow: what the policy was given [pixel], shape [2, 2, 128, 2].
         info: of the last reset or env step that has ended.
         sight: what the camera rig saw then; None where there is none.
+        belief_error: what the policy believed of the offset at its last look, less what was true then [mm, deg]; None
+            where it has not said.
     """
 
     env_step: int
@@ -48,6 +55,14 @@ class Moment:
     marker_flow: NDArray[np.float32]
     info: Mapping[str, Any]
     sight: Sight | None = None
+    belief_error: FloatArray | None = None
+
+    @property
+    def believed(self) -> FloatArray | None:
+        """Where the held part is now if the target is where the policy believed it at its last look [mm, deg]."""
+        if self.belief_error is None:
+            return None
+        return np.asarray(self.info[TRUE_OFFSET]) + self.belief_error
 
     @property
     def end_reason(self) -> str | None:
@@ -90,9 +105,19 @@ class Playback:
         steps = [moment.env_step for moment in self.moments]
         return tuple(index for index, step in enumerate(steps) if step not in steps[index + 1 :])
 
+    @property
+    def looks(self) -> tuple[Moment, ...]:
+        """Moments at which an action was chosen; a policy does not look at the end."""
+        return tuple(self.moments[index] for index in self.last_moments[: len(self.actions)])
+
 
 def record(
-    env: TactileTaskEnv[Any, Any], *, options: Mapping[str, Any], next_action: NextAction, pace: Pace = Pace.ENV_STEP
+    env: TactileTaskEnv[Any, Any],
+    *,
+    options: Mapping[str, Any],
+    next_action: NextAction,
+    pace: Pace = Pace.ENV_STEP,
+    belief: Belief | None = None,
 ) -> Playback:
     """Play an episode until it ends or no action comes, and keep it.
 
@@ -101,6 +126,7 @@ def record(
         options: of the reset.
         next_action: gives the action for an observation and the info with it, or None to stop.
         pace: how often a moment is kept.
+        belief: is asked after each action, where the task has an offset.
     """
     observation, info = env.reset(options=dict(options))
     moments = [_moment(env.scene, 0, observation, info, _sight(env))]
@@ -110,14 +136,16 @@ def record(
         action = next_action(observation, info)
         if action is None:
             break
-        number = moments[-1].env_step + 1
+        if belief is not None and TRUE_OFFSET in info:
+            moments[-1] = _with_belief(moments[-1], belief(len(info[TRUE_OFFSET])))
+        number, error = moments[-1].env_step + 1, moments[-1].belief_error
         if pace is Pace.IPC_STEP:
             env.scene.after_ipc_step = partial(_keep, moments, env.scene, number, observation, info)
         observation, reward, _, _, info = env.step(action)
         env.scene.after_ipc_step = None
         actions.append(action)
         rewards.append(reward)
-        ended = _moment(env.scene, number, observation, info, _sight(env))
+        ended = replace(_moment(env.scene, number, observation, info, _sight(env)), belief_error=error)
         if pace is Pace.IPC_STEP:
             moments[-1] = ended  # The last IPC step ends the env step.
         else:
@@ -126,7 +154,13 @@ def record(
 
 
 def _keep(moments: list[Moment], scene: GraspedScene, env_step: int, observation: Observation, info: Info) -> None:
-    moments.append(_moment(scene, env_step, observation, info, moments[-1].sight))
+    made = _moment(scene, env_step, observation, info, moments[-1].sight)
+    moments.append(replace(made, belief_error=moments[-1].belief_error))
+
+
+def _with_belief(moment: Moment, believed: NDArray[np.float32] | None) -> Moment:
+    """Return a moment with what the policy believes from now on; the same where it does not say."""
+    return moment if believed is None else replace(moment, belief_error=believed - moment.info[TRUE_OFFSET])
 
 
 def _sight(env: TactileTaskEnv[Any, Any]) -> Sight | None:

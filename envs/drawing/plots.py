@@ -15,17 +15,20 @@ from .projection.shading import CUT_COLOUR, HELD_COLOUR
 FloatArray = NDArray[np.float64]
 
 INK, QUIET = "#22262b", "#5c6670"
-GOAL_COLOUR = "#1b7837"
+GOAL_COLOUR, BELIEF_COLOUR = "#1b7837", "#a3217a"
 TITLE_PT, TICK_PT = 9.0, 8.0
 
 
 def draw_section(axes: Axes, perspective: Perspective, playback: Playback, moment: Moment) -> None:
-    """Draw both parts, cut, in their places."""
+    """Draw both parts, cut, in their places, and dashed the held one where the policy believes it."""
     view = perspective.section
     fixed = _outline(playback.fixed_m, playback.fixed.triangles, view.fixed_cut, view)
     held = _outline(moment.held_m, playback.held.triangles, view.held_cut, view)
     axes.add_patch(PathPatch(fixed, facecolor=CUT_COLOUR, edgecolor=INK, linewidth=0.7))
     axes.add_patch(PathPatch(held, facecolor=(*HELD_COLOUR, 0.85), edgecolor=INK, linewidth=0.9))
+    if moment.belief_error is not None:
+        believed = _outline(_moved(moment.held_m, moment.belief_error), playback.held.triangles, view.held_cut, view)
+        axes.add_patch(PathPatch(believed, fill=False, edgecolor=BELIEF_COLOUR, linewidth=1.1, linestyle=(0, (3, 2))))
     axes.set(xlim=view.limits_mm[0], ylim=view.limits_mm[1], aspect="equal")
     (_, across), (_, upwards) = view.axes
     axes.set_xlabel(f"{across} [mm]", size=TICK_PT, color=INK, labelpad=1)
@@ -74,6 +77,15 @@ def _limits(heights: FloatArray, progress: Progress) -> tuple[float, float]:
     high = max(float(heights.max()), progress.goal_mm, 0.0)
     margin = 0.15 * (high - low)
     return low - margin, high + margin
+
+
+def _moved(vertices_m: FloatArray, offset_mm_deg: FloatArray) -> FloatArray:
+    """Return a part shifted along x and y [mm] and turned about its own vertical axis [deg]; heights stay."""
+    x_mm, y_mm, theta_deg = offset_mm_deg[:3]
+    sine, cosine = np.sin(np.radians(theta_deg)), np.cos(np.radians(theta_deg))
+    middle_m = vertices_m[:, :2].mean(axis=0)
+    turned_m = (vertices_m[:, :2] - middle_m) @ np.array([[cosine, sine], [-sine, cosine]])
+    return np.column_stack([turned_m + middle_m + 1e-3 * np.array([x_mm, y_mm]), vertices_m[:, 2]])
 
 
 def _outline(vertices_m: FloatArray, triangles: NDArray[np.int64], plane: Plane, view: SectionView) -> Path:

@@ -23,7 +23,7 @@ from .isolation.sandbox import Sandbox
 from .isolation.tracing import TracedProcessGone
 from .limits import Limits
 from .loaded_copy import LoadedCopy
-from .protocol.action import checked_action
+from .protocol.action import checked_action, checked_belief
 from .protocol.frames import Answer, AnswerKind, Array, CloudSpec, Question, QuestionKind
 from .shard_time import ShardTime
 from .verdicts import PolicyFailed, SandboxFailed, VerdictCode
@@ -291,10 +291,20 @@ class EpisodePolicy:
         """
         question = Question(kind=QuestionKind.OBSERVE, arrays=observation, clouds=self._clouds)
         answer = self._ask(question, AnswerKind.ACTION, "act()")
-        try:
+        with self._explained():
             return checked_action(answer.arrays, self._action_shape)
-        except PolicyFailed as failure:
-            raise self._exchange.failure(failure.verdict, failure.message) from None
+
+    def belief(self, size: int) -> NDArray[np.float32] | None:
+        """Return what the policy believes of what it saw last, shape [size]; None where it does not say.
+
+        No score depends on it: nothing but `vitac show` asks.
+
+        Raises:
+            PolicyFailed: any verdict.
+        """
+        answer = self._ask(Question(kind=QuestionKind.BELIEVE), AnswerKind.BELIEF, "belief()")
+        with self._explained():
+            return checked_belief(answer.arrays, (size,))
 
     @property
     def output(self) -> str:
@@ -308,8 +318,14 @@ class EpisodePolicy:
         Raises:
             PolicyFailed: protocol_violation.
         """
-        try:
+        with self._explained():
             self._sandbox.channel.check_silent()
+
+    @contextlib.contextmanager
+    def _explained(self) -> Iterator[None]:
+        """Give a verdict the reason behind it and what the policy has printed."""
+        try:
+            yield
         except PolicyFailed as failure:
             raise self._exchange.failure(failure.verdict, failure.message) from None
 
@@ -333,10 +349,8 @@ class EpisodePolicy:
         if self.cpu_s >= self._limits.episode_cpu_s:
             message = f"The episode used more than {self._limits.episode_cpu_s:g} s of CPU time."
             raise self._exchange.failure(VerdictCode.CPU_TIME, message)
-        try:
+        with self._explained():
             self._shard_time.check()
-        except PolicyFailed as failure:
-            raise self._exchange.failure(failure.verdict, failure.message) from None
 
     def _count_cpu(self) -> None:
         """Take the time used so far; without a control group, that of processes nobody waited for is not in it."""

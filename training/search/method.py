@@ -20,6 +20,7 @@ from vitac.evaluator.episodes.episode import make_environment
 from vitac.evaluator.scoring.score import Rate, rate
 from vitac.evaluator.tracks import find_task
 
+from ..charts import Charts
 from ..files import load, save, write_bytes, write_text
 from ..log import Row, extend_log, read_log
 from ..progress import Progress
@@ -115,6 +116,13 @@ class Search:
             FileDamaged: what a generation found, or the log, is not what was written.
         """
         claim(self.folder.path, self.recipe)
+        with Charts(self.folder.path) as charts:
+            found = self._generations(charts)
+        chosen = best(found)
+        export(load(self.folder.networks(chosen.number))["mean"], self.folder.path / "submission")
+        return found
+
+    def _generations(self, charts: Charts) -> list[Generation]:
         mean, spread = np.zeros((ACTIONS, FEATURES)), np.full((ACTIONS, FEATURES), FIRST_SPREAD)
         mean[:, 0] = -FIRST_PULL, -FIRST_LIFT
         judged = {generation.number: generation for generation in read_log(self.folder.log, _generation)}
@@ -126,9 +134,9 @@ class Search:
             mean, spread = self._next(number, mean, spread)
             found.append(judged.get(number) or self._judged(number, mean))
             extend_log(self.folder.log, [_row(generation) for generation in found])
+            if number not in judged:
+                charts.add_row(number, _row(found[-1]))
             self._tell_generation(found[-1], progress.left(number, len(numbers)))
-        chosen = best(found)
-        export(load(self.folder.networks(chosen.number))["mean"], self.folder.path / "submission")
         return found
 
     def _next(self, number: int, mean: FloatArray, spread: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -1,4 +1,4 @@
-"""What counts as an action: checked outside the sandbox, on the arrays of an answer."""
+"""What counts as an action, and as a belief: checked outside the sandbox, on the arrays of an answer."""
 
 from collections.abc import Mapping
 from typing import Final
@@ -23,23 +23,36 @@ def checked_action(arrays: Mapping[str, Array], shape: tuple[int, ...]) -> NDArr
     Raises:
         PolicyFailed: protocol_violation, bad_action_type, bad_action_shape, non_finite_action.
     """
-    if set(arrays) != {"action"}:
+    return _checked("action", arrays, shape)
+
+
+def checked_belief(arrays: Mapping[str, Array], shape: tuple[int, ...]) -> NDArray[np.float32] | None:
+    """Return what a policy believes as float32 of the given shape, finite; None where it says nothing.
+
+    Raises:
+        PolicyFailed: as for an action.
+    """
+    return _checked("belief", arrays, shape) if arrays else None
+
+
+def _checked(name: str, arrays: Mapping[str, Array], shape: tuple[int, ...]) -> NDArray[np.float32]:
+    if set(arrays) != {name}:
         raise PolicyFailed(
-            VerdictCode.PROTOCOL_VIOLATION, f"An answer held the arrays {sorted(arrays)}, expected 'action' alone."
+            VerdictCode.PROTOCOL_VIOLATION, f"An answer held the arrays {sorted(arrays)}, expected '{name}' alone."
         )
-    action = arrays["action"]
-    if action.dtype.kind not in "fiu":
+    numbers, title = arrays[name], name.capitalize()
+    if numbers.dtype.kind not in "fiu":
         raise PolicyFailed(
             VerdictCode.BAD_ACTION_TYPE,
-            f"Action has dtype {action.dtype}, expected real numbers.",
+            f"{title} has dtype {numbers.dtype}, expected real numbers.",
         )
-    if action.shape != shape:
-        raise PolicyFailed(VerdictCode.BAD_ACTION_SHAPE, f"Action has shape {action.shape}, expected {shape}.")
+    if numbers.shape != shape:
+        raise PolicyFailed(VerdictCode.BAD_ACTION_SHAPE, f"{title} has shape {numbers.shape}, expected {shape}.")
     with np.errstate(over="ignore", invalid="ignore"):
-        converted = action.astype(np.float32)
+        converted = numbers.astype(np.float32)
     if not np.isfinite(converted).all():
         raise PolicyFailed(
             VerdictCode.NON_FINITE_ACTION,
-            f"Action is {action.tolist()}, expected finite numbers in the range of float32.",
+            f"{title} is {numbers.tolist()}, expected finite numbers in the range of float32.",
         )
     return converted

@@ -38,6 +38,7 @@ class QuestionKind(StrEnum):
     LOAD = "load"
     RESET = "reset"
     OBSERVE = "observe"
+    BELIEVE = "believe"
 
 
 class AnswerKind(StrEnum):
@@ -46,6 +47,7 @@ class AnswerKind(StrEnum):
     LOADED = "loaded"
     READY = "ready"
     ACTION = "action"
+    BELIEF = "belief"
     FAILED = "failed"
 
 

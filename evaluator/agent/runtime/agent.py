@@ -67,14 +67,14 @@ class Connection:
         add_clouds(header["clouds"], arrays)
         return header["kind"], header["text"], arrays
 
-    def write(self, kind: str, *, action: Any = None, code: str = "", message: str = "") -> None:
-        """Answer the last question."""
+    def write(self, kind: str, *, numbers: Any = None, code: str = "", message: str = "") -> None:
+        """Answer the last question, with an array of the kind's name where there are numbers."""
         specs: list[dict[str, Any]] = []
         payload = b""
-        if action is not None:
-            payload = action.tobytes()
-            name = f"{action.dtype.kind}{action.dtype.itemsize}"
-            specs.append({"name": "action", "dtype": name, "shape": list(action.shape)})
+        if numbers is not None:
+            payload = numbers.tobytes()
+            dtype = f"{numbers.dtype.kind}{numbers.dtype.itemsize}"
+            specs.append({"name": kind, "dtype": dtype, "shape": list(numbers.shape)})
         answer = {"seq": self._seq, "kind": kind, "code": code, "message": message, "arrays": specs}
         header = json.dumps(answer).encode("ascii", "replace")
         self._socket.sendall(PREFIX.pack(MAGIC, len(header), len(payload)) + header + payload)
@@ -118,24 +118,22 @@ def point_cloud() -> Any:
     return runpy.run_path(str(BACK_PROJECTION))["point_cloud"]
 
 
-def as_action(value: Any) -> Any:
+def as_numbers(value: Any, what: str = "act()") -> Any:
     """Return the policy's answer as an array that the channel carries; shape and values are judged outside."""
     import numpy as np
 
     if isinstance(value, (bytes, str, dict)) or value is None:
-        raise Refused("bad_action_type", f"act() returned {type(value).__name__}, expected an array of real numbers.")
+        raise Refused("bad_action_type", f"{what} returned {type(value).__name__}, expected an array of real numbers.")
     try:
         array = np.asarray(value)
     except Exception as error:
         raise Refused(
-            "bad_action_type", f"act() returned what NumPy cannot make an array of: {error!r:.500}"
+            "bad_action_type", f"{what} returned what NumPy cannot make an array of: {error!r:.500}"
         ) from error
     if array.dtype.kind not in "fiu":
-        raise Refused("bad_action_type", f"act() returned an array of dtype {array.dtype}, expected real numbers.")
+        raise Refused("bad_action_type", f"{what} returned an array of dtype {array.dtype}, expected real numbers.")
     if array.size > 4096:
-        raise Refused(
-            "bad_action_shape", f"act() returned an array of shape {array.shape}, far larger than any action."
-        )
+        raise Refused("bad_action_shape", f"{what} returned an array of shape {array.shape}, far larger than expected.")
     return np.ascontiguousarray(array, dtype="<f4" if array.dtype == np.float32 else "<f8").reshape(array.shape)
 
 
@@ -216,9 +214,18 @@ def answer_episode(policy: Any, connection: Connection) -> None:
         if kind == "reset":
             guarded("crashed", "reset()", partial(policy.reset, text))
             connection.write("ready")
+        elif kind == "believe":
+            connection.write("belief", numbers=belief_of(policy))
         else:
             action = guarded("crashed", "act()", partial(policy.act, arrays))
-            connection.write("action", action=as_action(action))
+            connection.write("action", numbers=as_numbers(action))
+
+
+def belief_of(policy: Any) -> Any:
+    """Return what the policy believes, None where it has no such method or knows nothing."""
+    believe = getattr(policy, "belief", None)
+    believed = None if believe is None else guarded("crashed", "belief()", believe)
+    return None if believed is None else as_numbers(believed, "belief()")
 
 
 def run_loader(connection: Connection, submission: str) -> None:

@@ -46,6 +46,12 @@ class Policy:
         self.history.acted(self.candidates[best])
         return np.asarray(self.candidates[best])
 
+    def belief(self) -> FloatArray | None:
+        """Return the peg's offset [mm, mm, deg] as far as it knows it, for `vitac show`; no action depends on it."""
+        if "belief" not in self.weights:
+            return None
+        return np.asarray(belief_inputs(self.weights, self.history.features()[None])[0] @ self.weights["belief"])
+
 
 class History:
     """All that was felt and done in an episode so far."""
@@ -154,7 +160,7 @@ def values(weights: Mapping[str, FloatArray], history: FloatArray, actions: Floa
         history: shape [HISTORY_SIZE].
         actions: shape [count, 3].
     """
-    copies = sum(name.endswith("_history") for name in weights)
+    copies = copies_in(weights)
     total = np.zeros(len(actions), dtype=np.float32)
     for copy in range(copies):
         layer = {name.removeprefix(f"{copy}_"): value for name, value in weights.items() if name.startswith(f"{copy}_")}
@@ -162,3 +168,22 @@ def values(weights: Mapping[str, FloatArray], history: FloatArray, actions: Floa
         hidden = np.maximum(hidden @ layer["weight1"] + layer["bias1"], 0.0)
         total += (hidden @ layer["weight2"] + layer["bias2"])[:, 0]
     return np.asarray(total / copies)
+
+
+def belief_inputs(weights: Mapping[str, FloatArray], histories: FloatArray) -> FloatArray:
+    """Return what the belief is a weighted sum of: histories, the networks' first layers without an action, and 1.
+
+    Args:
+        weights: as for `values`.
+        histories: shape [n, HISTORY_SIZE].
+    """
+    layers = [
+        np.maximum(histories @ weights[f"{copy}_history"] + weights[f"{copy}_bias0"], 0.0)
+        for copy in range(copies_in(weights))
+    ]
+    return np.concatenate([histories, *layers, np.ones((len(histories), 1), dtype=np.float32)], axis=1)
+
+
+def copies_in(weights: Mapping[str, FloatArray]) -> int:
+    """Return how many networks there are."""
+    return sum(name.endswith("_history") for name in weights)

@@ -59,6 +59,22 @@ def test_policy_gets_the_observation_and_the_task(make: Make) -> None:
     assert play_one(folder) == [1, 2, 3]
 
 
+def test_a_policy_says_what_it_believes_only_when_it_is_asked(make: Make) -> None:
+    told = make("self.seen = observation['x']\nreturn [0, 0, 0]") / "policy.py"
+    with PolicySession(told.parent) as session, session.episode(task="t", action_shape=(3,)) as policy:
+        policy.act(OBSERVATION)
+        assert policy.belief(3) is None, "it has no such method"
+    told.write_text(told.read_text() + "\n    def belief(self):\n        return self.seen + 0.5\n")
+    with PolicySession(told.parent) as session, session.episode(task="t", action_shape=(3,)) as policy:
+        policy.act(OBSERVATION)
+        believed = policy.belief(3)
+        assert believed is not None
+        assert believed.tolist() == [0.5, 1.5, 2.5]
+        assert policy.act(OBSERVATION).tolist() == [0, 0, 0], "the episode goes on"
+        with pytest.raises(PolicyFailed, match=r"Belief has shape \(3,\), expected \(4,\)"):
+            policy.belief(4)
+
+
 def test_observation_belongs_to_the_policy(make: Make) -> None:
     assert play_one(make("observation['x'] += 1\nreturn observation['x']")) == [1, 2, 3]
 

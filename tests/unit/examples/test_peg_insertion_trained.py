@@ -55,6 +55,7 @@ def test_actions_are_finite_and_within_bounds(policy: Any, seed: int) -> None:
         action = policy.act({"marker_flow": seen, "relative_motion": motion})
         assert (action.dtype, action.shape) == (np.float32, (3,))
         assert np.abs(action).max() <= 1
+        assert np.abs(policy.belief() / [20.0, 20.0, 60.0]).max() < 1.0
         motion = motion + np.array([*(2 * action[:2]), 4 * action[2], -0.125], np.float32)
 
 

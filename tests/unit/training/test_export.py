@@ -12,16 +12,21 @@ from vitac.training.export import NotExportable, export
 from vitac.training.files import save
 from vitac.training.learning.student import Student, StudentPlan
 from vitac.training.run import Folder, RoundResult
+from vitac.training.submission.policy import HISTORY_SIZE
 
 CHOSEN = RoundResult(number=3, student=rate(7, 10), critic=rate(9, 10), env_steps=100)
+
+HIDDEN = 16
+BELIEF = np.zeros((HISTORY_SIZE + 2 * HIDDEN + 1, 3), dtype=np.float32)
+BELIEF[-1] = 1.5, -0.5, 8.0
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Folder:
     made = Folder(path=tmp_path / "run")
-    student = Student(StudentPlan(networks=2, hidden=16), np.random.default_rng(0))
+    student = Student(StudentPlan(networks=2, hidden=HIDDEN), np.random.default_rng(0))
     stored = {f"student.{name}": value for name, value in student.state().items()}
-    save(made.networks(3), {**stored, "critic.0.p.bias0": np.zeros(4, dtype=np.float32)})
+    save(made.networks(3), {**stored, "belief": BELIEF, "critic.0.p.bias0": np.zeros(4, np.float32)})
     return made
 
 
@@ -46,6 +51,7 @@ def test_exported_policy_plays(folder: Folder, tmp_path: Path) -> None:
     assert action.shape == (3,)
     assert np.abs(action).max() <= 1.0
     assert not [name for name in policy.weights if "critic" in name]
+    assert policy.belief().tolist() == [1.5, -0.5, 8.0]
 
 
 def test_folder_that_is_there_is_kept(folder: Folder, tmp_path: Path) -> None:

@@ -1,6 +1,10 @@
 """A training run: rounds, what is kept when it is stopped, and that it ends with the same bits."""
 
 import json
+import os
+import signal
+import time
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +12,7 @@ import numpy as np
 import pytest
 from toy_peg import ToyPeg
 from vitac.evaluator.scoring.score import rate
+from vitac.training.charts import FOLDER, Charts
 from vitac.training.files import FileDamaged
 from vitac.training.learning.network import Learner, TrainingDiverged
 from vitac.training.recipe import AssessorRecipe, CriticRecipe, Recipe, StudentRecipe
@@ -30,6 +35,8 @@ RECIPE = Recipe(
     student=StudentRecipe(networks=1, hidden=16, epochs=2),
 )
 
+LIMIT_S = 60
+
 
 def run(path: Path, recipe: Recipe = RECIPE, lines: list[str] | None = None) -> Run:
     heard: list[str] = [] if lines is None else lines
@@ -37,7 +44,9 @@ def run(path: Path, recipe: Recipe = RECIPE, lines: list[str] | None = None) -> 
 
 
 def files(folder: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    """All but the charts, which hold times, by name."""
+    found = [path for path in folder.rglob("*") if path.is_file() and path.parent.name != FOLDER]
+    return {str(path.relative_to(folder)): path.read_bytes() for path in found}
 
 
 class Stopped(BaseException):
@@ -247,3 +256,57 @@ def test_log_has_a_line_for_each_round(tmp_path: Path) -> None:
     rows = [json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()]
     assert [row["round"] for row in rows] == [1, 2]
     assert {"student", "critic", "env_steps"} <= set(rows[0])
+
+
+def test_a_run_charts_its_rounds_and_losses_and_a_finished_one_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    charted: list[tuple[int, str]] = []
+    monkeypatch.setattr(Charts, "add_row", lambda _, number, row: charted.append((number, ",".join(row))))
+    monkeypatch.setattr(Charts, "add_loss", lambda _, number, who, loss: charted.append((number, who)))
+    run(tmp_path).go()
+    row = "round,env_steps,student,critic"
+    first = ["critic"] * 2 + ["student"] * 2 + [row]
+    second = ["critic"] * 2 + (["assessor"] * 2 + ["student"] * 2) * 2 + [row]
+    assert charted == [*((1, name) for name in first), *((2, name) for name in second)]
+    charted.clear()
+    run(tmp_path).go()
+    assert not charted
+
+
+def go(folder: Path) -> None:
+    run(folder, RECIPE.model_copy(update={"random_episodes": 60, "guided_episodes": 60, "rounds": 1})).go()
+
+
+def go_and_hang(folder: Path, count: int) -> None:
+    """Run, and stop for ever in the middle of an episode once so many files are there."""
+    reset = ToyPeg.reset
+
+    def hanging(env: ToyPeg, **options: object) -> object:
+        if len(list(folder.rglob("*.npz"))) == count:
+            (folder / "hangs").touch()
+            time.sleep(10 * LIMIT_S)
+        return reset(env, **options)  # type: ignore[arg-type]
+
+    ToyPeg.reset = hanging  # type: ignore[method-assign, assignment]
+    go(folder)
+
+
+@pytest.mark.parametrize("count", [0, 3])
+def test_killed_run_goes_on_to_the_same_bits(tmp_path: Path, count: int) -> None:
+    killed, whole = tmp_path / "killed", tmp_path / "whole"
+    process = get_context("fork").Process(target=go_and_hang, args=(killed, count))
+    process.start()
+    deadline = time.monotonic() + LIMIT_S
+    while not (killed / "hangs").exists():
+        assert process.is_alive(), "the run ended before it was killed"
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    assert process.pid is not None
+    os.kill(process.pid, signal.SIGKILL)
+    process.join(LIMIT_S)
+    (killed / "hangs").unlink()
+    assert len([path for path in killed.rglob("*.npz") if path.parent.name == "episodes"]) == count
+    go(killed)
+    go(whole)
+    assert files(killed) == files(whole)

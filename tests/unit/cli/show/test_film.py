@@ -93,6 +93,7 @@ def test_recorded_actions_are_played_from_the_episodes_own_start(
             "actions": "actions.jsonl",
             "outcome": "not ended",
             "env_steps": 3,
+            "beliefs": [],
             "files": ["pick-cube-3.png"],
         },
     )

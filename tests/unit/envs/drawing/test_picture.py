@@ -75,6 +75,13 @@ def test_caption_says_step_offset_surface_motion_and_outcome(peg_playback: Playb
     assert f"actions: {DESCRIPTION}" in last
 
 
+def test_caption_says_what_the_policy_believes_beside_what_is_true(peg_playback: Playback) -> None:
+    moment = replace(peg_playback.moments[0], belief_error=np.array([0.5, -2.0, 0.25]))
+    figure = painted(replace(peg_playback, moments=(moment, *peg_playback.moments[1:]))).figure(0)
+    assert "believed: offset x −2.50 mm, y −0.50 mm, θ +6.25°" in texts(figure)
+    assert not any("believed" in text for text in texts(painted(peg_playback).figure(0)))
+
+
 @pytest.mark.parametrize("task", ["peg_playback", "lock_playback"])
 def test_parts_sensors_and_units_are_named(task: str, request: pytest.FixtureRequest) -> None:
     playback = request.getfixturevalue(task)
@@ -101,6 +108,9 @@ def test_nothing_is_written_beyond_the_edge(task: str, request: pytest.FixtureRe
 @pytest.mark.parametrize("task", ["peg_playback", "lock_playback"])
 def test_lines_of_the_caption_stand_apart(task: str, request: pytest.FixtureRequest) -> None:
     playback = request.getfixturevalue(task)
+    if task == "peg_playback":
+        moments = tuple(replace(each, belief_error=np.array([20.0, -20.0, 40.0])) for each in playback.moments)
+        playback = replace(playback, moments=moments)
     caption = Caption(title="Peg insertion, episode 270: trapezoid", actions="a policy with a long name " * 10)
     figure = Painter(playback, caption, quantity=Quantity.STRESS, width_px=600).figure(1)
     rendered(figure)

@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 from fake_scene import FakeScene
 from vitac.envs.drawing.drawable import straight_to_target
-from vitac.envs.drawing.playback import Pace, Playback, record
+from vitac.envs.drawing.playback import TRUE_OFFSET, Pace, Playback, record
+from vitac.envs.tasks.lock_opening.env import LockOpeningEnv
 from vitac.envs.tasks.peg_insertion.env import PegInsertionEnv
 from vitac.envs.tasks.task_env import Info, Observation
 
@@ -81,3 +82,41 @@ def test_the_fixed_part_is_given_in_the_world(peg_playback: Playback) -> None:
     assert peg_playback.env_id == "ViTac/PegInsertion-v1"
     assert 1e3 * peg_playback.fixed_m.min(axis=0) == pytest.approx([-35, -25, 0])
     assert peg_playback.gel.rest_position_m.shape == (162, 3)
+
+
+def test_what_a_policy_believes_is_kept_from_the_moment_at_which_it_looked(fake_scenes: list[FakeScene]) -> None:
+    said = iter([None, np.array([2.5, -1.0, 3.0], dtype=np.float32), None])
+    asked: list[int] = []
+
+    def belief(size: int) -> np.ndarray | None:
+        asked.append(size)
+        return next(said)
+
+    env = PegInsertionEnv(max_steps=3)
+    action = np.array([0.5, 0.0, 0.25], dtype=np.float32)
+    for pace in Pace:
+        said = iter([None, np.array([2.5, -1.0, 3.0], dtype=np.float32), None])
+        playback = record(env, options=OPTIONS, next_action=lambda *_: action, belief=belief, pace=pace)
+        ends = [playback.moments[index] for index in playback.last_moments]
+        assert [moment.env_step for moment in playback.looks] == [0, 1, 2]
+        assert [moment.belief_error is None for moment in ends] == [True, False, False, False]
+        true = [moment.info[TRUE_OFFSET] for moment in ends]
+        for moment, now in zip(ends[1:], true[1:], strict=True):
+            done = now - true[1]
+            assert moment.believed == pytest.approx(np.add(done, [2.5, -1.0, 3.0])), "carried on by what was done"
+        assert all(moment.believed is not None for moment in playback.moments if moment.env_step > 1)
+    assert asked == [3] * 6
+
+
+def test_nothing_is_believed_where_nobody_is_asked_or_the_task_has_no_offset(
+    peg_playback: Playback, fake_scenes: list[FakeScene]
+) -> None:
+    assert {moment.believed is None for moment in peg_playback.moments} == {True}
+    options = {"shape": "key1", "offset_mm": (0.0, 0.0, 0.0), "rng_seed": (0, 1)}
+    remaining = iter(np.zeros((1, 2), dtype=np.float32))
+
+    def refuse(_: int) -> np.ndarray:
+        raise AssertionError("asked for the offset of a key")
+
+    playback = record(LockOpeningEnv(), options=options, next_action=lambda *_: next(remaining, None), belief=refuse)
+    assert [moment.belief_error for moment in playback.moments] == [None, None]

@@ -34,6 +34,17 @@ def test_section_shows_the_hole_and_the_peg_at_its_offset(axes: Axes, peg_playba
     assert (axes.get_xlabel(), axes.get_ylabel(), axes.get_title()) == ("x [mm]", "y [mm]", "hole and peg from above")
 
 
+def test_section_shows_the_peg_dashed_where_the_policy_believes_it(axes: Axes, peg_playback: Playback) -> None:
+    moment = peg_playback.moments[-1]
+    draw_section(axes, PERSPECTIVE, peg_playback, replace(moment, belief_error=np.array([2.0, -1.0, 180.0])))
+    _, peg, believed = axes.patches
+    assert (peg.get_linestyle(), believed.get_linestyle(), believed.get_fill()) == ("solid", (0, (3, 2)), False)
+    middle_mm = 1e3 * moment.held_m[:, :2].mean(axis=0)
+    low, high = (2.0 * middle_mm - corner for corner in peg.get_path().get_extents().get_points()[::-1])
+    found = believed.get_path().get_extents().get_points()
+    assert found == pytest.approx(np.add([low, high], [2.0, -1.0]), abs=0.05)
+
+
 def test_section_beyond_a_part_shows_nothing_of_it(axes: Axes, peg_playback: Playback) -> None:
     above = replace(PERSPECTIVE.section, fixed_cut=Plane(normal=(0.0, 0.0, 1.0), offset_m=1.0))
     draw_section(axes, replace(PERSPECTIVE, section=above), peg_playback, peg_playback.moments[0])

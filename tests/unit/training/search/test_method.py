@@ -10,6 +10,7 @@ import pytest
 from toy_lock import ToyLock
 from vitac.evaluator.scoring.score import rate
 from vitac.evaluator.submission.manifest import load_manifest
+from vitac.training.charts import FOLDER
 from vitac.training.files import NotSaved, load
 from vitac.training.run import Folder, OtherRun, results_of
 from vitac.training.search import policy
@@ -44,7 +45,9 @@ def search(path: Path, recipe: SearchRecipe = RECIPE, **more: Any) -> Search:
 
 
 def files(folder: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    """All but the charts, which hold times, by name."""
+    found = [path for path in folder.rglob("*") if path.is_file() and path.parent.name != FOLDER]
+    return {str(path.relative_to(folder)): path.read_bytes() for path in found}
 
 
 class Stopped(BaseException):

@@ -16,6 +16,7 @@ from vitac.training.submission.policy import (
     MOMENT_SIZE,
     History,
     Policy,
+    belief_inputs,
     candidate_actions,
     felt_motion,
     history_features,
@@ -162,3 +163,37 @@ def test_policy_takes_the_best_candidate(tmp_path: Path, monkeypatch: pytest.Mon
         np.testing.assert_array_equal(action, policy.candidates[scores.argmax()])
         assert len(policy.history.felt) == 1
         np.testing.assert_array_equal(policy.history.actions, [action])
+
+
+def test_a_belief_changes_no_action_and_weights_without_one_say_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "__file__", str(tmp_path / "policy.py"))
+    kept = stored(networks())
+    seen = {"marker_flow": flow_of(np.ones(3), np.ones(3)), "relative_motion": np.zeros(4, dtype=np.float32)}
+    readout = np.random.default_rng(1).standard_normal((HISTORY_SIZE + 2 * 8 + 1, 3)).astype(np.float32)
+    actions, beliefs = [], []
+    for further in ({}, {"belief": readout}):
+        np.savez(tmp_path / "weights.npz", **kept, **further)  # type: ignore[arg-type]
+        policy = Policy()
+        policy.reset("peg-insertion")
+        actions.append(policy.act(seen))
+        beliefs.append(policy.belief())
+    np.testing.assert_array_equal(actions[0], actions[1])
+    history = History()
+    history.observed(felt_motion(seen["marker_flow"]), seen["relative_motion"])
+    assert beliefs[0] is None
+    assert beliefs[1] is not None
+    np.testing.assert_allclose(beliefs[1], belief_inputs(kept, history.features()[None])[0] @ readout, rtol=1e-5)
+
+
+def test_a_belief_is_made_of_the_history_and_of_what_the_first_layers_make_of_it() -> None:
+    kept = stored(networks())
+    histories = np.random.default_rng(1).standard_normal((2, HISTORY_SIZE)).astype(np.float32)
+    found = belief_inputs(kept, histories)
+    assert found.shape == (2, HISTORY_SIZE + 2 * 8 + 1)
+    np.testing.assert_array_equal(found[:, :HISTORY_SIZE], histories)
+    np.testing.assert_array_equal(found[:, -1], 1.0)
+    second = np.maximum(histories @ kept["1_history"] + kept["1_bias0"], 0.0)
+    np.testing.assert_array_equal(found[:, -9:-1], second)
+    assert (second > 0.0).any()

@@ -2,7 +2,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from vitac.evaluator.agent.protocol.action import checked_action
+from vitac.evaluator.agent.protocol.action import checked_action, checked_belief
 from vitac.evaluator.agent.verdicts import PolicyFailed, VerdictCode
 
 
@@ -40,3 +40,26 @@ def test_truth_values_are_no_action() -> None:
 @pytest.mark.parametrize("names", [(), ("other",), ("action", "more")])
 def test_other_arrays_are_a_violation(names: tuple[str, ...]) -> None:
     assert verdict({name: np.zeros(3) for name in names}) is VerdictCode.PROTOCOL_VIOLATION
+
+
+def test_a_belief_is_checked_as_an_action_is_and_may_be_missing() -> None:
+    assert checked_belief({}, (3,)) is None
+    believed = checked_belief({"belief": np.array([30.0, -2, 0])}, (3,))
+    assert believed is not None
+    assert believed.dtype == np.float32
+    assert believed.tolist() == [30.0, -2.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("arrays", "code", "message"),
+    [
+        ({"action": np.zeros(3)}, VerdictCode.PROTOCOL_VIOLATION, "expected 'belief' alone"),
+        ({"belief": np.zeros(2)}, VerdictCode.BAD_ACTION_SHAPE, r"Belief has shape \(2,\), expected \(3,\)"),
+        ({"belief": np.array([0, np.nan, 0])}, VerdictCode.NON_FINITE_ACTION, "Belief is"),
+        ({"belief": np.zeros(3, dtype="?")}, VerdictCode.BAD_ACTION_TYPE, "Belief has dtype bool"),
+    ],
+)
+def test_a_wrong_belief_is_named(arrays: dict[str, Any], code: VerdictCode, message: str) -> None:
+    with pytest.raises(PolicyFailed, match=message) as caught:
+        checked_belief(arrays, (3,))
+    assert caught.value.verdict is code

@@ -114,15 +114,21 @@ def test_refuses_to_send_other_types(dtype: str) -> None:
         array_code(np.zeros(1, dtype=dtype))
 
 
-def test_runtime_answers_are_read(far_end: tuple[socket.socket, Any]) -> None:
+@pytest.mark.parametrize(
+    ("question", "kind"),
+    [(QuestionKind.OBSERVE, AnswerKind.ACTION), (QuestionKind.BELIEVE, AnswerKind.BELIEF)],
+)
+def test_runtime_answers_are_read(far_end: tuple[socket.socket, Any], question: QuestionKind, kind: AnswerKind) -> None:
     ours, connection = far_end
-    ours.sendall(b"".join(encode_question(3, Question(kind=QuestionKind.OBSERVE))))
-    connection.read()
-    connection.write("action", action=np.array([1, 2, 3], dtype="<f4"))
-    answer = read(ours.recv(1 << 16))
-    assert answer is not None
-    assert (answer.header.seq, answer.header.kind, answer.sender_pid) == (3, AnswerKind.ACTION, 7)
-    assert answer.arrays["action"].tolist() == [1, 2, 3]
+    for numbers in (np.array([1, 2, 3], dtype="<f4"), None):
+        ours.sendall(b"".join(encode_question(3, Question(kind=question))))
+        assert connection.read()[0] == question
+        connection.write(str(kind), numbers=numbers)
+        answer = read(ours.recv(1 << 16))
+        assert answer is not None
+        assert (answer.header.seq, answer.header.kind, answer.sender_pid) == (3, kind, 7)
+        told = {name: array.tolist() for name, array in answer.arrays.items()}
+        assert told == ({} if numbers is None else {str(kind): [1, 2, 3]}), "the array has the name of the kind"
 
 
 def test_answer_may_come_in_any_pieces() -> None:

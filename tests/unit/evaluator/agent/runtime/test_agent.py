@@ -67,13 +67,13 @@ def raise_not_found() -> None:
     "value", [[1, 0, -1], (1.0, 0.0, -1.0), [1, 0.0, False], *(np.ones(3, dtype) for dtype in ("f2", "f8", "i1", "u8"))]
 )
 def test_accepts_every_kind_of_real_numbers(value: Any) -> None:
-    assert agent.as_action(value).tolist() == np.asarray(value, np.float32).tolist()
+    assert agent.as_numbers(value).tolist() == np.asarray(value, np.float32).tolist()
 
 
 @pytest.mark.parametrize("value", [[True, False], np.zeros(3, bool), [1j], ["1"], [object()], "1 0", {"a": 1}, None])
 def test_refuses_what_is_no_number(value: Any) -> None:
     with pytest.raises(agent.Refused) as caught:
-        agent.as_action(value)
+        agent.as_numbers(value)
     assert caught.value.code == "bad_action_type"
 
 
@@ -90,25 +90,25 @@ class Tensor:
 
 
 def test_a_tensor_counts_as_the_array_that_it_holds_and_its_batch_is_left_to_be_refused() -> None:
-    assert agent.as_action(Tensor(np.ones(4, np.float32))).tolist() == [1.0, 1.0, 1.0, 1.0]
-    assert agent.as_action(Tensor(np.ones((1, 4), np.float32))).shape == (1, 4)
+    assert agent.as_numbers(Tensor(np.ones(4, np.float32))).tolist() == [1.0, 1.0, 1.0, 1.0]
+    assert agent.as_numbers(Tensor(np.ones((1, 4), np.float32))).shape == (1, 4)
 
 
 @pytest.mark.parametrize("error", ["Can't call numpy() on Tensor that requires grad.", "can't convert cuda:0 tensor"])
 def test_a_tensor_that_is_no_array_is_refused_with_torchs_reason(error: str) -> None:
     with pytest.raises(agent.Refused, match="NumPy cannot make an array of") as caught:
-        agent.as_action(Tensor(np.ones(4), error))
+        agent.as_numbers(Tensor(np.ones(4), error))
     assert (caught.value.code, error in caught.value.message) == ("bad_action_type", True)
 
 
 def test_real_tensors_are_taken_and_refused_alike() -> None:
     torch = pytest.importorskip("torch", reason="torch is not installed: tensors were not tried")
-    assert agent.as_action(torch.ones(4)).tolist() == [1.0, 1.0, 1.0, 1.0]
-    assert agent.as_action(torch.ones(1, 4)).shape == (1, 4)
+    assert agent.as_numbers(torch.ones(4)).tolist() == [1.0, 1.0, 1.0, 1.0]
+    assert agent.as_numbers(torch.ones(1, 4)).shape == (1, 4)
     with pytest.raises(agent.Refused, match="requires grad"):
-        agent.as_action(torch.ones(4, requires_grad=True))
+        agent.as_numbers(torch.ones(4, requires_grad=True))
     with pytest.raises(agent.Refused, match="expected real numbers"):
-        agent.as_action(torch.ones(4) > 0)
+        agent.as_numbers(torch.ones(4) > 0)
 
 
 @pytest.mark.parametrize("code", sorted(agent.DTYPES))
@@ -188,3 +188,34 @@ def test_a_refusal_of_ours_passes_through_and_any_other_end_becomes_one(capsys: 
 def test_descriptors_between_those_that_are_kept_are_closed() -> None:
     assert agent.gaps_between([5, 9]) == [(3, 5), (6, 9), (10, 1 << 16)]
     assert agent.gaps_between([3, 4]) == [(3, 3), (4, 4), (5, 1 << 16)]
+
+
+class Believer:
+    def __init__(self, believed: Any) -> None:
+        self._believed = believed
+
+    def belief(self) -> Any:
+        if isinstance(self._believed, Exception):
+            raise self._believed
+        return self._believed
+
+
+def test_a_belief_is_numbers_or_nothing() -> None:
+    assert agent.belief_of(object()) is None
+    assert agent.belief_of(Believer(None)) is None
+    assert agent.belief_of(Believer([1, 2.5, -3])).tolist() == [1.0, 2.5, -3.0]
+
+
+@pytest.mark.parametrize(
+    ("believed", "code", "message"),
+    [
+        ("left", "bad_action_type", "belief() returned str, expected an array of real numbers."),
+        ([True, False], "bad_action_type", "belief() returned an array of dtype bool, expected real numbers."),
+        (np.zeros(5000), "bad_action_shape", "belief() returned an array of shape (5000,), far larger than expected."),
+        (ValueError("unsure"), "crashed", "belief() raised ValueError: unsure"),
+    ],
+)
+def test_a_wrong_belief_is_refused_by_name(believed: Any, code: str, message: str) -> None:
+    with pytest.raises(agent.Refused) as caught:
+        agent.belief_of(Believer(believed))
+    assert (caught.value.code, caught.value.message) == (code, message)

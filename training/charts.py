@@ -1,0 +1,93 @@
+"""Charts of a run or search for TensorBoard, written where it is installed; nothing depends on them."""
+
+import socket
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from importlib.util import find_spec
+from pathlib import Path
+from time import time, time_ns
+from types import TracebackType
+from typing import Any, Self
+
+from .files import NotSaved
+
+Scalars = Mapping[str, float]
+
+FOLDER = "tensorboard"
+"""Of the charts, in the folder of a run."""
+
+
+class Charts:
+    """Numbers by name, each over the steps of its own kind; a context manager, because it keeps a file open.
+
+    Args:
+        run: folder of the run; the charts have one of their own in it, and each process that adds some a file.
+    """
+
+    def __init__(self, run: Path) -> None:
+        self._folder = run / FOLDER
+        self._is_wanted = find_spec("tensorboard") is not None
+        self._records: Any = None
+        self._turns: Counter[str] = Counter()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._records is not None:
+            self._records.close()
+            self._records = None
+
+    def add_row(self, number: int, row: Mapping[str, Any]) -> None:
+        """Add all numbers of a row of the log, those of a part of it under the name of the part.
+
+        Raises:
+            NotSaved: the disk is full.
+        """
+        self._add(number, dict(_numbers(row)))
+
+    def add_loss(self, number: int, who: str, loss: float) -> None:
+        """Add the loss of the next turn in which someone learned in a round.
+
+        Raises:
+            NotSaved: the disk is full.
+        """
+        name = f"loss in round {number:02}/{who}"
+        self._turns[name] += 1
+        self._add(self._turns[name], {name: loss})
+
+    def _add(self, step: int, scalars: Scalars) -> None:
+        if not self._is_wanted:
+            return
+        from tensorboard.compat.proto.event_pb2 import Event
+        from tensorboard.compat.proto.summary_pb2 import Summary
+
+        values = [Summary.Value(tag=tag, simple_value=value) for tag, value in scalars.items()]
+        try:
+            if self._records is None:
+                self._open()
+            self._records.write(Event(wall_time=time(), step=step, summary=Summary(value=values)).SerializeToString())
+            self._records.flush()
+        except OSError as error:
+            message = f"{self._folder} cannot be written ({error.strerror}); free some space and run it again."
+            raise NotSaved(message) from error
+
+    def _open(self) -> None:
+        from tensorboard.compat.proto.event_pb2 import Event
+        from tensorboard.summary.writer.record_writer import RecordWriter
+
+        self._folder.mkdir(parents=True, exist_ok=True)
+        name = f"events.out.tfevents.{time_ns()}.{socket.gethostname()}"
+        self._records = RecordWriter((self._folder / name).open("xb"))
+        self._records.write(Event(wall_time=time(), file_version="brain.Event:2").SerializeToString())
+
+
+def _numbers(row: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, float]]:
+    """Yield the numbers of a row with their names, level by level."""
+    for name, value in row.items():
+        if isinstance(value, Mapping):
+            yield from _numbers(value, f"{above}{name}/")
+        else:
+            yield f"{above}{name}", float(value)
