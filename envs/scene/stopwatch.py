@@ -1,7 +1,6 @@
 """CPU time spent in one kind of work, summed up. Used by the environments for their `*_cpu_s` attributes."""
 
 from time import thread_time
-from types import TracebackType
 
 
 class Stopwatch:
@@ -14,7 +13,5 @@ class Stopwatch:
     def __enter__(self) -> None:
         self._started_s = thread_time()
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         self.elapsed_s += thread_time() - self._started_s

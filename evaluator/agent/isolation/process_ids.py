@@ -7,7 +7,6 @@ import shutil
 import subprocess
 from contextlib import ExitStack
 from pathlib import Path
-from types import TracebackType
 from typing import Final, Self
 
 _NS_GET_USERNS: Final = 0xB701
@@ -43,9 +42,7 @@ class ProcessIds:
             self._exits.callback(self._shell.kill)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         self._shell = None
         self._exits.close()
 

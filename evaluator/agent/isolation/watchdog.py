@@ -1,7 +1,6 @@
 """Stands in for the memory control group where there is none: looks at resident memory several times a second."""
 
 import threading
-from types import TracebackType
 from typing import Final, Self
 
 from . import process_tree
@@ -25,9 +24,7 @@ class MemoryWatchdog:
         self._thread.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         self._stop.set()
         self._thread.join()
 

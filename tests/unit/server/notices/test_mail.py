@@ -44,7 +44,7 @@ class FakeServer:
     def __enter__(self) -> "FakeServer":
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, *exception: object) -> None:
         self.done.append("quit")
 
     def starttls(self, context: object) -> None:
