@@ -17,8 +17,8 @@ EVALUATOR_RELEASE = "1"
 _HASHED_PACKAGES = ("vitac.envs", "vitac.evaluator")
 _TASKS = "vitac.tasks"
 """Group of the entry points by which other packages add tasks."""
-_TRACKS_FOLDER_VARIABLE = "VITAC_TRACKS_DIR"
-"""Names the folder with further track files (`vitac.evaluator.tracks.registry`)."""
+TRACKS_FOLDER_VARIABLE = "VITAC_TRACKS_DIR"
+"""Names a folder with further track files, which `vitac.evaluator.tracks.registry` reads."""
 _HASHED_SUFFIXES = frozenset({".py", ".yaml"})
 _HASHED_DISTRIBUTIONS = ("llvmlite", "numba", "numpy")
 
@@ -82,9 +82,9 @@ def _add_sources(digest: "hashlib._Hash", package: str) -> None:
 
 
 def _add_further_tracks(digest: "hashlib._Hash") -> None:
-    if folder := os.environ.get(_TRACKS_FOLDER_VARIABLE):
+    if folder := os.environ.get(TRACKS_FOLDER_VARIABLE):
         for path in sorted(Path(folder).glob("*.yaml")):
-            _add_file(digest, f"{_TRACKS_FOLDER_VARIABLE}/{path.name}", path)
+            _add_file(digest, f"{TRACKS_FOLDER_VARIABLE}/{path.name}", path)
 
 
 def _add_file(digest: "hashlib._Hash", name: str, path: Path) -> None:

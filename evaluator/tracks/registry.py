@@ -11,10 +11,8 @@ from pathlib import Path
 from vitac.envs.errors import VitacError
 
 from ..strict_model import DocumentRejected, parse_yaml
+from ..version import TRACKS_FOLDER_VARIABLE
 from .definition import Task, Track
-
-ENVIRONMENT_VARIABLE = "VITAC_TRACKS_DIR"
-"""Names a folder with further track files."""
 
 
 class UnknownTrack(VitacError):
@@ -67,7 +65,7 @@ def archive_folders() -> tuple[str, ...]:
 
 
 def _track_files() -> Mapping[str, Path]:
-    return _files_with(os.environ.get(ENVIRONMENT_VARIABLE))
+    return _files_with(os.environ.get(TRACKS_FOLDER_VARIABLE))
 
 
 @cache
@@ -78,7 +76,7 @@ def _files_with(further: str | None) -> Mapping[str, Path]:
         return own
     added = _files_in(Path(further))
     if not added:
-        raise DocumentRejected(f"{ENVIRONMENT_VARIABLE} is {further}, expected a folder with track files (*.yaml).")
+        raise DocumentRejected(f"{TRACKS_FOLDER_VARIABLE} is {further}, expected a folder with track files (*.yaml).")
     for name in added.keys() & own.keys():
         raise DocumentRejected(f"{added[name]} has the name of a track that is there already; choose another name.")
     return {**own, **added}
