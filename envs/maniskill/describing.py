@@ -77,7 +77,7 @@ def _reason(errors: str) -> str:
     if "download_asset" in errors or ".maniskill/data" in errors:
         return "It needs files that ManiSkill downloads."
     last = next(reversed(errors.strip().splitlines()), "its process was ended")
-    return f"It cannot be made: {last.strip().rstrip('.')[:100]}."
+    return f"It cannot be made: {last.strip().partition('. ')[0].rstrip('.')[:100]}."
 
 
 def _described(env_id: str) -> dict[str, Any] | str:
