@@ -105,7 +105,7 @@ def show(found: Json) -> None:
         pairs |= _log(found["log"])
     pairs |= _scores(found) if evaluation["scores"] else _progress_of_tasks(done)
     if found["missing_tasks"]:
-        pairs["not submitted"] = f"{', '.join(found['missing_tasks'])} (counts as 0 in the ranking of all tasks)"
+        pairs["not submitted"] = f"{', '.join(found['missing_tasks'])} (adds nothing to the ranking of all tasks)"
     if evaluation["verdict"] is not None:
         pairs["verdict"] = _verdict(evaluation["verdict"])
     print_pairs(pairs)
@@ -134,7 +134,7 @@ def _scores(found: Json) -> dict[str, object]:
         score["task"]: _score(score, ranks.get(score["task"])) for score in evaluation["scores"]
     }
     several = len(found["tasks"]) + len(found["missing_tasks"]) > 1
-    if several:
+    if several and evaluation["success_rate"] is not None:  # a sensor without a policy has none
         lines["all tasks"] = _score(evaluation, found["rank"])
     if len(evaluation["scores"]) > 1:
         lines |= {f"hash, {score['task']}": score["result_hash"] for score in evaluation["scores"]}

@@ -132,4 +132,4 @@ def describe(client: Client, answer: Json) -> None:
 
 
 def _missing(tasks: list[str]) -> str:
-    return f" (not {', '.join(tasks)}: counts as 0 in the ranking of all tasks)" if tasks else ""
+    return f" (not {', '.join(tasks)}: adds nothing to the ranking of all tasks)" if tasks else ""

@@ -148,6 +148,7 @@ async def _values(request: Request, viewer: Viewer | None) -> dict[str, Any]:
         "several": len(found.tasks) + len(found.missing_tasks) > 1,
         "action_matches": detail.action_matches,
         "episodes_with_output": detail.episodes_with_output,
+        "counted": [track.tasks[name].title for name in track.tasks_that_count],
         "missing": [track.tasks[name].title for name in found.missing_tasks],
     }
 

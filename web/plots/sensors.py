@@ -146,7 +146,7 @@ def _map(key: str, title: str, drawn: SensitivityMap, rows: Sequence[Sequence[fl
     )
     return Figure(
         key=key,
-        title=title,
+        title=f"{title}, 0 to {largest:.3g} px/N",
         summary=f"Motion of all markers together for 1 N at places of the gel, from 0 (light) to {largest:.3g} px/N.",
         width=int(left + step * len(drawn.x_mm) + 8),
         height=int(end + 26),

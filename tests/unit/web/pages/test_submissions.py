@@ -125,6 +125,43 @@ def test_a_submission_of_one_task_says_which_it_lacks(browser: AsgiBrowser) -> N
     assert "not part of this submission" not in browser.get(f"/submissions/{BOTH.id}").text
 
 
+@pytest.mark.parametrize(
+    ("tasks", "says", "says_not"),
+    [
+        (
+            ("sensor-standard", "sensor-blind"),
+            "Own policy: not part of this submission. Without it there is no",
+            "86.7",
+        ),
+        (("sensor-design", "sensor-standard", "sensor-blind"), "43.3 % that of Own policy", "not part of this"),
+    ],
+)
+def test_a_sensor_has_a_rate_of_all_tasks_only_with_a_policy_of_its_own(
+    tasks: tuple[str, ...], says: str, says_not: str, data: FixedData, browser: AsgiBrowser
+) -> None:
+    """Of Track 3 the own policy alone counts."""
+    own = COMPLETED.evaluation
+    rates = {name: getattr(own, name) for name in ("success_rate", "success_rate_interval", "mean_steps")}
+    nothing = own.progress.model_copy(update={"tasks": []})
+    changes = {"scores": [], "progress": nothing} | (rates if "sensor-design" in tasks else dict.fromkeys(rates))
+    sensor = COMPLETED.model_copy(
+        update={
+            "id": an_id("a sensor"),
+            "track": "track_3",
+            "tasks": list(tasks),
+            "missing_tasks": [name for name in ("sensor-design",) if name not in tasks],
+            "evaluation": own.model_copy(update=changes),
+            "task_ranks": {},
+        }
+    )
+    data.found.append(sensor)
+    sign_in(browser, "Gelbots")
+    html = browser.get(f"/submissions/{sensor.id}").text.replace("\N{NO-BREAK SPACE}", " ")
+    text = " ".join(re.sub(r"<[^>]+>", " ", html).split())
+    assert says in text
+    assert says_not not in text
+
+
 def test_a_submission_of_two_tasks_shows_each_with_rank_and_hash(browser: AsgiBrowser) -> None:
     sign_in(browser, "Gelbots")
     html = browser.get(f"/submissions/{BOTH.id}").text.replace("\N{NO-BREAK SPACE}", " ")

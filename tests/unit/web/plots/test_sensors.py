@@ -43,6 +43,8 @@ def test_map_leaves_out_what_does_not_sense_and_shares_its_scale() -> None:
     opacities = re.findall(r'fill-opacity="([\d.]+)"', str(normal.drawing))
     assert opacities == ["0.12", "0.25", "0.5", "0.38", "0.25"]
     assert "to 8 px/N" in normal.summary
+    assert normal.title == "Sensitivity to normal force, 0 to 8 px/N"
+    assert shear.title == "Sensitivity to shear force, 0 to 0 px/N"
     assert normal.table.rows[0] == ("-1", "1", "2", "–")
     assert "fill-opacity" not in str(shear.drawing)
 
