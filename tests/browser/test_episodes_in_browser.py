@@ -85,6 +85,11 @@ def test_an_episode_is_seen_in_3d_with_what_was_measured(
     expect(page.get_by_role("img", name="marker flow")).to_have_count(2)
     expect(page.get_by_role("img", name="over the env steps")).to_have_count(4)
     expect(page.get_by_role("img", name="camera")).to_have_count(2 if task == FUSION else 0)
+    stage, flow = scene.bounding_box(), page.get_by_role("img", name="right sensor").bounding_box()
+    assert stage is not None
+    assert flow is not None
+    assert flow["x"] >= stage["x"] + stage["width"], "what is felt stands beside what is seen"
+    assert flow["y"] + flow["height"] <= stage["y"] + 1.2 * stage["height"]
     assert violations(page) == []
 
 

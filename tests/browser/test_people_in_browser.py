@@ -19,6 +19,7 @@ from vitac.server.results import rejudging
 from competitions import make_competition, open_now, put_in_place
 
 WEEK = timedelta(days=7)
+FINGER_PX = 44  # what a finger hits, and how high every field of a form is
 SEES = {
     "/appeals": "The peg was in the hole.",
     "SUBMISSION": "100.0",
@@ -83,6 +84,10 @@ def test_each_role_sees_its_pages_without_a_barrier(
     for path in PAGES_OF_ROLES[role]:
         page.goto(service.address + (f"/submissions/{secrets['submission']}" if path == "SUBMISSION" else path))
         assert violations(page) == [], path
+        for field in page.locator("main").locator("input:not([type=hidden], [type=checkbox]), textarea, select").all():
+            height, letters = field.evaluate("field => [field.offsetHeight, getComputedStyle(field).fontSize]")
+            assert height >= FINGER_PX, f"{path}: {field.get_attribute('name')} is drawn by the browser"
+            assert letters == "16px", "a phone would zoom in"
         if path in SEES and role != "other":
             expect(page.get_by_text(SEES[path]).first).to_be_attached()
         elif path in SEES:

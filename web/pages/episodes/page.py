@@ -89,7 +89,8 @@ class Player:
         if self.is_filmed:  # the start follows from a seed, and has no name
             return f"{self.shown.submission_name}, episode {self.shown.episode}"
         start = ", ".join(f"{value:g}" for value in self.shown.initial_offset)
-        return f"{self.shown.submission_name}, episode {self.shown.episode}: {words(self.shown.shape)} from ({start})"
+        offset = f", start offset ({start})" if start else ""
+        return f"{self.shown.submission_name}, episode {self.shown.episode}: {words(self.shown.shape)}{offset}"
 
     @property
     def text(self) -> str:

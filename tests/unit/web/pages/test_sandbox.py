@@ -1,3 +1,5 @@
+import re
+
 from asgi_browser import AsgiBrowser
 from page_fixtures import FixedData, a_sandbox
 
@@ -15,6 +17,15 @@ def test_it_shows_what_the_workers_sandboxes_tell(data: FixedData, browser: Asgi
         "Processes and threads",
     ):
         assert shown in html
+
+
+def test_packages_are_listed_by_name(data: FixedData, browser: AsgiBrowser) -> None:
+    # The database hands out the keys of JSON by their length.
+    data.described = [a_sandbox(packages={"six": "1.17", "Pillow": "12.1", "numpy": "2.4.6", "accessible": "3"})]
+    html = browser.get("/sandbox").text
+    listed = html.partition('class="packages"')[2].partition("</dl>")[0]
+    assert re.findall(r"<dt>(\w+)</dt>", listed) == ["accessible", "numpy", "Pillow", "six"]
+    assert re.findall(r"<dd>([\d.]+)</dd>", listed) == ["3", "2.4.6", "12.1", "1.17"]
 
 
 def test_one_kind_of_worker_has_no_number(data: FixedData, browser: AsgiBrowser) -> None:

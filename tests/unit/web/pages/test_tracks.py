@@ -130,7 +130,7 @@ def test_unknown_track_is_a_page_that_names_the_known_ones(browser: AsgiBrowser)
 
 def test_logs_of_a_track_rank_apart_and_text_logs_stand_beside_their_claims(browser: AsgiBrowser) -> None:
     html = browser.get("/tracks/track_1/logs").text.replace("\N{NO-BREAK SPACE}", " ")
-    assert "200 of 270 episodes as an earlier submission of Gelbots" in html
+    assert "200 of 270 episodes as an earlier submission of <bdi>Gelbots</bdi>" in html
     for shown in ("actions verified, policy not seen", "90.0 %", "verified within tolerance", "243 of 270"):
         assert shown in html
     assert "No verified log of this task yet" in html

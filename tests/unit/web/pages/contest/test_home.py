@@ -54,6 +54,27 @@ def test_an_empty_arena_says_what_it_is_and_how_to_be_the_first(browser: AsgiBro
     assert "/competition" not in html
 
 
+def test_names_in_any_script_stand_apart_from_the_numbers_beside_them(data: FixedData, browser: AsgiBrowser) -> None:
+    team = "مختبر اللمس"
+    data.board = a_leaderboard(an_entry(1, team, *SCORES, name="سياسة"))
+    html = browser.get("/").text
+    # Without isolation a browser draws the rate after an Arabic name in front of it.
+    assert f"<bdi>{team}</bdi>: " in html
+    assert f"first <bdi>{team}</bdi> with " in html
+    assert html.count(team) == html.count(f"<bdi>{team}</bdi>")
+    assert html.count("سياسة") == html.count("<bdi>سياسة</bdi>") == 1
+    board = browser.get("/tracks/track_1").text
+    assert f'class="team"><bdi>{team}</bdi>' in board
+
+
+def test_ways_in_are_buttons_and_each_card_leads_to_its_board_and_rules(browser: AsgiBrowser) -> None:
+    html = browser.get("/").text
+    assert '<a class="button" href="/tracks/track_1/rules#taking-part">Take part</a>' in html
+    assert '<a class="button plain" href="/docs/">Documentation</a>' in html
+    cards = html.partition('class="cards"')[2].partition("</ul>")[0]
+    assert cards.count('">Leaderboard<') == cards.count('">Rules<') == cards.count("<li>") >= 1
+
+
 def test_names_in_the_summary_of_a_track_are_shown_as_code(
     browser: AsgiBrowser, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -81,7 +102,7 @@ def test_what_happened_lately_comes_first_and_links_what_is_public(data: FixedDa
     assert "Old Team" not in html
     assert f'<a href="/submissions/{COMPLETED.id}">' in lately
     assert lately.count('href="/submissions/') == 1
-    assert "9 teams ranked, first Team 1 with" in html
+    assert "9 teams ranked, first <bdi>Team 1</bdi> with" in html
 
 
 @pytest.mark.parametrize(
@@ -100,7 +121,7 @@ def test_a_card_says_whether_its_track_takes_submissions(
     data.cup = a_cup(*made)
     html = browser.get("/").text
     assert shown in html
-    assert '<a href="/competition">The cup</a>' in html
+    assert '<a class="button plain" href="/competition">The cup</a>' in html
     data.cup = a_cup(*made, taken_here=False)
     assert "collected elsewhere" not in browser.get("/").text, "it is kept for seconds"
     assert "collected elsewhere" in AsgiBrowser(an_application(data)).get("/").text
@@ -148,7 +169,8 @@ def test_a_public_episode_is_played_in_place_of_ours(data: FixedData, browser: A
     address = f"/submissions/{COMPLETED.id}/episodes/{TASK}/9"
     assert f'data-playback="{address}/playback" data-version="{KEY}"' in html
     assert ("data-cameras" in html) == has_cameras
-    assert f'<a href="{address}">peg insertion, episode 9</a> by &lt;b&gt; of Gelbots, success at env step 3.' in html
+    assert f'<a href="{address}">peg insertion, episode 9</a> by <bdi>&lt;b&gt;</bdi> of <bdi>Gelbots</bdi>, ' in html
+    assert "success at env step 3." in html
     assert "/example/playback" not in html
     assert html.count("<img") == 1, "its still is too large for the first load"
 

@@ -36,7 +36,7 @@ def test_a_made_playback_is_played_with_the_still_for_those_who_cannot(data: Fix
     html = visitor.get(path).text
     assert f'data-playback="{path}/playback" data-state="made" data-version="{KEY}"' in html
     assert f'src="{path}/playback/still?v={KEY}"' in html
-    assert "trapezoid from (-4, -2, 2)" in html
+    assert "trapezoid, start offset (-4, -2, 2)" in html
     assert "The task was solved." in html
     assert "data-cameras" not in html
     assert "Make the playback" not in html
