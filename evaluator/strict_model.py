@@ -90,11 +90,12 @@ def explain(model: type[BaseModel], error: ValidationError) -> str:
 def _sentence(model: type[BaseModel], problem: dict[str, Any]) -> str:
     place = ".".join(str(part) for part in problem["loc"])[:_SHOWN_CHARS] or "the document"
     if problem["type"] == "extra_forbidden":
-        return f"Unknown key {place!r}; {_nearest(str(problem['loc'][-1]), _keys_at(model, problem['loc'][:-1]))}."
+        return f"Unknown key {place!r}; {_nearest(str(problem['loc'][-1]), _keys_at(model, problem['loc'][:-1]))}"
     if problem["type"] == "missing":
         return f"Missing key {place!r}; add it."
     given = "" if isinstance(problem["input"], dict | list) else f" (got: {_shown(problem['input'])})"
-    return f"{place}: {problem['msg']}{given}."
+    message = problem["msg"].removeprefix("Value error, ")  # pydantic's name for a rule of ours
+    return f"{place}: {message}{given}."
 
 
 def _shown(value: object) -> str:
@@ -110,7 +111,7 @@ def _shown(value: object) -> str:
 
 def _nearest(key: str, valid: list[str]) -> str:
     close = get_close_matches(key, valid, n=1)
-    return f"did you mean {close[0]!r}?" if close else f"valid keys are {', '.join(valid)}"
+    return f"did you mean {close[0]!r}?" if close else f"valid keys are {', '.join(valid)}."
 
 
 def _keys_at(model: type[BaseModel], place: tuple[int | str, ...]) -> list[str]:

@@ -20,6 +20,7 @@ from ..postgres import tools
 from ..services import Services
 from ..submissions.files import stored_digests
 from .archive import BLOB_FOLDER, DUMP_NAME, BackupDescription, BackupWriter
+from .track_files import own_track_files
 
 
 class BackupNotMade(VitacError):
@@ -31,7 +32,8 @@ def back_up(
 ) -> BackupDescription:
     """Write the database and all uploaded files, as they are at one moment, to a new file that only its owner may read.
 
-    Submissions and results that arrive meanwhile are not in it, nor are uploads in pieces.
+    Track files of the organizers' own are in it, too. Submissions and results that arrive meanwhile are not, nor are
+    uploads in pieces.
 
     Args:
         services: the open service.
@@ -111,6 +113,7 @@ def _dump(services: Services, dump: Path) -> BackupDescription:
             schema_revision=_revision(connection),
             dump_sha256=_sha256(dump),
             blobs=tuple(blobs),
+            track_files=own_track_files(),
         )
 
 

@@ -1,7 +1,7 @@
 """Brings a backup into an empty service; called by `vitac admin restore`."""
 
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from sqlalchemy import func, select, text
@@ -18,6 +18,7 @@ from ..queue.workers import workers_alive
 from ..services import Services
 from ..settings import Settings
 from .archive import BackupDescription, BackupReader, BackupRejected
+from .track_files import missing_track_files, put_back
 
 
 class ServiceNotEmpty(VitacError):
@@ -39,7 +40,7 @@ def check(services: Services, source: Path) -> BackupDescription:
 def restore(
     services: Services, source: Path, *, on_file: Callable[[int, int], None] = lambda *_: None
 ) -> BackupDescription:
-    """Check a backup whole, then write its uploaded files and its database, and bring the schema up to date.
+    """Check a backup whole, then write its track files, uploads and database, and bring the schema up to date.
 
     Cut off in the middle it leaves a service without data, into which it can be restored again.
 
@@ -55,7 +56,7 @@ def restore(
         ServiceError: the file store cannot be written.
     """
     with BackupReader.opened(source) as reader:
-        _check(services, reader)
+        put_back(_check(services, reader))
         blobs = reader.description.blobs
         with tempfile.TemporaryDirectory(dir=services.settings.scratch_dir) as folder:
             for count, sha256 in enumerate(blobs, start=1):
@@ -73,7 +74,8 @@ def restore(
         return reader.description
 
 
-def _check(services: Services, reader: BackupReader) -> None:
+def _check(services: Services, reader: BackupReader) -> Mapping[Path, str]:
+    """Return the track files of the backup that this service lacks."""
     revision = reader.description.schema_revision
     if not knows_revision(revision):
         raise BackupRejected(
@@ -83,6 +85,7 @@ def _check(services: Services, reader: BackupReader) -> None:
     with services.database.transaction() as session:
         _require_empty(session, services.settings)
     reader.check()
+    return missing_track_files(reader.description.track_files)
 
 
 def _require_empty(session: Session, settings: Settings) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 from time import process_time
 
 import numpy as np
+from numpy.typing import NDArray
 from vitac.envs.errors import VitacError
 from vitac.envs.tasks.definition import Family
 from vitac.evaluator.episodes.episode import Environment, make_environment
@@ -134,23 +135,39 @@ def _sample(task: Task) -> list[Episode]:
 
 
 def _seconds(task: Task, sample: list[Episode]) -> float:
-    """Return the CPU time of an episode [s]; the gripper takes no action of its own, so it lasts as long as it can."""
+    """Return the CPU time of an episode [s] that lasts as long as it can, with motions as policies make them.
+
+    Each env step costs what it costs on average with random actions of half the range. At rest it costs half of that.
+    """
     env = make_environment(task, None, ())
-    _play(env, task, sample[0])  # compiles what is not compiled yet
-    started = process_time()
     for episode in sample:
-        _play(env, task, episode)
-    return (process_time() - started) / len(sample)
+        _require_end(env, task, episode)  # compiles what is not compiled yet, too
+    actions = np.random.default_rng(0).uniform(-0.5, 0.5, (task.max_steps, len(task.actions))).astype(np.float32)
+    reset_s = steps_s = 0.0
+    n_steps = 0
+    for episode in sample:
+        started = process_time()
+        env.reset(options=episode.options)
+        reset_s += process_time() - started
+        started = process_time()
+        n_steps += _play(env, actions)
+        steps_s += process_time() - started
+    return reset_s / len(sample) + task.max_steps * steps_s / n_steps
 
 
-def _play(env: Environment, task: Task, episode: Episode) -> None:
-    action = np.zeros(len(task.actions), np.float32)
+def _require_end(env: Environment, task: Task, episode: Episode) -> None:
     env.reset(options=episode.options)
-    for _ in range(task.max_steps):
+    if _play(env, np.zeros((task.max_steps + 1, len(task.actions)), np.float32)) > task.max_steps:
+        raise DocumentRejected(
+            f"Episode {episode.number} does not end within max_steps = {task.max_steps} env steps; give the "
+            "environment's own limit, or set it among the settings, too."
+        )
+
+
+def _play(env: Environment, actions: NDArray[np.float32]) -> int:
+    """Return how many of the actions were played, up to the end of the episode."""
+    for count, action in enumerate(actions, start=1):
         _, _, terminated, truncated, _ = env.step(action)
         if terminated or truncated:
-            return
-    raise DocumentRejected(
-        f"Episode {episode.number} does not end within max_steps = {task.max_steps} env steps; give the environment's "
-        "own limit, or set it among the settings, too."
-    )
+            return count
+    return len(actions)

@@ -5,6 +5,7 @@ import io
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from datetime import UTC
 from pathlib import Path
 
 from jinja2 import Environment
@@ -38,23 +39,35 @@ _PAGE = """<!doctype html>
 body { font: 11pt/1.5 sans-serif; max-width: 60em; margin: 2em auto; padding: 0 1em; }
 table { border-collapse: collapse; width: 100%; }
 th, td { border-bottom: 1px solid #999; padding: .3em .6em; text-align: left; }
-.certificate { text-align: center; padding: 6em 2em; border: 2px solid; margin: 3em 0; }
-@media print { .certificate { page-break-before: always; border-width: 4px; } }
+tr { break-inside: avoid; }
+.certificate { text-align: center; padding: 6em 2em; border: 2px solid; margin: 3em 0; overflow-wrap: anywhere; }
+.certificate h2 { font-size: 2.5em; margin: .3em; }
+@media print {
+body { margin: 0; max-width: none; padding: 0; }
+.on-screen { display: none; }
+.certificate { box-sizing: border-box; min-height: 178mm; margin: 0; border-width: 4px; display: flex;
+flex-direction: column; justify-content: center; break-inside: avoid; }
+.certificate + .certificate { break-before: page; }
+{% if certificates %}@page { size: A4 landscape; margin: 15mm; }{% endif %}
+}
 </style></head><body>
 {% if certificates %}
-<h1>{{ title }}: certificates</h1>
+<h1 class="on-screen">{{ title }}: certificates</h1>
 {% for winner in winners %}
 <section class="certificate">
-<p>{{ title }}</p><h2>{{ winner.team }}</h2>
+<p>{{ title }}</p>
+{% if not final_on %}<p><strong>Not final: results may still change.</strong></p>{% endif %}
+<h2>{{ winner.team }}</h2>
 <p>{{ winner.place|capitalize }} prize, {{ names[winner.track] }}</p>
 <p>success rate {{ "%.1f"|format(100 * winner.success_rate) }} %{% if winner.total is not none %}; total {{
 "%.1f"|format(100 * winner.total) }} %{% endif %}{% if winner.note %}; {{ winner.note }}{% endif %}</p>
+{% if final_on %}<p>final since {{ final_on }}</p>{% endif %}
 <p><small>result hash {{ winner.result_hash }}</small></p>
 </section>
 {% endfor %}
 {% else %}
 <h1>{{ title }}</h1>
-<p>{{ "Final results." if is_final else "Not final: results may still change." }}</p>
+<p>{{ "Final results of " + final_on + "." if final_on else "Not final: results may still change." }}</p>
 <h2>Winners</h2>
 <table><thead><tr><th>Track</th><th>Prize</th><th>Team</th><th>Amount</th></tr></thead><tbody>
 {% for winner in winners %}
@@ -64,7 +77,7 @@ th, td { border-bottom: 1px solid #999; padding: .3em .6em; text-align: left; }
 {% endfor %}
 </tbody></table>
 {% for board in boards %}
-<h2>{{ names[board.track] }}, {{ board.stage }}</h2>
+<h2>{{ names[board.track] }}, {{ stages[board.track, board.stage] }}</h2>
 <p>{{ board.ranking_rule }}</p>
 <table><thead><tr><th>Rank</th><th>Team</th><th>Success rate</th>
 <th>95 % interval</th><th>Mean env steps</th></tr></thead>
@@ -114,12 +127,12 @@ def result_files(session: Session) -> Mapping[str, str]:
         raise ServiceError(ProblemCode.NOT_FOUND, "There is no competition, so it has no results.")
     boards = boards_of(session, definition)
     found = winners(session)
-    is_final = row.finalized_at is not None
+    final_on = None if row.finalized_at is None else f"{row.finalized_at.astimezone(UTC):%F}"
     return {
-        "results.json": _json(definition, boards, found, is_final=is_final),
+        "results.json": _json(definition, boards, found, is_final=final_on is not None),
         "results.csv": _csv(boards),
-        "results.html": _page(definition, boards, found, is_final=is_final, certificates=False),
-        "certificates.html": _page(definition, boards, found, is_final=is_final, certificates=True),
+        "results.html": _page(definition, boards, found, final_on=final_on, certificates=False),
+        "certificates.html": _page(definition, boards, found, final_on=final_on, certificates=True),
     }
 
 
@@ -158,7 +171,7 @@ def _page(
     boards: Sequence[LeaderboardView],
     found: Sequence[Winner],
     *,
-    is_final: bool,
+    final_on: str | None,
     certificates: bool,
 ) -> str:
     page = Environment(autoescape=True).from_string(_PAGE)
@@ -167,6 +180,7 @@ def _page(
         names={name: track.title for name, track in definition.tracks.items()},
         winners=found,
         boards=boards,
-        is_final=is_final,
+        final_on=final_on,
+        stages={(name, stage.name): stage.title for name, track in definition.tracks.items() for stage in track.stages},
         certificates=certificates,
     )

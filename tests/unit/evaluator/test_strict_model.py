@@ -1,11 +1,11 @@
 """What is wrong with a file is said in short sentences, with the nearest valid key."""
 
-from typing import Literal
+from typing import Literal, Self
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from pydantic import Field, ValidationError
+from pydantic import Field, ValidationError, model_validator
 from vitac.evaluator.strict_model import (
     DocumentRejected,
     StrictModel,
@@ -47,24 +47,36 @@ def test_a_document_becomes_a_model() -> None:
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ({"name": "a", "widht": 1}, "Unknown key 'widht'; did you mean 'width'?."),
+        ({"name": "a", "widht": 1}, "Unknown key 'widht'; did you mean 'width'?"),
         ({"name": "a", "zoom": 1}, "Unknown key 'zoom'; valid keys are by_side, lens, name, spare, width."),
         (
             {"name": "a", "lens": {"focal_length": 1, "coatin": "matt"}},
-            "Unknown key 'lens.coatin'; did you mean 'coating'?.",
+            "Unknown key 'lens.coatin'; did you mean 'coating'?",
         ),
         (
             {"name": "a", "spare": [{"focal_length": 1, "focal_lenght": 1}]},
-            "Unknown key 'spare.0.focal_lenght'; did you mean 'focal_length'?.",
+            "Unknown key 'spare.0.focal_lenght'; did you mean 'focal_length'?",
         ),
         (
             {"name": "a", "by_side": {"left": {"focal_length": 1, "coat": 1}}},
-            "Unknown key 'by_side.left.coat'; did you mean 'coating'?.",
+            "Unknown key 'by_side.left.coat'; did you mean 'coating'?",
         ),
     ],
 )
 def test_an_unknown_key_is_refused_with_the_nearest_of_its_place(content: object, message: str) -> None:
     assert refused(content) == message
+
+
+def test_a_rule_of_ours_is_told_in_its_own_words() -> None:
+    class Ruled(StrictModel):
+        width: int
+
+        @model_validator(mode="after")
+        def _is_even(self) -> Self:
+            raise ValueError("expected an even width")
+
+    with pytest.raises(DocumentRejected, match=r"^rig\.yaml: the document: expected an even width\.$"):
+        validate(Ruled, {"width": 1}, "rig.yaml")
 
 
 def test_a_missing_key_is_named_with_its_place() -> None:

@@ -280,9 +280,23 @@ def test_no_other_process_migrates_while_the_database_is_written(
     assert free == [False]
 
 
-def test_a_restored_service_says_where_it_comes_from(service: Service, empty: Services, file: Path) -> None:
+def test_a_restored_service_says_where_it_comes_from(
+    service: Service, empty: Services, file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And brings the organizers' own track files along."""
+    folders = [tmp_path / "tracks", tmp_path / "restored"]
+    folders[0].mkdir()
+    (folders[0] / "mine.yaml").write_text("name: mine")
+    monkeypatch.setenv("VITAC_TRACKS_DIR", str(folders[0]))
     made = back_up(service.services, file)
+    monkeypatch.delenv("VITAC_TRACKS_DIR")
+    with pytest.raises(BackupRejected, match="expected a folder for them"):
+        check(empty, file)
+    monkeypatch.setenv("VITAC_TRACKS_DIR", str(folders[1]))
+    assert check(empty, file).track_files == {"mine": "name: mine"}
+    assert not folders[1].exists(), "a check changes nothing"
     restore(empty, file)
+    assert (folders[1] / "mine.yaml").read_text() == "name: mine"
     with empty.database.transaction() as session:
         newest = newest_entries(session, 1)[0]
     assert (newest.action, newest.subject) == ("service.restore", f"file:{file.name}")

@@ -1,12 +1,14 @@
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 from cubes_track import FILE
 from vitac.envs.errors import VitacError
 from vitac.evaluator.strict_model import DocumentRejected
 from vitac.evaluator.tracks import ListKind, load_track
+from vitac.server.competition import own_tracks
 from vitac.server.competition.own_tracks import CheckedTrack, check_track
 
 OFFSETS = [[-3.0, 2.0, 5.0], [1.0, -4.0, -8.0]]
@@ -57,6 +59,36 @@ def test_a_good_file_tells_its_cost(tmp_path: Path) -> None:
     assert task.wall_s is not None
     assert task.cpu_s == pytest.approx(6 * task.cpu_s_per_episode)
     assert task.wall_s == pytest.approx(task.cpu_s / 2)
+
+
+class Clocked:
+    """An environment by whose work a clock goes: a reset takes 10 s, a motion 2 s, rest 1 s; motion fails at once."""
+
+    def __init__(self) -> None:
+        self.ends_after = 8
+        self.now_s = 0.0
+        self.n_steps = 0
+
+    def reset(self, **_options: object) -> None:
+        self.now_s, self.n_steps = self.now_s + 10, 0
+
+    def step(self, action: np.ndarray[Any, Any]) -> tuple[None, float, bool, bool, dict[str, Any]]:
+        self.n_steps += 1
+        moves = bool(np.abs(action).max() > 0)
+        self.now_s += 2 if moves else 1
+        return None, 0.0, moves and self.n_steps == 3, self.n_steps == self.ends_after, {}
+
+
+def test_the_cost_is_that_of_motions_up_to_the_last_env_step(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Policies move; at rest, and where failures end episodes early, an episode costs less than it may."""
+    env = Clocked()
+    monkeypatch.setattr(own_tracks, "make_environment", lambda *_: env)
+    monkeypatch.setattr(own_tracks, "process_time", lambda: env.now_s)
+    (task,) = checked(tmp_path, content(max_steps=8)).tasks
+    assert task.cpu_s_per_episode == pytest.approx(10 + 8 * 2)
+    env.ends_after = 9
+    with pytest.raises(DocumentRejected, match="does not end within max_steps = 8"):
+        checked(tmp_path, content(max_steps=8))
 
 
 @pytest.mark.parametrize(

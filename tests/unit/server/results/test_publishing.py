@@ -1,15 +1,18 @@
 import csv
 import json
+from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
 from service_factories import TASK, TRACK, make_principal, make_score, submit_scored
 from submission_steps import refused
+from vitac.server.accounts.principals import CONSOLE
 from vitac.server.db.engine import Database
 from vitac.server.errors import ProblemCode
-from vitac.server.results.publishing import ResultsNotWritten, publish
+from vitac.server.results.finishing import finalize
+from vitac.server.results.publishing import ResultsNotWritten, publish, result_files
 
-from competitions import make_competition, open_now, put_in_place
+from competitions import make_competition, moved, open_now, put_in_place
 
 NASTY = ["=HYPERLINK(1)", "<script>alert(1)</script>", "Plain"]
 
@@ -58,9 +61,29 @@ def test_pages_show_names_as_text(files: dict[str, str], name: str) -> None:
 
 def test_the_page_says_that_it_is_not_final_and_each_winner_has_a_certificate(files: dict[str, str]) -> None:
     assert "Not final" in files["results.html"]
+    assert files["certificates.html"].count("Not final: results may still change.") == 2
+    assert "Touch, Simulation" in files["results.html"], "a stage is called by its title"
     assert files["certificates.html"].count('class="certificate"') == 2
     assert "a talk" in files["certificates.html"]
     assert "Plain" not in files["certificates.html"]
+
+
+def test_what_is_final_has_its_date(database: Database) -> None:
+    content = make_competition(prizes=[{"place": "first", "amount": 2000}])
+    del content["tracks"][TRACK]["stages"][1]
+    with database.transaction() as session:
+        put_in_place(session, open_now(content))
+        submit_scored(session, make_principal(session, "Ants"), "ants", {TASK: make_score(50)})
+        put_in_place(session, moved(content, days=-3650))
+        finalize(session, CONSOLE, at=datetime(2031, 3, 1, 23, 59, tzinfo=UTC))
+        found = result_files(session)
+    assert json.loads(found["results.json"])["is_final"] is True
+    assert "Final results of 2031-03-01." in found["results.html"]
+    assert "<p>final since 2031-03-01</p>" in found["certificates.html"]
+    for name in ("results.html", "certificates.html"):
+        assert "Not final" not in found[name]
+    assert "size: A4 landscape" in found["certificates.html"]
+    assert "size: A4 landscape" not in found["results.html"]
 
 
 def test_a_folder_that_is_there_is_not_touched(database: Database, tmp_path: Path) -> None:

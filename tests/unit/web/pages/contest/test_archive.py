@@ -11,6 +11,8 @@ def test_the_archive_shows_winners_boards_and_how_to_cite(data: FixedData, brows
     html = browser.get("/competition/archive").text
     for text in ("Touch, final", "&lt;Bears&gt;", "@misc{cup}", a_receipt().link.public_key, "2031-03-01"):
         assert text in html, text
+    for page in ("/competition/archive", "/competition"):
+        assert '<td role="cell">Touch</td>' in browser.get(page).text, "people know the title of a track"
     assert 'href="/competition/archive"' in browser.get("/competition").text
     data.board = a_leaderboard()
     assert "Nobody took part" in browser.get("/competition/archive").text

@@ -1,0 +1,61 @@
+"""Track files of the organizers' own travel with a backup."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pydantic import ValidationError
+from vitac.server.backup.archive import BackupDescription, BackupRejected
+from vitac.server.backup.track_files import missing_track_files, own_track_files, put_back
+
+FILES = {"mine": "name: mine\n", "yours": "name: yours # \u00fc\n"}
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    folder = tmp_path / "new" / "tracks"
+    monkeypatch.setenv("VITAC_TRACKS_DIR", str(folder))
+    return folder
+
+
+def test_files_come_back_as_they_were_into_a_new_folder_and_once(folder: Path) -> None:
+    assert own_track_files() == {}
+    put_back(missing_track_files(FILES))
+    assert own_track_files() == FILES
+    assert missing_track_files(FILES) == {}
+    (folder / "mine.yaml").unlink()
+    assert missing_track_files(FILES) == {folder / "mine.yaml": FILES["mine"]}
+
+
+def test_another_file_is_never_overwritten(folder: Path) -> None:
+    folder.mkdir(parents=True)
+    (folder / "mine.yaml").write_text("name: mine # changed\n")
+    with pytest.raises(BackupRejected, match=r"mine\.yaml in .* is another one than the backup's"):
+        missing_track_files(FILES)
+    assert (folder / "mine.yaml").read_text() == "name: mine # changed\n"
+
+
+def test_a_service_without_a_folder_for_them_is_told_to_name_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("VITAC_TRACKS_DIR", raising=False)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "stray.yaml").write_text("name: stray\n")
+    assert own_track_files() == {}
+    assert missing_track_files({}) == {}
+    with pytest.raises(BackupRejected, match=r"\(mine, yours\).*name one in VITAC_TRACKS_DIR"):
+        missing_track_files(FILES)
+
+
+def test_a_folder_that_cannot_be_written_is_named(folder: Path) -> None:
+    folder.parent.write_text("a file")
+    with pytest.raises(BackupRejected, match="cannot be written"):
+        put_back(missing_track_files(FILES))
+
+
+@pytest.mark.parametrize("name", ["../mine", "/etc/mine", "", "a/b", "mine\n"])
+def test_a_name_that_leads_out_of_the_folder_is_refused(name: str) -> None:
+    values: dict[str, Any] = {"made_at": "2031-01-01T00:00:00Z", "release": "1", "schema_revision": "1"}
+    content = values | {"dump_sha256": "", "blobs": (), "track_files": {name: ""}}
+    with pytest.raises(ValidationError, match="track_files"):
+        BackupDescription.model_validate(content)
