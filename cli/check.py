@@ -127,7 +127,7 @@ def _add_result(record: "EpisodeRecord", findings: Findings) -> None:
             f"{where}: {record.env_steps} env steps, outcome {record.outcome}. {record.outcome.sentence}"
         )
         return
-    sentences = [f"{where}: {failure.code}. {failure.message}", failure.code.sentence]
+    sentences = [f"{where}: {failure.code}. {failure.told}"]
     if _NO_TORCH in failure.message:
         sentences.append(_TORCH_REMEDY)
     findings.refused.append(" ".join(sentences))

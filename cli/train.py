@@ -48,7 +48,7 @@ def run(recipe: RecipeFile, out: RunFolder, processes: Processes = 1, as_json: A
     if as_json:
         print_json({"rounds": rows, "best": chosen.number})
     else:
-        print_pairs({**rows, "best": f"round {chosen.number}; vitac train export {out}"})
+        print_pairs({**rows, "best": f"round {chosen.number}; vitac train export {out} --to FOLDER"})
 
 
 @app.command()

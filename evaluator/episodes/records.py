@@ -111,6 +111,12 @@ class PolicyFailure(StrictModel):
     message: str
     output_tail: str = ""
 
+    @property
+    def told(self) -> str:
+        """What was said, and what to do about it, as sentences."""
+        message = self.message.rstrip()
+        return f"{message}{'' if message.endswith(('.', '!', '?', ')')) else '.'} {self.code.sentence}"
+
 
 class Timings(StrictModel):
     """Where an episode's time went [s]; never part of a hash."""

@@ -143,7 +143,10 @@ def get_output(
     after: Annotated[int, Query(ge=0, description="`next_after` of the page before.")] = 0,
     limit: Annotated[int, Query(ge=1, le=100)] = output.PAGE_EPISODES,
 ) -> OutputView:
-    """Return the end of what the policy printed in each episode: for its team and organizers, not of sealed lists."""
+    """Return the end of what the policy printed in each episode, and why it failed in some.
+
+    For its team and organizers, not of sealed lists.
+    """
     with services.database.transaction() as session:
         return output.episode_outputs(session, principal, submission_id, task, after=after, limit=limit)
 

@@ -1,10 +1,11 @@
-"""What the policy of a submission printed in its episodes; called by API and pages."""
+"""What the policy of a submission printed in its episodes, and why it failed in some; called by API and pages."""
 
 from typing import Any
 from uuid import UUID
 
-from sqlalchemy import func, select
+from sqlalchemy import Row, func, or_, select
 from sqlalchemy.orm import Session
+from vitac.evaluator.episodes.records import EpisodeOutcome, PolicyFailure
 
 from ..accounts.principals import Principal
 from ..accounts.visibility import sight_of, visible
@@ -15,7 +16,9 @@ from ..evaluations.history import newest_evaluation
 from ..views.submissions import EpisodeOutputView, OutputView
 
 PAGE_EPISODES = 20
-_PRINTED = func.octet_length(EpisodeResult.output) > 0
+_HAS_SOMETHING = or_(
+    func.octet_length(EpisodeResult.output) > 0, EpisodeResult.outcome == EpisodeOutcome.POLICY_FAILED.value
+)
 
 
 def episode_outputs(
@@ -27,7 +30,7 @@ def episode_outputs(
     after: int = 0,
     limit: int = PAGE_EPISODES,
 ) -> OutputView:
-    """Return what the policy printed in the episodes of the newest evaluation, a page of them.
+    """Return what the policy printed in the episodes of the newest evaluation and why it failed, a page of them.
 
     Args:
         session: of the transaction.
@@ -54,23 +57,40 @@ def episode_outputs(
             ProblemCode.UNKNOWN_TASK, f"Expected one of the tasks {', '.join(submission.tasks)}, got {task!r:.80}."
         )
     rows = session.execute(
-        select(EpisodeResult.task, EpisodeResult.episode, EpisodeResult.outcome, EpisodeResult.output)
-        .where(*_key(evaluation), EpisodeResult.task == task, EpisodeResult.episode > after, _PRINTED)
+        select(
+            EpisodeResult.task,
+            EpisodeResult.episode,
+            EpisodeResult.outcome,
+            EpisodeResult.output,
+            EpisodeResult.record["failure"].label("failure"),
+        )
+        .where(*_key(evaluation), EpisodeResult.task == task, EpisodeResult.episode > after, _HAS_SOMETHING)
         .order_by(EpisodeResult.episode)
         .limit(limit + 1)
     ).all()
     return OutputView(
-        items=[EpisodeOutputView.model_validate(row, from_attributes=True) for row in rows[:limit]],
+        items=[_view(row) for row in rows[:limit]],
         next_after=rows[limit - 1].episode if len(rows) > limit else None,
     )
 
 
 def episodes_with_output(session: Session, by: Principal, evaluation: Evaluation) -> int:
-    """Return in how many episodes of an evaluation the policy printed something; 0 where it is not shown."""
+    """Return in how many episodes of an evaluation the policy printed something or failed; 0 where it is not shown."""
     if not sight_of(by, evaluation).output:
         return 0
-    query = select(func.count()).select_from(EpisodeResult).where(*_key(evaluation), _PRINTED)
+    query = select(func.count()).select_from(EpisodeResult).where(*_key(evaluation), _HAS_SOMETHING)
     return session.scalar(query) or 0
+
+
+def _view(row: Row[Any]) -> EpisodeOutputView:
+    failure = None if row.failure is None else PolicyFailure.model_validate(row.failure)
+    return EpisodeOutputView(
+        task=row.task,
+        episode=row.episode,
+        outcome=row.outcome,
+        output=row.output,
+        failure=None if failure is None else f"{failure.code}: {failure.told}",
+    )
 
 
 def _key(evaluation: Evaluation) -> tuple[Any, ...]:

@@ -67,16 +67,19 @@ class EpisodeView(View):
 
 
 class EpisodeOutputView(View):
-    """What a policy printed in one episode."""
+    """What a policy printed in one episode, and why it failed."""
 
     task: str
     episode: int
     outcome: str
     output: str = Field(description="The end of it.")
+    failure: str | None = Field(
+        default=None, description="Verdict, what was said and what to do, where the policy failed in it."
+    )
 
 
 class OutputView(View):
-    """What a policy printed, by episode; episodes without output are left out."""
+    """What a policy printed, by episode; episodes without output are left out, unless the policy failed in them."""
 
     items: list[EpisodeOutputView]
     next_after: int | None = Field(description="Give this as `after` for the next page; null on the last one.")

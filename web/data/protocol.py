@@ -104,7 +104,7 @@ class SubmissionDetail:
         submission: with its newest evaluation.
         episodes: outcomes of the finished episodes of that evaluation.
         action_matches: how far the team's models go along with a log; nothing for other submissions.
-        episodes_with_output: number of episodes whose output the visitor may see.
+        episodes_with_output: number of episodes with output, or in which the policy failed, that the visitor may see.
         past: what the team has reached in its tasks so far; nothing before the submission's own result.
     """
 

@@ -54,7 +54,8 @@ def test_trains_and_exports(recipe: str, tmp_path: Path) -> None:
 
 
 def test_verb_may_be_written_out(recipe: str, tmp_path: Path) -> None:
-    assert "export" in vitac("train", "run", recipe, "--out", str(tmp_path / "run")).stdout
+    told = vitac("train", "run", recipe, "--out", str(tmp_path / "run")).stdout
+    assert f"vitac train export {tmp_path / 'run'} --to FOLDER" in told
 
 
 def test_collects_only(recipe: str, tmp_path: Path) -> None:

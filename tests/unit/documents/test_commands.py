@@ -95,10 +95,13 @@ def what_is_wrong(words: list[str], *, named: bool = False) -> str | None:
         command = command.commands[verb]  # type: ignore[assignment]
     parser = command.make_parser(typer.Context(command, info_name="vitac"))
     try:
-        _, extra, _ = parser.parse_args([*rest])
+        given, extra, _ = parser.parse_args([*rest])
     except Exception as error:  # noqa: BLE001 - whatever the parser says of the words
         message = str(getattr(error, "message", error))
         return None if named and message.startswith(f"Option '{rest[-1]}' requires") else message
+    lacking = [str(param.name) for param in command.params if param.required and given.get(str(param.name)) is None]
+    if lacking and not named and "--help" not in rest:
+        return f"lacks {', '.join(lacking)}"
     return f"unexpected {' '.join(extra)}" if extra else None
 
 
@@ -116,6 +119,8 @@ def what_is_wrong(words: list[str], *, named: bool = False) -> str | None:
         ("./vitac evaluate my_folder --tasks peg-insertion", "No such option: --tasks"),
         ("./vitac show peg-insertion --episode", "Option '--episode' requires an argument"),
         ("./vitac whoami now", "unexpected now"),
+        ("./vitac train export RUN", "lacks submission"),
+        ("./vitac check", "lacks submission"),
     ],
 )
 def test_a_command_that_cannot_be_typed_is_found(line: str, complaint: str | None) -> None:

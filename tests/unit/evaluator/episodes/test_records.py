@@ -16,6 +16,7 @@ from vitac.evaluator.episodes.records import (
     EpisodeOutcome,
     EpisodeRecord,
     FailureStage,
+    PolicyFailure,
     RecordsDisagree,
     SampledPicture,
     Timings,
@@ -354,3 +355,17 @@ def test_the_json_of_equal_content_is_equal_in_any_order_of_its_keys(content: di
 
 def test_the_json_has_no_blanks_and_sorted_keys_inside_too() -> None:
     assert canonical_json({"b": {"d": 1, "c": [1, 2]}, "a": "ü"}) == b'{"a":"\\u00fc","b":{"c":[1,2],"d":1}}'
+
+
+@pytest.mark.parametrize(
+    ("message", "told"),
+    [
+        ("Looking up P raised AttributeError: no attribute 'P'", "no attribute 'P'. The entry point"),
+        ("Action has shape (2,), expected (3,).", "expected (3,). The entry point"),
+        ("act() raised ValueError: (why)\n", "ValueError: (why) The entry point"),
+    ],
+)
+def test_a_failure_is_told_in_sentences_with_what_to_do(message: str, told: str) -> None:
+    failure = PolicyFailure(stage=FailureStage.LOAD, code=VerdictCode.IMPORT_ERROR, message=message)
+    assert told in failure.told
+    assert failure.told.endswith(VerdictCode.IMPORT_ERROR.sentence)

@@ -1,9 +1,21 @@
 from uuid import uuid4
 
 import pytest
-from service_factories import LOCK, TASK, TRACK, claim, make_principal, make_record, shard_ids, store, submit
+from service_factories import (
+    LOCK,
+    TASK,
+    TRACK,
+    claim,
+    make_failed_record,
+    make_principal,
+    make_record,
+    shard_ids,
+    store,
+    submit,
+)
 from sqlalchemy.orm import Session
 from submission_steps import SETTINGS, refused
+from vitac.evaluator.agent.verdicts import VerdictCode
 from vitac.evaluator.episodes.records import EpisodeRecord
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import load_track
@@ -63,6 +75,24 @@ def test_team_and_organizers_read_what_was_printed_page_by_page(
         with database.transaction() as session:
             assert episode_outputs(session, by, submission.id, LOCK).items == []
             assert episodes_with_output(session, by, evaluation_of(session, submission)) == 3
+
+
+def test_why_a_policy_failed_is_told_to_those_who_see_its_output(
+    database: Database, principal: Principal, submission: Submission, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with database.transaction() as session:
+        shard = shard_ids(session, submission)[1]
+    store(database, claim(database, shard), [make_failed_record(28, output="", code=VerdictCode.NON_FINITE_ACTION)])
+    for by in (principal, CONSOLE):
+        (failed,) = output_for(database, by, submission, after=5).items
+        assert (failed.episode, failed.outcome, failed.output) == (28, "policy_failed", "")
+        assert failed.failure == f"non_finite_action: failed in 28. {VerdictCode.NON_FINITE_ACTION.sentence}"
+        assert [item.failure for item in output_for(database, by, submission).items][:3] == [None] * 3
+        with database.transaction() as session:
+            assert episodes_with_output(session, by, evaluation_of(session, submission)) == 4
+    seal(monkeypatch)
+    with refused(ProblemCode.FORBIDDEN):
+        output_for(database, principal, submission)
 
 
 def test_to_other_teams_there_is_no_such_submission(database: Database, submission: Submission) -> None:

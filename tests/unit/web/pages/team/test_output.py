@@ -37,6 +37,17 @@ def test_more_episodes_are_one_link_away(data: FixedData, browser: AsgiBrowser) 
     assert "in 7" not in html
 
 
+def test_why_a_policy_failed_is_told_also_where_it_printed_nothing(data: FixedData, browser: AsgiBrowser) -> None:
+    (silent,) = printed(4)
+    failed = {"outcome": "policy_failed", "output": "", "failure": "bad_action_shape: Action has shape <2>."}
+    data.printed = [silent.model_copy(update=failed)]
+    sign_in(browser, "Gelbots")
+    html = browser.get(ADDRESS).text
+    assert "<p>bad_action_shape: Action has shape &lt;2&gt;.</p>" in html
+    assert "policy failed: The policy crashed, broke a limit or answered wrongly." in html
+    assert '<pre class="log"' not in html
+
+
 def test_each_task_has_its_own_output(data: FixedData, browser: AsgiBrowser) -> None:
     data.printed = [*printed(2), *printed(5, task=LOCK)]
     sign_in(browser, "Gelbots")
@@ -73,5 +84,5 @@ def test_the_submissions_page_links_to_it_where_there_is_some(data: FixedData, b
         assert f"{page}/output" not in browser.get(page).text
     data.printed = printed(2, 7)
     html = browser.get(f"/submissions/{COMPLETED.id}").text
-    assert "It printed in 2 episodes" in html
+    assert "It printed or failed in 2 episodes" in html
     assert f'href="/submissions/{COMPLETED.id}/output"' in html
