@@ -1,12 +1,14 @@
 """`vitac check`: finds what would be refused before an upload, in the same sandbox as the evaluation."""
 
 from collections.abc import Iterator
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from .terminal.output import AsJson, print_json
 
 if TYPE_CHECKING:
     from vitac.evaluator.episodes.records import EpisodeRecord
@@ -39,13 +41,11 @@ class Findings:
 
 def command(
     submission: Annotated[Path, typer.Argument(help="Zip or folder with submission.yaml.")],
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Check a submission before its upload: archive rules, submission.yaml, two episodes of each task."""
     findings = check(submission)
     if as_json:
-        from .terminal.output import print_json
-
         print_json({"ok": not findings.refused, **asdict(findings)})
     else:
         for line in _lines(findings):
@@ -61,26 +61,26 @@ def check(submission: Path) -> Findings:
         VitacError: the path is not a submission, or this machine cannot evaluate.
     """
     from vitac.evaluator.submission.archive import ArchiveRejected
-    from vitac.evaluator.submission.manifest import ManifestRejected, load_manifest, stage, submission_digest
+    from vitac.evaluator.submission.manifest import ManifestRejected, load_manifest, submission_digest
+    from vitac.evaluator.submission.staging import staged
     from vitac.evaluator.tracks import load_track
 
     findings = Findings()
-    with TemporaryDirectory(prefix="vitac-check-") as folder:
-        Path(folder).chmod(0o755)  # Under root the sandbox has its own user, which must be able to read the submission.
+    with ExitStack() as stack:
         try:
-            staged = stage(submission, Path(folder) / "submission")
+            folder = stack.enter_context(staged(submission))
             findings.digest = submission_digest(submission)
             findings.passed.append("the files follow the archive rules")
-            manifest = load_manifest(staged)
+            manifest = load_manifest(folder)
             findings.passed.append(f"submission.yaml is complete: {manifest.name}, {', '.join(manifest.tasks)}")
         except (ArchiveRejected, ManifestRejected) as error:
             findings.refused.append(str(error))
             return findings
         has_sensor = load_track(manifest.track).has_sensor
-        if has_sensor and not _is_sensor_kept(staged, findings):
+        if has_sensor and not _is_sensor_kept(folder, findings):
             return findings
         for task in manifest.tasks:
-            _check_task(staged, manifest, task, findings, sensor=staged if has_sensor else None)
+            _check_task(folder, manifest, task, findings, sensor=folder if has_sensor else None)
     return findings
 
 

@@ -10,6 +10,7 @@ import typer
 from vitac.envs.errors import VitacError
 
 from .client.http import client_from
+from .terminal.options import Server, TokenFile
 from .terminal.outcomes import print_meanings
 from .terminal.output import AsJson, print_json, print_pairs, print_table
 
@@ -60,8 +61,8 @@ def command(
         str, typer.Argument(help="Log, file of `vitac evaluate --json`, or id or address of a submission.")
     ],
     second: Annotated[str, typer.Argument(help="The one to compare it with.")],
-    server: Annotated[str | None, typer.Option(help="Address of the service for ids; default: VITAC_SERVER.")] = None,
-    token_file: Annotated[Path | None, typer.Option(help="File with the API token; default: VITAC_TOKEN.")] = None,
+    server: Server = None,
+    token_file: TokenFile = None,
     as_json: AsJson = False,
 ) -> None:
     """Compare two submissions episode by episode, with the exact p-value of McNemar's test."""

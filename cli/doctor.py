@@ -1,9 +1,11 @@
 """`vitac doctor`: attacks the sandbox on this machine and says what to install."""
 
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
+
+from .terminal.output import AsJson, print_json, print_table
 
 if TYPE_CHECKING:
     from vitac.evaluator.agent.isolation.machine import Requirement
@@ -11,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def command(
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Attack the sandbox on this machine: fork bombs, memory, network, files and more; exit 1 if an attack succeeds."""
     from vitac.evaluator.agent.isolation.machine import requirements
@@ -32,8 +34,6 @@ def command(
 
 
 def _print_requirements(found: "list[Requirement]") -> None:
-    from .terminal.output import print_table
-
     rows = [(item.name, _state(item), item.found) for item in found]
     print_table(("machine", "state", "found"), rows, none="")
     for item in found:
@@ -79,8 +79,6 @@ def _conclusion(outcomes: "list[Outcome]", *, can_run: bool, safe: bool) -> str:
 
 
 def _print_json(found: "list[Requirement]", outcomes: "list[Outcome]", *, safe: bool) -> None:
-    from .terminal.output import print_json
-
     print_json(
         {
             "safe": safe,

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from .terminal.options import Episodes, Workers
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -35,8 +37,8 @@ def parse_episodes(text: str | None) -> tuple[int, ...] | None:
 def command(
     submission: Annotated[Path, typer.Argument(help="Zip or folder with submission.yaml.")],
     task: Annotated[str | None, typer.Option(help="Task to evaluate; needed if the submission has several.")] = None,
-    episodes: Annotated[str | None, typer.Option(help="Numbers and ranges, such as 1:12,20; all by default.")] = None,
-    workers: Annotated[int | None, typer.Option(min=1, help="Number of processes; one per core by default.")] = None,
+    episodes: Episodes = None,
+    workers: Workers = None,
     team: Annotated[str | None, typer.Option(help="Team named in the log.")] = None,
     assets: Annotated[
         Path | None, typer.Option(help="Folder with the challenge's own meshes [env: VITAC_ASSETS_DIR]; unranked.")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .terminal.existing import existing_file
+from .terminal.output import AsJson, print_json, print_table
 
 if TYPE_CHECKING:
     from vitac.evaluator.episodes.records import EpisodeRecord
@@ -16,7 +17,6 @@ if TYPE_CHECKING:
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, pretty_exceptions_enable=False)
 
 LogFile = Annotated[Path, typer.Argument(callback=existing_file, help="A log written by `vitac evaluate --log`.")]
-AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
 
 @app.command()
@@ -26,7 +26,6 @@ def show(log: LogFile, json: AsJson = False) -> None:
     from vitac.evaluator.scoring.score import score
 
     from .terminal.outcomes import print_meanings
-    from .terminal.output import print_json, print_table
 
     header, records = _read(log)
     claimed = score(records) if records else None
@@ -66,7 +65,6 @@ def verify(
 
     from .evaluate import parse_episodes
     from .terminal.compiling import compiling_shown
-    from .terminal.output import print_json
 
     header, records = _read(log)
     track, task = find_task(header.manifest.task)
@@ -107,8 +105,6 @@ def diff(first: LogFile, second: LogFile, json: AsJson = False) -> None:
     """Print the first difference between two logs; exit code 0 if there is none, 1 otherwise."""
     from vitac.evaluator.logs.differences import first_difference
 
-    from .terminal.output import print_json
-
     difference = first_difference(_read(first), _read(second))
     if json:
         print_json(difference.model_dump(mode="json") if difference else None)
@@ -131,8 +127,6 @@ def import_(
     """Read a 2025 text log, check it against itself and the published rules, and convert it."""
     from vitac.evaluator.logs.packing import open_log
     from vitac.evaluator.logs.text_2025 import read_text_log, summarize, to_json_lines
-
-    from .terminal.output import print_json
 
     with open_log(file) as stream:
         log = read_text_log(stream)
@@ -170,7 +164,6 @@ def match(
     from vitac.evaluator.tracks import find_task
 
     from .terminal.compiling import compiling_shown
-    from .terminal.output import print_json
 
     header, records = _read(log)
     _, task = find_task(header.manifest.task)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .terminal.existing import existing_file
+from .terminal.options import Assets
 
 if TYPE_CHECKING:
     from vitac.evaluator.logs.recordings import Recording
@@ -20,9 +21,7 @@ def command(
         typer.Argument(callback=existing_file, help="Our own log or records, or a 2025 text log, gzipped or not."),
     ],
     task: Annotated[str, typer.Option(help="Task of the recording.")],
-    assets: Annotated[
-        Path | None, typer.Option(help="Folder with the challenge's own meshes [env: VITAC_ASSETS_DIR].")
-    ] = None,
+    assets: Assets = None,
     profile: Annotated[
         str | None, typer.Option(help="Settings under which it was recorded, by a name in the track file.")
     ] = None,

@@ -4,20 +4,20 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from .terminal.output import AsJson, print_json, print_table
+
 if TYPE_CHECKING:
     from vitac.evaluator.agent.description import SandboxDescription
 
 
 def command(
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
+    as_json: AsJson = False,
     markdown: Annotated[
         bool, typer.Option("--markdown", help="Print tables in Markdown, as in docs/sandbox.md.")
     ] = False,
 ) -> None:
     """Print what a policy finds in the sandbox: Python, packages, BLAS, threads, CPU."""
     from vitac.evaluator.agent.description import describe_sandbox
-
-    from .terminal.output import print_json, print_table
 
     found = describe_sandbox()
     if as_json:

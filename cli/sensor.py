@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from vitac.evaluator.figures.figures import FigureChoice
 
+from .terminal.options import Episodes, Workers
 from .terminal.output import AsJson, print_json, print_record, print_table
 
 if TYPE_CHECKING:
@@ -130,8 +131,8 @@ def evaluate(
             help="Zip or folder of a submission whose policy acts, in place of the standard estimator.", exists=True
         ),
     ] = None,
-    episodes: Annotated[str | None, typer.Option(help="Numbers and ranges, such as 1:12,20; all by default.")] = None,
-    workers: Annotated[int | None, typer.Option(min=1, help="Number of processes; one per core by default.")] = None,
+    episodes: Episodes = None,
+    workers: Workers = None,
     figures: Annotated[
         FigureChoice, typer.Option(help="Which figures are measured: all, quick ones that take no episodes, none.")
     ] = FigureChoice.ALL,

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from ..terminal.output import print_json
+from ..terminal.options import Server, TokenFile
+from ..terminal.output import AsJson, print_json
 from .http import client_from
 
 
 def command(
     submission: Annotated[str, typer.Argument(help="Id of a submission.")],
     off: Annotated[bool, typer.Option("--off", help="Make it private again.")] = False,
-    server: Annotated[str | None, typer.Option(help="Address of the service; default: VITAC_SERVER.")] = None,
-    token_file: Annotated[Path | None, typer.Option(help="File with the API token; default: VITAC_TOKEN.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the service's answer as JSON.")] = False,
+    server: Server = None,
+    token_file: TokenFile = None,
+    as_json: AsJson = False,
 ) -> None:
     """Let everybody see the page of a submission: score, episodes and playbacks, nothing that the policy printed."""
     client = client_from(server, token_file)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 from vitac.envs.errors import VitacError
 
-from ..terminal.output import percent, print_json, print_pairs, print_table
+from ..terminal.options import Server, TokenFile
+from ..terminal.output import AsJson, percent, print_json, print_pairs, print_table
 from .follow import follow
 from .http import client_from
 from .progress import EvaluationProgress, nobody
@@ -26,9 +26,9 @@ def command(
         str | None, typer.Argument(help="Id of a submission; the newest are listed if omitted.")
     ] = None,
     watch: Annotated[bool, typer.Option("--watch", help="Wait until the evaluation ends.")] = False,
-    server: Annotated[str | None, typer.Option(help="Address of the service; default: VITAC_SERVER.")] = None,
-    token_file: Annotated[Path | None, typer.Option(help="File with the API token; default: VITAC_TOKEN.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the service's answer as JSON.")] = False,
+    server: Server = None,
+    token_file: TokenFile = None,
+    as_json: AsJson = False,
 ) -> None:
     """Show your newest submissions, or one of them.
 

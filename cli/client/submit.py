@@ -11,7 +11,8 @@ import typer
 from vitac.evaluator.submission_kinds import SubmissionKind
 
 from ..terminal.existing import existing
-from ..terminal.output import print_json
+from ..terminal.options import Server, TokenFile
+from ..terminal.output import AsJson, print_json
 from .http import client_from
 from .packing import pack
 from .progress import nobody
@@ -33,8 +34,8 @@ def command(
     track: Annotated[
         str | None, typer.Option(help="Track to submit to; by default the one named in the submission.")
     ] = None,
-    server: Annotated[str | None, typer.Option(help="Address of the service; default: VITAC_SERVER.")] = None,
-    token_file: Annotated[Path | None, typer.Option(help="File with the API token; default: VITAC_TOKEN.")] = None,
+    server: Server = None,
+    token_file: TokenFile = None,
     kind: Annotated[
         SubmissionKind | None,
         typer.Option(help="Kind of submission; by default from the name: .jsonl log, .log 2025 text log."),
@@ -42,7 +43,7 @@ def command(
     team: Annotated[str | None, typer.Option(help="For organizers: the team that submits.")] = None,
     again: Annotated[bool, typer.Option("--again", help="Run all episodes, including stored ones.")] = False,
     watch: Annotated[bool, typer.Option("--watch", help="Wait for the evaluation and show its progress.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the service's answer as JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Upload a submission and print its id and page.
 

@@ -14,6 +14,7 @@ from vitac.envs.errors import VitacError
 
 from ..client.http import client_from
 from ..compare import PAGES
+from ..terminal.options import Server, TokenFile
 from ..terminal.output import AsJson, moment, percent, print_json, print_pairs
 
 if TYPE_CHECKING:
@@ -37,8 +38,8 @@ def verify(
         str, typer.Argument(help="File, or id or address of a submission, whose newest one is checked.")
     ],
     key: Key = None,
-    server: Annotated[str | None, typer.Option(help="Address of the service for ids; default: VITAC_SERVER.")] = None,
-    token_file: Annotated[Path | None, typer.Option(help="File with the API token; default: VITAC_TOKEN.")] = None,
+    server: Server = None,
+    token_file: TokenFile = None,
     as_json: AsJson = False,
 ) -> None:
     """Check signature and content of a receipt; the exit code is 0 if they are right.

@@ -11,6 +11,7 @@ from vitac.envs.extras import install_command
 from vitac.envs.maniskill.definition import is_maniskill
 
 from ..terminal.existing import existing_file
+from ..terminal.options import Assets
 from ..terminal.output import AsJson
 from .film import film
 from .playing import NothingToShow, Played, Shown, Start, find_start, no_such_env_step, player
@@ -57,7 +58,6 @@ _Width = Annotated[
     int | None,
     typer.Option(min=600, max=4000, help="Width in pixels; 1600 by default, 1000 for animations, 640 for ManiSkill."),
 ]
-_Assets = Annotated[Path | None, typer.Option(help="Folder with the challenge's own meshes [env: VITAC_ASSETS_DIR].")]
 _View = Annotated[
     Literal["episode", "cameras", "rast", "rt"],
     typer.Option(
@@ -79,7 +79,7 @@ def command(
     step: _Step = None,
     every: _Every = None,
     width: _Width = None,
-    assets: _Assets = None,
+    assets: Assets = None,
     view: _View = "episode",
     as_json: AsJson = False,
 ) -> None:

@@ -4,7 +4,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from vitac.envs.errors import VitacError
@@ -144,19 +143,18 @@ def _without_observing(start: Start) -> Played:
 def _policy_player(task: "Task", start: Start, submission: Path) -> Iterator[Played]:
     from vitac.evaluator.agent.session import PolicySession
     from vitac.evaluator.episodes.reading import reading_of
-    from vitac.evaluator.submission.manifest import load_manifest, stage
+    from vitac.evaluator.submission.manifest import load_manifest
+    from vitac.evaluator.submission.staging import staged
 
-    with TemporaryDirectory(prefix="vitac-show-") as folder:
-        Path(folder).chmod(0o755)  # Under root the sandbox has its own user, which must be able to read the submission.
-        staged = stage(submission, Path(folder) / "submission")
-        manifest = load_manifest(staged)
+    with staged(submission) as folder:
+        manifest = load_manifest(folder)
         if task.name not in manifest.tasks:
             raise NothingToShow(
                 f"Expected one of the submission's tasks, {', '.join(manifest.tasks)}, got {task.name}."
             )
         reading = reading_of(task, manifest.observation_keys)
         with (
-            PolicySession(staged, entry_point=manifest.entry_point) as session,
+            PolicySession(folder, entry_point=manifest.entry_point) as session,
             session.episode(task=task.name, action_shape=(len(task.actions),), clouds=reading.clouds) as policy,
         ):
             yield Played(

@@ -9,13 +9,14 @@ from typing import Annotated
 
 import typer
 
+from ...terminal.options import Server
 from .. import credentials
 from ..http import client_from, read_token
 from .whoami import owner_of
 
 
 def command(
-    server: Annotated[str | None, typer.Option(help="Address of the service; default: VITAC_SERVER.")] = None,
+    server: Server = None,
     token_file: Annotated[Path | None, typer.Option(help="File with the API token; default: it is asked for.")] = None,
 ) -> None:
     """Check a token, read from a prompt or standard input, and keep it for the other commands."""

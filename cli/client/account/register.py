@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 from vitac.envs.errors import VitacError
 
+from ...terminal.options import Server
 from ...terminal.output import AsJson, print_json, print_pairs
 from .. import credentials
 from ..http import client_from
@@ -20,7 +21,7 @@ def command(
     name: Annotated[str, typer.Argument(help="Name of the team, 2 to 64 characters; shown on the leaderboard.")],
     contact: Annotated[str | None, typer.Option(help="Where organizers reach you; only they see it.")] = None,
     invite: Annotated[str | None, typer.Option(help="Invite code, where the service asks for one.")] = None,
-    server: Annotated[str | None, typer.Option(help="Address of the service; default: VITAC_SERVER.")] = None,
+    server: Server = None,
     as_json: AsJson = False,
 ) -> None:
     """Register a team, print its token, which is shown only now, and keep it for the other commands."""

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import typer
-
+from ...terminal.options import Server, TokenFile
 from ...terminal.output import AsJson, print_json, print_pairs, print_records
 from ..http import client_from
 
@@ -15,8 +13,8 @@ if TYPE_CHECKING:
 
 
 def command(
-    server: Annotated[str | None, typer.Option(help="Address of the service; default: VITAC_SERVER.")] = None,
-    token_file: Annotated[Path | None, typer.Option(help="File with the API token; default: VITAC_TOKEN.")] = None,
+    server: Server = None,
+    token_file: TokenFile = None,
     as_json: AsJson = False,
 ) -> None:
     """Show team, token and quotas."""

@@ -4,9 +4,9 @@ from typing import Annotated
 
 import typer
 
+from ...terminal.options import Server
 from ...terminal.output import AsJson, print_record, print_records
 from ..http import client_from
-from .team import Server
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 

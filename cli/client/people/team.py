@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from vitac.envs.errors import VitacError
 
+from ...terminal.options import Server
 from ...terminal.output import AsJson, print_json, print_pairs, print_records
 from .. import credentials
 from ..http import client_from
@@ -17,7 +18,6 @@ if TYPE_CHECKING:
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
-Server = Annotated[str | None, typer.Option(help="Address of the service; default: VITAC_SERVER.")]
 MemberName = Annotated[str, typer.Argument(help="The member's name, as `vitac team show` prints it.")]
 
 
