@@ -7,8 +7,9 @@ official score of the public list is that of `vitac evaluate`, in the sandbox.
 """
 
 import argparse
+import json
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from runpy import run_path
@@ -32,6 +33,14 @@ starts are random ones that no baseline learned from (stream {stream}).
 
 | task | baseline | {starts} fresh starts | env steps | public list | env steps | CPU ms per episode |
 |---|---|---|---|---|---|---|
+"""
+SEEDS = """
+## Training seeds
+The trained baselines again with other seeds of the same recipe, as `figures.json` of each example has them. Each seed
+plays 300 fresh starts of its own, so that only the public list compares seeds. Seed 1 is shipped.
+
+| task | baseline | seed | fresh starts | env steps | public list | solved | env steps |
+|---|---|---|---|---|---|---|---|
 """
 
 
@@ -63,7 +72,8 @@ def main() -> None:
     chosen = parser.parse_args()
     rows = [row for task in BASELINES for row in rows_of(task, chosen.seed, chosen.starts)]
     head = HEAD.format(stream=stream(chosen.seed, Use.REPORT), starts=chosen.starts)
-    chosen.out.write_text(head + "".join(line(row) for row in rows))
+    seeds = "".join(seed_line(task, name, seed, found) for task, name, seed, found in training_seeds())
+    chosen.out.write_text(head + "".join(line(row) for row in rows) + SEEDS + seeds)
 
 
 def rows_of(task: str, seed: int, starts: int) -> list[Row]:
@@ -71,12 +81,17 @@ def rows_of(task: str, seed: int, starts: int) -> list[Row]:
     env: Any = make_environment(load_track("track_1").tasks[task])
     rows = []
     for name in BASELINES[task]:
-        policy = run_path(str(EXAMPLES / name / "Track_1" / "policy.py"))["Policy"]()
+        policy = policy_of(EXAMPLES / name)
         began = time.process_time()
         fresh = figures(env, policy, fresh_starts(seed, starts), task)
         public = figures(env, policy, public_starts(task), task)
         rows.append(Row(task=task, name=name, fresh=fresh, public=public, cpu_s=time.process_time() - began))
     return rows
+
+
+def policy_of(example: Path) -> Any:
+    """Return the policy of an example, in this process."""
+    return run_path(str(example / "Track_1" / "policy.py"))["Policy"]()
 
 
 def line(row: Row) -> str:
@@ -86,6 +101,25 @@ def line(row: Row) -> str:
     for found in (row.fresh, row.public):
         cells += [percent(found), f"{found['mean_steps']:.2f}" if found["successes"] else "-"]
     return f"| {' | '.join(cells)} | {1000 * row.cpu_s / episodes:.0f} |\n"
+
+
+def training_seeds() -> Iterator[tuple[str, str, str, Mapping[str, Any]]]:
+    """Yield task, baseline, seed and figures of all training runs, the one that is shipped first."""
+    for task, names in BASELINES.items():
+        for name in names:
+            path = EXAMPLES / name / "figures.json"
+            if path.exists():
+                shipped = json.loads(path.read_text())
+                for seed, found in {"1": shipped, **shipped["seeds"]}.items():
+                    yield task, name, seed, found
+
+
+def seed_line(task: str, name: str, seed: str, found: Mapping[str, Any]) -> str:
+    """Return the line of a training run."""
+    fresh, public = found["fresh"], found["public"]
+    cells = [task, name, seed, percent(fresh), f"{fresh['mean_steps']:.2f}"]
+    cells += [percent(public), f"{public['successes']} of {public['episodes']}", f"{public['mean_steps']:.2f}"]
+    return f"| {' | '.join(cells)} |\n"
 
 
 def percent(found: Mapping[str, Any]) -> str:

@@ -1,4 +1,4 @@
-"""What an evaluation was made with: the manifests that its shards have reported, and how they isolated the policy."""
+"""What an evaluation was made with: manifests of its shards, isolation of the policy, and packages it could import."""
 
 from collections.abc import Collection
 from uuid import UUID
@@ -8,7 +8,7 @@ from sqlalchemy.orm import Session
 from vitac.evaluator.episodes.records import Manifest
 
 from ..db.among import among
-from ..db.models import Evaluation, Shard, Submission
+from ..db.models import Evaluation, Shard, Submission, Worker
 from ..db.states import ShardState
 from ..queue.leases import Lease
 
@@ -39,6 +39,15 @@ def manifest_of(session: Session, evaluation: Evaluation, task: str) -> Manifest
         )
     ).first()
     return Manifest.model_validate(found)
+
+
+def note_packages(session: Session, evaluation: Evaluation, lease: Lease) -> None:
+    """Keep with an evaluation, which is locked, what the worker of a shard says that its policy could import."""
+    packages = session.scalar(
+        select(Worker.sandbox["packages"]).join(Shard, Shard.worker_id == Worker.id).where(Shard.id == lease.shard_id)
+    )
+    if packages is not None and packages not in evaluation.packages:
+        evaluation.packages = [*evaluation.packages, packages]
 
 
 def isolation_levels(session: Session, evaluations: Collection[Evaluation]) -> dict[UUID, list[str]]:

@@ -52,6 +52,7 @@ class EvaluationRows:
         isolation: how policies were isolated.
         differing: episodes that were run again with another record; None where only organizers may see them.
         output: the end of what policies printed; nothing where many are shown.
+        packages: what policies could import; nothing where many are shown.
         counts: stored episodes of those without scores.
         hidden: those of which single episodes are not shown.
         positions: places in the queue of those that have not started.
@@ -62,6 +63,7 @@ class EvaluationRows:
     isolation: Mapping[UUID, list[str]]
     differing: Mapping[UUID, list[DifferingEpisodeView]] | None
     output: Mapping[UUID, str]
+    packages: Mapping[UUID, list[dict[str, str]]]
     counts: Mapping[UUID, EpisodeCounts]
     hidden: frozenset[UUID]
     positions: Mapping[UUID, int]
@@ -76,7 +78,7 @@ class EvaluationRows:
             session: of the transaction.
             evaluations: which ones.
             by: who asks, and gets what may be shown to them.
-            with_output: with what the policies printed, which is up to 64 Ki characters each.
+            with_output: with what the policies printed, which is up to 64 Ki characters each, and could import.
         """
         sights = {found.id: sight_of(by, found) for found in evaluations}
         return cls(
@@ -85,6 +87,7 @@ class EvaluationRows:
             output={
                 found.id: _output(session, found) for found in evaluations if with_output and sights[found.id].output
             },
+            packages={found.id: found.packages for found in evaluations if with_output},
             counts=episode_counts(session, evaluations),
             hidden=frozenset(found for found, sight in sights.items() if not sight.episodes),
             positions=queue_positions(session, evaluations),
@@ -146,6 +149,7 @@ def evaluation_view(evaluation: Evaluation, workers: WorkersAlive, rows: Evaluat
         evaluator_hash=evaluation.evaluator_hash,
         platform_class=evaluation.platform_class,
         isolation=rows.isolation[evaluation.id],
+        packages=rows.packages.get(evaluation.id, []),
         list_kind=played_list_kind(evaluation),
         commitment=evaluation.commitment,
         episodes_hidden=evaluation.id in rows.hidden,

@@ -86,6 +86,10 @@ class EvaluationView(EvaluationSummaryView):
     evaluator_hash: str
     platform_class: str | None
     isolation: list[str] = Field(description="How the policy was isolated, on each kind of worker machine.")
+    packages: list[dict[str, str]] = Field(
+        default=[],
+        description="Versions by name of what the policy could import, on each kind of worker; empty in a list.",
+    )
     list_kind: ListKind = Field(description="Who could know the episodes that it plays.")
     commitment: str | None = Field(description="Of the sealed list of its stage; null for a track file's own list.")
     episodes_hidden: bool = Field(description="Single episodes are not shown as long as the list is sealed.")

@@ -26,7 +26,8 @@ class Hyperparameters:
         discount: of an env step.
         tau: part of the networks that goes into the target networks at each step.
         seed: of the training.
-        checkpoint_env_steps: between two checkpoints.
+        checkpoint_env_steps: between two checkpoints, each with an evaluation.
+        evaluation_episodes: that an evaluation plays, from starts that are not learned from.
         log_interval: episodes between two lines of the log.
     """
 
@@ -46,6 +47,7 @@ class Hyperparameters:
     tau: float = 0.005
     seed: int = 0
     checkpoint_env_steps: int = 2000
+    evaluation_episodes: int = 50
     log_interval: int = 10
 
 

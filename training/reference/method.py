@@ -2,6 +2,7 @@
 
 import shutil
 from dataclasses import replace
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -67,7 +68,8 @@ def train_reference(task: str, folder: Path, *, env_steps: int | None = None, se
     from .td3 import train
 
     formats = ["csv", *(["tensorboard"] if find_spec("tensorboard") else [])]
-    model = train(task, chosen, _environment(chosen), folder, env_steps or chosen.env_steps, formats)
+    make = partial(_environment, chosen)
+    model = train(task, chosen, make, folder, env_steps or chosen.env_steps, formats)
     return _submission(task, model, folder / "submission")
 
 

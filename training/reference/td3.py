@@ -8,15 +8,18 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import numpy as np
 import torch
 from stable_baselines3 import TD3
-from stable_baselines3.common.callbacks import CheckpointCallback
+from stable_baselines3.common.callbacks import CheckpointCallback, EvalCallback
 from stable_baselines3.common.logger import configure
+from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.noise import NormalActionNoise
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.td3.policies import Actor, TD3Policy
 
+from ..streams import Use, stream
 from .hyperparameters import HIDDEN, Hyperparameters
 from .policy import TactileActor, lock_actor, peg_actor
 
@@ -102,14 +105,54 @@ def new_model(task: str, chosen: Hyperparameters, env: Any) -> Any:
     )
 
 
-def train(task: str, chosen: Hyperparameters, env: Any, folder: Path, env_steps: int, formats: list[str]) -> Path:
-    """Train for so many env steps, and return the saved model; checkpoints and a log lie beside it."""
-    model = new_model(task, chosen, env)
+class HeldOutStarts(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """The same few random starts one after the other, over and over; no training learns from their stream.
+
+    Args:
+        env: whose starts they are.
+        chosen: says of which training, and how many.
+    """
+
+    def __init__(self, env: Any, chosen: Hyperparameters) -> None:
+        super().__init__(env)
+        self._stream, self._count, self._resets = stream(chosen.seed, Use.CHOOSE), chosen.evaluation_episodes, 0
+
+    def reset(self, **_: Any) -> tuple[Any, dict[str, Any]]:
+        """Begin the next one, whatever seed and options say."""
+        number = self._resets % self._count
+        self._resets += 1
+        return self.env.reset(options={"rng_seed": (self._stream, number)})
+
+
+def train(
+    task: str, chosen: Hyperparameters, make: Callable[[], Any], folder: Path, env_steps: int, formats: list[str]
+) -> Path:
+    """Train for so many env steps, and return the saved model; checkpoints, evaluations and a log lie beside it.
+
+    Args:
+        task: name of the task.
+        chosen: hyperparameters.
+        make: makes an environment.
+        folder: of the training.
+        env_steps: of the training.
+        formats: of the log.
+    """
+    model = new_model(task, chosen, make())
     logger = configure(str(folder), formats)
     model.set_logger(logger)
-    checkpoints = CheckpointCallback(chosen.checkpoint_env_steps, str(folder / "checkpoints"), name_prefix=task)
+    every = chosen.checkpoint_env_steps
+    callbacks = [
+        CheckpointCallback(every, str(folder / "checkpoints"), name_prefix=task),
+        EvalCallback(
+            Monitor(HeldOutStarts(make(), chosen)),
+            n_eval_episodes=chosen.evaluation_episodes,
+            eval_freq=every,
+            log_path=str(folder),
+            verbose=0,
+        ),
+    ]
     try:
-        model.learn(env_steps, callback=checkpoints, log_interval=chosen.log_interval)
+        model.learn(env_steps, callback=callbacks, log_interval=chosen.log_interval)
     finally:
         logger.close()
     path = folder / f"{task}.zip"

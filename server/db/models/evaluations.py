@@ -41,7 +41,8 @@ class Evaluation(Base):
     One that `is_proposed` belongs to a rejudgement that was not applied: it is no result of its submission.
     `commitment` names the sealed list that is played; NULL: the public one. `turn` orders those that wait, see
     `server.queue.turns`. `charged_at` says when the team's quotas counted it; NULL
-    where it costs nothing. `asked_by_team`: organizers did not start it.
+    where it costs nothing. `asked_by_team`: organizers did not start it. `packages`: versions by name of what the
+    policy could import, once for each kind of worker that ran it; of episodes that were stored before, nothing.
     """
 
     __tablename__ = "evaluations"
@@ -100,6 +101,7 @@ class Evaluation(Base):
     log_tail: Mapped[str] = mapped_column(default="")
     scores: Mapped[list[dict[str, Any]] | None] = mapped_column(JSONB(none_as_null=True))
     result_hash: Mapped[str | None] = mapped_column(String(64))
+    packages: Mapped[list[dict[str, str]]] = mapped_column(JSONB, default=list, server_default="[]", deferred=True)
     submission: Mapped[Submission] = relationship()
     sealed_list: Mapped[SealedList | None] = relationship()
     shards: Mapped[list["Shard"]] = relationship(back_populates="evaluation", order_by="Shard.id")

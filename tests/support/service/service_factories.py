@@ -285,9 +285,11 @@ class RecordOf(Protocol):
     def __call__(self, episode: int, *, task: str) -> EpisodeRecord: ...
 
 
-def play(database: Database, shard_id: int, record_of: RecordOf = make_record) -> None:
+def play(
+    database: Database, shard_id: int, record_of: RecordOf = make_record, *, worker_id: UUID | None = None
+) -> None:
     """Runs a shard from claim to end; all its episodes are stored at once, which is quicker than a worker."""
-    lease = claim(database, shard_id)
+    lease = claim(database, shard_id, worker_id)
     rows = [row_values(lease, record_of(episode, task=lease.task)) for episode in lease.episodes]
     with database.transaction() as session:
         session.execute(insert(EpisodeResult).on_conflict_do_nothing(), rows)

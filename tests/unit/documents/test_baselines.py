@@ -1,15 +1,31 @@
 """The table of baselines: written by a command, which counts what it says it counts."""
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from policies.baselines import BASELINES, EXAMPLES, HEAD, Row, line, percent
+from policies.baselines import (
+    BASELINES,
+    EXAMPLES,
+    HEAD,
+    SEEDS,
+    Row,
+    line,
+    percent,
+    policy_of,
+    seed_line,
+    training_seeds,
+)
+from policies.marker_noise import errors
+from toy_peg import ToyPeg
 from trained_policy import figures, fresh_starts, played, public_starts
 from vitac.evaluator.scoring.score import rate
 from vitac.evaluator.tracks import load_track
+from vitac.training.actors import random_actor
+from vitac.training.episodes import play
 from vitac.training.streams import Use, stream
 
 
@@ -95,6 +111,34 @@ def test_line_has_the_rates_with_intervals_and_the_cost() -> None:
 def test_table_in_the_repository_has_every_baseline(repository: Path) -> None:
     written = (repository / "benchmarks" / "baselines.md").read_text()
     assert written.startswith(HEAD.format(stream=stream(1, Use.REPORT), starts=300))
-    rows = [row.split(" | ") for row in written.splitlines() if row.startswith(("| peg", "| lock"))]
+    baselines, seeds = written.split(SEEDS)
+    rows = [row.split(" | ") for row in baselines.splitlines() if row.startswith(("| peg", "| lock"))]
     named = [(row[0].removeprefix("| "), row[1]) for row in rows]
     assert named == [(task, name) for task, names in BASELINES.items() for name in names]
+    assert seeds == "".join(seed_line(*run) for run in training_seeds())
+
+
+def test_three_seeds_of_each_trained_baseline_are_told() -> None:
+    runs = list(training_seeds())
+    trained = [(task, names[0]) for task, names in BASELINES.items()]
+    assert [run[:3] for run in runs] == [(*which, seed) for which in trained for seed in "123"]
+    found = {part: rate(30, 40).model_dump() | {"mean_steps": 4.25} for part in ("fresh", "public")}
+    told = percent(found["fresh"])
+    line = seed_line("peg-insertion", "trained", "2", found)
+    assert line == f"| peg-insertion | trained | 2 | {told} | 4.25 | {told} | 30 of 40 | 4.25 |\n"
+
+
+def test_noise_takes_what_a_belief_is_further_from_the_truth_with_it() -> None:
+    weights = policy_of(EXAMPLES / "peg_insertion_trained").weights
+    played = [play(ToyPeg(), random_actor, 7, numbers) for numbers in (range(200), range(200, 280))]
+    blurred = [
+        replace(
+            each, felt=each.felt + 3.0 * np.random.default_rng(1).standard_normal(each.felt.shape, dtype=np.float32)
+        )
+        for each in played
+    ]
+    exact, noisy = (errors(weights, *parts) for parts in (played, blurred))
+    assert [row["env_steps"] for row in exact] == [row["env_steps"] for row in noisy] == [0, 1, 2, 3]
+    assert exact[0]["looks"] == 80
+    assert all(row["error"][0] < 0.75 * other["error"][0] for row, other in zip(exact, noisy, strict=True))
+    assert exact[0]["spread"] == noisy[0]["spread"]

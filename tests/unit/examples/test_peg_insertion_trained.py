@@ -61,17 +61,41 @@ def test_actions_are_finite_and_within_bounds(policy: Any, seed: int) -> None:
 
 def test_log_is_that_of_its_recipe(example: Path, figures: dict[str, Any]) -> None:
     recipe = read_recipe(example / "recipe.yaml")
-    rows = [json.loads(line) for line in (example / "log.jsonl").read_text().splitlines()]
-    assert [row["round"] for row in rows] == list(range(1, len(rows) + 1))
-    assert len(rows) <= recipe.rounds
-    assert figures["fresh"]["starts"] == f"stream {stream(recipe.seed, Use.REPORT)}"
-    assert figures["round"] == max(rows, key=lambda row: (row["student"]["successes"], row["round"]))["round"]
+    for seed, found in {str(recipe.seed): figures, **figures["seeds"]}.items():
+        log = example / ("log.jsonl" if found is figures else f"log_seed_{seed}.jsonl")
+        rows = [json.loads(line) for line in log.read_text().splitlines()]
+        assert [row["round"] for row in rows] == list(range(1, recipe.rounds + 1))
+        assert found["fresh"]["starts"] == f"stream {stream(int(seed), Use.REPORT)}"
+        assert found["round"] == max(rows, key=lambda row: (row["student"]["successes"], row["round"]))["round"]
 
 
 def test_episodes_converge(figures: dict[str, Any]) -> None:
-    played = [figures[part] for part in ("public", "fresh", "more_fresh")]
-    assert sum(found["episodes"] for found in played) >= 2000
-    assert sum(found["ends"].get("not_converged", 0) for found in played) <= 2
+    runs = [figures, *figures["seeds"].values()]
+    played = [found[part] for found in runs for part in ("public", "fresh", "more_fresh") if part in found]
+    assert sum(found["episodes"] for found in played) == 3210
+    assert sum(found["ends"].get("not_converged", 0) for found in played) == 0
+
+
+def test_three_seeds_solve_enough_of_every_shape_and_with_the_truth_nearly_all(
+    example: Path, figures: dict[str, Any]
+) -> None:
+    runs = {"1": figures, **figures["seeds"]}
+    assert sorted(runs) == ["1", "2", "3"]
+    assert np.mean([found["public"]["successes"] for found in runs.values()]) >= 180
+    assert figures["public"]["successes"] >= 195
+    assert figures["fresh"]["success_rate"] >= 0.68
+    card = (example / "README.md").read_text()
+    for seed, found in runs.items():
+        assert found["public_with_truth"]["successes"] >= 265
+        shapes = [found[part]["by_shape"].values() for part in ("public", "fresh")]
+        lowest = min(shape["success_rate"] for part in shapes for shape in part)
+        assert lowest >= 0.55
+        solved, fresh = found["public"], percent(found["fresh"]).replace(" %", "")
+        truth = found["public_with_truth"]["successes"]
+        told = (
+            f"| {seed} | {fresh} | {solved['successes']} | {solved['mean_steps']:.2f} | {100 * lowest:.1f} | {truth} |"
+        )
+        assert told in card, told
 
 
 def percent(found: dict[str, Any]) -> str:

@@ -1,3 +1,5 @@
+from uuid import uuid4
+
 import pytest
 from service_factories import (
     LOCK,
@@ -17,6 +19,7 @@ from service_factories import (
     submit,
 )
 from sqlalchemy import select, text
+from submission_steps import make_worker
 from vitac.evaluator.agent.verdicts import VerdictCode
 from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord, FailureStage, result_hash
 from vitac.evaluator.scoring.score import score
@@ -227,3 +230,21 @@ def test_records_are_read_back_as_they_were_written(database: Database) -> None:
         key = EpisodeKey.of(newest_evaluation(session, submission), submission)
         read = records_of(session, key, TASK)
     assert read == [some_record(episode) for episode in range(1, 271)]
+
+
+def test_a_result_keeps_what_its_policy_could_import_on_each_kind_of_worker(database: Database) -> None:
+    kinds = [{"numpy": "2.5.0", "torch": "2.13.0+cpu"}, {"numpy": "2.5.0"}]
+    names = [uuid4() for _ in range(4)]
+    with database.transaction() as session:
+        principal = make_principal(session)
+        submission = submit(session, principal)
+        ids = shard_ids(session, submission)
+    for name, packages in zip(names, (*kinds, kinds[0], None), strict=True):
+        make_worker(database, id=name, sandbox=packages and {"python": "3.11.9", "packages": packages})
+    for shard_id, name in zip(ids, (*names, uuid4()), strict=False):
+        play(database, shard_id, some_record, worker_id=name)
+    with database.transaction() as session:
+        assert newest_evaluation(session, submission).packages == kinds
+        assert listing.get(session, make_settings(), principal, submission.id).evaluation.packages == kinds
+        (listed,) = listing.list_submissions(session, make_settings(), principal).items
+        assert listed.evaluation.packages == [], "a list is short"

@@ -15,16 +15,18 @@ pytest.importorskip("stable_baselines3", reason="Stable-Baselines3, which has TD
 from vitac.evaluator.submission.manifest import load_manifest  # noqa: E402
 from vitac.training.reference import method  # noqa: E402
 from vitac.training.reference.hyperparameters import HYPERPARAMETERS, Hyperparameters  # noqa: E402
-from vitac.training.reference.td3 import new_model  # noqa: E402
+from vitac.training.reference.td3 import HeldOutStarts, new_model  # noqa: E402
+from vitac.training.streams import Use, stream  # noqa: E402
 
 SIZES = {"gt_offset": 3, "key1": 3, "key2": 3}
-QUICK = {"learning_starts": 6, "batch_size": 4, "buffer_size": 50, "checkpoint_env_steps": 5}
+QUICK = {"learning_starts": 6, "batch_size": 4, "buffer_size": 50, "checkpoint_env_steps": 5, "evaluation_episodes": 3}
 
 
 class Random(gymnasium.Env[Any, Any]):
     """Random observations of a task."""
 
     def __init__(self, chosen: Hyperparameters, actions: int) -> None:
+        self.starts: list[Any] = []
         motion = 4 if actions == 3 else 3
         shapes = {"marker_flow": (2, 2, 128, 2), "relative_motion": (motion,), **dict.fromkeys(chosen.truths, (3,))}
         boxes: dict[str, Any] = {
@@ -35,6 +37,7 @@ class Random(gymnasium.Env[Any, Any]):
 
     def reset(self, *, seed: int | None = None, options: Any = None) -> Any:
         super().reset(seed=seed)
+        self.starts.append(options)
         return self.observation_space.sample(), {}
 
     def step(self, action: Any) -> Any:
@@ -63,7 +66,11 @@ def test_training_ends_in_a_submission_that_plays(tmp_path: Path, monkeypatch: p
     folder = method.train_reference("peg-insertion", tmp_path / "run", env_steps=12)
     assert load_manifest(folder / "Track_1").tasks == ("peg-insertion",)
     assert (tmp_path / "run" / "checkpoints" / "peg-insertion_5_steps.zip").exists()
-    assert (tmp_path / "run" / "progress.csv").exists()
+    with (tmp_path / "run" / "progress.csv").open() as file:
+        assert "eval/mean_reward" in next(file)
+    with np.load(tmp_path / "run" / "evaluations.npz") as evaluations:
+        assert evaluations["timesteps"].tolist() == [5, 10]
+        assert evaluations["results"].shape == (2, 3)
     policy = run_path(str(folder / "Track_1" / "policy.py"))["Policy"]()
     policy.reset("peg-insertion")
     action = policy.act(
@@ -71,3 +78,12 @@ def test_training_ends_in_a_submission_that_plays(tmp_path: Path, monkeypatch: p
     )
     assert action.shape == (3,)
     assert np.abs(action).max() <= 1.0
+
+
+def test_evaluations_play_the_same_few_starts_that_no_training_learns_from() -> None:
+    chosen = replace(HYPERPARAMETERS["peg-insertion"], seed=4, evaluation_episodes=3)
+    env = Random(chosen, 3)
+    held_out = HeldOutStarts(env, chosen)
+    for _ in range(4):
+        held_out.reset(seed=9, options={"rng_seed": (1, 2)})
+    assert env.starts == [{"rng_seed": (stream(4, Use.CHOOSE), number)} for number in (0, 1, 2, 0)]

@@ -208,6 +208,19 @@ def test_a_result_without_a_control_group_is_shown_as_isolated_more_weakly(
     assert ("Weaker than usual" in browser.get(f"/submissions/{COMPLETED.id}").text) is is_told
 
 
+def test_packages_of_each_kind_of_worker_are_told_short_and_in_full(browser: AsgiBrowser, data: FixedData) -> None:
+    kinds = [{"msgspec": "1", "numpy": "2.5", "torch": "2.13+cpu"}, {"msgspec": "1", "numpy": "2.5"}, {"<b>": "1"}]
+    evaluation = COMPLETED.evaluation.model_copy(update={"packages": kinds})
+    data.found = [COMPLETED.model_copy(update={"evaluation": evaluation})]
+    sign_in(browser, "Gelbots")
+    html = browser.get(f"/submissions/{COMPLETED.id}").text
+    shown = html.split("<dt>Packages</dt>")[1:]
+    summaries = [part.partition("<summary>")[2].partition("</summary>")[0] for part in shown]
+    assert summaries == ["numpy 2.5, torch 2.13+cpu, 3 in all", "numpy 2.5, 2 in all", "1 in all"]
+    assert "msgspec 1, numpy 2.5, torch 2.13+cpu</details>" in shown[0]
+    assert "&lt;b&gt; 1" in shown[2]
+
+
 def test_organizers_page_says_that_an_episode_was_played_again_with_another_result(
     data: FixedData, browser: AsgiBrowser
 ) -> None:
