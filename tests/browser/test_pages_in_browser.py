@@ -3,7 +3,7 @@ from pathlib import Path
 
 import checked_pages
 import pytest
-from browser_checks import DESK, PHONE, Complaints, violations
+from browser_checks import DESK, PHONE, ZOOMED, Complaints, violations
 from checked_pages import WITH_SCENES, unchecked
 from fastapi import APIRouter
 from page_fixtures import (
@@ -134,6 +134,9 @@ def test_a_change_of_state_is_announced(page: Page, site: SiteUnderTest) -> None
 def test_everything_works_without_javascript(browser: Browser, site: SiteUnderTest) -> None:
     context = browser.new_context(java_script_enabled=False)
     page = context.new_page()
+    site.open(page, "/")
+    expect(page.locator("img.still")).to_be_visible()
+    expect(page.locator("#play-example")).to_be_hidden()
     site.sign_in(page)
     page.get_by_role("link", name="runs").click()
     expect(page.get_by_text("137 of 270")).to_be_visible()
@@ -218,7 +221,7 @@ def test_a_long_name_widens_no_board_of_two_hundred_teams(browser: Browser, site
         an_entry(200, "Gelbots", score),
     )
     site.data.found[:] = [a_submission(name[:64].strip(), EvaluationState.COMPLETED, name="n" * 128)]
-    for size, media in ((DESK, "screen"), (PHONE, "screen"), (A4_PAPER, "print")):
+    for size, media in ((DESK, "screen"), (ZOOMED, "screen"), (PHONE, "screen"), (A4_PAPER, "print")):
         context = browser.new_context(viewport=size)  # type: ignore[arg-type]
         page = context.new_page()
         page.emulate_media(media=media)  # type: ignore[arg-type]

@@ -5,7 +5,7 @@ from datetime import datetime, timedelta
 from zoneinfo import ZoneInfo
 
 import pytest
-from browser_checks import DESK, Complaints, violations
+from browser_checks import DESK, ZOOMED, Complaints, violations
 from checked_pages import PAGES_OF_ROLES
 from cli_service import CliService, cli_service
 from playwright.sync_api import Page, expect
@@ -84,6 +84,9 @@ def test_each_role_sees_its_pages_without_a_barrier(
     for path in PAGES_OF_ROLES[role]:
         page.goto(service.address + (f"/submissions/{secrets['submission']}" if path == "SUBMISSION" else path))
         assert violations(page) == [], path
+        page.set_viewport_size({"width": ZOOMED["width"], "height": ZOOMED["height"]})
+        assert page.evaluate("document.documentElement.scrollWidth") <= ZOOMED["width"], f"{path} at 200 %"
+        page.set_viewport_size({"width": DESK["width"], "height": DESK["height"]})
         for field in page.locator("main").locator("input:not([type=hidden], [type=checkbox]), textarea, select").all():
             height, letters = field.evaluate("field => [field.offsetHeight, getComputedStyle(field).fontSize]")
             assert height >= FINGER_PX, f"{path}: {field.get_attribute('name')} is drawn by the browser"

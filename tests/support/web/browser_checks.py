@@ -7,6 +7,7 @@ from playwright.sync_api import ConsoleMessage, Page
 
 PHONE = {"width": 375, "height": 740}
 DESK = {"width": 1280, "height": 800}
+ZOOMED = {"width": 720, "height": 450}  # a window of 1440 px at 200 %
 CHECKED = {
     "runOnly": ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "best-practice"],
     "resultTypes": ["violations"],  # every rule is run; the parts that pass, thousands on a page, are not written out

@@ -46,7 +46,7 @@ def test_serves_pages_and_api_until_it_is_asked_to_stop(environment: dict[str, s
         said = first_lines(process)
         address = said[0].split()[-1]
         assert httpx.get(f"{address}/ready").json()["status"] == "ready"
-        assert "No evaluation is complete yet" in httpx.get(address).text
+        assert "No result is on the leaderboards yet" in httpx.get(address).text
         assert httpx.get(f"{address}/api/v1/submissions").json()["code"] == "missing_credentials"
         process.send_signal(ending)
         _, complaints = process.communicate(timeout=60)

@@ -150,7 +150,7 @@ def test_kill_of_one_process_leaves_the_service_answering_and_another_one_is_sta
     assert httpx.get(f"{servers.address}/ready", timeout=60).json()["status"] == "ready"
     eventually(lambda: len(servers.pids) == 2 and killed not in servers.pids)
     assert other in servers.pids
-    assert "No evaluation is complete yet" in httpx.get(servers.address, timeout=60).text
+    assert "No result is on the leaderboards yet" in httpx.get(servers.address, timeout=60).text
     assert_only_the_starter_looks_for_lost_work(servers)
 
 
