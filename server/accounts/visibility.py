@@ -53,7 +53,7 @@ def sight_of(by: Principal, evaluation: Evaluation) -> Sight:
 
 def is_sealed(evaluation: Evaluation) -> bool:
     """Return whether an evaluation plays a list whose secret is not published yet."""
-    if evaluation.sealed_list is not None:
+    if evaluation.commitment is not None and evaluation.sealed_list is not None:
         return evaluation.sealed_list.revealed_at is None
     return played_list_kind(evaluation) is ListKind.SEALED
 

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TypeVar
 
+import msgspec
 import structlog
 from sqlalchemy import Engine, create_engine, event, make_url
 from sqlalchemy.engine.interfaces import DBAPIConnection
@@ -43,6 +44,7 @@ class Database:
             pool_size=pool_size,
             max_overflow=20,
             pool_pre_ping=True,
+            json_deserializer=msgspec.json.decode,
             connect_args={"connect_timeout": 15, "application_name": "vitac", **ENCODING},
         )
         event.listen(self.engine, "connect", _let_go_when_gone)

@@ -135,7 +135,7 @@ def evaluation_view(evaluation: Evaluation, workers: WorkersAlive, rows: Evaluat
     if evaluation.id in rows.hidden:
         progress, verdict = _coarse(progress, combined), _without_details(verdict)
     return EvaluationView(
-        **dict(summary_view(evaluation)),
+        **vars(summary_view(evaluation)),
         started_at=evaluation.started_at,
         queue_position=rows.positions.get(evaluation.id),
         eta_s=None if evaluation.id in rows.hidden else _seconds_to_end(evaluation, progress, workers, rows),

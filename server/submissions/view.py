@@ -32,6 +32,9 @@ from ..views.workers import WorkersView
 PlacesOf = Callable[[str, str], PlacesOfBoards]
 """By track and stage."""
 
+WorkersOf = Callable[[str, str, tuple[str, ...]], WorkersView]
+"""By evaluator version, track and tasks."""
+
 
 def submission_views(
     session: Session,
@@ -53,6 +56,7 @@ def submission_views(
     newest = [found[0] for found in runs.values()]
     rows = EvaluationRows.read(session, newest, by, with_output=with_output)
     names = ShownNames.read(session, by)
+    known_workers = fleet(session, settings)
     shown = _Shown(
         evaluations=rows,
         by=by,
@@ -61,7 +65,8 @@ def submission_views(
         copies=copies_among(
             session, [found.id for found in newest if found.submission.kind is SubmissionKind.LOG], names
         ),
-        workers=fleet(session, settings),
+        fleet=known_workers,
+        workers=cache(partial(_workers, known_workers)),
         places=cache(partial(_places, session, by)),
     )
     return [_view(found, shown) for found in runs.values()]
@@ -85,7 +90,8 @@ class _Shown:
         evaluations: of their newest evaluations.
         findings: against logs, by evaluation, where single episodes are shown.
         copies: among logs, by evaluation.
-        workers: those known now.
+        fleet: the workers known now.
+        workers: who of them can run some tasks.
         places: on the boards of a track.
     """
 
@@ -94,7 +100,8 @@ class _Shown:
     evaluations: EvaluationRows
     findings: Mapping[UUID, LogFinding]
     copies: Mapping[UUID, LogCopyView]
-    workers: Fleet
+    fleet: Fleet
+    workers: WorkersOf
     places: PlacesOf
 
 
@@ -121,20 +128,20 @@ def _view(runs: Sequence[Evaluation], shown: _Shown) -> SubmissionView:
         archive_bytes=submission.archive_bytes,
         submitted_at=submission.submitted_at,
         public=submission.is_public,
-        evaluation=evaluation_view(newest, shown.workers.alive(newest.evaluator_version), shown.evaluations),
+        evaluation=evaluation_view(newest, shown.fleet.alive(newest.evaluator_version), shown.evaluations),
         evaluations=[summary_view(evaluation) for evaluation in shown_runs],
-        workers=_workers(submission, newest, shown),
+        workers=shown.workers(newest.evaluator_version, submission.track, tuple(submission.tasks)),
         rank=ranks.get(None),
         task_ranks={task: place for task, place in ranks.items() if task is not None},
         log=log,
     )
 
 
-def _workers(submission: Submission, newest: Evaluation, shown: _Shown) -> WorkersView:
-    """Return who can run the submission: its tasks may be of several families, each with workers of its own."""
-    any_family = shown.workers.alive(newest.evaluator_version)
-    families = sorted({family_of(submission.track, task) for task in submission.tasks})
-    alive = {family: shown.workers.alive(newest.evaluator_version, family).alive for family in families}
+def _workers(known: Fleet, evaluator_version: str, track: str, tasks: tuple[str, ...]) -> WorkersView:
+    """Return who can run some tasks, which may be of several families, each with workers of its own."""
+    any_family = known.alive(evaluator_version)
+    families = sorted({family_of(track, task) for task in tasks})
+    alive = {family: known.alive(evaluator_version, family).alive for family in families}
     missing = next((family for family in families if not alive[family]), None)
     return WorkersView(
         alive=min(alive.values(), default=any_family.alive),

@@ -1,6 +1,11 @@
+import json
+
 import psycopg
 import pytest
-from sqlalchemy import text
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from sqlalchemy import Text, cast, literal, select, text
+from sqlalchemy.dialects.postgresql import JSONB
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.orm import Session
 from vitac.server.db.engine import Database, is_connection_loss, sqlalchemy_url
@@ -35,6 +40,27 @@ def test_work_of_a_lost_transaction_is_not_half_done(database: Database) -> None
     database.retrying(work, give_up_after_s=30.0)
     with database.transaction() as session:
         assert session.scalar(text("SELECT count(*) FROM audit_log")) == 1
+
+
+JSON_VALUES = st.recursive(
+    st.none()
+    | st.booleans()
+    | st.integers(-(10**40), 10**40)
+    | st.floats(allow_nan=False, allow_infinity=False)
+    | st.text(st.characters(codec="utf-8", exclude_characters="\0")),
+    lambda inner: st.lists(inner) | st.dictionaries(st.text("abc\u00e9\u4e2d", max_size=3), inner),
+    max_leaves=20,
+)
+
+
+@settings(max_examples=10, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(values=st.lists(JSON_VALUES, min_size=5))
+def test_json_is_read_to_the_last_bit_of_a_number(database: Database, values: list[object]) -> None:
+    """Scores and result hashes are made of what is read."""
+    stored = cast(literal(values, JSONB), JSONB)
+    with database.transaction() as session:
+        read, written = session.execute(select(stored, cast(stored, Text))).one()
+    assert repr(read) == repr(json.loads(written))
 
 
 def test_a_snapshot_does_not_see_what_others_write_meanwhile(database: Database) -> None:

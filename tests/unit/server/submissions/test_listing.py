@@ -1,5 +1,6 @@
 from uuid import uuid4
 
+import pytest
 from database_work import database_work
 from service_factories import (
     TASK,
@@ -14,13 +15,16 @@ from service_factories import (
 )
 from sqlalchemy import text
 from submission_steps import SETTINGS, create, ids_of, make_worker, refused, view_of
+from vitac.envs.tasks.definition import Family
 from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.evaluator.logs.findings import VerificationResult
 from vitac.server.accounts.principals import CONSOLE, Principal
 from vitac.server.db.engine import Database
 from vitac.server.db.states import EvaluationState
 from vitac.server.errors import ProblemCode
+from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.submissions import listing, runs
+from vitac.server.tracks import family_of
 
 
 def test_foreign_submission_looks_like_a_missing_one(database: Database, principal: Principal) -> None:
@@ -94,6 +98,30 @@ def test_a_long_list_takes_no_more_statements_than_a_short_one(database: Databas
     assert [item.evaluation.progress.episodes_done for item in found[:2]] == [0, 1]
     assert [item.log.verdict for item in found if item.log] == [VerificationResult.DIVERGED] * 4
     assert statements[1] == statements[2] < statements[0] < 20
+
+
+def test_who_can_run_the_same_is_found_once_for_a_whole_list(
+    database: Database, principal: Principal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And for each evaluator version on its own."""
+    older = create(database, principal, "of an older version")[0]
+    for number in range(5):
+        create(database, principal, f"waits {number}")
+    make_worker(database)
+    with database.transaction() as session:
+        newest_evaluation(session, older).evaluator_version = "1+older"
+    asked: list[str] = []
+
+    def noted(track: str, task: str) -> Family:
+        asked.append(task)
+        return family_of(track, task)
+
+    monkeypatch.setattr("vitac.server.submissions.view.family_of", noted)
+    with database.transaction() as session:
+        items = listing.list_submissions(session, SETTINGS, principal).items
+    assert [item.workers.alive for item in items] == [1] * 5 + [0]
+    assert len({item.workers.last_heartbeat_at for item in items}) == 1
+    assert asked == [*items[0].tasks, *items[-1].tasks]
 
 
 def test_a_teams_list_reads_no_other_teams_rows_and_no_output(database: Database, principal: Principal) -> None:
