@@ -30,7 +30,8 @@ def message_of(notice: Notice, settings: Settings) -> EmailMessage:
     text = _SENTENCES[notice.kind].format_map(notice.facts)
     made["From"] = settings.mail_from
     made["To"] = notice.target
-    made["Subject"] = one_line(f"ViTac Arena: {text}", max_length=SUBJECT_LENGTH)
+    subject, _, _ = text.partition("\n")  # of an announcement its title
+    made["Subject"] = one_line(f"ViTac Arena: {subject}", max_length=SUBJECT_LENGTH)
     made["Date"] = format_datetime(notice.created_at)
     made["Message-ID"] = f"<{notice.id}@{settings.mail_from.rpartition('@')[2]}>"
     made["Auto-Submitted"] = "auto-generated"

@@ -25,7 +25,7 @@ def list_appeals(
     from vitac.server.people.appeals import visible
 
     with transaction() as session:
-        found = [one.model_dump(mode="json") for one in visible(session, CONSOLE, open_only=open_only)]
+        found = [one.model_dump() for one in visible(session, CONSOLE, open_only=open_only)]
     columns = ("id", "state", "team", "submission_name", "task", "episode", "opened_at")
     print_records(found, columns, none="No appeal.", as_json=as_json)
 
@@ -37,7 +37,7 @@ def show(appeal: AppealNumber, as_json: AsJson = False) -> None:
     from vitac.server.people.appeals import appeal_view, find
 
     with transaction() as session:
-        found = appeal_view(find(session, CONSOLE, appeal), CONSOLE).model_dump(mode="json")
+        found = appeal_view(find(session, CONSOLE, appeal), CONSOLE).model_dump()
     if as_json:
         print_json(found)
         return
@@ -77,7 +77,7 @@ def replay(
                 policy_sha256=played.policy_sha256,
                 corrected=played.corrected,
             )
-            shown = AppealReplayView.model_validate(made, from_attributes=True).model_dump(mode="json")
+            shown = AppealReplayView.model_validate(made, from_attributes=True).model_dump()
             failure = played.record.failure.message if played.record.failure is not None else None
             if dry_run:
                 take_back(session)
@@ -100,5 +100,5 @@ def rule(
     with change_transaction(dry_run=dry_run) as session:
         found = rule_on(session, CONSOLE, appeal, text, upheld=upheld)
         session.flush()
-        shown = appeal_view(found, CONSOLE).model_dump(mode="json", exclude={"replays"})
+        shown = appeal_view(found, CONSOLE).model_dump(exclude={"replays"})
     print_record(shown, as_json=as_json)

@@ -22,7 +22,7 @@ def list_notices(
     from vitac.server.notices.outbox import newest, notice_view
 
     with transaction() as session:
-        found = [notice_view(notice).model_dump(mode="json") for notice in newest(session, limit, unsent_only=unsent)]
+        found = [notice_view(notice).model_dump() for notice in newest(session, limit, unsent_only=unsent)]
     columns = ("created_at", "kind", "channel", "target", "attempts", "sent_at", "given_up_at", "problem", "id")
     print_records(found, columns, none="No notice.", as_json=as_json)
 
@@ -39,5 +39,5 @@ def retry(
     from vitac.server.notices.outbox import retry as send_again
 
     with change_transaction(dry_run=dry_run) as session:
-        shown = notice_view(send_again(session, CONSOLE, notice)).model_dump(mode="json")
+        shown = notice_view(send_again(session, CONSOLE, notice)).model_dump()
     print_record(shown, as_json=as_json)

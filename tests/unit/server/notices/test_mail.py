@@ -57,6 +57,13 @@ class FakeServer:
         self.done.append("sent")
 
 
+def test_the_subject_of_an_announcement_is_its_title() -> None:
+    facts = {"title": "We moved", "text": "To another machine.\nTomorrow.", "page": "/announcements"}
+    made = mail.message_of(a_notice(kind=NoticeKind.ANNOUNCEMENT, facts=facts), make_settings())
+    assert made["Subject"] == "ViTac Arena: We moved"
+    assert made.get_content().startswith("We moved\n\nTo another machine.\nTomorrow.")
+
+
 def test_what_a_team_wrote_makes_no_further_header() -> None:
     facts = {"name": HOSTILE, "track": "track_1", "verdict": "crashed", "page": "/submissions/1"}
     made = mail.message_of(a_notice(facts=facts), make_settings(mail_from="arena@example.org"))
