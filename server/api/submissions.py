@@ -167,15 +167,7 @@ def get_document(services: ServicesOf, principal: PrincipalOf, submission_id: UU
     """Return the design document, to be saved and never shown: nobody has looked at what is in it."""
     with services.database.transaction() as session:
         document = sensors.document(session, principal, submission_id)
-    return Response(
-        services.blobs.read(document.sha256),
-        media_type="application/octet-stream",
-        headers={
-            "Content-Disposition": f'attachment; filename="{submission_id}-{document.name}"',
-            "X-Content-Type-Options": "nosniff",
-            "Content-Security-Policy": "sandbox; default-src 'none'",
-        },
-    )
+    return Response(services.blobs.read(document.sha256), headers=sensors.to_save(submission_id, document))
 
 
 @router.get("/{submission_id}/action-matches")

@@ -49,6 +49,21 @@ def document(session: Session, by: Principal, submission_id: UUID) -> DocumentVi
     return DocumentView(name=found.name, n_bytes=found.n_bytes, sha256=found.sha256)
 
 
+def to_save(submission_id: UUID, document: DocumentView) -> dict[str, str]:
+    """Return the headers with which a document is handed out: browsers save it, and neither show nor guess what it is.
+
+    Args:
+        submission_id: whose.
+        document: as it is stored.
+    """
+    return {
+        "Content-Type": "application/octet-stream",
+        "Content-Disposition": f'attachment; filename="{submission_id}-{document.name}"',
+        "X-Content-Type-Options": "nosniff",
+        "Content-Security-Policy": "sandbox; default-src 'none'",
+    }
+
+
 def _file(session: Session, submission_id: UUID, role: FileRole) -> SubmissionFile:
     found = file_of(session, submission_id, role)
     if found is None:

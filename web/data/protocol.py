@@ -27,7 +27,14 @@ if TYPE_CHECKING:
     from vitac.server.views.operations import OperationsView
     from vitac.server.views.playbacks import PlaybackView, PublicEpisodeView, ShownEpisodeView
     from vitac.server.views.receipts import ChainView
-    from vitac.server.views.submissions import EpisodeView, OutputView, SensorView, SubmissionListView, SubmissionView
+    from vitac.server.views.submissions import (
+        DocumentView,
+        EpisodeView,
+        OutputView,
+        SensorView,
+        SubmissionListView,
+        SubmissionView,
+    )
 
 ResultT = TypeVar("ResultT")
 
@@ -221,6 +228,9 @@ class PageData(Protocol):
 
     async def sensor(self, visitor: Visitor, submission_id: UUID) -> ShownSensor:
         """Return the sensor of a submission."""
+
+    async def design_document(self, visitor: Visitor, submission_id: UUID) -> tuple[DocumentView, bytes]:
+        """Return the design document of a submission, as the team brought it."""
 
     async def cancel(self, visitor: Visitor, submission_id: UUID) -> None:
         """Cancel the queued or running evaluation of a submission."""

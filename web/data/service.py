@@ -63,7 +63,7 @@ if TYPE_CHECKING:
     from vitac.server.views.operations import OperationsView
     from vitac.server.views.playbacks import PlaybackView, PublicEpisodeView, ShownEpisodeView
     from vitac.server.views.receipts import ChainView
-    from vitac.server.views.submissions import OutputView, SensorView, SubmissionListView
+    from vitac.server.views.submissions import DocumentView, OutputView, SensorView, SubmissionListView
 
     from .protocol import EpisodeAddress, LimitRow, PasswordSignIn
 
@@ -249,6 +249,11 @@ class ServiceData:
         content = await asyncio.to_thread(self.blobs.read, view.digest)
         looks = await asyncio.to_thread(lambda: appearance(read_made_sensor(content)))
         return ShownSensor(submission_id=submission_id, name=name, team=team, view=view, looks=looks)
+
+    async def design_document(self, visitor: Visitor, submission_id: UUID) -> tuple[DocumentView, bytes]:
+        """Return the design document of a submission, read outside the transaction."""
+        found = await self.ask(lambda session: sensors.document(session, visitor.principal, submission_id))
+        return found, await asyncio.to_thread(self.blobs.read, found.sha256)
 
     async def cancel(self, visitor: Visitor, submission_id: UUID) -> None:
         """Cancel an evaluation."""

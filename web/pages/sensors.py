@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from starlette.responses import JSONResponse
+from starlette.responses import JSONResponse, Response
 from vitac.evaluator.figures.reference import reference_figures
 from vitac.evaluator.figures.table import rows_of
+from vitac.server.submissions.sensors import to_save
 
 from ..plots.sensors import largest_of, marker_picture, quality_histogram, sensitivity_maps, still
 from ..site import page, require_viewer, site_of
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
 
     from markupsafe import Markup
     from starlette.requests import Request
-    from starlette.responses import Response
     from vitac.evaluator.figures.figures import SensorFigures
 
     from ..data.protocol import ShownSensor
@@ -67,6 +67,14 @@ async def shape(request: Request) -> Response:
     shown = await site_of(request).data.sensor(viewer.visitor, as_id(request.path_params["submission_id"]))
     content = shown.looks.model_dump(mode="json", include={"vertices_mm", "triangles", "kinds"})
     return JSONResponse(content, headers={"Cache-Control": "private, max-age=3600", "Vary": "Cookie"})
+
+
+async def document(request: Request) -> Response:
+    """Hand out the design document of a submission as a file to save."""
+    viewer = await require_viewer(request)
+    submission_id = as_id(request.path_params["submission_id"])
+    found, content = await site_of(request).data.design_document(viewer.visitor, submission_id)
+    return Response(content, headers=to_save(submission_id, found) | {"Cache-Control": "no-store"})
 
 
 def _part(number: int, shown: ShownSensor, largest: tuple[float, float]) -> Part:

@@ -33,6 +33,8 @@ def test_page_shows_gel_mesh_markers_maps_and_figures(shown: AsgiBrowser) -> Non
         "(+3.0 to +10.0, exact McNemar p = 4e-06)",
         f'data-shape="{ADDRESS}/shape"',
         'href="/docs/sensors.html#figures"',
+        f'<a href="/submissions/{COMPLETED.id}/document" download>design-document.pdf<',
+        "9 Bytes, to save",
     ):
         assert said in html
     assert html.count('<polygon points="') > 50
@@ -57,15 +59,26 @@ def test_shape_for_the_script_has_vertices_triangles_and_kinds(shown: AsgiBrowse
     assert answer.headers["vary"] == "Cookie"
 
 
+def test_design_document_is_a_file_to_save_and_never_shown(shown: AsgiBrowser) -> None:
+    answer = shown.get(f"/submissions/{COMPLETED.id}/document")
+    assert (answer.status_code, answer.content) == (200, b"<script>")
+    assert answer.headers["content-type"] == "application/octet-stream"
+    assert answer.headers["content-disposition"] == f'attachment; filename="{COMPLETED.id}-design-document.pdf"'
+    assert answer.headers["x-content-type-options"] == "nosniff"
+    assert answer.headers["content-security-policy"] == "sandbox; default-src 'none'"
+    assert answer.headers["cache-control"] == "no-store"
+
+
 @pytest.mark.parametrize("beside", [str(QUEUED.id), str(an_id("nobody")), "not-an-id", "<script>"])
 def test_sensor_of_others_is_as_if_missing(shown: AsgiBrowser, beside: str) -> None:
     assert shown.get(ADDRESS, params={"beside": beside}).status_code == 404
     assert shown.get(f"/submissions/{beside}/sensor").status_code == 404
     assert shown.get(f"/submissions/{beside}/sensor/shape").status_code == 404
+    assert shown.get(f"/submissions/{beside}/document").status_code == 404
 
 
 def test_who_is_not_signed_in_is_sent_to_the_sign_in(browser: AsgiBrowser) -> None:
-    for address in (ADDRESS, f"{ADDRESS}/shape"):
+    for address in (ADDRESS, f"{ADDRESS}/shape", f"/submissions/{COMPLETED.id}/document"):
         answer = browser.get(address)
         assert answer.status_code == 303
         assert answer.headers["location"].startswith("/sign-in")
