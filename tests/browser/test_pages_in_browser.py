@@ -234,6 +234,22 @@ def test_a_long_name_widens_no_board_of_two_hundred_teams(browser: Browser, site
         context.close()
 
 
+def test_a_board_of_three_runs_is_no_wider_than_what_is_above_it(page: Page, site: SiteUnderTest) -> None:
+    score = a_score((80, 74, 80), 4.92)
+    entry = an_entry(None, "Flat Gels", score, name="a dome with a policy")
+    runs = [score.model_copy(update={"task": task}) for task in ("sensor-design", "sensor-standard", "sensor-blind")]
+    board = a_leaderboard(entry.model_copy(update={"scores": runs}))
+    site.data.board = board.model_copy(update={"track": "track_3"})
+    page.set_viewport_size({"width": 1200, "height": 900})
+    site.open(page, "/tracks/track_3")
+    expect(page.locator("table.board thead th")).to_have_count(8)
+    right_px = [
+        page.locator(selector).last.evaluate("element => element.getBoundingClientRect().right")
+        for selector in ("table.board", "main nav")
+    ]
+    assert right_px[0] <= right_px[1] + 1
+
+
 def test_the_own_row_of_a_long_board_is_one_link_away(page: Page, site: SiteUnderTest) -> None:
     score = a_score((80, 74, 80), 4.92)
     teams = [*(f"Team {rank}" for rank in range(1, 180)), "Gelbots", *(f"Team {rank}" for rank in range(181, 201))]
