@@ -12,7 +12,10 @@ from .archive import BackupRejected
 def own_track_files() -> dict[str, str]:
     """Return the content of each file in the folder that VITAC_TRACKS_DIR names, by its name without `.yaml`."""
     folder = os.environ.get(TRACKS_FOLDER_VARIABLE)
-    return {path.stem: path.read_text(encoding="utf-8") for path in sorted(Path(folder or "").glob("*.yaml")) if folder}
+    if not folder:
+        return {}
+    # As bytes: the evaluator's version counts those, and reading text would change the ends of lines.
+    return {path.stem: path.read_bytes().decode("utf-8") for path in sorted(Path(folder).glob("*.yaml"))}
 
 
 def missing_track_files(files: Mapping[str, str]) -> Mapping[Path, str]:
@@ -46,6 +49,8 @@ def put_back(files: Mapping[Path, str]) -> None:
     try:
         for path, content in files.items():
             path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(content, encoding="utf-8")
+            draft = path.with_suffix(".unfinished")  # killed here, the file is missing still
+            draft.write_bytes(content.encode("utf-8"))
+            draft.replace(path)
     except OSError as error:
         raise BackupRejected(f"{error.filename} cannot be written: {error.strerror}.") from error

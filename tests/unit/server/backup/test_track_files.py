@@ -8,7 +8,11 @@ from pydantic import ValidationError
 from vitac.server.backup.archive import BackupDescription, BackupRejected
 from vitac.server.backup.track_files import missing_track_files, own_track_files, put_back
 
-FILES = {"mine": "name: mine\n", "yours": "name: yours # \u00fc\n"}
+FILES = {"mine": "name: mine\r\n", "yours": "name: yours # \u00fc\n"}
+
+
+def _cut_off(*_: object) -> None:
+    raise KeyboardInterrupt
 
 
 @pytest.fixture
@@ -22,9 +26,22 @@ def test_files_come_back_as_they_were_into_a_new_folder_and_once(folder: Path) -
     assert own_track_files() == {}
     put_back(missing_track_files(FILES))
     assert own_track_files() == FILES
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == {
+        f"{name}.yaml": content.encode() for name, content in FILES.items()
+    }, "to the byte, as the evaluator's version counts them"
     assert missing_track_files(FILES) == {}
     (folder / "mine.yaml").unlink()
     assert missing_track_files(FILES) == {folder / "mine.yaml": FILES["mine"]}
+
+
+def test_a_restore_that_was_cut_off_can_be_repeated(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as cut_off:
+        cut_off.setattr(Path, "replace", _cut_off)
+        with pytest.raises(KeyboardInterrupt):
+            put_back(missing_track_files(FILES))
+    assert own_track_files() == {}
+    put_back(missing_track_files(FILES))
+    assert own_track_files() == FILES
 
 
 def test_another_file_is_never_overwritten(folder: Path) -> None:
