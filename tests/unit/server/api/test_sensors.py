@@ -133,6 +133,13 @@ def test_sensor_that_breaks_a_rule_is_refused_by_its_sentence(
     assert_nothing_left(service)
 
 
+@pytest.mark.parametrize("name", ["gel.stl", "design.pdf", "tet.msh"])
+def test_file_that_unpacks_to_far_more_than_was_sent_is_refused(service: Service, name: str) -> None:
+    problem = problem_of(service.upload(package({name: bytes(17 * 2**20)})), 422, "archive_rejected")
+    assert problem["reason"] == "compressed_too_much"
+    assert_nothing_left(service)
+
+
 def test_large_document_is_refused(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("vitac.evaluator.sensors.package.MAX_DOCUMENT_BYTES", len(PDF) - 1)
     problem = problem_of(service.upload(package()), 422, "sensor_rejected")
