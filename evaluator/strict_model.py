@@ -94,7 +94,7 @@ def _sentence(model: type[BaseModel], problem: dict[str, Any]) -> str:
     if problem["type"] == "missing":
         return f"Missing key {place!r}; add it."
     given = "" if isinstance(problem["input"], dict | list) else f" (got: {_shown(problem['input'])})"
-    message = problem["msg"].removeprefix("Value error, ")  # pydantic's name for a rule of ours
+    message = problem["msg"].removeprefix("Value error, ").rstrip(".")  # pydantic's name for a rule of ours
     return f"{place}: {message}{given}."
 
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from vitac.evaluator.logs.recordings import Recording
     from vitac.evaluator.tracks import Episode, Task
 
-START_ALONE = "none, so this is the start"
+START_ALONE = "none (the start)"
 
 
 class NothingToShow(VitacError):

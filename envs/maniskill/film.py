@@ -18,7 +18,9 @@ ENV_STEP_MS, END_MS = 100, 2500
 """So long a picture of an animation is shown [ms]; an env step of most environments is 50 ms of simulated time."""
 _LINE, _MARGIN = 1.9, 0.5
 """Height of a line of text and what is left free beside it, as parts of the font's size."""
-_COLUMNS = 60
+_SMALLEST_PX = 12.0
+"""Size of the font, however small the picture is."""
+_COLUMNS = 80
 """So many sizes of the font a picture is wide: longer titles are cut."""
 _PAPER, _INK = (255, 255, 255), (32, 32, 32)
 
@@ -107,7 +109,7 @@ def captioned(shot: Shot, title: str, width_px: int) -> Picture:
 
     height, width, _ = shot.picture.shape
     drawn = Image.fromarray(shot.picture).resize((width_px, round(height * width_px / width)))
-    size = width_px / _COLUMNS * 1.6
+    size = max(width_px / _COLUMNS * 1.6, _SMALLEST_PX)
     line, margin = round(size * _LINE), round(size * _MARGIN)
     sheet = Image.new("RGB", (width_px, drawn.height + 2 * line), _PAPER)
     sheet.paste(drawn, (0, line))

@@ -24,6 +24,7 @@ from vitac.evaluator.logs.findings import VerificationResult
 from vitac.evaluator.logs.log import LogHeader
 from vitac.evaluator.logs.verification import verify
 from vitac.evaluator.tracks import Task, Track, load_track
+from vitac.evaluator.version import evaluator_hash
 
 pytestmark = [
     pytest.mark.skipif(
@@ -81,7 +82,9 @@ def track(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Track]:
     (folder / "cubes.yaml").write_text(TRACK_FILE)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("VITAC_TRACKS_DIR", str(folder))
+        evaluator_hash.cache_clear()  # it covers these files, too; an earlier test may have asked without them
         yield load_track("cubes")
+    evaluator_hash.cache_clear()
 
 
 @pytest.fixture(scope="module")

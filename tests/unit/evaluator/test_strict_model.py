@@ -5,7 +5,7 @@ from typing import Literal, Self
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, field_validator, model_validator
 from vitac.evaluator.strict_model import (
     DocumentRejected,
     StrictModel,
@@ -154,3 +154,23 @@ def test_a_record_cannot_be_changed() -> None:
     camera = Camera(name="rig")
     with pytest.raises(ValidationError):
         camera.name = "other"
+
+
+class Even(StrictModel):
+    """A record with a rule of its own."""
+
+    number: int
+
+    @field_validator("number")
+    @classmethod
+    def _is_even(cls, value: int) -> int:
+        if value % 2:
+            raise ValueError(f"{value} is odd; give an even one.")
+        return value
+
+
+def test_what_our_own_rules_say_is_told_without_a_prefix_and_ends_once() -> None:
+    with pytest.raises(DocumentRejected) as refused:
+        validate(Even, {"number": 3}, "even.yaml")
+    assert str(refused.value) == "even.yaml: number: 3 is odd; give an even one (got: 3)."
+    assert validate(Even, {"number": 4}, "even.yaml").number == 4

@@ -73,7 +73,7 @@ def test_without_actions_the_start_is_drawn_and_the_report_says_so(
     assert code == 0
     assert out.splitlines() == [
         "Pick a cube, episode 5: not ended after 0 env steps",
-        "actions: none, so this is the start",
+        "actions: none (the start)",
         "pick-cube-5.png",
     ]
     with Image.open(tmp_path / "pick-cube-5.png") as image:

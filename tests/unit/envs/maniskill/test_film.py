@@ -86,7 +86,7 @@ def test_a_caption_stands_above_and_below_the_picture_and_leaves_it_whole(fake: 
 
 def test_a_title_that_is_too_long_is_cut_at_the_edge(fake: FakePickCube) -> None:
     shot = drawn(9)[0]
-    assert (captioned(shot, "x" * 500, 480) == captioned(shot, "x" * 60, 480)).all()
+    assert (captioned(shot, "x" * 500, 480) == captioned(shot, "x" * 80, 480)).all()
 
 
 def test_what_the_driver_cannot_draw_is_named_as_the_environments_failure(
