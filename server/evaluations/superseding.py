@@ -7,10 +7,11 @@ from uuid import UUID
 import structlog
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
+from vitac.evaluator.tracks import list_tracks
 from vitac.evaluator.version import evaluator_version
 
 from ..db.advisory_locks import AdvisoryLock, try_lock
-from ..db.models import Evaluation, Worker
+from ..db.models import Evaluation, Submission, Worker
 from ..db.row_locks import try_lock_evaluation, unless_held
 from ..db.states import ACTIVE_EVALUATION_STATES
 from ..queue.workers import is_alive, workers_alive
@@ -43,7 +44,9 @@ def _outdated(session: Session, settings: Settings, current: str) -> Sequence[UU
     served = select(Worker.evaluator_version).where(is_alive(settings))
     return session.scalars(
         select(Evaluation.id)
+        .join(Evaluation.submission)
         .where(
+            Submission.track.in_(list_tracks()),  # one whose track file is gone waits until it is back
             Evaluation.state.in_(ACTIVE_EVALUATION_STATES),
             Evaluation.evaluator_version != current,
             Evaluation.evaluator_version.not_in(served),

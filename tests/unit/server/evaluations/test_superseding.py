@@ -1,7 +1,7 @@
 from datetime import datetime
 
 import pytest
-from service_factories import make_principal, make_settings, play, play_all, shard_ids, submit
+from service_factories import make_principal, make_settings, play, play_all, shard_ids, submit, submit_to
 from sqlalchemy import select, text
 from vitac.evaluator.version import evaluator_version
 from vitac.server.accounts.principals import Principal
@@ -68,6 +68,24 @@ def test_evaluations_keep_their_turns(database: Database, principal: Principal) 
     assert turns(EvaluationState.CANCELLED) == before
     assert turns(EvaluationState.QUEUED) == before
     assert sorted(turn for _, turn in before) == [0, 1, 2]
+
+
+def test_an_evaluation_whose_track_file_is_gone_waits_and_keeps_no_other_one_waiting(
+    database: Database, principal: Principal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with database.transaction() as session:
+        gone = submit_to(session, principal, track="maniskill", task="pick-cube")
+        other = submit(session, principal)
+        session.execute(text("UPDATE evaluations SET evaluator_version = 'yesterday'"))
+    add_worker(database, evaluator_version())
+    monkeypatch.setattr(superseding, "list_tracks", lambda: ("track_1",))
+    assert supersede(database) == 1
+    assert newest(database, other).evaluator_version == evaluator_version()
+    waits = newest(database, gone)
+    assert (waits.evaluator_version, waits.state) == ("yesterday", EvaluationState.QUEUED)
+    monkeypatch.undo()
+    assert supersede(database) == 1
+    assert newest(database, gone).evaluator_version == evaluator_version()
 
 
 def add_worker(database: Database, version: str) -> None:
