@@ -1,7 +1,7 @@
 # shellcheck shell=sh
 # Builds the documentation site in web/documentation, from docs/ and from what the code says of itself. Read by ../vitac, which sets
 # `root`, after python.sh. The first build also runs the tutorial in miniature and draws the environments, with the physics, and keeps
-# both until the code changes. Without the site the service runs all the same, and /docs says how to build it.
+# both until the code changes. Until the site is there the service runs all the same, and /docs says how it is built.
 
 : "${root:?set by ../vitac}"
 docs_stamp=$root/web/documentation/vitac-stamp
@@ -34,11 +34,8 @@ build_docs() {
   mv "$built" "$root/web/documentation"
 }
 
-# False, with the reason, if the documentation cannot be built; an older one stays.
-ensure_docs() {
-  if docs_are_built; then return; fi
-  can_set_up || return 1
-  if failed_lately documentation "$(docs_fingerprint)"; then return 1; fi
+# False, with the reason, if the build failed.
+build_docs_under_lock() {
   lock_setup "$venv/bin/python"
   if ! docs_are_built; then
     started=$(date +%s)
@@ -54,4 +51,28 @@ ensure_docs() {
     fi
   fi
   unlock_setup
+}
+
+# False, with the reason, if the documentation cannot be built now; an older one stays.
+docs_can_be_built() {
+  can_set_up || return 1
+  ! failed_lately documentation "$(docs_fingerprint)"
+}
+
+# False, with the reason, if the documentation cannot be built.
+ensure_docs() {
+  docs_are_built || { docs_can_be_built && build_docs_under_lock; }
+}
+
+# Lets the command start at once: the site is built beside it, and appears when it is whole. Ctrl-C does not stop the build, so that it
+# is not begun anew at each start. False, with the reason, if the documentation cannot be built now.
+build_docs_meanwhile() {
+  if docs_are_built; then return; fi
+  docs_can_be_built || return 1
+  say "building the documentation meanwhile; /docs shows it in a minute or two"
+  (
+    step() { :; } # the lines of the terminal belong to the command
+    end_steps() { say "$*"; }
+    build_docs_under_lock
+  ) </dev/null >/dev/null &
 }

@@ -26,7 +26,8 @@ case "$*" in
     if [ -n "${{FAKE_PIP_ERROR-}}" ]; then echo "$FAKE_PIP_ERROR"; exit 1; fi
     case $last in *docs.lock | *maniskill.lock | *torch.lock) exit ;; esac
     for program in vitac pytest; do
-      printf '#!/bin/sh\\nfor word; do printf "<%%s>" "$word"; done; pwd; exit 7\\n' >"${{0%/*}}/$program"
+      printf '#!/bin/sh\\nfor word; do printf "<%%s>" "$word"; done; pwd\\n' >"${{0%/*}}/$program"
+      printf 'if [ -n "${{FAKE_SITE_GATE-}}" ]; then echo open >"$FAKE_SITE_GATE"; fi; exit 7\\n' >>"${{0%/*}}/$program"
       chmod +x "${{0%/*}}/$program"
     done ;;
   *"pip "*"torch=="*)
@@ -36,6 +37,7 @@ case "$*" in
   "-m sphinx "*)
     for last; do :; done
     echo "sphinx" >>"$FAKE_CALLS"
+    if [ -n "${{FAKE_SITE_GATE-}}" ]; then read -r opened <"$FAKE_SITE_GATE"; fi
     if [ -n "${{FAKE_SPHINX_ERROR-}}" ]; then echo "$FAKE_SPHINX_ERROR"; exit 1; fi
     mkdir -p "$last" ;;
 esac
@@ -703,6 +705,26 @@ def test_serving_builds_the_documentation_once_and_again_after_a_change(checkout
     assert checkout.calls[5:] == ["pip docs.lock", "sphinx"]
 
 
+def test_a_service_does_not_wait_for_its_documentation(checkout: Checkout, tmp_path: Path) -> None:
+    gate = tmp_path / "gate"  # the build goes on once the service runs
+    os.mkfifo(gate)
+    process = checkout.start(str(checkout.root / "vitac"), "serve", FAKE_SITE_GATE=str(gate))
+    try:
+        output, errors = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    assert output.startswith("<serve>")
+    assert "building the documentation meanwhile; /docs shows it in a minute or two" in errors
+    assert errors.index("meanwhile") < errors.index("the documentation is ready")
+    assert "\r" not in errors
+    assert (checkout.root / "web" / "documentation").is_dir()
+
+
+def test_help_builds_no_documentation(checkout: Checkout) -> None:
+    assert checkout.run(str(checkout.root / "vitac"), "serve", "--help").stdout.startswith("<serve><--help>")
+    assert "sphinx" not in checkout.calls
+
+
 def test_what_the_documentation_runs_and_imports_builds_it_again(checkout: Checkout) -> None:
     serve = (str(checkout.root / "vitac"), "serve")
     places = ("envs/fem/solver.py", "envs/drawing/picture.py", "evaluator/agent/session.py", "training/run.py")
@@ -733,11 +755,11 @@ def test_serves_without_documentation_where_it_cannot_be_built(checkout: Checkou
     ran = checkout.run(*serve, FAKE_SPHINX_ERROR="WARNING: a broken link")
     assert ran.returncode == 7
     assert "building the documentation failed; the reason is in" in ran.stderr
-    assert "continuing without it" in ran.stderr
     assert "a broken link" in (checkout.root / ".system" / "setup.log").read_text()
     assert not (checkout.root / "web" / "documentation").exists()
     again = checkout.run(*serve)
     assert "the documentation could not be fetched or built less than an hour ago" in again.stderr
+    assert "continuing without it" in again.stderr
     assert (again.returncode, checkout.calls.count("sphinx")) == (7, 1)
     (checkout.root / "docs" / "index.md").write_text("# Mended")
     assert checkout.run(*serve).stderr.count("the documentation is ready") == 1

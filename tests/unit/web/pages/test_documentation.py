@@ -1,3 +1,4 @@
+import shutil
 from pathlib import Path
 
 import pytest
@@ -50,8 +51,26 @@ def test_a_site_that_was_not_built_says_how_to_build_it(
 ) -> None:
     answer = AsgiBrowser(application(data, tmp_path / "missing", monkeypatch)).get("/docs/")
     assert answer.status_code == 503
-    assert "./vitac serve builds it (about a minute, once)" in answer.text
+    assert "./vitac serve builds it while it runs (a minute or two, once)" in answer.text
     assert "./vitac demo shows it from then on" in answer.text
+
+
+def test_a_site_that_is_built_while_the_service_runs_appears_with_its_own_policy(
+    data: FixedData, site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    served = tmp_path / "served"
+    browser = AsgiBrowser(application(data, served, monkeypatch))
+    assert browser.get("/docs/").status_code == 503
+    (site / "index.html").rename(site / "start" / "index.html")
+    (site / "start").rename(served)
+    assert browser.get("/docs/").status_code == 503, "a site without its policy is not shown"
+    (site / POLICY_FILE).rename(served / POLICY_FILE)
+    for policy in (POLICY, "default-src 'self'"):
+        (served / POLICY_FILE).write_text(policy)
+        answer = browser.get("/docs/")
+        assert (answer.status_code, answer.headers["content-security-policy"]) == (200, policy)
+    shutil.rmtree(served)
+    assert browser.get("/docs/").status_code == 503
 
 
 def test_every_page_leads_to_the_documentation(browser: AsgiBrowser) -> None:
