@@ -18,7 +18,7 @@ addition_title() { # name
 addition_notice() { # name
   case $1 in
     maniskill) echo "ManiSkill, SAPIEN and torch for CPUs take 3 GB in $venv and are installed once; pictures need a Vulkan driver as well." ;;
-    torch) echo "torch for CPUs and Stable-Baselines3 take 0.9 GB in $venv and are installed once." ;;
+    torch) echo "torch for CPUs, Stable-Baselines3 and TensorBoard take 1 GB in $venv and are installed once." ;;
   esac
 }
 

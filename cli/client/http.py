@@ -218,7 +218,7 @@ def read_token(token_file: Path) -> str:
         VitacError: the file cannot be read.
     """
     try:
-        return token_file.read_text().strip()
+        return token_file.read_text(encoding="utf-8", errors="replace").strip()
     except OSError as error:
         raise VitacError(
             f"The token's file {token_file} cannot be read: {error.strerror}. Check --token-file."

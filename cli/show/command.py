@@ -38,7 +38,7 @@ class ExtraMissing(VitacError):
 _Policy = Annotated[Path | None, typer.Option(help="Submission whose policy acts, in its sandbox.")]
 _Actions = Annotated[
     Path | None,
-    typer.Option(callback=existing_file, help="Log with the actions: ours, or a 2025 text log as JSON lines."),
+    typer.Option(callback=existing_file, help="Log with the actions: ours, or a 2025 text log."),
 ]
 _Out = Annotated[
     Path | None,

@@ -44,8 +44,8 @@ def film(
     env = ManiSkillEnv(task.env_id, max_steps=task.max_steps, settings=dict(task.settings), draws=True)
     is_one = destination.kind is destination.kind.PNG
     every = env_steps_between(task.max_steps) if destination.kind.is_animated and not each_step else 1
-    if is_one:  # the last one is drawn in any case
-        every = max(step, 1) if step is not None else task.max_steps + 1
+    if is_one:  # the reset and the last one are drawn in any case
+        every = step or task.max_steps + 1
     with player(start, *sources) as played:
         moments = play(env, options=played.start.options, next_action=played.next_action)
         drawn = list(shots(env, moments, every))

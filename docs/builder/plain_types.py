@@ -40,8 +40,8 @@ def plain_type(text: str) -> str:
     if start < 0:
         return text
     inner, end = _bracketed(text, start + len(ANNOTATED))
-    kind, _, conditions = inner.partition(", ")
-    return text[:start] + kind + _bounds(conditions) + plain_type(text[end:])
+    kind, conditions = _first_argument(inner)
+    return text[:start] + plain_type(kind) + _bounds(conditions) + plain_type(text[end:])
 
 
 def _bracketed(text: str, start: int) -> tuple[str, int]:
@@ -54,10 +54,20 @@ def _bracketed(text: str, start: int) -> tuple[str, int]:
     return text[start:], len(text)
 
 
+def _first_argument(inner: str) -> tuple[str, str]:
+    """Return the first of several arguments, whose own brackets may hold commas, and the others."""
+    depth = 0
+    for place, character in enumerate(inner):
+        depth += (character in "[(") - (character in ")]")
+        if depth == 0 and character == ",":
+            return inner[:place], inner[place:]
+    return inner, ""
+
+
 def _bounds(conditions: str) -> str:
-    found = dict(re.findall(r"\b(Ge|Gt|Le)\(\w+=([\d.]+)\)", conditions))
+    found = dict(re.findall(r"\b(Ge|Gt|Le|Lt)\(\w+=(-?[\d.]+(?:e[+-]?\d+)?)\)", conditions))
     if "Ge" in found and "Le" in found:
         return f" of {found['Ge']} to {found['Le']}"
-    if "Ge" in found:
-        return f" of {found['Ge']} or more"
-    return f" above {found['Gt']}" if "Gt" in found else ""
+    words = {"Ge": "at least", "Gt": "above", "Le": "at most", "Lt": "below"}
+    told = [f"{word} {found[name]}" for name, word in words.items() if name in found]
+    return f" {' and '.join(told)}" if told else ""

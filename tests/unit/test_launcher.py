@@ -290,7 +290,7 @@ def test_torch_is_added_once_as_the_build_for_cpus(checkout: Checkout) -> None:
     launcher = str(checkout.root / "vitac")
     first, second = (checkout.run(launcher, "--torch", "check", "my folder") for _ in range(2))
     assert checkout.calls == ["venv", "pip base.lock", "pip torch", "pip torch.lock"]
-    assert "torch for CPUs and Stable-Baselines3 take 0.9 GB" in first.stderr
+    assert "torch for CPUs, Stable-Baselines3 and TensorBoard take 1 GB" in first.stderr
     assert "Stable-Baselines3 is ready" in first.stderr
     assert (first.returncode, first.stdout) == (7, f"<check><my folder>{checkout.root}\n")
     assert second.stderr == ""

@@ -110,6 +110,9 @@ def test_an_address_without_scheme_or_a_missing_token_file_is_refused(tmp_path: 
         client_from("arena.test", None)
     with pytest.raises(VitacError, match=r"cannot be read.*--token-file"):
         client_from("http://arena.test", tmp_path / "none")
+    (tmp_path / "program").write_bytes(b"\x7fELF\xff\xfe")
+    with pytest.raises(TokenUnusable, match="Expected one API token"):
+        client_from("http://arena.test", tmp_path / "program")
 
 
 @pytest.mark.parametrize(

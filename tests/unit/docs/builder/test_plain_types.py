@@ -13,13 +13,17 @@ COUNT = "Annotated[int, FieldInfo(annotation=NoneType, required=True, metadata=[
     ("written", "read"),
     [
         (COUNT, "int of 1 to 100"),
-        ("Annotated[float, Ge(ge=0)]", "float of 0 or more"),
+        ("Annotated[float, Ge(ge=0)]", "float at least 0"),
         ("Annotated[int, Gt(gt=0)] | None", "int above 0 | None"),
         (WORD, "str"),
         (f"tuple[{COUNT}, {WORD}, ...]", "tuple[int of 1 to 100, str, ...]"),
-        ("dict[str, Annotated[int, Ge(ge=0)]]", "dict[str, int of 0 or more]"),
+        ("dict[str, Annotated[int, Ge(ge=0)]]", "dict[str, int at least 0]"),
         ("Mapping[str, float]", "Mapping[str, float]"),
         ("Annotated[int, cut off", "int"),
+        ("Annotated[dict[str, int], Len(min_length=1)]", "dict[str, int]"),
+        ("Annotated[tuple[Annotated[int, Le(le=9)], ...], Len(min_length=1)]", "tuple[int at most 9, ...]"),
+        ("Annotated[float, Gt(gt=0), Le(le=1)]", "float above 0 and at most 1"),
+        ("Annotated[float, Ge(ge=-1.5), Lt(lt=1e-3)]", "float at least -1.5 and below 1e-3"),
     ],
 )
 def test_an_annotated_type_is_its_type_and_bounds(written: str, read: str) -> None:
