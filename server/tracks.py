@@ -44,8 +44,7 @@ def family_of(track: str, task: str) -> Family:
 
 def playback_family_of(track: str, task: str) -> Family:
     """Return what the playback of an episode needs: ManiSkill's are drawn, whatever their policies observe."""
-    family = family_of(track, task)
-    return Family.MANISKILL_PICTURES if family is Family.MANISKILL else family
+    return Family.TACTILE if family_of(track, task) is Family.TACTILE else Family.MANISKILL_PICTURES
 
 
 def known_task(track: str, task: str) -> Task | None:

@@ -11,6 +11,7 @@ from uuid import UUID
 
 from sqlalchemy import ColumnElement, func, select
 from sqlalchemy.orm import Session
+from vitac.envs.tasks.definition import Family
 from vitac.evaluator.episodes.records import EpisodeRecord, canonical_json
 from vitac.evaluator.playback.order import FORMAT, NotPlayable, require_playable
 from vitac.evaluator.tracks import load_track
@@ -31,6 +32,9 @@ from ..settings import Settings
 from ..sharing.public_pages import readable
 from ..tracks import playback_family_of
 from ..views.playbacks import PlaybackView, ShownEpisodeView
+
+NOBODY_DRAWS = "no running worker can draw ManiSkill’s environments, which takes its packages and a Vulkan driver"
+"""Why nobody makes a film of ManiSkill."""
 
 FAILED_KEPT = timedelta(hours=1)
 """So long a failed playback is not tried again."""
@@ -74,6 +78,7 @@ def ask(session: Session, settings: Settings, by: Principal, episode: EpisodeRes
     found = find_playback(session, episode)
     if found is not None and not _may_be_tried_again(found):
         return found
+    _require_somebody_who_draws(session, settings, episode)
     if not by.is_organizer:
         _refuse_one_more(session, settings, asked_by)
     if found is not None:
@@ -168,6 +173,13 @@ def playback_view(session: Session, settings: Settings, playback: Playback) -> P
 def _may_be_tried_again(playback: Playback) -> bool:
     failed_at = playback.finished_at if playback.state is PlaybackState.FAILED else None
     return failed_at is not None and failed_at < datetime.now(UTC) - FAILED_KEPT
+
+
+def _require_somebody_who_draws(session: Session, settings: Settings, episode: EpisodeResult) -> None:
+    """Refuse a film that no running worker can make; most machines never can, and it would count as waiting."""
+    family = playback_family_of(episode.track, episode.task)
+    if family is not Family.TACTILE and not fleet(session, settings).alive(evaluator_version(), family).alive:
+        raise ServiceError(ProblemCode.INVALID_REQUEST, f"There is no playback of this episode, as {NOBODY_DRAWS}.")
 
 
 def _refuse_one_more(session: Session, settings: Settings, asked_by: str) -> None:

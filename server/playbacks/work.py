@@ -14,14 +14,18 @@ from sqlalchemy.orm import Session
 from vitac.evaluator.episodes.records import EpisodeRecord
 
 from ..competition.sealing import list_seed_of
-from ..db.models import EpisodeResult, Playback, Submission, SubmissionFile
-from ..db.states import OPEN_PLAYBACK_STATES, FileRole, PlaybackState
+from ..db.models import EpisodeResult, Playback, Submission, SubmissionFile, Worker
+from ..db.states import OPEN_PLAYBACK_STATES, FileRole, PlaybackState, WorkerState
 from ..queue.jobs import enqueue_playback, forget_jobs_of_ended_playbacks, has_waiting_playback_job
 from ..queue.leases import LeaseLost, lease_end
 from ..settings import Settings
+from ..tracks import playback_family_of
 from .asking import playback_queue
 
 logger = structlog.get_logger(__name__)
+
+UNMADE_KEPT = timedelta(hours=1)
+"""So long a playback waits for a worker that can make it, after it was asked for and after the last such worker."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,8 +120,12 @@ def hand_back(session: Session, lease: PlaybackLease, *, counts_as_attempt: bool
 
 
 def recover(session: Session, settings: Settings) -> int:
-    """Queue playbacks again whose worker was lost, give up those lost too often, wake those without a job; how many."""
+    """Queue playbacks again whose worker was lost; how many.
+
+    Those that were lost too often, or that no worker can make, are given up; those without a job get one.
+    """
     now = datetime.now(UTC)
+    _give_up_unmade(session, now)
     lost = session.scalars(
         select(Playback)
         .where(Playback.state == PlaybackState.RUNNING, Playback.lease_expires_at < func.clock_timestamp())
@@ -158,6 +166,24 @@ def stored_digests(session: Session) -> set[str]:
     files = (Playback.scene_sha256, Playback.cameras_sha256, Playback.still_sha256, Playback.film_sha256)
     rows = session.execute(select(*files)).all()
     return {digest for row in rows for digest in row if digest is not None}
+
+
+def _give_up_unmade(session: Session, now: datetime) -> None:
+    """Give up playbacks that no worker can make: each counts against the limits of who asked for it as it waits."""
+    oldest = now - UNMADE_KEPT
+    overdue = (Playback.state == PlaybackState.QUEUED, Playback.asked_at < oldest)
+    waiting = session.scalars(select(Playback).where(*overdue).with_for_update(skip_locked=True)).all()
+    if not waiting:
+        return
+    there = (Worker.heartbeat_at > oldest, Worker.state != WorkerState.REFUSING)
+    rows = session.execute(select(Worker.evaluator_version, Worker.families).where(*there)).all()
+    made = {(version, family) for version, families in rows for family in families}
+    for playback in waiting:
+        needed = (playback.evaluator_version, playback_family_of(playback.episode.track, playback.episode.task))
+        if needed not in made:
+            logger.warning("playback_given_up", playback=playback.id, attempts=playback.attempts)
+            playback.state, playback.finished_at = PlaybackState.FAILED, now
+            playback.problem = "No worker that can make it was running."
 
 
 def _sensor_of(session: Session, episode: EpisodeResult) -> str | None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache
 from http import HTTPStatus
-from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from starlette.exceptions import HTTPException
@@ -17,6 +16,7 @@ from vitac.evaluator.tracks import load_track
 from vitac.server.db.states import OPEN_PLAYBACK_STATES, PlaybackState
 from vitac.server.errors import ServiceError
 from vitac.server.limiter import client_key
+from vitac.server.playbacks.asking import NOBODY_DRAWS
 from vitac.server.playbacks.files import PlaybackFile
 
 from ...data.protocol import EpisodeAddress
@@ -26,8 +26,6 @@ from ...site import open_to_all, page, require_form_token, site_of, viewer_of, v
 from ..addresses import as_id
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from starlette.requests import Request
     from vitac.evaluator.tracks import Task
     from vitac.server.views.playbacks import PlaybackView, ShownEpisodeView
@@ -37,14 +35,6 @@ if TYPE_CHECKING:
 PLAYER = "playback.js"
 ONE_YEAR_S = 365 * 24 * 3600
 _PICTURES = {PlaybackFile.STILL: "image/png", PlaybackFile.FILM: "image/webp"}
-_NO_WORKER: Mapping[Family, str] = MappingProxyType(
-    {
-        Family.TACTILE: "Waiting: no worker is running.",
-        Family.MANISKILL_PICTURES: "Waiting: no running worker can draw ManiSkill’s environments, which takes its "
-        "packages and a Vulkan driver.",
-    }
-)
-"""What is said where no worker can make a playback, by what it takes."""
 _PLACES = "Expected an episode as NUMBER, or SUBMISSION:NUMBER for one of another submission, got {!r:.60}."
 
 
@@ -190,7 +180,7 @@ def progress(playback: PlaybackView) -> str:
     if playback.state is PlaybackState.MADE:
         return ""
     if playback.workers == 0:
-        return _NO_WORKER[playback.family]
+        return f"Waiting: {'no worker is running' if playback.family is Family.TACTILE else NOBODY_DRAWS}."
     if playback.waits_for:
         return f"Waiting: {playback.waits_for} shards and playbacks come first, as evaluations go before playbacks."
     return "Waiting for a worker."

@@ -14,16 +14,18 @@ from vitac.evaluator.version import evaluator_version
 from vitac.server.accounts import visibility
 from vitac.server.accounts.principals import CONSOLE, VISITOR, Principal
 from vitac.server.db.engine import Database
-from vitac.server.db.models import Playback, Shard, Submission
-from vitac.server.db.states import PlaybackState, Role, ShardState
+from vitac.server.db.models import Playback, Shard, Submission, Worker
+from vitac.server.db.states import PlaybackState, Role, ShardState, WorkerState
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.playbacks import asking, work
 from vitac.server.playbacks.asking import ask, find_episode, find_playback, playback_key, playback_view, requester
 from vitac.server.playbacks.files import PlaybackFile, digest_of
 from vitac.server.queue.jobs import MAKE_PLAYBACK, RUN_SHARD, queue_name
 from vitac.server.sharing.public_pages import set_public
+from vitac.server.tracks import playback_family_of
 
 JUDGE = Principal(role=Role.JUDGE)
+ONE_AT_ONCE = SETTINGS.model_copy(update={"playbacks_at_once": 1})
 
 
 def jobs(database: Database) -> list[tuple[str, int]]:
@@ -200,15 +202,12 @@ def pick_cube(database: Database) -> Submission:
 
 def test_a_film_waits_for_workers_that_can_draw_until_it_is_made(database: Database, pick_cube: Submission) -> None:
     able = queue_name(evaluator_version(), Family.MANISKILL_PICTURES)
-    make_worker(database)
-    make_worker(database, families=["tactile", "maniskill"])
+    make_worker(database, families=["tactile", "maniskill", "maniskill-pictures"])
     with database.transaction() as session:
         asked = ask(session, SETTINGS, CONSOLE, find_episode(session, CONSOLE, pick_cube.id, "pick-cube", 1))
         assert queues_of_playbacks(session) == [able]
         view = playback_view(session, SETTINGS, asked)
-        assert (view.family, view.workers) == (Family.MANISKILL_PICTURES, 0)
-        make_worker(database, families=["tactile", "maniskill", "maniskill-pictures"])
-        assert playback_view(session, SETTINGS, asked).workers == 1
+        assert (view.family, view.workers) == (Family.MANISKILL_PICTURES, 1)
         lease = work.claim(session, asked.id, 60.0)
         assert lease is not None
         work.hand_back(session, lease, counts_as_attempt=False)
@@ -224,6 +223,56 @@ def test_a_film_waits_for_workers_that_can_draw_until_it_is_made(database: Datab
         assert asked.state is PlaybackState.MADE
         assert {"1" * 64, "2" * 64} <= work.stored_digests(session)
         assert digest_of(session, asked.episode, PlaybackFile.FILM) == "1" * 64
+
+
+def test_a_film_that_no_running_worker_can_draw_is_refused_to_all_but_the_made_one_is_shown(
+    database: Database, pick_cube: Submission
+) -> None:
+    able = ["tactile", "maniskill", "maniskill-pictures"]
+    make_worker(database)
+    make_worker(database, families=["tactile", "maniskill"])
+    make_worker(database, families=able, evaluator_version="0+other")
+    make_worker(database, families=able, state=WorkerState.STOPPED)
+    with database.transaction() as session:
+        episode = find_episode(session, CONSOLE, pick_cube.id, "pick-cube", 1)
+        for by in (CONSOLE, VISITOR):
+            with pytest.raises(ServiceError, match=r"no running worker can draw ManiSkill’s .* Vulkan") as refused:
+                ask(session, SETTINGS, by, episode)
+            assert refused.value.code is ProblemCode.INVALID_REQUEST
+        assert (find_playback(session, episode), queues_of_playbacks(session)) == (None, [])
+        make_worker(database, families=able)
+        asked = ask(session, SETTINGS, VISITOR, episode)
+        session.execute(update(Worker).values(state=WorkerState.STOPPED))
+        assert ask(session, SETTINGS, VISITOR, episode).id == asked.id, "what is there needs no worker"
+        assert playback_view(session, SETTINGS, asked).workers == 0
+
+
+def test_films_that_lost_their_workers_are_given_up_and_lock_visitors_out_for_no_longer(
+    database: Database, pick_cube: Submission
+) -> None:
+    tactile = played(database, "Team B")
+    make_worker(database, families=["tactile", "maniskill-pictures"])
+    with database.transaction() as session:
+        for number in (1, 2):
+            ask(session, ONE_AT_ONCE, CONSOLE, find_episode(session, CONSOLE, pick_cube.id, "pick-cube", number))
+        session.execute(update(Playback).values(asked_by=requester(VISITOR)))
+    with pytest.raises(ServiceError) as locked, database.transaction() as session:
+        ask(session, ONE_AT_ONCE, VISITOR, tactile.episode())
+    assert locked.value.code is ProblemCode.TOO_MANY_REQUESTS
+    with database.transaction() as session:
+        session.execute(update(Worker).values(families=["tactile"]))
+        session.execute(update(Playback).values(asked_at=datetime.now(UTC) - timedelta(minutes=61)))
+        work.recover(session, SETTINGS)
+        assert {playback.problem for playback in session.query(Playback)} == {"No worker that can make it was running."}
+        assert ask(session, ONE_AT_ONCE, VISITOR, tactile.episode()).state is PlaybackState.QUEUED
+
+
+def test_a_playback_is_of_a_family_whatever_has_become_of_its_tracks_file(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert playback_family_of("track_1", TASK) is Family.TACTILE
+    for family in Family:
+        monkeypatch.setattr("vitac.server.tracks.family_of", lambda *_, now=family: now)
+        drawn = family is not Family.TACTILE
+        assert playback_family_of("own", "cubes") is (Family.MANISKILL_PICTURES if drawn else Family.TACTILE), family
 
 
 def test_what_does_not_repeat_is_refused_and_nothing_is_queued(

@@ -1,13 +1,15 @@
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
+from typing import Any
 
 import pytest
 from asked_playbacks import SETTINGS, Played
 from sqlalchemy import text, update
 from sqlalchemy.orm import Session
+from submission_steps import make_worker
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Playback
-from vitac.server.db.states import PlaybackState
+from vitac.server.db.states import PlaybackState, WorkerState
 from vitac.server.playbacks import work
 from vitac.server.playbacks.work import PlaybackLease, recover, remove_old, stored_digests
 from vitac.server.queue.jobs import MAKE_PLAYBACK
@@ -150,6 +152,37 @@ def test_one_whose_job_was_lost_gets_another_after_a_while(team_a: Played) -> No
     recovered(team_a)
     recovered(team_a)
     assert waiting_jobs(team_a.database) == 1
+
+
+@pytest.mark.parametrize(
+    ("asked", "heartbeat", "worker", "state"),
+    [
+        (61, None, {}, PlaybackState.FAILED),
+        (59, None, {}, PlaybackState.QUEUED),
+        (999, 0, {}, PlaybackState.QUEUED),
+        (999, 59, {"state": WorkerState.STOPPED}, PlaybackState.QUEUED),
+        (999, 61, {}, PlaybackState.FAILED),
+        (61, 0, {"state": WorkerState.REFUSING}, PlaybackState.FAILED),
+        (61, 0, {"evaluator_version": "0+other"}, PlaybackState.FAILED),
+    ],
+)
+def test_one_is_given_up_when_for_an_hour_there_was_no_worker_that_can_make_it(
+    team_a: Played, asked: int, heartbeat: int | None, worker: dict[str, Any], state: PlaybackState
+) -> None:
+    team_a.ask(1)
+    now = datetime.now(UTC)
+    if heartbeat is not None:
+        make_worker(team_a.database, heartbeat_at=now - timedelta(minutes=heartbeat), **worker)
+    with team_a.database.transaction() as session:
+        session.execute(update(Playback).values(asked_at=now - timedelta(minutes=asked)))
+    recovered(team_a)
+    found = row(team_a)
+    assert found.state is state
+    gave_up = state is PlaybackState.FAILED
+    assert (found.finished_at is not None, found.problem is not None) == (gave_up, gave_up)
+    if gave_up:
+        with team_a.database.transaction() as session:
+            assert work.claim(session, found.id, LONG_S) is None
 
 
 def test_jobs_of_dead_workers_are_forgotten_once_nobody_holds_the_playback(

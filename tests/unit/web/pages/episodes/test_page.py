@@ -167,6 +167,9 @@ def test_a_failed_playback_says_why(data: FixedData, visitor: AsgiBrowser) -> No
 def test_progress_says_what_comes_first_and_how_far_it_is() -> None:
     assert progress(a_playback(PlaybackState.QUEUED, waits_for=0)) == "Waiting for a worker."
     assert progress(a_playback(PlaybackState.QUEUED, workers=0)) == "Waiting: no worker is running."
+    for family in set(Family) - {Family.TACTILE}:  # also one to which a track's file was changed since
+        stuck = a_playback(PlaybackState.QUEUED, family=family, workers=0)
+        assert progress(stuck).startswith("Waiting: no running worker can draw"), family
     assert progress(a_playback(PlaybackState.RUNNING, env_steps_played=2)) == "Being made: env step 2 of 3."
     assert progress(a_playback(PlaybackState.MADE)) == ""
 
