@@ -3,7 +3,7 @@
 import socket
 import struct
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 
@@ -14,10 +14,14 @@ RESET = struct.pack("ii", 1, 0)
 
 @dataclass(kw_only=True)
 class CuttingProxy:
-    """Passes connections on to `target`, and cuts each after as many sent bytes as the next of `cuts` says."""
+    """Passes connections on to `target`, and cuts each after as many sent bytes as the next of `cuts` says.
+
+    `on_cut` is called when the service has got all that there is before a cut and the client does not know of it yet.
+    """
 
     target: tuple[str, int]
     cuts: list[int]
+    on_cut: Callable[[], None] = lambda: None
     n_cut: int = 0
     address: tuple[str, int] = ("", 0)
     _lock: threading.Lock = field(default_factory=threading.Lock)
@@ -52,6 +56,7 @@ class CuttingProxy:
         except OSError:
             client.close()
             return
+        server.settimeout(None)  # that was for connecting; how long an answer takes, the client decides
         back = threading.Thread(target=_copy, args=[server, client])
         back.start()
         with suppress(OSError):
@@ -69,9 +74,11 @@ class CuttingProxy:
         while chunk := client.recv(CHUNK_BYTES):
             if left is not None and len(chunk) >= left:
                 server.sendall(chunk[:left])
+                server.shutdown(socket.SHUT_RDWR)
                 with self._lock:
                     self.cuts.pop(0)
                     self.n_cut += 1
+                self.on_cut()
                 client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, RESET)
                 client.close()
                 return

@@ -2,7 +2,6 @@ import hashlib
 import os
 import zipfile
 from collections.abc import Callable, Iterator
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -12,19 +11,25 @@ import pytest
 from cutting_proxy import CuttingProxy
 from databases import fresh_database
 from service_client import MANIFEST, POLICY, Service, running_service, serving
+from sqlalchemy import func, select
 from vitac.cli.client import pieces
 from vitac.cli.client.http import Client
-from vitac.cli.client.pieces import FIRST_PAUSES, MISPLACED, PAUSES_S, PieceSender
+from vitac.cli.client.pieces import CHUNK_BYTES, FIRST_PAUSES, MISPLACED, PAUSES_S, PieceSender
 from vitac.cli.client.refusals import RequestRefused, ServiceUnreachable
 from vitac.server.api.app import create_app
 from vitac.server.db.engine import Database
+from vitac.server.db.models import PartialUpload
+from worker_fakes import eventually
 
 MEGABYTE = 1_000_000
 N_CUTS = 20
+CUT_AT = 7 * MEGABYTE
 
 
 @pytest.fixture
-def service(tmp_path: Path) -> Iterator[Service]:
+def service(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Service]:
+    """A service whose clients pause shortly, and so often that none gives up while a busy machine stores a part."""
+    monkeypatch.setattr(pieces, "PAUSES_S", (0.01,) * 10_000)
     with fresh_database() as address:
         database = Database(address)
         with running_service(database, tmp_path / "state") as service:
@@ -42,13 +47,25 @@ def archive(tmp_path: Path) -> Path:
     return path
 
 
-@pytest.fixture(autouse=True)
-def _no_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pieces, "PAUSES_S", (0.01,) * len(PAUSES_S))
-
-
 def client_at(address: tuple[str, int], service: Service) -> Client:
     return Client(server=f"http://{address[0]}:{address[1]}", token=service.token)
+
+
+def arrived_before_the_cut(service: Service) -> int:
+    """How much counts of the only upload, cut after 7 MB: 4 MiB at once, the rest when the service has seen the cut."""
+
+    def received_bytes() -> int:
+        with service.database.transaction() as session:
+            return session.scalar(select(func.max(PartialUpload.received_bytes))) or 0
+
+    eventually(lambda: received_bytes() > CUT_AT - MEGABYTE, limit_s=120.0)
+    return received_bytes()
+
+
+def rest_from(start: int, archive: Path) -> list[int]:
+    """Positions that one sending of the rest tells."""
+    size = archive.stat().st_size
+    return [*range(start, size, CHUNK_BYTES), size]
 
 
 def sha256(path: Path) -> str:
@@ -70,35 +87,34 @@ def test_a_command_that_was_killed_goes_on_where_it_ended(service: Service, arch
         pass
 
     def kill(position: int) -> None:
-        if position > 9 * MEGABYTE:
+        if position > CUT_AT:
             raise Killed
 
     client = client_at(service.address, service)
     with pytest.raises(Killed):
         client.upload(archive, track="track_1", on_position=kill)
+    arrived = arrived_before_the_cut(service)
     positions: list[int] = []
     made = client.upload(archive, track="track_1", on_position=positions.append)
     assert made["archive_sha256"] == sha256(archive)
-    assert positions[0] >= 4 << 20
+    assert positions == rest_from(arrived, archive)
 
 
 def test_an_upload_goes_on_at_another_server_process(service: Service, archive: Path) -> None:
-    with CuttingProxy(target=service.address, cuts=[8 * MEGABYTE]).running() as proxy:
-        positions: list[int] = []
-        app = create_app(service.settings, services=service.services)
-        with serving(app) as first:
-            proxy.target = first
-            sender = client_at(proxy.address, service)
+    arrived: list[int] = []
 
-            def replaced(position: int) -> None:
-                positions.append(position)
-                if proxy.n_cut:
-                    proxy.target = service.address
+    def replace_server() -> None:
+        arrived.append(arrived_before_the_cut(service))
+        proxy.target = service.address
 
-            made = sender.upload(archive, track="track_1", on_position=replaced)
+    positions: list[int] = []
+    with serving(create_app(service.settings, services=service.services)) as first:
+        proxy = CuttingProxy(target=first, cuts=[CUT_AT], on_cut=replace_server)
+        with proxy.running():
+            made = client_at(proxy.address, service).upload(archive, track="track_1", on_position=positions.append)
     assert made["archive_sha256"] == sha256(archive)
-    assert any(later < earlier for earlier, later in pairwise(positions))
-    assert 0 not in positions[1:]
+    assert positions[0] == 0
+    assert positions[positions.index(arrived[0]) :] == rest_from(arrived[0], archive)
 
 
 def test_a_small_submission_takes_three_requests(service: Service, tmp_path: Path) -> None:
