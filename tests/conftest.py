@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 MACHINE_VARIABLES = {
@@ -19,7 +20,10 @@ def pytest_configure() -> None:
     """Forgets the caller's settings: a test must never reach the database or service that somebody works with.
 
     Bytecode is kept, whatever the caller says: hundreds of processes are started, and each would compile it all anew.
+    No example of Hypothesis fails because it took long: that says how busy the machine is.
     """
+    settings.register_profile("any machine", deadline=None)
+    settings.load_profile("any machine")
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     sys.dont_write_bytecode = False
     for name in [name for name in os.environ if name.startswith("VITAC_") and name not in MACHINE_VARIABLES]:

@@ -29,7 +29,6 @@ ENDLESS = "/api/v1/submissions/{submission_id}/events"
 
 BOUNDED = settings(
     max_examples=EXAMPLES,
-    deadline=None,
     derandomize=True,
     database=None,
     phases=[Phase.generate],

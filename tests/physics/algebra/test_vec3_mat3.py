@@ -13,7 +13,7 @@ from vitac.envs.fem.algebra.rows import add_rows, any_nonzero, copy_rows, scale_
 
 FloatArray = NDArray[np.float64]
 seeds = given(st.integers(0, 10**6))
-some = settings(max_examples=25, deadline=None)
+some = settings(max_examples=25)
 
 
 def rows3(matrix: FloatArray) -> Mat3:

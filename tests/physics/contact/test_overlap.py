@@ -15,7 +15,7 @@ from vitac.envs.fem.scene.scene import Scene
 
 FloatArray = NDArray[np.float64]
 TRIANGLE = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-some = settings(max_examples=60, deadline=None)
+some = settings(max_examples=60)
 
 
 def crosses(p: FloatArray, q: FloatArray, triangle: FloatArray = TRIANGLE) -> bool:

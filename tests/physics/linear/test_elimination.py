@@ -75,7 +75,7 @@ def solution(layout: SystemLayout, entries: FloatArray, rhs: FloatArray) -> Floa
     return x
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     seed=st.integers(0, 10**6),
     sizes=st.lists(st.integers(1, 30), min_size=1, max_size=3),
@@ -169,7 +169,7 @@ def test_a_singular_matrix_is_reported(node: int) -> None:
     assert not factorise(layout, entries, new_factor(layout), False)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(seed=st.integers(0, 10**6), nodes=st.integers(1, 250))
 def test_order_is_a_permutation_that_does_not_depend_on_the_order_of_edges(seed: int, nodes: int) -> None:
     random = np.random.default_rng(seed)
@@ -185,7 +185,7 @@ def test_minimum_degree_takes_the_leaves_of_a_star_before_its_centre() -> None:
     assert minimum_degree([0, 1, 2, 3, 4], neighbours)[:3] == [1, 2, 3]
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(seed=st.integers(0, 10**6), nodes=st.integers(2, 20))
 def test_elimination_never_reaches_further_than_a_front_says(seed: int, nodes: int) -> None:
     random = np.random.default_rng(seed)
@@ -216,7 +216,7 @@ def test_a_plan_covers_the_free_nodes_of_its_mesh() -> None:
     assert sorted(mesh.elimination.nodes.tolist()) == np.flatnonzero(~mesh.driven).tolist()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     seed=st.integers(0, 10**6),
     sizes=st.lists(st.integers(1, 20), min_size=1, max_size=2),

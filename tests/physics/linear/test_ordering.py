@@ -78,7 +78,7 @@ def test_neighbours_outside_of_the_part_count_as_coupled() -> None:
     assert minimum_degree([1, 2, 0], neighbours) == [2, 0, 1]
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(st.integers(0, 10**6))
 def test_order_does_not_depend_on_the_order_or_direction_of_edges(seed: int) -> None:
     random = np.random.default_rng(seed)
@@ -119,7 +119,7 @@ def test_nodes_all_in_one_place_are_still_ordered() -> None:
     assert sorted(elimination_order(edges, 0.0 * positions_m).tolist()) == list(range(150))
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(0, 10**6), st.integers(1, 40))
 def test_a_plan_is_the_same_for_a_mesh_whose_edges_are_shuffled(seed: int, count: int) -> None:
     random = np.random.default_rng(seed)
@@ -132,7 +132,7 @@ def test_a_plan_is_the_same_for_a_mesh_whose_edges_are_shuffled(seed: int, count
     assert [rows.tolist() for rows in plan.rows] == [rows.tolist() for rows in again.rows]
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(0, 10**6), st.integers(1, 40))
 def test_edges_of_a_plan_are_those_of_the_mesh_in_the_new_numbers(seed: int, count: int) -> None:
     random = np.random.default_rng(seed)

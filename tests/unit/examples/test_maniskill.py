@@ -124,7 +124,7 @@ def test_the_parts_of_the_state_of_the_insertion_are_where_the_track_says(module
 
 
 @given(st.lists(st.floats(-1.0, 1.0), min_size=4, max_size=4).filter(lambda q: np.linalg.norm(q) > 0.1))
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 def test_rotations_are_rotations_and_a_vector_turns_as_its_matrix(modules: SimpleNamespace, q: list[float]) -> None:
     matrix = modules.rotations.matrix(np.array(q))
     np.testing.assert_allclose(matrix @ matrix.T, np.eye(3), atol=1e-9)

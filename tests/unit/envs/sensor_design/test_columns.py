@@ -37,7 +37,7 @@ def is_closed(made: Tetrahedra) -> bool:
     return (surface.n_open_edges, surface.n_mixed_edges, made.n_shared_faces) == (0, 0, 0)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.lists(st.floats(0.5, 9.0), min_size=5, max_size=5), st.floats(0.3, 10.0))
 def test_volume_is_that_below_the_faces(heights_mm: list[float], spacing_mm: float) -> None:
     heights = at_points(np.array(heights_mm))
@@ -84,7 +84,7 @@ def step(low_mm: float, high_mm: float) -> Columns:
     return columns(heights, walls={(2, 4), (0, 4)}, spacing_mm=2.0)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.floats(0.5, 9.0), st.floats(0.5, 9.0))
 def test_across_a_wall_heights_jump_and_the_mesh_is_closed(low_mm: float, high_mm: float) -> None:
     made = step(low_mm, high_mm)

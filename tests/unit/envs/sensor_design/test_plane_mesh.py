@@ -37,7 +37,7 @@ def smallest_angle(mesh: PlaneMesh) -> float:
     return min(angles)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.lists(coordinates, max_size=30))
 def test_any_points_are_triangulated_without_gap_or_overlap(points: list[tuple[int, int]]) -> None:
     mesh = PlaneMesh(HALF_X, HALF_Y, max_points=100)

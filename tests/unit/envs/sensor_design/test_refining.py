@@ -12,7 +12,7 @@ CUBE = Tetrahedra(
 
 
 @given(nodes=st.integers(9, 90))
-@settings(deadline=None, max_examples=15)
+@settings(max_examples=15)
 def test_refined_mesh_fills_the_same_body_and_meets_at_whole_faces(nodes: int) -> None:
     fine = refined(CUBE, nodes)
     assert len(fine.nodes_mm) == nodes
@@ -45,7 +45,7 @@ TIPS = refined(CUBE, 9)
 
 
 @given(depth_mm=st.floats(0.05, 0.95), fewest=st.integers(1, 40), room=st.integers(0, 60))
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 def test_tips_are_filled_up_within_the_nodes_allowed(depth_mm: float, fewest: int, room: int) -> None:
     fine = refined_tips(TIPS, depth_mm=depth_mm, fewest=fewest, max_nodes=9 + room)
     assert len(fine.nodes_mm) <= 9 + room

@@ -7,7 +7,7 @@ from vitac.envs.vision.back_projection import point_cloud, rays
 from vitac.envs.vision.pinhole import CameraPose
 
 seeds = given(st.integers(0, 10**6))
-some = settings(max_examples=30, deadline=None)
+some = settings(max_examples=30)
 
 
 def random_pose(random: np.random.Generator) -> CameraPose:

@@ -208,7 +208,7 @@ def manifests(draw: st.DrawFn) -> bytes:
     return (draw(texts) + middle * times + draw(texts)).encode("utf-8", "ignore")
 
 
-@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=300, suppress_health_check=[HealthCheck.too_slow])
 @given(st.binary(max_size=17_000) | manifests())
 @example(ALIASES_UNDER_PAIRS.encode())
 @example(b"{" * 16_000)

@@ -64,7 +64,7 @@ def test_tasks_draw_independently() -> None:
 
 
 @given(st.binary(min_size=32, max_size=32))
-@settings(max_examples=5, deadline=None)
+@settings(max_examples=5)
 def test_no_drawn_peg_just_falls_into_its_hole(secret: bytes) -> None:
     starts = sealed_track(load_track("track_1"), secret).tasks["peg-insertion"].episode_list.starts
     assert all(accepts_start(start.shape, start.offset) for start in set(starts))  # type: ignore[arg-type]

@@ -62,7 +62,7 @@ def best_by_the_rule(evaluations: Sequence[Evaluation], task: str | None) -> lis
 
 
 @given(st.lists(results, max_size=14, unique_by=lambda result: result[-1]))
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_the_database_ranks_as_the_evaluator_does(database: Database, drawn: list[tuple[object, ...]]) -> None:
     with database.transaction() as session:
         teams = [Team(name=f"Team {number}", name_key=f"team {number}") for number in range(TEAMS)]
