@@ -32,9 +32,8 @@ def test_reads_a_file_of_any_length_and_of_any_bytes(tmp_path: Path) -> None:
     assert process_tree.text_of(str(tmp_path / "empty")) == ""
     with pytest.raises(FileNotFoundError):
         process_tree.text_of("/proc/4194305/status")
-    before = len(list(Path("/proc/self/fd").iterdir()))
-    process_tree.text_of("/proc/self/status")
-    assert len(list(Path("/proc/self/fd").iterdir())) == before
+    still_open = {Path(os.path.realpath(link)) for link in Path("/proc/self/fd").iterdir()}
+    assert not still_open & {path.resolve() for path in tmp_path.iterdir()}
 
 
 def test_reads_time_and_memory(parent: int) -> None:

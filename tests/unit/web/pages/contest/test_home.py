@@ -114,8 +114,13 @@ def test_what_happened_lately_comes_first_and_links_what_is_public(data: FixedDa
     ],
 )
 def test_a_card_says_whether_its_track_takes_submissions(
-    data: FixedData, browser: AsgiBrowser, stages: list[tuple[str, timedelta, timedelta, bool]], shown: str
+    data: FixedData,
+    browser: AsgiBrowser,
+    monkeypatch: pytest.MonkeyPatch,
+    stages: list[tuple[str, timedelta, timedelta, bool]],
+    shown: str,
 ) -> None:
+    monkeypatch.setattr("vitac.web.fragments.monotonic", lambda: 0.0)
     now = datetime.now(UTC)
     made = [a_stage(name, now + opens, now + closes, is_open=is_open) for name, opens, closes, is_open in stages]
     data.cup = a_cup(*made)
