@@ -5,9 +5,10 @@ from functools import partial
 from uuid import UUID
 
 import structlog
-from sqlalchemy import func, select
+from sqlalchemy import Text, and_, func, literal, or_, select
+from sqlalchemy.dialects.postgresql import ARRAY
 from sqlalchemy.orm import Session
-from vitac.evaluator.tracks import list_tracks
+from vitac.evaluator.tracks import list_tracks, load_track
 from vitac.evaluator.version import evaluator_version
 
 from ..db.advisory_locks import AdvisoryLock, try_lock
@@ -42,11 +43,13 @@ def supersede_outdated(session: Session, settings: Settings) -> int:
 
 def _outdated(session: Session, settings: Settings, current: str) -> Sequence[UUID]:
     served = select(Worker.evaluator_version).where(is_alive(settings))
+    # One whose track file is gone, or no longer has its task, waits until it is back.
+    known = [(name, literal(list(load_track(name).tasks), ARRAY(Text))) for name in list_tracks()]
     return session.scalars(
         select(Evaluation.id)
         .join(Evaluation.submission)
         .where(
-            Submission.track.in_(list_tracks()),  # one whose track file is gone waits until it is back
+            or_(*(and_(Submission.track == name, tasks.contains(Submission.tasks)) for name, tasks in known)),
             Evaluation.state.in_(ACTIVE_EVALUATION_STATES),
             Evaluation.evaluator_version != current,
             Evaluation.evaluator_version.not_in(served),

@@ -3,6 +3,7 @@ from datetime import datetime
 import pytest
 from service_factories import make_principal, make_settings, play, play_all, shard_ids, submit, submit_to
 from sqlalchemy import select, text
+from vitac.evaluator.tracks import load_track
 from vitac.evaluator.version import evaluator_version
 from vitac.server.accounts.principals import Principal
 from vitac.server.db.advisory_locks import AdvisoryLock
@@ -10,7 +11,7 @@ from vitac.server.db.engine import Database
 from vitac.server.db.models import Evaluation, Shard, Submission, Worker
 from vitac.server.db.row_locks import lock_evaluation
 from vitac.server.db.states import EvaluationState, WorkerState
-from vitac.server.evaluations import superseding
+from vitac.server.evaluations import lifecycle, superseding
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.evaluations.superseding import supersede_outdated
 from vitac.server.queue import workers
@@ -70,15 +71,16 @@ def test_evaluations_keep_their_turns(database: Database, principal: Principal) 
     assert sorted(turn for _, turn in before) == [0, 1, 2]
 
 
-def test_an_evaluation_whose_track_file_is_gone_waits_and_keeps_no_other_one_waiting(
-    database: Database, principal: Principal, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("lost", ["track", "task"])
+def test_an_evaluation_whose_track_file_or_task_is_gone_waits_and_keeps_no_other_one_waiting(
+    database: Database, principal: Principal, monkeypatch: pytest.MonkeyPatch, lost: str
 ) -> None:
     with database.transaction() as session:
         gone = submit_to(session, principal, track="maniskill", task="pick-cube")
         other = submit(session, principal)
         session.execute(text("UPDATE evaluations SET evaluator_version = 'yesterday'"))
     add_worker(database, evaluator_version())
-    monkeypatch.setattr(superseding, "list_tracks", lambda: ("track_1",))
+    lost_from(monkeypatch, lost)
     assert supersede(database) == 1
     assert newest(database, other).evaluator_version == evaluator_version()
     waits = newest(database, gone)
@@ -86,6 +88,19 @@ def test_an_evaluation_whose_track_file_is_gone_waits_and_keeps_no_other_one_wai
     monkeypatch.undo()
     assert supersede(database) == 1
     assert newest(database, gone).evaluator_version == evaluator_version()
+
+
+def lost_from(patch: pytest.MonkeyPatch, lost: str) -> None:
+    """Takes away the track, or from the track that stays one of its tasks."""
+    if lost == "track":
+        patch.setattr(superseding, "list_tracks", lambda: ("track_1",))
+        return
+    track = load_track("maniskill")
+    others = {name: task for name, task in track.tasks.items() if name != "pick-cube"}
+    tracks = {"track_1": load_track("track_1"), "maniskill": track.model_copy(update={"tasks": others})}
+    for module in (superseding, lifecycle):
+        patch.setattr(module, "load_track", tracks.__getitem__)
+    patch.setattr(superseding, "list_tracks", lambda: tuple(tracks))
 
 
 def add_worker(database: Database, version: str) -> None:
