@@ -218,6 +218,7 @@ def page(
         navigation=navigation(site, viewer),
         version=site.version,
         address=site.address(request),
+        registration=site.data.registration().value,
         **values,
     )
     if viewer is not None:

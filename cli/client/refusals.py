@@ -30,8 +30,8 @@ HINTS = {
     "too_many_uploads": "Finish or wait; `vitac submit` goes on with an upload of the same content.",
     "database_unavailable": "The database is starting or down; retry in a minute.",
     "quota_exceeded": "`vitac whoami` shows your quotas; an upload in pieces waits for a day.",
-    "registration_closed": "Ask the organizers for a token and give it to `vitac login`.",
-    "invite_required": "Ask the organizers for the invite code and give it with --invite.",
+    "registration_closed": "Ask the organizers: they add teams and members; a token from them goes to `vitac login`.",
+    "invite_required": "`vitac register --invite` takes the organizers' code, `vitac team join` that of a captain.",
     "storage_full": "Tell the organizers that the disk of the service is full.",
     "storage_unavailable": "The service cannot store files now; retry in a minute.",
 }

@@ -143,12 +143,18 @@ def require_unlocked(session: Session, by: Principal | None) -> None:
     """
     if by is not None and by.is_organizer:
         return
-    competition = competition_row(session)
-    locked = competition.definition.get("teams_locked") if competition else None
-    if locked is not None and (at := datetime.fromisoformat(locked)) <= datetime.now(UTC):
+    if at := locked_since(session):
         raise ServiceError(
             ProblemCode.REGISTRATION_CLOSED, f"Teams are locked since {at:%F %T} UTC; only organizers change them."
         )
+
+
+def locked_since(session: Session) -> datetime | None:
+    """Return the competition's lock date if it is over."""
+    competition = competition_row(session)
+    locked = competition.definition.get("teams_locked") if competition else None
+    at = datetime.fromisoformat(locked) if locked is not None else None
+    return at if at is not None and at <= datetime.now(UTC) else None
 
 
 def find(session: Session, name_or_id: str) -> Team:

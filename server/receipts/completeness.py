@@ -82,6 +82,8 @@ def check_entries(described: ExportDescription, receipts: Mapping[UUID, Receipt]
             yield False, f"{told}; the service leaves the team out: {team.off_boards}."
             continue
         if receipt.result.evaluation in described.copies:
+            if _copies_another_teams(described, receipts, receipt.result):
+                continue
             yield False, f"{told}; the service says that this log is a copy of an earlier one, so it is not ranked."
             continue
         if shown is None:
@@ -94,6 +96,19 @@ def check_entries(described: ExportDescription, receipts: Mapping[UUID, Receipt]
             yield False, f"{missing}; the service says that a rejudgement took it away."
         else:
             yield True, f"{missing}."
+
+
+def _copies_another_teams(described: ExportDescription, receipts: Mapping[UUID, Receipt], result: Result) -> bool:
+    """Return whether another team was the first with these result hashes, which cover the states of all episodes."""
+    teams, hashes = teams_by_evaluation(described), _hashes(described, result)
+    alike = [receipt.result for receipt in receipts.values() if _hashes(described, receipt.result) == hashes]
+    first = teams.get(min(alike, key=lambda one: one.submitted_at).evaluation)
+    return first is not None and first != teams.get(result.evaluation)
+
+
+def _hashes(described: ExportDescription, result: Result) -> list[str]:
+    task = described.board.task
+    return [found.result_hash for found in result.tasks if task in {None, found.task}]
 
 
 def reached(task: str | None, result: Result) -> TaskResult | CombinedResult | None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Protocol, TypeVar
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable, Collection, Sequence
     from contextlib import AbstractAsyncContextManager
+    from datetime import datetime
     from uuid import UUID
 
     from sqlalchemy.orm import Session
@@ -174,6 +175,9 @@ class PageData(Protocol):
 
     def registration(self) -> Registration:
         """Return who may register a team."""
+
+    async def teams_locked_since(self) -> datetime | None:
+        """Return the competition's lock date if it is over: only organizers change teams now."""
 
     async def register(self, *, name: str, contact: str, invite: str, address: str) -> RegisteredTeam:
         """Register a team from a client's address; what cannot be accepted raises the service's refusal."""

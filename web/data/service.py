@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING, TypeVar
 from pydantic import ValidationError
 from vitac.evaluator.sensors.appearance import appearance
 from vitac.evaluator.sensors.made import read_made_sensor
-from vitac.server.accounts import members, registration, tokens
+from vitac.server.accounts import members, registration, teams, tokens
 from vitac.server.accounts.principals import VISITOR
-from vitac.server.accounts.teams import name_key
 from vitac.server.accounts.visibility import visible
 from vitac.server.api.teams import NewTeam
 from vitac.server.competition.view import competition_view
@@ -42,6 +41,7 @@ from .protocol import RegisteredTeam, ShownSensor, SubmissionDetail, Visitor
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable, Collection, Sequence
     from contextlib import AbstractAsyncContextManager
+    from datetime import datetime
     from uuid import UUID
 
     from sqlalchemy.orm import Session
@@ -89,7 +89,7 @@ class ServiceData:
 
     async def visitor_with_password(self, given: PasswordSignIn) -> Visitor | None:
         """Begin a session for who signed in."""
-        member_key = f"{name_key(given.team)}\n{name_key(given.member)}"
+        member_key = f"{teams.name_key(given.team)}\n{teams.name_key(given.member)}"
         await asyncio.to_thread(self.sign_ins.note, given.address, member_key)
 
         def begun(session: Session) -> Principal:
@@ -114,6 +114,10 @@ class ServiceData:
     def registration(self) -> Registration:
         """Return who may register a team."""
         return self.settings.registration
+
+    async def teams_locked_since(self) -> datetime | None:
+        """Return the competition's lock date if it is over."""
+        return await self.ask(teams.locked_since)
 
     async def register(self, *, name: str, contact: str, invite: str, address: str) -> RegisteredTeam:
         """Register a team."""

@@ -4,7 +4,7 @@ from typing import Annotated
 
 import typer
 
-from ...terminal.options import Server
+from ...terminal.options import Server, TokenFile
 from ...terminal.output import AsJson, print_record, print_records
 from ..http import client_from
 
@@ -14,9 +14,9 @@ ADDRESS = "/api/v1/questions"
 
 
 @app.command("list")
-def list_questions(server: Server = None, as_json: AsJson = False) -> None:
+def list_questions(server: Server = None, token_file: TokenFile = None, as_json: AsJson = False) -> None:
     """List the team's questions and the public ones with their answers, newest first."""
-    found = client_from(server, None).call("GET", ADDRESS)["items"]
+    found = client_from(server, token_file).call("GET", ADDRESS)["items"]
     print_records(found, ("id", "team", "public", "text", "answer"), none="No question.", as_json=as_json)
 
 
@@ -27,8 +27,9 @@ def ask(
         bool, typer.Option("--public/--private", help="Whether everybody may see it, without the team's name.")
     ] = False,
     server: Server = None,
+    token_file: TokenFile = None,
     as_json: AsJson = False,
 ) -> None:
     """Ask the organizers."""
-    made = client_from(server, None).call("POST", ADDRESS, {"text": text, "public": public})
+    made = client_from(server, token_file).call("POST", ADDRESS, {"text": text, "public": public})
     print_record({name: made[name] for name in ("id", "public", "asked_at", "text")}, as_json=as_json)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from vitac.envs.errors import VitacError
 
-from ...terminal.options import Server
+from ...terminal.options import Server, TokenFile
 from ...terminal.output import AsJson, print_json, print_pairs, print_records
 from .. import credentials
 from ..http import client_from
@@ -26,9 +26,9 @@ class NoTeam(VitacError):
 
 
 @app.command()
-def show(server: Server = None, as_json: AsJson = False) -> None:
+def show(server: Server = None, token_file: TokenFile = None, as_json: AsJson = False) -> None:
     """Show the team, its members and its open invitations."""
-    found = _own_team(client_from(server, None))
+    found = _own_team(client_from(server, token_file))
     if as_json:
         print_json(found)
         return
@@ -39,16 +39,16 @@ def show(server: Server = None, as_json: AsJson = False) -> None:
 
 
 @app.command()
-def data(server: Server = None) -> None:
+def data(server: Server = None, token_file: TokenFile = None) -> None:
     """Print everything that the service has of the team, as JSON."""
-    client = client_from(server, None)
+    client = client_from(server, token_file)
     print_json(client.call("GET", f"{_path(client)}/data"))
 
 
 @app.command()
-def invite(server: Server = None, as_json: AsJson = False) -> None:
+def invite(server: Server = None, token_file: TokenFile = None, as_json: AsJson = False) -> None:
     """Print a code with which one person joins the team; for its captain."""
-    client = client_from(server, None)
+    client = client_from(server, token_file)
     made = client.call("POST", f"{_path(client)}/invitations")
     if as_json:
         print_json(made)
@@ -77,17 +77,17 @@ def join(
 
 
 @app.command()
-def remove(member: MemberName, server: Server = None) -> None:
+def remove(member: MemberName, server: Server = None, token_file: TokenFile = None) -> None:
     """Remove a member, whose token ends at once; for the captain, or to leave the team."""
-    client = client_from(server, None)
+    client = client_from(server, token_file)
     client.call("DELETE", _path_of_member(client, member))
     print(f"{member} is no longer in the team")
 
 
 @app.command()
-def captain(member: MemberName, server: Server = None) -> None:
+def captain(member: MemberName, server: Server = None, token_file: TokenFile = None) -> None:
     """Make another member the captain."""
-    client = client_from(server, None)
+    client = client_from(server, token_file)
     team = _own_team(client)
     client.call("PUT", f"/api/v1/teams/{team['id']}/captain", {"member_id": _member(team, member)["id"]})
     print(f"{member} is the captain")
@@ -98,17 +98,18 @@ def email(
     member: MemberName,
     address: Annotated[str | None, typer.Argument(help="Where to send notices; none: nowhere.")] = None,
     server: Server = None,
+    token_file: TokenFile = None,
 ) -> None:
     """Say where you get notices."""
-    client = client_from(server, None)
+    client = client_from(server, token_file)
     client.call("PATCH", _path_of_member(client, member), {"email": address})
     print(f"notices of {member}: {address or 'none'}")
 
 
 @app.command()
-def password(member: MemberName, server: Server = None) -> None:
+def password(member: MemberName, server: Server = None, token_file: TokenFile = None) -> None:
     """Set your password, read from a prompt or standard input; an empty one takes it away."""
-    client = client_from(server, None)
+    client = client_from(server, token_file)
     if sys.stdin.isatty():
         given = typer.prompt("New password", hide_input=True, confirmation_prompt=True, default="", show_default=False)
     else:
@@ -118,9 +119,11 @@ def password(member: MemberName, server: Server = None) -> None:
 
 
 @app.command("renew-token")
-def renew_token(member: MemberName, server: Server = None, as_json: AsJson = False) -> None:
+def renew_token(
+    member: MemberName, server: Server = None, token_file: TokenFile = None, as_json: AsJson = False
+) -> None:
     """Print a new token in place of yours, which ends, and keep it for the other commands."""
-    client = client_from(server, None)
+    client = client_from(server, token_file)
     made = client.call("POST", f"{_path_of_member(client, member)}/token")
     if as_json:
         print_json(made)

@@ -546,6 +546,7 @@ class FixedData(FixedPlaybacks):
     matches: list[ActionMatchView] = field(default_factory=list)
     cancelled: list[UUID] = field(default_factory=list)
     registration_rule: Registration = Registration.OPEN
+    locked_since: datetime | None = None
     cup: CompetitionView | None = None
     service: OperationsView = field(default_factory=an_operations_view)
     public_one: PublicEpisodeView | None = None
@@ -582,6 +583,9 @@ class FixedData(FixedPlaybacks):
 
     def registration(self) -> Registration:
         return self.registration_rule
+
+    async def teams_locked_since(self) -> datetime | None:
+        return self.locked_since
 
     async def register(self, *, name: str, contact: str, invite: str, address: str) -> RegisteredTeam:
         if name == "Bears":

@@ -64,6 +64,7 @@ async def team(request: Request) -> Response:
         good=good,
         myself=myself,
         leads=by.leads_team,
+        locked_since=await site_of(request).data.teams_locked_since(),
     )
 
 
@@ -114,7 +115,7 @@ async def renew_token(request: Request) -> Response:
 
 async def join_form(request: Request) -> Response:
     """Show the form with which somebody joins a team."""
-    return _join_page(request, viewer=await viewer_of(request))
+    return await _join_page(request, viewer=await viewer_of(request))
 
 
 async def join(request: Request) -> Response:
@@ -135,8 +136,8 @@ async def join(request: Request) -> Response:
         await data.note_registration(address)
         team_name, secret, token_id = await data.ask(joined)
     except ServiceError as error:
-        return _join_page(request, viewer=None, wrong=error.detail, given=given, status=error.status)
-    answer = _join_page(request, viewer=None, made=(team_name, secret), status=HTTPStatus.CREATED)
+        return await _join_page(request, viewer=None, wrong=error.detail, given=given, status=error.status)
+    answer = await _join_page(request, viewer=None, made=(team_name, secret), status=HTTPStatus.CREATED)
     answer.headers["Cache-Control"] = "no-store"
     begin_session(request, answer, token_id)
     return answer
@@ -193,6 +194,8 @@ def _checked(form: type[FormT], values: Mapping[str, str | None]) -> FormT:
         raise ServiceError(ProblemCode.INVALID_REQUEST, problems) from error
 
 
-def _join_page(request: Request, **values: object) -> Response:
-    shown = {"made": None, "wrong": None, "given": {"code": "", "name": "", "email": ""}, **values}
+async def _join_page(request: Request, **values: object) -> Response:
+    locked = await site_of(request).data.teams_locked_since()
+    given = {"code": "", "name": "", "email": ""}
+    shown = {"made": None, "wrong": None, "given": given, "locked_since": locked, **values}
     return page(request, "people/join.html", section="/register", **shown)  # type: ignore[arg-type]

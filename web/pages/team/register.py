@@ -26,7 +26,7 @@ NOTHING = dict.fromkeys(FIELDS, "")
 
 async def register_form(request: Request) -> Response:
     """Show the form."""
-    return _page(request, viewer=await viewer_of(request), given=NOTHING)
+    return await _page(request, viewer=await viewer_of(request), given=NOTHING)
 
 
 async def register(request: Request) -> Response:
@@ -39,13 +39,13 @@ async def register(request: Request) -> Response:
     except ServiceError as error:
         if error.code not in IN_FORM:
             raise
-        return _page(request, viewer=None, given=given, wrong=error.detail, status=error.status)
-    answer = _page(request, viewer=None, given=NOTHING, made=made, status=HTTPStatus.CREATED)
+        return await _page(request, viewer=None, given=given, wrong=error.detail, status=error.status)
+    answer = await _page(request, viewer=None, given=NOTHING, made=made, status=HTTPStatus.CREATED)
     answer.headers["Cache-Control"] = "no-store"
     begin_session(request, answer, made.token_id)
     return answer
 
 
-def _page(request: Request, **values: object) -> Response:
-    shown = {"made": None, "wrong": None, "rule": site_of(request).data.registration().value, **values}
+async def _page(request: Request, **values: object) -> Response:
+    shown = {"made": None, "wrong": None, "locked_since": await site_of(request).data.teams_locked_since(), **values}
     return page(request, "register.html", section="/register", **shown)  # type: ignore[arg-type]

@@ -42,7 +42,7 @@ def helps_of(option: str, commands: dict[str, Any]) -> dict[str, str]:
     ("option", "at_least", "others"),
     [
         ("--server", 20, {"logout"}),
-        ("--token-file", 6, {"login"}),
+        ("--token-file", 20, {"login"}),
         ("--json", 90, {"evaluate", "resimulate", "sensor evaluate"}),  # a file
         ("--episodes", 2, {"log verify", "receipt audit"}),
         ("--workers", 2, {"demo", "serve", "train reference"}),

@@ -134,6 +134,28 @@ def test_what_the_service_says_a_rejudgement_took_away_is_told_and_is_no_finding
     assert [is_wrong for is_wrong, _ in check_entries(untold, by_evaluation(receipts))] == [True, True]
 
 
+def test_a_copy_is_proven_by_an_earlier_receipt_of_another_team_with_the_same_result_hash() -> None:
+    """What no receipt proves is told as the service's word; the earlier one of the two is nobody's copy."""
+    first, copied = a_named_result(1), a_named_result(2, team="Bees", submitted_at=WHEN + timedelta(hours=1))
+    partly = a_named_result(3, team="Bees", submitted_at=WHEN + timedelta(hours=2))
+    other_hash = partly.tasks[0].model_copy(update={"result_hash": "e" * 64})
+    partly = partly.model_copy(update={"tasks": (other_hash,)})
+    teams, told = {"Ants": [1], "Bees": [2, 3]}, "; the service says that this log is a copy of an earlier one"
+
+    def unproven(*copies: int, teams: dict[str, list[int]] = teams) -> list[tuple[bool, str]]:
+        receipts = chained(first, copied, partly)
+        named = tuple(UUID(int=number) for number in copies)
+        described = exported(receipts, an_entry(first), teams=teams, copies=named)
+        return [one for one in check_entries(described, by_evaluation(receipts)) if told in one[1]]
+
+    assert unproven(2) == []
+    assert unproven(2, 3) == [(False, f"Bees: receipt 3{told}, so it is not ranked.")]
+    assert unproven(1) == [(False, f"Ants: receipt 1{told}, so it is not ranked.")], "the earlier one is no copy"
+    own = unproven(2, teams={"Ants": [1, 2], "Bees": [3]})
+    assert own == [(False, f"Ants: receipt 2{told}, so it is not ranked.")], "a team does not copy itself"
+    assert unproven(2, teams={"Bees": [2, 3]}) != [], "a receipt that is given to no team proves nothing"
+
+
 def test_a_result_of_another_task_is_not_missed() -> None:
     receipts = chained(a_named_result(1))
     other = exported(receipts).model_copy(

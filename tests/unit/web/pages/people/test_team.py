@@ -1,5 +1,6 @@
 import re
 from collections.abc import Iterator
+from datetime import UTC, datetime, timedelta
 
 import pytest
 from argon2 import PasswordHasher
@@ -8,6 +9,8 @@ from httpx import Cookies
 from served_pages import FORM_TOKEN, PageVisitor, team_visitor, visitor, visitor_of_role
 from vitac.server.accounts import passwords, teams
 from vitac.server.db.states import Role
+
+from competitions import make_competition, put_in_place
 
 PASSWORD = "correct horse battery"  # noqa: S105 - made up
 SECRET = re.compile(r"<code>((?:vitac_|vitac-join-)[\w-]+)</code>")
@@ -105,3 +108,23 @@ def test_who_has_no_team_has_no_team_page_and_another_site_changes_nothing(servi
     assert captain.post("/team/invite", data={"form_token": "guess"}).status_code == 403
     foreign = captain.post("/team/invite", data={}, headers={"sec-fetch-site": "cross-site"})
     assert foreign.status_code == 403
+
+
+def test_after_the_lock_date_the_page_offers_no_change_of_the_team(service: CliService) -> None:
+    captain = visitor(service)
+    assert captain.post("/register", data={"name": "Locked", "contact": ""}).status_code == 201
+    code = secret_in(captain.send("/team", "/team/invite").text)
+    guest = visitor(service)
+    assert guest.post("/join", data={"code": code, "name": "Guest", "email": "", "password": ""}).status_code == 201
+    changes = [f'action="/team/{name}"' for name in ("invite", "captain", "remove")]
+    assert all(change in captain.get("/team").text for change in changes)
+    assert 'action="/team/leave"' in guest.get("/team").text
+    with service.database.transaction() as session:
+        put_in_place(session, make_competition(teams_locked=(datetime.now(UTC) - timedelta(seconds=1)).isoformat()))
+    page = captain.get("/team").text
+    assert "Teams are locked since" in page
+    assert not [change for change in changes if change in page]
+    assert 'action="/team/me"' in page, "one's own address and password stay one's own"
+    assert 'action="/team/leave"' not in guest.get("/team").text
+    assert "Teams are locked since" in visitor(service).get("/register").text
+    assert guest.send("/team", "/team/leave").status_code == 403

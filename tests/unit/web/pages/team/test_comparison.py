@@ -61,6 +61,20 @@ def test_without_another_one_a_form_offers_those_that_can_be_compared(
         assert f'<option value="{other.id}"' not in html
 
 
+def test_two_submissions_of_one_name_are_told_apart(
+    data: FixedData, browser: AsgiBrowser, ends: dict[UUID, list[EpisodeView]]
+) -> None:
+    again = COMPLETED.model_copy(update={"id": an_id("again")})
+    data.found = [COMPLETED, again, OTHER]
+    ends |= {COMPLETED.id: some_ends("xxo"), again.id: some_ends("xoo"), OTHER.id: some_ends("xoo")}
+    html, name = shown(browser, again), COMPLETED.name
+    for named in (f"Only {name} (first)</dt><dd>1</dd>", f"Only {name} (second)</dt><dd>0</dd>"):
+        assert named in html
+    for number, which in (("first", name), ("second", name)):
+        assert f'scope="col">{which} ({number})</th>' in html
+    assert "(first)" not in shown(browser, OTHER), "two names say which is which"
+
+
 def test_those_of_the_track_are_offered_whatever_was_submitted_since(
     data: FixedData, browser: AsgiBrowser, ends: dict[UUID, list[EpisodeView]]
 ) -> None:

@@ -1,4 +1,5 @@
 from collections.abc import Iterator
+from datetime import UTC, datetime
 
 import pytest
 from asgi_browser import AsgiBrowser
@@ -44,6 +45,31 @@ def test_closed_registration_shows_no_form(data: FixedData, browser: AsgiBrowser
     html = browser.get("/register").text
     assert 'action="/register"' not in html
     assert "ask them for a token" in html
+
+
+@pytest.mark.parametrize("path", ["/", "/sign-in", "/tracks/track_1", "/tracks/track_1/rules"])
+def test_no_page_offers_to_register_where_registration_is_closed(
+    data: FixedData, browser: AsgiBrowser, path: str
+) -> None:
+    for rule in Registration:
+        data.registration_rule = rule
+        html, is_open = browser.get(path).text, rule is not Registration.CLOSED
+        assert ('href="/register"' in html) == is_open, rule
+        if path.endswith("/rules"):
+            assert ("vitac register" in html) == is_open, rule
+            assert "vitac login" in html or is_open, rule
+
+
+def test_after_the_lock_date_no_form_adds_a_team_or_member(data: FixedData, browser: AsgiBrowser) -> None:
+    data.locked_since = datetime(2026, 5, 1, 12, tzinfo=UTC)
+    for path in ("/register", "/join"):
+        html = browser.get(path).text
+        assert f'action="{path}"' not in html
+        assert "Teams are locked since" in html
+        assert "2026-05-01 12:00 UTC" in html
+    data.locked_since = None
+    for path in ("/register", "/join"):
+        assert f'action="{path}"' in browser.get(path).text
 
 
 def test_another_site_cannot_register(browser: AsgiBrowser) -> None:
