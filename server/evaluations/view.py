@@ -81,6 +81,8 @@ class EvaluationRows:
             with_output: with what the policies printed, which is up to 64 Ki characters each, and could import.
         """
         sights = {found.id: sight_of(by, found) for found in evaluations}
+        for found in evaluations if with_output else ():
+            session.refresh(found, ["log_tail", "packages"])  # both by one statement: lists leave them out
         return cls(
             isolation=isolation_levels(session, evaluations),
             differing=differing_episodes(session, evaluations) if by.is_organizer else None,
