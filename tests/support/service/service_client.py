@@ -179,5 +179,5 @@ def problem_of(response: Response, status: int, code: str) -> dict[str, Any]:
     problem: dict[str, Any] = response.json()
     assert (response.status_code, problem["status"], problem["code"]) == (status, status, code), problem
     assert problem["type"] == f"urn:vitac:problem:{code}"
-    assert problem["detail"].endswith(".")
+    assert problem["detail"].endswith((".", "?")), problem
     return problem
