@@ -1,15 +1,14 @@
-"""Charts of a run or search for TensorBoard, written where it is installed; nothing depends on them."""
+"""Charts of a run or search for TensorBoard, written where it is installed; no training ends because of them."""
 
 import socket
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
 from time import time, time_ns
 from types import TracebackType
 from typing import Any, Self
-
-from .files import NotSaved
 
 Scalars = Mapping[str, float]
 
@@ -22,10 +21,12 @@ class Charts:
 
     Args:
         run: folder of the run; the charts have one of their own in it, and each process that adds some a file.
+        tell: is called once, with why there will be no more of them, such as on a full disk.
     """
 
-    def __init__(self, run: Path) -> None:
+    def __init__(self, run: Path, tell: Callable[[str], None]) -> None:
         self._folder = run / FOLDER
+        self._tell = tell
         self._is_wanted = find_spec("tensorboard") is not None
         self._records: Any = None
         self._turns: Counter[str] = Counter()
@@ -36,24 +37,14 @@ class Charts:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._records is not None:
-            self._records.close()
-            self._records = None
+        self._close()
 
     def add_row(self, number: int, row: Mapping[str, Any]) -> None:
-        """Add all numbers of a row of the log, those of a part of it under the name of the part.
-
-        Raises:
-            NotSaved: the disk is full.
-        """
+        """Add all numbers of a row of the log, those of a part of it under the name of the part."""
         self._add(number, dict(_numbers(row)))
 
     def add_loss(self, number: int, who: str, loss: float) -> None:
-        """Add the loss of the next turn in which someone learned in a round.
-
-        Raises:
-            NotSaved: the disk is full.
-        """
+        """Add the loss of the next turn in which someone learned in a round."""
         name = f"loss in round {number:02}/{who}"
         self._turns[name] += 1
         self._add(self._turns[name], {name: loss})
@@ -61,18 +52,22 @@ class Charts:
     def _add(self, step: int, scalars: Scalars) -> None:
         if not self._is_wanted:
             return
+        try:
+            self._write(step, scalars)
+        except Exception as error:  # noqa: BLE001 - a broken TensorBoard or protobuf raises whatever it likes
+            self._is_wanted = False
+            self._close()
+            self._tell(f"{self._folder} gets no more charts, all else goes on: {type(error).__name__}: {error}")
+
+    def _write(self, step: int, scalars: Scalars) -> None:
         from tensorboard.compat.proto.event_pb2 import Event
         from tensorboard.compat.proto.summary_pb2 import Summary
 
         values = [Summary.Value(tag=tag, simple_value=value) for tag, value in scalars.items()]
-        try:
-            if self._records is None:
-                self._open()
-            self._records.write(Event(wall_time=time(), step=step, summary=Summary(value=values)).SerializeToString())
-            self._records.flush()
-        except OSError as error:
-            message = f"{self._folder} cannot be written ({error.strerror}); free some space and run it again."
-            raise NotSaved(message) from error
+        if self._records is None:
+            self._open()
+        self._records.write(Event(wall_time=time(), step=step, summary=Summary(value=values)).SerializeToString())
+        self._records.flush()
 
     def _open(self) -> None:
         from tensorboard.compat.proto.event_pb2 import Event
@@ -82,6 +77,12 @@ class Charts:
         name = f"events.out.tfevents.{time_ns()}.{socket.gethostname()}"
         self._records = RecordWriter((self._folder / name).open("xb"))
         self._records.write(Event(wall_time=time(), file_version="brain.Event:2").SerializeToString())
+
+    def _close(self) -> None:
+        if self._records is not None:
+            with suppress(OSError):  # each record was flushed when it was added; one that could not be was told of
+                self._records.close()
+            self._records = None
 
 
 def _numbers(row: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, float]]:

@@ -109,7 +109,7 @@ class Run:
             TrainingDiverged: a loss is no number any more; all rounds before are kept.
         """
         claim(self.folder.path, self.recipe)
-        with Charts(self.folder.path) as charts:
+        with Charts(self.folder.path, self.tell) as charts:
             return self._rounds(charts)
 
     def _rounds(self, charts: Charts) -> list[RoundResult]:
@@ -124,9 +124,9 @@ class Run:
             self._play(number, networks)
             networks = self._learned(number, charts)
             results.append(judged.get(number) or self._judged(number, networks))
-            extend_log(self.folder.log, [_row(result) for result in results])
-            if number not in judged:
+            if number not in judged:  # before the log: a kill in between charts it twice rather than never
                 charts.add_row(number, _row(results[-1]))
+            extend_log(self.folder.log, [_row(result) for result in results])
             self._tell_round(results[-1], progress.left(number, len(numbers)))
         return results
 

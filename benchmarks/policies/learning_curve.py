@@ -39,11 +39,13 @@ def main() -> None:
     chosen = parser.parse_args()
     with (chosen.run / "progress.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
+    if not any(row.get(ELAPSED) for row in rows):
+        parser.error(f"{chosen.run} has no finished episodes yet; try again when it has gone on for some minutes.")
     chosen.out.write_text(table(rows, chosen.task, chosen.note))
 
 
 def table(rows: Sequence[Row], task: str, note: str) -> str:
-    """Return the curve by the rows of a log, and the time that the rest would take."""
+    """Return the curve by the rows of a log, one of them timed at least, and the time that the rest would take."""
     timed = [row for row in rows if row[ELAPSED]]
     kept = timed[:: max(1, len(timed) // LINES)]
     shown = [row for row in rows if row in kept or row.get(EVALUATED) or row is timed[-1]]

@@ -9,11 +9,14 @@ from typing import TYPE_CHECKING, Any
 from vitac.envs.errors import VitacError
 from vitac.envs.maniskill.definition import is_maniskill
 
+from ..terminal.output import warn
+
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
     from vitac.envs.drawing.playback import Belief, NextAction
     from vitac.envs.tasks.task_env import Info, Observation
+    from vitac.evaluator.agent.session import EpisodePolicy
     from vitac.evaluator.logs.recordings import Recording
     from vitac.evaluator.tracks import Episode, Task
 
@@ -161,8 +164,36 @@ def _policy_player(task: "Task", start: Start, submission: Path) -> Iterator[Pla
                 start=start,
                 next_action=lambda seen, _: policy.act({key: seen[key] for key in reading.sent}),
                 actions=manifest.name,
-                belief=policy.belief,
+                belief=_belief_while_it_can_be_used(policy),
             )
+
+
+def _belief_while_it_can_be_used(policy: "EpisodePolicy") -> "Belief":
+    """Return what asks a policy what it believes; after an answer without use it warns once and asks no more."""
+    from vitac.evaluator.agent.verdicts import PolicyFailed, VerdictCode
+
+    unusable = {
+        VerdictCode.CRASHED,
+        VerdictCode.BAD_ACTION_TYPE,
+        VerdictCode.BAD_ACTION_SHAPE,
+        VerdictCode.NON_FINITE_ACTION,
+    }
+    is_asked = True
+
+    def belief(size: int) -> "NDArray[np.float32] | None":
+        nonlocal is_asked
+        if not is_asked:
+            return None
+        try:
+            return policy.belief(size)
+        except PolicyFailed as failure:
+            if failure.verdict not in unusable:  # a limit: the policy can no longer act either
+                raise
+            is_asked = False
+            warn(f"What the policy believes is not drawn from here on: {failure.message}")
+            return None
+
+    return belief
 
 
 def _recording(task: "Task", number: int, path: Path) -> "Recording":

@@ -297,7 +297,7 @@ class EpisodePolicy:
         No score depends on it: nothing but `vitac show` asks.
 
         Raises:
-            PolicyFailed: any verdict.
+            PolicyFailed: any verdict; where `belief()` raised or returned something else, the episode goes on.
         """
         answer = self._ask(Question(kind=QuestionKind.BELIEVE), AnswerKind.BELIEF, "belief()")
         with self._explained():

@@ -116,7 +116,7 @@ class Search:
             FileDamaged: what a generation found, or the log, is not what was written.
         """
         claim(self.folder.path, self.recipe)
-        with Charts(self.folder.path) as charts:
+        with Charts(self.folder.path, self.tell) as charts:
             found = self._generations(charts)
         chosen = best(found)
         export(load(self.folder.networks(chosen.number))["mean"], self.folder.path / "submission")
@@ -133,9 +133,9 @@ class Search:
         for number in numbers:
             mean, spread = self._next(number, mean, spread)
             found.append(judged.get(number) or self._judged(number, mean))
-            extend_log(self.folder.log, [_row(generation) for generation in found])
-            if number not in judged:
+            if number not in judged:  # before the log: a kill in between charts it twice rather than never
                 charts.add_row(number, _row(found[-1]))
+            extend_log(self.folder.log, [_row(generation) for generation in found])
             self._tell_generation(found[-1], progress.left(number, len(numbers)))
         return found
 

@@ -215,16 +215,28 @@ def answer_episode(policy: Any, connection: Connection) -> None:
             guarded("crashed", "reset()", partial(policy.reset, text))
             connection.write("ready")
         elif kind == "believe":
-            connection.write("belief", numbers=belief_of(policy))
+            answer_belief(policy, connection)
         else:
             action = guarded("crashed", "act()", partial(policy.act, arrays))
             connection.write("action", numbers=as_numbers(action))
 
 
+def answer_belief(policy: Any, connection: Connection) -> None:
+    """Say what the policy believes, or why that cannot be said: the episode goes on in both cases."""
+    try:
+        connection.write("belief", numbers=belief_of(policy))
+    except Refused as refusal:
+        connection.write("failed", code=refusal.code, message=refusal.message)
+
+
 def belief_of(policy: Any) -> Any:
     """Return what the policy believes, None where it has no such method or knows nothing."""
-    believe = getattr(policy, "belief", None)
-    believed = None if believe is None else guarded("crashed", "belief()", believe)
+
+    def believed_now() -> Any:
+        believe = getattr(policy, "belief", None)
+        return believe() if callable(believe) else None
+
+    believed = guarded("crashed", "belief()", believed_now)
     return None if believed is None else as_numbers(believed, "belief()")
 
 

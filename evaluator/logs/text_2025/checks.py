@@ -13,11 +13,25 @@ def check(log: TextLog, script: Script) -> list[str]:
 
 
 def hole_top(log: TextLog, script: Script) -> float | None:
-    """Return the hole's top that the log was made with [mm]; None if the script has none or the log prints none."""
-    shown = log.episodes[0].initial_offset if log.episodes else None
-    if not script.hole_tops_mm or shown is None or len(shown) < 4:
+    """Return the hole's top that the log was made with [mm]; None if the script has none or the log prints none.
+
+    The first test of the list that prints its start tells.
+    """
+    if not script.hole_tops_mm:
         return None
-    return min(script.hole_tops_mm, key=lambda top: abs(script.starts(top)[0].offset[3] - shown[3]))
+    for episode, start in tests_of_list(log, script.starts()):
+        shown = episode.initial_offset
+        if shown is not None and len(shown) >= 4:
+            shown_top_mm = script.hole_tops_mm[0] + shown[3] - start.offset[3]
+            return min(script.hole_tops_mm, key=lambda top_mm: abs(top_mm - shown_top_mm))
+    return None
+
+
+def tests_of_list(log: TextLog, starts: Sequence[Start]) -> Iterator[tuple[TextEpisode, Start]]:
+    """Yield each test whose number is in the list, with the start that has this number there."""
+    for episode in log.episodes:
+        if 1 <= episode.number <= len(starts):
+            yield episode, starts[episode.number - 1]
 
 
 def _check_header(log: TextLog, script: Script) -> Iterator[str]:
@@ -36,11 +50,12 @@ def _check_header(log: TextLog, script: Script) -> Iterator[str]:
 
 
 def _check_episodes(log: TextLog, script: Script) -> Iterator[str]:
-    starts = script.starts(hole_top(log, script))
+    top = hole_top(log, script)
+    starts = script.starts(top)
     if len(log.episodes) != len(starts):
         yield f"expected the {len(starts)} tests of the list, got {len(log.episodes)}"
-    for episode, start in zip(log.episodes, starts, strict=False):
-        for problem in _check_episode(episode, start, script, hole_top(log, script)):
+    for episode, start in tests_of_list(log, starts):
+        for problem in _check_episode(episode, start, script, top):
             yield f"test {episode.number}: {problem}"
 
 

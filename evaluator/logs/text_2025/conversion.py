@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from datetime import datetime
 from typing import Any
 
-from .checks import hole_top
+from .checks import hole_top, tests_of_list
 from .reader import TextEpisode, TextLog, TextStep
 from .scripts import Script, Start
 
@@ -23,9 +23,8 @@ _INFO_KEYS = (
 def to_json_lines(log: TextLog, script: Script) -> Iterator[dict[str, Any]]:
     """Yield one JSON object for each episode that is also in the list, with the start that has its number there."""
     starts = script.starts(hole_top(log, script))
-    for episode in log.episodes:
-        if 1 <= episode.number <= len(starts):
-            yield _episode(episode, starts[episode.number - 1], script)
+    for episode, start in tests_of_list(log, starts):
+        yield _episode(episode, start, script)
 
 
 def _episode(episode: TextEpisode, start: Start, script: Script) -> dict[str, Any]:

@@ -73,6 +73,12 @@ def test_a_policy_says_what_it_believes_only_when_it_is_asked(make: Make) -> Non
         assert policy.act(OBSERVATION).tolist() == [0, 0, 0], "the episode goes on"
         with pytest.raises(PolicyFailed, match=r"Belief has shape \(3,\), expected \(4,\)"):
             policy.belief(4)
+    told.write_text(told.read_text().replace("return self.seen + 0.5", "raise ValueError('unsure')"))
+    with PolicySession(told.parent) as session, session.episode(task="t", action_shape=(3,)) as policy:
+        policy.act(OBSERVATION)
+        with pytest.raises(PolicyFailed, match=r"belief\(\) raised ValueError: unsure"):
+            policy.belief(3)
+        assert policy.act(OBSERVATION).tolist() == [0, 0, 0], "the episode goes on here, too"
 
 
 def test_observation_belongs_to_the_policy(make: Make) -> None:

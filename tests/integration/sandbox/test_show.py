@@ -45,10 +45,31 @@ def test_what_a_policy_believes_is_told_beside_what_is_true(tmp_path: Path, caps
     assert (tmp_path / "end.png").exists()
 
 
-def test_a_wrong_belief_ends_with_the_sentence_that_names_it(
+@pytest.mark.parametrize(
+    ("answer", "named"),
+    [
+        ("float('nan'), 0.0, 0.0", "Belief is [nan, 0.0, 0.0], expected finite numbers in the range of float32."),
+        ("0.0, 0.0", "Belief has shape (2,), expected (3,)."),
+        ("self.reset()", "belief() raised TypeError: "),
+    ],
+)
+def test_a_wrong_belief_is_told_once_and_the_episode_is_drawn_without(
+    answer: str, named: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, out, err = shown(tmp_path, capsys, "--json", answer=answer)
+    told = json.loads(out)
+    assert (code, told["beliefs"]) == (0, [])
+    assert told["env_steps"] > 2, "it was asked again, had it been asked once more"
+    assert err.count("WARNING: ") == 1
+    assert f"WARNING: What the policy believes is not drawn from here on: {named}" in err
+    assert (tmp_path / "end.png").exists()
+
+
+def test_a_belief_beyond_a_limit_ends_the_episode_with_its_sentence(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    code, out, err = shown(tmp_path, capsys, answer="float('nan'), 0.0, 0.0")
+    code, out, err = shown(tmp_path, capsys, answer="print('x' * 100_000_000)")
     assert (code, out) == (1, "")
-    assert "Belief is [nan, 0.0, 0.0], expected finite numbers" in err
+    assert "bytes were printed." in err
+    assert "WARNING" not in err
     assert not (tmp_path / "end.png").exists()

@@ -1,8 +1,23 @@
 """The learning curve of the challenge's own method: what its table says of a log."""
 
+import csv
+import sys
 from pathlib import Path
 
-from policies.learning_curve import ELAPSED, EVALUATED, HEAD, REWARD, STEPS, SUCCESS, line, percent, projection, table
+import pytest
+from policies.learning_curve import (
+    ELAPSED,
+    EVALUATED,
+    HEAD,
+    REWARD,
+    STEPS,
+    SUCCESS,
+    line,
+    main,
+    percent,
+    projection,
+    table,
+)
 
 EMPTY = dict.fromkeys((STEPS, ELAPSED, REWARD, SUCCESS, EVALUATED), "")
 
@@ -40,6 +55,26 @@ def test_long_logs_are_thinned_but_keep_evaluations_and_the_end() -> None:
     assert 20 <= len(lines) <= 24
     assert "| 2000 |  |  |  | 2 |" in lines
     assert lines[-1].startswith("| 4000 | 50.0 |")
+
+
+@pytest.mark.parametrize("rows", [[], [evaluation(0, 0.0)]], ids=["empty", "evaluated only"])
+def test_a_log_in_which_nothing_is_timed_yet_is_refused_by_name(
+    rows: list[dict[str, str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "curve.md"
+    monkeypatch.setattr(sys, "argv", ["learning_curve.py", str(tmp_path), "--out", str(out)])
+    (tmp_path / "progress.csv").write_text(f"{STEPS},{EVALUATED}\n" + "".join("0,0.0\n" for _ in rows))
+    with pytest.raises(SystemExit) as caught:
+        main()
+    assert caught.value.code == 2
+    assert f"{tmp_path} has no finished episodes yet" in capsys.readouterr().err
+    assert not out.exists()
+    with (tmp_path / "progress.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(EMPTY))
+        writer.writeheader()
+        writer.writerows([*rows, row(500, 10)])
+    main()
+    assert "| 500 | 0.2 | -12.35 | 25 |  |" in out.read_text()
 
 
 def test_table_in_the_repository_is_of_the_published_training(repository: Path) -> None:

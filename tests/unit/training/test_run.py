@@ -274,6 +274,40 @@ def test_a_run_charts_its_rounds_and_losses_and_a_finished_one_nothing(
     assert not charted
 
 
+def test_what_a_kill_left_out_of_the_log_is_charted_when_the_run_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    charted: list[int] = []
+
+    def chart_until(last: int) -> None:
+        def add_row(_: Charts, number: int, __: object) -> None:
+            if number > last:
+                raise Stopped
+            charted.append(number)
+
+        monkeypatch.setattr(Charts, "add_row", add_row)
+
+    chart_until(1)
+    with pytest.raises(Stopped):
+        run(tmp_path).go()
+    assert [result.number for result in results_of(Folder(path=tmp_path))] == [1]
+    chart_until(2)
+    run(tmp_path).go()
+    assert charted == [1, 2]
+
+
+def test_charts_that_cannot_be_written_do_not_stop_a_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("vitac.training.charts.find_spec", lambda _: object())
+    monkeypatch.setattr(Charts, "_write", fail)
+    lines: list[str] = []
+    assert [result.number for result in run(tmp_path, lines=lines).go()] == [1, 2]
+    assert [line.partition(" gets ")[0] for line in lines if "no more charts" in line] == [str(tmp_path / FOLDER)]
+    assert (tmp_path / "round-002.npz").exists()
+
+
 def go(folder: Path) -> None:
     run(folder, RECIPE.model_copy(update={"random_episodes": 60, "guided_episodes": 60, "rounds": 1})).go()
 

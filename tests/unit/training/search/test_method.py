@@ -10,7 +10,7 @@ import pytest
 from toy_lock import ToyLock
 from vitac.evaluator.scoring.score import rate
 from vitac.evaluator.submission.manifest import load_manifest
-from vitac.training.charts import FOLDER
+from vitac.training.charts import FOLDER, Charts
 from vitac.training.files import NotSaved, load
 from vitac.training.run import Folder, OtherRun, results_of
 from vitac.training.search import policy
@@ -151,6 +151,23 @@ def test_search_that_goes_on_judges_nothing_again_and_keeps_its_log(small: Path,
     judged = [number for seed, number in env.resets if seed == stream(SMALL.seed, Use.CHOOSE)]
     assert judged == [*range(SMALL.chosen_by)] * SMALL.generations
     assert files(tmp_path) == files(small)
+
+
+def test_generation_that_a_kill_left_out_of_the_log_is_charted_later(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    charted: list[int] = []
+
+    def add_row(_: Charts, number: int, __: object) -> None:
+        charted.append(number)
+        if len(charted) == 2:
+            raise Stopped
+
+    monkeypatch.setattr(Charts, "add_row", add_row)
+    with pytest.raises(Stopped):
+        search(tmp_path, SMALL).go()
+    search(tmp_path, SMALL).go()
+    assert charted == [1, 2, 2, 3]
 
 
 def test_log_of_a_search_is_no_runs(small: Path) -> None:

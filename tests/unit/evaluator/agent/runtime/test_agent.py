@@ -2,6 +2,7 @@
 
 from importlib.metadata import version
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -204,6 +205,46 @@ def test_a_belief_is_numbers_or_nothing() -> None:
     assert agent.belief_of(object()) is None
     assert agent.belief_of(Believer(None)) is None
     assert agent.belief_of(Believer([1, 2.5, -3])).tolist() == [1.0, 2.5, -3.0]
+
+
+def test_an_attribute_of_that_name_that_is_no_method_says_nothing() -> None:
+    for attribute in (np.zeros(3), {"x": 1.0}, 0.5, "left"):
+        assert agent.belief_of(SimpleNamespace(belief=attribute)) is None
+
+
+def test_a_property_of_that_name_that_raises_is_refused_by_name() -> None:
+    class Divides:
+        @property
+        def belief(self) -> float:
+            return 1 / 0
+
+    class Wants:
+        def belief(self, observation: object) -> object:
+            return observation
+
+    for policy, message in (
+        (Divides(), "belief() raised ZeroDivisionError: division by zero"),
+        (Wants(), "missing 1 required positional argument: 'observation'"),
+    ):
+        with pytest.raises(agent.Refused) as refused:
+            agent.belief_of(policy)
+        assert refused.value.code == "crashed"
+        assert message in refused.value.message
+
+
+def test_a_refused_belief_is_answered_and_the_episode_goes_on() -> None:
+    answers: list[tuple[str, dict[str, Any]]] = []
+    connection = SimpleNamespace(write=lambda kind, **said: answers.append((kind, said)))
+    for believed in (ValueError("unsure"), "left", None):
+        agent.answer_belief(Believer(believed), connection)  # type: ignore[arg-type]
+    assert answers == [
+        ("failed", {"code": "crashed", "message": "belief() raised ValueError: unsure"}),
+        (
+            "failed",
+            {"code": "bad_action_type", "message": "belief() returned str, expected an array of real numbers."},
+        ),
+        ("belief", {"numbers": None}),
+    ]
 
 
 @pytest.mark.parametrize(

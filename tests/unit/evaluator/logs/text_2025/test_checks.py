@@ -434,14 +434,37 @@ def test_a_log_without_tests_claims_nothing() -> None:
     assert check(log, PEG) == ["expected the 15 tests of the list, got 0"]
 
 
-def shown(*offset: float) -> TextLog:
-    """A vision log whose first test starts there."""
-    return TextLog(episodes=[TextEpisode(line=1, number=1, started=datetime(2025, 1, 1), initial_offset=offset)])
+def shown(*offset: float, number: int = 1) -> TextLog:
+    """A vision log whose only test has this number and starts there."""
+    return TextLog(episodes=[TextEpisode(line=1, number=number, started=datetime(2025, 1, 1), initial_offset=offset)])
 
 
 @pytest.mark.parametrize("top_mm", VISION.hole_tops_mm)
 def test_the_holes_top_is_recognised_from_the_first_start(top_mm: float) -> None:
     assert hole_top(shown(*VISION.starts(top_mm)[0].offset), VISION) == top_mm
+
+
+@pytest.mark.parametrize("top_mm", VISION.hole_tops_mm)
+def test_the_holes_top_is_recognised_whichever_test_of_the_list_comes_first(top_mm: float) -> None:
+    starts = VISION.starts(top_mm)
+    for number in range(2, len(starts) + 1, 6):
+        log = shown(*starts[number - 1].offset, number=number)
+        assert hole_top(log, VISION) == top_mm, f"test {number}"
+        assert not [problem for problem in check(log, VISION) if "expected the start" in problem]
+
+
+def test_the_holes_top_is_told_by_the_first_test_of_the_list_that_prints_its_start() -> None:
+    top_mm = VISION.hole_tops_mm[-1]
+    starts = VISION.starts(top_mm)
+    log = shown(0.0, 0.0, 0.0, 99.0, number=0)
+    assert hole_top(log, VISION) is None, "a test of no list tells nothing"
+    for number, offset in ((3, None), (5, (1.0,)), (9, starts[8].offset), (10, VISION.starts()[9].offset)):
+        log.episodes.append(
+            TextEpisode(line=number, number=number, started=datetime(2025, 1, 1), initial_offset=offset)
+        )
+    assert hole_top(log, VISION) == top_mm
+    found = [problem for problem in check(log, VISION) if "expected the start" in problem]
+    assert [problem.partition(":")[0] for problem in found] == ["test 5", "test 10"]
 
 
 def test_without_a_start_in_four_numbers_the_holes_top_is_unknown() -> None:
