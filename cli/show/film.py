@@ -7,6 +7,7 @@ from .playing import Shown, no_such_env_step, player
 
 if TYPE_CHECKING:
     from vitac.envs.drawing.files import Destination
+    from vitac.envs.maniskill.film import Moment, Picture
 
     from .playing import Start
 
@@ -46,21 +47,28 @@ def film(
     every = env_steps_between(task.max_steps) if destination.kind.is_animated and not each_step else 1
     if is_one:  # the reset and the last one are drawn in any case
         every = step or task.max_steps + 1
+    written: list[Path] = []
+    kept: list[tuple[Moment, Picture]] = []
     with player(start, *sources) as played:
+        title = f"{played.start.title}; actions: {played.actions}"
         moments = play(env, options=played.start.options, next_action=played.next_action)
-        drawn = list(shots(env, moments, every))
-    last = drawn[-1].moment
+        for shot in shots(env, moments, every):
+            last, picture = shot.moment, captioned(shot, title, width_px or _WIDTH_PX)
+            if destination.kind is destination.kind.FOLDER:  # a long episode is more than memory holds
+                name = f"step-{last.env_step:02}"
+                written += destination.write([picture], names=[name], durations_ms=[ENV_STEP_MS])
+            elif not is_one or last.env_step == step or step is None:
+                kept.append((last, picture))
     if is_one:
-        wanted = last.env_step if step is None else step
-        drawn = [shot for shot in drawn if shot.moment.env_step == wanted]
-    if not drawn:
+        kept = kept[-1:]
+    if kept:
+        written = destination.write(
+            [picture for _, picture in kept],
+            names=[destination.path.stem] * len(kept),
+            durations_ms=[END_MS if moment is last else ENV_STEP_MS for moment, _ in kept],
+        )
+    if not written:
         raise no_such_env_step(step, last.env_step)
-    title = f"{played.start.title}; actions: {played.actions}"
-    written = destination.write(
-        [captioned(shot, title, width_px or _WIDTH_PX) for shot in drawn],
-        names=[f"step-{shot.moment.env_step:02}" for shot in drawn],
-        durations_ms=[END_MS if shot.moment is last else ENV_STEP_MS for shot in drawn],
-    )
     return Shown(
         title=played.start.title,
         actions=played.actions,

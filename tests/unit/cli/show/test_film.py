@@ -14,7 +14,7 @@ from fake_pick_cube import FakePickCube, in_place_of_maniskill
 from PIL import Image
 from submissions import submission_folder
 from vitac.cli import main as cli
-from vitac.envs.maniskill import env
+from vitac.envs.maniskill import env, film
 from vitac.envs.maniskill.abilities import abilities
 from vitac.evaluator.episodes.records import ActionSequence, EpisodeOutcome
 from vitac.evaluator.tracks import find_task
@@ -122,6 +122,26 @@ def test_an_env_step_an_animation_and_a_folder_show_what_they_are_asked_for(
     assert sorted(path.name for path in (tmp_path / "frames").iterdir()) == [f"step-0{step}.png" for step in range(4)]
     code, _, err = run(*arguments, "--step", 4)
     assert (code, "ended after env step 3: expected --step 0 to 3, got 4" in err) == (1, True)
+
+
+@pytest.mark.usefixtures("fake")
+def test_pictures_of_a_folder_are_written_as_they_are_drawn(
+    run: Run, log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An episode may have 500 env steps: all its pictures at once took gigabytes."""
+    written_before = []
+    frames = tmp_path / "frames"
+
+    def noted(shot: film.Shot, title: str, width_px: int) -> film.Picture:
+        assert (title, width_px) == ("Pick a cube, episode 3; actions: actions.jsonl", 640)
+        written_before.append(len(list(frames.iterdir())))
+        return shot.picture
+
+    monkeypatch.setattr(film, "captioned", noted)
+    code, out, _ = run("--episode", 3, "--actions", log, "--out", frames, "--json")
+    assert (code, written_before) == (0, [0, 1, 2, 3])
+    assert json.loads(out)["files"] == sorted(map(str, frames.iterdir()))
+    assert bright(frames / "step-00.png") < bright(frames / "step-03.png")
 
 
 @pytest.mark.usefixtures("fake")
