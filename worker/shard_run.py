@@ -158,9 +158,10 @@ class ShardRun(LeasedRun[RunningShard]):
 
     def _coefficients(self) -> Coefficients | None:
         """Return what the standard estimator has learned in an earlier shard; None where it is to learn it now."""
-        if not is_played_by_estimator(self._lease):
+        sensor = self._lease.sensor_sha256
+        if sensor is None or not is_played_by_estimator(self._lease):
             return None
-        known = (self._lease.submission_id, self._lease.evaluator_version)
+        known = (self._lease.submission_id, self._lease.evaluation_id, sensor)
         digest: str | None = self._database(lambda session: coefficients_digest(session, *known))
         if digest is None:
             return None

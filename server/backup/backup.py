@@ -1,9 +1,7 @@
 """Makes a backup of a service while it serves; called by `vitac admin backup`."""
 
-import errno
 import hashlib
 import tarfile
-import tempfile
 from collections.abc import Callable
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -18,6 +16,7 @@ from ..db.models import PartialUpload, UploadPart
 from ..db.schema import installed_revision
 from ..postgres import tools
 from ..services import Services
+from ..storage.new_file import new_file
 from ..submissions.files import stored_digests
 from .archive import BLOB_FOLDER, DUMP_NAME, BackupDescription, BackupWriter
 from .track_files import own_track_files
@@ -45,32 +44,16 @@ def back_up(
         DatabaseToolFailed: the database could not be dumped.
         ServiceError: an uploaded file cannot be read.
     """
-    if destination.exists():
-        raise BackupNotMade(f"{destination} exists; name a file that does not.")
     try:
-        with tempfile.TemporaryDirectory(prefix=f"{destination.name}.", dir=destination.absolute().parent) as folder:
-            unfinished = Path(folder) / "unfinished"
-            description = _write(services, unfinished, Path(folder), on_file)
-            _put_in_place(unfinished, destination)
+        with new_file(destination) as unfinished:
+            description = _write(services, unfinished, unfinished.parent, on_file)
+    except FileExistsError as error:
+        raise BackupNotMade(f"{destination} exists; name a file that does not.") from error
     except OSError as error:
         raise BackupNotMade(f"{destination} cannot be written: {error.strerror}.") from error
     with services.database.transaction() as session:
         record(session, CONSOLE, "service.backup", f"file:{destination.name}", {"uploads": len(description.blobs)})
     return description
-
-
-def _put_in_place(unfinished: Path, destination: Path) -> None:
-    """Give the finished file its name, keeping a file that got the name meanwhile wherever hard links work."""
-    try:
-        destination.hardlink_to(unfinished)
-    except FileExistsError as error:
-        raise BackupNotMade(f"{destination} exists; name a file that does not.") from error
-    except OSError as error:
-        if error.errno not in {errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS}:
-            raise
-        unfinished.rename(destination)
-    else:
-        unfinished.unlink()
 
 
 def _write(

@@ -34,6 +34,8 @@ from ..receipts.export import (
     sensor_name,
 )
 from ..storage.blobs import BlobStore
+from ..storage.new_file import new_file
+from ..submissions.figures import coefficients_digest
 from ..submissions.files import file_of
 from ..tracks import load_known_track
 from .exported_teams import teams_of
@@ -54,7 +56,8 @@ def export_receipts(
     """Write the board of a track with all that its audit needs to a new file.
 
     It holds the receipts of all results of the stage, or nobody could tell that one was taken off the board. Records
-    and sensors of a sealed list are left out until its secret is published.
+    and sensors of a sealed list are left out until its secret is published, and a sensor that was replaced after the
+    evaluation. The file gets its name when it is whole.
 
     Args:
         session: of a transaction that sees one moment (`Database.snapshot`): results may end meanwhile.
@@ -91,7 +94,7 @@ def export_receipts(
     )
     evaluations = [entry.evaluation_id for entry in board.entries]
     try:
-        with zipfile.ZipFile(path, "x", zipfile.ZIP_DEFLATED) as archive:
+        with new_file(path) as unfinished, zipfile.ZipFile(unfinished, "x", zipfile.ZIP_DEFLATED) as archive:
             archive.writestr(DESCRIPTION_NAME, description.model_dump_json(indent=1))
             archive.writestr(CHAIN_NAME, _lines(links(session)))
             archive.writestr(RECEIPTS_NAME, _lines(receipts))
@@ -127,7 +130,11 @@ def _write_played(session: Session, blobs: BlobStore, archive: zipfile.ZipFile, 
     if is_sealed(evaluation):
         return
     sensor = file_of(session, submission.id, FileRole.SENSOR)
-    if sensor is not None and submission.team.erased_at is None:
+    if (
+        sensor is not None
+        and submission.team.erased_at is None
+        and coefficients_digest(session, submission.id, evaluation.id, sensor.sha256)  # it is the one played with
+    ):
         archive.writestr(sensor_name(evaluation.id), blobs.read(sensor.sha256))
     for task in submission.tasks:
         records = records_of(session, EpisodeKey.of(evaluation, submission), task)

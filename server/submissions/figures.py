@@ -20,24 +20,34 @@ from ..uploads.checked_upload import UploadedFile
 
 
 def coefficients_file(coefficients: Coefficients, lease: Lease, folder: Path) -> UploadedFile:
-    """Return what is stored of what the standard estimator has learned; every shard learns the same.
+    """Return what is stored of what the standard estimator has learned in an evaluation; every shard learns the same.
 
     Args:
         coefficients: of the estimator.
         lease: on a shard that it has played.
         folder: where the file is written.
     """
-    facts = {"evaluator_version": lease.evaluator_version}
+    facts = {str(lease.evaluation_id): lease.sensor_sha256}
     return _written(FileRole.COEFFICIENTS, folder / "coefficients.json", coefficients.as_bytes(), facts)
 
 
-def coefficients_digest(session: Session, submission_id: UUID, evaluator_version: str) -> str | None:
-    """Return the digest of what an evaluator's estimator has learned of a submission's sensor; None before."""
+def coefficients_digest(session: Session, submission_id: UUID, evaluation_id: UUID, sensor: str) -> str | None:
+    """Return the digest of what the estimator has learned of a sensor in an evaluation.
+
+    None before; or where the evaluation was played with another sensor, which this one has replaced since.
+
+    Args:
+        session: of the transaction.
+        submission_id: whose sensor it is.
+        evaluation_id: of the submission; another run learns anew, as it plays anew.
+        sensor: digest of the made sensor.
+    """
     return session.scalar(
-        select(SubmissionFile.sha256)
-        .where(*_learned(submission_id, FileRole.COEFFICIENTS, evaluator_version))
-        .order_by(SubmissionFile.sha256)
-        .limit(1)
+        select(SubmissionFile.sha256).where(
+            SubmissionFile.submission_id == submission_id,
+            SubmissionFile.role == FileRole.COEFFICIENTS,
+            SubmissionFile.facts[str(evaluation_id)].as_string() == sensor,
+        )
     )
 
 
@@ -113,14 +123,8 @@ def _written(role: FileRole, path: Path, content: bytes, facts: dict[str, Any]) 
 
 def _parts(submission_id: UUID, evaluator_version: str, commitment: str | None) -> tuple[ColumnElement[bool], ...]:
     return (
-        *_learned(submission_id, FileRole.FIGURES, evaluator_version),
-        SubmissionFile.facts["commitment"].as_string().is_not_distinct_from(commitment),
-    )
-
-
-def _learned(submission_id: UUID, role: FileRole, evaluator_version: str) -> tuple[ColumnElement[bool], ...]:
-    return (
         SubmissionFile.submission_id == submission_id,
-        SubmissionFile.role == role,
+        SubmissionFile.role == FileRole.FIGURES,
         SubmissionFile.facts["evaluator_version"].as_string() == evaluator_version,
+        SubmissionFile.facts["commitment"].as_string().is_not_distinct_from(commitment),
     )

@@ -15,24 +15,26 @@ from ..uploads.checked_upload import UploadedFile
 def add_files(session: Session, submission_id: UUID, files: Iterable[UploadedFile]) -> None:
     """Add the files of a submission; those that it has already stay, but for its sensor, of which it has one.
 
-    Another mesher makes another sensor of the same archive: from then on that is the one that is played. What is known
-    of a file is what was said last: another evaluator may learn the same of a sensor.
+    Another mesher makes another sensor of the same archive: from then on that is the one that is played. New facts of a
+    file are added to those that it has: two evaluations may learn the same of a sensor.
     """
     for file in files:
         if file.role is FileRole.SENSOR:
             is_sensor = (SubmissionFile.submission_id == submission_id, SubmissionFile.role == FileRole.SENSOR)
             session.execute(delete(SubmissionFile).where(*is_sensor, SubmissionFile.sha256 != file.sha256))
+        added = insert(SubmissionFile).values(
+            submission_id=submission_id,
+            role=file.role,
+            sha256=file.sha256,
+            n_bytes=file.n_bytes,
+            name=file.name,
+            facts=file.facts,
+        )
         session.execute(
-            insert(SubmissionFile)
-            .values(
-                submission_id=submission_id,
-                role=file.role,
-                sha256=file.sha256,
-                n_bytes=file.n_bytes,
-                name=file.name,
-                facts=file.facts,
+            added.on_conflict_do_update(
+                index_elements=["submission_id", "role", "sha256"],
+                set_={"facts": SubmissionFile.facts.concat(added.excluded.facts)},
             )
-            .on_conflict_do_update(index_elements=["submission_id", "role", "sha256"], set_={"facts": file.facts})
         )
 
 

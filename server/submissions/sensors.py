@@ -32,7 +32,7 @@ def sensor(session: Session, by: Principal, submission_id: UUID) -> SensorView:
         digest=made.sha256,
         **made.facts,
         document=DocumentView(name=described.name, n_bytes=described.n_bytes, sha256=described.sha256),
-        coefficients_sha256=coefficients_digest(session, submission_id, evaluation.evaluator_version),
+        coefficients_sha256=coefficients_digest(session, submission_id, evaluation.id, made.sha256),
         gain=_gain(session, by, submission),
         figures=figures_of(session, submission, evaluation, with_starts=sight_of(by, evaluation).episodes),
     )

@@ -108,7 +108,9 @@ class SensorView(View):
     worst_quality: float
     markers: int
     document: DocumentView
-    coefficients_sha256: str | None = Field(description="Of what the standard estimator has learned; null before.")
+    coefficients_sha256: str | None = Field(
+        description="Of what the standard estimator has learned of it in the newest evaluation; null before."
+    )
     gain: SensingGain | None = Field(description="Standard minus blind; null until both runs are complete.")
     figures: SensorFigures | None = Field(
         description="As far as the blind run has measured them (`starts` of 90); null before its first shard."

@@ -1,3 +1,4 @@
+import hashlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
@@ -24,12 +25,14 @@ from vitac.server.accounts.principals import CONSOLE
 from vitac.server.competition import sealing
 from vitac.server.db.models import EpisodeResult, Evaluation, Submission, SubmissionFile
 from vitac.server.db.states import FileRole
+from vitac.server.evaluations import lifecycle
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.limiter import ConcurrencyLimiter
 from vitac.server.playbacks import asking, work
 from vitac.server.queue.leases import Lease
-from vitac.server.submissions.figures import has_part
-from vitac.server.submissions.files import stored_digests
+from vitac.server.submissions.figures import coefficients_digest, has_part
+from vitac.server.submissions.files import add_files, stored_digests
+from vitac.server.uploads.checked_upload import UploadedFile
 from vitac.worker.leased_run import RunEnd
 from vitac.worker.playback_run import PlaybackRun
 from vitac.worker.shard_run import ShardRun
@@ -291,12 +294,14 @@ def test_figures_are_put_together_of_what_the_shards_of_the_blind_run_measured(s
     assert service.get(f"/submissions/{identity}/sensor").json()["figures"] is None
 
 
-def test_what_the_estimator_has_learned_goes_with_later_shards_of_the_same_evaluator(service: Service) -> None:
+def test_what_the_estimator_has_learned_goes_with_later_shards_of_the_same_evaluation(
+    service: Service, tmp_path: Path
+) -> None:
     """After a worker was killed, and on other machines, no sensor is calibrated anew."""
     identity = service.upload(package(tasks="sensor-design")).json()["id"]
     with service.database.transaction() as session:
         ids = shard_ids(session, session.get_one(Submission, identity))
-    own, first, second, blind, another = (ids[n] for n in (0, 10, 11, 20, 12))
+    own, first, second, blind = (ids[n] for n in (0, 10, 11, 20))
     learned = Coefficients(mesh_hash="a" * 64, starts=180, regressions=())
     shards = FakeShards(coefficients=learned)
     for shard in (first, second, blind):
@@ -312,13 +317,38 @@ def test_what_the_estimator_has_learned_goes_with_later_shards_of_the_same_evalu
     address = f"/submissions/{identity}/sensor"
     assert service.get(address).json()["coefficients_sha256"] == learned.digest
     with service.database.transaction() as session:
-        of_estimator = SubmissionFile.role == FileRole.COEFFICIENTS
-        session.execute(update(SubmissionFile).where(of_estimator).values(facts={"evaluator_version": "0+old"}))
-    assert service.get(address).json()["coefficients_sha256"] is None
+        submission = session.get_one(Submission, identity)
+        ended = newest_evaluation(session, submission)
+        lifecycle.cancel(session, ended)
+        session.flush()
+        evaluations = [ended.id, lifecycle.start(session, submission, 2).id]
+        again, another = shard_ids(session, submission)[11:13]
+    shards = FakeShards(coefficients=learned)
+    lease = claim(service.database, again)
+    run_shard(service, lease, shards)
+    assert [it.order.coefficients for it in shards.started] == [None], "another run learns anew"
+    content = b"of the same archive by another mesher"
+    replaced = UploadedFile(
+        role=FileRole.SENSOR,
+        path=tmp_path / "made",
+        sha256=hashlib.sha256(content).hexdigest(),
+        n_bytes=len(content),
+        name="made",
+    )
+    replaced.path.write_bytes(content)
+    service.services.blobs.put(replaced.path, replaced.sha256)
+    with service.database.transaction() as session:
+        found = [coefficients_digest(session, submission.id, run, lease.sensor_sha256 or "") for run in evaluations]
+        assert found == [learned.digest] * 2, "and takes nothing off the first one"
+        add_files(session, submission.id, [replaced])
+        known = [coefficients_digest(session, submission.id, run, replaced.sha256) for run in evaluations]
+        assert known == [None, None], "nothing is known of the new sensor"
+    learned = learned.model_copy(update={"mesh_hash": "d" * 64})
     shards = FakeShards(coefficients=learned)
     run_shard(service, claim(service.database, another), shards)
-    assert [it.order.coefficients for it in shards.started] == [None]
-    assert service.get(address).json()["coefficients_sha256"] == learned.digest
+    assert [it.order.coefficients for it in shards.started] == [None], "those of the sensor before are not played with"
+    with service.database.transaction() as session:
+        assert coefficients_digest(session, submission.id, evaluations[1], replaced.sha256) == learned.digest
 
 
 def test_coefficients_that_the_storage_has_lost_are_learned_anew(service: Service) -> None:

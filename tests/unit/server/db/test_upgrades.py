@@ -23,10 +23,13 @@ from service_factories import (
     submit,
 )
 from service_factories import submit_scored as scored
+from sqlalchemy import select
 from vitac.server.accounts.principals import CONSOLE
 from vitac.server.db import schema
 from vitac.server.db.engine import Database
+from vitac.server.db.models import Submission
 from vitac.server.db.schema import downgrade, installed_revision, is_current, newest_revision, upgrade
+from vitac.server.evaluations import lifecycle
 from vitac.server.leaderboards import standings
 from vitac.server.submissions import listing
 
@@ -120,6 +123,40 @@ def test_boards_and_submissions_are_the_same_after_an_upgrade(
     with born.transaction() as session:
         submit(session, make_principal(session, "Team D"), "new")
     born.dispose()
+
+
+def test_coefficients_get_the_evaluations_that_are_known_to_have_learned_them(filled: str) -> None:
+    """Not where there are others, which another sensor or evaluator may have made, nor while an evaluation runs."""
+    put = "INSERT INTO submission_files SELECT id, %s, %s, 1, 'file', %s FROM submissions WHERE name = ANY(%s)"
+    told = """
+        SELECT submissions.name, facts, evaluations.id::text FROM submission_files AS files
+        JOIN submissions ON submissions.id = files.submission_id JOIN evaluations USING (submission_id)
+        WHERE role = 'coefficients' ORDER BY 1, sha256
+    """
+    everywhere = ["one task", "both tasks", "nothing met"]
+    with copied_database(filled) as database:
+        with database.transaction() as session:
+            played_again = session.scalars(select(Submission).where(Submission.name == "nothing met")).one()
+            lifecycle.start(session, played_again, 2)
+        downgrade(database, "0040")
+        with psycopg.connect(database.address) as connection:
+            connection.execute(put, ("sensor", 64 * "a", "{}", everywhere))
+            connection.execute(put, ("coefficients", 64 * "b", '{"evaluator_version": "1"}', everywhere))
+            connection.execute(put, ("coefficients", 64 * "c", "{}", ["both tasks"]))
+        upgrade(database)
+        with psycopg.connect(database.address) as connection:
+            rows = connection.execute(told).fetchall()
+        downgrade(database, "0040")
+        with psycopg.connect(database.address) as connection:
+            before = connection.execute(told).fetchall()
+    assert [row[:2] for row in rows] == [
+        ("both tasks", {}),
+        ("both tasks", {}),
+        ("nothing met", {}),
+        ("nothing met", {}),
+        ("one task", {rows[-1][2]: 64 * "a"}),
+    ]
+    assert [row[1] for row in before] == [{}] * 5
 
 
 def make_at(database: Database, revision: str) -> None:

@@ -3,6 +3,7 @@
 import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from uuid import UUID
 
 import pytest
 from audited_boards import complete, environment_of, played_again, sampled
@@ -10,7 +11,7 @@ from databases import fresh_database
 from obstore.store import MemoryStore
 from service_factories import TASK, TRACK, forget_boards, make_principal, make_record, make_upload, sha256, submit_to
 from shown_sensors import a_made_sensor
-from sqlalchemy import text, update
+from sqlalchemy import select, text
 from sqlalchemy.orm import Session
 from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord
 from vitac.evaluator.sensors.made import MAX_BYTES, MadeSensor
@@ -21,12 +22,13 @@ from vitac.server.db.engine import Database
 from vitac.server.db.models import SubmissionFile
 from vitac.server.db.states import FileRole
 from vitac.server.errors import ServiceError
+from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.logs.claims import LogClaim
 from vitac.server.people import team_data
 from vitac.server.receipts.audit import Audit, audit
 from vitac.server.receipts.export import sensor_name
 from vitac.server.results.exporting import export_receipts
-from vitac.server.storage.blobs import BlobStore
+from vitac.server.storage.blobs import BlobStore, StoredFileLost
 from vitac.server.submissions import creation
 from vitac.server.submissions.files import add_files
 from vitac.server.uploads.checked_upload import UploadedFile
@@ -47,6 +49,18 @@ def stored(blobs: BlobStore, made: MadeSensor, folder: Path) -> UploadedFile:
     )
 
 
+def learned(evaluation: UUID, sensor: str) -> UploadedFile:
+    """What a worker stores of the estimator's coefficients."""
+    return UploadedFile(
+        role=FileRole.COEFFICIENTS,
+        path=Path("unread"),
+        sha256=sha256("coefficients"),
+        n_bytes=1,
+        name="coefficients.json",
+        facts={str(evaluation): sensor},
+    )
+
+
 @pytest.fixture(scope="module")
 def blobs() -> BlobStore:
     return BlobStore(MemoryStore())
@@ -59,7 +73,6 @@ def database(blobs: BlobStore, tmp_path_factory: pytest.TempPathFactory) -> Iter
     with fresh_database() as address:
         database = Database(address)
         _add_sensor(database, stored(blobs, MADE, folder))
-        stored(blobs, OTHER, folder)
         _add_logs(database)
         yield database
         database.dispose()
@@ -74,7 +87,8 @@ def _add_sensor(database: Database, file: UploadedFile) -> None:
 
     with database.transaction() as session:
         submission = submit_to(session, make_principal(session, "Ants"), track="track_3", task=SENSOR_TASK)
-        add_files(session, submission.id, [file])
+        evaluation = newest_evaluation(session, submission)
+        add_files(session, submission.id, [file, learned(evaluation.id, file.sha256)])
     complete(database, submission, env, record_of)
 
 
@@ -152,12 +166,36 @@ def test_an_episode_of_a_teams_sensor_is_run_again(exported: Exported) -> None:
     assert len(made_up.findings) == 1, "the other records are made up, which only the physics tells"
 
 
-def test_another_sensor_than_the_one_played_with_is_found(exported: Exported) -> None:
-    def exchange(session: Session) -> None:
-        is_sensor = SubmissionFile.role == FileRole.SENSOR
-        session.execute(update(SubmissionFile).where(is_sensor).values(sha256=OTHER.digest))
+def test_a_sensor_that_was_replaced_after_the_evaluation_is_not_exported(exported: Exported) -> None:
+    def replace(session: Session) -> None:
+        owner = session.scalars(select(SubmissionFile.submission_id)).first()
+        assert owner is not None
+        file = UploadedFile(
+            role=FileRole.SENSOR, path=Path("unread"), sha256=OTHER.digest, n_bytes=1, name="sensor.json"
+        )
+        add_files(session, owner, [file])
 
-    found = one_episode(exported(exchange))
+    found = one_episode(exported(replace))
+    assert found.findings == []
+    assert "the export does not hold its sensor" in found.unchecked[0]
+
+
+def test_an_export_that_fails_half_way_leaves_no_file(
+    exported: Exported, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def lose(_: BlobStore, digest: str) -> bytes:
+        raise StoredFileLost(digest)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(BlobStore, "read", lose)
+        with pytest.raises(StoredFileLost):
+            exported()
+    assert list(tmp_path.iterdir()) == []
+    assert one_episode(exported()).findings == [], "the same name is free"
+
+
+def test_another_sensor_than_the_one_played_with_is_found(exported: Exported) -> None:
+    found = one_episode(with_sensor(exported(), OTHER.as_bytes()))
     assert [finding.partition(": ")[2] for finding in found.findings] == [
         "the sensor in the export is not the one that was played with."
     ]

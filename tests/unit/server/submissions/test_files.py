@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 
 from service_factories import claim, make_principal, shard_ids, submit
@@ -24,3 +25,15 @@ def test_a_submission_has_one_sensor_which_is_the_one_made_last(database: Databa
         add_files(session, submission.id, [uploaded(FileRole.SENSOR, "a")])
         assert {64 * digit for digit in "abc"} <= set(stored_digests(session))
     assert claim(database, shards[0]).sensor_sha256 == 64 * "a"
+
+
+def test_new_facts_of_a_file_are_added_to_those_it_has(database: Database) -> None:
+    """A rejudgement that learns the same of a sensor takes nothing off the result that is shown."""
+    with database.transaction() as session:
+        submission = submit(session, make_principal(session))
+        for facts in {"first": "a"}, {"second": "b"}, {"first": "c"}:
+            add_files(session, submission.id, [replace(uploaded(FileRole.COEFFICIENTS, "a"), facts=facts)])
+        session.expire_all()
+        stored = file_of(session, submission.id, FileRole.COEFFICIENTS)
+        assert stored is not None
+        assert stored.facts == {"first": "c", "second": "b"}
