@@ -1,6 +1,7 @@
 """`vitac resimulate`: runs recorded actions through our physics and compares with the recorded results."""
 
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -43,7 +44,7 @@ def command(
     _, definition = find_task(task)
     if profile is not None:
         definition = _with_profile(definition, profile)
-    recordings = read_recordings(file, definition)
+    recordings = read_recordings(file, definition, on_problems=partial(_tell_problems, file))
     env = make_environment(definition, assets or assets_dir_from_environment(), ())
     episodes = []
     with compiling_shown():
@@ -70,6 +71,11 @@ def _with_profile(task: "Task", name: str) -> "Task":
     return task.model_copy(update={"settings": task.settings | chosen.settings})
 
 
+def _tell_problems(file: Path, count: int) -> None:
+    problems = "1 problem" if count == 1 else f"{count} problems"
+    print(f"The log has {problems}: see `vitac log import {file}`.")
+
+
 def _lines(task: "Task", recording: "Recording", played: "ReportedEpisode") -> Iterator[str]:
     from vitac.evaluator.logs.resimulation import reported_step
 
@@ -78,7 +84,7 @@ def _lines(task: "Task", recording: "Recording", played: "ReportedEpisode") -> I
     for ours, info in zip(played.steps, recording.infos, strict=False):
         yield _step_line(task, ours, reported_step(task, ours.n, info))
     end = f"{played.end_reason} at env step {played.end_step}" if played.end_reason else "not ended"
-    recorded = "success" if recording.success else "no success"
+    recorded = {True: "success", False: "no success", None: "no result"}[recording.success]
     yield f"  {end} | recorded {recorded} after {len(recording.actions)} env steps"
 
 

@@ -1,7 +1,7 @@
 """Reads files of recorded actions: our own logs and records, and 2025 text logs, as written or as JSON lines."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import BinaryIO
 
@@ -13,7 +13,7 @@ from ..tracks import Task
 from .log import MAX_LINE_BYTES, LogReader, is_log
 from .packing import open_log
 from .recordings import Recording, RecordingRejected, episode_at, recorded_actions, recording_of
-from .text_2025 import is_text_log, read_text_log, summarize, to_json_lines
+from .text_2025 import TextLogRejected, is_text_log, read_text_log, summarize, to_json_lines
 from .text_2025.scripts import all_scripts
 
 
@@ -35,21 +35,24 @@ class _EpisodeOf2025(_Line):
     shape: str
     initial_offset: tuple[float, ...]
     steps: tuple[_StepOf2025, ...]
-    result: str
+    result: str | None
 
 
-def read_recordings(path: Path, task: Task) -> Iterator[Recording]:
+def read_recordings(
+    path: Path, task: Task, on_problems: Callable[[int], object] = lambda _: None
+) -> Iterator[Recording]:
     """Yield the recorded episodes of a file.
 
     Args:
         path: one of our logs; a 2025 text log; or JSON lines, each one of our episode records or a converted 2025
             episode. Any of them may be gzipped.
         task: task that the recordings must be of.
+        on_problems: is given the number of problems of a text log, before the first recording, if it has any.
 
     Raises:
         RecordingRejected: a line cannot be read or is of another task.
         LogRejected: one of our logs is truncated or altered.
-        TextLogRejected: a text log cannot be read, or is of no script of 2025.
+        TextLogRejected: a text log cannot be read, is of no script of 2025, or has no test of the list.
     """
     if is_log(path):
         with open_log(path) as stream:
@@ -57,7 +60,7 @@ def read_recordings(path: Path, task: Task) -> Iterator[Recording]:
         return
     with open_log(path) as stream:
         if is_text_log(stream.peek()):
-            yield from _recordings_of_text(stream, task)
+            yield from _recordings_of_text(stream, task, on_problems)
             return
         lines = enumerate(iter(lambda: stream.readline(MAX_LINE_BYTES + 1), b""), start=1)
         yield from (_recording_in(line, number, task) for number, line in lines)
@@ -76,10 +79,16 @@ def _recording_in(line: bytes, number: int, task: Task) -> Recording:
         raise RecordingRejected(str(error)) from error
 
 
-def _recordings_of_text(stream: BinaryIO, task: Task) -> Iterator[Recording]:
+def _recordings_of_text(stream: BinaryIO, task: Task, on_problems: Callable[[int], object]) -> Iterator[Recording]:
     log = read_text_log(stream)
-    script, _ = summarize(log)
-    for line in to_json_lines(log, script):
+    script, summary = summarize(log)
+    lines = list(to_json_lines(log, script))
+    if not lines:
+        got = ", ".join(str(episode.number) for episode in log.episodes[:10]) or "none"
+        raise TextLogRejected(f"Expected tests 1 to {len(script.starts())} of the list, got {got}.")
+    if summary.problems:
+        on_problems(len(summary.problems))
+    for line in lines:
         place = f"Test {line['episode']}"
         try:
             yield _recording_of_2025(validate(_EpisodeOf2025, line, place), place, task)
@@ -100,5 +109,5 @@ def _recording_of_2025(content: _EpisodeOf2025, place: str, task: Task) -> Recor
         episode=episode_at(task, content.episode, shape, offset, place),
         actions=recorded_actions(task, [step.action for step in content.steps], place),
         infos=tuple(step.model_dump(mode="json", exclude={"action"}, exclude_none=True) for step in content.steps),
-        success=content.result == "SUCCESS",
+        success=None if content.result is None else content.result == "SUCCESS",
     )

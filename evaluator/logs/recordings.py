@@ -20,12 +20,15 @@ class RecordingRejected(VitacError):
 
 @dataclass(frozen=True, kw_only=True)
 class Recording:
-    """The recorded actions of one episode, shape [env steps, action size], and the info of each env step, if any."""
+    """The recorded actions of one episode, shape [env steps, action size], and the info of each env step, if any.
+
+    `success` is None where the file does not say how the episode ended.
+    """
 
     episode: Episode
     actions: NDArray[np.float32]
     infos: tuple[dict[str, JsonValue], ...]
-    success: bool
+    success: bool | None
 
 
 def recording_of(record: EpisodeRecord, task: Task) -> Recording:

@@ -20,7 +20,7 @@ LOCK_WAIT = "100ms"
 def lock_evaluation(session: Session, evaluation_id: UUID) -> Evaluation:
     """Return the evaluation, locked. Always locked before its shards, so that no two transactions wait for each other.
 
-    The lock leaves foreign keys alone: storing an episode only holds its shard and refers to the evaluation.
+    The lock leaves foreign keys alone: storing an episode mostly only holds its shard and refers to the evaluation.
     """
     return session.scalars(_evaluation(evaluation_id).with_for_update(key_share=True)).one()
 

@@ -13,6 +13,7 @@ from vitac.evaluator.episodes.records import EpisodeRecord, PolicyFailure
 from ..db.models import EpisodeResult, Evaluation, Submission
 from ..queue.leases import Lease, lock_held, reset_attempts
 from .differences import report_difference
+from .provenance import note_packages
 
 OUTPUT_CHARACTERS = 4096
 """So much of the end of what a policy prints in one episode is kept for its team."""
@@ -79,13 +80,14 @@ class StoredEpisodes:
 
 
 def store_episodes(session: Session, lease: Lease, records: Iterable[EpisodeRecord]) -> None:
-    """Store finished episodes; storing one again writes nothing.
+    """Store finished episodes, and what their policy could import; storing one again writes nothing.
 
     Raises:
         LeaseLost: the shard is no longer ours.
     """
     # In one order for all: another evaluation of the same content may store the same rows at the same time.
     by_number = {record.episode: record for record in sorted(records, key=lambda record: record.episode, reverse=True)}
+    note_packages(session, lease)  # It may lock the evaluation, which comes before its shards.
     attempts = lock_held(session, lease)
     rows = {number: row_values(lease, record) for number, record in by_number.items()}
     added = session.scalars(_ADD_NEW, list(rows.values())).all()

@@ -29,7 +29,7 @@ from ..settings import Settings
 from ..tracks import family_of
 from .copies import flag_copies
 from .episode_store import EpisodeKey, count_stored, missing_episodes, records_of
-from .provenance import manifest_of, note_packages
+from .provenance import manifest_of
 from .scores import combine_hashes, combined_result, store_scores
 from .verdicts import ServiceVerdict
 
@@ -123,8 +123,6 @@ def finish_shard(session: Session, lease: Lease, result: ShardResult) -> None:
         )
     done = result.end is ShardEnd.COMPLETE
     end_shard(session, lease, ShardState.DONE if done else ShardState.FAILED, result)
-    if result.isolation is not None:
-        note_packages(session, evaluation, lease)
     if done:
         _require_all_stored(session, lease)
     else:

@@ -9,6 +9,7 @@ from vitac.evaluator.episodes.records import Manifest
 
 from ..db.among import among
 from ..db.models import Evaluation, Shard, Submission, Worker
+from ..db.row_locks import lock_evaluation
 from ..db.states import ShardState
 from ..queue.leases import Lease
 
@@ -41,12 +42,27 @@ def manifest_of(session: Session, evaluation: Evaluation, task: str) -> Manifest
     return Manifest.model_validate(found)
 
 
-def note_packages(session: Session, evaluation: Evaluation, lease: Lease) -> None:
-    """Keep with an evaluation, which is locked, what the worker of a shard says that its policy could import."""
-    packages = session.scalar(
-        select(Worker.sandbox["packages"]).join(Shard, Shard.worker_id == Worker.id).where(Shard.id == lease.shard_id)
-    )
-    if packages is not None and packages not in evaluation.packages:
+def note_packages(session: Session, lease: Lease) -> None:
+    """Keep with its evaluation what the worker of a shard says that its policy can import; call it with nothing locked.
+
+    Locks the evaluation only where that is new, once for each kind of worker.
+    """
+    if not lease.kind.form.runs_policy:
+        return
+    found = session.execute(
+        select(Worker.sandbox["packages"], Evaluation.packages)
+        .select_from(Shard)
+        .join(Worker, Worker.id == Shard.worker_id)
+        .join(Evaluation)
+        .where(Shard.id == lease.shard_id)
+    ).one_or_none()
+    if found is None:
+        return
+    packages, noted = found
+    if packages is None or packages in noted:
+        return
+    evaluation = lock_evaluation(session, lease.evaluation_id)
+    if packages not in evaluation.packages:  # Another worker of the kind may have been quicker.
         evaluation.packages = [*evaluation.packages, packages]
 
 

@@ -21,13 +21,17 @@ _INFO_KEYS = (
 
 
 def to_json_lines(log: TextLog, script: Script) -> Iterator[dict[str, Any]]:
-    """Yield one JSON object for each episode that is also in the list, with the start that has its number there."""
+    """Yield one JSON object for each episode that is also in the list, with the start that has its number there.
+
+    `result` is None where the log has none, as at a log's end that was cut off.
+    """
     starts = script.starts(hole_top(log, script))
     for episode, start in tests_of_list(log, starts):
         yield _episode(episode, start, script)
 
 
 def _episode(episode: TextEpisode, start: Start, script: Script) -> dict[str, Any]:
+    results = {True: "SUCCESS", False: "FAIL", None: None}
     content: dict[str, Any] = {
         "episode": episode.number,
         "task": script.task,
@@ -36,7 +40,7 @@ def _episode(episode: TextEpisode, start: Start, script: Script) -> dict[str, An
         "offset_index": start.offset_index,
         "initial_offset": list(episode.initial_offset or start.offset),
         "steps": [_step(step) for step in episode.steps],
-        "result": "SUCCESS" if episode.success else "FAIL",
+        "result": results[episode.success],
         "t_start": episode.started.isoformat(timespec="milliseconds"),
         "shape": start.shape,
         "reset_s": _seconds(episode.started, episode.reset_ended),

@@ -42,7 +42,7 @@ class Evaluation(Base):
     `commitment` names the sealed list that is played; NULL: the public one. `turn` orders those that wait, see
     `server.queue.turns`. `charged_at` says when the team's quotas counted it; NULL
     where it costs nothing. `asked_by_team`: organizers did not start it. `packages`: versions by name of what the
-    policy could import, once for each kind of worker that ran it; of episodes that were stored before, nothing.
+    policy could import, once for each kind of worker that stored episodes; of those stored before, nothing.
     """
 
     __tablename__ = "evaluations"

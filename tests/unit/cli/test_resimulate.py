@@ -175,6 +175,13 @@ def test_text_log_of_2025_is_taken_as_it_is(
     assert asked_settings == [{"gripper_z_mm": 0.0, "indentation_mm": 1.0, "z_step_mm": 0.075}]
     assert "Episode 1: cuboid at -4 -4 -8\n" in out
     assert "recorded no success after 2 env steps\n" in out
+    said = out.index("problem")
+    assert f"see `vitac log import {log}`.\n" in out[said:]
+    assert said < out.index("Episode 1")
+    log.write_text(log.read_text().replace(log.read_text().splitlines()[-1] + "\n", ""))
+    code, out, _ = run(capsys, log, "--task", "sensor-design")
+    assert code == 0
+    assert "recorded no result after 2 env steps\n" in out
 
 
 def test_without_a_profile_the_settings_are_those_that_rank(

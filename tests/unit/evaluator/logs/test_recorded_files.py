@@ -1,4 +1,5 @@
 import gzip
+import io
 import json
 import re
 from pathlib import Path
@@ -12,7 +13,7 @@ from text_log_writer import text_log
 from vitac.evaluator.logs.log import MAX_LINE_BYTES, LogHeader, LogRejected, write_log
 from vitac.evaluator.logs.recorded_files import read_recordings
 from vitac.evaluator.logs.recordings import Recording, RecordingRejected, recording_of
-from vitac.evaluator.logs.text_2025 import TextLogRejected
+from vitac.evaluator.logs.text_2025 import TextLogRejected, read_text_log, summarize, to_json_lines
 from vitac.evaluator.logs.text_2025.scripts import all_scripts
 from vitac.evaluator.tracks import find_task
 
@@ -335,3 +336,38 @@ def test_text_log_of_another_task_or_with_other_actions_is_refused_by_its_test(t
     log.write_text(text.splitlines()[0])
     with pytest.raises(TextLogRejected, match="one of them is missing"):
         list(read_recordings(log, SENSOR_TASK))
+
+
+def test_the_problems_of_a_text_log_are_told_before_its_recordings(tmp_path: Path) -> None:
+    told: list[int] = []
+    twice = read_recordings(written(tmp_path / "run.log", 1, 2, 2), SENSOR_TASK, on_problems=told.append)
+    assert next(twice).episode.number == 1
+    (count,) = told
+    script, summary = summarize(read_text_log(io.BytesIO((tmp_path / "run.log").read_bytes())))
+    assert script == SENSOR
+    assert count == len(summary.problems)
+    assert any("test 2 is repeated" in problem for problem in summary.problems)
+
+
+def test_a_text_log_without_a_test_of_the_list_is_refused(tmp_path: Path) -> None:
+    log = written(tmp_path / "run.log", 1, 2)
+    log.write_text(log.read_text().replace("Test No. 1 ", "Test No. 0 ").replace("Test No. 2 ", "Test No. 99999 "))
+    with pytest.raises(TextLogRejected, match=r"^Expected tests 1 to 270 of the list, got 0, 99999\.$"):
+        list(read_recordings(log, SENSOR_TASK))
+    with pytest.raises(TextLogRejected, match=r"of the list, got none\.$"):
+        list(read_recordings(written(log), SENSOR_TASK))
+
+
+def test_a_text_log_that_was_cut_off_does_not_say_how_its_last_test_ended(tmp_path: Path) -> None:
+    log = written(tmp_path / "run.log", 1, 2, 3)
+    text = log.read_text()
+    log.write_text(text[: text.rindex("\n", 0, text.rindex("RESULT")) + 1])
+    assert [(it.success, len(it.actions)) for it in read_recordings(log, SENSOR_TASK)] == [
+        (True, 2),
+        (False, 2),
+        (None, 2),
+    ]
+    converted = to_json_lines(read_text_log(io.BytesIO(log.read_bytes())), SENSOR)
+    lines = log.with_suffix(".jsonl")
+    lines.write_text("".join(json.dumps(line) + "\n" for line in converted))
+    assert [it.success for it in read_recordings(lines, SENSOR_TASK)] == [True, False, None]

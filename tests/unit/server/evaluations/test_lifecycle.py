@@ -1,3 +1,5 @@
+from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
 from uuid import uuid4
 
 import pytest
@@ -11,12 +13,14 @@ from service_factories import (
     make_principal,
     make_record,
     make_settings,
+    make_upload,
     play,
     play_all,
     shard_ids,
     state_of,
     store,
     submit,
+    take_away,
 )
 from sqlalchemy import select, text
 from submission_steps import make_worker
@@ -24,15 +28,18 @@ from vitac.evaluator.agent.verdicts import VerdictCode
 from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord, FailureStage, result_hash
 from vitac.evaluator.scoring.score import score
 from vitac.evaluator.shards.result import ShardEnd
+from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.db.engine import Database
 from vitac.server.db.models import EpisodeResult
 from vitac.server.db.states import EvaluationState, ShardState
-from vitac.server.evaluations.episode_store import EpisodeKey, records_of
+from vitac.server.evaluations.episode_store import EpisodeKey, records_of, store_episodes
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.evaluations.lifecycle import EpisodesMissing
 from vitac.server.evaluations.scores import combine_hashes, combined_score, scores_of
-from vitac.server.queue.leases import LeaseLost
-from vitac.server.submissions import listing, runs
+from vitac.server.logs.claims import LogClaim
+from vitac.server.queue.leases import Lease, LeaseLost, lock_held
+from vitac.server.submissions import creation, listing, runs
+from worker_fakes import eventually
 
 
 def outcome_of(episode: int) -> EpisodeOutcome:
@@ -233,18 +240,88 @@ def test_records_are_read_back_as_they_were_written(database: Database) -> None:
 
 
 def test_a_result_keeps_what_its_policy_could_import_on_each_kind_of_worker(database: Database) -> None:
-    kinds = [{"numpy": "2.5.0", "torch": "2.13.0+cpu"}, {"numpy": "2.5.0"}]
-    names = [uuid4() for _ in range(4)]
+    """Also on those that were stopped, or killed before they said that their shard is done."""
+    kinds = [{"numpy": "2.5.0", "torch": "2.13.0+cpu"}, {"numpy": "2.5.0"}, {"numpy": "2.4.0"}, {"numpy": "2.3.0"}]
+    first, second, third, late = names = [uuid4() for _ in kinds]
     with database.transaction() as session:
         principal = make_principal(session)
         submission = submit(session, principal)
         ids = shard_ids(session, submission)
-    for name, packages in zip(names, (*kinds, kinds[0], None), strict=True):
-        make_worker(database, id=name, sandbox=packages and {"python": "3.11.9", "packages": packages})
-    for shard_id, name in zip(ids, (*names, uuid4()), strict=False):
-        play(database, shard_id, some_record, worker_id=name)
+    for name, packages in zip(names, kinds, strict=True):
+        make_worker(database, id=name, sandbox={"python": "3.11.9", "packages": packages})
+
+    def kept() -> list[dict[str, str]]:
+        with database.transaction() as session:
+            return newest_evaluation(session, submission).packages
+
+    lease = claim(database, ids[0], first)
+    assert kept() == [], "it has stored nothing"
+    store(database, lease, map(some_record, lease.episodes[:2]))
+    take_away(database, ids[0])
+    lease = claim(database, ids[0], second)
+    store_all(database, lease, lease.episodes[2:])
+    finish(database, lease)
+    assert kept() == kinds[:2]
+
+    lease = claim(database, ids[1], third)
+    store_all(database, lease, lease.episodes)
+    take_away(database, ids[1])
+    with pytest.raises(LeaseLost):
+        store(database, lease, [some_record(lease.episodes[0])])
+    lease = claim(database, ids[1], late)
+    finish(database, lease)
+    assert kept() == kinds[:3], "the last had no episode left to play"
+
+    for name, shard_id in zip((first, uuid4()), ids[2:], strict=False):
+        lease = claim(database, shard_id, name)
+        store(database, lease, [some_record(lease.episodes[0])])
     with database.transaction() as session:
-        assert newest_evaluation(session, submission).packages == kinds
-        assert listing.get(session, make_settings(), principal, submission.id).evaluation.packages == kinds
+        assert listing.get(session, make_settings(), principal, submission.id).evaluation.packages == kinds[:3]
         (listed,) = listing.list_submissions(session, make_settings(), principal).items
         assert listed.evaluation.packages == [], "a list is short"
+
+
+def store_all(database: Database, lease: Lease, episodes: Iterable[int]) -> None:
+    with database.transaction() as session:
+        store_episodes(session, lease, [some_record(episode) for episode in episodes])
+
+
+def test_a_log_has_no_policy_that_could_import_anything(database: Database) -> None:
+    name = uuid4()
+    make_worker(database, id=name, sandbox={"python": "3.11.9", "packages": {"numpy": "2.5.0"}})
+    claimed = LogClaim(team=None, episodes=270, successes=1, success_rate=1 / 270, mean_steps=3.0)
+    with database.transaction() as session:
+        upload = make_upload("log", kind=SubmissionKind.LOG, manifest=claimed.stored())
+        submission = creation.create(session, make_principal(session), upload)[0]
+        ids = shard_ids(session, submission)
+    store(database, claim(database, ids[0], name), [some_record(1)])
+    with database.transaction() as session:
+        assert newest_evaluation(session, submission).packages == []
+
+
+def test_a_worker_of_a_new_kind_waits_for_the_evaluation_without_holding_its_shard(database: Database) -> None:
+    """Whoever ends an evaluation locks it before its shards; in another order both would wait for ever."""
+    kinds = [{"numpy": "2.5.0"}, {"numpy": "2.4.0"}]
+    names = [uuid4() for _ in kinds]
+    with database.transaction() as session:
+        submission = submit(session, make_principal(session))
+        ids = shard_ids(session, submission)
+    for name, packages in zip(names, kinds, strict=True):
+        make_worker(database, id=name, sandbox={"python": "3.11.9", "packages": packages})
+    leases = [claim(database, shard_id, name) for shard_id, name in zip(ids, names, strict=False)]
+    with ThreadPoolExecutor(1) as threads:
+        with database.transaction() as session:
+            store_episodes(session, leases[0], [some_record(1)])
+            storing = threads.submit(store_all, database, leases[1], leases[1].episodes[:1])
+            eventually(lambda: _waits(database))
+            session.execute(text("SET LOCAL lock_timeout = 2000"))
+            lock_held(session, leases[1])
+        storing.result(30.0)
+    with database.transaction() as session:
+        assert newest_evaluation(session, submission).packages == kinds
+
+
+def _waits(database: Database) -> bool:
+    with database.transaction() as session:
+        query = "SELECT 1 FROM pg_stat_activity WHERE datname = current_database() AND wait_event_type = 'Lock'"
+        return session.scalar(text(query)) is not None

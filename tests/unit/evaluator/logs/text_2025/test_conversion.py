@@ -95,8 +95,8 @@ def test_a_step_whose_info_lacks_keys_has_the_others() -> None:
     assert "surface_diff_m" not in kept
 
 
-@pytest.mark.parametrize(("success", "result"), [(True, "SUCCESS"), (False, "FAIL"), (None, "FAIL")])
-def test_only_a_success_is_one(success: bool | None, result: str) -> None:
+@pytest.mark.parametrize(("success", "result"), [(True, "SUCCESS"), (False, "FAIL"), (None, None)])
+def test_only_a_success_is_one(success: bool | None, result: str | None) -> None:
     assert converted(TextLog(episodes=[episode(success=success)]))[0]["result"] == result
 
 
