@@ -15,6 +15,8 @@ from .consent import NOTHING_CHANGED, DryRun, Yes, require_consent
 if TYPE_CHECKING:
     from vitac.server.backup.archive import BackupDescription
 
+RESTART = "Restart servers that are running: they know only the track files that were there when they started."
+
 
 def back_up(
     file: Annotated[Path, typer.Argument(help="File to write; must not exist.")],
@@ -34,7 +36,7 @@ def restore(
     dry_run: DryRun = False,
     as_json: AsJson = False,
 ) -> None:
-    """Bring a backup into a service without data; stop its workers first."""
+    """Bring a backup into a service without data; stop its workers first, and restart its servers afterwards."""
     from vitac.server.backup import restore
 
     if dry_run:
@@ -45,6 +47,8 @@ def restore(
         require_consent(f"Replace the empty database by the one in {file}?", yes=yes)
         with open_service(load_settings()) as services, _progress() as on_file:
             description = restore.restore(services, file, on_file=on_file)
+        if description.track_files:
+            print(RESTART, file=sys.stderr)
     _print(file, description, as_json=as_json)
 
 

@@ -8,18 +8,16 @@ from contextlib import contextmanager
 from datetime import datetime
 from io import BytesIO
 from pathlib import Path
-from typing import IO, Annotated, Final, Literal, Self
+from typing import IO, Final, Literal, Self
 
-from pydantic import Field, ValidationError
+from pydantic import ValidationError
 from vitac.envs.errors import VitacError
-from vitac.evaluator.strict_model import StrictModel
+from vitac.evaluator.strict_model import StrictModel, Word
 
 DESCRIPTION_NAME: Final = "backup.json"
 DUMP_NAME: Final = "database.dump"
 BLOB_FOLDER: Final = "blobs"
 _COPY_BYTES = 1 << 20
-TrackName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
-"""Of a file; never one of another folder."""
 
 
 class BackupRejected(VitacError):
@@ -37,8 +35,9 @@ class BackupDescription(StrictModel):
     dump_sha256: str
     blobs: tuple[str, ...]
     """SHA-256 of every uploaded file."""
-    track_files: dict[TrackName, str] = Field(default_factory=dict)
-    """Content of the organizers' own track files, by their names without `.yaml`."""
+    track_files: dict[Word, str] | None = None
+    """Content of the organizers' own track files, by their names without `.yaml`; null in a backup of a release that
+    did not keep them."""
 
 
 class BackupWriter:

@@ -42,11 +42,13 @@ def back_up(
     Raises:
         BackupNotMade: the file exists or cannot be written.
         DatabaseToolFailed: the database could not be dumped.
+        DocumentRejected: a file among the own track files is none.
         ServiceError: an uploaded file cannot be read.
     """
+    track_files = own_track_files()  # before the dump, which may take long
     try:
         with new_file(destination) as unfinished:
-            description = _write(services, unfinished, unfinished.parent, on_file)
+            description = _write(services, track_files, unfinished, on_file)
     except FileExistsError as error:
         raise BackupNotMade(f"{destination} exists; name a file that does not.") from error
     except OSError as error:
@@ -57,10 +59,11 @@ def back_up(
 
 
 def _write(
-    services: Services, unfinished: Path, folder: Path, on_file: Callable[[int, int], None]
+    services: Services, track_files: dict[str, str], unfinished: Path, on_file: Callable[[int, int], None]
 ) -> BackupDescription:
+    folder = unfinished.parent
     dump = folder / DUMP_NAME
-    description = _dump(services, dump)
+    description = _dump(services, track_files, dump)
     with tarfile.open(unfinished, "x:") as tar:
         unfinished.chmod(0o600)
         writer = BackupWriter(tar)
@@ -76,7 +79,7 @@ def _write(
     return description
 
 
-def _dump(services: Services, dump: Path) -> BackupDescription:
+def _dump(services: Services, track_files: dict[str, str], dump: Path) -> BackupDescription:
     """Dump the database and list the uploaded files that the same snapshot of it refers to."""
     with services.database.engine.connect().execution_options(isolation_level="REPEATABLE READ") as connection:
         # The transaction only waits while the database is dumped, which may take long.
@@ -96,7 +99,7 @@ def _dump(services: Services, dump: Path) -> BackupDescription:
             schema_revision=_revision(connection),
             dump_sha256=_sha256(dump),
             blobs=tuple(blobs),
-            track_files=own_track_files(),
+            track_files=track_files,
         )
 
 

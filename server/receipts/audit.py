@@ -24,7 +24,7 @@ from vitac.evaluator.tracks import Track, load_track
 from vitac.evaluator.tracks.sealed import commitment_of, load_played_track
 from vitac.evaluator.version import evaluator_version
 
-from ..views.leaderboards import LeaderboardEntryView, LeaderboardView
+from ..views.leaderboards import LeaderboardEntryView
 from .completeness import (
     check_entries,
     check_head,
@@ -171,7 +171,8 @@ def _check_board(described: ExportDescription, receipts: Mapping[UUID, Receipt],
         if receipt is None:
             found.findings.append(f"{entry.team}: there is no receipt of evaluation {entry.evaluation_id}.")
             continue
-        found.findings += [f"{entry.team}: {difference}" for difference in _differences(board, entry, receipt.result)]
+        differences = _differences(described, entry, receipt.result)
+        found.findings += [f"{entry.team}: {difference}" for difference in differences]
     ranked = [entry for entry in board.entries if entry.rank is not None]
     if [entry.rank for entry in ranked] != list(range(1, len(ranked) + 1)):
         found.findings.append("The ranks of the board do not count from 1.")
@@ -193,12 +194,14 @@ def _check_completeness(
         (found.findings if is_wrong else found.unchecked).append(sentence)
 
 
-def _differences(board: LeaderboardView, entry: LeaderboardEntryView, result: Result) -> Iterator[str]:
+def _differences(described: ExportDescription, entry: LeaderboardEntryView, result: Result) -> Iterator[str]:
+    board = described.board
     tasks = {task.task: task for task in result.tasks}
     ranked_by = reached(board.task, result)
     pairs: list[tuple[str, object, object]] = [
         ("track", board.track, result.track),
         ("stage", board.stage or "", result.stage),
+        ("kind", described.kind, result.kind),
         ("submission", entry.submission_id, result.submission),
         ("submission time", entry.submitted_at, result.submitted_at),
         ("evaluator version", entry.evaluator_version, result.evaluator_version),

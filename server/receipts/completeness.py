@@ -4,6 +4,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from math import inf
 from uuid import UUID
 
+from vitac.evaluator.submission_kinds import SubmissionKind
+
 from ..views.leaderboards import LeaderboardEntryView
 from .export import ExportDescription, ExportedTeam
 from .receipt import CombinedResult, Link, Receipt, Result, TaskResult, board_name
@@ -65,13 +67,17 @@ def check_entries(described: ExportDescription, receipts: Mapping[UUID, Receipt]
     takes some away, and the export says which.
     """
     teams, board = teams_by_evaluation(described), described.board
+    copies = described.copies if described.kind is SubmissionKind.LOG else ()
+    if len(copies) < len(described.copies):
+        n_copies = len(described.copies)
+        yield True, f"Expected no copies on a board of kind {described.kind}, got {n_copies}: only logs can be."
     entries = {entry.team: entry for entry in board.entries}
     for entry in board.entries:
         team = teams.get(entry.evaluation_id)
         if team is not None and team.name != entry.team:
             yield True, f"{entry.team}: the export gives its result to {team.name}."
         is_current = entry.evaluator_version == board.evaluator_version
-        if entry.rank is None and is_current and entry.evaluation_id not in described.copies:
+        if entry.rank is None and is_current and entry.evaluation_id not in copies:
             yield True, f"{entry.team}: its result has no rank, though it is of the board's evaluator version."
     for receipt in receipts.values():
         team, ranked_by = teams.get(receipt.result.evaluation), reached(board.task, receipt.result)
@@ -81,7 +87,7 @@ def check_entries(described: ExportDescription, receipts: Mapping[UUID, Receipt]
         if team.off_boards:
             yield False, f"{told}; the service leaves the team out: {team.off_boards}."
             continue
-        if receipt.result.evaluation in described.copies:
+        if receipt.result.evaluation in copies:
             if _copies_another_teams(described, receipts, receipt.result):
                 continue
             yield False, f"{told}; the service says that this log is a copy of an earlier one, so it is not ranked."

@@ -11,10 +11,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
-from typing import BinaryIO, Final, Literal, TypeVar, cast
+from typing import BinaryIO, Final, Literal, TypeVar, cast, get_args
 from uuid import UUID
 
-from pydantic import NonNegativeInt, ValidationError
+from pydantic import BaseModel, Field, NonNegativeInt, ValidationError
 from vitac.envs.errors import VitacError
 from vitac.evaluator.logs.packing import MAX_UNPACKED_BYTES
 from vitac.evaluator.sensors.made import MAX_BYTES as MAX_SENSOR_BYTES
@@ -28,7 +28,11 @@ DESCRIPTION_NAME: Final = "export.json"
 CHAIN_NAME: Final = "chain.jsonl"
 RECEIPTS_NAME: Final = "receipts.jsonl"
 
-ModelT = TypeVar("ModelT", bound=StrictModel)
+ExportFormat = Literal["vitac-receipts-1", "vitac-receipts-2", "vitac-receipts-3"]
+"""The first one holds only receipts of entries of the board, and tells nothing of teams; the second one holds no
+sensors and does not say which logs are copies."""
+
+ModelT = TypeVar("ModelT", bound=BaseModel)
 
 
 class ExportRejected(VitacError):
@@ -51,8 +55,7 @@ class ExportedTeam(StrictModel):
 class ExportDescription(StrictModel):
     """What an export holds."""
 
-    format: Literal["vitac-receipts-1", "vitac-receipts-2"] = "vitac-receipts-2"
-    """The first one holds only receipts of entries of the board, and tells nothing of teams."""
+    format: ExportFormat = "vitac-receipts-3"
     made_at: datetime
     public_key: PublicKey
     ranking: tuple[Literal["success_rate", "mean_steps", "submitted_at"], ...]
@@ -72,6 +75,12 @@ class ExportDescription(StrictModel):
     """Evaluations whose results a rejudgement took off the boards, as the service says."""
     copies: tuple[UUID, ...] = ()
     """Evaluations of logs with the states of an earlier submission of another team, as the service says: unranked."""
+
+
+class _Format(BaseModel):
+    """What every format of exports says, whatever else it holds."""
+
+    format: str = Field(max_length=40)
 
 
 def log_name(evaluation: UUID, task: str) -> str:
@@ -95,7 +104,14 @@ class ExportReader:
         self._archive = archive
         self._names = set(archive.namelist())
         with self._open(DESCRIPTION_NAME) as stream:
-            self.description = _parsed(ExportDescription, stream.read(), DESCRIPTION_NAME)
+            content = stream.read()
+        named = _parsed(_Format, content, DESCRIPTION_NAME).format
+        if named not in get_args(ExportFormat):
+            raise ExportRejected(
+                f"{DESCRIPTION_NAME}: expected {', '.join(get_args(ExportFormat))}, got the format {named!r}. Audit it "
+                "with the release that wrote it, or a newer one."
+            )
+        self.description = _parsed(ExportDescription, content, DESCRIPTION_NAME)
 
     @classmethod
     @contextmanager

@@ -120,7 +120,8 @@ def _require_board(track: str, task: str | None, kind: SubmissionKind) -> None:
 
 
 def _copies(session: Session, evaluations: Collection[UUID]) -> tuple[UUID, ...]:
-    copies = select(BoardResult.evaluation_id).where(BoardResult.is_copy, among(BoardResult.evaluation_id, evaluations))
+    of_results = among(BoardResult.evaluation_id, evaluations)
+    copies = select(BoardResult.evaluation_id).where(BoardResult.is_copy, of_results).distinct()
     return tuple(sorted(session.scalars(copies)))
 
 

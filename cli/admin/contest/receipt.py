@@ -1,10 +1,9 @@
 """`vitac admin receipt`: receipts of final results, for those who check a board."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
-from vitac.evaluator.submission_kinds import SubmissionKind
 
 from ...service.database import load_settings, open_service, transaction
 from ...terminal.output import AsJson, print_record
@@ -29,16 +28,18 @@ def export(
     file: Annotated[Path, typer.Argument(help="New file (zip).")],
     task: Annotated[str | None, typer.Option(help="The board of this task; that of all together without it.")] = None,
     stage: Annotated[str | None, typer.Option(help="Of the competition; the one that opened last without it.")] = None,
-    kind: Annotated[SubmissionKind, typer.Option(help="model, or log with a task.")] = SubmissionKind.MODEL,
+    kind: Annotated[Literal["model", "log"], typer.Option(help="Of the board; log only with a task.")] = "model",
     as_json: AsJson = False,
 ) -> None:
     """Write a board with receipts, records and teams' sensors for `vitac receipt audit`.
 
     Records and sensors of a sealed list are left out until its secret is published.
     """
+    from vitac.evaluator.submission_kinds import SubmissionKind
     from vitac.server.results.exporting import export_receipts
 
+    ranked = SubmissionKind(kind)
     with open_service(load_settings()) as services, services.database.snapshot() as session:
-        made = export_receipts(session, services.blobs, file, track, task=task, stage=stage, kind=kind)
+        made = export_receipts(session, services.blobs, file, track, task=task, stage=stage, kind=ranked)
     content = {"file": str(file), "entries": len(made.board.entries), "public_key": made.public_key}
     print_record(content, as_json=as_json)

@@ -93,4 +93,10 @@ def test_boards_are_exported_and_audited(
     assert other["seed"] != told["seed"], "nobody foresees which episodes are run again"
     given = service.run("receipt", "audit", files[TASK], "--episodes", "0", "--seed", "7", "--json").stdout
     assert json.loads(given)["seed"] == 7
+    never = service.run("admin", "receipt", "export", TRACK, files[TASK] + ".logs", "--kind", "text_log")
+    assert never.exit_code == 2, "of text logs there are no boards"
+    assert "'model', 'log'" in never.stderr
+    assert "name one of peg-insertion" in refusal(
+        service.run("admin", "receipt", "export", TRACK, files[TASK] + ".logs", "--kind", "log")
+    )
     assert "Name a new file" in refusal(service.run("admin", "receipt", "export", TRACK, files[TASK]))

@@ -5,9 +5,17 @@ from typing import Any
 
 import pytest
 from pydantic import ValidationError
+from vitac.evaluator.strict_model import DocumentRejected
 from vitac.server.backup.archive import BackupDescription, BackupRejected
 from vitac.server.backup.track_files import missing_track_files, own_track_files, put_back
 
+DESCRIBED: dict[str, Any] = {
+    "made_at": "2031-01-01T00:00:00Z",
+    "release": "1",
+    "schema_revision": "1",
+    "dump_sha256": "",
+    "blobs": (),
+}
 FILES = {"mine": "name: mine\r\n", "yours": "name: yours # \u00fc\n"}
 
 
@@ -64,6 +72,52 @@ def test_a_service_without_a_folder_for_them_is_told_to_name_one(
         missing_track_files(FILES)
 
 
+@pytest.mark.parametrize("name", ["pegs-2026.1", "gr\u00f6\u00dfe", "a+b", "x:1", "..", "p" * 100, "\u00fc" * 100])
+def test_every_name_that_a_track_may_have_comes_back(folder: Path, name: str) -> None:
+    files = {name: f"name: {name}\n"}
+    folder.mkdir(parents=True)
+    (folder / f"{name}.yaml").write_text(files[name], encoding="utf-8", newline="")
+    assert own_track_files() == files
+    described = BackupDescription.model_validate(DESCRIBED | {"track_files": own_track_files()})
+    read = BackupDescription.model_validate_json(described.model_dump_json())
+    assert read.track_files == files
+    (folder / f"{name}.yaml").unlink()
+    put_back(missing_track_files(read.track_files))
+    assert [path.name for path in folder.iterdir()] == [f"{name}.yaml"]
+    assert own_track_files() == files
+
+
+def test_what_cannot_be_a_track_file_is_named_instead_of_left_out(folder: Path) -> None:
+    folder.mkdir(parents=True)
+    for name, content in (("a b", b""), ("p" * 101, b""), ("latin", b"name: gr\xf6\xdfe"), ("\udcff", b"")):
+        path = folder / f"{name}.yaml"
+        path.write_bytes(content)
+        with pytest.raises(DocumentRejected, match=r"\.yaml' is no track file") as refused:
+            own_track_files()
+        assert str(refused.value).isprintable(), "a name of other bytes than UTF-8 can be shown"
+        path.unlink()
+    (folder / "mine.yaml").mkdir()
+    with pytest.raises(DocumentRejected, match=r"mine\.yaml' cannot be read: Is a directory"):
+        own_track_files()
+
+
+def test_a_file_that_the_backup_has_not_is_refused_as_it_changes_the_version(folder: Path) -> None:
+    put_back(missing_track_files(FILES))
+    (folder / "later.yaml").write_text("name: later\n")
+    for files, further in ((FILES, "later"), ({}, "later.yaml, mine.yaml, yours")):
+        with pytest.raises(BackupRejected, match=rf"got {further}\.yaml too.*another evaluator version"):
+            missing_track_files(files)
+    (folder / "later.yaml").unlink()
+    assert missing_track_files(FILES) == {}
+
+
+def test_a_backup_from_before_track_files_were_kept_takes_the_folder_as_it_is(folder: Path) -> None:
+    assert BackupDescription.model_validate(DESCRIBED).track_files is None
+    folder.mkdir(parents=True)
+    (folder / "mine.yaml").write_text(FILES["mine"])
+    assert missing_track_files(None) == {}
+
+
 def test_a_folder_that_cannot_be_written_is_named(folder: Path) -> None:
     folder.parent.write_text("a file")
     with pytest.raises(BackupRejected, match="cannot be written"):
@@ -72,7 +126,5 @@ def test_a_folder_that_cannot_be_written_is_named(folder: Path) -> None:
 
 @pytest.mark.parametrize("name", ["../mine", "/etc/mine", "", "a/b", "mine\n"])
 def test_a_name_that_leads_out_of_the_folder_is_refused(name: str) -> None:
-    values: dict[str, Any] = {"made_at": "2031-01-01T00:00:00Z", "release": "1", "schema_revision": "1"}
-    content = values | {"dump_sha256": "", "blobs": (), "track_files": {name: ""}}
     with pytest.raises(ValidationError, match="track_files"):
-        BackupDescription.model_validate(content)
+        BackupDescription.model_validate(DESCRIBED | {"track_files": {name: ""}})

@@ -269,6 +269,38 @@ def test_receipts_and_exports_of_the_first_format_are_still_right(database: Data
     assert "the export is an old one" in found.unchecked[0]
 
 
+def test_a_board_of_models_that_is_given_out_as_one_of_logs_is_found(database: Database, tmp_path: Path) -> None:
+    """Else a service could hide a model's better result as the copy of a log."""
+    audited(database, tmp_path)
+
+    def of_logs(content: bytes) -> bytes:
+        return json.dumps(json.loads(content) | {"kind": "log"}).encode()
+
+    found = audit(changed(tmp_path, DESCRIPTION_NAME, of_logs), episodes=0)
+    assert found.findings == [f"{team}: kind is log on the board, model in the receipt." for team in TEAMS]
+
+
+def test_exports_of_each_format_are_read_and_of_a_newer_one_named(database: Database, tmp_path: Path) -> None:
+    audited(database, tmp_path)
+    with zipfile.ZipFile(tmp_path / "board.zip") as export:
+        described = json.loads(export.read(DESCRIPTION_NAME))
+    assert described["format"] == "vitac-receipts-3"
+    assert "copies" in described
+
+    def written(content: object) -> Path:
+        return changed(tmp_path, DESCRIPTION_NAME, lambda _: json.dumps(content).encode())
+
+    second = {key: described[key] for key in described if key != "copies"} | {"format": "vitac-receipts-2"}
+    assert audit(written(second), episodes=0).findings == []
+    newer = described | {"format": "vitac-receipts-4", "judges": 3}
+    with pytest.raises(ExportRejected, match=r"got the format 'vitac-receipts-4'.*release that wrote it, or a newer"):
+        audit(written(newer))
+    for damaged in (described | {"format": 4}, [described], {"made_at": "now"}, described | {"format": "x" * 10_000}):
+        with pytest.raises(ExportRejected, match=r"^export\.json: ") as refused:
+            audit(written(damaged))
+        assert len(str(refused.value)) < 400
+
+
 def test_a_whole_new_chain_is_found_by_its_key_and_by_a_receipt_that_was_kept(
     database: Database, tmp_path: Path
 ) -> None:

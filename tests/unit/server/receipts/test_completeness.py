@@ -145,7 +145,7 @@ def test_a_copy_is_proven_by_an_earlier_receipt_of_another_team_with_the_same_re
     def unproven(*copies: int, teams: dict[str, list[int]] = teams) -> list[tuple[bool, str]]:
         receipts = chained(first, copied, partly)
         named = tuple(UUID(int=number) for number in copies)
-        described = exported(receipts, an_entry(first), teams=teams, copies=named)
+        described = exported(receipts, an_entry(first), teams=teams, copies=named, kind=SubmissionKind.LOG)
         return [one for one in check_entries(described, by_evaluation(receipts)) if told in one[1]]
 
     assert unproven(2) == []
@@ -154,6 +154,26 @@ def test_a_copy_is_proven_by_an_earlier_receipt_of_another_team_with_the_same_re
     own = unproven(2, teams={"Ants": [1, 2], "Bees": [3]})
     assert own == [(False, f"Ants: receipt 2{told}, so it is not ranked.")], "a team does not copy itself"
     assert unproven(2, teams={"Bees": [2, 3]}) != [], "a receipt that is given to no team proves nothing"
+
+
+def test_only_logs_can_be_copies() -> None:
+    results = [a_named_result(1, successes=200), a_named_result(2)]
+    receipts = chained(*results)
+    said = (UUID(int=1),)
+    logs = exported(receipts, an_entry(results[1]), kind=SubmissionKind.LOG, copies=said)
+    assert list(check_entries(logs, by_evaluation(receipts))) == [
+        (False, "Ants: receipt 1; the service says that this log is a copy of an earlier one, so it is not ranked.")
+    ]
+    models = exported(receipts, an_entry(results[1]), copies=said)
+    assert list(check_entries(models, by_evaluation(receipts))) == [
+        (True, "Expected no copies on a board of kind model, got 1: only logs can be."),
+        (True, "Ants: receipt 1 is better than its entry on the board."),
+    ]
+    unranked = exported(receipts[1:], an_entry(results[1], rank=None), copies=(UUID(int=2),))
+    assert [sentence for is_wrong, sentence in check_entries(unranked, {}) if is_wrong] == [
+        "Expected no copies on a board of kind model, got 1: only logs can be.",
+        "Ants: its result has no rank, though it is of the board's evaluator version.",
+    ]
 
 
 def test_a_result_of_another_task_is_not_missed() -> None:

@@ -19,14 +19,14 @@ from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.accounts import teams
 from vitac.server.accounts.principals import CONSOLE
 from vitac.server.db.engine import Database
-from vitac.server.db.models import SubmissionFile
+from vitac.server.db.models import BoardResult, SubmissionFile
 from vitac.server.db.states import FileRole
 from vitac.server.errors import ServiceError
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.logs.claims import LogClaim
 from vitac.server.people import team_data
 from vitac.server.receipts.audit import Audit, audit
-from vitac.server.receipts.export import sensor_name
+from vitac.server.receipts.export import ExportReader, sensor_name
 from vitac.server.results.exporting import export_receipts
 from vitac.server.storage.blobs import BlobStore, StoredFileLost
 from vitac.server.submissions import creation
@@ -229,6 +229,16 @@ def test_a_board_of_logs_is_audited(exported: Exported) -> None:
     ]
     assert (found.entries, found.logs, len(found.resimulated)) == (3, 3, 1)
     assert audit(path, episodes=1, seed=SEED + 1).findings != []
+
+
+def test_a_copy_of_several_tasks_is_named_once(exported: Exported) -> None:
+    columns = [column.name for column in BoardResult.__table__.columns if column.name != "board"]
+    again = (
+        f"INSERT INTO board_results (board, {', '.join(columns)}) "  # noqa: S608 - names of our own columns
+        f"SELECT 'lock-opening', {', '.join(columns)} FROM board_results WHERE is_copy"
+    )
+    with ExportReader.opened(exported(again, of_logs=True)) as reader:
+        assert len(reader.description.copies) == 1
 
 
 @pytest.mark.parametrize(
