@@ -15,14 +15,18 @@ from ..queue.leases import Lease
 
 
 def known_manifest(session: Session, lease: Lease) -> Manifest | None:
-    """Return what this evaluator version plays the task with, from any shard that has said so."""
+    """Return what this evaluator version plays the task with, from any shard that has said so.
+
+    With a sensor of a team's own, from a shard of the same evaluation: another sensor has another mesh.
+    """
+    is_the_same = Evaluation.id == lease.evaluation_id if lease.sensor_sha256 else Submission.track == lease.track
     found = session.scalar(
         select(Shard.manifest)
         .join(Evaluation)
         .join(Submission)
         .where(
+            is_the_same,
             Evaluation.evaluator_version == lease.evaluator_version,
-            Submission.track == lease.track,
             Evaluation.commitment.is_not_distinct_from(lease.commitment),
             Shard.task == lease.task,
             Shard.manifest.is_not(None),
