@@ -20,6 +20,8 @@ WITH_SCENES = {
 """Pages that need a browser that draws scenes, by the modules that look at them."""
 PARTS = ("/scene", "/shape", "/playback", "/events", "/playback/{file}")
 """Ends of addresses that a script asks for."""
+DOWNLOADS = ("/document",)
+"""Ends of addresses of files to save, besides those whose names have a dot."""
 
 
 def unchecked(paths: Iterable[str]) -> list[str]:
@@ -30,7 +32,7 @@ def unchecked(paths: Iterable[str]) -> list[str]:
         for route in pages().routes
         if isinstance(route, Route)
         and "GET" in (route.methods or ())
-        and not route.path.endswith(PARTS)
+        and not route.path.endswith(PARTS + DOWNLOADS)
         and "." not in route.path
         and route.path not in WITH_SCENES
         and not any(route.path_regex.match(path) for path in looked_at)
