@@ -143,7 +143,10 @@ def episode_figures(services: Services, n_clients: int, count: int) -> dict[str,
 
 
 def store_all(address: str, ids: Sequence[int]) -> None:
-    """Claim shards and store the episodes of each, one transaction each; runs in a process of its own."""
+    """Claim shards and store the episodes of each; runs in a process of its own.
+
+    Each episode has a transaction of its own, which costs more than the half second that a worker stores together.
+    """
     database = Database(address)
     records = [a_record(episode) for episode in range(1, EPISODES_OF_SHARD + 1)]
     for shard_id in ids:

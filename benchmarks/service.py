@@ -2,7 +2,8 @@
 
 Run it as `python benchmarks/service.py [--workers 2] [--waits 20] [--json FILE]` on an otherwise idle machine. It
 starts a database and workers of its own in a temporary folder, as `vitac serve` does, and waits until they have loaded
-the simulation.
+the simulation. `cpu_s` says where the CPU time of an evaluation went, by kind of process; unlike its wall time it can
+be compared on a machine that does other work, except that `at_rest_s_per_s` goes on for as long as it takes.
 """
 
 import argparse
@@ -16,15 +17,17 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from itertools import groupby
 from pathlib import Path
 from typing import Any
 from uuid import UUID, uuid4
 
 from sqlalchemy import func, select
+from vitac.evaluator.agent.isolation.process_tree import cpu_s, descendants, reaped_cpu_s, text_of
 from vitac.evaluator.episodes.records import EpisodeRecord
 from vitac.evaluator.scoring.score import score
+from vitac.evaluator.shards.process import IDLE_KEPT_S
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.accounts import teams
 from vitac.server.accounts.principals import CONSOLE, Principal
@@ -52,6 +55,12 @@ LONG_POLL_S = 0.5
 LOADING_S = 5.0
 """Workers load the simulation after they are ready; nothing tells when they have."""
 LIMIT_S = 3600.0
+AT_REST_S = 5.0
+"""So long the service is watched without an evaluation."""
+SANDBOXES_END_S = IDLE_KEPT_S + 1.0
+"""After so long those of the last evaluation have ended: what they used then counts as that of the simulation."""
+KINDS = {"vitac.evaluator.shards.host": "simulation", "vitac.worker.main": "worker", "postgres": "database"}
+"""What a process is, by a part of its command line; a process of ours that has none of them belongs to a sandbox."""
 
 
 def main() -> None:
@@ -68,6 +77,7 @@ def main() -> None:
                 "peg-insertion": evaluation_figures(services, principal, PEG_INSERTION, arguments.workers),
                 "lock-opening": evaluation_figures(services, principal, LOCK_OPENING, arguments.workers),
             },
+            "at_rest_s_per_s": at_rest_figures(),
             "enqueue_to_start_ms": wait_figures(services, principal, arguments.waits),
         }
     print(json.dumps(figures, indent=1))
@@ -100,8 +110,11 @@ def service(n_workers: int) -> Iterator[tuple[Services, Principal]]:
 
 def evaluation_figures(services: Services, principal: Principal, example: Path, n_workers: int) -> dict[str, Any]:
     """Return the wall time of all episodes of an example policy, and its parts [s]."""
+    time.sleep(SANDBOXES_END_S)
     submission_id = upload(services, principal, example)
+    before_s = cpu_by_kind()
     wait_until(lambda: newest(services, submission_id).state in TERMINAL_EVALUATION_STATES, LONG_POLL_S)
+    used_s = since(before_s)
     done = newest(services, submission_id)
     if done.state is not EvaluationState.COMPLETED or done.started_at is None or done.finished_at is None:
         raise SystemExit(f"The evaluation ended as {done.state}: {done.verdict_code} {done.verdict_message}")
@@ -117,11 +130,40 @@ def evaluation_figures(services: Services, principal: Principal, example: Path, 
         "processors": os.cpu_count(),
         "platform_class": machines,
         "wall_s": round(wall_s, 2),
+        "cpu_s": used_s,
         "wall_over_physics": round(wall_s * min(n_workers, os.cpu_count() or 1) / sums["physics_s"], 2),
         "success_rate": score(records).success_rate,
         "result_hash": done.result_hash,
         "seconds_of_all_episodes": sums,
     }
+
+
+def cpu_by_kind() -> dict[str, float]:
+    """Return the CPU time so far of this process and of all below it, by what they are [s]."""
+    times = {"benchmark": time.process_time()}
+    for pid in descendants(os.getpid()):
+        with suppress(OSError):  # it has ended meanwhile
+            kind = kind_of(text_of(f"/proc/{pid}/cmdline"))
+            times[kind] = times.get(kind, 0.0) + cpu_s(pid) + reaped_cpu_s(pid)
+    return times
+
+
+def kind_of(command: str) -> str:
+    """Return what a process is, by its command line."""
+    return next((kind for part, kind in KINDS.items() if part in command), "policy")
+
+
+def since(before_s: dict[str, float]) -> dict[str, float]:
+    """Return the CPU time used since then, by kind of process [s]."""
+    return {kind: round(now_s - before_s.get(kind, 0.0), 2) for kind, now_s in sorted(cpu_by_kind().items())}
+
+
+def at_rest_figures() -> dict[str, float]:
+    """Return the CPU time that the service uses without an evaluation, by kind of process [s/s]."""
+    time.sleep(SANDBOXES_END_S)
+    before_s = cpu_by_kind()
+    time.sleep(AT_REST_S)
+    return {kind: round(used_s / AT_REST_S, 4) for kind, used_s in since(before_s).items()}
 
 
 def parts(services: Services, records: Sequence[EpisodeRecord]) -> dict[str, float]:

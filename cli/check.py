@@ -120,11 +120,13 @@ def _check_task(
 
 
 def _add_result(record: "EpisodeRecord", findings: Findings) -> None:
+    from vitac.evaluator.episodes.records import counted_env_steps
+
     where = f"{record.task}, episode {record.episode}"
     failure = record.failure
     if failure is None:
         findings.passed.append(
-            f"{where}: {record.env_steps} env steps, outcome {record.outcome}. {record.outcome.sentence}"
+            f"{where}: {counted_env_steps(record.env_steps)}, outcome {record.outcome}. {record.outcome.sentence}"
         )
         return
     sentences = [f"{where}: {failure.code}. {failure.told}"]

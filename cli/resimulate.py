@@ -77,6 +77,7 @@ def _tell_problems(file: Path, count: int) -> None:
 
 
 def _lines(task: "Task", recording: "Recording", played: "ReportedEpisode") -> Iterator[str]:
+    from vitac.evaluator.episodes.records import counted_env_steps
     from vitac.evaluator.logs.resimulation import reported_step
 
     start = " ".join(f"{value:g}" for value in recording.episode.offset)
@@ -85,7 +86,7 @@ def _lines(task: "Task", recording: "Recording", played: "ReportedEpisode") -> I
         yield _step_line(task, ours, reported_step(task, ours.n, info))
     end = f"{played.end_reason} at env step {played.end_step}" if played.end_reason else "not ended"
     recorded = {True: "success", False: "no success", None: "no result"}[recording.success]
-    yield f"  {end} | recorded {recorded} after {len(recording.actions)} env steps"
+    yield f"  {end} | recorded {recorded} after {counted_env_steps(len(recording.actions))}"
 
 
 def _step_line(task: "Task", ours: "ReportedStep", recorded: "ReportedStep") -> str:

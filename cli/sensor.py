@@ -109,7 +109,7 @@ def show(
 
     require_extra()
     from vitac.envs.drawing.design import draw_design
-    from vitac.envs.drawing.files import Destination
+    from vitac.envs.drawing.files import Destination, Frame
     from vitac.evaluator.sensors.check import accepted_sensor
 
     destination = Destination.at(out)
@@ -118,7 +118,7 @@ def show(
     found = accepted_sensor(sensor)
     assert found.design is not None  # noqa: S101 - of every accepted sensor
     picture = draw_design(found.design, title=sensor.resolve().name, width_px=width)
-    for path in destination.write([picture], names=["sensor"], durations_ms=[0]):
+    for path in destination.write([Frame(picture=picture, name="sensor")]):
         print(path)
 
 

@@ -99,14 +99,19 @@ def search(recipe: RecipeFile, out: RunFolder, processes: Processes = 1, as_json
 @app.command()
 def reference(
     task: Annotated[str, typer.Argument(help="peg-insertion or lock-opening.")],
-    out: Annotated[Path, typer.Option("--out", help="Folder for checkpoints, log and submission.")],
+    out: Annotated[
+        Path, typer.Option("--out", help="Folder for checkpoints, log and submission; one that is there is continued.")
+    ],
     env_steps: Annotated[int | None, typer.Option(min=1, help="In place of the published number.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the training.")] = 0,
 ) -> None:
-    """Train as the challenge did: PointNet and TD3 at the published hyperparameters; needs the extra `training`."""
+    """Train as the challenge did, or go on: PointNet and TD3 as published; needs the extra `training`."""
+    _one_thread()
     from vitac.training.reference.method import train_reference
 
-    print_pairs({"submission": train_reference(task, out, env_steps=env_steps, seed=seed)})
+    with _going_on_later(out):
+        submission = train_reference(task, out, env_steps=env_steps, seed=seed, tell=_tell)
+    print_pairs({"submission": submission})
 
 
 def _one_thread() -> None:

@@ -1,11 +1,12 @@
 """Validated records for file borders: unknown keys are refused and the nearest valid one is named.
 
-Used for track files, episode records and logs; YAML enters the evaluator by `parse_yaml` where we wrote the file and
+Used for track files, episode records and logs; YAML enters by `read_yaml` where we or an operator wrote the file, and
 by `parse_untrusted_yaml` where somebody untrusted did.
 """
 
 from collections.abc import Iterator
 from difflib import get_close_matches
+from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args
 
 import yaml
@@ -51,6 +52,19 @@ def parse_yaml(model: type[ModelT], text: str, origin: str) -> ModelT:
     return _parse(model, text, origin, UniqueKeyLoader)
 
 
+def read_yaml(model: type[ModelT], path: Path) -> ModelT:
+    """Read a file with one YAML document of our own into a model.
+
+    Raises:
+        DocumentRejected: the file cannot be read, or as `parse_yaml`.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise DocumentRejected(f"{path} cannot be read: {error}.") from error
+    return parse_yaml(model, text, path.name)
+
+
 def parse_untrusted_yaml(model: type[ModelT], text: str, origin: str) -> ModelT:
     """Read one untrusted YAML document into a model; bound the length of the text before.
 
@@ -60,7 +74,7 @@ def parse_untrusted_yaml(model: type[ModelT], text: str, origin: str) -> ModelT:
     return _parse(model, text, origin, UntrustedLoader)
 
 
-def _parse(model: type[ModelT], text: str, origin: str, loader: type[UniqueKeyLoader]) -> ModelT:
+def _parse(model: type[ModelT], text: str, origin: str, loader: type[UniqueKeyLoader | UntrustedLoader]) -> ModelT:
     try:
         content = yaml.load(text, Loader=loader)  # noqa: S506 - both derive from SafeLoader
     except yaml.YAMLError as error:
@@ -95,7 +109,8 @@ def _sentence(model: type[BaseModel], problem: dict[str, Any]) -> str:
         return f"Missing key {place!r}; add it."
     given = "" if isinstance(problem["input"], dict | list) else f" (got: {_shown(problem['input'])})"
     message = problem["msg"].removeprefix("Value error, ").rstrip(".")  # pydantic's name for a rule of ours
-    return f"{place}: {message}{given}."
+    sentence = f"{place}: {message}{given}"
+    return sentence if sentence.endswith("?") else f"{sentence}."
 
 
 def _shown(value: object) -> str:

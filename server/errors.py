@@ -58,6 +58,7 @@ class ProblemCode(StrEnum):
     TEAM_REQUIRED = "team_required"
     TOO_MANY_REQUESTS = "too_many_requests"
     TOO_MANY_UPLOADS = "too_many_uploads"
+    TRACK_REMOVED = "track_removed"
     UNKNOWN_STAGE = "unknown_stage"
     UNKNOWN_TASK = "unknown_task"
     UNKNOWN_TEAM = "unknown_team"
@@ -71,6 +72,8 @@ class ProblemCode(StrEnum):
     WRONG_PROTOCOL_VERSION = "wrong_protocol_version"
 
 
+TRACK_REMOVED = "This belongs to a track or task that this service no longer has."
+"""What every answer of `ProblemCode.TRACK_REMOVED` begins with."""
 STATUS_OF_CODE: Mapping[ProblemCode, HTTPStatus] = MappingProxyType(
     {
         ProblemCode.APPEAL_TOO_LATE: HTTPStatus.CONFLICT,
@@ -117,6 +120,7 @@ STATUS_OF_CODE: Mapping[ProblemCode, HTTPStatus] = MappingProxyType(
         ProblemCode.TEAM_REQUIRED: HTTPStatus.UNPROCESSABLE_ENTITY,
         ProblemCode.TOO_MANY_REQUESTS: HTTPStatus.TOO_MANY_REQUESTS,
         ProblemCode.TOO_MANY_UPLOADS: HTTPStatus.TOO_MANY_REQUESTS,
+        ProblemCode.TRACK_REMOVED: HTTPStatus.GONE,
         ProblemCode.UNKNOWN_STAGE: HTTPStatus.NOT_FOUND,
         ProblemCode.UNKNOWN_TASK: HTTPStatus.NOT_FOUND,
         ProblemCode.UNKNOWN_TEAM: HTTPStatus.NOT_FOUND,

@@ -29,6 +29,9 @@ from .uploads.intake import UPLOAD_FOLDER
 logger = structlog.get_logger(__name__)
 
 PRUNE_EVERY_S = 3600.0
+OTHERS_EVERY_S = 10.0
+"""Seconds between two looks for playbacks of lost workers and for evaluations of other versions. Whoever waits for one
+waits up to so much longer; shards are looked after in every round, because each worker does this beside its shards."""
 ORPHAN_KEPT = timedelta(hours=24)
 """An upload is stored before its row is committed, so a file without a row is left alone for so long."""
 
@@ -62,10 +65,13 @@ class Housekeeping:
             _postpone(error)
 
     def _run(self) -> None:
-        pruned_at = float("-inf")
+        pruned_at = others_at = float("-inf")
         while not self._stopping.is_set():
             if self._sweeps:
                 _tried(self._sweep)
+            if self._sweeps and time.monotonic() - others_at >= OTHERS_EVERY_S:
+                others_at = time.monotonic()
+                _tried(self._sweep_others)
             _tried(lambda: self._totals.write(self._services.database))
             if self._sweeps and time.monotonic() - pruned_at > PRUNE_EVERY_S and _tried(lambda: prune(self._services)):
                 pruned_at = time.monotonic()
@@ -81,15 +87,17 @@ class Housekeeping:
     def _sweep(self) -> None:
         with self._services.database.transaction() as session:
             done = sweep(session, self._services.settings, give_up=fail_by_machines)
-        with self._services.database.transaction() as session:
-            supersede_outdated(session, self._services.settings)
-        with self._services.database.transaction() as session:
-            playbacks.recover(session, self._services.settings)
         instruments = self._services.instruments
         instruments.shard_retries.labels(RetryReason.LEASE_EXPIRED).inc(done.queued_again)
         instruments.shards_given_up.inc(done.given_up)
         if done.queued_again or done.given_up or done.woken:
             logger.info("swept", queued_again=done.queued_again, given_up=done.given_up, woken=done.woken)
+
+    def _sweep_others(self) -> None:
+        with self._services.database.transaction() as session:
+            supersede_outdated(session, self._services.settings)
+        with self._services.database.transaction() as session:
+            playbacks.recover(session, self._services.settings)
 
 
 def _tried(work: Callable[[], None]) -> bool:

@@ -88,8 +88,8 @@ class Settings(BaseSettings):
     )
     preview_font: Path | None = Field(
         default=None,
-        description="Font file for names in pictures of links that need more than plain Latin letters, such as that of "
-        "Noto Sans CJK. Not set: names with accents, Greek or CJK are left out of these pictures.",
+        description="Font file for names in pictures of links that are neither Latin, Greek nor Cyrillic, such as that "
+        "of Noto Sans CJK. Not set: a box stands for each such character.",
     )
     storage_url: str | None = Field(
         default=None,

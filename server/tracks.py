@@ -3,7 +3,7 @@
 from dataclasses import asdict
 
 from vitac.envs.tasks.definition import Family
-from vitac.evaluator.tracks import Task, Track, UnknownTrack, list_tracks, load_track
+from vitac.evaluator.tracks import Task, Track, UnknownTask, UnknownTrack, list_tracks, load_track
 
 from .errors import ProblemCode, ServiceError
 from .settings import Settings
@@ -28,12 +28,10 @@ def require_task(track: Track, task: str) -> None:
     Raises:
         ServiceError: with the tasks that it has.
     """
-    if task not in track.tasks:
-        raise ServiceError(
-            ProblemCode.UNKNOWN_TASK,
-            f"Track {track.name!r} has no task {task!r}; its tasks are {', '.join(track.tasks)}.",
-            tasks=list(track.tasks),
-        )
+    try:
+        track.task(task)
+    except UnknownTask as error:
+        raise ServiceError(ProblemCode.UNKNOWN_TASK, str(error), tasks=list(track.tasks)) from error
 
 
 def family_of(track: str, task: str) -> Family:
@@ -47,12 +45,18 @@ def playback_family_of(track: str, task: str) -> Family:
     return Family.TACTILE if family_of(track, task) is Family.TACTILE else Family.MANISKILL_PICTURES
 
 
-def known_task(track: str, task: str) -> Task | None:
-    """Return a task by the name that a submission has kept; None where its track file is gone."""
+def known_track(name: str) -> Track | None:
+    """Return a track by the name that a submission has kept; None where its track file is gone."""
     try:
-        return load_track(track).tasks[task]
-    except (UnknownTrack, KeyError):
+        return load_track(name)
+    except UnknownTrack:
         return None
+
+
+def known_task(track: str, task: str) -> Task | None:
+    """Return a task by the name that a submission has kept; None where its track file is gone, or has it no longer."""
+    found = known_track(track)
+    return found.tasks.get(task) if found is not None else None
 
 
 def track_views(settings: Settings) -> TrackListView:

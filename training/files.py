@@ -1,5 +1,6 @@
 """Files of a training run: written whole or not at all, with a digest in them by which damage is found."""
 
+import errno
 import hashlib
 import os
 import re
@@ -17,6 +18,7 @@ from vitac.envs.errors import VitacError
 Arrays = dict[str, NDArray[Any]]
 
 _DIGEST = "digest"
+_DISK_FULL = {errno.ENOSPC, errno.EDQUOT}
 _LEFTOVER = re.compile(r"\..+\.(?P<process>[0-9]+)\.new")
 """Name of a file that is not whole yet."""
 
@@ -65,10 +67,16 @@ def _replacing(path: Path) -> Iterator[BinaryIO]:
             os.fsync(file.fileno())
         new.replace(path)
     except OSError as error:
-        raise NotSaved(f"{path} cannot be written ({error.strerror}); free some space and run it again.") from error
+        raise not_saved(path, error) from error
     finally:
         with suppress(OSError):
             new.unlink(missing_ok=True)  # also after Ctrl-C
+
+
+def not_saved(path: Path, error: OSError) -> NotSaved:
+    """Return what to raise where a file or folder cannot be written: with what to do about it."""
+    remedy = "free some space and run it again" if error.errno in _DISK_FULL else "give a folder that can be written"
+    return NotSaved(f"{path} cannot be written ({error.strerror}); {remedy}.")
 
 
 def remove_leftovers(folder: Path) -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
-from vitac.evaluator.strict_model import StrictModel, parse_yaml
+from vitac.evaluator.strict_model import StrictModel, read_yaml
 
 from .learning.assessor import AssessorPlan
 from .learning.critic import CriticPlan
@@ -117,4 +117,4 @@ def read_recipe(path: Path) -> Recipe:
     Raises:
         DocumentRejected: the file is no recipe; the message names what is wrong.
     """
-    return parse_yaml(Recipe, path.read_text(encoding="utf-8"), path.name)
+    return read_yaml(Recipe, path)

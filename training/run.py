@@ -5,27 +5,29 @@ by Ctrl-C or killed, ends with the same bits as one that was not.
 """
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
+from fcntl import LOCK_EX, LOCK_NB, flock
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from vitac.envs.errors import VitacError
 from vitac.evaluator.scoring.score import Rate, rate
-from vitac.evaluator.strict_model import StrictModel
 from vitac.evaluator.version import evaluator_hash, sources_hash
 
 from .actors import ActorKind
 from .charts import Charts
 from .collection import Batch, Networks, collect
 from .episodes import Episodes
-from .files import load, remove_leftovers, save, write_text
+from .files import load, not_saved, remove_leftovers, save, write_text
 from .learners import Learners
 from .log import Row, extend_log, read_log
 from .progress import Progress
 from .recipe import Recipe
-from .streams import Use
+from .streams import Use, refuse_official_streams
 
 _ROUND_NUMBERS = 100_000
 """Numbers of episodes that each round has of its own."""
@@ -35,7 +37,7 @@ Tell = Callable[[str], None]
 
 
 class OtherRun(VitacError):
-    """The folder holds a run of another recipe or version; give another folder."""
+    """The folder holds a run of another recipe or version, or another process trains there; give another folder."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,13 +105,13 @@ class Run:
         """Do what is left of the run, and return what all rounds found.
 
         Raises:
-            OtherRun: the folder is that of another run.
+            StreamRefused: an official list has the seed of one of its streams.
+            OtherRun: the folder is that of another run, or another process trains there.
             NotSaved: the disk is full.
             FileDamaged: networks or log are not what was written.
             TrainingDiverged: a loss is no number any more; all rounds before are kept.
         """
-        claim(self.folder.path, self.recipe)
-        with Charts(self.folder.path, self.tell) as charts:
+        with self._claimed(), Charts(self.folder.path, self.tell) as charts:
             return self._rounds(charts)
 
     def _rounds(self, charts: Charts) -> list[RoundResult]:
@@ -134,13 +136,17 @@ class Run:
         """Play the episodes of the first round, and return how many there are.
 
         Raises:
-            OtherRun: the folder is that of another run.
+            StreamRefused: an official list has the seed of one of its streams.
+            OtherRun: the folder is that of another run, or another process trains there.
             NotSaved: the disk is full.
         """
-        claim(self.folder.path, self.recipe)
-        self._known.clear()
-        self._play(1, None)
-        return sum(len(played) for _, played in self._known)
+        with self._claimed():
+            self._known.clear()
+            self._play(1, None)
+            return sum(len(played) for _, played in self._known)
+
+    def _claimed(self) -> AbstractContextManager[None]:
+        return claimed(self.folder.path, self.recipe.model_dump(mode="json"), self.tell)
 
     def _play(self, number: int, networks: Networks | None) -> None:
         recipe, first = self.recipe, number * _ROUND_NUMBERS
@@ -194,15 +200,53 @@ class Run:
         self.tell(f"round {number}, {who}: turn {turn + 1}, loss {loss:.4f}")
 
 
-def claim(folder: Path, recipe: StrictModel) -> None:
-    """Write what the folder of a run is for, or make sure that it is for this; remove what a kill left half written.
+@contextmanager
+def claimed(folder: Path, recipe: Mapping[str, Any], tell: Tell) -> Iterator[None]:
+    """Keep the folder of a run for this process, and say in it what it is for; what a kill left half written goes.
+
+    Args:
+        folder: of the run.
+        recipe: all that decides the run beside the code, as JSON has it.
+        tell: is told where the file system has no locks.
 
     Raises:
-        OtherRun: it is that of another recipe or version, or does not say which.
+        StreamRefused: an official list has the seed of one of its streams.
+        OtherRun: another process trains there, or it is that of another recipe or version, or does not say which.
         NotSaved: the disk is full.
     """
+    refuse_official_streams(recipe["seed"])
+    with _alone(folder, tell):
+        _claim(folder, recipe)
+        yield
+
+
+@contextmanager
+def _alone(folder: Path, tell: Tell) -> Iterator[None]:
+    """Keep other processes from training in the same folder, whose files they would mix up.
+
+    The file that is locked is never replaced or removed, for another one of its name could be locked as well. Processes
+    that play episodes for a run that was killed hold it, too, until they end.
+    """
+    path = folder / ".lock"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        file = path.open("ab")
+    except OSError as error:
+        raise not_saved(path, error) from error
+    with file:
+        try:
+            flock(file, LOCK_EX | LOCK_NB)
+        except BlockingIOError as error:
+            raise OtherRun(f"Another process trains in {folder}; wait for it, or give another folder.") from error
+        except OSError as error:
+            tell(f"{folder} takes no lock ({error.strerror}); make sure that no other process trains there")
+        yield
+
+
+def _claim(folder: Path, recipe: Mapping[str, Any]) -> None:
+    """Write what the folder is for, or make sure that it is for this."""
     told_now = {
-        "recipe": json.loads(recipe.model_dump_json()),
+        "recipe": recipe,
         "made_by": evaluator_hash(),
         "trained_by": sources_hash("vitac.training"),
     }
@@ -211,12 +255,12 @@ def claim(folder: Path, recipe: StrictModel) -> None:
     if path.exists():
         if path.read_bytes() != text.encode():
             raise OtherRun(f"{folder} holds a run of another recipe or version; give another folder.")
-    elif any(folder.glob("round-*.npz")):
-        raise OtherRun(f"{folder} holds rounds but no run.json that says of which recipe; give another folder.")
+    elif any(folder.glob("round-*.npz")) or (folder / "progress.csv").exists():
+        raise OtherRun(f"{folder} holds a training but no run.json that says of which recipe; give another folder.")
     else:
         write_text(path, text)
-    for written in (folder, folder / "episodes", folder / "submission" / "Track_1"):
-        remove_leftovers(written)
+    for written in ("", "checkpoints", "episodes", "submission/Track_1"):
+        remove_leftovers(folder / written)
 
 
 def results_of(folder: Folder) -> list[RoundResult]:

@@ -42,6 +42,16 @@ def stream(seed: int, use: Use) -> int:
     return found
 
 
+def refuse_official_streams(seed: int) -> None:
+    """Refuse the seed of a training of whose streams an official list has one.
+
+    Raises:
+        StreamRefused: it is negative, or an official list has that of a stream.
+    """
+    for use in Use:
+        stream(seed, use)
+
+
 def refuse_official(seed: int) -> None:
     """Refuse a seed that is the list seed of a track.
 

@@ -11,8 +11,8 @@ export class Cameras {
     this.canvases = { colour, depth };
     [this.looks, this.rows, this.columns] = arrays.colours.shape;
     const palette = arrays.palette.values;
-    this.colours = Array.from({ length: arrays.palette.shape[0] }, (_, at) => palette.subarray(3 * at, 3 * at + 3));
-    this.depths = [UNKNOWN, ...scale("depth")];
+    this.colours = pixels(Array.from({ length: arrays.palette.shape[0] }, (_, at) => palette.subarray(3 * at, 3 * at + 3)));
+    this.depths = pixels([UNKNOWN, ...scale("depth")]);
     for (const canvas of [colour, depth]) Object.assign(canvas, { width: this.columns, height: this.rows });
   }
 
@@ -25,11 +25,14 @@ export class Cameras {
   #draw(canvas, values, colours, look) {
     const context = canvas.getContext("2d");
     const picture = context.createImageData(this.columns, this.rows);
-    const size = this.rows * this.columns;
-    for (let pixel = 0; pixel < size; pixel += 1) {
-      const [red, green, blue] = colours[values[look * size + pixel]];
-      picture.data.set([red, green, blue, 255], 4 * pixel);
-    }
+    const drawn = new Uint32Array(picture.data.buffer);
+    const first = look * drawn.length;
+    for (let pixel = 0; pixel < drawn.length; pixel += 1) drawn[pixel] = colours[values[first + pixel]];
     context.putImageData(picture, 0, 0);
   }
+}
+
+/** Opaque colours as the pixels of a canvas keep them. */
+function pixels(colours) {
+  return new Uint32Array(new Uint8ClampedArray(colours.flatMap((colour) => [...colour, 255])).buffer);
 }

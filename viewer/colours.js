@@ -5,7 +5,7 @@ const SCALES = {
   pressure: ["#fff6c9", "#fdd56f", "#fb9d43", "#ec4d2c", "#a80f26"],
   depth: ["#440154", "#3b528b", "#21918c", "#5ec962", "#fde725"],
 };
-const LEVELS = 256;
+export const LEVELS = 256;
 
 /** 256 colours from the lower to the upper end of a scale, red, green and blue of 0 to 255. */
 export function scale(name) {

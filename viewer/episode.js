@@ -38,31 +38,14 @@ export class Episode {
     return mixed(this.arrays.held_poses.values, POSE, place, 1, 0, target);
   }
 
-  /** Displacements of a gel's nodes in its own frame [mm]. */
-  displacements(place, side, target) {
-    mixed(this.arrays.displacements.values, 3 * this.nodes, place, 2, side, target);
-    const unit = this.header.displacement_unit_mm;
-    for (let index = 0; index < target.length; index += 1) target[index] *= unit;
-    return target;
-  }
-
-  /** Contact pressures at a gel's sensing nodes [kPa]. */
-  pressures(place, side, target) {
-    mixed(this.arrays.pressures.values, this.sensing, place, 2, side, target);
-    const unit = this.header.pressure_unit_kpa;
-    for (let index = 0; index < target.length; index += 1) target[index] *= unit;
-    return target;
-  }
-
   /** Upper ends of the colour scales over the whole episode. */
   largest() {
-    const { displacements, pressures } = this.arrays;
+    const displacements = this.arrays.displacements.values;
     let square = 0;
-    for (let index = 0; index < displacements.values.length; index += 3) {
-      const [x, y, z] = displacements.values.subarray(index, index + 3);
-      square = Math.max(square, x * x + y * y + z * z);
+    for (let index = 0; index < displacements.length; index += 3) {
+      square = Math.max(square, displacements[index] ** 2 + displacements[index + 1] ** 2 + displacements[index + 2] ** 2);
     }
-    const pressure = pressures.values.reduce((most, value) => Math.max(most, value), 0);
+    const pressure = this.arrays.pressures.values.reduce((most, value) => Math.max(most, value), 0);
     return {
       displacement: Math.sqrt(square) * this.header.displacement_unit_mm || 1,
       pressure: pressure * this.header.pressure_unit_kpa || 1,

@@ -1,6 +1,6 @@
 // The gel of a sensor in 3D on the sensor's page, coloured by what its faces do; the drawing stays without WebGL.
 
-import { BufferAttribute, Color, EdgesGeometry, LineBasicMaterial, LineSegments, Mesh, MeshStandardMaterial, SRGBColorSpace } from "three";
+import { BufferAttribute, Color, EdgesGeometry, LineBasicMaterial, LineSegments, Mesh, MeshLambertMaterial, SRGBColorSpace } from "three";
 
 import { geometryOf, INK, View } from "./view.js";
 
@@ -18,7 +18,7 @@ class Gel extends View {
       return [...colour, ...colour, ...colour];
     });
     faces.setAttribute("color", new BufferAttribute(new Float32Array(colours), 3));
-    const mesh = new Mesh(faces, new MeshStandardMaterial({ vertexColors: true, roughness: 0.85, flatShading: true }));
+    const mesh = new Mesh(faces, new MeshLambertMaterial({ vertexColors: true, flatShading: true }));
     mesh.add(new LineSegments(new EdgesGeometry(faces, 0), new LineBasicMaterial({ color: INK, transparent: true, opacity: 0.35 })));
     this.scene.add(mesh);
     faces.computeBoundingSphere();

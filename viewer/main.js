@@ -31,7 +31,7 @@ class Player {
     this.stage = this.#stage();
     this.factor = magnification(episode);
     this.panels = section.querySelector(".panels");
-    this.legend = this.#legend();
+    this.legend = this.stage && this.#legend();
     this.flows = ["left", "right"].map((side) => this.#panel(`${side} sensor, marker flow ×${this.factor}`, "flow"));
     this.plots = new Plots(section.querySelector(".plots"), episode);
     this.cameras = cameras && this.#cameras(cameras);
@@ -50,7 +50,7 @@ class Player {
       this.flows.forEach((canvas, side) => drawFlow(canvas, this.episode, step, side, this.factor));
       this.cameras?.show(step);
     }
-    if (quantity !== this.quantity) this.#showLegend(quantity, largest);
+    if (this.legend && quantity !== this.quantity) this.#showLegend(quantity, largest);
     Object.assign(this, { step, quantity, isCutOpen });
   }
 
@@ -116,6 +116,13 @@ async function start() {
     largest[quantity] = Math.max(...players.map((player) => player.episode.largest()[quantity]));
   }
   new Transport(form, length, (time, options) => players.forEach((player) => player.show(time, options, largest)));
+  reveal("player");
+  if (players.some((player) => player.stage)) reveal("scene");
+}
+
+/** Shows the controls and the help that do nothing without the player, or without its 3D scene. */
+function reveal(part) {
+  document.querySelectorAll(`[data-with="${part}"]`).forEach((found) => (found.hidden = false));
 }
 
 function say(section, text) {

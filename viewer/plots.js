@@ -11,12 +11,15 @@ export class Plots {
   constructor(parent, episode) {
     this.episode = episode;
     this.cursors = [];
+    this.shown = undefined;
     for (const series of allSeries(episode)) parent.append(this.#plot(series));
     parent.append(table(episode));
   }
 
   show(time) {
-    const x = this.#x(Math.min(time, this.episode.lastStep));
+    const x = Math.round(this.#x(Math.min(time, this.episode.lastStep)));
+    if (x === this.shown) return;
+    this.shown = x;
     for (const cursor of this.cursors) {
       cursor.setAttribute("x1", x);
       cursor.setAttribute("x2", x);
@@ -28,7 +31,7 @@ export class Plots {
   }
 
   #plot({ title, lines, first, goal }) {
-    const kind = (at) => `line-${at % COLOURS}`;
+    const kind = (at) => `line-${at % COLOURS}${at < COLOURS ? "" : " again"}`;
     const values = lines.flatMap((line) => line.values).concat([0], goal === undefined ? [] : [goal]);
     const [low, high] = [Math.min(...values), Math.max(...values)];
     const reach = high - low || 1;

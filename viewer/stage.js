@@ -4,7 +4,6 @@ import {
   Box3,
   BufferAttribute,
   BufferGeometry,
-  Color,
   DoubleSide,
   EdgesGeometry,
   Line,
@@ -12,15 +11,17 @@ import {
   LineSegments,
   Matrix4,
   Mesh,
-  MeshStandardMaterial,
+  MeshLambertMaterial,
   Plane,
   Sphere,
-  SRGBColorSpace,
   Vector3,
 } from "three";
 
-import { scale } from "./colours.js";
+import { GelSurface } from "./gel_surface.js";
 import { geometryOf, INK, View } from "./view.js";
+
+// A part is drawn a little behind its edges, which lie in its faces and would be broken lines.
+const BEHIND_EDGES = { flatShading: true, polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1 };
 
 export class Stage extends View {
   /** Throws where the browser has no WebGL. */
@@ -28,21 +29,22 @@ export class Stage extends View {
     super(canvas);
     this.episode = episode;
     this.renderer.localClippingEnabled = true;
-    this.palettes = { displacement: linearScale("displacement"), pressure: linearScale("pressure") };
-    this.gels = [0, 1].map(() => this.#gel());
+    this.gels = [0, 1].map((side) => new GelSurface(episode, side));
+    for (const gel of this.gels) this.scene.add(gel.mesh);
     this.held = this.#held();
     this.fixed = this.#fixed();
     this.path = this.#path();
     this.#lookFromTheTasksSide();
     this.pose = new Float32Array(12);
-    this.moved = new Float32Array(3 * episode.nodes);
-    this.pressed = new Float32Array(episode.sensing);
   }
 
   /** Shows a time, gels coloured by `displacement` or `pressure` from 0 to the largest value. */
   show(time, quantity, largest) {
     const place = this.episode.around(time);
-    this.gels.forEach((gel, side) => this.#moveGel(gel, place, side, quantity, largest));
+    this.gels.forEach((gel, side) => {
+      gel.show(place, quantity, largest);
+      applyPose(gel.mesh, this.episode.sensorPose(place, side, this.pose));
+    });
     applyPose(this.held, this.episode.heldPose(place, this.pose));
     this.path.done.geometry.setDrawRange(0, place.next + 1);
     this.draw();
@@ -54,20 +56,9 @@ export class Stage extends View {
     this.draw();
   }
 
-  #gel() {
-    const geometry = new BufferGeometry();
-    geometry.setAttribute("position", new BufferAttribute(new Float32Array(3 * this.episode.nodes), 3));
-    geometry.setAttribute("color", new BufferAttribute(new Float32Array(3 * this.episode.nodes), 3));
-    geometry.setIndex(new BufferAttribute(this.episode.arrays.gel_triangles.values, 1));
-    const mesh = new Mesh(geometry, new MeshStandardMaterial({ vertexColors: true, roughness: 0.85, flatShading: true }));
-    mesh.frustumCulled = false;
-    this.scene.add(mesh);
-    return mesh;
-  }
-
   #held() {
     const { held_vertices_mm: vertices, held_triangles: triangles } = this.episode.arrays;
-    const material = new MeshStandardMaterial({ color: 0x7d93a8, transparent: true, opacity: 0.55, flatShading: true });
+    const material = new MeshLambertMaterial({ ...BEHIND_EDGES, color: 0x7d93a8, transparent: true, opacity: 0.55 });
     const mesh = new Mesh(geometryOf(vertices, triangles), material);
     mesh.add(new LineSegments(new EdgesGeometry(mesh.geometry), new LineBasicMaterial({ color: INK })));
     mesh.matrixAutoUpdate = false;
@@ -78,7 +69,7 @@ export class Stage extends View {
 
   #fixed() {
     const { fixed_vertices_mm: vertices, fixed_triangles: triangles } = this.episode.arrays;
-    const material = new MeshStandardMaterial({ color: 0xb9bfc6, roughness: 0.9, side: DoubleSide, flatShading: true });
+    const material = new MeshLambertMaterial({ ...BEHIND_EDGES, color: 0xb9bfc6, side: DoubleSide });
     const lines = new LineBasicMaterial({ color: INK });
     const mesh = new Mesh(geometryOf(vertices, triangles), material);
     mesh.add(new LineSegments(new EdgesGeometry(mesh.geometry), lines));
@@ -112,42 +103,6 @@ export class Stage extends View {
     return { whole: line(0.3), done: line(1) };
   }
 
-  #moveGel(gel, place, side, quantity, largest) {
-    const { nodes, arrays } = this.episode;
-    this.episode.displacements(place, side, this.moved);
-    const positions = gel.geometry.attributes.position.array;
-    const rest = arrays.gel_nodes_mm.values;
-    const [a, b, c, d, e, f, g, h, i, x, y, z] = this.episode.sensorPose(place, side, this.pose);
-    for (let index = 0; index < 3 * nodes; index += 3) {
-      const u = rest[index] + this.moved[index];
-      const v = rest[index + 1] + this.moved[index + 1];
-      const w = rest[index + 2] + this.moved[index + 2];
-      positions[index] = a * u + b * v + c * w + x;
-      positions[index + 1] = d * u + e * v + f * w + y;
-      positions[index + 2] = g * u + h * v + i * w + z;
-    }
-    gel.geometry.attributes.position.needsUpdate = true;
-    this.#colourGel(gel, place, side, quantity, largest);
-  }
-
-  #colourGel(gel, place, side, quantity, largest) {
-    const colours = gel.geometry.attributes.color.array;
-    const paint = (node, value) => {
-      const level = Math.round(255 * Math.min(1, Math.max(0, value / largest)));
-      colours.set(this.palettes[quantity][level], 3 * node);
-    };
-    if (quantity === "pressure") {
-      for (let node = 0; node < this.episode.nodes; node += 1) paint(node, 0);
-      const sensing = this.episode.arrays.sensing_nodes.values;
-      this.episode.pressures(place, side, this.pressed).forEach((value, index) => paint(sensing[index], value));
-    } else {
-      for (let node = 0; node < this.episode.nodes; node += 1) {
-        paint(node, Math.hypot(this.moved[3 * node], this.moved[3 * node + 1], this.moved[3 * node + 2]));
-      }
-    }
-    gel.geometry.attributes.color.needsUpdate = true;
-  }
-
   /** From where `vitac show` looks, with room for all that moves and for what is left of the fixed part. */
   #lookFromTheTasksSide() {
     const box = new Box3();
@@ -165,8 +120,9 @@ export class Stage extends View {
   }
 }
 
-function matrixOf([a, b, c, d, e, f, g, h, i, x, y, z]) {
-  return new Matrix4(a, b, c, x, d, e, f, y, g, h, i, z, 0, 0, 0, 1);
+function matrixOf(pose, made = new Matrix4()) {
+  const [a, b, c, d, e, f, g, h, i, x, y, z] = pose;
+  return made.set(a, b, c, x, d, e, f, y, g, h, i, z, 0, 0, 0, 1);
 }
 
 function eachPoint(values, use) {
@@ -174,12 +130,6 @@ function eachPoint(values, use) {
 }
 
 function applyPose(mesh, pose) {
-  mesh.matrix.copy(matrixOf(pose));
+  matrixOf(pose, mesh.matrix);
   mesh.matrixWorldNeedsUpdate = true;
-}
-
-function linearScale(name) {
-  return scale(name).map(([red, green, blue]) =>
-    new Color().setRGB(red / 255, green / 255, blue / 255, SRGBColorSpace).toArray(),
-  );
 }

@@ -1,11 +1,13 @@
 // The controls that all players of a page share: time, speed, colours, and the keyboard.
 
+const PLACES = 1000; // of the slider that playing moves it to; finer ones nobody sees
 const EDITED = "input, select, textarea, button, summary, a, canvas";
 
 export class Transport {
   /** `form` holds the controls; `show(time, options)` draws. */
   constructor(form, length, show) {
     this.form = form;
+    this.output = form.querySelector("output");
     this.length = length;
     this.draw = show;
     this.time = 0;
@@ -35,6 +37,7 @@ export class Transport {
     this.form.elements.play.textContent = this.isPlaying ? "Pause" : "Play";
     this.lastFrame = undefined;
     if (this.isPlaying) requestAnimationFrame((now) => this.#frame(now));
+    else this.#show();
   }
 
   #frame(now) {
@@ -63,9 +66,12 @@ export class Transport {
 
   #show() {
     const { time, quantity, cut } = this.form.elements;
-    time.value = this.time;
-    time.setAttribute("aria-valuetext", `env step ${this.time.toFixed(1)} of ${this.length}`);
-    this.form.querySelector("output").textContent = `${this.time.toFixed(1)} of ${this.length}`;
+    if (!this.isPlaying || Math.abs(this.time - time.value) * PLACES >= this.length) time.value = this.time;
+    const text = `${this.time.toFixed(1)} of ${this.length}`;
+    if (text !== this.output.textContent) {
+      this.output.textContent = text;
+      time.setAttribute("aria-valuetext", `env step ${text}`);
+    }
     this.draw(this.time, { quantity: quantity.value, isCutOpen: cut.checked });
   }
 }

@@ -12,18 +12,22 @@ import {
 } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 
+import { Resolution } from "./resolution.js";
+
 const FIELD_OF_VIEW_DEG = 28;
 const TURN_RAD = Math.PI / 36;
 const FILLED = 0.9; // of the picture by the sphere around all
 const LOWEST_RAD = 0.05;
 const ZOOM = 1.1;
+const PIXELS_ACROSS = 2; // for each of the page's, which smooths edges as multisampling would, but can be lowered
+const STILL_MS = 300; // without a change, until the scene is drawn in full resolution
 export const INK = 0x22262b;
 
 export class View {
   /** Throws where the browser has no WebGL. */
   constructor(canvas) {
     this.canvas = canvas;
-    const context = canvas.getContext("webgl2", { alpha: true, antialias: true });
+    const context = canvas.getContext("webgl2", { alpha: true, antialias: false });
     if (!context) throw new Error("no WebGL");
     this.renderer = new WebGLRenderer({ canvas, context });
     this.camera = new PerspectiveCamera(FIELD_OF_VIEW_DEG, 4 / 3, 1, 2000);
@@ -38,10 +42,45 @@ export class View {
     this.controls.keys = {}; // ours turn instead of moving
     this.controls.addEventListener("change", () => this.draw());
     canvas.addEventListener("keydown", (event) => this.#turnByKey(event));
+    this.resolution = new Resolution();
+    this.drawnPart = 0;
+    this.frame = undefined; // that is asked for
+    this.lastFrame = undefined;
+    this.whenStill = undefined;
     new ResizeObserver(() => this.#fit()).observe(canvas.parentElement);
+    canvas.addEventListener("webglcontextrestored", () => this.#fit()); // after a driver's restart the canvas is empty
   }
 
+  /** Draws before the browser shows its next frame, once for all that changes until then. */
   draw() {
+    this.frame ??= requestAnimationFrame((now) => this.#inMotion(now));
+  }
+
+  #inMotion(now) {
+    this.frame = undefined;
+    if (this.lastFrame !== undefined) this.resolution.took(now - this.lastFrame);
+    this.lastFrame = now;
+    this.#render(this.resolution.part);
+    clearTimeout(this.whenStill);
+    this.whenStill = setTimeout(() => this.#still(), STILL_MS);
+  }
+
+  #still() {
+    if (this.frame !== undefined) return; // it moves on, but slowly
+    this.lastFrame = undefined;
+    this.resolution.rest();
+    if (this.drawnPart !== 1) this.#render(1);
+  }
+
+  /** Draws now, with a part of the full width and height. */
+  #render(part) {
+    if (part !== this.drawnPart) {
+      const { clientWidth: width, clientHeight: height } = this.canvas.parentElement;
+      if (!width || !height) return; // nobody sees it yet
+      this.renderer.setPixelRatio(part * PIXELS_ACROSS);
+      this.renderer.setSize(width, height); // on whole pixels of the page: a browser that shrinks it unevenly breaks lines
+      this.drawnPart = part;
+    }
     this.renderer.render(this.scene, this.camera);
   }
 
@@ -88,10 +127,9 @@ export class View {
   #fit() {
     const { clientWidth: width, clientHeight: height } = this.canvas.parentElement;
     if (!width || !height) return;
-    this.renderer.setPixelRatio(Math.min(2, window.devicePixelRatio));
-    this.renderer.setSize(width, height, false);
     this.camera.aspect = width / height;
     this.camera.updateProjectionMatrix();
+    this.drawnPart = 0;
     this.draw();
   }
 }

@@ -11,9 +11,9 @@ from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
+from jinja2 import DictLoader, Environment, StrictUndefined, select_autoescape
 from markupsafe import Markup
-from vitac.evaluator.episodes.records import EpisodeOutcome
+from vitac.evaluator.episodes.records import EpisodeOutcome, counted_env_steps
 
 from .data.limits import size
 
@@ -21,13 +21,23 @@ if TYPE_CHECKING:
     from starlette.requests import Request
 
 STATIC = Path(__file__).parent / "static"
+FOLDER = Path(__file__).parent / "templates"
+
+
+def read_templates(folder: Path = FOLDER) -> dict[str, str]:
+    """Return the templates below a folder, by their names."""
+    return {file.relative_to(folder).as_posix(): file.read_text(encoding="utf-8") for file in folder.rglob("*.html")}
+
+
+TEMPLATES = read_templates()
+"""Read together with the code: a checkout that changes while the service runs has templates for other code."""
 
 
 @cache
 def environment() -> Environment:
     """Return the environment of this process; an undefined name in a template is an error."""
     jinja = Environment(
-        loader=PackageLoader("vitac.web", "templates"),
+        loader=DictLoader(TEMPLATES),
         autoescape=select_autoescape(default=True, default_for_string=True),
         undefined=StrictUndefined,
         trim_blocks=True,
@@ -37,6 +47,7 @@ def environment() -> Environment:
         percent=percent,
         timestamp=timestamp,
         steps=steps,
+        env_steps=counted_env_steps,
         duration=duration,
         words=words,
         short=short,
@@ -69,8 +80,18 @@ def render(template: str, request: Request, **values: object) -> str:
 @cache
 def static_url(name: str) -> str:
     """Return the address of a static file, with its digest, so that browsers may cache it for ever."""
-    digest = sha256((STATIC / name).read_bytes()).hexdigest()[:12]
-    return f"/static/{name}?v={digest}"
+    return f"/static/{name}?v={static_digest(name)}"
+
+
+def static_digest(name: str) -> str:
+    """Return the beginning of the SHA-256 [hex] of a static file as it is now."""
+    return _digest_of(name, (STATIC / name).stat().st_mtime_ns)
+
+
+@cache
+def _digest_of(name: str, changed_ns: int) -> str:
+    del changed_ns  # a file that changes has another digest
+    return sha256((STATIC / name).read_bytes()).hexdigest()[:12]
 
 
 def percent(fraction: float | None) -> str:

@@ -208,7 +208,10 @@ async def signed_in_form(request: Request) -> tuple[Viewer, Mapping[str, str]]:
 def page(
     request: Request, template: str, *, viewer: Viewer | None, section: str = "", status: int = 200, **values: Any
 ) -> Response:
-    """Answer with a page; pages of a signed-in visitor are not cached."""
+    """Answer with a page; pages of a signed-in visitor are not cached.
+
+    With `viewer_known=False` among the values, the header offers neither to sign in nor to sign out.
+    """
     site = site_of(request)
     html = render(
         template,
@@ -219,7 +222,7 @@ def page(
         version=site.version,
         address=site.address(request),
         registration=site.data.registration().value,
-        **values,
+        **{"viewer_known": True, **values},
     )
     if viewer is not None:
         return HTMLResponse(html, status_code=status, headers={"Cache-Control": "no-store", "Vary": "Cookie"})

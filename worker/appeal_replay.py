@@ -82,7 +82,7 @@ def replay(
         played = evaluate(
             submission_dir=unpacked,
             track=track,
-            task=track.tasks[task],
+            task=track.task(task),
             episodes=[episode],
             limits=services.settings.limits,
             secret=None if secret is None else secret_file,

@@ -11,7 +11,7 @@ from typing import Protocol
 from sqlalchemy.orm import Session
 from vitac.evaluator.episodes.records import EpisodeRecord, Manifest
 from vitac.evaluator.estimator.regression import Coefficients
-from vitac.evaluator.figures.figures import FigureChoice
+from vitac.evaluator.figures.figures import FigureChoice, FiguresPart
 from vitac.evaluator.scoring.failures import is_broken
 from vitac.evaluator.shards.order import ShardOrder
 from vitac.evaluator.shards.result import ShardEnd, ShardResult
@@ -32,6 +32,7 @@ from vitac.server.submissions.figures import (
     has_part,
     is_measured_by,
     is_played_by_estimator,
+    known_part,
     part_file,
 )
 from vitac.server.submissions.files import add_files
@@ -67,6 +68,7 @@ class ShardRun(LeasedRun[RunningShard]):
         self._lease = lease
         self._start = start
         self._began_with_space = False
+        self._has_stored = False
 
     def _work(self) -> None:
         stored: StoredEpisodes = self._database(lambda session: stored_episodes(session, self._lease))
@@ -94,7 +96,10 @@ class ShardRun(LeasedRun[RunningShard]):
             path = self._fetch(stack, partial(self._stage.submission, self._lease.kind, self._lease.archive_sha256))
             made = self._lease.sensor_sha256
             sensor = None if made is None else self._fetch(stack, partial(self._stage.file, made))
-            order = self._order(path, stored, secret=self._secret_file(stack), sensor=sensor)
+            measures = is_measured_by(self._lease)
+            known = self._known_part() if measures else None
+            figures = FigureChoice.ALL if measures and known is None else FigureChoice.NONE
+            order = self._order(path, stored, secret=self._secret_file(stack), sensor=sensor, figures=figures)
             process = stack.enter_context(self._start(order))
             self._watch(process)
             store = RecordStore(self._store, give_up=process.kill)
@@ -104,8 +109,9 @@ class ShardRun(LeasedRun[RunningShard]):
                     store.add(record)
             finally:
                 store.close()
-            self._keep(process.result)
-            return process.result
+            result = process.result if known is None else process.result.model_copy(update={"figures": known})
+            self._keep(result)
+            return result
 
     def _fetch(self, stack: ExitStack, stage: Callable[[], AbstractContextManager[Path]]) -> Path:
         """Return where staged files are until the stack is closed."""
@@ -139,12 +145,19 @@ class ShardRun(LeasedRun[RunningShard]):
         stored_files.store(session, self._services.blobs, file.path, file.sha256)
         add_files(session, self._lease.submission_id, [file])
 
-    def _order(self, path: Path, stored: StoredEpisodes, *, secret: Path | None, sensor: Path | None) -> ShardOrder:
+    def _known_part(self) -> FiguresPart | None:
+        """Return the shard's part of the figures where the team's same sensor was measured before; None elsewhere."""
+        found: FiguresPart | None = self._database(lambda session: known_part(session, self._lease))
+        return found
+
+    def _order(
+        self, path: Path, stored: StoredEpisodes, *, secret: Path | None, sensor: Path | None, figures: FigureChoice
+    ) -> ShardOrder:
         return ShardOrder(
             kind=self._lease.kind,
             submission=path,
             sensor=sensor,
-            figures=FigureChoice.ALL if is_measured_by(self._lease) else FigureChoice.NONE,
+            figures=figures,
             coefficients=self._coefficients(),
             track=self._lease.track,
             task=self._lease.task,
@@ -173,7 +186,9 @@ class ShardRun(LeasedRun[RunningShard]):
         return Coefficients.model_validate_json(content)
 
     def _store(self, records: Sequence[EpisodeRecord]) -> None:
-        self._database(lambda session: store_episodes(session, self._lease, records))
+        notes_packages = not self._has_stored
+        self._database(lambda session: store_episodes(session, self._lease, records, notes_packages=notes_packages))
+        self._has_stored = True
         self._services.instruments.episodes.labels(self._lease.task).inc(len(records))
 
     def _renew(self, session: Session) -> None:

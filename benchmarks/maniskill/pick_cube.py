@@ -1,8 +1,8 @@
 """Measures the evaluation of PickCube-v1 by state, and its env steps beside those of bare ManiSkill.
 
 Run it as `python benchmarks/maniskill/pick_cube.py [--episodes 100] [--workers 2] [--rounds 20] [--json FILE]` where
-the extra maniskill is installed. Episodes are played in the sandbox and bare, with the same actions, in turns. The
-ratio of their CPU times, in which the policy's is counted, holds on a busy machine, too.
+the extra maniskill is installed and nothing else runs. Episodes are played in the sandbox and bare, from the same
+start with the same actions, in turns; the CPU time in the sandbox has the policy's in it.
 """
 
 import argparse
@@ -15,8 +15,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from vitac.envs.maniskill.env import seed_of
 from vitac.evaluator.agent.session import PolicySession
 from vitac.evaluator.episodes.episode import Environment, Policy, make_environment, run_episode
+from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.evaluator.evaluation.local import evaluate
 from vitac.evaluator.submission.staging import staged
 from vitac.evaluator.tracks import find_task
@@ -128,13 +130,15 @@ def compared(submission: Path, *, rounds: int) -> dict[str, float]:
             resets.append(env.reset_s)
             starts.append(env.first_step_s - steps[-1])
             began = times()
-            bare.reset(seed=episode.number, options={"reconfigure": True})
+            bare.reset(seed=seed_of(task.env_id, episode.options), options={"reconfigure": True})
             was_reset = times()
             bare_resets.append(was_reset - began)
             for action in record.actions.to_array():
-                observation, *_ = bare.step(action)
+                observation, *_, info = bare.step(action)
                 np.array(observation.cpu())
             bare_steps.append((times() - was_reset) / record.env_steps)
+            if bool(info["success"]) != (record.outcome is EpisodeOutcome.SUCCESS):
+                raise SystemExit(f"Episode {episode.number} went otherwise bare, so its times cannot be compared.")
     step_ratio, step_cpu_ratio = np.median(np.divide(steps, bare_steps), axis=0)
     return {
         "steps_per_s": 1.0 / float(np.median(steps, axis=0)[0]),

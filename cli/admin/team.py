@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..service.database import load_settings, transaction
-from ..terminal.output import AsJson, print_json, print_pairs, print_record, print_records
+from ..terminal.output import AsJson, print_json, print_pairs, print_record, print_records, warn
 from .consent import DryRun, Yes, change_transaction
 
 if TYPE_CHECKING:
@@ -216,15 +216,20 @@ def disqualify(
     """Take a team off all boards and refuse its submissions; `reinstate` takes it back."""
     from vitac.server.accounts import teams
     from vitac.server.accounts.principals import CONSOLE
+    from vitac.server.competition.view import disqualified_since_the_end
 
-    _change(
-        team,
-        lambda session, found: teams.disqualify(session, CONSOLE, found, reason),
-        question=f"Disqualify {team}?",
-        yes=yes,
-        dry_run=dry_run,
-        as_json=as_json,
-    )
+    kept: list[str] = []
+
+    def change(session: "Session", found: "Team") -> None:
+        teams.disqualify(session, CONSOLE, found, reason)
+        session.flush()
+        kept.extend(each.team for each in disqualified_since_the_end(session) if each.team == found.name)
+
+    _change(team, change, question=f"Disqualify {team}?", yes=yes, dry_run=dry_run, as_json=as_json)
+    if kept and not dry_run:
+        warn(
+            f"the results are final: {kept[0]} is struck through there; `results finalize --again` decides without it."
+        )
 
 
 @app.command()

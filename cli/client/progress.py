@@ -102,6 +102,16 @@ def nobody(found: Json) -> str:
     return f"no running worker has what {missing} needs" if missing else "no worker is running"
 
 
+def missing_tasks(found: Json) -> str:
+    """Return which tasks a submission does not play and what that means for its rank; empty where it plays all."""
+    missing = found["missing_tasks"]
+    if not missing:
+        return ""
+    counts = len(missing) < len(found["evaluation"]["counted_tasks"])
+    meaning = "counts as 0 % in" if counts else "without it no place in"
+    return f"{', '.join(missing)} ({meaning} the ranking of all tasks)"
+
+
 def situation(found: Json) -> str:
     """Return what the evaluation waits for, or the estimated time left, in a few words."""
     evaluation = found["evaluation"]

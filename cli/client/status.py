@@ -11,7 +11,7 @@ from ..terminal.options import Server, TokenFile
 from ..terminal.output import AsJson, percent, print_json, print_pairs, print_table
 from .follow import follow
 from .http import client_from
-from .progress import EvaluationProgress, nobody
+from .progress import EvaluationProgress, missing_tasks, nobody
 
 if TYPE_CHECKING:
     from .http import Client, Json
@@ -95,6 +95,7 @@ def show(found: Json) -> None:
         "submission": found["id"],
         "name": found["name"],
         "team": found["team"]["name"],
+        "track": found["track"] if found["stage"] is None else f"{found['track']}, {found['stage']}",
         "state": evaluation["state"],
         "queue": evaluation["queue_position"],
         "episodes": f"{done['episodes_done']} of {done['episodes_total']}, {done['episodes_reused']} reused",
@@ -104,8 +105,8 @@ def show(found: Json) -> None:
     if found["log"]:
         pairs |= _log(found["log"])
     pairs |= _scores(found) if evaluation["scores"] else _progress_of_tasks(done)
-    if found["missing_tasks"]:
-        pairs["not submitted"] = f"{', '.join(found['missing_tasks'])} (adds nothing to the ranking of all tasks)"
+    if missing := missing_tasks(found):
+        pairs["not submitted"] = missing
     if evaluation["verdict"] is not None:
         pairs["verdict"] = _verdict(evaluation["verdict"])
     print_pairs(pairs)
@@ -143,7 +144,10 @@ def _scores(found: Json) -> dict[str, object]:
 
 def _score(score: Json, rank: Json | None) -> str:
     low, high = score["success_rate_interval"]
-    steps = "no success" if score["mean_steps"] is None else f"{score['mean_steps']:.2f} env steps"
+    if score["mean_steps"] is None:  # of all tasks it is a mean over tasks, of which each needs a success
+        steps = "not every task has a success" if score["success_rate"] else "no success"
+    else:
+        steps = f"{score['mean_steps']:.2f} env steps"
     place = "" if rank is None else f", rank {rank['rank']} of {rank['of']}"
     return f"{percent(score['success_rate'])} ({percent(low)} to {percent(high)}), {steps}{place}"
 

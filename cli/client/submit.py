@@ -15,7 +15,7 @@ from ..terminal.options import Server, TokenFile
 from ..terminal.output import AsJson, print_json
 from .http import client_from
 from .packing import pack
-from .progress import nobody
+from .progress import missing_tasks, nobody
 from .upload_kind import kind_of
 
 if TYPE_CHECKING:
@@ -127,10 +127,8 @@ def describe(client: Client, answer: Json) -> None:
     print(f"state       {evaluation['state']}" + (f", number {position} in the queue" if position else ""))
     if waits := nobody(answer):
         print(f"waits       {waits}")
-    print(f"tasks       {', '.join(answer['tasks'])}" + _missing(answer["missing_tasks"]))
+    print(f"tasks       {', '.join(answer['tasks'])}")
+    if missing := missing_tasks(answer):
+        print(f"not played  {missing}")
     print(f"page        {client.server}/submissions/{answer['id']}")
     print("\nSign in with the same token to see the page. `vitac status ID --watch` shows the progress here.")
-
-
-def _missing(tasks: list[str]) -> str:
-    return f" (not {', '.join(tasks)}: adds nothing to the ranking of all tasks)" if tasks else ""

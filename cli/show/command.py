@@ -17,10 +17,8 @@ from .film import film
 from .playing import NothingToShow, Played, Shown, Start, find_start, no_such_env_step, player
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
     from vitac.envs.drawing.colouring import Quantity
-    from vitac.envs.drawing.files import Destination, Kind
+    from vitac.envs.drawing.files import Destination, Frame, Kind, Picture
     from vitac.envs.drawing.picture import Caption
     from vitac.envs.drawing.playback import Pace, Playback
     from vitac.envs.tasks.task_env import TactileTaskEnv
@@ -112,8 +110,7 @@ def command(
         pictures = _render(playback, caption.title, view, width_px=width_px, moments=moments)
     else:
         pictures = _draw(playback, caption, Quantity(colour or "stress"), width_px=width_px, moments=moments)
-    names, durations_ms = zip(*_names_and_durations(playback), strict=True)
-    written = destination.write(pictures, names=names[moments], durations_ms=durations_ms[moments])
+    written = destination.write(_frames(playback, pictures, moments))
     last = playback.moments[-1]
     shown = Shown(
         title=caption.title,
@@ -205,6 +202,15 @@ def _chosen(playback: "Playback", kind: "Kind", step: int | None) -> slice:
     return slice(index, index + 1)
 
 
+def _frames(playback: "Playback", pictures: "Iterator[Picture]", moments: slice) -> "Iterator[Frame]":
+    """Yield the pictures of these moments with their names and durations."""
+    from vitac.envs.drawing.files import Frame
+
+    shown = list(_names_and_durations(playback))[moments]
+    for picture, (name, duration_ms) in zip(pictures, shown, strict=True):
+        yield Frame(picture=picture, name=name, duration_ms=duration_ms)
+
+
 def _names_and_durations(playback: "Playback") -> Iterator[tuple[str, int]]:
     """Yield file name and duration on screen [ms] of every moment."""
     first = 0
@@ -218,31 +224,31 @@ def _names_and_durations(playback: "Playback") -> Iterator[tuple[str, int]]:
 
 def _draw(
     playback: "Playback", caption: "Caption", quantity: "Quantity", *, width_px: int, moments: slice
-) -> "list[NDArray[np.uint8]]":
-    """Return the pictures of these moments, with a progress bar while they are drawn."""
+) -> "Iterator[Picture]":
+    """Yield the pictures of these moments, with a progress bar while they are drawn."""
     from rich.console import Console
     from rich.progress import track
     from vitac.envs.drawing.picture import draw
 
     pictures = draw(playback, caption, quantity=quantity, width_px=width_px, moments=moments)
     total = len(playback.moments[moments])
-    return list(track(pictures, description="drawing", total=total, console=Console(stderr=True), transient=True))
+    yield from track(pictures, description="drawing", total=total, console=Console(stderr=True), transient=True)
 
 
-def _draw_cameras(playback: "Playback", title: str, *, width_px: int, moments: slice) -> "list[NDArray[np.uint8]]":
-    """Return what the camera rig saw at these moments.
+def _draw_cameras(playback: "Playback", title: str, *, width_px: int, moments: slice) -> "Iterator[Picture]":
+    """Return pictures of what the camera rig saw at these moments.
 
     Raises:
         NothingToShow: the task has no camera rig.
     """
     from vitac.envs.drawing.camera_view import camera_sheet
 
-    return [
+    return (
         camera_sheet(sight, f"{title}, env step {step}", width_px=width_px) for step, sight in _seen(playback, moments)
-    ]
+    )
 
 
-def _render(playback: "Playback", title: str, mode: str, *, width_px: int, moments: slice) -> "list[NDArray[np.uint8]]":
+def _render(playback: "Playback", title: str, mode: str, *, width_px: int, moments: slice) -> "Iterator[Picture]":
     """Return the colour pictures of these moments beside SAPIEN's.
 
     Raises:
@@ -255,10 +261,10 @@ def _render(playback: "Playback", title: str, mode: str, *, width_px: int, momen
 
     seen = _seen(playback, moments)
     render = renderer_of(RenderMode(mode)).picture
-    return [
+    return (
         rendered_sheet(sight, render(sight), f"{title}, env step {step}", mode=RenderMode(mode), width_px=width_px)
         for step, sight in seen
-    ]
+    )
 
 
 def _seen(playback: "Playback", moments: slice) -> "list[tuple[int, Sight]]":
@@ -294,10 +300,10 @@ def _report(shown: Shown, *, as_json: bool) -> None:
         found = {"title": shown.title, "actions": shown.actions, "outcome": outcome, "env_steps": shown.env_steps}
         print_json(found | {"beliefs": shown.beliefs, "files": files})
         return
-    print(f"{shown.title}: {outcome} after {shown.env_steps} env steps")
-    if shown.end_reason:
-        from vitac.evaluator.episodes.records import EpisodeOutcome
+    from vitac.evaluator.episodes.records import EpisodeOutcome, counted_env_steps
 
+    print(f"{shown.title}: {outcome} after {counted_env_steps(shown.env_steps)}")
+    if shown.end_reason:
         print(EpisodeOutcome(shown.end_reason).sentence)
     print(f"actions: {shown.actions}")
     for row in shown.beliefs:

@@ -6,10 +6,12 @@ from typing import TYPE_CHECKING
 from .playing import Shown, no_such_env_step, player
 
 if TYPE_CHECKING:
-    from vitac.envs.drawing.files import Destination
-    from vitac.envs.maniskill.film import Moment, Picture
+    from collections.abc import Iterator
 
-    from .playing import Start
+    from vitac.envs.drawing.files import Destination, Frame
+    from vitac.envs.maniskill.film import Moment
+
+    from .playing import Played, Start
 
 _WIDTH_PX = 640
 
@@ -37,6 +39,7 @@ def film(
         ManiSkillMissing: a package or the driver that draws is missing.
         NothingToShow: there is no such episode or env step.
     """
+    from vitac.envs.drawing.files import Frame
     from vitac.envs.maniskill.env import ManiSkillEnv
     from vitac.envs.maniskill.film import END_MS, ENV_STEP_MS, captioned, env_steps_between, play, shots
 
@@ -45,28 +48,23 @@ def film(
     env = ManiSkillEnv(task.env_id, max_steps=task.max_steps, settings=dict(task.settings), draws=True)
     is_one = destination.kind is destination.kind.PNG
     every = env_steps_between(task.max_steps) if destination.kind.is_animated and not each_step else 1
-    if is_one:  # the reset and the last one are drawn in any case
-        every = step or task.max_steps + 1
-    written: list[Path] = []
-    kept: list[tuple[Moment, Picture]] = []
-    with player(start, *sources) as played:
+    n_digits = max(2, len(str(task.max_steps)))
+    last: Moment
+
+    def frames(played: "Played") -> "Iterator[Frame]":
+        nonlocal last
         title = f"{played.start.title}; actions: {played.actions}"
         moments = play(env, options=played.start.options, next_action=played.next_action)
-        for shot in shots(env, moments, every):
-            last, picture = shot.moment, captioned(shot, title, width_px or _WIDTH_PX)
-            if destination.kind is destination.kind.FOLDER:  # a long episode is more than memory holds
-                name = f"step-{last.env_step:02}"
-                written += destination.write([picture], names=[name], durations_ms=[ENV_STEP_MS])
-            elif not is_one or last.env_step == step or step is None:
-                kept.append((last, picture))
-    if is_one:
-        kept = kept[-1:]
-    if kept:
-        written = destination.write(
-            [picture for _, picture in kept],
-            names=[destination.path.stem] * len(kept),
-            durations_ms=[END_MS if moment is last else ENV_STEP_MS for moment, _ in kept],
-        )
+        taken = shots(env, moments, lambda env_step: env_step == step if is_one else env_step % every == 0)
+        for shot in taken:
+            last = shot.moment
+            if is_one and step not in {None, last.env_step}:  # the last moment, which is drawn in any case
+                continue
+            name = f"step-{last.env_step:0{n_digits}}"
+            yield Frame(picture=captioned(shot, title, width_px or _WIDTH_PX), name=name, duration_ms=ENV_STEP_MS)
+
+    with player(start, *sources) as played:
+        written = destination.write(frames(played), end_ms=END_MS)
     if not written:
         raise no_such_env_step(step, last.env_step)
     return Shown(

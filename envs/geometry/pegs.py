@@ -18,7 +18,7 @@ PLATE_THICKNESS_MM = 20.0
 CLEARANCE_MM = 1.5
 PLATE_OUTLINE_MM = rectangle(-35.0, 35.0, -25.0, 25.0)
 
-# The bow tie's waist: its flanks rise at 60 degrees from the ends (half width 17.5) over 10 mm.
+# The waist of concave1, an hourglass: its flanks rise at 60 degrees from the ends (half width 17.5) over 10 mm.
 _WAIST_MM = 17.5 - 10.0 / sqrt(3.0)
 
 

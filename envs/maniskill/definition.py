@@ -14,6 +14,8 @@ PREFIX = "ManiSkill/"
 """Of the `env_id` in a track file; ManiSkill's own id follows."""
 
 CPU, CUDA = "physx_cpu", "physx_cuda"
+MAX_BATCH_SIZE = 64
+"""Each episode of a batch has a policy of its own in memory, and one of the users that a process has for policies."""
 
 _MADE_OF_DRAWN_SHAPES = frozenset({"PushT-v1"})
 """Environments that look at their drawn shapes when they are made."""
@@ -33,12 +35,15 @@ class ManiSkillSettings:
         control_mode: what an action moves, by ManiSkill's name.
         success_key: entry of ManiSkill's info that says whether the task is solved.
         sim_backend: where the physics runs: `physx_cpu`, or `physx_cuda` on a GPU, which does not repeat.
+        batch_size: so many episodes are played at once, each in a scene of its own of one simulation; more than one
+            on a GPU only.
     """
 
     obs_mode: str = "state"
     control_mode: str = "pd_ee_delta_pose"
     success_key: str = "success"
     sim_backend: str = CPU
+    batch_size: int = 1
 
 
 def is_maniskill(env_id: str) -> bool:
@@ -64,6 +69,7 @@ def definition_of(env_id: str, settings: Mapping[str, Any]) -> TaskDefinition:
         control_mode=chosen.control_mode,
         repeats=chosen.sim_backend == CPU,
         pictures_repeat=chosen.obs_mode == "state",
+        batch_size=_batch_size(env_id, chosen),
     )
 
 
@@ -73,6 +79,14 @@ def _family(env_id: str, chosen: ManiSkillSettings) -> Family:
     if chosen.sim_backend == CUDA:
         return Family.MANISKILL_CUDA
     return Family.MANISKILL_PICTURES if needs_driver(env_id, chosen) else Family.MANISKILL
+
+
+def _batch_size(env_id: str, chosen: ManiSkillSettings) -> int:
+    largest = MAX_BATCH_SIZE if chosen.sim_backend == CUDA else 1
+    if not 1 <= chosen.batch_size <= largest:
+        expected = f"1 to {largest}" if largest > 1 else f"1: only {CUDA} moves several scenes at once"
+        raise ManiSkillTaskRejected(f"{env_id}: batch_size is {chosen.batch_size}, expected {expected}.")
+    return chosen.batch_size
 
 
 def needs_driver(env_id: str, chosen: ManiSkillSettings) -> bool:

@@ -1,6 +1,6 @@
 """Plays a ManiSkill environment as the evaluator needs it: plain arrays, a hash of the state, ends by name.
 
-The only module that imports ManiSkill, SAPIEN and torch; a worker's shard process loads it.
+Imports ManiSkill, SAPIEN and torch when an environment is made; a worker's shard process does.
 """
 
 import gc
@@ -10,7 +10,7 @@ import math
 import os
 import sys
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
@@ -53,7 +53,7 @@ class ManiSkillFailed(VitacError):
 
 
 class ManiSkillEnv:
-    """One environment of ManiSkill, alone, in this process; on the CPU unless the settings name a GPU.
+    """One scene of ManiSkill, in this process; on the CPU unless the settings name a GPU.
 
     Args:
         env_id: as in the track file.
@@ -61,6 +61,8 @@ class ManiSkillEnv:
         observation_keys: what is returned of the observation; all by default.
         settings: fields of `ManiSkillSettings` that are not the defaults.
         draws: whether `picture` is wanted, which needs a Vulkan driver.
+        scene: of a batch, which is played like an environment of ManiSkill's own; one is made, alone, by default.
+        clock: gives the CPU time [s] of the simulation.
 
     Attributes:
         solver_version: versions of what moves a state.
@@ -78,7 +80,10 @@ class ManiSkillEnv:
         observation_keys: Sequence[str] | None = None,
         settings: Mapping[str, Any] | None = None,
         draws: bool = False,
+        scene: Any = None,
+        clock: Callable[[], float] = process_time,
     ) -> None:
+        self._clock = clock
         self._settings = settings_from(ManiSkillSettings, dict(settings or {}))
         self._task = definition_of(env_id, settings or {})
         listed = self._task.observables
@@ -90,7 +95,7 @@ class ManiSkillEnv:
         self.physics_cpu_s = 0.0
         self.marker_cpu_s = 0.0
         self.ipc_steps = 0
-        self._env = _made(self._name, self._settings, draws=draws)
+        self._env: Any = scene or made(self._name, self._settings, draws=draws)
         self.solver_version = "+".join(f"{name}-{version(name).partition('+')[0]}" for name in _PACKAGES)
         size = int(self._env.single_action_space.shape[0])
         if size != len(self._task.actions):
@@ -100,9 +105,11 @@ class ManiSkillEnv:
 
     def mesh_hash(self) -> str:
         """Return the SHA-256 [hex] over id and settings; bodies are those of the named versions."""
-        named = {"environment": self._name, "control_mode": self._settings.control_mode}
+        named: dict[str, object] = {"environment": self._name, "control_mode": self._settings.control_mode}
         if self._settings.sim_backend != CPU:
             named["sim_backend"] = self._settings.sim_backend
+        if self._settings.batch_size > 1:
+            named["batch_size"] = self._settings.batch_size
         return hashlib.sha256(json.dumps(named, sort_keys=True).encode()).hexdigest()
 
     def state_hash(self) -> str:
@@ -132,9 +139,7 @@ class ManiSkillEnv:
         Raises:
             ResetOptionsError: an option is unknown.
         """
-        refuse_unknown(self._task.env_id, options, _OPTIONS)
-        random = seeded_generator(self._task.env_id, options.get(RNG_SEED, 0))
-        seed = int(random.integers(0, _LARGEST_SEED))
+        seed = seed_of(self._task.env_id, options)
         self._env_steps = 0
         with self._working("reset"):
             observation, info = self._env.reset(seed=seed, options={"reconfigure": True})
@@ -210,7 +215,7 @@ class ManiSkillEnv:
     @contextmanager
     def _working(self, what: str) -> Iterator[None]:
         """Count the CPU time of ManiSkill's work, and name the environment in its errors."""
-        started = process_time()
+        started = self._clock()
         try:
             yield
         except Exception as error:
@@ -219,7 +224,17 @@ class ManiSkillEnv:
                 f"{self._task.env_id} failed in {what} at env step {self._env_steps}: {told}"
             ) from error
         finally:
-            self.physics_cpu_s += process_time() - started
+            self.physics_cpu_s += self._clock() - started
+
+
+def seed_of(env_id: str, options: Mapping[str, object]) -> int:
+    """Return the seed with which ManiSkill starts the episode of these options.
+
+    Raises:
+        ResetOptionsError: an option is unknown.
+    """
+    refuse_unknown(env_id, options, _OPTIONS)
+    return int(seeded_generator(env_id, options.get(RNG_SEED, 0)).integers(0, _LARGEST_SEED))
 
 
 def _is_finite(value: Any) -> bool:
@@ -239,7 +254,18 @@ def missing_packages() -> tuple[str, ...]:
     return tuple(missing)
 
 
-def _made(name: str, settings: ManiSkillSettings, *, draws: bool) -> Any:
+def made(name: str, settings: ManiSkillSettings, *, draws: bool = False, n_scenes: int = 1) -> Any:
+    """Return an environment as ManiSkill makes it.
+
+    Args:
+        name: ManiSkill's own id.
+        settings: of the task.
+        draws: whether pictures for people are wanted.
+        n_scenes: that one simulation moves, side by side; more than one on a GPU only.
+
+    Raises:
+        ManiSkillMissing: a package, a driver or a GPU is missing.
+    """
     missing = missing_packages()
     if missing:
         raise ManiSkillMissing(
@@ -272,8 +298,9 @@ def _made(name: str, settings: ManiSkillSettings, *, draws: bool) -> Any:
     if not has_renderer:
         _do_without_materials()
     _keep_what_is_loaded()
-    made = gymnasium.make(
+    env = gymnasium.make(
         name,
+        num_envs=n_scenes,
         obs_mode=settings.obs_mode,
         control_mode=settings.control_mode,
         sim_backend=settings.sim_backend,
@@ -282,8 +309,8 @@ def _made(name: str, settings: ManiSkillSettings, *, draws: bool) -> Any:
     ).unwrapped
     # Nothing is learned here; without gradients an env step takes a tenth less time, and the same bits.
     for method in ("reset", "step", "get_state"):
-        setattr(made, method, torch.inference_mode()(getattr(made, method)))
-    return made
+        setattr(env, method, torch.inference_mode()(getattr(env, method)))
+    return env
 
 
 @cache

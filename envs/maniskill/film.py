@@ -78,20 +78,20 @@ def play(env: ManiSkillEnv, *, options: Mapping[str, object], next_action: NextA
         env_step, total_reward = env_step + 1, total_reward + reward
 
 
-def shots(env: ManiSkillEnv, moments: Iterator[Moment], every: int) -> Iterator[Shot]:
-    """Draw every so-many-th moment from the reset on, and the last one.
+def shots(env: ManiSkillEnv, moments: Iterator[Moment], is_wanted: Callable[[int], bool]) -> Iterator[Shot]:
+    """Draw the moments after some env steps, and the last one.
 
     Args:
         env: made with `draws`; it is played by taking the moments.
         moments: of `play`.
-        every: so many env steps lie between two pictures.
+        is_wanted: whether the moment after an env step is drawn; 0 is the reset.
 
     Raises:
         ManiSkillFailed: a picture could not be drawn.
     """
     moment, is_drawn = None, False
     for moment in moments:
-        is_drawn = moment.env_step % every == 0
+        is_drawn = is_wanted(moment.env_step)
         if is_drawn:
             yield Shot(moment=moment, picture=env.picture())
     if moment is not None and not is_drawn:

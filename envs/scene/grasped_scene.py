@@ -75,6 +75,21 @@ class GraspState:
     last_flow: tuple[int, NDArray[np.float32]]
 
 
+@dataclass(kw_only=True)
+class _Measurements:
+    """What was measured since the last IPC step, once, however often it is asked for; None as long as nobody has.
+
+    Attributes:
+        views_m: what both sensors see [m], shape [s, 3] each.
+        held_m: all vertices of the held part in the world [m], shape [v, 3].
+        surface_diff_m: mean motion of both sensing surfaces since the reference [m].
+    """
+
+    views_m: list[FloatArray] | None = None
+    held_m: FloatArray | None = None
+    surface_diff_m: list[float] | None = None
+
+
 def fixed_at_origin(mesh: SurfaceMesh, *, friction: float) -> RigidBody:
     """Return a part that never moves, its own frame being the world's."""
     return RigidBody(mesh=mesh, rotation=np.eye(3), translation_m=np.zeros(3), friction=friction, fixed=True)
@@ -122,7 +137,7 @@ class GraspedScene:
         self.ipc_steps = 0
         self.solved = True
         self._last_flow = (-1, np.zeros((0,), np.float32))
-        self._last_views_m: tuple[int, list[FloatArray]] = (-1, [])
+        self._measured = _Measurements()
 
     @property
     def camera(self) -> CameraIntrinsics:
@@ -146,6 +161,7 @@ class GraspedScene:
         """Take what both sensors see now as their undisturbed view."""
         for sensor, view_m in zip(self._sensors, self._views_m(), strict=True):
             sensor.capture_reference(view_m)
+        self._measured.surface_diff_m = None
 
     def surface_points_m(self) -> FloatArray:
         """Return the sensing nodes in the camera frames [m], shape [2, 2, s, 3]: sensor, reference or current, node."""
@@ -154,8 +170,10 @@ class GraspedScene:
 
     def surface_diff_m(self) -> FloatArray:
         """Return the mean motion of the left and right sensing surface since the reference [m], shape [2]."""
-        pairs = zip(self._sensors, self._views_m(), strict=True)
-        return np.array([sensor.surface_diff_m(view_m) for sensor, view_m in pairs])
+        if self._measured.surface_diff_m is None:
+            pairs = zip(self._sensors, self._views_m(), strict=True)
+            self._measured.surface_diff_m = [sensor.surface_diff_m(view_m) for sensor, view_m in pairs]
+        return np.array(self._measured.surface_diff_m)
 
     def marker_flow(self, random: np.random.Generator) -> NDArray[np.float32]:
         """Return the marker flow of the left, then the right sensor [pixel], shape [2, 2, 128, 2]."""
@@ -172,7 +190,9 @@ class GraspedScene:
 
     def held_vertices_m(self, vertices: NDArray[np.int64]) -> FloatArray:
         """Return the world positions of chosen vertices of the held part [m], shape [n, 3]."""
-        return self._scene.body_vertices_m(0)[vertices]
+        if self._measured.held_m is None:
+            self._measured.held_m = self._scene.body_vertices_m(0)
+        return self._measured.held_m[vertices]
 
     def gel_nodes_m(self, index: int) -> FloatArray:
         """Return the world positions of all nodes of the left (0) or right (1) gel [m], shape [n, 3]."""
@@ -208,6 +228,7 @@ class GraspedScene:
         self.ipc_steps, self.solved = state.ipc_steps, state.solved
         self._reports = list(state.reports)
         self._last_flow = state.last_flow
+        self._measured = _Measurements()
 
     def state_hash(self) -> str:
         """Return the SHA-256 [hex] of all positions and velocities."""
@@ -226,6 +247,7 @@ class GraspedScene:
         )
 
     def _step_to(self, pose: GripperPose) -> None:
+        self._measured = _Measurements()
         with self._clocks.physics:
             report = self._scene.step(driven_targets_m=self._gripper.driven_targets_m(pose))
         self.ipc_steps += 1
@@ -236,13 +258,11 @@ class GraspedScene:
             self.after_ipc_step()
 
     def _views_m(self) -> list[FloatArray]:
-        """Return what both sensors see [m]; asked for several times between two IPC steps, made once."""
-        at, views_m = self._last_views_m
-        if at != self.ipc_steps:
-            views_m = [
+        """Return what both sensors see [m]."""
+        if self._measured.views_m is None:
+            self._measured.views_m = [
                 sensor.view_m(self.gel_nodes_m(index), pose.rotation, pose.centre_m)
                 for index, sensor in enumerate(self._sensors)
                 for pose in [self.sensor_pose(index)]
             ]
-            self._last_views_m = (self.ipc_steps, views_m)
-        return views_m
+        return self._measured.views_m

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..compilation import allocating_kernel
 from ..deterministic_math import sine_cosine
 from ..fem.model.mesh import GelMesh
 
@@ -117,7 +118,8 @@ class Gripper:
         about_z = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
         offset = mount.side * pose.half_opening_m
         centre = np.array([pose.x_m - sine * offset, pose.y_m + cosine * offset, pose.z_m])
-        return SensorPose(rotation=_turned(about_z, mount.rotation.T).T, centre_m=centre)
+        rows = np.ascontiguousarray(mount.rotation.T)  # one layout for all: the kernel is compiled once
+        return SensorPose(rotation=_turned(about_z, rows).T, centre_m=centre)
 
     def driven_targets_m(self, pose: GripperPose) -> tuple[FloatArray, FloatArray]:
         """Return the world positions [m] of both gels' driven nodes when the gripper is at this pose, shapes [d, 3]."""
@@ -138,7 +140,12 @@ def _placed(driven_m: FloatArray, sine: float, cosine: float, pose: GripperPose,
     return out
 
 
+@allocating_kernel
 def _turned(rotation: FloatArray, points: FloatArray) -> FloatArray:
     """Return rotated points, shape [n, 3], by explicit sums of products (BLAS kernels differ in their bits)."""
-    x, y, z = points[:, 0], points[:, 1], points[:, 2]
-    return np.column_stack([row[0] * x + row[1] * y + row[2] * z for row in rotation])
+    out = np.empty((points.shape[0], 3))
+    for i in range(points.shape[0]):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        for k in range(3):
+            out[i, k] = rotation[k, 0] * x + rotation[k, 1] * y + rotation[k, 2] * z
+    return out

@@ -6,7 +6,6 @@ from numpy.typing import NDArray
 from ..compilation import allocating_kernel, kernel
 from ..fem.algebra.vec3 import Vec3, cross, dot, load, subtract
 from ..fem.contact.distance import POINT_TRIANGLE, closest_points
-from ..fem.contact.overlap import segment_crosses_triangle
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
@@ -15,6 +14,8 @@ NONE = -1
 TOO_MANY = -2
 # Cosine of the angle between two neighbours' normals from which on they lie on each other.
 _FOLDED = -1.0 + 1e-9
+# Sine of the angle between an edge and a plane up to which it lies in the plane.
+_PARALLEL = 1e-9
 
 
 @allocating_kernel
@@ -89,25 +90,31 @@ def _cross(vertices: FloatArray, triangles: IndexArray, a: int, b: int) -> bool:
     if shared >= 2:
         return _folded(vertices, triangles, a, b)
     if shared == 1:
-        return _edge_crosses(vertices, triangles, a, (of_a + 1) % 3, b) or _edge_crosses(
+        return _edge_meets(vertices, triangles, a, (of_a + 1) % 3, b) or _edge_meets(
             vertices, triangles, b, (of_b + 1) % 3, a
         )
+    meets = False
     for i in range(3):
-        if _edge_crosses(vertices, triangles, a, i, b) or _edge_crosses(vertices, triangles, b, i, a):
-            return True
-    return False
+        meets = meets or _edge_meets(vertices, triangles, a, i, b) or _edge_meets(vertices, triangles, b, i, a)
+    return meets
 
 
 @kernel
-def _edge_crosses(vertices: FloatArray, triangles: IndexArray, a: int, i: int, b: int) -> bool:
-    """Return whether the edge of triangle a from its corner i on crosses triangle b."""
-    return segment_crosses_triangle(
-        load(vertices, triangles[a, i]),
-        load(vertices, triangles[a, (i + 1) % 3]),
-        load(vertices, triangles[b, 0]),
-        load(vertices, triangles[b, 1]),
-        load(vertices, triangles[b, 2]),
-    )
+def _edge_meets(vertices: FloatArray, triangles: IndexArray, a: int, i: int, b: int) -> bool:
+    """Return whether the edge of triangle a from its corner i on meets triangle b, be it only at its rim.
+
+    Those of surfaces that were drawn on one grid cross exactly there. In one plane with it an edge does not meet it.
+    """
+    p, q = load(vertices, triangles[a, i]), load(vertices, triangles[a, (i + 1) % 3])
+    along, normal = subtract(q, p), _normal(vertices, triangles, b)
+    to_0 = subtract(load(vertices, triangles[b, 0]), p)
+    to_1 = subtract(load(vertices, triangles[b, 1]), p)
+    to_2 = subtract(load(vertices, triangles[b, 2]), p)
+    height, rise = dot(to_0, normal), dot(along, normal)
+    if abs(rise) <= _PARALLEL * np.sqrt(dot(along, along) * dot(normal, normal)) or height * (height - rise) > 0.0:
+        return False
+    u, v, w = dot(along, cross(to_2, to_1)), dot(along, cross(to_0, to_2)), dot(along, cross(to_1, to_0))
+    return (u >= 0.0 and v >= 0.0 and w >= 0.0) or (u <= 0.0 and v <= 0.0 and w <= 0.0)
 
 
 @kernel

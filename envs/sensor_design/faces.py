@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..fem.model.mesh import GelMesh, MeshError
-from .tetrahedra import BASE_PLANE_MM, Tetrahedra
+from .tetrahedra import Tetrahedra
 
 IndexArray = NDArray[np.int64]
 
@@ -29,16 +29,14 @@ def gel_of(mesh: Tetrahedra, *, name: str) -> tuple[GelMesh, IndexArray]:
     surface = mesh.surface
     if len(surface.triangles) == 0:
         raise MeshError(f"{name} has no outer surface: expected each tetrahedron once.")
-    heights_mm = surface.corners_mm[:, :, 2]
     slope = surface.area_vectors_mm2[:, 2] / surface.areas_mm2
-    is_base = (heights_mm <= BASE_PLANE_MM).all(axis=1) & (slope < 0.0)
     outer = surface.shells == int(surface.shell_volumes_mm3().argmax())
     sensing = surface.triangles[(slope >= _SENSING_COSINE) & outer]
     middle = np.array([0.0, 0.0, 0.5 * float(mesh.nodes_mm[:, 2].max())])
     gel = GelMesh(
         rest_position_m=(mesh.nodes_mm - middle) * MILLIMETRE_M,
         tetrahedra=mesh.corners,
-        driven=_mask(surface.triangles[is_base], len(mesh.nodes_mm)),
+        driven=_mask(surface.triangles[mesh.base_faces], len(mesh.nodes_mm)),
         sensing=_mask(sensing, len(mesh.nodes_mm)),
         name=name,
     )

@@ -5,6 +5,7 @@ heights deviate, and the columns over the triangles are filled with tetrahedra (
 place.
 """
 
+from copy import deepcopy
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +18,7 @@ from .height_field import HeightField, Line, heights_of_faces_mm
 from .outlines import add_outlines, in_mm, on_grid
 from .plane_mesh import GRID_PER_MM, PlaneMesh, TooManyPoints
 from .refining import refined_tips
-from .sampling import pulled_corners
+from .sampling import pulled_corners, samples_of_triangles_mm
 from .surface import DrawnSurface
 from .tetrahedra import Tetrahedra
 
@@ -86,15 +87,15 @@ def mesh_height_field(surface: DrawnSurface, goal: MeshGoal) -> Tetrahedra:
     field = HeightField(surface)
     best = None
     for cosine in _CREASE_COSINES:
-        lines = list(field.lines(crease_cosine=cosine))
-        for longest_mm in _LONGEST_MM:
-            try:
-                mesh = _meshed(field, lines, longest_mm, goal)
-            except TooManyPoints:
-                break
-            best = _Deviation.of(mesh, surface)
-            if best.is_within(goal) and goal.min_nodes <= len(mesh.nodes_mm) <= goal.max_nodes:
-                return _with_tips(mesh, goal)
+        try:
+            outlined = _outlined(list(field.lines(crease_cosine=cosine)), goal)
+            for longest_mm in _LONGEST_MM:
+                mesh = _meshed(field, deepcopy(outlined), longest_mm)
+                best = _Deviation.of(mesh, surface)
+                if best.is_within(goal) and goal.min_nodes <= len(mesh.nodes_mm) <= goal.max_nodes:
+                    return _with_tips(mesh, goal)
+        except TooManyPoints:
+            continue
     raise FeatureBelowResolution(
         f"Expected features that a mesh of at most {goal.max_nodes} nodes follows within {goal.max_distance_mm} mm, "
         f"got {best or 'outlines that need more nodes'}; remove rounded edges and fine details, or bring a tet.msh."
@@ -102,9 +103,14 @@ def mesh_height_field(surface: DrawnSurface, goal: MeshGoal) -> Tetrahedra:
 
 
 def _with_tips(mesh: Tetrahedra, goal: MeshGoal) -> Tetrahedra:
-    """Return the mesh with nodes enough in its tips, or as it is where that makes tetrahedra too flat."""
-    finer = refined_tips(mesh, depth_mm=goal.tip_depth_mm, fewest=goal.min_tip_nodes, max_nodes=goal.max_nodes)
-    return finer if float(finer.qualities.min()) >= goal.min_quality else mesh
+    """Return the mesh with nodes enough in its tips, or with half or less of them where tetrahedra get too flat."""
+    fewest = goal.min_tip_nodes
+    while fewest > 1:
+        finer = refined_tips(mesh, depth_mm=goal.tip_depth_mm, fewest=fewest, max_nodes=goal.max_nodes)
+        if float(finer.qualities.min()) >= goal.min_quality:
+            return finer
+        fewest //= 2
+    return mesh
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -153,10 +159,15 @@ def max_distance_mm(first: DrawnSurface, second: DrawnSurface) -> float:
     return max(float(there), float(back))
 
 
-def _meshed(field: HeightField, lines: list[Line], longest_mm: float, goal: MeshGoal) -> Tetrahedra:
+def _outlined(lines: list[Line], goal: MeshGoal) -> PlaneMesh:
+    """Return the plane mesh of the base with the outlines of the faces and nothing else."""
     half_mm = (0.5 * goal.length_mm, 0.5 * goal.width_mm)
     plane = PlaneMesh(on_grid(half_mm[0]), on_grid(half_mm[1]), max_points=goal.max_nodes // 2)
     add_outlines(plane, lines, half_mm)
+    return plane
+
+
+def _meshed(field: HeightField, plane: PlaneMesh, longest_mm: float) -> Tetrahedra:
     columns = _refined(plane, field, longest_mm)
     return Tetrahedra(
         nodes_mm=np.array([(*in_mm(plane.points[point]), height) for point, height in columns.nodes()]),
@@ -166,8 +177,8 @@ def _meshed(field: HeightField, lines: list[Line], longest_mm: float, goal: Mesh
 
 def _refined(plane: PlaneMesh, field: HeightField, longest_mm: float) -> Columns:
     """Refine a plane mesh until it is fine enough and follows the heights; return the columns over it."""
-    probes_mm = pulled_corners(field.upper_corners_mm, _INSIDE_MM).reshape(-1, 3)
-    upward = np.repeat(field.upper_slopes, 3)
+    probes_mm, faces = samples_of_triangles_mm(pulled_corners(field.upper_corners_mm, _INSIDE_MM))
+    upward = field.upper_slopes[faces]
     shortest = _SHORTEST_MM * GRID_PER_MM
     for _ in range(_ROUNDS):
         plane.refine(longest=longest_mm * GRID_PER_MM, shortest=shortest)

@@ -139,21 +139,24 @@ def _straightened(chain: list[PlanePoint]) -> list[PlanePoint]:
 
     A ring is first cut at the point that is farthest from its beginning.
     """
-    if len(chain) < 3:
-        return chain
-    off = [_distance(point, chain[0], chain[-1]) for point in chain]
-    middle = max(range(len(chain)), key=lambda i: (off[i], -i))
-    if off[middle] <= _STRAIGHT_MM:
-        return [chain[0], chain[-1]]
-    return [*_straightened(chain[: middle + 1])[:-1], *_straightened(chain[middle:])]
+    points, kept = np.array(chain), {0, len(chain) - 1}
+    waiting = [(0, len(chain) - 1)]
+    while waiting:
+        first, last = waiting.pop()
+        off_mm = _distances_mm(points[first : last + 1], points[first], points[last])
+        if off_mm.max() > _STRAIGHT_MM:
+            middle = first + int(off_mm.argmax())
+            kept.add(middle)
+            waiting += [(first, middle), (middle, last)]
+    return [chain[index] for index in sorted(kept)]
 
 
-def _distance(point: PlanePoint, first: PlanePoint, second: PlanePoint) -> float:
-    """Return the distance of a point from a line between two points, or from them where they are one."""
-    x, y = point[0] - first[0], point[1] - first[1]
-    along_x, along_y = second[0] - first[0], second[1] - first[1]
+def _distances_mm(points: FloatArray, first: FloatArray, second: FloatArray) -> FloatArray:
+    """Return the distances of points from a line between two points, or from them where they are one, shape [n]."""
+    x, y = (points - first).T
+    along_x, along_y = second - first
     length = sqrt(along_x * along_x + along_y * along_y)
-    return sqrt(x * x + y * y) if length == 0.0 else abs(along_x * y - along_y * x) / length
+    return np.asarray(np.sqrt(x * x + y * y) if length == 0.0 else np.abs(along_x * y - along_y * x) / length)
 
 
 def _to_edge(value: float, limit: float) -> float:

@@ -149,13 +149,28 @@ class PlaneMesh:
         return any(_is_in_diametral_circle(self._ends(edge), self.points[apex]) for apex in apexes)
 
     def _split(self, edge: Edge) -> None:
+        """Cut a segment at the point that lies on it, else halve it: halving alone would creep up to that point."""
         (ax, ay), (bx, by) = self._ends(edge)
-        middle = self.add_point(((ax + bx) // 2, (ay + by) // 2))
+        middle = self._point_on(edge)
+        if middle is None:
+            middle = self.add_point(((ax + bx) // 2, (ay + by) // 2))
         is_wall = self._segments.pop(edge)
         if middle in edge:
             raise TooManyPoints("Segments cross or lie on each other.")
         self.add_segment(edge[0], middle, is_wall=is_wall)
         self.add_segment(middle, edge[1], is_wall=is_wall)
+
+    def _point_on(self, edge: Edge) -> int | None:
+        """Return the first point between the ends of a segment and exactly on it; None where there is none."""
+        if edge in self._apex or edge[::-1] in self._apex:
+            return None
+        a, b = self._ends(edge)
+        between = (
+            number
+            for number, point in enumerate(self.points)
+            if _is_in_diametral_circle((a, b), point) and _orientation(a, b, point) == 0
+        )
+        return next(between, None)
 
     def _badness(self, triangle: Triangle, longest: float) -> float:
         """Return how far a triangle is from what is asked: above 1 it is to be improved."""

@@ -18,6 +18,11 @@ def samples_mm(corners: FloatArray) -> FloatArray:
     Args:
         corners: of the triangles [mm], shape [f, 3, 3].
     """
+    return samples_of_triangles_mm(corners)[0]
+
+
+def samples_of_triangles_mm(corners: FloatArray) -> tuple[FloatArray, IndexArray]:
+    """Return the points of `samples_mm` and the number of the triangle that each is of, shape [n]."""
     turned = _longest_side_first(corners)
     along_mm, across_mm = _extents_mm(turned)
     spacing_mm = _SPACING_MM
@@ -27,12 +32,12 @@ def samples_mm(corners: FloatArray) -> FloatArray:
         cuts = _cuts(along_mm, across_mm, spacing_mm)
     kinds, kind = np.unique(cuts, axis=0, return_inverse=True)
     order, ends = np.argsort(kind, kind="stable"), np.cumsum(np.bincount(kind))
-    return np.concatenate(
-        [
-            _combined(turned[held], _weights(along, across)).reshape(-1, 3)
-            for (along, across), held in zip(kinds.tolist(), np.split(order, ends[:-1]), strict=True)
-        ]
-    )
+    points, numbers = [], []
+    for (along, across), held in zip(kinds.tolist(), np.split(order, ends[:-1]), strict=True):
+        weights = _weights(along, across)
+        points.append(_combined(turned[held], weights).reshape(-1, 3))
+        numbers.append(np.repeat(held, len(weights)))
+    return np.concatenate(points), np.concatenate(numbers)
 
 
 def pulled_corners(corners: FloatArray, distance: float) -> FloatArray:

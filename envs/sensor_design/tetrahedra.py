@@ -61,6 +61,13 @@ class Tetrahedra:
         first = self._first_face[self._face_uses == 1]
         return DrawnSurface(vertices_mm=self.nodes_mm, triangles=self._faces[np.sort(first)])
 
+    @cached_property
+    def base_faces(self) -> NDArray[np.bool_]:
+        """Whether each triangle of `surface` lies in the plane of the base and looks down, shape [f]."""
+        surface = self.surface
+        is_low = (surface.corners_mm[:, :, 2] <= BASE_PLANE_MM).all(axis=1)
+        return np.asarray(is_low & (surface.area_vectors_mm2[:, 2] < 0.0))
+
     def as_bytes(self) -> bytes:
         """Return positions and corners in a fixed order and byte order, for digests."""
         return self.nodes_mm.astype("<f8").tobytes() + self.corners.astype("<i8").tobytes()

@@ -12,6 +12,8 @@ in this order per sensor, left sensor first:
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from math import ceil
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +22,7 @@ from ..compilation import allocating_kernel, kernel
 from ..deterministic_math import normal_pairs, sine_cosine
 from ..errors import VitacError
 from ..fem.model.mesh import GelMesh
-from .camera import CHALLENGE_CAMERA, project
+from .camera import CHALLENGE_CAMERA, CameraIntrinsics, project
 from .sizes import MARKER_COUNT
 
 FloatArray = NDArray[np.float64]
@@ -62,6 +64,15 @@ class MarkerSettings:
     loss_probability: float = 0.01
 
 
+class SurfaceArrays(NamedTuple):
+    """What kernels need of a sensing surface; see there."""
+
+    vertices_m: FloatArray
+    triangles: IndexArray
+    centroids_m: FloatArray
+    hull_m: FloatArray
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SensingSurface:
     """Undeformed sensing triangles seen along the camera's axis.
@@ -86,6 +97,11 @@ class SensingSurface:
         # Camera x and y are the negated gel axes.
         vertices_m = -mesh.rest_position_m[mesh.sensing_nodes, :2]
         return cls(vertices_m=vertices_m, triangles=number[mesh.surface_triangles[on_surface]])
+
+    @cached_property
+    def arrays(self) -> SurfaceArrays:
+        """All arrays, for kernels."""
+        return SurfaceArrays(self.vertices_m, self.triangles, self.centroids_m, self.hull_m)
 
     @cached_property
     def hull_m(self) -> FloatArray:
@@ -116,61 +132,91 @@ def marker_flow(
         settings: ranges of the grid.
         random: the episode's generator; see the module for the order of the draws.
     """
-    grid_m = _draw_grid_m(settings, random)
-    triangle, weights = _attach(grid_m, surface.vertices_m, surface.triangles, surface.centroids_m, surface.hull_m)
-    corners = surface.triangles[triangle]
-    reference = project(interpolated(reference_m, corners, weights), CHALLENGE_CAMERA)
-    current = project(interpolated(current_m, corners, weights), CHALLENGE_CAMERA)
-    flow = np.stack([reference, current])[:, in_picture(reference)]
-    return tracked(flow[:, random.random(flow.shape[1]) >= settings.loss_probability], settings, random)
+    grid = _draw_grid(settings, random)
+    shifts = random.random(2 * grid.columns * grid.rows)
+    flow = _seen(grid, shifts, surface.arrays, reference_m, current_m, CHALLENGE_CAMERA)
+    return tracked(flow, random.random(flow.shape[1]) >= settings.loss_probability, settings, random)
 
 
-def tracked(flow: FloatArray, settings: MarkerSettings, random: np.random.Generator) -> FloatArray:
+def tracked(
+    flow: FloatArray, kept: NDArray[np.bool_], settings: MarkerSettings, random: np.random.Generator
+) -> FloatArray:
     """Return exactly 128 markers with noise, shape [2, 128, 2] [pixel].
 
     Args:
-        flow: reference and current pixel positions of those that are not lost, shape [2, k, 2]; changed.
+        flow: reference and current pixel positions of all that are seen, shape [2, m, 2].
+        kept: which of them are not lost, shape [m].
         settings: amount of noise.
         random: the episode's generator.
+
+    Raises:
+        NoMarkerVisible: all are lost, or none was seen.
     """
-    flow += settings.noise_px * normal_pairs(random.random((flow.size // 2, 2))).reshape(flow.shape)
-    return _of_fixed_count(flow, random)
-
-
-def _draw_grid_m(settings: MarkerSettings, random: np.random.Generator) -> FloatArray:
-    """Return the marker positions in the plane of the gel, camera x and y [m], shape [n, 2]."""
-    interval = random.uniform(*settings.interval_mm)
-    angle = random.uniform(-settings.rotation_rad, settings.rotation_rad)
-    x_mm = _grid_line_mm(_GRID_HALF_X_MM, interval, random.uniform(-settings.translation_mm, settings.translation_mm))
-    y_mm = _grid_line_mm(_GRID_HALF_Y_MM, interval, random.uniform(-settings.translation_mm, settings.translation_mm))
-    x, y = np.tile(x_mm, len(y_mm)), np.repeat(y_mm, len(x_mm))
-    x = x + random.uniform(-settings.shift_mm, settings.shift_mm, len(x))
-    y = y + random.uniform(-settings.shift_mm, settings.shift_mm, len(y))
-    sine, cosine = sine_cosine(angle)
-    return np.column_stack([cosine * x - sine * y, sine * x + cosine * y]) * 1e-3
-
-
-def _grid_line_mm(half: float, interval: float, translation: float) -> FloatArray:
-    first = -np.ceil((half + translation) / interval)
-    last = np.ceil((half - translation) / interval)
-    return np.arange(first, last + 1.0) * interval + translation
-
-
-def in_picture(pixels: FloatArray) -> NDArray[np.bool_]:
-    """Return which pixel positions, shape [n, 2], are where markers are tracked."""
-    u, v = pixels[:, 0], pixels[:, 1]
-    inside = (u > _U_RANGE_PX[0]) & (u < _U_RANGE_PX[1]) & (v > _V_RANGE_PX[0]) & (v < _V_RANGE_PX[1])
-    return np.asarray(inside)
-
-
-def _of_fixed_count(flow: FloatArray, random: np.random.Generator) -> FloatArray:
-    """Return exactly 128 markers: a random choice of more, or the last one repeated."""
-    count = flow.shape[1]
+    count = np.count_nonzero(kept)
     if count == 0:
         raise NoMarkerVisible("No marker of the grid lies on the sensing surface and in the picture.")
-    if count >= MARKER_COUNT:
-        return flow[:, random.choice(count, MARKER_COUNT, replace=False)]
-    return np.concatenate([flow, np.repeat(flow[:, -1:], MARKER_COUNT - count, axis=1)], axis=1)
+    noisy = _noisy(flow, kept, random.random((2 * count, 2)), settings.noise_px)
+    if count < MARKER_COUNT:
+        return noisy
+    return noisy[:, random.choice(count, MARKER_COUNT, replace=False)]
+
+
+class _Grid(NamedTuple):
+    """A drawn grid of markers, before the shifts of the single ones; lengths [mm].
+
+    Attributes:
+        interval: between two columns or rows.
+        angle_rad: by which it is turned.
+        x: by which it is moved along x.
+        y: by which it is moved along y.
+        first_column: number of the leftmost column; the one through the middle has 0.
+        columns: how many there are.
+        first_row: number of the lowest row.
+        rows: how many there are.
+        shift: largest shift of a single marker.
+    """
+
+    interval: float
+    angle_rad: float
+    x: float
+    y: float
+    first_column: int
+    columns: int
+    first_row: int
+    rows: int
+    shift: float
+
+
+def _draw_grid(settings: MarkerSettings, random: np.random.Generator) -> _Grid:
+    """Draw what all markers have in common."""
+    draws = random.random(4).tolist()
+    moved = settings.translation_mm
+    interval = _uniform(*settings.interval_mm, draws[0])
+    angle_rad = _uniform(-settings.rotation_rad, settings.rotation_rad, draws[1])
+    x, y = (_uniform(-moved, moved, draw) for draw in draws[2:])
+    columns, rows = _line(_GRID_HALF_X_MM, interval, x), _line(_GRID_HALF_Y_MM, interval, y)
+    return _Grid(interval, angle_rad, x, y, *columns, *rows, settings.shift_mm)
+
+
+def _uniform(low: float, high: float, draw: float) -> float:
+    """Return a draw from [0, 1) as one from [low, high), to the bits of NumPy's `Generator.uniform`."""
+    return low + (high - low) * draw
+
+
+def _line(half: float, interval: float, translation: float) -> tuple[int, int]:
+    """Return the number of the first marker on a line across the gel, and how many there are."""
+    first = -ceil((half + translation) / interval)
+    return first, ceil((half - translation) / interval) - first + 1
+
+
+@allocating_kernel
+def in_picture(pixels: FloatArray) -> NDArray[np.bool_]:
+    """Return which pixel positions, shape [n, 2], are where markers are tracked."""
+    inside = np.empty(pixels.shape[0], dtype=np.bool_)
+    for i in range(pixels.shape[0]):
+        u, v = pixels[i, 0], pixels[i, 1]
+        inside[i] = _U_RANGE_PX[0] < u < _U_RANGE_PX[1] and _V_RANGE_PX[0] < v < _V_RANGE_PX[1]
+    return inside
 
 
 def convex_hull(points: FloatArray) -> FloatArray:
@@ -190,6 +236,78 @@ def _half_hull(ordered: FloatArray) -> list[FloatArray]:
 
 def _turns_left(a: FloatArray, b: FloatArray, c: FloatArray) -> bool:
     return bool((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]) > 0.0)
+
+
+@allocating_kernel
+def _seen(
+    grid: _Grid,
+    shifts: FloatArray,
+    surface: SurfaceArrays,
+    reference_m: FloatArray,
+    current_m: FloatArray,
+    camera: CameraIntrinsics,
+) -> FloatArray:
+    """Return where the markers are seen whose reference is in the picture, before and now, shape [2, m, 2] [pixel].
+
+    One kernel for all: between two IPC steps little of NumPy's code is in the caches.
+    """
+    triangle, weights = _attach(
+        _points_m(grid, shifts), surface.vertices_m, surface.triangles, surface.centroids_m, surface.hull_m
+    )
+    corners = surface.triangles[triangle]
+    reference = project(interpolated(reference_m, corners, weights), camera)
+    current = project(interpolated(current_m, corners, weights), camera)
+    seen = np.flatnonzero(in_picture(reference))
+    flow = np.empty((2, len(seen), 2))
+    for i in range(len(seen)):
+        flow[0, i], flow[1, i] = reference[seen[i]], current[seen[i]]
+    return flow
+
+
+@allocating_kernel
+def _points_m(grid: _Grid, shifts: FloatArray) -> FloatArray:
+    """Return the markers in the plane of the gel, x fastest, camera x and y [m], shape [n, 2].
+
+    Args:
+        grid: its lines.
+        shifts: drawn from [0, 1) for every marker along x, then along y, shape [2 n].
+    """
+    sine, cosine = sine_cosine(grid.angle_rad)
+    count = grid.columns * grid.rows
+    points = np.empty((count, 2))
+    for i in range(count):
+        x = (grid.first_column + i % grid.columns) * grid.interval + grid.x
+        y = (grid.first_row + i // grid.columns) * grid.interval + grid.y
+        x += -grid.shift + (grid.shift + grid.shift) * shifts[i]
+        y += -grid.shift + (grid.shift + grid.shift) * shifts[count + i]
+        points[i, 0] = (cosine * x - sine * y) * 1e-3
+        points[i, 1] = (sine * x + cosine * y) * 1e-3
+    return points
+
+
+@allocating_kernel
+def _noisy(flow: FloatArray, kept: NDArray[np.bool_], uniform: FloatArray, noise_px: float) -> FloatArray:
+    """Return the kept markers with noise; of fewer than 128 the last one is repeated up to this number.
+
+    Args:
+        flow: reference and current, shape [2, m, 2] [pixel].
+        kept: which of them, k in all, shape [m].
+        uniform: drawn from [0, 1), of all references first, shape [2 k, 2].
+        noise_px: standard deviation [pixel].
+    """
+    normal = normal_pairs(uniform)
+    count = normal.shape[0] // 2
+    out = np.empty((2, max(count, MARKER_COUNT), 2))
+    for side in range(2):
+        k = 0
+        for i in range(flow.shape[1]):
+            if kept[i]:
+                for axis in range(2):
+                    out[side, k, axis] = flow[side, i, axis] + noise_px * normal[side * count + k, axis]
+                k += 1
+        for i in range(count, out.shape[1]):
+            out[side, i] = out[side, count - 1]
+    return out
 
 
 @allocating_kernel

@@ -118,4 +118,4 @@ class DesignedSensor(TactileSensor):
         ]
         kept = random.random(len(self._corners)) >= self._settings.loss_probability
         kept[0] |= not kept.any()
-        return tracked(np.stack(seen)[:, kept], self._settings, random)
+        return tracked(np.stack(seen), kept, self._settings, random)

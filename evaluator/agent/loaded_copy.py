@@ -106,6 +106,14 @@ class LoadedCopy:
         outside_pid, inside_pid = self._process.fork(_FLAGS, self._tid_address)
         return EpisodeProcess(outside_pid=outside_pid, inside_pid=inside_pid)
 
+    def kill_all_others(self) -> bool:
+        """Kill every process of the episode without waiting for their ends; False if the loaded policy is gone."""
+        try:
+            self._process.call(tracing.SYS_KILL, -1, signal.SIGKILL)
+        except TracedProcessGone:
+            return False
+        return True
+
     def clear(self) -> bool:
         """End every process of the episode; return whether all is as it was before it.
 
@@ -126,10 +134,9 @@ class LoadedCopy:
         self._process.end()
 
     def _end_all_others(self) -> None:
-        """Kill every other process of the sandbox but the first in one system call, and wait until all are gone."""
-        self._process.call(tracing.SYS_KILL, -1, signal.SIGKILL)
+        """Kill every other process of the sandbox but the first in one system call, until there is none to kill."""
         deadline = time.monotonic() + _CLEAR_DEADLINE_S
-        while self._process.call(tracing.SYS_KILL, -1, 0) != _NO_SUCH_PROCESS:
+        while self._process.call(tracing.SYS_KILL, -1, signal.SIGKILL) != _NO_SUCH_PROCESS:
             if time.monotonic() > deadline:
                 raise TracedProcessGone
             time.sleep(0.0002)
@@ -190,7 +197,7 @@ class LoadedCopy:
                     files.append(
                         OpenFile(
                             descriptor=int(link.name),
-                            target=str(Path(link.path).readlink()),
+                            target=os.readlink(link.path),  # noqa: PTH115 - a Path takes ten times as long
                             position=int(info["pos"]),
                             flags=int(info["flags"], 8),
                             mode=state.st_mode,

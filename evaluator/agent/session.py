@@ -92,6 +92,8 @@ class PolicySession:
         self._sandbox: Sandbox | None = None
         self._loaded: LoadedCopy | None = None
         self._loaded_pid = 0
+        self._ended: EpisodeProcess | None = None
+        """What played the last episode, as long as nobody has made sure that nothing of it is left."""
         self._isolation: Isolation | None = None
         self._shard_time = ShardTime(self._limits)
         self._loading_s = (0.0, 0.0)
@@ -150,9 +152,10 @@ class PolicySession:
             yield policy
             policy.check_silent()
         finally:
-            self._end_episode(sandbox, process)
+            self._end_episode(process)
 
     def _start_episode(self) -> tuple[Sandbox, EpisodeProcess]:
+        self._clear_after_last()
         for _ in range(_ATTEMPTS):
             sandbox = self._sandbox or self._start()
             sandbox.output.restart_count()  # before the copy, whose output is to look as if never read or written
@@ -172,9 +175,20 @@ class PolicySession:
             return self._loaded.copy()
         return EpisodeProcess(outside_pid=self._loaded_pid, inside_pid=process_tree.inside_pid(self._loaded_pid))
 
-    def _end_episode(self, sandbox: Sandbox, process: EpisodeProcess) -> None:
-        """Remove everything that the episode left: clear the sandbox, or end it where that fails."""
-        cleared = self._loaded is not None and self._loaded.clear()
+    def _end_episode(self, process: EpisodeProcess) -> None:
+        """Kill all that the episode started; it ends while the next episode's scene is built."""
+        if self._loaded is None or not self._loaded.kill_all_others():
+            self._stop()
+        else:
+            self._ended = process
+
+    def _clear_after_last(self) -> None:
+        """Remove everything that the last episode left: clear the sandbox, or end it where that fails."""
+        process, self._ended = self._ended, None
+        if process is None or self._sandbox is None or self._loaded is None:
+            return
+        sandbox = self._sandbox
+        cleared = self._loaded.clear()
         if not cleared or not _end_was_reported(sandbox, process) or sandbox.channel.has_unread_question():
             self._stop()
             return
@@ -202,7 +216,7 @@ class PolicySession:
         return sandbox
 
     def _stop(self) -> None:
-        self._sandbox, self._loaded, self._loaded_pid = None, None, 0
+        self._sandbox, self._loaded, self._loaded_pid, self._ended = None, None, 0, None
         self._exits.close()
 
     def _load(self, sandbox: Sandbox) -> None:
@@ -294,12 +308,19 @@ class EpisodePolicy:
     def belief(self, size: int) -> NDArray[np.float32] | None:
         """Return what the policy believes of what it saw last, shape [size]; None where it does not say.
 
-        No score depends on it: nothing but `vitac show` asks.
+        No score depends on it: nothing but `vitac show` asks. Its time counts neither for the episode nor for the
+        shard, which so end as they do where nobody asks; the kernel's own limit on the process counts all.
 
         Raises:
             PolicyFailed: any verdict; where `belief()` raised or returned something else, the episode goes on.
         """
-        answer = self._ask(Question(kind=QuestionKind.BELIEVE), AnswerKind.BELIEF, "belief()")
+        self._count_cpu()
+        limits = self._limits
+        deadlines = Deadlines(what="belief()", wall_s=limits.action_wall_s, cpu_s=limits.action_cpu_s)
+        try:
+            answer = self._exchange.ask(Question(kind=QuestionKind.BELIEVE), AnswerKind.BELIEF, deadlines)
+        finally:
+            self._cpu_start_s = self._sandbox.cpu_s() - self.cpu_s
         with self._explained():
             return checked_belief(answer.arrays, (size,))
 

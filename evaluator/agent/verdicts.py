@@ -36,8 +36,8 @@ class VerdictCode(StrEnum):
 _SENTENCES = {
     VerdictCode.ARCHIVE_REJECTED: "The archive breaks a rule of the upload; pack the folder again as the message says.",
     VerdictCode.MANIFEST_REJECTED: "submission.yaml is missing or wrong; correct the key that the message names.",
-    VerdictCode.IMPORT_ERROR: "The entry point could not be imported; run `vitac check` and read the traceback.",
-    VerdictCode.LOAD_FAILED: "The policy's constructor raised; run `vitac check` and read the traceback.",
+    VerdictCode.IMPORT_ERROR: "The entry point could not be imported; the traceback in the output says where.",
+    VerdictCode.LOAD_FAILED: "The policy's constructor raised; the traceback in the output says where.",
     VerdictCode.START_TIMEOUT: "Importing and loading took longer than the start limit; load less or load faster.",
     VerdictCode.SHARED_STATE: (
         "After loading, the policy still held memory or descriptors that could carry data from one episode to the "

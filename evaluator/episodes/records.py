@@ -65,6 +65,11 @@ _SENTENCES = {
 }
 
 
+def counted_env_steps(number: int) -> str:
+    """Return a number of env steps with its unit, as people say it: "1 env step", "5 env steps"."""
+    return "1 env step" if number == 1 else f"{number} env steps"
+
+
 class ActionSequence(StrictModel):
     """The raw actions of an episode as the policy gave them: float32, little-endian, row-major, base64 in JSON."""
 
@@ -115,7 +120,7 @@ class PolicyFailure(StrictModel):
     def told(self) -> str:
         """What was said, and what to do about it, as sentences."""
         message = self.message.rstrip()
-        return f"{message}{'' if message.endswith(('.', '!', '?', ')')) else '.'} {self.code.sentence}"
+        return f"{message}{'' if message.endswith(('.', '!', '?', '.)')) else '.'} {self.code.sentence}"
 
 
 class Timings(StrictModel):
@@ -186,7 +191,13 @@ class EpisodeRecord(StrictModel):
 
     def record_digest(self) -> str:
         """Return the SHA-256 [hex] of all but `NOT_HASHED`; equal records of a repeated episode have equal digests."""
-        return hashlib.sha256(canonical_json(self.model_dump(mode="json", exclude=set(NOT_HASHED)))).hexdigest()
+        return digest_of_stored(self.model_dump(mode="json"))
+
+
+def digest_of_stored(record: Mapping[str, Any]) -> str:
+    """Return the `record_digest` of a record that was written as JSON values, with or without its `NOT_HASHED`."""
+    hashed = {name: value for name, value in record.items() if name not in NOT_HASHED}
+    return hashlib.sha256(canonical_json(hashed)).hexdigest()
 
 
 class Manifest(StrictModel):

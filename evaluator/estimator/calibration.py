@@ -79,6 +79,8 @@ def _episode(env: Environment, task: Task, number: int) -> Iterator[Sample]:
             return
         offset = in_gripper_frame(_floats(info["gt_offset_mm_deg"]))
         yield env_step, with_motion(features_of(cast(Any, observation["marker_flow"])), motion, scale), offset
+        if env_step == ENV_STEPS - 1:
+            return
         action = _action(offset, scale, random)
         motion = [value * unit for value, unit in zip(action, scale, strict=True)]
         observation, _, _, _, info = env.step(np.array(action, dtype=np.float32))

@@ -25,19 +25,26 @@ def make_film(
         ManiSkillMissing: a package or the driver that draws is missing.
         StatesDiffer: a state is not the recorded one.
     """
-    from vitac.envs.drawing.files import Destination
+    from vitac.envs.drawing.files import Destination, Frame
     from vitac.envs.maniskill.env import ManiSkillEnv
     from vitac.envs.maniskill.film import END_MS, ENV_STEP_MS, captioned, env_steps_between, shots
 
     env = ManiSkillEnv(task.env_id, max_steps=task.max_steps, settings=dict(task.settings), draws=True)
     moments = _as_recorded(env, task, record, on_step, list_seed)
-    drawn = list(shots(env, moments, env_steps_between(task.max_steps)))
-    require_same_end(drawn[-1].moment.env_step, record)
+    every = env_steps_between(task.max_steps)
     title = f"{task.title}, episode {record.episode}"
-    pictures = [captioned(shot, title, WIDTH_PX) for shot in drawn]
-    shown_ms = [ENV_STEP_MS] * (len(pictures) - 1) + [END_MS]
-    Destination.at(folder / FILM_FILE).write(pictures, names=[""] * len(pictures), durations_ms=shown_ms)
-    Destination.at(folder / STILL_FILE).write(pictures[-1:], names=["still"], durations_ms=[0])
+    last: Frame | None = None
+
+    def frames() -> "Iterator[Frame]":
+        nonlocal last
+        for shot in shots(env, moments, lambda env_step: env_step % every == 0):
+            last = Frame(picture=captioned(shot, title, WIDTH_PX), name="still", duration_ms=ENV_STEP_MS)
+            yield last
+        require_same_end(shot.moment.env_step, record)
+
+    Destination.at(folder / FILM_FILE).write(frames(), end_ms=END_MS)
+    assert last is not None  # noqa: S101 - the start is drawn in any case
+    Destination.at(folder / STILL_FILE).write([last])
 
 
 def _as_recorded(

@@ -6,6 +6,7 @@ No policy runs: the recorded actions go through the physics again, and every sta
 import os
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
 from typing import IO, TYPE_CHECKING
@@ -107,22 +108,18 @@ def _draw_still(playback: "Playback", title: str, folder: Path) -> None:
     """Draw the end of the episode as `vitac show` does."""
     from vitac.envs.drawing.colouring import Quantity
     from vitac.envs.drawing.drawable import NotDrawable
-    from vitac.envs.drawing.files import Destination
+    from vitac.envs.drawing.files import Destination, Frame
     from vitac.envs.drawing.picture import Caption, draw
 
-    try:
-        pictures = list(
-            draw(
-                playback,
-                Caption(title=title, actions="as recorded"),
-                quantity=Quantity.STRESS,
-                width_px=STILL_WIDTH_PX,
-                moments=slice(-1, None),
-            )
-        )
-    except NotDrawable:
-        return
-    Destination.at(folder / STILL_FILE).write(pictures, names=["still"], durations_ms=[0])
+    pictures = draw(
+        playback,
+        Caption(title=title, actions="as recorded"),
+        quantity=Quantity.STRESS,
+        width_px=STILL_WIDTH_PX,
+        moments=slice(-1, None),
+    )
+    with suppress(NotDrawable):
+        Destination.at(folder / STILL_FILE).write(Frame(picture=picture, name="still") for picture in pictures)
 
 
 def serve(order: bytes, answers: IO[str]) -> None:

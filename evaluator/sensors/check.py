@@ -1,6 +1,8 @@
 """Checks a sensor against every rule; called by `vitac sensor` and by what takes sensors in."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from math import dist
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,6 +18,9 @@ if TYPE_CHECKING:
     from vitac.envs.tactile.design import SensorDesign
 
     from .meshing import MeshedGel
+
+# Of the places of a grid's markers.
+_ROUNDING_MM = 1e-9
 
 
 class SensorRefused(VitacError):
@@ -65,7 +70,7 @@ def check_sensor(path: Path, limits: SensorLimits | None = None) -> SensorCheck:
     if mesh.meshed is None:
         return SensorCheck(findings=tuple(findings))
     design = mesh.meshed.design(manifest)
-    markers = _markers(design)
+    markers = _markers(design, limits)
     reach = _reach(design)
     findings += [reach, _tips(mesh.meshed.mesh, limits), markers]
     return SensorCheck(findings=tuple(findings), meshed=mesh.meshed, design=design if reach.ok and markers.ok else None)
@@ -99,10 +104,11 @@ def _reach(design: "SensorDesign") -> Finding:
     """Ask for a sensing face near the highest point: of one that touches nothing, `surface_diff` says nothing."""
     from vitac.envs.tactile.design import MILLIMETRE_M, TOUCHED_M
 
+    depth_mm = max(design.sensing_depth_m, 0.0) / MILLIMETRE_M
     return Finding(
         rule=Rule.REACH,
         ok=design.sensing_depth_m <= TOUCHED_M,
-        value=f"highest sensing face {design.sensing_depth_m / MILLIMETRE_M:.3f} mm below the highest point",
+        value=f"highest sensing face {depth_mm:.3f} mm below the highest point",
         limit=f"at most {TOUCHED_M / MILLIMETRE_M:g} mm",
         problem="What touches first leans too much to sense. Draw tips that lean at most 60 degrees, or flat tops.",
     )
@@ -127,19 +133,31 @@ def _tips(mesh: "Tetrahedra", limits: SensorLimits) -> Finding:
     )
 
 
-def _markers(design: "SensorDesign") -> Finding:
+def _markers(design: "SensorDesign", limits: SensorLimits) -> Finding:
+    """Look whether each marker is where it is drawn, and apart from others: each is seen with a noise of its own."""
     from vitac.envs.tactile.attachment import Fault
 
+    markers = design.markers_mm.tolist()
     faults = [Fault(code) for code in design.attachment.faults.tolist()]
     bad = [
         f"{number} at ({x:.2f}, {y:.2f}) mm is {fault.name.lower().replace('_', ' ')}"
-        for number, (fault, (x, y)) in enumerate(zip(faults, design.markers_mm.tolist(), strict=True), start=1)
+        for number, (fault, (x, y)) in enumerate(zip(faults, markers, strict=True), start=1)
         if fault is not Fault.NONE
     ]
+    close = list(_too_close(markers, limits.min_marker_spacing_mm))
     return Finding(
         rule=Rule.MARKERS,
-        ok=not bad,
-        value=f"{len(faults) - len(bad)} of {len(faults)} attached",
-        limit="all",
-        problem=f"Move or remove these markers in {SENSOR_NAME}: {'; '.join(bad)}.",
+        ok=not bad and not close,
+        value=f"{faults.count(Fault.NONE)} of {len(faults)} attached" + (f", {len(close)} too close" if close else ""),
+        limit=f"all, {limits.min_marker_spacing_mm} mm apart",
+        problem=f"Move or remove these markers in {SENSOR_NAME}: {'; '.join(bad + close)}.",
     )
+
+
+def _too_close(markers: list[list[float]], spacing_mm: float) -> Iterator[str]:
+    """Yield a marker that is too close to one before it, with the first such one."""
+    for number, marker in enumerate(markers, start=1):
+        for other, earlier in enumerate(markers[: number - 1], start=1):
+            if (apart_mm := dist(marker, earlier)) < spacing_mm - _ROUNDING_MM:
+                yield f"{number} is {apart_mm:.2f} mm from {other}"
+                break

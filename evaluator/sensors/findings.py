@@ -61,7 +61,7 @@ class Rule(StrEnum):
     TIPS = "tips"
     """What touches first has nodes enough, so that `surface_diff` does not depend on the mesh; only warned of."""
     MARKERS = "markers"
-    """All markers are on the sensing face and in the picture."""
+    """All markers are on the sensing face, in the picture, and apart from each other."""
 
 
 @dataclass(frozen=True, kw_only=True)

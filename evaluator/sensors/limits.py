@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from ..strict_model import StrictModel, parse_yaml
+from ..strict_model import StrictModel, read_yaml
 
 Millimetres = Annotated[float, Field(gt=0)]
 Count = Annotated[int, Field(gt=0)]
@@ -45,10 +45,12 @@ class SensorLimits(StrictModel):
     """Between the surfaces of the mesh and of the STL."""
     max_markers: Count
     """Drawn in sensor.yaml."""
+    min_marker_spacing_mm: Millimetres
+    """Between the middles of two markers as drawn: of closer ones the camera would see one."""
 
 
 @cache
 def sensor_limits() -> SensorLimits:
     """Return the limits."""
     path = Path(__file__).with_name("limits.yaml")
-    return parse_yaml(SensorLimits, path.read_text(encoding="utf-8"), path.name)
+    return read_yaml(SensorLimits, path)

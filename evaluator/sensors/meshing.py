@@ -212,14 +212,16 @@ def _nodes(count: int, limits: SensorLimits) -> Finding:
 
 
 def _base_nodes(mesh: Tetrahedra, limits: SensorLimits) -> Finding:
-    """Look whether the low nodes fill the case's rectangle, which begins at its low corner."""
+    """Look whether the low nodes reach to the edge of the case's rectangle, and the faces between them fill it."""
     base = mesh.nodes_mm[mesh.nodes_mm[:, 2] <= BASE_PLANE_MM][:, :2]
-    half = np.array([0.5 * limits.base_length_mm, 0.5 * limits.base_width_mm])
+    sides = np.array([limits.base_length_mm, limits.base_width_mm])
+    half = 0.5 * sides
     off = max(float(np.abs(base.max(axis=0) - half).max()), float(np.abs(base.min(axis=0) + half).max()))
+    free = float(sides.prod() + mesh.surface.area_vectors_mm2[mesh.base_faces, 2].sum())
     return Finding(
         rule=Rule.BASE_NODES,
-        ok=off <= BASE_PLANE_MM,
-        value=f"{len(base)} nodes, outline {off:.4f} mm off",
-        limit=f"at most {BASE_PLANE_MM} mm off",
-        problem="Keep the outline of the base when meshing.",
+        ok=off <= BASE_PLANE_MM and free <= 2.0 * float(sides.sum()) * BASE_PLANE_MM,
+        value=f"{len(base)} nodes, outline {off:.4f} mm off, {max(free, 0.0):.2f} mm2 not in its plane",
+        limit=f"at most {BASE_PLANE_MM} mm off, all in its plane",
+        problem=f"Keep the outline of the base when meshing, and all its nodes within {BASE_PLANE_MM} mm of its plane.",
     )

@@ -12,6 +12,8 @@ from .limits import SensorLimits
 
 _SMALLEST_GEL_MM, _LARGEST_GEL_MM = 15.0, 40.0
 _SMALLEST_EXTENT_MM = 0.01
+# Of numbers that can be squared and multiplied; single precision ends at 3.4e38.
+_LARGEST_COORDINATE = 1e30
 # Narrow tests of pairs of triangles, about 0.1 us each.
 _MAX_PAIRS = 20_000_000
 _UNITS_MM = {"metres": 1000.0, "centimetres": 10.0, "inches": 25.4, "micrometres": 1e-3}
@@ -56,14 +58,14 @@ class ShapeCheck:
             return None
         self.findings.append(Finding(rule=Rule.READABLE, ok=True, value="STL", limit="an STL file"))
         self.findings.append(Finding(rule=Rule.TRIANGLES, ok=True, value=str(len(corners)), limit=limit))
-        bad = int((~np.isfinite(corners)).any(axis=(1, 2)).sum())
+        bad = int((~(np.abs(corners) <= _LARGEST_COORDINATE)).any(axis=(1, 2)).sum())
         self.findings.append(
             Finding(
                 rule=Rule.FINITE,
                 ok=bad == 0,
                 value=f"{bad} triangles that are not",
                 limit="0",
-                problem="A coordinate is infinite or no number; export the STL again.",
+                problem="A coordinate is infinite, too large or no number; export the STL again.",
             )
         )
         return corners if bad == 0 else None

@@ -17,6 +17,7 @@ from ..submission_kinds import SubmissionKind
 from ..tracks import Player, Task, Track
 from ..tracks.cut import Shard, cut
 from ..tracks.sealed import load_played_track, read_secret
+from .batch import run_batches
 from .estimator import run_estimator
 from .log import LogShard, resimulate_log
 from .order import ShardMessage, ShardOrder
@@ -78,6 +79,8 @@ def _result_of(order: ShardOrder, preparation: Preparation, on_episode: OnEpisod
 
 def _run_policy(ordered: OrderedShard, preparation: Preparation, on_episode: OnEpisode) -> ShardResult:
     order = ordered.order
+    if ordered.task.definition.batch_size > 1:
+        return run_batches(order, ordered.track, ordered.task, ordered.shard, on_episode)
     preparation.begin(order)
     return run_shard(
         submission_dir=order.submission,
@@ -92,7 +95,7 @@ def _run_policy(ordered: OrderedShard, preparation: Preparation, on_episode: OnE
         load_policy=partial(preparation.policy, load_in_sandbox),
         make_env=partial(preparation.environment, partial(make_environment, sensor=_sensor_of(order))),
         skip=order.skip,
-        earlier_failures=order.earlier_failures,
+        failures=list(order.earlier_failures),
     )
 
 

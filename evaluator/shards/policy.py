@@ -1,6 +1,6 @@
 """Plays the episodes of a shard with a submitted policy; called by `execution`."""
 
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable
 from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
 from random import SystemRandom
@@ -43,7 +43,7 @@ def run_shard(
     slot: int = 0,
     assets_dir: Path | None = None,
     skip: Collection[int] = (),
-    earlier_failures: Sequence[PolicyFailure] = (),
+    failures: list[PolicyFailure] | None = None,
     load_policy: LoadPolicy = load_in_sandbox,
     make_env: MakeEnvironment = make_environment,
 ) -> ShardResult:
@@ -63,7 +63,7 @@ def run_shard(
         slot: number of this worker on its machine; concurrent runs need different ones.
         assets_dir: folder with the challenge's own meshes; our own generated ones by default.
         skip: episodes that have a record already.
-        earlier_failures: policy failures among the skipped ones.
+        failures: of the policy in the shard so far, to which this adds; whoever play parts of a shard share them.
         load_policy: loads the policy of a submission; in the sandbox by default.
         make_env: gives the environment.
 
@@ -72,17 +72,16 @@ def run_shard(
     """
     reading = reading or reading_of(task)
     env = make_env(task, assets_dir, reading.sent)
-    failures = list(earlier_failures)
-    end = ShardEnd.BROKEN if is_broken(failures) else ShardEnd.COMPLETE
+    failures = [] if failures is None else failures
     with ExitStack() as stack:
         policy = _LoadedPolicy(lambda: stack.enter_context(load_policy(submission_dir, limits or Limits(), slot)))
-        for episode in _secret_order(episode for episode in shard.episodes if episode.number not in skip):
-            if end is not ShardEnd.COMPLETE:
+        for episode in secret_order(episode for episode in shard.episodes if episode.number not in skip):
+            if is_broken(failures):
                 break
             record = run_episode(env=env, task=task, episode=episode, open_session=policy, reading=reading)
             on_episode(record)
             failures.extend([record.failure] if record.failure else [])
-            end = ShardEnd.BROKEN if is_broken(failures) else ShardEnd.COMPLETE
+    end = ShardEnd.BROKEN if is_broken(failures) else ShardEnd.COMPLETE
     manifest = make_manifest(track, task, env)
     return ShardResult(index=shard.index, end=end, manifest=manifest, isolation=policy.isolation)
 
@@ -104,7 +103,8 @@ class _LoadedPolicy:
         return self._session.isolation if self._session else None
 
 
-def _secret_order(episodes: Iterable[Episode]) -> list[Episode]:
+def secret_order(episodes: Iterable[Episode]) -> list[Episode]:
+    """Return the episodes in an order that nobody can foresee."""
     shuffled = list(episodes)
     SystemRandom().shuffle(shuffled)
     return shuffled

@@ -3,8 +3,9 @@
 import hashlib
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
+from difflib import get_close_matches
 from functools import partial
 from pathlib import Path
 from typing import IO, Annotated, Final
@@ -20,6 +21,8 @@ from .archive import ArchiveFault, ArchiveRejected, Entry, packed_entries, unpac
 from .names import MANIFEST_NAME, NamedEntry, check_names, contents_of, is_ignored, link, listed, special_file
 
 _MANIFEST_MAX_BYTES: Final = 16 * 1024
+_TASKS_MAX: Final = 128
+"""More than any track has; whether the named ones exist is asked of the track."""
 _ENTRY_POINT: Final = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*")
 
 
@@ -58,7 +61,8 @@ class SubmissionManifest(StrictModel):
 
     track: Annotated[Name, Field(description="Track that it enters, such as track_1.")]
     tasks: Annotated[
-        tuple[Name, ...], Field(min_length=1, max_length=16, description="Tasks that it plays, such as peg-insertion.")
+        tuple[Name, ...],
+        Field(min_length=1, max_length=_TASKS_MAX, description="Tasks that it plays, such as peg-insertion."),
     ]
     name: Annotated[Name, Field(description="Shown on the leaderboard.")]
     entry_point: Annotated[
@@ -72,7 +76,7 @@ class SubmissionManifest(StrictModel):
         dict[Name, Name],
         Field(
             default_factory=dict,
-            max_length=16,
+            max_length=_TASKS_MAX,
             description="Control mode that its actions are made for, by task; refused where the task has another one.",
         ),
     ]
@@ -89,9 +93,10 @@ def load_manifest(submission_dir: Path) -> SubmissionManifest:
         with path.open("rb") as file:
             data = file.read(_MANIFEST_MAX_BYTES + 1)
     except FileNotFoundError as error:
-        found = listed(path.name for path in submission_dir.glob("*"))
+        names = [path.name for path in submission_dir.glob("*")]
+        mend = _renaming(names) or "put it directly into that folder"
         raise ManifestRejected(
-            f"{MANIFEST_NAME} is missing, the submission's folder holds {found}; put it directly into that folder."
+            f"{MANIFEST_NAME} is missing, the submission's folder holds {listed(names)}; {mend}."
         ) from error
     except IsADirectoryError as error:
         raise ManifestRejected(f"{MANIFEST_NAME} is a folder, expected a file.") from error
@@ -146,9 +151,15 @@ def find_submission(path: Path) -> Path:
     for folder in (path, *(path / top for top in archive_folders())):
         if (folder / MANIFEST_NAME).is_file():
             return folder
-    raise NoSubmission(
-        f"Expected {MANIFEST_NAME} or a zip, {contents_of(path)}; name the submission's folder or its zip."
-    )
+    mend = _renaming(each.name for each in path.glob("*")) or "name the submission's folder or its zip"
+    raise NoSubmission(f"Expected {MANIFEST_NAME} or a zip, {contents_of(path)}; {mend}.")
+
+
+def _renaming(names: Iterable[str]) -> str:
+    """Return which file should have the manifest's name, such as submission.yml; nothing where none is like it."""
+    others = [name for name in names if name != MANIFEST_NAME]
+    close = get_close_matches(MANIFEST_NAME, others, n=1, cutoff=0.8)
+    return f"rename {close[0]!r} to {MANIFEST_NAME}" if close else ""
 
 
 def manifest_of(source: Path, limits: Limits | None = None) -> SubmissionManifest:
@@ -168,9 +179,11 @@ def manifest_of(source: Path, limits: Limits | None = None) -> SubmissionManifes
                 manifest = parse_manifest(b"".join(entry.chunks()))
                 _check_top_folder(manifest, top)
                 return manifest
+    names = [entry.path for entry in entries]
+    mend = _renaming(names) or "put it directly into the submission's folder"
     raise ManifestRejected(
-        f"{MANIFEST_NAME} is missing or larger than {_MANIFEST_MAX_BYTES} bytes; put it directly into the "
-        f"submission's folder. The archive holds {listed(entry.path for entry in entries)}."
+        f"{MANIFEST_NAME} is missing or larger than {_MANIFEST_MAX_BYTES} bytes; {mend}. "
+        f"The archive holds {listed(names)}."
     )
 
 

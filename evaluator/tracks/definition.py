@@ -20,6 +20,10 @@ from ..submission_kinds import SubmissionKind
 from .families import environment_definition
 
 
+class UnknownTask(VitacError):
+    """The track has no such task; the message lists those that exist."""
+
+
 class ListKind(StrEnum):
     """Who can know an episode list."""
 
@@ -174,6 +178,13 @@ class Task(StrictModel):
             raise ValueError(str(error)) from error
         return self
 
+    @model_validator(mode="after")
+    def _shards_fill_batches(self) -> Self:
+        least = self.definition.batch_size
+        if self.shard_size < least:
+            raise ValueError(f"shard_size is {self.shard_size}, expected at least batch_size {least}")
+        return self
+
     @cached_property
     def episodes(self) -> tuple[Episode, ...]:
         """All starts in order, numbered from 1."""
@@ -238,6 +249,16 @@ class Track(StrictModel):
     def tasks_that_count(self) -> tuple[str, ...]:
         """Return the tasks that the board of the whole track combines."""
         return self.combined_tasks or tuple(self.tasks)
+
+    def task(self, name: str) -> Task:
+        """Return the task of that name.
+
+        Raises:
+            UnknownTask: the track does not have it, or no longer.
+        """
+        if name not in self.tasks:
+            raise UnknownTask(f"Track {self.name!r} has no task {name!r}; its tasks are {', '.join(self.tasks)}.")
+        return self.tasks[name]
 
     @property
     def has_maniskill(self) -> bool:

@@ -5,27 +5,24 @@ They lie beside this module, and in the folder that VITAC_TRACKS_DIR names; serv
 
 import os
 from collections.abc import Mapping
+from difflib import get_close_matches
 from functools import cache
 from pathlib import Path
 
 from vitac.envs.errors import VitacError
 
-from ..strict_model import DocumentRejected, parse_yaml
+from ..strict_model import DocumentRejected, read_yaml
 from ..version import TRACKS_FOLDER_VARIABLE
-from .definition import Task, Track
+from .definition import Task, Track, UnknownTask
 
 
 class UnknownTrack(VitacError):
     """No such track; the message lists those that exist."""
 
 
-class UnknownTask(VitacError):
-    """The track has no such task; the message lists those that exist."""
-
-
 def list_tracks() -> tuple[str, ...]:
     """Return the names of all tracks, sorted; those with an environment of ManiSkill after the others."""
-    return tuple(sorted(_track_files(), key=lambda name: (load_track(name).has_maniskill, name)))
+    return tuple(track.name for track in _tracks(os.environ.get(TRACKS_FOLDER_VARIABLE)))
 
 
 def load_track(name: str) -> Track:
@@ -48,15 +45,13 @@ def find_task(name: str) -> tuple[Track, Task]:
         UnknownTask: no track has it.
         DocumentRejected: two tracks have it.
     """
-    found: dict[str, Track] = {}
-    for track in map(load_track, list_tracks()):
-        for task in track.tasks:
-            if task in found:
-                raise DocumentRejected(f"The tracks {found[task].name} and {track.name} both have a task {task!r}.")
-            found[task] = track
-    if name not in found:
-        raise UnknownTask(f"There is no task {name!r}; the tasks are {', '.join(sorted(found))}.")
-    return found[name], found[name].tasks[name]
+    tracks = _tracks_by_task(os.environ.get(TRACKS_FOLDER_VARIABLE))
+    if name not in tracks:
+        tasks = sorted(tracks)
+        meant = get_close_matches(name, tasks, n=1) or [task for task in tasks if name and name in task]
+        did_you_mean = f"did you mean {' or '.join(meant)}? The" if meant else "the"
+        raise UnknownTask(f"There is no task {name!r}; {did_you_mean} tasks are {', '.join(tasks)}.")
+    return tracks[name], tracks[name].tasks[name]
 
 
 def archive_folders() -> tuple[str, ...]:
@@ -66,6 +61,23 @@ def archive_folders() -> tuple[str, ...]:
 
 def _track_files() -> Mapping[str, Path]:
     return _files_with(os.environ.get(TRACKS_FOLDER_VARIABLE))
+
+
+@cache
+def _tracks(further: str | None) -> tuple[Track, ...]:
+    found = map(_read, _files_with(further).values())
+    return tuple(sorted(found, key=lambda track: (track.has_maniskill, track.name)))
+
+
+@cache
+def _tracks_by_task(further: str | None) -> Mapping[str, Track]:
+    found: dict[str, Track] = {}
+    for track in _tracks(further):
+        for task in track.tasks:
+            if task in found:
+                raise DocumentRejected(f"The tracks {found[task].name} and {track.name} both have a task {task!r}.")
+            found[task] = track
+    return found
 
 
 @cache
@@ -88,7 +100,7 @@ def _files_in(folder: Path) -> dict[str, Path]:
 
 @cache
 def _read(path: Path) -> Track:
-    track = parse_yaml(Track, path.read_text(encoding="utf-8"), path.name)
+    track = read_yaml(Track, path)
     if track.name != path.stem:
         raise DocumentRejected(f"{path.name} says name {track.name!r}; name and file name must agree.")
     return track

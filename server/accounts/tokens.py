@@ -3,6 +3,7 @@
 import hashlib
 import re
 import secrets
+from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from uuid import UUID
@@ -68,8 +69,16 @@ def judge_named(session: Session, name: str) -> str:
         ServiceError: the name cannot be shown.
     """
     shown = names.clean(name, what="A judge's name", min_length=1, max_length=LABEL_LENGTH)
-    known = session.scalars(select(ApiToken.label).where(ApiToken.role == Role.JUDGE).order_by(ApiToken.created_at))
-    return next((label for label in known if _same_name(label, shown)), shown)
+    return next((label for label in _judges(session) if _same_name(label, shown)), shown)
+
+
+def is_judge(session: Session, name: str) -> bool:
+    """Return whether there is or was a token of a judge of that name."""
+    return any(_same_name(label, name) for label in _judges(session))
+
+
+def _judges(session: Session) -> Iterable[str]:
+    return session.scalars(select(ApiToken.label).where(ApiToken.role == Role.JUDGE).order_by(ApiToken.created_at))
 
 
 def _same_name(one: str, other: str) -> bool:

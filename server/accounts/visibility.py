@@ -7,10 +7,11 @@ from dataclasses import dataclass
 from uuid import UUID
 
 from sqlalchemy.orm import Session, joinedload
-from vitac.evaluator.tracks import ListKind, load_track
+from vitac.evaluator.tracks import ListKind
 
 from ..db.models import Evaluation, Submission
-from ..errors import ProblemCode, ServiceError, not_found
+from ..errors import TRACK_REMOVED, ProblemCode, ServiceError, not_found
+from ..tracks import known_task
 from .principals import Principal
 
 
@@ -52,28 +53,65 @@ def sight_of(by: Principal, evaluation: Evaluation) -> Sight:
 
 
 def is_sealed(evaluation: Evaluation) -> bool:
-    """Return whether an evaluation plays a list whose secret is not published yet."""
+    """Return whether an evaluation plays a list whose secret is not published yet.
+
+    A sealed list of a track file is published by taking its commitment out of the file, so the file of today tells.
+    """
     if evaluation.commitment is not None and evaluation.sealed_list is not None:
         return evaluation.sealed_list.revealed_at is None
-    return played_list_kind(evaluation) is ListKind.SEALED
+    if played_list_kind(evaluation) is ListKind.PUBLIC:
+        return False
+    return evaluation.commitment is not None or _list_kind_in_file(evaluation) is ListKind.SEALED
 
 
 def played_list_kind(evaluation: Evaluation) -> ListKind:
-    """Return who could know the episodes while they were played: of a stage's sealed list, or of the track file's."""
+    """Return who could know the episodes while they were played: of a stage's sealed list, or of the track file's.
+
+    Of an older evaluation, for which it was not kept, the track file of today tells; a list that was removed with its
+    track or task counts as sealed, as nobody can tell.
+    """
     if evaluation.commitment is not None:
         return ListKind.SEALED
-    tasks = load_track(evaluation.submission.track).tasks
-    kinds = {tasks[task].episode_list.kind for task in evaluation.submission.tasks}
+    if evaluation.list_kind is not None:
+        return evaluation.list_kind
+    return _list_kind_in_file(evaluation)
+
+
+def _list_kind_in_file(evaluation: Evaluation) -> ListKind:
+    tasks = [known_task(evaluation.submission.track, task) for task in evaluation.submission.tasks]
+    kinds = {ListKind.SEALED if task is None else task.episode_list.kind for task in tasks}
     return ListKind.SEALED if ListKind.SEALED in kinds else ListKind.PUBLIC
 
 
-def require_episodes(by: Principal, evaluation: Evaluation) -> None:
-    """Refuse to show single episodes of a sealed list.
+def has_lists(evaluation: Evaluation) -> bool:
+    """Return whether it is known what list an evaluation plays: of a stage, as kept, or in today's track file."""
+    submission = evaluation.submission
+    is_kept = evaluation.commitment is not None or evaluation.list_kind is not None
+    return is_kept or all(known_task(submission.track, task) for task in submission.tasks)
+
+
+def require_lists(evaluation: Evaluation) -> None:
+    """Refuse what needs the lists of a track or task that was removed.
 
     Raises:
-        ServiceError: list_sealed.
+        ServiceError: track_removed.
+    """
+    if not has_lists(evaluation):
+        submission = evaluation.submission
+        raise ServiceError(
+            ProblemCode.TRACK_REMOVED,
+            f"{TRACK_REMOVED} It played {', '.join(submission.tasks)} of {submission.track}.",
+        )
+
+
+def require_episodes(by: Principal, evaluation: Evaluation) -> None:
+    """Refuse to show single episodes of a sealed list, or of one that was removed.
+
+    Raises:
+        ServiceError: list_sealed, or track_removed.
     """
     if not sight_of(by, evaluation).episodes:
+        require_lists(evaluation)
         raise ServiceError(
             ProblemCode.LIST_SEALED,
             "This evaluation plays a sealed list: until its secret is published, only its state and its final score "

@@ -1,6 +1,6 @@
 """What the routes depend on: the open services and the principal behind the bearer token."""
 
-from typing import Annotated
+from typing import Annotated, Final
 
 from fastapi import Depends, Path, Request
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
@@ -52,7 +52,10 @@ def reader_of(principal: Annotated[Principal | None, Depends(optional_principal_
     return principal or VISITOR
 
 
-RowNumber = Annotated[int, Path(ge=1, le=2_147_483_647)]
+MAX_NUMBER: Final = 2_147_483_647
+"""The largest that a column of numbers holds; the database ends a request with a larger one by an error."""
+
+RowNumber = Annotated[int, Path(ge=1, le=MAX_NUMBER)]
 ServicesOf = Annotated[Services, Depends(services_of)]
 PrincipalOf = Annotated[Principal, Depends(principal_of)]
 OptionalPrincipalOf = Annotated[Principal | None, Depends(optional_principal_of)]

@@ -12,9 +12,10 @@ from pydantic import BaseModel, ConfigDict
 from sqlalchemy.exc import DBAPIError, SQLAlchemyError
 from sqlalchemy.exc import TimeoutError as PoolTimeout
 from starlette.exceptions import HTTPException
+from vitac.evaluator.tracks import UnknownTask, UnknownTrack
 
 from ..db.engine import is_connection_loss
-from ..errors import ProblemCode, ServiceError, storage_full
+from ..errors import TRACK_REMOVED, ProblemCode, ServiceError, storage_full
 from ..settings import Settings
 from ..storage.disk_space import has_space, is_disk_full
 
@@ -56,6 +57,8 @@ def install(app: FastAPI) -> None:
     app.add_exception_handler(HTTPException, _on_http_error)
     app.add_exception_handler(SQLAlchemyError, _on_failure)
     app.add_exception_handler(OSError, _on_failure)
+    app.add_exception_handler(UnknownTrack, _on_failure)
+    app.add_exception_handler(UnknownTask, _on_failure)
     app.add_exception_handler(Exception, _on_bug)
 
 
@@ -134,7 +137,9 @@ def _on_failure(request: Request, error: Exception) -> JSONResponse:
 
 
 def refusal_of_failure(request: Request, error: Exception) -> ServiceError | None:
-    """Return why disk or database cannot be used now, or None if the error says something else."""
+    """Return why disk, database or track file cannot be used now, or None if the error says something else."""
+    if isinstance(error, UnknownTrack | UnknownTask):
+        return ServiceError(ProblemCode.TRACK_REMOVED, f"{TRACK_REMOVED} {error}")
     if is_disk_full(error):
         return storage_full()
     is_lost = isinstance(error, DBAPIError) and is_connection_loss(error)

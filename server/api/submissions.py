@@ -28,7 +28,7 @@ from ..submissions import listing, output, runs, sensors, upload
 from ..submissions.watch import watch
 from ..views.logs import ActionMatchView
 from ..views.submissions import EpisodeView, OutputView, SensorView, SubmissionListView, SubmissionView
-from .access import PrincipalOf, ReaderOf, ServicesOf
+from .access import MAX_NUMBER, PrincipalOf, ReaderOf, ServicesOf
 from .problems import RESPONSES
 from .streams import OpenStreams
 
@@ -140,7 +140,7 @@ def get_output(
     submission_id: UUID,
     *,
     task: Annotated[str | None, Query(description="One of the submission's tasks; the first by default.")] = None,
-    after: Annotated[int, Query(ge=0, description="`next_after` of the page before.")] = 0,
+    after: Annotated[int, Query(ge=0, le=MAX_NUMBER, description="`next_after` of the page before.")] = 0,
     limit: Annotated[int, Query(ge=1, le=100)] = output.PAGE_EPISODES,
 ) -> OutputView:
     """Return the end of what the policy printed in each episode, and why it failed in some.

@@ -8,7 +8,7 @@ from types import MappingProxyType
 from typing import Annotated, Self
 
 from pydantic import AfterValidator, AwareDatetime, Field, NonNegativeInt, PositiveInt, model_validator
-from vitac.evaluator.strict_model import DocumentRejected, StrictModel, Word, parse_yaml
+from vitac.evaluator.strict_model import DocumentRejected, StrictModel, Word, read_yaml
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import ListKind, Track, list_tracks, load_track
 
@@ -125,7 +125,10 @@ class JudgingWeights(StrictModel):
     def _is_whole(self) -> Self:
         total = self.success + self.judges + self.figures
         if abs(total - 1) > _ROUNDING:
-            raise ValueError(f"expected weights that make 1 together, got {total:g}")
+            raise ValueError(
+                f"expected weights that make 1 together, got {self.success:g} for success, {self.judges:g} for judges "
+                f"and {self.figures:g} for figures"
+            )
         return self
 
 
@@ -135,6 +138,19 @@ class Judging(StrictModel):
     criteria: tuple[Criterion, ...] = Field(min_length=1)
     judges_at_least: PositiveInt = Field(default=2, description="Before that there is no total.")
     weights: JudgingWeights = JudgingWeights()
+
+    @property
+    def sentence(self) -> str:
+        """How a total comes about, in words."""
+        of_total = {
+            "the success rate": self.weights.success,
+            "the judges' mean mark": self.weights.judges,
+            "the figures of the sensor": self.weights.figures,
+        }
+        shares = ", ".join(f"{100 * weight:g} % {what}" for what, weight in of_total.items() if weight)
+        titles = ", ".join(criterion.title for criterion in self.criteria)
+        least = "1 judge gives" if self.judges_at_least == 1 else f"{self.judges_at_least} judges give"
+        return f"At least {least} marks from 0 to 10 for: {titles}. The total, by which prizes go, is {shares}."
 
     @model_validator(mode="after")
     def _criteria_have_names_of_their_own(self) -> Self:
@@ -199,6 +215,11 @@ class CompetitionDefinition(StrictModel):
         found = self.tracks.get(track)
         return next((stage for stage in found.stages if stage.name == name), None) if found else None
 
+    @property
+    def stage_titles(self) -> dict[tuple[str, str], str]:
+        """The titles of all stages, by the names of track and stage."""
+        return {(name, stage.name): stage.title for name, track in self.tracks.items() for stage in track.stages}
+
     def sealed_stages(self) -> Iterator[tuple[str, Stage]]:
         """Yield track and stage of each sealed list that the service plays."""
         for name, track in self.tracks.items():
@@ -213,11 +234,7 @@ def read_competition(path: Path) -> CompetitionDefinition:
     Raises:
         DocumentRejected: with one sentence for each thing that is wrong.
     """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise DocumentRejected(f"{path} cannot be read: {error}.") from error
-    definition = parse_yaml(CompetitionDefinition, text, path.name)
+    definition = read_yaml(CompetitionDefinition, path)
     problems = [problem for name, track in definition.tracks.items() for problem in _problems(name, track)]
     if problems:
         raise DocumentRejected(f"{path.name}: {' '.join(problems)}")
@@ -234,7 +251,13 @@ def _problems(name: str, track: CompetitionTrack) -> Iterator[str]:
             "(or taken_here: false for one whose submissions are collected elsewhere)."
         )
         return
-    yield from _stage_problems(load_track(name), track)
+    known = load_track(name)
+    yield from _stage_problems(known, track)
+    if track.judging is not None and track.judging.weights.figures and not known.has_sensor:
+        yield (
+            f"tracks.{name}.judging.weights.figures: expected 0, got {track.judging.weights.figures:g}; teams bring no "
+            "sensors to this track, so nobody would ever get a total."
+        )
 
 
 def _stage_problems(known: Track, track: CompetitionTrack) -> Iterator[str]:

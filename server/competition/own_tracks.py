@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from vitac.envs.errors import VitacError
 from vitac.envs.tasks.definition import Family
 from vitac.evaluator.episodes.episode import Environment, make_environment
-from vitac.evaluator.strict_model import DocumentRejected, parse_yaml
+from vitac.evaluator.strict_model import DocumentRejected, read_yaml
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import Episode, ListKind, Player, Task, Track, list_tracks, load_track
 from vitac.evaluator.tracks.cut import cut
@@ -60,10 +60,7 @@ def check_track(path: Path) -> CheckedTrack:
     Raises:
         DocumentRejected: with one sentence for each thing that is wrong.
     """
-    try:
-        track = parse_yaml(Track, path.read_text(encoding="utf-8"), path.name)
-    except (OSError, UnicodeDecodeError) as error:
-        raise DocumentRejected(f"{path} cannot be read: {error}.") from error
+    track = read_yaml(Track, path)
     problems = list(_problems(track, path))
     costs = []
     for task in track.tasks.values():

@@ -8,6 +8,7 @@ from types import MappingProxyType
 from sqlalchemy import ColumnElement, and_, exists, func, or_, select
 from sqlalchemy.orm import Session
 from vitac.evaluator.submission_kinds import SubmissionKind
+from vitac.evaluator.version import evaluator_version
 
 from ..accounts import teams
 from ..accounts.principals import Principal
@@ -16,6 +17,7 @@ from ..db.models import Evaluation, Qualification, Submission, Team
 from ..db.states import ACTIVE_EVALUATION_STATES, EvaluationState
 from ..db.stored_episodes import OF_EVALUATION
 from ..errors import ProblemCode, ServiceError
+from ..tracks import known_track
 from .definition import CompetitionDefinition, CompetitionTrack, Stage
 from .sealing import list_of_stage
 
@@ -173,6 +175,12 @@ def track_rules(session: Session, track: str) -> CompetitionTrack | None:
     return found if found and found.taken_here else None
 
 
+def track_title(session: Session, name: str) -> str:
+    """Return what people call a track: in the competition, else by its file; its name where that is gone."""
+    named = track_rules(session, name) or known_track(name)
+    return named.title if named else name
+
+
 def require_over(session: Session, track: str, stage: str) -> Stage:
     """Return a stage that has closed.
 
@@ -188,6 +196,44 @@ def require_over(session: Session, track: str, stage: str) -> Stage:
             ProblemCode.STAGE_NOT_OVER, f"Stage {stage} of {track} closes at {found.closes:%F %T} UTC; wait until then."
         )
     return found
+
+
+@dataclass(frozen=True, kw_only=True)
+class CountedResults:
+    """Which results the boards of a stage are made of.
+
+    Attributes:
+        evaluator_version: results of this one are ranked.
+        frozen_at: later ones are not shown; None: boards are not frozen.
+        final_since: later ones do not count; None: the competition goes on.
+    """
+
+    evaluator_version: str
+    frozen_at: datetime | None = None
+    final_since: datetime | None = None
+
+    @property
+    def until(self) -> datetime | None:
+        """Return when results had to be complete; None: any time."""
+        return self.frozen_at or self.final_since
+
+
+def counted_results(session: Session, stage: str, *, live: bool = False) -> CountedResults:
+    """Return which results count on the boards of a stage; once final, those of the version that was current then.
+
+    Args:
+        session: of the transaction.
+        stage: of the competition; empty outside of one.
+        live: for organizers: as if boards were not frozen.
+    """
+    row = competition_row(session) if stage else None
+    if row is None:
+        return CountedResults(evaluator_version=evaluator_version())
+    return CountedResults(
+        evaluator_version=row.boards[0]["evaluator_version"] if row.boards else evaluator_version(),
+        frozen_at=None if live else row.frozen_at,
+        final_since=row.finalized_at,
+    )
 
 
 def boards_stand_since(session: Session) -> datetime | None:

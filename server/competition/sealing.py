@@ -131,4 +131,4 @@ def list_seed_of(session: Session, commitment: str, track: str, task: str) -> in
     """Return the seed of a sealed list, with which its episodes are played again; None for the public one (empty)."""
     if not commitment:
         return None
-    return played_track(session, track, commitment).tasks[task].episode_list.list_seed
+    return played_track(session, track, commitment).task(task).episode_list.list_seed

@@ -1,15 +1,24 @@
 """Makes the view of the competition; called by API and pages."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 
+from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from ..db.competition_row import competition_row
-from ..db.models import SealedList
+from ..db.models import SealedList, Submission, Team
 from ..errors import ProblemCode, ServiceError
-from ..views.contest.competition import CompetitionTrackView, CompetitionView, PrizeView, StageView, WinnerView
+from ..views.contest.competition import (
+    CompetitionTrackView,
+    CompetitionView,
+    DisqualifiedTeamView,
+    PrizeView,
+    StageView,
+    WinnerView,
+)
 from .definition import CompetitionDefinition, CompetitionTrack, Stage
+from .schedule import track_rules
 from .sealing import sealed_lists
 
 Lists = Mapping[tuple[str, str], SealedList]
@@ -25,7 +34,7 @@ def competition_view(session: Session, at: datetime | None = None) -> Competitio
     if row is None:
         raise ServiceError(ProblemCode.NOT_FOUND, "This service runs no competition; all its tracks are for practice.")
     found, now = CompetitionDefinition.model_validate(row.definition), at or datetime.now(UTC)
-    lists = {(each.track, each.stage): each for each in sealed_lists(session)}
+    lists = _lists(session)
     return CompetitionView(
         name=found.name,
         title=found.title,
@@ -36,11 +45,38 @@ def competition_view(session: Session, at: datetime | None = None) -> Competitio
         currency=found.currency,
         teams_locked=found.teams_locked,
         anonymous=found.anonymous,
+        appeal_days=found.appeal_days,
         tracks=[_track(name, track, lists, now) for name, track in found.tracks.items()],
         frozen_at=row.frozen_at,
         finalized_at=row.finalized_at,
         winners=[WinnerView.model_validate(winner, extra="ignore") for winner in row.winners or []],
+        disqualified=disqualified_since_the_end(session),
     )
+
+
+def disqualified_since_the_end(session: Session) -> list[DisqualifiedTeamView]:
+    """Return the teams among the kept winners and boards that were disqualified later; none before the end."""
+    row = competition_row(session)
+    if row is None or row.finalized_at is None:
+        return []
+    kept = {winner["submission"]: winner["team"] for winner in row.winners or ()}
+    kept |= {entry["submission_id"]: entry["team"] for board in row.boards or () for entry in board["entries"]}
+    query = select(Submission.id, Team.disqualified_at).join(Submission.team).where(Team.disqualified_at.is_not(None))
+    since = {kept[str(submission)]: at for submission, at in session.execute(query) if at and str(submission) in kept}
+    return [DisqualifiedTeamView(team=team, disqualified_at=at) for team, at in sorted(since.items())]
+
+
+def track_stages(session: Session, track: str, at: datetime | None = None) -> Sequence[StageView]:
+    """Return the stages of a track that is held here; empty outside of a competition. `at` None: now."""
+    rules = track_rules(session, track)
+    if rules is None:
+        return ()
+    lists, now = _lists(session), at or datetime.now(UTC)
+    return [_stage(stage, rules, lists.get((track, stage.name)), now) for stage in rules.stages]
+
+
+def _lists(session: Session) -> Lists:
+    return {(each.track, each.stage): each for each in sealed_lists(session)}
 
 
 def _track(name: str, track: CompetitionTrack, lists: Lists, now: datetime) -> CompetitionTrackView:
@@ -52,6 +88,7 @@ def _track(name: str, track: CompetitionTrack, lists: Lists, now: datetime) -> C
         ties=track.ties,
         stages=[_stage(stage, track, lists.get((name, stage.name)), now) for stage in track.stages],
         prizes=[PrizeView(**prize.model_dump()) for prize in track.prizes],
+        judging=track.judging.sentence if track.judging else None,
     )
 
 

@@ -8,7 +8,7 @@ from typing import Any, Self
 from sqlalchemy import func, select
 from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
-from vitac.evaluator.episodes.records import EpisodeRecord, PolicyFailure
+from vitac.evaluator.episodes.records import EpisodeRecord, PolicyFailure, digest_of_stored
 
 from ..db.models import EpisodeResult, Evaluation, Submission
 from ..queue.leases import Lease, lock_held, reset_attempts
@@ -79,15 +79,24 @@ class StoredEpisodes:
     failures: tuple[PolicyFailure, ...]
 
 
-def store_episodes(session: Session, lease: Lease, records: Iterable[EpisodeRecord]) -> None:
+def store_episodes(
+    session: Session, lease: Lease, records: Iterable[EpisodeRecord], *, notes_packages: bool = True
+) -> None:
     """Store finished episodes, and what their policy could import; storing one again writes nothing.
+
+    Args:
+        session: of the transaction.
+        lease: on their shard.
+        records: of the episodes.
+        notes_packages: False where the packages were stored with earlier episodes under this lease.
 
     Raises:
         LeaseLost: the shard is no longer ours.
     """
     # In one order for all: another evaluation of the same content may store the same rows at the same time.
     by_number = {record.episode: record for record in sorted(records, key=lambda record: record.episode, reverse=True)}
-    note_packages(session, lease)  # It may lock the evaluation, which comes before its shards.
+    if notes_packages:
+        note_packages(session, lease)  # It may lock the evaluation, which comes before its shards.
     attempts = lock_held(session, lease)
     rows = {number: row_values(lease, record) for number, record in by_number.items()}
     added = session.scalars(_ADD_NEW, list(rows.values())).all()
@@ -101,6 +110,7 @@ def row_values(lease: Lease, record: EpisodeRecord) -> dict[str, Any]:
     """Return the columns of the row of an episode that was played under a lease."""
     record = storable(record)
     key = EpisodeKey.of_lease(lease)
+    stored = record.model_dump(mode="json", exclude={"output"})
     return {
         "submission_digest": key.submission_digest,
         "evaluator_version": key.evaluator_version,
@@ -113,8 +123,8 @@ def row_values(lease: Lease, record: EpisodeRecord) -> dict[str, Any]:
         "outcome": record.outcome.value,
         "success": record.success,
         "env_steps": record.env_steps,
-        "record": record.model_dump(mode="json", exclude={"output"}),
-        "record_digest": record.record_digest(),
+        "record": stored,
+        "record_digest": digest_of_stored(stored),
         "states_digest": states_digest(record),
         "half_way_state": half_way_state(record),
         "wall_s": record.timings.wall_s,

@@ -16,6 +16,7 @@ from vitac.evaluator.tracks import load_track
 from vitac.evaluator.tracks.cut import cut
 from vitac.evaluator.version import evaluator_hash, evaluator_version
 
+from ..accounts.visibility import played_list_kind
 from ..competition.sealing import commitment_of_stage
 from ..db.models import Evaluation, Shard, Submission
 from ..db.row_locks import lock_evaluation
@@ -84,9 +85,10 @@ def start(
         is_proposed=rejudgement_id is not None,
         created_at=datetime.now(UTC),
     )
+    evaluation.list_kind = played_list_kind(evaluation)
     track = load_track(submission.track)
     for task in submission.tasks:
-        for piece in cut(track.tasks[task]):
+        for piece in cut(track.task(task)):
             evaluation.shards.append(
                 Shard(
                     task=task,
@@ -213,7 +215,7 @@ def _conclude(session: Session, evaluation: Evaluation) -> None:
     records = {task: records_of(session, key, task) for task in submission.tasks}
     evaluation.log_tail = _output_of(records)
     for task in submission.tasks:
-        failure = breaking_failure(cut(track.tasks[task]), records[task])
+        failure = breaking_failure(cut(track.task(task)), records[task])
         if failure is not None:
             _fail_by_policy(session, evaluation, task, failure, records[task])
             return

@@ -1,17 +1,17 @@
 """How far evaluations are: finished episodes, place in the queue, time to the end; read once for all that are shown."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from datetime import timedelta
 from types import MappingProxyType
 from uuid import UUID
 
-from sqlalchemy import func, select
+from sqlalchemy import case, func, select
 from sqlalchemy.orm import Session
-from vitac.evaluator.tracks import load_track
 
 from ..db.models import EpisodeResult, Evaluation, Shard, Submission
 from ..db.states import ACTIVE_EVALUATION_STATES, OPEN_SHARD_STATES, EvaluationState
 from ..db.stored_episodes import OF_EVALUATION
+from ..tracks import known_task
 from ..views.evaluations import ProgressView, TaskProgressView
 
 EPISODES_FOR_TIMING = 300
@@ -36,13 +36,12 @@ def progress_of(evaluation: Evaluation, submission: Submission, counts: EpisodeC
     def done_of(task: str) -> tuple[int, int]:
         return done.get(task, (0, 0))
 
-    track = load_track(submission.track)
     tasks = [
         TaskProgressView(
             task=task,
             episodes_done=done_of(task)[0],
             successes=done_of(task)[1],
-            episodes_total=len(track.tasks[task].episodes),
+            episodes_total=done_of(task)[0] if evaluation.scores else _planned(evaluation, submission, task),
         )
         for task in submission.tasks
     ]
@@ -53,6 +52,14 @@ def progress_of(evaluation: Evaluation, submission: Submission, counts: EpisodeC
         successes=sum(successes for _, successes in map(done_of, submission.tasks)),
         tasks=tasks,
     )
+
+
+def _planned(evaluation: Evaluation, submission: Submission, task: str) -> int:
+    """Return how many episodes are played of a task: those of its list, or of the shards where it was removed."""
+    found = known_task(submission.track, task)
+    if found is not None:
+        return len(found.episodes)
+    return sum(len(shard.episodes) for shard in evaluation.shards if shard.task == task)
 
 
 def _counts_of_scores(evaluation: Evaluation) -> dict[str, tuple[int, int]]:
@@ -110,22 +117,29 @@ def episodes_ahead(session: Session, evaluations: Collection[Evaluation]) -> dic
     return {evaluation_id: int(ahead or 0) for evaluation_id, ahead in rows}
 
 
-def mean_episode_s(session: Session, tasks: Sequence[str]) -> float | None:
-    """Return the mean wall time [s] of the last episodes of some tasks; None where none was played for a week."""
+def mean_episode_s(session: Session, at_once: Mapping[str, int]) -> float | None:
+    """Return the mean time [s] that the last episodes of some tasks took of a slot; None where there was none.
+
+    Those of the last week count.
+
+    Args:
+        session: of the transaction.
+        at_once: how many episodes of each task a slot plays at the same time, in the wall time of one.
+    """
     latest = (
-        select(EpisodeResult.wall_s)
-        .where(EpisodeResult.task.in_(tasks), EpisodeResult.created_at > func.now() - timedelta(days=7))
+        select((EpisodeResult.wall_s / case(dict(at_once), value=EpisodeResult.task)).label("slot_s"))
+        .where(EpisodeResult.task.in_(at_once), EpisodeResult.created_at > func.now() - timedelta(days=7))
         .order_by(EpisodeResult.created_at.desc())
         .limit(EPISODES_FOR_TIMING)
         .subquery()
     )
-    return session.scalar(select(func.avg(latest.c.wall_s)))
+    return session.scalar(select(func.avg(latest.c.slot_s)))
 
 
 def seconds_to_end(progress: ProgressView, *, ahead: int, slots: int, mean_s: float | None) -> float | None:
     """Return the expected time [s] to the end; None without workers, or before anything was measured.
 
-    Episodes ahead in the queue and our own, times the mean wall time of the last ones, over the workers' slots.
+    Episodes ahead in the queue and our own, times the mean time the last ones took of a slot, over all slots.
     """
     if mean_s is None or not slots:
         return None

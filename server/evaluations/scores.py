@@ -6,30 +6,30 @@ from datetime import datetime
 
 from vitac.evaluator.scoring.ranking import CombinedScore, combine
 from vitac.evaluator.scoring.score import Interval, Rate, Score
-from vitac.evaluator.tracks import load_track
 
 from ..db.models import ALL_TASKS, BoardResult, Evaluation, Submission
 from ..receipts.receipt import CombinedResult
+from ..tracks import known_track
 from ..views.scores import ShapeScoreView, TaskScoreView
 
 
 def store_scores(
     evaluation: Evaluation, scores: Mapping[str, Score], hashes: Mapping[str, str], *, finished_at: datetime
 ) -> None:
-    """Write the score of each task into the row of an evaluation; one that is not only proposed goes on the boards."""
+    """Write the score of each task into the row of an evaluation; one that is not only proposed goes on the boards.
+
+    The tasks that count are kept with them, so that no later track file changes the result.
+    """
     evaluation.scores = [
         {"task": task, "result_hash": hashes[task], **score.model_dump(mode="json")} for task, score in scores.items()
     ]
+    evaluation.counted_tasks = list(_tasks_that_count(evaluation.submission))
     if not evaluation.is_proposed:
         add_to_boards(evaluation, finished_at)
 
 
 def add_to_boards(evaluation: Evaluation, finished_at: datetime) -> None:
-    """Write what a scored evaluation is ranked by on each board, from a moment on.
-
-    A combination is stored by the rule of the evaluation's version only, as it ranks among results of this one only.
-    Where it is shown, it is derived from the scores by today's rule.
-    """
+    """Write what a scored evaluation is ranked by on each board, from a moment on."""
     scores = scores_of(evaluation)
     evaluation.board_results = [_board_result(evaluation, task, score, finished_at) for task, score in scores.items()]
     combined = combined_score(evaluation)
@@ -54,20 +54,29 @@ def scores_of(evaluation: Evaluation) -> dict[str, Score]:
 
 
 def combined_score(evaluation: Evaluation) -> CombinedScore | None:
-    """Return the score over all tasks of the track, by today's rule; None without a score."""
-    return combination_of(evaluation.submission, scores_of(evaluation))
+    """Return the score over all tasks that count; None without a score."""
+    return combination_of(evaluation, scores_of(evaluation))
 
 
 def combined_result(evaluation: Evaluation) -> CombinedResult | None:
-    """Return the score over all tasks for the receipt of an evaluation; None for a log, which has none."""
+    """Return the score over all tasks for the receipt of an evaluation; None where there is none, as for a log."""
     found = combined_score(evaluation) if evaluation.submission.kind.form.runs_policy else None
     return CombinedResult(success_rate=found.success_rate, mean_steps=found.mean_steps) if found else None
 
 
-def combination_of(submission: Submission, scores: Mapping[str, Score]) -> CombinedScore | None:
+def combination_of(evaluation: Evaluation, scores: Mapping[str, Score]) -> CombinedScore | None:
     """Return the same for scores that are read already; None, too, where none of the tasks that count was played."""
-    counting = _tasks_that_count(submission)
+    counting = counted_tasks(evaluation)
     return combine(counting, scores) if not scores.keys().isdisjoint(counting) else None
+
+
+def counted_tasks(evaluation: Evaluation) -> Collection[str]:
+    """Return the tasks that are combined: those that counted when it was scored, before that those of the track file.
+
+    None of an older result whose track was removed before this was kept, as nobody can tell which would count.
+    """
+    kept = evaluation.counted_tasks
+    return kept if kept is not None else _tasks_that_count(evaluation.submission)
 
 
 def score_views(evaluation: Evaluation) -> list[TaskScoreView]:
@@ -107,7 +116,10 @@ def _board_result(
 
 def _tasks_that_count(submission: Submission) -> Collection[str]:
     """Return the combined tasks of the track for a model; a log is of one task, and ranks on its board only."""
-    return load_track(submission.track).tasks_that_count if submission.kind.form.runs_policy else submission.tasks
+    if not submission.kind.form.runs_policy:
+        return submission.tasks
+    track = known_track(submission.track)
+    return track.tasks_that_count if track is not None else ()
 
 
 def _score_view(task: str, score: Score, result_hash: str) -> TaskScoreView:

@@ -11,11 +11,13 @@ from sqlalchemy.orm import Session
 from vitac.evaluator.scoring.ranking import CombinedScore
 
 from ..accounts.principals import Principal
-from ..accounts.visibility import played_list_kind, sight_of
+from ..accounts.visibility import has_lists, played_list_kind, sight_of
 from ..db.models import EpisodeResult, Evaluation
 from ..db.states import ACTIVE_EVALUATION_STATES, TERMINAL_EVALUATION_STATES, EvaluationState
+from ..errors import TRACK_REMOVED
 from ..kept import Kept
 from ..queue.workers import WorkersAlive
+from ..tracks import known_task
 from ..views.evaluations import (
     DifferingEpisodeView,
     EvaluationSummaryView,
@@ -37,11 +39,12 @@ from .progress import (
     seconds_to_end,
 )
 from .provenance import isolation_levels
-from .scores import bounds, combination_of, scores_of, task_views
+from .scores import bounds, combination_of, counted_tasks, scores_of, task_views
 from .verdicts import sentence_of
 
 PROGRESS_STEPS = 10
 """On a sealed list a team sees the progress in so many steps."""
+SEALED_DETAILS = "The list is sealed; the details are shown once its secret is published."
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,7 +60,7 @@ class EvaluationRows:
         hidden: those of which single episodes are not shown.
         positions: places in the queue of those that have not started.
         ahead: episodes to be played before those that have not ended.
-        mean_s: mean wall time of an episode of some tasks [s].
+        mean_s: mean time that an episode of some tasks takes of a slot [s], by how many it plays at once.
     """
 
     isolation: Mapping[UUID, list[str]]
@@ -68,7 +71,7 @@ class EvaluationRows:
     hidden: frozenset[UUID]
     positions: Mapping[UUID, int]
     ahead: Mapping[UUID, int]
-    mean_s: Callable[[tuple[str, ...]], float | None]
+    mean_s: Callable[[tuple[tuple[str, int], ...]], float | None]
 
     @classmethod
     def read(cls, session: Session, evaluations: Sequence[Evaluation], by: Principal, *, with_output: bool) -> Self:
@@ -94,7 +97,7 @@ class EvaluationRows:
             hidden=frozenset(found for found, sight in sights.items() if not sight.episodes),
             positions=queue_positions(session, evaluations),
             ahead=episodes_ahead(session, evaluations),
-            mean_s=cache(lambda tasks: mean_episode_s(session, tasks)),
+            mean_s=cache(lambda at_once: mean_episode_s(session, dict(at_once))),
         )
 
 
@@ -112,7 +115,7 @@ class _Outcome:
         scores = scores_of(evaluation)
         return cls(
             progress=progress_of(evaluation, evaluation.submission, counts),
-            combined=combination_of(evaluation.submission, scores),
+            combined=combination_of(evaluation, scores),
             scores=task_views(evaluation, scores),
         )
 
@@ -135,7 +138,7 @@ def evaluation_view(evaluation: Evaluation, workers: WorkersAlive, rows: Evaluat
         outcome = _Outcome.of(evaluation, rows.counts.get(evaluation.id, {}))
     progress, combined, verdict = outcome.progress, outcome.combined, verdict_view(evaluation)
     if evaluation.id in rows.hidden:
-        progress, verdict = _coarse(progress, combined), _without_details(verdict)
+        progress, verdict = _coarse(progress, outcome.scores), _without_details(verdict, evaluation)
     return EvaluationView(
         **vars(summary_view(evaluation)),
         started_at=evaluation.started_at,
@@ -148,6 +151,7 @@ def evaluation_view(evaluation: Evaluation, workers: WorkersAlive, rows: Evaluat
         success_rate_interval=bounds(combined.interval) if combined else None,
         mean_steps=combined.mean_steps if combined else None,
         scores=outcome.scores,
+        counted_tasks=list(counted_tasks(evaluation)),
         evaluator_hash=evaluation.evaluator_hash,
         platform_class=evaluation.platform_class,
         isolation=rows.isolation[evaluation.id],
@@ -177,18 +181,18 @@ def verdict_view(evaluation: Evaluation) -> VerdictView | None:
     )
 
 
-def _coarse(progress: ProgressView, combined: CombinedScore | None) -> ProgressView:
+def _coarse(progress: ProgressView, scores: list[TaskScoreView]) -> ProgressView:
     """Return the progress as a team sees it on a sealed list: before the end, when an episode ends would tell of it."""
-    if combined is not None:
+    if scores:
         return progress
     total = progress.episodes_total
     done = PROGRESS_STEPS * progress.episodes_done // total * total // PROGRESS_STEPS
     return progress.model_copy(update={"episodes_done": done, "successes": None, "tasks": []})
 
 
-def _without_details(verdict: VerdictView | None) -> VerdictView | None:
+def _without_details(verdict: VerdictView | None, evaluation: Evaluation) -> VerdictView | None:
     """Return the verdict without what may repeat an observation, or say how a single episode ended."""
-    hidden = "The list is sealed; the details are shown once its secret is published."
+    hidden = SEALED_DETAILS if has_lists(evaluation) else f"{TRACK_REMOVED} Its details are no longer shown."
     return verdict and verdict.model_copy(update={"message": hidden, "task": None, "episode": None})
 
 
@@ -197,7 +201,9 @@ def _seconds_to_end(
 ) -> float | None:
     if evaluation.state not in ACTIVE_EVALUATION_STATES or not workers.slots:
         return None
-    mean_s = rows.mean_s(tuple(task.task for task in progress.tasks))
+    known = {task.task: known_task(evaluation.submission.track, task.task) for task in progress.tasks}
+    at_once = tuple((name, task.definition.batch_size if task else 1) for name, task in known.items())
+    mean_s = rows.mean_s(at_once)
     return seconds_to_end(progress, ahead=rows.ahead.get(evaluation.id, 0), slots=workers.slots, mean_s=mean_s)
 
 

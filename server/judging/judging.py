@@ -80,13 +80,15 @@ def give_marks(
 
     Raises:
         ServiceError: not a judge or organizer, no such submission, its track is not judged, the competition is final,
-            a mark is missing or out of range, or the judge has a conflict of interest with the team.
+            it plays no task of the ranking that a total is made for, a mark is missing or out of range, or the judge
+            has a conflict of interest with the team.
     """
     name = _judge(session, by, judge)
     submission = visible(session, by, submission_id)
     teams.lock(session, submission.team)  # no conflict and no other marks of the team meanwhile
     _require_going_on(session)
     rubric = rubric_of(session, submission.track)
+    _require_ranked_task(submission)
     _require_whole(rubric, marks)
     conflict = session.get(JudgingConflict, (submission.team_id, name))
     if conflict is not None:
@@ -285,6 +287,16 @@ def _judge(session: Session, by: Principal, named: str | None) -> str:
     if not named:
         raise ServiceError(ProblemCode.INVALID_REQUEST, "Name the judge who gave the marks.")
     return tokens.judge_named(session, named)
+
+
+def _require_ranked_task(submission: Submission) -> None:
+    ranked = load_track(submission.track).tasks_that_count
+    if set(ranked).isdisjoint(submission.tasks):
+        raise ServiceError(
+            ProblemCode.INVALID_REQUEST,
+            f"Expected an entry that plays {' or '.join(ranked)}, by which {submission.track} is ranked, got one that "
+            f"plays {', '.join(submission.tasks)}. It is never in the ranking, so marks would not count.",
+        )
 
 
 def _require_whole(rubric: Judging, marks: Mapping[str, float]) -> None:

@@ -4,7 +4,7 @@ The order is that of `vitac.evaluator.scoring.ranking.rank`, which a test compar
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import cache
 from typing import Any
@@ -13,11 +13,11 @@ from uuid import UUID
 from sqlalchemy import ColumnElement, Select, bindparam, lateral, select, true
 from sqlalchemy.orm import Session, aliased
 from vitac.evaluator.submission_kinds import SubmissionKind
-from vitac.evaluator.tracks import load_track
 from vitac.evaluator.version import evaluator_version
 
 from ..competition.definition import DEFAULT_RANKING, RankingKey
 from ..db.models import ALL_TASKS, BoardResult, Team
+from ..tracks import known_track
 from ..views.submissions import RankView
 from .changes import kept_until_change
 
@@ -35,6 +35,7 @@ class Board:
     Attributes:
         stage: of the competition; empty for results outside of one.
         ranking: what entries are compared by.
+        evaluator_version: whose results are ranked.
     """
 
     track: str
@@ -42,6 +43,7 @@ class Board:
     task: str | None = None
     stage: str = ""
     ranking: tuple[RankingKey, ...] = DEFAULT_RANKING
+    evaluator_version: str = field(default_factory=evaluator_version)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,7 +75,7 @@ def best_entries(session: Session, board: Board, *, until: datetime = EVER) -> l
 
 
 def ranked_entries(session: Session, board: Board, *, until: datetime = EVER) -> list[BestEntry]:
-    """Return the best entry of each team that this evaluator version has made, ranked."""
+    """Return the best entry of each team that the board's evaluator version has made, ranked."""
     ranked = session.execute(_best_of_teams(board.ranking), _parameters(board, until))
     return [
         BestEntry(rank=rank, evaluation_id=evaluation_id, submission_id=submission_id)
@@ -81,24 +83,17 @@ def ranked_entries(session: Session, board: Board, *, until: datetime = EVER) ->
     ]
 
 
-def places(
-    session: Session,
-    track: str,
-    *,
-    stage: str = "",
-    ranking: tuple[RankingKey, ...] = DEFAULT_RANKING,
-    until: datetime = EVER,
-) -> PlacesOfBoards:
-    """Return the places of all ranked submissions of models on the boards of a track's stage.
+def places(session: Session, combined: Board, *, until: datetime = EVER) -> PlacesOfBoards:
+    """Return the places of all ranked submissions on a track's board of all tasks together, and on that of each.
 
     Args:
         session: of the transaction.
-        track: whose boards.
-        stage: of the competition; empty for results outside of one.
-        ranking: what entries are compared by.
+        combined: the board of all tasks together.
         until: results that were complete then count.
     """
-    boards = [Board(track=track, task=task, stage=stage, ranking=ranking) for task in (None, *load_track(track).tasks)]
+    found = known_track(combined.track)
+    tasks = (None, *found.tasks) if found is not None else ()
+    boards = [replace(combined, task=task) for task in tasks]
 
     def read() -> PlacesOfBoards:
         return {board.task: _places(ranked_entries(session, board, until=until)) for board in boards}
@@ -116,7 +111,7 @@ def _parameters(board: Board, until: datetime) -> dict[str, object]:
         "stage": board.stage,
         "kind": board.kind,
         "board": board.task or ALL_TASKS,
-        "version": evaluator_version(),
+        "version": board.evaluator_version,
         "until": until,
     }
 

@@ -15,14 +15,13 @@ from sqlalchemy.dialects.postgresql import distinct_on
 from sqlalchemy.orm import Session
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import Track
-from vitac.evaluator.version import evaluator_version
 
 from ..accounts import teams
 from ..accounts.principals import VISITOR
 from ..accounts.shown_names import ShownNames
 from ..accounts.visibility import played_list_kind
 from ..competition.definition import DEFAULT_RANKING, CompetitionTrack, RankingKey
-from ..competition.schedule import boards_stand_since, shown_stage, track_rules
+from ..competition.schedule import CountedResults, counted_results, shown_stage, track_rules
 from ..db.models import BoardResult, Evaluation, Team
 from ..evaluations.copies import copies_among
 from ..evaluations.scores import score_views
@@ -64,12 +63,12 @@ def log_boards(session: Session, track_name: str, *, stage: str | None = None) -
     track, of_stage = load_known_track(track_name), shown_stage(session, track_name, stage)
     rules = track_rules(session, track_name)
     ranking = _Ranking.of(rules)
-    until = (boards_stand_since(session) if of_stage else None) or EVER
+    counted = counted_results(session, of_stage)
     shown_names = ShownNames.read(session, VISITOR)
     found = kept_until_change(
         session,
-        ("logs", track.name, of_stage, until, shown_names, ranking),
-        lambda: _found(session, track, of_stage, until, shown_names, ranking),
+        ("logs", track.name, of_stage, counted, shown_names, ranking),
+        lambda: _found(session, track, of_stage, counted, shown_names, ranking),
     )
     made = partial(_view, session, track, found)
     return _made_boards.get((track.name, of_stage), found.revision, made, names=found.names)
@@ -93,6 +92,7 @@ class _Shown:
     """What is on the boards of a revision: the best logs by task, which of them are copies, and text logs."""
 
     stage: str
+    counted: CountedResults
     best: Mapping[str, list[BestEntry]]
     copies: Mapping[UUID, LogCopyView]
     text_logs: Sequence[UUID]
@@ -106,14 +106,22 @@ def _found(
     session: Session,
     track: Track,
     stage: str,
-    until: datetime,
+    counted: CountedResults,
     shown_names: ShownNames,
     ranking: _Ranking,
 ) -> _Shown:
     boards = {
-        task: Board(track=track.name, stage=stage, kind=SubmissionKind.LOG, task=task, ranking=ranking.keys)
+        task: Board(
+            track=track.name,
+            stage=stage,
+            kind=SubmissionKind.LOG,
+            task=task,
+            ranking=ranking.keys,
+            evaluator_version=counted.evaluator_version,
+        )
         for task in track.tasks
     }
+    until = counted.until or EVER
     best = {task: best_entries(session, board, until=until) for task, board in boards.items()}
     named = {"track": track.name, "stage": stage, "until": until, "at_most": MAX_TEXT_LOGS}
     text_logs = session.scalars(_newest_text_logs(), named).all()
@@ -121,10 +129,11 @@ def _found(
     ranked = [part for task, entries in best.items() for part in (task, *entries)]
     names = f"{teams.last_named_at(session)} {shown_names.hidden}"
     revision = revision_of(
-        f"logs of {track.name} {stage} {names} {ranking.rule}", [*ranked, *sorted(copies.items()), *text_logs]
+        f"logs of {track.name} {stage} {counted} {names} {ranking.rule}", [*ranked, *sorted(copies.items()), *text_logs]
     )
     return _Shown(
         stage=stage,
+        counted=counted,
         best=best,
         copies=copies,
         text_logs=text_logs,
@@ -136,15 +145,16 @@ def _found(
 
 
 def _view(session: Session, track: Track, shown: _Shown, last: LogBoardsView | None) -> LogBoardsView:
-    entry_of = partial(_entry, names=shown.shown_names)
+    entry_of = partial(_entry, version=shown.counted.evaluator_version, names=shown.shown_names)
     entries_before = {board.task: board.entries for board in last.boards} if last else {}
     return LogBoardsView(
         track=track.name,
         title=track.title,
         stage=shown.stage or None,
+        final_since=shown.counted.final_since,
         label=SubmissionKind.LOG.form.worth,
         ranking_rule=shown.ranking_rule,
-        evaluator_version=evaluator_version(),
+        evaluator_version=shown.counted.evaluator_version,
         revision=shown.revision,
         generated_at=datetime.now(UTC),
         boards=[
@@ -196,13 +206,13 @@ def _newest_text_logs() -> Select[UUID]:
     )
 
 
-def _entry(entry: BestEntry, evaluation: Evaluation, *, names: ShownNames) -> LogEntryView:
+def _entry(entry: BestEntry, evaluation: Evaluation, *, version: str, names: ShownNames) -> LogEntryView:
     submission = evaluation.submission
     score = score_views(evaluation)[0]
     claim = LogClaim.model_validate(submission.manifest)
     return LogEntryView(
         rank=entry.rank,
-        stale=evaluation.evaluator_version != evaluator_version(),
+        stale=evaluation.evaluator_version != version,
         team=names.name_of(submission.team),
         evaluation_id=evaluation.id,
         submission_id=submission.id,

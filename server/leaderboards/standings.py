@@ -11,14 +11,13 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session, defer, selectinload
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import ListKind, Track
-from vitac.evaluator.version import evaluator_version
 
 from ..accounts import teams
 from ..accounts.principals import CONSOLE, VISITOR
 from ..accounts.shown_names import ShownNames
 from ..accounts.visibility import played_list_kind
 from ..competition.definition import DEFAULT_RANKING
-from ..competition.schedule import boards_stand_since, shown_stage, track_rules
+from ..competition.schedule import CountedResults, counted_results, shown_stage, track_rules
 from ..competition.sealing import commitment_of_stage
 from ..db.models import Evaluation, Submission
 from ..evaluations.scores import bounds, combination_of, scores_of, task_views
@@ -61,9 +60,16 @@ def leaderboard(
         require_task(track, task)
     of_stage, rules = shown_stage(session, track_name, stage), track_rules(session, track_name)
     ranking = rules.ranking if rules else DEFAULT_RANKING
-    board = Board(track=track_name, kind=kind, task=task, stage=of_stage, ranking=ranking)
-    frozen_at = None if live or not board.stage else boards_stand_since(session)
-    until = frozen_at or EVER
+    counted = counted_results(session, of_stage, live=live)
+    board = Board(
+        track=track_name,
+        kind=kind,
+        task=task,
+        stage=of_stage,
+        ranking=ranking,
+        evaluator_version=counted.evaluator_version,
+    )
+    until = counted.until or EVER
     best, named_at = kept_until_change(
         session,
         ("best entries", board, until),
@@ -73,14 +79,14 @@ def leaderboard(
     list_kind = ListKind.SEALED if commitment_of_stage(session, track_name, of_stage) else played
     shown_names = ShownNames.read(session, CONSOLE if live else VISITOR)
     names = f"{named_at} {shown_names.hidden and not live}"
-    revision = revision_of(f"{board} {frozen_at} {list_kind} {names}", best)
+    revision = revision_of(f"{board} {counted} {list_kind} {names}", best)
     rule = rules.ranking_sentence if rules else None
     shown = _Shown(
         board=board,
         list_kind=list_kind,
         rule=rule,
         best=best,
-        frozen_at=frozen_at,
+        counted=counted,
         names=shown_names,
         revision=revision,
     )
@@ -95,7 +101,7 @@ class _Shown:
     Attributes:
         list_kind: of the episodes that submissions to it play.
         rule: how it is ranked, where that is not what the track's file says.
-        frozen_at: since when it stands still; None: it does not.
+        counted: which results it is made of.
         names: under which teams are shown.
     """
 
@@ -103,26 +109,26 @@ class _Shown:
     list_kind: ListKind
     rule: str | None
     best: Collection[BestEntry]
-    frozen_at: datetime | None
+    counted: CountedResults
     names: ShownNames
     revision: str
 
 
 def _view(session: Session, track: Track, shown: _Shown, last: LeaderboardView | None) -> LeaderboardView:
     task = shown.board.task
-    entries = _with_rank_ranges(
-        made_entries(session, shown.best, last.entries if last else (), partial(_entry, task=task, names=shown.names))
-    )
+    entry_of = partial(_entry, board=shown.board, names=shown.names)
+    entries = _with_rank_ranges(made_entries(session, shown.best, last.entries if last else (), entry_of))
     return LeaderboardView(
         track=track.name,
         title=track.title,
         tasks=list(track.tasks),
         task=task,
         stage=shown.board.stage or None,
-        frozen_at=shown.frozen_at,
+        frozen_at=shown.counted.frozen_at,
+        final_since=shown.counted.final_since,
         list_kind=shown.list_kind,
         ranking_rule=shown.rule or (track.ranking_rule if task else track.combination_rule or track.ranking_rule),
-        evaluator_version=evaluator_version(),
+        evaluator_version=shown.board.evaluator_version,
         revision=shown.revision,
         generated_at=datetime.now(UTC),
         teams=len(entries),
@@ -140,7 +146,7 @@ def made_entries(
     session: Session,
     best: Collection[BestEntry],
     last: Iterable[EntryT],
-    make: Callable[[BestEntry, Evaluation], EntryT],
+    make: Callable[[BestEntry, Evaluation], EntryT | None],
 ) -> list[EntryT]:
     """Return the views of entries; those that were there before, too, are not read again.
 
@@ -148,16 +154,17 @@ def made_entries(
         session: of the transaction.
         best: the entries.
         last: the views that the board had before.
-        make: the view of a new entry.
+        make: the view of a new entry; None where it is not shown.
     """
     kept = {view.evaluation_id: view for view in last}
     new = completed_evaluations(session, {entry.evaluation_id for entry in best} - kept.keys())
-    return [
+    made = (
         make(entry, new[entry.evaluation_id])
         if entry.evaluation_id in new
         else _with_rank(kept[entry.evaluation_id], entry.rank)
         for entry in best
-    ]
+    )
+    return [view for view in made if view is not None]
 
 
 def _with_rank(view: EntryT, rank: int | None) -> EntryT:
@@ -178,16 +185,17 @@ def completed_evaluations(session: Session, ids: Collection[UUID]) -> Mapping[UU
     return {evaluation.id: evaluation for evaluation in found}
 
 
-def _entry(entry: BestEntry, evaluation: Evaluation, *, task: str | None, names: ShownNames) -> LeaderboardEntryView:
-    submission, found = evaluation.submission, scores_of(evaluation)
+def _entry(entry: BestEntry, evaluation: Evaluation, *, board: Board, names: ShownNames) -> LeaderboardEntryView | None:
+    """Return an entry as it is shown; None for one in tasks of which none counts."""
+    submission, found, task = evaluation.submission, scores_of(evaluation), board.task
     scores = [score for score in task_views(evaluation, found) if task in {None, score.task}]
-    ranked_by = combination_of(submission, found) if task is None else found[task]
+    ranked_by = combination_of(evaluation, found) if task is None else found[task]
     if ranked_by is None:
-        raise ValueError(f"Evaluation {evaluation.id} is on a board but has no scores.")
+        return None
     return LeaderboardEntryView(
         rank=entry.rank,
         rank_range=None,
-        stale=evaluation.evaluator_version != evaluator_version(),
+        stale=evaluation.evaluator_version != board.evaluator_version,
         team=names.name_of(submission.team),
         evaluation_id=evaluation.id,
         submission_id=submission.id,

@@ -8,7 +8,7 @@ from sqlalchemy.orm import Session
 from ..competition.schedule import current, is_qualified
 from ..db.models import Team
 from ..db.states import NoticeKind
-from .outbox import announce
+from .outbox import announce, stage_facts
 
 NEAR = timedelta(hours=24)
 
@@ -34,5 +34,5 @@ def announce_near(session: Session, at: datetime | None = None) -> None:
         for track, stage in near:
             if stage.qualified is None or is_qualified(session, team, track, stage.name):
                 closes = f"{stage.closes:%F %H:%M} UTC"
-                facts = {"track": track, "stage": stage.name, "closes": closes, "page": "/competition"}
+                facts = stage_facts(competition, track, stage.name) | {"closes": closes}
                 announce(session, NoticeKind.DEADLINE, team.id, f"stage:{track}/{stage.name}/{closes}", facts)

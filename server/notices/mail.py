@@ -2,9 +2,11 @@
 
 import smtplib
 import ssl
+from collections.abc import Mapping
 from email.message import EmailMessage
 from email.utils import format_datetime
 from pathlib import Path
+from typing import Any
 from urllib.parse import SplitResult, unquote, urlsplit
 
 from ..db.models import Notice
@@ -15,11 +17,11 @@ from .webhooks import Undelivered
 TIMEOUT_S = 20.0
 SUBJECT_LENGTH = 150
 _SENTENCES = {
-    NoticeKind.ACCEPTED: "Submission {name} to {track} was accepted and waits for its evaluation.",
-    NoticeKind.FINISHED: "Submission {name} to {track} is evaluated.",
-    NoticeKind.FAILED: "The evaluation of submission {name} to {track} has ended without a score ({verdict}).",
-    NoticeKind.PROMOTED: "{team} takes part in stage {stage} of {track}.",
-    NoticeKind.DEADLINE: "Stage {stage} of {track} closes at {closes}.",
+    NoticeKind.ACCEPTED: "Submission {name} to {track_title} was accepted and waits for its evaluation.",
+    NoticeKind.FINISHED: "Submission {name} to {track_title} is evaluated.",
+    NoticeKind.FAILED: "The evaluation of submission {name} to {track_title} has ended without a score ({verdict}).",
+    NoticeKind.PROMOTED: "{team} takes part in stage {stage_title} of {track_title}.",
+    NoticeKind.DEADLINE: "Stage {stage_title} of {track_title} closes at {closes}.",
     NoticeKind.ANNOUNCEMENT: "{title}\n\n{text}",
 }
 
@@ -27,7 +29,7 @@ _SENTENCES = {
 def message_of(notice: Notice, settings: Settings) -> EmailMessage:
     """Return a notice as an e-mail; the same notice has the same Message-ID, by which receivers see a repeat."""
     made = EmailMessage()
-    text = _SENTENCES[notice.kind].format_map(notice.facts)
+    text = _SENTENCES[notice.kind].format_map(_untitled(notice.facts) | notice.facts)
     made["From"] = settings.mail_from
     made["To"] = notice.target
     subject, _, _ = text.partition("\n")  # of an announcement its title
@@ -41,6 +43,11 @@ def message_of(notice: Notice, settings: Settings) -> EmailMessage:
     )
     made.set_content(f"{text}{link}\n\n-- \n{stop}\n")
     return made
+
+
+def _untitled(facts: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the names of track and stage as their titles, for a notice that an older server wrote."""
+    return {f"{name}_title": facts[name] for name in ("track", "stage") if name in facts}
 
 
 def send(notice: Notice, settings: Settings) -> None:

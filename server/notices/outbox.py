@@ -11,6 +11,8 @@ from sqlalchemy.orm import Session
 
 from ..accounts.audit import record
 from ..accounts.principals import Principal
+from ..competition.definition import CompetitionDefinition
+from ..competition.schedule import track_title
 from ..db.models import Evaluation, Member, Notice, Webhook
 from ..db.states import NoticeChannel, NoticeKind
 from ..errors import ProblemCode, ServiceError, not_found
@@ -50,6 +52,17 @@ def announce(session: Session, kind: NoticeKind, team_id: UUID, subject: str, fa
     session.execute(insert(Notice).values(rows).on_conflict_do_nothing(constraint="uq_notices_once"))
 
 
+def stage_facts(competition: CompetitionDefinition, track: str, stage: str) -> dict[str, str]:
+    """Return what a notice of a stage tells: names for programs, titles for people."""
+    return {
+        "track": track,
+        "track_title": competition.tracks[track].title,
+        "stage": stage,
+        "stage_title": competition.stage_titles[track, stage],
+        "page": "/competition",
+    }
+
+
 def announce_evaluation(session: Session, kind: NoticeKind, evaluation: Evaluation) -> None:
     """Say how far an evaluation is; how good it is, the page says to whom may see that."""
     submission = evaluation.submission
@@ -57,6 +70,7 @@ def announce_evaluation(session: Session, kind: NoticeKind, evaluation: Evaluati
         "submission": str(submission.id),
         "name": submission.name,
         "track": submission.track,
+        "track_title": track_title(session, submission.track),
         "stage": submission.stage or None,
         "evaluation": str(evaluation.id),
         "state": evaluation.state.value,

@@ -9,7 +9,7 @@ from sqlalchemy import exists, func, or_, select
 from sqlalchemy.orm import Session, selectinload
 
 from ..competition.definition import Stage
-from ..competition.schedule import current
+from ..competition.schedule import current, track_title
 from ..db.models import EpisodeDifference, Evaluation, LogCopy, Qualification, Submission
 from ..evaluations.verdicts import ServiceVerdict
 from ..results.readiness import count_running
@@ -29,7 +29,7 @@ class Trouble:
     submission_id: UUID
     submission: str
     team: str
-    track: str
+    track_title: str
     problem: str
     at: datetime
 
@@ -46,6 +46,7 @@ class StageState:
     """
 
     track: str
+    track_title: str
     stage: Stage
     qualified: int | None
     submissions: int
@@ -70,7 +71,7 @@ def troubles(session: Session) -> list[Trouble]:
             submission_id=evaluation.submission_id,
             submission=evaluation.submission.name,
             team=evaluation.submission.team.name,
-            track=evaluation.submission.track,
+            track_title=track_title(session, evaluation.submission.track),
             problem=_words(by_machines=by_machines, differing=differing, copy=copy),
             at=evaluation.created_at,
         )
@@ -86,6 +87,7 @@ def stages(session: Session, at: datetime | None = None) -> Sequence[StageState]
     return [
         StageState(
             track=name,
+            track_title=track.title,
             stage=stage,
             qualified=_count_qualified(session, name, stage.name) if stage.qualified is not None else None,
             submissions=_count_submissions(session, name, stage.name),

@@ -137,9 +137,7 @@ def recover(session: Session, settings: Settings) -> int:
         if playback.attempts < settings.shard_attempts:
             playback.state = PlaybackState.QUEUED
             continue
-        logger.error("playback_given_up", playback=playback.id, attempts=playback.attempts)
-        playback.state, playback.finished_at = PlaybackState.FAILED, now
-        playback.problem = f"It was started {playback.attempts} times, and each time the worker was lost."
+        _give_up(playback, now, f"It was started {playback.attempts} times, and each time the worker was lost.")
     session.flush()
     waiting = session.scalars(
         select(Playback).where(
@@ -181,9 +179,12 @@ def _give_up_unmade(session: Session, now: datetime) -> None:
     for playback in waiting:
         needed = (playback.evaluator_version, playback_family_of(playback.episode.track, playback.episode.task))
         if needed not in made:
-            logger.warning("playback_given_up", playback=playback.id, attempts=playback.attempts)
-            playback.state, playback.finished_at = PlaybackState.FAILED, now
-            playback.problem = "No worker that can make it was running."
+            _give_up(playback, now, "No worker that can make it was running.")
+
+
+def _give_up(playback: Playback, now: datetime, problem: str) -> None:
+    logger.error("playback_given_up", playback=playback.id, attempts=playback.attempts)
+    playback.state, playback.finished_at, playback.problem = PlaybackState.FAILED, now, problem
 
 
 def _sensor_of(session: Session, episode: EpisodeResult) -> str | None:

@@ -110,7 +110,7 @@ def audit(
         found = Audit(public_key=described.public_key)
         if public_key is not None and described.public_key != public_key:
             found.findings.append(f"Expected the key {public_key}, got {described.public_key}.")
-        chain = _check_chain(reader.links(), public_key or described.public_key, found)
+        chain = _check_chain(reader.links(), described.public_key, found)
         for receipt in held:
             if chain.get(receipt.link.number) != receipt.link:
                 found.findings.append(f"Receipt {receipt.link.number}, which was kept elsewhere, is not in the chain.")

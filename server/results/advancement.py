@@ -13,13 +13,13 @@ from sqlalchemy.orm import Session
 from ..accounts import teams
 from ..accounts.audit import record
 from ..accounts.principals import Principal
-from ..competition.definition import Advancement, Stage
+from ..competition.definition import Advancement, CompetitionDefinition, Stage
 from ..competition.schedule import current, require_over
 from ..db.models import Qualification, Submission, Team
 from ..db.states import NoticeKind
 from ..errors import ProblemCode, ServiceError
 from ..leaderboards.standings import leaderboard
-from ..notices.outbox import announce
+from ..notices.outbox import announce, stage_facts
 from ..views.leaderboards import LeaderboardEntryView
 from .readiness import count_running, require_current, require_scored
 
@@ -71,7 +71,7 @@ def propose(session: Session, track: str, stage: str) -> Proposal:
     Raises:
         ServiceError: there is no such stage, or it is for all teams.
     """
-    before, rule = _rule(session, track, stage)
+    _, before, rule = _rule(session, track, stage)
     entries = leaderboard(session, track, stage=before.name, live=True).view.entries
     ranked = [entry for entry in entries if entry.rank is not None]
     taking_part = (Team.disqualified_at.is_(None), Team.approved_at.is_not(None), Team.created_at < before.closes)
@@ -109,6 +109,7 @@ def confirm(
             or not proposed, or one that would lose its place has submitted already.
     """
     by.require_organizer()
+    competition, _, _ = _rule(session, track, stage)
     proposal = propose(session, track, stage)
     require_over(session, track, proposal.before)
     require_scored(session, track, proposal.before)
@@ -117,9 +118,9 @@ def confirm(
     previous = _qualified(session, track, stage)
     _refuse_loss(session, track, stage, previous.keys() - chosen.keys())
     session.execute(delete(Qualification).where(Qualification.track == track, Qualification.stage == stage))
-    now = datetime.now(UTC)
+    now, told = datetime.now(UTC), stage_facts(competition, track, stage)
     for team_id in chosen.keys() - previous.keys():
-        facts = {"team": chosen[team_id], "track": track, "stage": stage, "page": "/competition"}
+        facts = told | {"team": chosen[team_id]}
         announce(session, NoticeKind.PROMOTED, team_id, f"stage:{track}/{stage}/{team_id}/{now.isoformat()}", facts)
     session.add_all(Qualification(track=track, stage=stage, team_id=team_id) for team_id in chosen)
     session.flush()
@@ -139,7 +140,7 @@ def qualified_teams(session: Session, track: str, stage: str) -> list[str]:
     return sorted(_qualified(session, track, stage).values())
 
 
-def _rule(session: Session, track: str, stage: str) -> tuple[Stage, Advancement]:
+def _rule(session: Session, track: str, stage: str) -> tuple[CompetitionDefinition, Stage, Advancement]:
     competition = current(session)
     found = competition.stage(track, stage) if competition else None
     if competition is None or found is None:
@@ -147,7 +148,7 @@ def _rule(session: Session, track: str, stage: str) -> tuple[Stage, Advancement]
     if found.qualified is None:
         raise ServiceError(ProblemCode.UNKNOWN_STAGE, f"Stage {stage} of {track} is for all teams; nobody advances.")
     stages = competition.tracks[track].stages
-    return stages[stages.index(found) - 1], found.qualified
+    return competition, stages[stages.index(found) - 1], found.qualified
 
 
 def _count_advancing(rule: Advancement, ranked: Sequence[LeaderboardEntryView], registered: int) -> int:

@@ -1,4 +1,4 @@
-"""A competition after its end: what was final then, whatever happens to evaluator, teams and boards since."""
+"""A competition after its end: what was final then, or when it was decided again."""
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session
@@ -9,6 +9,7 @@ from ..errors import ProblemCode, ServiceError
 from ..receipts.chain import chain_state
 from ..views.contest.archive import ArchiveView
 from ..views.leaderboards import LeaderboardView
+from .finishing import decided_again_at
 
 
 def archive_view(session: Session) -> ArchiveView:
@@ -27,6 +28,7 @@ def archive_view(session: Session) -> ArchiveView:
         competition=found,
         boards=[LeaderboardView.model_validate(board) for board in row.boards or []],
         public_key=state.public_key,
+        decided_again_at=decided_again_at(session, row),
         citation=_citation(found.name, found.title, found.finalized_at.year, found.website),
     )
 

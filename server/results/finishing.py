@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 
 from sqlalchemy.orm import Session
 
-from ..accounts.audit import record
+from ..accounts.audit import newest_entries, record
 from ..accounts.principals import Principal
 from ..competition.definition import CompetitionDefinition, CompetitionTrack, Prize
 from ..competition.schedule import current
@@ -16,8 +16,12 @@ from ..db.models import Competition
 from ..errors import ProblemCode, ServiceError
 from ..judging.judging import ranked_by_total
 from ..leaderboards.standings import leaderboard
+from ..tracks import known_track
 from ..views.leaderboards import LeaderboardEntryView, LeaderboardView
 from .readiness import require_current, require_scored
+
+FINALIZE_AGAIN = "competition.finalize_again"
+"""The action in the audit log; its lines keep the winners and boards that were replaced."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,7 +75,7 @@ def unfreeze(session: Session, by: Principal) -> None:
 
 
 def finalize(session: Session, by: Principal, *, at: datetime | None = None) -> list[Winner]:
-    """End the competition for good and keep the winners as they are now; boards show all results again.
+    """End the competition and keep winners and boards as they are now; these show all results again.
 
     Args:
         session: of the transaction.
@@ -86,12 +90,45 @@ def finalize(session: Session, by: Principal, *, at: datetime | None = None) -> 
     definition = CompetitionDefinition.model_validate(row.definition)
     now = at or datetime.now(UTC)
     _require_over(session, definition, now)
-    found = winners(session)
+    found = _winners_now(session, row, definition)
     row.finalized_at, row.frozen_at = now, None
-    row.winners = [asdict(winner) for winner in found]
-    row.boards = [board.model_dump(mode="json") for board in boards_of(session, definition)]
+    _keep(session, row, definition, found)
     record(session, by, "competition.finalize", _subject(row), {"winners": row.winners})
     return found
+
+
+def finalize_again(session: Session, by: Principal) -> list[Winner]:
+    """Keep winners and boards of a final competition anew, without the teams that were disqualified since.
+
+    The results stay those of its end, and so does its moment; names of teams, and what the track files say, are
+    today's.
+
+    Raises:
+        ServiceError: not an organizer, there is no competition or it is not final, a track file is missing, it was
+            final before boards were kept and a board has results of another evaluator version, or a judged track has
+            an entry without a total.
+    """
+    by.require_organizer()
+    row = lock_competition(session)
+    if row is None:
+        raise _no_competition()
+    if row.finalized_at is None:
+        raise ServiceError(
+            ProblemCode.INVALID_REQUEST, "The competition is not final yet; `vitac admin results finalize` ends it."
+        )
+    definition = CompetitionDefinition.model_validate(row.definition)
+    _require_track_files(definition)
+    before = {"winners": row.winners, "boards": row.boards}
+    found = _winners_now(session, row, definition)
+    _keep(session, row, definition, found)
+    record(session, by, FINALIZE_AGAIN, _subject(row), {"winners": row.winners}, before=before)
+    return found
+
+
+def decided_again_at(session: Session, row: Competition) -> datetime | None:
+    """Return when winners and boards of a final competition were last kept anew; None: never."""
+    lines = newest_entries(session, 1, action=FINALIZE_AGAIN, subject=_subject(row))
+    return lines[0].at if lines else None
 
 
 def winners(session: Session) -> list[Winner]:
@@ -107,12 +144,7 @@ def winners(session: Session) -> list[Winner]:
         raise _no_competition()
     if row.winners is not None:
         return [Winner(**winner) for winner in row.winners]
-    return [
-        winner
-        for name, track in definition.tracks.items()
-        if track.taken_here
-        for winner in _winners_of(session, definition, name, track)
-    ]
+    return _winners_now(session, row, definition)
 
 
 def prizes_without_winner(session: Session, found: Sequence[Winner]) -> list[str]:
@@ -138,12 +170,28 @@ def boards_of(session: Session, definition: CompetitionDefinition) -> list[Leade
     ]
 
 
+def _winners_now(session: Session, row: Competition, definition: CompetitionDefinition) -> list[Winner]:
+    """Return who wins by the boards of the last stages; kept boards rank by the evaluator version of the end."""
+    found = []
+    for name, track in definition.tracks.items():
+        if track.taken_here:
+            if row.boards is None:
+                require_current(session, name, track.stages[-1].name)
+            found += _winners_of(session, definition, name, track)
+    return found
+
+
+def _keep(session: Session, row: Competition, definition: CompetitionDefinition, found: Sequence[Winner]) -> None:
+    """Write winners, and the boards as they are for organizers."""
+    row.winners = [asdict(winner) for winner in found]
+    row.boards = [board.model_dump(mode="json") for board in boards_of(session, definition)]
+
+
 def _winners_of(
     session: Session, definition: CompetitionDefinition, name: str, track: CompetitionTrack
 ) -> list[Winner]:
     """Return the winners of a track; of fewer teams than prizes all win."""
     stage = track.stages[-1].name
-    require_current(session, name, stage)
     return [
         Winner(
             track=name,
@@ -202,6 +250,17 @@ def _require_over(session: Session, definition: CompetitionDefinition, now: date
     for name, track in definition.tracks.items():
         for stage in track.stages:
             require_scored(session, name, stage.name)
+
+
+def _require_track_files(definition: CompetitionDefinition) -> None:
+    """Refuse to make boards anew while a track that is held here has no file."""
+    missing = [name for name, track in definition.tracks.items() if track.taken_here and known_track(name) is None]
+    if missing:
+        raise ServiceError(
+            ProblemCode.UNKNOWN_TRACK,
+            f"Expected a track file of each track of the competition, got none of {', '.join(missing)}; put it back as "
+            "it was at the end. Nothing was changed.",
+        )
 
 
 def _subject(row: Competition) -> str:

@@ -14,6 +14,7 @@ from vitac.envs.errors import VitacError
 
 from ..competition.definition import CompetitionDefinition
 from ..competition.schedule import current
+from ..competition.view import disqualified_since_the_end
 from ..db.competition_row import competition_row
 from ..errors import ProblemCode, ServiceError
 from ..views.leaderboards import LeaderboardView
@@ -120,13 +121,15 @@ def result_files(session: Session) -> Mapping[str, str]:
     """Return the content of each file by its name.
 
     Raises:
-        ServiceError: there is no competition, or a board has results of another evaluator version.
+        ServiceError: there is no competition, a board has results of another evaluator version, or a winner was
+            disqualified after the end.
     """
     definition, row = current(session), competition_row(session)
     if definition is None or row is None:
         raise ServiceError(ProblemCode.NOT_FOUND, "There is no competition, so it has no results.")
     boards = boards_of(session, definition)
     found = winners(session)
+    _require_qualified(session, found)
     final_on = None if row.finalized_at is None else f"{row.finalized_at.astimezone(UTC):%F}"
     return {
         "results.json": _json(definition, boards, found, is_final=final_on is not None),
@@ -134,6 +137,17 @@ def result_files(session: Session) -> Mapping[str, str]:
         "results.html": _page(definition, boards, found, final_on=final_on, certificates=False),
         "certificates.html": _page(definition, boards, found, final_on=final_on, certificates=True),
     }
+
+
+def _require_qualified(session: Session, found: Sequence[Winner]) -> None:
+    """Refuse to give a certificate to a team that was disqualified after the end."""
+    out = {team.team for team in disqualified_since_the_end(session)} & {winner.team for winner in found}
+    if out:
+        raise ServiceError(
+            ProblemCode.TEAM_DISQUALIFIED,
+            f"Expected winners that take part, got {', '.join(sorted(out))}, disqualified after the end; "
+            "`vitac admin results finalize --again` decides the winners without them.",
+        )
 
 
 def _json(
@@ -181,6 +195,6 @@ def _page(
         winners=found,
         boards=boards,
         final_on=final_on,
-        stages={(name, stage.name): stage.title for name, track in definition.tracks.items() for stage in track.stages},
+        stages=definition.stage_titles,
         certificates=certificates,
     )

@@ -49,7 +49,7 @@ def start(
         by: an organizer.
         track: of the submissions.
         stage: of the competition; None: the one that opened last.
-        submissions: which ones; none: all models of the stage whose team takes part.
+        submissions: which ones; none: all models of the stage whose team takes part and whose tasks are there.
         reason: for the audit log.
 
     Raises:
@@ -203,7 +203,8 @@ def _chosen(session: Session, track: str, stage: str, ids: Collection[UUID]) -> 
         .order_by(Submission.submitted_at, Submission.id)
         .with_for_update(key_share=True, of=Submission)
     )
-    found = session.scalars(query.where(Submission.id.in_(ids)) if ids else query.where(takes_part())).all()
+    known = query.where(takes_part(), Submission.tasks.contained_by(list(load_known_track(track).tasks)))
+    found = session.scalars(query.where(Submission.id.in_(ids)) if ids else known).all()
     missing = set(ids) - {submission.id for submission in found}
     if missing or not found:
         what = f"submission {min(missing)}" if missing else "any submission"

@@ -42,7 +42,8 @@ def create(
 
     The same content of the same team is one submission. While its evaluation is active or completed nothing new is
     started, unless `again` asks for a run that uses no stored episodes; after a cancel the run is taken up where it
-    ended, after a failure a new run begins.
+    ended, after a failure a new run begins. The sensor made of the upload is kept with a run that is started: whatever
+    another mesher would make of the same content, a run that is active or completed keeps the one it is scored with.
 
     Args:
         session: of the transaction.
@@ -66,6 +67,7 @@ def create(
     run = next_run(session, submission, again=again)
     if run is None:
         return submission, False
+    add_files(session, submission.id, upload.files)
     require_machines_hold(session, by, submission)
     charged_at = charge(session, quotas, by, team_row, *EVALUATION_QUOTAS)
     check_stage_quotas(session, by, team_row, track=submission.track, stage=stage)
@@ -136,7 +138,7 @@ def _find_or_add(session: Session, owner: Team, upload: CheckedUpload, stage: st
             index_where=Submission.merged_from.is_(None),
         )
     )
-    submission = session.scalars(
+    return session.scalars(
         select(Submission)
         .where(
             Submission.team_id == owner.id,
@@ -148,5 +150,3 @@ def _find_or_add(session: Session, owner: Team, upload: CheckedUpload, stage: st
         )
         .with_for_update(key_share=True)
     ).one()
-    add_files(session, submission.id, upload.files)
-    return submission

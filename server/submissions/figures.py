@@ -58,7 +58,7 @@ def is_played_by_estimator(lease: Lease) -> bool:
 
 def is_measured_by(lease: Lease) -> bool:
     """Return whether a shard measures a part of the figures of its sensor."""
-    return lease.sensor_sha256 is not None and load_track(lease.track).tasks[lease.task].measures_figures
+    return lease.sensor_sha256 is not None and load_track(lease.track).task(lease.task).measures_figures
 
 
 def has_part(session: Session, lease: Lease) -> bool:
@@ -66,6 +66,29 @@ def has_part(session: Session, lease: Lease) -> bool:
     parts = _parts(lease.submission_id, lease.evaluator_version, lease.commitment)
     found = select(SubmissionFile.sha256).where(*parts, SubmissionFile.facts["shard"].as_integer() == lease.number)
     return session.scalar(found.limit(1)) is not None
+
+
+def known_part(session: Session, lease: Lease) -> FiguresPart | None:
+    """Return what the team's submissions with the same sensor have measured in the same shard of the track and list.
+
+    Another team's parts are not taken: how soon figures are there would tell that somebody else has the same sensor.
+    Parts of which something could not be measured are not, either.
+    """
+    team = select(Submission.team_id).where(Submission.id == lease.submission_id).scalar_subquery()
+    found = session.scalars(
+        select(SubmissionFile.facts["part"])
+        .join(Submission, Submission.id == SubmissionFile.submission_id)
+        .where(
+            Submission.team_id == team,
+            Submission.track == lease.track,
+            *_measured_alike(lease.evaluator_version, lease.commitment),
+            SubmissionFile.facts["shard"].as_integer() == lease.number,
+            SubmissionFile.facts["sensor"].as_string() == lease.sensor_sha256,
+        )
+        .order_by(SubmissionFile.sha256)
+    )
+    parts = [FiguresPart.model_validate(part) for part in found]
+    return next((part for part in parts if part.problem is None), None)
 
 
 def part_file(part: FiguresPart, lease: Lease, folder: Path) -> UploadedFile:
@@ -80,6 +103,7 @@ def part_file(part: FiguresPart, lease: Lease, folder: Path) -> UploadedFile:
         "evaluator_version": lease.evaluator_version,
         "commitment": lease.commitment,
         "shard": lease.number,
+        "sensor": lease.sensor_sha256,
         "part": part.model_dump(mode="json"),
     }
     content = json.dumps(facts).encode() + b"\n"  # shards that measured the same still have a file each
@@ -112,7 +136,7 @@ def figures_of(
 
 def _player_of(lease: Lease) -> Player:
     """Return who plays a shard; without a sensor that is always the submission."""
-    return Player.POLICY if lease.sensor_sha256 is None else load_track(lease.track).tasks[lease.task].player
+    return Player.POLICY if lease.sensor_sha256 is None else load_track(lease.track).task(lease.task).player
 
 
 def _written(role: FileRole, path: Path, content: bytes, facts: dict[str, Any]) -> UploadedFile:
@@ -122,8 +146,11 @@ def _written(role: FileRole, path: Path, content: bytes, facts: dict[str, Any]) 
 
 
 def _parts(submission_id: UUID, evaluator_version: str, commitment: str | None) -> tuple[ColumnElement[bool], ...]:
+    return SubmissionFile.submission_id == submission_id, *_measured_alike(evaluator_version, commitment)
+
+
+def _measured_alike(evaluator_version: str, commitment: str | None) -> tuple[ColumnElement[bool], ...]:
     return (
-        SubmissionFile.submission_id == submission_id,
         SubmissionFile.role == FileRole.FIGURES,
         SubmissionFile.facts["evaluator_version"].as_string() == evaluator_version,
         SubmissionFile.facts["commitment"].as_string().is_not_distinct_from(commitment),

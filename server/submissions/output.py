@@ -8,7 +8,7 @@ from sqlalchemy.orm import Session
 from vitac.evaluator.episodes.records import EpisodeOutcome, PolicyFailure
 
 from ..accounts.principals import Principal
-from ..accounts.visibility import sight_of, visible
+from ..accounts.visibility import require_lists, sight_of, visible
 from ..db.models import EpisodeResult, Evaluation
 from ..errors import ProblemCode, ServiceError
 from ..evaluations.episode_store import EpisodeKey
@@ -41,11 +41,13 @@ def episode_outputs(
         limit: most episodes of a page.
 
     Raises:
-        ServiceError: there is no such submission, its output is not shown, or it does not play that task.
+        ServiceError: there is no such submission, its output is not shown, its track was removed, or it does not play
+            that task.
     """
     submission = visible(session, by, submission_id)
     evaluation = newest_evaluation(session, submission)
     if not sight_of(by, evaluation).output:
+        require_lists(evaluation)
         raise ServiceError(
             ProblemCode.FORBIDDEN,
             "The output of a log, or on a sealed list before it is published, is not shown: ask the organizers if you "

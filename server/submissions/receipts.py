@@ -5,7 +5,6 @@ from uuid import UUID
 import structlog
 from sqlalchemy import select
 from sqlalchemy.orm import Session
-from vitac.evaluator.tracks import UnknownTrack
 
 from ..accounts.principals import Principal
 from ..accounts.visibility import visible
@@ -14,7 +13,7 @@ from ..db.states import EvaluationState
 from ..errors import ProblemCode, ServiceError
 from ..evaluations.scores import combined_result
 from ..receipts import chain
-from ..receipts.receipt import CombinedResult, Receipt
+from ..receipts.receipt import Receipt
 from ..views.receipts import ChainView, LinkView
 
 logger = structlog.get_logger(__name__)
@@ -84,16 +83,9 @@ def issue_older(session: Session) -> int:
 def _issue(session: Session, evaluation: Evaluation) -> bool:
     """Issue the receipt of an older result; one that can no longer be read is left out."""
     try:
-        chain.issue(session, evaluation, _combined(evaluation))
+        chain.issue(session, evaluation, combined_result(evaluation))
     except (KeyError, ValueError) as error:
         message = " ".join(str(error).split())[:300]
         logger.error("receipt_left_out", evaluation=str(evaluation.id), error=message, kind=type(error).__name__)
         return False
     return True
-
-
-def _combined(evaluation: Evaluation) -> CombinedResult | None:
-    try:
-        return combined_result(evaluation)
-    except UnknownTrack:  # It was taken out of the folder of tracks.
-        return None

@@ -8,18 +8,18 @@ from uuid import UUID
 from sqlalchemy.orm import Session
 from vitac.evaluator.logs.findings import LogFinding
 from vitac.evaluator.submission_kinds import SubmissionKind
-from vitac.evaluator.tracks import load_track
 
 from ..accounts.principals import Principal
 from ..accounts.shown_names import ShownNames
 from ..accounts.teams import team_view
 from ..competition.definition import DEFAULT_RANKING
-from ..competition.schedule import boards_stand_since, track_rules
+from ..competition.schedule import counted_results, track_rules
 from ..db.models import Evaluation, Submission
 from ..db.states import EvaluationState
 from ..evaluations.copies import copies_among
+from ..evaluations.scores import counted_tasks
 from ..evaluations.view import EvaluationRows, evaluation_view, summary_view
-from ..leaderboards.best_entries import EVER, PlacesOfBoards, places
+from ..leaderboards.best_entries import EVER, Board, PlacesOfBoards, places
 from ..logs.view import findings_of
 from ..queue.workers import Fleet, fleet
 from ..settings import Settings
@@ -75,9 +75,14 @@ def submission_views(
 def _places(session: Session, by: Principal, track: str, stage: str) -> PlacesOfBoards:
     """Return all places as the boards show them, which may stand still for all but organizers."""
     rules = track_rules(session, track) if stage else None
-    frozen_at = boards_stand_since(session) if stage and not by.is_organizer else None
-    ranking = rules.ranking if rules else DEFAULT_RANKING
-    return places(session, track, stage=stage, ranking=ranking, until=frozen_at or EVER)
+    counted = counted_results(session, stage, live=by.is_organizer)
+    combined = Board(
+        track=track,
+        stage=stage,
+        ranking=rules.ranking if rules else DEFAULT_RANKING,
+        evaluator_version=counted.evaluator_version,
+    )
+    return places(session, combined, until=counted.until or EVER)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,7 +126,7 @@ def _view(runs: Sequence[Evaluation], shown: _Shown) -> SubmissionView:
         track=submission.track,
         stage=submission.stage or None,
         tasks=submission.tasks,
-        missing_tasks=_missing_tasks(submission),
+        missing_tasks=[task for task in counted_tasks(newest) if task not in submission.tasks],
         name=submission.name,
         digest=submission.digest,
         archive_sha256=submission.archive_sha256,
@@ -148,13 +153,6 @@ def _workers(known: Fleet, evaluator_version: str, track: str, tasks: tuple[str,
         missing_family=missing if any_family.alive else None,
         last_heartbeat_at=any_family.last_heartbeat_at,
     )
-
-
-def _missing_tasks(submission: Submission) -> list[str]:
-    """Return what counts and a model does not play; a log is of one task and no other is missed."""
-    if not submission.kind.form.runs_policy:
-        return []
-    return [task for task in load_track(submission.track).tasks_that_count if task not in submission.tasks]
 
 
 def _ranks(submission: Submission, newest: Evaluation, places_of: PlacesOf) -> dict[str | None, RankView]:

@@ -66,9 +66,11 @@ async def receive(
                 raise _too_large(limit_bytes, "more were sent")
             digest.update(chunk)
             file.write(chunk)
-    if n_bytes == 0 or (announced_bytes is not None and n_bytes != announced_bytes):
-        expected = "at least one" if announced_bytes is None else str(announced_bytes)
-        raise truncated(f"expected {expected}, got {n_bytes} bytes")
+    if announced_bytes is not None and n_bytes != announced_bytes:
+        raise truncated(f"expected {announced_bytes}, got {n_bytes} bytes")
+    if n_bytes == 0:
+        message = "The upload is empty, expected at least one byte. Look whether the file is, and send it again."
+        raise ServiceError(ProblemCode.UPLOAD_TRUNCATED, message)
     return ReceivedFile(path=path, sha256=digest.hexdigest(), n_bytes=n_bytes)
 
 

@@ -79,10 +79,15 @@ class EvaluationView(EvaluationSummaryView):
     log_tail: str = Field(
         description="The end of what the policy printed in episodes that it failed in; empty in a list."
     )
-    success_rate: float | None = Field(description="Mean over all tasks of the track; a task not played counts as 0.")
+    success_rate: float | None = Field(
+        description="Mean over the tasks of `counted_tasks`; a task not played counts as 0."
+    )
     success_rate_interval: tuple[float, float] | None = Field(description="Of that mean, 95 %.")
     mean_steps: float | None = Field(description="Mean of all tasks' mean steps; null where a task has none.")
     scores: list[TaskScoreView]
+    counted_tasks: list[str] = Field(
+        description="Tasks of the track that are combined, as when it was scored; of a log the one that it plays."
+    )
     evaluator_hash: str
     platform_class: str | None
     isolation: list[str] = Field(description="How the policy was isolated, on each kind of worker machine.")

@@ -50,6 +50,9 @@ class LeaderboardView(View):
     task: str | None = Field(description="The task that is ranked; null: all together.")
     stage: str | None = Field(description="Of the competition; null outside of one.")
     frozen_at: datetime | None = Field(description="Results after this moment are not shown; null: all are.")
+    final_since: datetime | None = Field(
+        default=None, description="Since then the results of the competition are final; null: they are not."
+    )
     list_kind: ListKind = Field(description="Who can know the episodes that submissions to it play.")
     ranking_rule: str
     evaluator_version: str
@@ -112,6 +115,9 @@ class LogBoardsView(View):
     track: str
     title: str
     stage: str | None = Field(description="Of the competition; null outside of one.")
+    final_since: datetime | None = Field(
+        default=None, description="Since then the results of the competition are final; null: they are not."
+    )
     label: str
     ranking_rule: str
     evaluator_version: str

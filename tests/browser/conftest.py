@@ -21,16 +21,17 @@ from page_fixtures import (
 )
 from playwright.sync_api import Browser, Page, expect
 from real_browser import WITHOUT_GPU, launched
+from service_client import serving
 from site_under_test import SiteUnderTest
-from vitac.cli.service.web_server import WebServer, address_of, bind
 from vitac.evaluator.logs.findings import VerificationResult
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.db.states import EvaluationState, Role
 from vitac.server.views.evaluations import VerdictView
 from vitac.server.views.leaderboards import LeaderboardView
 from vitac.server.views.submissions import EpisodeOutputView
+from waiting import LIMIT_S
 
-expect.set_options(timeout=30_000)  # on a busy machine a page takes its time
+expect.set_options(timeout=1000 * LIMIT_S)
 
 
 @pytest.fixture(scope="module")
@@ -96,15 +97,13 @@ def site() -> Iterator[SiteUnderTest]:
             a_submission("Gelbots", EvaluationState.CANCELLED, name="stopped", done=12),
         ],
     )
-    listener = bind("127.0.0.1", 0)
-    server = WebServer(app=an_application(data), listener=listener)
-    server.start()
-    yield SiteUnderTest(address=address_of(listener), data=data)
-    server.stop()
+    with serving(an_application(data)) as (host, port):
+        yield SiteUnderTest(address=f"http://{host}:{port}", data=data)
 
 
 @pytest.fixture
-def page(browser: Browser) -> Iterator[Page]:
+def page(browser: Browser, site: SiteUnderTest) -> Iterator[Page]:
+    """A page, closed before the site ends, which would wait two seconds for its stream of events."""
     context = browser.new_context()
     yield context.new_page()
     context.close()

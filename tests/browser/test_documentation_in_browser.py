@@ -12,7 +12,15 @@ from site_under_test import SiteUnderTest
 from vitac.web.pages.documentation import SITE
 
 TUTORIAL, ENVIRONMENTS = "tutorials/train_a_policy/train_a_policy.html", "reference/environments.html"
-PAGES = ("", "start/participant.html", "failures.html", "reference/rest.html", ENVIRONMENTS, TUTORIAL)
+PAGES = (
+    "",
+    "start/participant.html",
+    "failures.html",
+    "reference/rest.html",
+    "search.html?q=Wilson",
+    ENVIRONMENTS,
+    TUTORIAL,
+)
 
 
 # What `./vitac serve` does before it starts.
@@ -37,6 +45,8 @@ def test_documentation_is_accessible_and_raises_no_error(
     for path in PAGES:
         page.goto(f"{site.address}/docs/{path}")
         expect(page.get_by_role("heading", level=1)).to_be_visible()
+        if path.startswith("search.html"):
+            expect(page.locator(".search-summary")).to_contain_text("found")
         assert page.evaluate("document.documentElement.scrollWidth") <= size["width"], f"{path} scrolls sideways"
         assert violations(page) == [], path
     assert complaints.heard == []
@@ -104,4 +114,14 @@ def test_search_finds_a_page(browser: Browser, site: SiteUnderTest) -> None:
     page.get_by_placeholder("Search").fill("Wilson interval")
     page.keyboard.press("Enter")
     expect(page.locator("#search-results li a").first).to_be_visible()
+    page.close()
+
+
+def test_a_page_leads_back_to_the_arena(browser: Browser, site: SiteUnderTest) -> None:
+    page = browser.new_page()
+    page.goto(f"{site.address}/docs/start/participant.html")
+    icon = page.locator("link[rel~=icon]").evaluate("link => link.href")
+    assert page.request.get(icon).headers["content-type"].startswith("image/svg+xml")
+    page.get_by_role("link", name="To the arena").click()
+    expect(page).to_have_url(f"{site.address}/")
     page.close()

@@ -13,7 +13,9 @@ from real_browser import NO_WEBGL, SOFTWARE_WEBGL, launched
 from site_under_test import SiteUnderTest
 from vitac.server.db.states import EvaluationState, PlaybackState
 from vitac.web.pages.episodes.page import player_script
+from waiting import until, wait_for_rest
 
+HOUR_S = 3600  # later than a page of which only the clock is told to go on can be
 PEG, LOCK, FUSION = "peg-insertion", "lock-opening", "fusion-insertion"
 
 
@@ -58,9 +60,15 @@ def open_player(site: SiteUnderTest, page: Page, path: str) -> None:
     expect(page.get_by_role("form", name="Playback")).to_be_visible()
 
 
+def seen(place: Locator) -> bytes:
+    """A picture of what all scenes of the page show when they have come to rest."""
+    wait_for_rest(place.page)
+    return place.screenshot()
+
+
 def colours(place: Locator) -> set[tuple[int, ...]]:
     """Colours that fill a part of what is seen, to 16 levels."""
-    picture = Image.open(io.BytesIO(place.screenshot())).convert("RGB")
+    picture = Image.open(io.BytesIO(seen(place))).convert("RGB")
     counted = picture.getcolors(picture.width * picture.height) or []
     levels: dict[tuple[int, ...], int] = {}
     for count, colour in counted:
@@ -70,8 +78,8 @@ def colours(place: Locator) -> set[tuple[int, ...]]:
     return {level for level, count in levels.items() if count > 200}
 
 
-def time_of(page: Page) -> float:
-    return float(page.get_by_label("Env step", exact=True).input_value())
+def expect_time(page: Page, time: str) -> None:
+    expect(page.get_by_label("Env step", exact=True)).to_have_value(time)
 
 
 @pytest.mark.parametrize(("task", "number"), [(PEG, 5), (LOCK, 3), (FUSION, 7)])
@@ -85,6 +93,7 @@ def test_an_episode_is_seen_in_3d_with_what_was_measured(
     expect(page.get_by_role("img", name="marker flow")).to_have_count(2)
     expect(page.get_by_role("img", name="over the env steps")).to_have_count(4)
     expect(page.get_by_role("img", name="camera")).to_have_count(2 if task == FUSION else 0)
+    expect(page.locator("polyline.again")).to_have_count(2 if task == LOCK else 0)  # of eight teeth, six have colours
     stage, flow = scene.bounding_box(), page.get_by_role("img", name="right sensor").bounding_box()
     assert stage is not None
     assert flow is not None
@@ -95,84 +104,92 @@ def test_an_episode_is_seen_in_3d_with_what_was_measured(
 
 def test_cameras_show_colour_and_depth_of_the_env_step(site: SiteUnderTest, page: Page) -> None:
     open_player(site, page, made(site, FUSION, 7))
-    for name in ("camera, colour", "camera, depth"):
-        picture = page.get_by_role("img", name=name)
-        first = picture.screenshot()
-        assert len(colours(picture)) > 4
-        page.keyboard.press("End")
-        assert picture.screenshot() != first
-        page.keyboard.press("Home")
+    pictures = [page.get_by_role("img", name=name) for name in ("camera, colour", "camera, depth")]
+    before = [seen(picture) for picture in pictures]
+    assert all(len(colours(picture)) > 4 for picture in pictures)
+    page.keyboard.press("End")
+    expect_time(page, str(len(guided(FUSION, 7).rewards)))
+    after = [seen(picture) for picture in pictures]
+    assert all(one != other for one, other in zip(before, after, strict=True))
 
 
 def test_scrubbing_moves_scene_flow_and_plots(site: SiteUnderTest, page: Page) -> None:
     open_player(site, page, made(site))
     scene, flow = page.locator("canvas.scene"), page.get_by_role("img", name="left sensor")
     cursor = page.locator("line.cursor").first
-    before = scene.screenshot(), flow.screenshot(), cursor.get_attribute("x1")
+    before = seen(scene), flow.screenshot(), cursor.get_attribute("x1")
     page.get_by_label("Env step", exact=True).fill("2.5")
     expect(page.get_by_label("Env step", exact=True)).to_have_attribute("aria-valuetext", "env step 2.5 of 3")
-    after = scene.screenshot(), flow.screenshot(), cursor.get_attribute("x1")
+    after = seen(scene), flow.screenshot(), cursor.get_attribute("x1")
     assert all(one != other for one, other in zip(before, after, strict=True))
 
 
 def test_playing_goes_to_the_end_at_the_chosen_speed_and_starts_again(site: SiteUnderTest, page: Page) -> None:
+    page.clock.install(time=0)
     open_player(site, page, made(site))
+    page.clock.pause_at(HOUR_S)
+    play = page.locator("form.transport [name=play]")
+    output = page.locator("form.transport output")
     page.get_by_label("Speed").select_option("4")
-    page.get_by_role("button", name="Play").click()
-    expect(page.get_by_role("button", name="Pause")).to_be_visible()
-    expect(page.get_by_role("button", name="Play")).to_be_visible(timeout=20_000)
-    assert time_of(page) == 3
-    page.get_by_role("button", name="Play").click()
-    page.get_by_role("button", name="Pause").click()
-    assert time_of(page) < 3
+    play.click()
+    expect(play).to_have_text("Pause")
+    page.clock.run_for(500)
+    expect(output).to_have_text(re.compile(r"^(1\.9|2\.0) of 3"))
+    page.clock.run_for(500)
+    expect(play).to_have_text("Play")
+    expect_time(page, "3")
+    play.click()
+    page.clock.run_for(100)
+    expect(output).to_have_text(re.compile(r"^0\.[34] of 3"))
 
 
 def test_the_keyboard_plays_moves_and_turns(site: SiteUnderTest, page: Page) -> None:
+    page.clock.install(time=0)
     open_player(site, page, made(site))
-    for key, time in (("ArrowRight", 1), ("ArrowRight", 2), ("ArrowLeft", 1), ("End", 3), ("Home", 0)):
+    for key, time in (("ArrowRight", "1"), ("ArrowRight", "2"), ("ArrowLeft", "1"), ("End", "3"), ("Home", "0")):
         page.keyboard.press(key)
-        assert time_of(page) == time, key
-    page.keyboard.press("Space")
-    expect(page.get_by_role("button", name="Pause")).to_be_visible()
-    page.keyboard.press("Space")
-    stopped = time_of(page)
+        expect_time(page, time)
     scene = page.locator("canvas.scene")
     scene.focus()
     for key in ("ArrowLeft", "ArrowUp", "+"):
-        before = scene.screenshot()
+        before = seen(scene)
         page.keyboard.press(key)
-        assert scene.screenshot() != before, key
-    assert time_of(page) == stopped
+        assert seen(scene) != before, key
+    expect_time(page, "0")
+    scene.blur()
+    page.clock.pause_at(HOUR_S)
+    play = page.locator("form.transport [name=play]")
+    page.keyboard.press("Space")
+    expect(play).to_have_text("Pause")
+    page.clock.run_for(1000)
+    page.keyboard.press("Space")
+    expect(play).to_have_text("Play")
+    page.clock.run_for(1000)
+    expect(page.locator("form.transport output")).to_have_text(re.compile(r"^(0\.9|1\.0) of 3"))
 
 
-def test_the_pointer_turns_the_scene(site: SiteUnderTest, page: Page) -> None:
+def test_the_scene_is_turned_by_the_pointer_cut_open_and_coloured_by_displacement_or_contact_pressure(
+    site: SiteUnderTest, page: Page
+) -> None:
     open_player(site, page, made(site))
     scene = page.locator("canvas.scene")
-    before = scene.screenshot()
+    pictures = [seen(scene)]
     box = scene.bounding_box()
     assert box is not None
     page.mouse.move(box["x"] + 100, box["y"] + 100)
     page.mouse.down()
     page.mouse.move(box["x"] + 250, box["y"] + 120, steps=4)
     page.mouse.up()
-    assert scene.screenshot() != before
-
-
-def test_gels_are_coloured_by_displacement_or_contact_pressure(site: SiteUnderTest, page: Page) -> None:
-    open_player(site, page, made(site))
+    pictures.append(seen(scene))
+    page.get_by_label("Cut open").uncheck()
+    pictures.append(seen(scene))
+    assert len(set(pictures)) == 3
     page.keyboard.press("End")
     expect(page.get_by_text("Displacement: 0 to")).to_contain_text("mm")
-    before = colours(page.locator("canvas.scene"))
+    before = colours(scene)
     page.get_by_label("Gels").select_option("pressure")
     expect(page.get_by_text("Contact pressure: 0 to")).to_contain_text("kPa")
-    assert colours(page.locator("canvas.scene")) != before
-
-
-def test_the_fixed_part_is_shown_whole_or_cut_open(site: SiteUnderTest, page: Page) -> None:
-    open_player(site, page, made(site))
-    before = page.locator("canvas.scene").screenshot()
-    page.get_by_label("Cut open").uncheck()
-    assert page.locator("canvas.scene").screenshot() != before
+    assert colours(scene) != before
 
 
 def test_values_stand_in_a_table_too(site: SiteUnderTest, page: Page) -> None:
@@ -197,9 +214,9 @@ def test_two_episodes_play_side_by_side(site: SiteUnderTest, page: Page) -> None
     assert first is not None
     assert second is not None
     assert second["x"] > first["x"] + first["width"] - 1
-    before = [player.locator("canvas.scene").screenshot() for player in (left, right)]
+    before = [seen(player.locator("canvas.scene")) for player in (left, right)]
     page.keyboard.press("End")
-    after = [player.locator("canvas.scene").screenshot() for player in (left, right)]
+    after = [seen(player.locator("canvas.scene")) for player in (left, right)]
     assert all(one != other for one, other in zip(before, after, strict=True))
     expect(left.get_by_text("Displacement: 0 to")).to_have_text(right.get_by_text("Displacement: 0 to").inner_text())
     assert violations(page) == []
@@ -211,6 +228,7 @@ def test_an_episode_fits_a_phone(browser: Browser, site: SiteUnderTest, scheme: 
     page = context.new_page()
     site.sign_in(page)
     open_player(site, page, made(site, FUSION, 7))
+    wait_for_rest(page)
     assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
     assert violations(page) == []
     context.close()
@@ -223,8 +241,26 @@ def test_a_browser_without_webgl_shows_the_still_and_the_plots(site: SiteUnderTe
     expect(page.locator("img.still")).to_be_visible()
     expect(page.locator("canvas.scene")).to_be_hidden()
     expect(page.get_by_role("img", name="over the env steps")).to_have_count(4)
+    stage, plots = (page.locator(part).bounding_box() for part in (".stage", ".plots"))
+    assert stage is not None
+    assert plots is not None
+    assert 0 < plots["y"] - stage["y"] - stage["height"] < 40, "no gap where the scale of colours would stand"
+    expect(page.get_by_text("Space plays and pauses")).to_be_visible()
+    for without_effect in ("Displacement: 0 to", "With the scene focused"):
+        expect(page.get_by_text(without_effect)).to_be_hidden()
+    for without_effect in ("Gels", "Cut open"):
+        expect(page.get_by_label(without_effect)).to_be_hidden()
     page.keyboard.press("End")
-    assert time_of(page) == 3
+    expect_time(page, "3")
+
+
+def test_help_for_the_player_stands_only_where_something_is_played(site: SiteUnderTest, page: Page) -> None:
+    help_text = page.get_by_text("With the scene focused")
+    open_player(site, page, made(site))
+    expect(help_text).to_be_visible()
+    site.open(page, site.data.show(submission_id(site), a_shown_episode(a_playback(PlaybackState.FAILED), number=9)))
+    expect(page.get_by_text("There is no playback of this episode.")).to_be_visible()
+    expect(help_text).to_be_hidden()
 
 
 def test_without_javascript_there_is_the_still_and_a_button_to_ask(browser: Browser, site: SiteUnderTest) -> None:
@@ -234,6 +270,7 @@ def test_without_javascript_there_is_the_still_and_a_button_to_ask(browser: Brow
     site.open(page, made(site))
     expect(page.locator("img.still")).to_be_visible()
     expect(page.locator("canvas.scene")).to_be_hidden()
+    expect(page.get_by_text("Space plays and pauses")).to_be_hidden()
     site.open(page, site.data.show(submission_id(site), a_shown_episode(None, number=9)))
     page.get_by_role("button", name="Make the playback").click()
     expect(page.get_by_text("Waiting: 2 shards and playbacks come first")).to_be_visible()
@@ -262,6 +299,7 @@ def test_a_page_asks_again_only_where_the_answer_may_change(
 ) -> None:
     context = browser.new_context()
     page = context.new_page()
+    page.clock.install()
     site.sign_in(page)
     path = site.data.show(submission_id(site), a_shown_episode(None))
     asked: list[str] = []
@@ -281,7 +319,8 @@ def test_a_page_asks_again_only_where_the_answer_may_change(
         assert len(asked) > 1
     else:
         expect(page.get_by_text("Not now. Reload the page to go on.")).to_be_visible()
-        page.wait_for_timeout(1500)  # longer than the pause between two questions
+        page.clock.run_for(1500)  # ms, longer than the pause between two questions
+        expect(page.get_by_text("Not now. Reload the page to go on.")).to_be_visible()
         assert len(asked) == 1
     context.close()
 
@@ -347,17 +386,19 @@ def test_the_keyboard_moves_in_a_map_by_arrows_and_leaves_it_by_tab(site: SiteUn
     first = page.locator("svg.map").first.locator("a").first
     first.focus()
     start = first.get_attribute("href")
-    focused = "document.activeElement.getAttribute('href')"
-    page.keyboard.press("ArrowRight")
-    right = page.evaluate(focused)
-    assert right not in {start, None}
-    page.keyboard.press("ArrowDown")
-    assert page.evaluate(focused) not in {start, right}
+    focused = page.locator("svg.map a:focus")
+
+    def press(key: str, *others: str | None) -> str | None:
+        """Presses a key and returns where the focus has gone, which is none of the others."""
+        page.keyboard.press(key)
+        return until(page, lambda: focused.get_attribute("href"), lambda href: href not in others)
+
+    right = press("ArrowRight", start)
+    press("ArrowDown", start, right)
     page.keyboard.press("ArrowUp")
-    assert page.evaluate(focused) == right
+    expect(focused).to_have_attribute("href", right or "")
     page.keyboard.press("Tab")
-    second = page.locator("svg.map").nth(1)
-    assert second.evaluate("map => map.contains(document.activeElement)")
+    expect(page.locator("svg.map").nth(1).locator("a:focus")).to_have_count(1)
 
 
 def test_focus_in_a_map_outlives_an_update(site: SiteUnderTest, page: Page) -> None:
@@ -368,19 +409,20 @@ def test_focus_in_a_map_outlives_an_update(site: SiteUnderTest, page: Page) -> N
     more = a_submission("Gelbots", EvaluationState.RUNNING, name="runs", done=150)
     site.data.found[:] = [more if found.name == "runs" else found for found in site.data.found]
     expect(page.get_by_text("150 of 270")).to_be_visible()
-    assert page.evaluate("document.activeElement.getAttribute('href')") == href
+    expect(page.locator("svg.map a:focus")).to_have_attribute("href", href or "")
 
 
 def test_the_front_page_loads_the_player_when_somebody_wants_to_play(page: Page, site: SiteUnderTest) -> None:
     asked: list[str] = []
     page.on("request", lambda request: asked.append(request.url))
     site.open(page, "/")
-    expect(page.locator("img.still")).to_be_visible()
-    page.wait_for_load_state("networkidle")
+    expect(page.locator("img.still")).to_have_js_property("complete", value=True)
+    page.evaluate("new Promise(requestIdleCallback)")
+    assert asked
     assert not any("playback" in url for url in asked)
     page.get_by_role("button", name="Play it in 3D").click()
     expect(page.locator("canvas.scene")).to_be_visible()
-    expect(page.get_by_role("button", name="Pause")).to_be_focused()
+    expect(page.locator("form.transport [name=play]")).to_be_focused()
     expect(page.get_by_role("button", name="Play it in 3D")).to_have_count(0)
     expect(page.locator("form.transport output")).not_to_have_text(re.compile(r"^0\.0 of"))
     assert violations(page) == []

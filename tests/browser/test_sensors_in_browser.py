@@ -10,6 +10,7 @@ from real_browser import NO_WEBGL, SOFTWARE_WEBGL, launched
 from shown_sensors import a_shown_sensor
 from site_under_test import SiteUnderTest
 from vitac.server.db.states import EvaluationState
+from waiting import resize, wait_for_rest
 
 
 @pytest.fixture(scope="module")
@@ -43,6 +44,7 @@ def address(site: SiteUnderTest, *, beside: bool = False) -> str:
 
 
 def picture(canvas: Locator) -> Image.Image:
+    wait_for_rest(canvas.page)
     return Image.open(io.BytesIO(canvas.screenshot())).convert("RGB")
 
 
@@ -69,7 +71,8 @@ def test_gel_is_a_still_drawing_without_webgl(page: Page, site: SiteUnderTest) -
 
 
 def test_page_fits_a_phone(page: Page, site: SiteUnderTest) -> None:
-    page.set_viewport_size(PHONE)  # type: ignore[arg-type]
+    resize(page, PHONE)
     site.open(page, address(site, beside=True))
     expect(page.locator("canvas.scene")).to_have_count(2)
+    wait_for_rest(page)
     assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]

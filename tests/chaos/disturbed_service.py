@@ -17,7 +17,7 @@ import psycopg
 VITAC = "import sys; from vitac.cli.main import main; main(sys.argv[1:])"
 TRACKS = Path(__file__).with_name("tracks")
 RESTART_PAUSE_S = 0.5
-STOP_LIMIT_S = 60.0
+STOP_LIMIT_S = 300.0
 
 
 @dataclass(kw_only=True)

@@ -39,6 +39,12 @@ CALM_SHARE = 0.7
 """After so many of the faults the next one waits until a worker is ready again."""
 
 WORKER_LIMIT_S = 60.0
+LOST_SHARD_LIMIT_S = 60.0
+"""The shard of a killed worker is waited for at least so long, to tell how long it took."""
+
+END_LIMIT_S = 60.0
+"""Processes of what was killed may take so long to end once the service has ended."""
+
 READY = "SELECT count(*) FROM workers WHERE state = 'ready' AND heartbeat_at > now() - interval '4 seconds'"
 
 FINDINGS = """
@@ -99,6 +105,7 @@ def disturb(service: DisturbedService, options: argparse.Namespace, has_small_di
         random=random.Random(options.seed),
         has_small_disk=has_small_disk,
         cut_s=min(60.0, 60.0 * options.minutes / CUT_PART),
+        lost_shard_limit_s=max(LOST_SHARD_LIMIT_S, options.lost_shard_s),
     )
     expected = [expected_hash(service, kind) for kind in range(KINDS)]
     submissions = ManySubmissions(address=service.address, count=options.submissions)
@@ -120,7 +127,7 @@ def disturb(service: DisturbedService, options: argparse.Namespace, has_small_di
         problems += [f"a lost shard waited {s:.1f} s" for s in faults.lost_shard_s if s > options.lost_shard_s]
     finally:
         service.stop()
-    return problems + traces(service)
+    return problems + lasting_traces(service)
 
 
 def expected_hash(service: DisturbedService, kind: int) -> str:
@@ -136,7 +143,7 @@ def expected_hash(service: DisturbedService, kind: int) -> str:
     return found
 
 
-def wait_until_ready(service: DisturbedService, limit_s: float = 120.0) -> None:
+def wait_until_ready(service: DisturbedService, limit_s: float = 300.0) -> None:
     deadline = time.monotonic() + limit_s
     while time.monotonic() < deadline:
         with contextlib.suppress(httpx.HTTPError):
@@ -214,8 +221,16 @@ def compare(service: DisturbedService, submissions: ManySubmissions, expected: l
     return problems + ([f"{differences} episodes differed when they were played again"] if differences else [])
 
 
+def lasting_traces(service: DisturbedService) -> list[str]:
+    """Return what a service that has ended left behind for good."""
+    deadline = time.monotonic() + END_LIMIT_S
+    while (found := traces(service)) and time.monotonic() < deadline:
+        time.sleep(0.5)
+    return found
+
+
 def traces(service: DisturbedService) -> list[str]:
-    """Return what a service that has ended left behind: processes, sockets, folders."""
+    """Return what is there of it: processes, sockets, folders."""
     problems = [f"process {pid} still runs: {command_of(pid)!r}" for pid in service.pids()]
     places = (service.temporary_dir, service.state_dir / "scratch", service.state_dir / "postgres/cluster/socket")
     problems += [f"{path} is left" for place in places for path in place.iterdir()]

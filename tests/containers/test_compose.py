@@ -151,7 +151,7 @@ class Attempt:
 
 
 def begin(service: Composed) -> Attempt:
-    answer = httpx.post(f"{service.address}/api/v1/teams", json={"name": "Trial"})
+    answer = httpx.post(f"{service.address}/api/v1/teams", json={"name": "Trial"}, timeout=60)
     token = answer.json()["token"]["secret"]
     environment = {"VITAC_SERVER": service.address, "VITAC_TOKEN": token}
     submitted = vitac("submit", str(service.repository / EXAMPLE), "--json", **environment)

@@ -1,4 +1,5 @@
 import csv
+import gc
 import subprocess
 import sys
 from pathlib import Path
@@ -15,3 +16,8 @@ def test_a_run_keeps_how_long_each_phase_of_each_test_took(repository: Path, tmp
     seconds = [float(row["seconds"]) for row in rows]
     assert seconds == sorted(seconds, reverse=True)
     assert str(kept) in run.stdout
+
+
+def test_garbage_is_looked_for_again_after_the_tests_were_collected_but_not_among_them() -> None:
+    assert gc.isenabled()
+    assert gc.get_freeze_count() > 10_000

@@ -12,10 +12,13 @@ from pathlib import Path
 import pytest
 from vitac.cli.main import NOUNS, Noun
 
-# Stands in for python3.11: real for `-c`, and in place of venv and pip it writes what those would leave behind.
+# Stands in for python3.11: real for `-c`, unless it has an answer for who asks whether it can make an environment, and
+# in place of venv and pip it writes what those would leave behind.
 FAKE_PYTHON = f"""#!/bin/sh
 case "$*" in
-  "-I -c "*) if [ -n "${{FAKE_ANSWER-}}" ]; then echo "$FAKE_ANSWER"; else exec '{sys.executable}' "$@"; fi ;;
+  "-I -c "*ensurepip*)
+    if [ -n "${{FAKE_ANSWER-}}" ]; then echo "$FAKE_ANSWER"; else exec '{sys.executable}' -S "$@"; fi ;;
+  "-I -c "*) exec '{sys.executable}' -S "$@" ;;
   "-I -m venv "*)
     echo "venv" >>"$FAKE_CALLS"
     mkdir -p "$4/bin" && ln -s "$(readlink -f "$0")" "$4/bin/python" ;;
@@ -170,12 +173,17 @@ def checkout(repository: Path, tmp_path: Path) -> Checkout:
     program(binaries / "npm", FAKE_NPM)
     program(binaries / "bwrap", "#!/bin/sh\n")
     program(binaries / "chromium", "#!/bin/sh\n")
-    environment = {"PATH": str(binaries), "HOME": str(tmp_path), "FAKE_CALLS": str(tmp_path / "calls")}
+    environment = {
+        "PATH": str(binaries),
+        "HOME": str(tmp_path),
+        "FAKE_ANSWER": "ready",
+        "FAKE_CALLS": str(tmp_path / "calls"),
+    }
     return Checkout(root=root, calls_file=tmp_path / "calls", environment=environment)
 
 
 def test_installs_once_then_runs_the_command(checkout: Checkout) -> None:
-    first, second = checkout.run(), checkout.run()
+    first, second = checkout.run(FAKE_ANSWER=""), checkout.run()
     assert checkout.calls == ["venv", "pip base.lock"]
     assert (first.stdout, first.returncode) == (f"<status>{checkout.root}\n", 7)
     assert (second.stdout, second.returncode) == (first.stdout, first.returncode)
@@ -229,6 +237,8 @@ def test_only_commands_of_the_service_bring_server_and_database(checkout: Checko
     ("words", "lock"),
     [
         ("sensor show folder", "show"),
+        ("sensor show --help", "base"),
+        ("show --help", "base"),
         ("sensor check folder", "base"),
         ("sensor evaluate folder", "base"),
         ("sandbox", "base"),

@@ -145,7 +145,7 @@ def test_environments_and_evaluation_need_no_extra(repository: Path, project: di
     names = [f"vitac.cli.{noun.module}" for noun in NOUNS if noun.extra is None]
     assert {"vitac.cli.evaluate", "vitac.cli.show.command", "vitac.cli.client.submit", "vitac.cli.doctor"} <= set(names)
     names += [name for folder in ("evaluator", "training") for name in modules_below(repository, folder)]
-    torch = {f"vitac.training.reference.{name}" for name in ("policy", "td3")}
+    torch = {f"vitac.training.reference.{name}" for name in ("gradients", "policy", "state", "td3")}
     assert torch <= set(names)
     names = [name for name in names if name not in torch]
     names += [name for name in modules_below(repository, "envs") if ".drawing" not in name]

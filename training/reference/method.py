@@ -1,8 +1,9 @@
 """Trains as the challenge did and makes a submission of it; says what to install where torch is missing."""
 
 import shutil
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
+from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ from vitac.envs.errors import VitacError
 from vitac.envs.extras import install_command
 
 from ..files import write_text
+from ..run import Tell, claimed
 from .hyperparameters import HYPERPARAMETERS, Hyperparameters
 
 _NEEDED = ("torch", "stable_baselines3")
@@ -50,27 +52,36 @@ def hyperparameters(task: str, seed: int = 0) -> Hyperparameters:
     return replace(HYPERPARAMETERS[task], seed=seed)
 
 
-def train_reference(task: str, folder: Path, *, env_steps: int | None = None, seed: int = 0) -> Path:
-    """Train as the challenge did, and return a submission; its checkpoints and log lie in the folder too.
+def train_reference(
+    task: str, folder: Path, *, env_steps: int | None = None, seed: int = 0, tell: Tell = lambda _: None
+) -> Path:
+    """Train as the challenge did, or go on, and return a submission; its checkpoints and log lie in the folder too.
 
     Args:
         task: name of the task.
         folder: a folder for the training; `submission/` in it becomes the submission.
         env_steps: in place of the published number.
         seed: of the training.
+        tell: is told how far the training is, a line each.
 
     Raises:
         TrainingPackagesMissing: torch or Stable-Baselines3 is not installed.
         UnknownReferenceTask: the task is unknown.
+        OtherRun: the folder is that of another training or version, or holds more env steps, or another process trains
+            there.
+        StreamRefused: an official list has the seed of a stream of this training.
+        NotSaved: the disk is full.
+        FileDamaged: what to go on from is not what was written.
+        TrainingDiverged: a loss is no number; all to go on from is kept.
     """
     chosen = hyperparameters(task, seed)
     require_packages()
-    from .td3 import train
+    versions = {name: version(name) for name in _NEEDED}
+    with claimed(folder, {"task": task, **asdict(chosen), **versions}, tell):
+        from .td3 import train
 
-    formats = ["csv", *(["tensorboard"] if find_spec("tensorboard") else [])]
-    make = partial(_environment, chosen)
-    model = train(task, chosen, make, folder, env_steps or chosen.env_steps, formats)
-    return _submission(task, model, folder / "submission")
+        model = train(task, chosen, partial(_environment, chosen), folder, env_steps or chosen.env_steps, tell)
+        return _submission(task, model, folder / "submission")
 
 
 def _environment(chosen: Hyperparameters) -> Any:

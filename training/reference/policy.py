@@ -39,9 +39,9 @@ class PointNet(nn.Module):  # type: ignore[misc] # torch is not there when types
 class TactileActor(nn.Module):  # type: ignore[misc]
     """Action from both gels' markers and the gripper's motion."""
 
-    def __init__(self, motion: int, actions: int) -> None:
+    def __init__(self, motion: int, actions: int, encoder: type[PointNet] = PointNet) -> None:
         super().__init__()
-        self.encoder = PointNet(4, FELT)
+        self.encoder = encoder(4, FELT)
         self.head = nn.Sequential(
             *(nn.Linear(2 * FELT + motion, HIDDEN), nn.LayerNorm(HIDDEN), nn.ReLU()),
             *(nn.Linear(HIDDEN, HIDDEN), nn.LayerNorm(HIDDEN), nn.ReLU()),
@@ -63,14 +63,14 @@ class TactileActor(nn.Module):  # type: ignore[misc]
         return torch.tanh(self.head(torch.cat([felt, relative_motion], dim=1)))
 
 
-def peg_actor() -> TactileActor:
+def peg_actor(encoder: type[PointNet] = PointNet) -> TactileActor:
     """Return the challenge's TD3PolicyForPointFlowEnv actor."""
-    return TactileActor(motion=4, actions=3)
+    return TactileActor(motion=4, actions=3, encoder=encoder)
 
 
-def lock_actor() -> TactileActor:
+def lock_actor(encoder: type[PointNet] = PointNet) -> TactileActor:
     """Return the challenge's TD3PolicyForLongOpenLockPointFlowEnv actor."""
-    return TactileActor(motion=3, actions=2)
+    return TactileActor(motion=3, actions=2, encoder=encoder)
 
 
 ACTORS = {"peg-insertion": peg_actor, "lock-opening": lock_actor}

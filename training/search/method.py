@@ -24,7 +24,7 @@ from ..charts import Charts
 from ..files import load, save, write_bytes, write_text
 from ..log import Row, extend_log, read_log
 from ..progress import Progress
-from ..run import Folder, Tell, claim, told
+from ..run import Folder, Tell, claimed, told
 from ..streams import Use, stream
 from . import policy
 from .policy import ACTIONS, FEATURES, FloatArray, Opening
@@ -112,15 +112,15 @@ class Search:
         Raises:
             NothingSolved: no candidate of a generation solved an episode.
             NotSaved: the disk is full.
-            OtherRun: the folder is that of another recipe or version.
+            OtherRun: the folder is that of another recipe or version, or another process trains there.
             FileDamaged: what a generation found, or the log, is not what was written.
         """
-        claim(self.folder.path, self.recipe)
-        with Charts(self.folder.path, self.tell) as charts:
-            found = self._generations(charts)
-        chosen = best(found)
-        export(load(self.folder.networks(chosen.number))["mean"], self.folder.path / "submission")
-        return found
+        with claimed(self.folder.path, self.recipe.model_dump(mode="json"), self.tell):
+            with Charts(self.folder.path, self.tell) as charts:
+                found = self._generations(charts)
+            chosen = best(found)
+            export(load(self.folder.networks(chosen.number))["mean"], self.folder.path / "submission")
+            return found
 
     def _generations(self, charts: Charts) -> list[Generation]:
         mean, spread = np.zeros((ACTIONS, FEATURES)), np.full((ACTIONS, FEATURES), FIRST_SPREAD)

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
-from vitac.evaluator.strict_model import StrictModel, parse_yaml
+from vitac.evaluator.strict_model import StrictModel, read_yaml
 
 Count = Annotated[int, Field(ge=1, le=100_000)]
 
@@ -47,4 +47,4 @@ def read_search_recipe(path: Path) -> SearchRecipe:
     Raises:
         DocumentRejected: the file is no such recipe; the message names what is wrong.
     """
-    return parse_yaml(SearchRecipe, path.read_text(encoding="utf-8"), path.name)
+    return read_yaml(SearchRecipe, path)

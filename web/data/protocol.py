@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from vitac.server.settings import Registration
     from vitac.server.submissions.upload import AnnouncedUpload
     from vitac.server.views.contest.archive import ArchiveView
-    from vitac.server.views.contest.competition import CompetitionView
+    from vitac.server.views.contest.competition import CompetitionView, StageView
     from vitac.server.views.contest.people import AnnouncementView
     from vitac.server.views.leaderboards import LeaderboardView, LogBoardsView, PastResultView
     from vitac.server.views.logs import ActionMatchView
@@ -187,6 +187,9 @@ class PageData(Protocol):
 
     async def competition(self) -> CompetitionView:
         """Return the competition of this service; where there is none, the service's refusal is raised."""
+
+    async def stages(self, track: str) -> Sequence[StageView]:
+        """Return the stages of a track; empty where it is in no competition."""
 
     async def archive(self) -> ArchiveView:
         """Return the archive of a competition that is final; else the service's refusal is raised."""

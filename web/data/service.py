@@ -16,7 +16,7 @@ from vitac.server.accounts import members, registration, teams, tokens
 from vitac.server.accounts.principals import VISITOR
 from vitac.server.accounts.visibility import visible
 from vitac.server.api.teams import NewTeam
-from vitac.server.competition.view import competition_view
+from vitac.server.competition.view import competition_view, track_stages
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.evaluations.history import histories
 from vitac.server.leaderboards import history, log_boards, standings
@@ -57,7 +57,7 @@ if TYPE_CHECKING:
     from vitac.server.storage.blobs import BlobStore
     from vitac.server.submissions.upload import AnnouncedUpload
     from vitac.server.views.contest.archive import ArchiveView
-    from vitac.server.views.contest.competition import CompetitionView
+    from vitac.server.views.contest.competition import CompetitionView, StageView
     from vitac.server.views.contest.people import AnnouncementView
     from vitac.server.views.leaderboards import LeaderboardView, LogBoardsView
     from vitac.server.views.operations import OperationsView
@@ -151,6 +151,10 @@ class ServiceData:
     async def competition(self) -> CompetitionView:
         """Return the competition of this service."""
         return await self.ask(competition_view)
+
+    async def stages(self, track: str) -> Sequence[StageView]:
+        """Return the stages of a track."""
+        return await self.ask(lambda session: track_stages(session, track))
 
     async def archive(self) -> ArchiveView:
         """Return the archive of the competition."""

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import inspect
 from http import HTTPStatus
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.exceptions import HTTPException
+from vitac.evaluator.tracks import UnknownTask, UnknownTrack
 from vitac.server.api.problems import refusal_of_failure
 from vitac.server.errors import ProblemCode, ServiceError
 
 from ..headers import HEADERS
-from ..site import SignInNeeded, page, sign_in_first
+from ..session.signer import COOKIE
+from ..site import SignInNeeded, page, sign_in_first, viewer_of
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable
@@ -20,6 +22,8 @@ if TYPE_CHECKING:
     from fastapi import FastAPI
     from starlette.requests import Request
     from starlette.responses import Response
+
+    from ..site import Viewer
 
     Handler = Callable[[Request, Exception], Response | Awaitable[Response]]
 
@@ -30,6 +34,7 @@ TITLES = {
     405: "Method not allowed",
     408: "Too slow",
     409: "No longer possible",
+    410: "Track no longer here",
     413: "Too large",
     415: "Unsupported form",
     422: "Not accepted",
@@ -48,7 +53,7 @@ MISSING = "This page does not exist or belongs to another team. Check the addres
 def install(app: FastAPI) -> None:
     """Add HTML answers to the error handlers that the application already has, and the way to the sign-in page."""
     app.add_exception_handler(SignInNeeded, sign_in_first)
-    for kind in (ServiceError, HTTPException, SQLAlchemyError, OSError, Exception):
+    for kind in (ServiceError, HTTPException, SQLAlchemyError, OSError, UnknownTrack, UnknownTask, Exception):
         app.add_exception_handler(kind, _handler_with_page(app.exception_handlers[kind]))
 
 
@@ -60,20 +65,32 @@ def wants_page(request: Request) -> bool:
 def _handler_with_page(api_handler: object) -> Handler:
     async def handler(request: Request, error: Exception) -> Response:
         if wants_page(request):
-            return _page(request, error)
+            return await _page(request, error)
         answer = cast("Handler", api_handler)(request, error)
         return await answer if inspect.isawaitable(answer) else answer
 
     return handler
 
 
-def _page(request: Request, error: Exception) -> Response:
+async def _page(request: Request, error: Exception) -> Response:
     status, detail, headers = _explain(request, error)
     title = TITLES.get(status, HTTPStatus(status).phrase)
-    answer = page(request, "error.html", viewer=None, status=status, code=status, title=title, detail=detail)
+    # Neither a database that has just failed is asked, nor for somebody who asks too often.
+    asks = status != HTTPStatus.TOO_MANY_REQUESTS and not isinstance(error, SQLAlchemyError)
+    viewer, viewer_known = await _viewer(request) if asks or COOKIE not in request.cookies else (None, False)
+    shown: dict[str, Any] = {"viewer_known": viewer_known, "code": status, "title": title, "detail": detail}
+    answer = page(request, "error.html", viewer=viewer, status=status, **shown)
     answer.headers.update(headers)
     answer.headers.update(HEADERS)
     return answer
+
+
+async def _viewer(request: Request) -> tuple[Viewer | None, bool]:
+    """Return who is signed in, and whether that is known."""
+    try:
+        return await viewer_of(request), True
+    except Exception:  # noqa: BLE001 - whatever it is, the page tells of the first error
+        return None, False
 
 
 def _explain(request: Request, error: Exception) -> tuple[int, str, dict[str, str]]:

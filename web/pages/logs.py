@@ -6,8 +6,9 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from ..site import page, site_of, viewer_of
+from .contest.stages import stage_tabs, title_of
 from .paging import PAGE_ENTRIES, board_page
-from .tracks import board_query, entry_rows, known_track, tabs
+from .tracks import accepts_logs, board_query, entry_rows, known_track, tabs, track_tabs
 
 if TYPE_CHECKING:
     from starlette.requests import Request
@@ -32,6 +33,7 @@ async def logs(request: Request) -> Response:
     text_logs = paged(found.text_logs, section=TEXT_LOGS)
     listed = [entry.submission_id for board in shown.values() for entry in board.entries]
     public = await site.data.public_among([*listed, *(entry.submission_id for entry in text_logs.entries)])
+    stages = await site.data.stages(track.name)
     rows = partial(entry_rows, request, viewer, public)
     return page(
         request,
@@ -39,9 +41,14 @@ async def logs(request: Request) -> Response:
         viewer=viewer,
         section=f"/tracks/{track.name}",
         track=track,
+        track_tabs=track_tabs(site, track, "/logs", has_page=accepts_logs),
         tabs=tabs(track, None, logs=True, stage=stage),
         found=found,
         stage=stage,
+        stage_title=title_of(stages, found.stage),
+        stage_tabs=stage_tabs(
+            stages, found.stage, lambda other: f"/tracks/{track.name}/logs{board_query(None, other)}"
+        ),
         query=board_query(None, stage),
         search=text_logs.search,
         searchable=max(text_logs.total, *(board.total for board in shown.values())) > PAGE_ENTRIES,

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 from urllib.parse import urlencode
 
+from vitac.server.accounts import names
+
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
     from uuid import UUID
@@ -14,6 +16,8 @@ if TYPE_CHECKING:
 
 PAGE_ENTRIES = 50
 MAX_SEARCH = 64
+LONGEST_KEY = 1024
+"""Of a team's name in lower case, which may be longer than the name."""
 
 
 class Entry(Protocol):
@@ -88,7 +92,8 @@ def board_page(
     """Return the page that a request asks for; one that there is not is the nearest one.
 
     Args:
-        request: with `q`, part of a team's name in any case, and `page`, or `page-SECTION` of a section.
+        request: with `q`, part of a team's name in any case and with any spaces, and `page`, or `page-SECTION` of
+            a section.
         address: of the board.
         entries: all of them.
         own_names: under which the visitor's team may be there.
@@ -96,7 +101,8 @@ def board_page(
     """
     parameter = f"page-{section}" if section else "page"
     search = request.query_params.get("q", "").strip()[:MAX_SEARCH]
-    found = [entry for entry in entries if search.casefold() in entry.team.casefold()] if search else list(entries)
+    wanted = names.key(search, max_length=MAX_SEARCH)
+    found = [entry for entry in entries if wanted in names.key(entry.team, max_length=LONGEST_KEY)]
     pages = max(1, -(-len(found) // PAGE_ENTRIES))
     number = min(pages, max(1, _whole(request.query_params.get(parameter, "1"))))
     place = next((place for place, entry in enumerate(entries) if entry.team in own_names), None)

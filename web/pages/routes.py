@@ -9,7 +9,7 @@ from fastapi import APIRouter
 from starlette.staticfiles import StaticFiles
 
 from ..headers import SecurityHeaders
-from ..rendering import STATIC
+from ..rendering import STATIC, static_digest
 from . import documentation, errors, logs, operations, sandbox, sensors, submissions, tracks
 from .contest import archive, competition, home, judging, receipts, rejudging
 from .episodes import page as episodes
@@ -38,7 +38,9 @@ class VersionedStaticFiles(StaticFiles):
     async def get_response(self, path: str, scope: Scope) -> Response:
         """Answer with the file and its cache headers."""
         answer = await super().get_response(path, scope)
-        versioned = scope["query_string"].startswith(b"v=") and answer.status_code == 200
+        is_asked = scope["query_string"].startswith(b"v=") and answer.status_code == 200
+        # After an upgrade a page of before may name a digest that its file no longer has.
+        versioned = is_asked and scope["query_string"] == f"v={static_digest(path)}".encode()
         answer.headers["Cache-Control"] = f"public, max-age={ONE_YEAR_S}, immutable" if versioned else "no-cache"
         return answer
 

@@ -4,20 +4,24 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import dataclass
+from http import HTTPStatus
 from typing import TYPE_CHECKING, Any
 
 from markupsafe import Markup
 from sse_starlette import EventSourceResponse, ServerSentEvent
 from starlette.responses import RedirectResponse, Response
-from vitac.evaluator.tracks import load_track
+from vitac.evaluator.tracks import UnknownTrack, load_track
 from vitac.server.db.states import TERMINAL_EVALUATION_STATES, EvaluationState
+from vitac.server.errors import TRACK_REMOVED
 
-from ..plots.map import episode_map
+from ..plots.map import episode_map, title_of_task
 from ..rendering import render
 from ..site import open_to_all, page, require_viewer, signed_in_form, site_of, viewer_of, visitor_of
 from .addresses import as_id
+from .contest.stages import title_of
 from .team.figures import episode_figures, history_figures
 from .team.sharing import shared
+from .tracks import board_query
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Sequence
@@ -62,9 +66,14 @@ async def submissions(request: Request) -> Response:
 async def submission(request: Request) -> Response:
     """Show one submission, a public one to everybody; the page updates itself while the evaluation runs."""
     viewer = await viewer_of(request)
-    values = await _values(request, viewer)
+    try:
+        values = await _values(request, viewer)
+    except UnknownTrack:
+        return await _kept_score(request, viewer)
     refresh = request.query_params.get("refresh") != "off"
     plots, history = _plots(request, values)
+    found: SubmissionView = values["submission"]
+    stages = await site_of(request).data.stages(found.track) if found.stage else ()
     return page(
         request,
         "submission.html",
@@ -73,8 +82,19 @@ async def submission(request: Request) -> Response:
         refresh=refresh,
         plots=plots,
         history=history,
+        stage_title=title_of(stages, found.stage),
         **values,
     )
+
+
+async def _kept_score(request: Request, viewer: Viewer | None) -> Response:
+    """Show what is known of a submission whose track was removed."""
+    submission_id = as_id(request.path_params["submission_id"])
+    found = (await site_of(request).data.submission(visitor_of(viewer), submission_id)).submission
+    is_own = viewer is not None and viewer.may_see(found.team.name)
+    section = "/submissions" if is_own else ""
+    shown: dict[str, Any] = {"submission": found, "is_own": is_own, "sentence": TRACK_REMOVED}
+    return page(request, "removed.html", viewer=viewer, section=section, status=HTTPStatus.GONE, **shown)
 
 
 def _plots(request: Request, values: dict[str, Any]) -> tuple[Markup, Markup]:
@@ -82,7 +102,7 @@ def _plots(request: Request, values: dict[str, Any]) -> tuple[Markup, Markup]:
     found: SubmissionView = values["submission"]
     if found.evaluation.state is not EvaluationState.COMPLETED:
         return Markup(), Markup()
-    titles = {name: task.title for name, task in load_track(found.track).tasks.items()}
+    titles: dict[str, str] = values["titles"]
     return (
         episode_figures(request, found, titles, values["episodes"]),
         history_figures(request, found, titles, values["past"]),
@@ -135,11 +155,13 @@ async def _values(request: Request, viewer: Viewer | None) -> dict[str, Any]:
     detail = await site_of(request).data.submission(visitor_of(viewer), submission_id)
     found = detail.submission
     track = load_track(found.track)
+    titles = {name: title_of_task(track, name) for name in (*found.tasks, *found.evaluation.counted_tasks)}
     return {
         "is_own": viewer is not None and viewer.may_see(found.team.name),
         "shared": await shared(request, viewer, found, track.title),
         "submission": found,
         "track": track,
+        "board_query": board_query,
         "episodes": detail.episodes,
         "past": detail.past,
         "active": found.evaluation.state not in TERMINAL_EVALUATION_STATES,
@@ -148,8 +170,9 @@ async def _values(request: Request, viewer: Viewer | None) -> dict[str, Any]:
         "several": len(found.tasks) + len(found.missing_tasks) > 1,
         "action_matches": detail.action_matches,
         "episodes_with_output": detail.episodes_with_output,
-        "counted": [track.tasks[name].title for name in track.tasks_that_count],
-        "missing": [track.tasks[name].title for name in found.missing_tasks],
+        "titles": titles,
+        "counted": [titles[name] for name in found.evaluation.counted_tasks],
+        "missing": [titles[name] for name in found.missing_tasks],
     }
 
 

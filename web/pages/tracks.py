@@ -16,6 +16,7 @@ from vitac.evaluator.tracks import UnknownTrack, load_track
 from ..plots.dates import DatedRate, rates_by_date
 from ..rendering import STATIC, render, steps, words
 from ..site import Tab, page, site_of, viewer_of
+from .contest.stages import stage_tabs, title_of
 from .paging import EntryT, board_page
 
 if TYPE_CHECKING:
@@ -108,11 +109,13 @@ def picture_of(task: Task) -> Picture | None:
     return Picture(file=file, width=scenes.WIDTH, height=scenes.HEIGHT, shows=f"A start of {task.env_id}")
 
 
-def track_tabs(site: Site, shown: Track, page_of_track: str = "") -> tuple[Tab, ...]:
-    """Return the same page of every track; empty if there is only one."""
-    if len(site.tracks) == 1:
+def track_tabs(
+    site: Site, shown: Track, page_of_track: str = "", *, has_page: Callable[[Track], bool] = lambda _: True
+) -> tuple[Tab, ...]:
+    """Return the same page of every track that has it; empty if there is only one."""
+    tracks = [track for track in map(known_track, site.tracks) if has_page(track)]
+    if len(tracks) == 1:
         return ()
-    tracks = [known_track(name) for name in site.tracks]
     return tuple(
         Tab(title=track.title, target=f"/tracks/{track.name}{page_of_track}", current=track.name == shown.name)
         for track in tracks
@@ -185,6 +188,7 @@ async def _leaderboard(request: Request, name: str) -> Response:
     query = board_query(task, stage)
     shown = board_page(request, f"/tracks/{name}{query}", board.entries, viewer.own_names if viewer else ())
     public = await site.data.public_among([entry.submission_id for entry in shown.entries])
+    stages = await site.data.stages(name)
     counted = list(track.tasks.values()) if task is None else [track.tasks[task]]
     return page(
         request,
@@ -194,11 +198,13 @@ async def _leaderboard(request: Request, name: str) -> Response:
         board=board,
         query=query,
         stage=stage,
+        stage_title=title_of(stages, board.stage),
         shown=shown,
         table=_table(request, board, viewer, public, shown.entries),
         dates=_dates(request, board, viewer),
         track=track,
         tabs=tabs(track, task, stage=stage),
+        stage_tabs=stage_tabs(stages, board.stage, lambda other: f"/tracks/{name}{board_query(task, other)}"),
         track_tabs=track_tabs(site, track),
         list_kind=board.list_kind.value,
         ranked=sum(entry.rank is not None for entry in board.entries),

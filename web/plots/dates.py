@@ -48,7 +48,7 @@ def rates_by_date(key: str, title: str, rates: Sequence[DatedRate]) -> Figure:
     marks = joined(
         element(
             "circle",
-            element("title", f"{point.name}, {_date(point.at)}: {percent(point.success_rate)}"),
+            element("title", f"{point.name}, {_minute(point.at)}: {percent(point.success_rate)}"),
             class_="point own" if point.own else "point",
             cx=across,
             cy=up,
@@ -68,12 +68,12 @@ def rates_by_date(key: str, title: str, rates: Sequence[DatedRate]) -> Figure:
         + element("path", class_="best", d=_steps_up(places))
         + marks
         + joined(
-            element("text", _date(moment), class_="tick", x=x.place(moment.timestamp()), y=212, text_anchor="middle")
-            for moment in _written_dates(points[0].at, points[-1].at)
+            element("text", text, class_="tick", x=x.place(moment.timestamp()), y=212, text_anchor="middle")
+            for moment, text in _written_dates(points[0].at, points[-1].at)
         ),
         table=Table(
-            columns=("Submitted", "Of", "Success rate"),
-            rows=tuple((_date(point.at), point.name, percent(point.success_rate)) for point in points),
+            columns=("Submitted (UTC)", "Of", "Success rate"),
+            rows=tuple((_minute(point.at), point.name, percent(point.success_rate)) for point in points),
         ),
     )
 
@@ -88,11 +88,20 @@ def _steps_up(places: Sequence[tuple[float, float]]) -> str:
     return f"{path}H{places[-1][0]:.2f}"
 
 
-def _written_dates(first: datetime, last: datetime) -> list[datetime]:
-    if _date(first) == _date(last):
-        return [first + (last - first) / 2]
-    return [first + (last - first) * part / (DATES_WRITTEN - 1) for part in range(DATES_WRITTEN)]
+def _written_dates(first: datetime, last: datetime) -> list[tuple[datetime, str]]:
+    """Return moments and what is written below them: days, or where these would repeat, minutes; one of a moment."""
+    if _minute(first) == _minute(last):
+        return [(first, _minute(first))]
+    moments = [first + (last - first) * part / (DATES_WRITTEN - 1) for part in range(DATES_WRITTEN)]
+    if len(set(map(_date, moments))) == DATES_WRITTEN:
+        return [(moment, _date(moment)) for moment in moments]
+    without_year = len("2026-")
+    return [(moment, _minute(moment)[without_year:]) for moment in moments]
 
 
 def _date(moment: datetime) -> str:
     return moment.astimezone(UTC).strftime("%Y-%m-%d")
+
+
+def _minute(moment: datetime) -> str:
+    return moment.astimezone(UTC).strftime("%Y-%m-%d %H:%M")

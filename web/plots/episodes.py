@@ -29,12 +29,16 @@ MAX_BARS = 25
 def offset_maps(track: str, task: str, ends: Mapping[int, EpisodeView]) -> list[Figure]:
     """Return a map for each shape: a square at each start offset, with a slice for each repeat, coloured by outcome.
 
+    There are none of a task that the track has no longer.
+
     Args:
         track: name of the track.
         task: its task.
         ends: finished episodes by number.
     """
-    definition = load_track(track).tasks[task]
+    definition = load_track(track).tasks.get(task)
+    if definition is None:
+        return []
     starts: dict[str, dict[tuple[float, ...], list[EpisodeView]]] = defaultdict(dict)
     for episode in definition.episodes:
         if episode.number in ends:
@@ -178,12 +182,12 @@ def steps_histogram(task: str, ends: Sequence[EpisodeView]) -> Figure:
         bars[end.env_steps // per_bar] = (solved + end.success, other + (not end.success))
     names = {bar: _range(bar * per_bar, (bar + 1) * per_bar - 1) for bar in bars}
     x = Axis(low=0.0, high=float(len(bars)), begin=44.0, end=590.0)
-    y = Axis(low=0.0, high=float(max(map(sum, bars.values()))), begin=180.0, end=12.0)
+    y = Axis(low=0.0, high=float(max(map(sum, bars.values()))), begin=190.0, end=34.0)
     width = (x.end - x.begin) / len(bars)
     drawn = joined(
         element(
             "g",
-            element("title", f"{names[bar]} env steps: {solved} solved, {other} not")
+            element("title", f"{names[bar]} env step{'' if names[bar] == '1' else 's'}: {solved} solved, {other} not")
             + _bar("success", x.place(bar), y, width, 0, solved)
             + _bar("other", x.place(bar), y, width, solved, solved + other),
         )
@@ -191,22 +195,32 @@ def steps_histogram(task: str, ends: Sequence[EpisodeView]) -> Figure:
     )
     every = ceil(len(bars) / 12)
     labels = joined(
-        element("text", names[bar], class_="tick", x=x.place(bar + 0.5), y=198, text_anchor="middle")
+        element("text", names[bar], class_="tick", x=x.place(bar + 0.5), y=208, text_anchor="middle")
         for bar in bars
         if bar % every == 0
     )
     return Figure(
         key=f"steps-{task}",
-        title="Env steps",
+        title="Episodes by env steps",
         summary=f"Episodes by their number of env steps, up to {most}; the table has each number.",
         width=600,
-        height=206,
-        drawing=beside(y, 44.0, 590.0) + drawn + labels,
+        height=216,
+        drawing=_key() + beside(y, 44.0, 590.0) + drawn + labels,
         table=Table(
             columns=("Env steps", "Solved", "Not solved"),
             rows=tuple((names[bar], str(solved), str(other)) for bar, (solved, other) in bars.items()),
         ),
     )
+
+
+def _key() -> Markup:
+    """Return what the histogram counts, and by which colour."""
+    colours = joined(
+        element("rect", class_=f"bar {kind}", x=left, y=3, width=12, height=12)
+        + element("text", name, class_="tick", x=left + 17, y=14)
+        for kind, name, left in (("success", "solved", 380), ("other", "not solved", 480))
+    )
+    return element("text", "episodes", class_="tick", x=4, y=14) + colours
 
 
 def _bar(kind: str, left: float, y: Axis, width: float, low: int, high: int) -> Markup:

@@ -19,7 +19,7 @@ from ..rendering import words
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from vitac.evaluator.tracks import Episode
+    from vitac.evaluator.tracks import Episode, Track
     from vitac.server.views.submissions import EpisodeView
 
 CellState = Literal["success", "other", "waiting"]
@@ -112,7 +112,7 @@ class Place:
 def episode_map(
     track: str, task: str, ends: Mapping[int, EpisodeView], *, folder: str, known: bool = True
 ) -> EpisodeMap:
-    """Arrange the episodes of a task.
+    """Arrange the episodes of a task; there are no maps of one that the track has no longer.
 
     Args:
         track: name of its track.
@@ -121,21 +121,29 @@ def episode_map(
         folder: address below which each finished episode has a page.
         known: the starts are those of the track's file.
     """
+    found = load_track(track)
+    layout = _layout(track, task, known=known) if task in found.tasks else {}
     return EpisodeMap(
         task=task,
-        title=load_track(track).tasks[task].title,
+        title=title_of_task(found, task),
         shapes=tuple(
             ShapeMap(name=shape, cells=tuple(_cell(place, ends.get(place.number), folder) for place in places))
-            for shape, places in _layout(track, task, known=known).items()
+            for shape, places in layout.items()
         ),
         outcomes=dict(Counter(EpisodeOutcome(end.outcome) for end in ends.values()).most_common()),
     )
 
 
+def title_of_task(track: Track, task: str) -> str:
+    """Return how a task is called on pages; one that the track has no longer by its name."""
+    found = track.tasks.get(task)
+    return words(task) if found is None else found.title
+
+
 @cache
 def _layout(track: str, task: str, *, known: bool) -> Mapping[str, tuple[Place, ...]]:
     """Return the places of all episodes, by shape."""
-    definition = load_track(track).tasks[task]
+    definition = load_track(track).task(task)
     return {shape: _places(shape, definition.episodes, known=known) for shape in definition.episode_list.shapes}
 
 

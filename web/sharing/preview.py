@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import io
-from functools import cache
+import unicodedata
+from bisect import bisect_right
+from functools import cache, lru_cache
+from itertools import groupby
+from math import ceil
+from pathlib import Path
 from typing import TYPE_CHECKING
 
+import fontpkg
 from PIL import Image, ImageDraw, ImageFont
 from vitac.server.errors import SettingsError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
+    from collections.abc import Iterator, Sequence
 
     from vitac.server.views.submissions import EpisodeView, SubmissionView
 
@@ -35,13 +40,13 @@ def draw_preview(
         found: the submission.
         track: title of its track.
         episodes: how they ended; nothing where single episodes are not shown.
-        font_file: for names that Pillow's own font cannot write.
+        font_file: for what Noto Sans cannot write.
     """
     picture = Image.new("RGB", (WIDTH, HEIGHT), PAPER)
     draw = ImageDraw.Draw(picture)
     draw.rectangle((0, 0, WIDTH, 12), fill=ACCENT)
     width = (GRID[0] if episodes else WIDTH - MARGIN) - 2 * MARGIN + 24
-    _write(draw, 64, f"ViTac Arena · {track}", 28, QUIET, WIDTH - 2 * MARGIN)
+    _write(draw, 64, f"ViTac Arena · {track}", 28, QUIET, WIDTH - 2 * MARGIN, font_file)
     _write(draw, 140, found.name, 52, INK, width, font_file)
     _write(draw, 214, found.team.name, 36, QUIET, width, font_file)
     _draw_rate(draw, found, width)
@@ -106,26 +111,58 @@ def _draw_episodes(draw: ImageDraw.ImageDraw, episodes: Sequence[EpisodeView]) -
 def _write(
     draw: ImageDraw.ImageDraw, y: int, text: str, size: int, colour: str, width: int, font_file: Path | None = None
 ) -> None:
-    """Write a line, cut off where it is too wide; left out where no font has all of its characters."""
-    able = [file for file in dict.fromkeys((None, font_file)) if _can_write(text, file)]
-    if not able:
+    """Write a line, cut off where it is too wide."""
+    files = (_noto_sans(),) if font_file is None else (_noto_sans(), font_file)
+    plain = _plain(text)
+
+    def length(of: str) -> float:
+        return sum(draw.textlength(run, _font(size, file)) for run, file in _runs(of, files))
+
+    if length(plain) > width:
+        fitting = bisect_right(range(len(plain)), width, key=lambda count: ceil(length(f"{plain[:count]}…")))
+        plain = f"{plain[: fitting - 1]}…"
+    x, baseline = float(MARGIN), y + _font(size, files[0]).getmetrics()[0]
+    for run, file in _runs(plain, files):
+        draw.text((x, baseline), run, colour, _font(size, file), anchor="ls")
+        x += draw.textlength(run, _font(size, file))
+
+
+def _plain(text: str) -> str:
+    """Return text with accents as parts of their letters, and without control and format characters."""
+    joined = "".join(" " if character.isspace() else character for character in unicodedata.normalize("NFC", text))
+    return "".join(character for character in joined if unicodedata.category(character) not in {"Cc", "Cf", "Cs"})
+
+
+def _runs(text: str, files: Sequence[Path]) -> Iterator[tuple[str, Path]]:
+    """Cut text into parts with a font each: the first that has all of it, else the first that has the character.
+
+    Where none has it, the first font draws a box.
+    """
+    whole = [file for file in files if all(_can_write(character, file) for character in set(text))]
+    if whole:
+        yield text, whole[0]
         return
-    font = _font(size, able[0])
-    if draw.textlength(text, font) > width:
-        while text and draw.textlength(f"{text}…", font) > width:
-            text = text[:-1]
-        text = f"{text}…"
-    draw.text((MARGIN, y), text, colour, font)
+
+    def font_for(character: str) -> Path:
+        return next((file for file in files if _can_write(character, file)), files[0])
+
+    for file, characters in groupby(text, font_for):
+        yield "".join(characters), file
 
 
 @cache
-def _font(size: int, file: Path | None) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
-    """Return a font; without a file Pillow's own."""
-    return ImageFont.load_default(size) if file is None else ImageFont.truetype(file, size)
+def _font(size: int, file: Path) -> ImageFont.FreeTypeFont:
+    return ImageFont.truetype(file, size)
 
 
-def _can_write(text: str, file: Path | None) -> bool:
-    """Return whether the font has a glyph for each character: the ones that it lacks all look alike."""
+@cache
+def _noto_sans() -> Path:
+    """Return the file of a font with Latin, also with accents, Greek and Cyrillic."""
+    return Path(fontpkg.path("Noto Sans"))
+
+
+@lru_cache(maxsize=4096)
+def _can_write(character: str, file: Path) -> bool:
+    """Return whether the font has a glyph for a character: those that it lacks all look alike."""
     font = _font(20, file)
-    missing = bytes(font.getmask("\uffff"))
-    return all(character == " " or bytes(font.getmask(character)) != missing for character in set(text))
+    return character == " " or bytes(font.getmask(character)) != bytes(font.getmask("\uffff"))

@@ -7,7 +7,7 @@ from uuid import UUID
 import typer
 
 from ...service.database import transaction
-from ...terminal.output import AsJson, percent, print_done, print_json, print_table
+from ...terminal.output import AsJson, percent, print_done, print_json, print_table, warn
 from ..consent import DryRun, change_transaction
 
 if TYPE_CHECKING:
@@ -43,13 +43,16 @@ def mark(
 ) -> None:
     """Write down the marks of a judge, in place of those from before."""
     from vitac.server.accounts.principals import CONSOLE
+    from vitac.server.accounts.tokens import is_judge
     from vitac.server.judging.judging import give_marks
 
     given = _parsed(marks)
     with change_transaction(dry_run=dry_run) as session:
         give_marks(session, CONSOLE, submission, given, judge=judge)
+        known = is_judge(session, judge)
     content = {"submission": submission, "judge": judge, "marks": given}
     print_done(f"marks of {judge} for {submission}", content, as_json=as_json)
+    _warn_of_stranger(judge, known=known)
 
 
 @app.command()
@@ -62,11 +65,14 @@ def conflict(
 ) -> None:
     """Note a conflict of interest: the judge's marks of that team are taken away, and no new ones accepted."""
     from vitac.server.accounts.principals import CONSOLE
+    from vitac.server.accounts.tokens import is_judge
     from vitac.server.judging.judging import declare_conflict
 
     with change_transaction(dry_run=dry_run) as session:
         declare_conflict(session, CONSOLE, team, reason, judge=judge)
+        known = is_judge(session, judge)
     print_done(f"{judge} does not judge {team}", {"team": team, "judge": judge, "reason": reason}, as_json=as_json)
+    _warn_of_stranger(judge, known=known)
 
 
 @app.command()
@@ -86,6 +92,12 @@ def show(
         return
     columns = ("team", "submission", "success", "judges", "mark", "spread", "figures", "total", "conflicts")
     print_table(columns, [_row(team) for team in found], none="Nobody is on the board.")
+
+
+def _warn_of_stranger(judge: str, *, known: bool) -> None:
+    """Warn of a judge without a token: a name that is written in another way counts as one judge more."""
+    if not known:
+        warn(f"no judge with a token is named {judge!r}; check the spelling, for another name counts as another judge.")
 
 
 def _row(team: "JudgedTeam") -> list[object]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ...service.database import transaction
-from ...terminal.output import AsJson, print_done, print_json, print_records, warn
+from ...terminal.output import AsJson, percent, print_done, print_json, print_records, warn
 from ..consent import DryRun, Yes, change_as_shown, change_transaction
 
 if TYPE_CHECKING:
@@ -44,30 +44,41 @@ def unfreeze(yes: Yes = False, dry_run: DryRun = False, as_json: AsJson = False)
 @app.command()
 def winners(as_json: AsJson = False) -> None:
     """List who wins what: final, or by today's boards of the last stages."""
+    from vitac.server.competition.view import disqualified_since_the_end
     from vitac.server.results.finishing import prizes_without_winner
     from vitac.server.results.finishing import winners as all_winners
 
     with transaction() as session:
         found = all_winners(session)
         left = prizes_without_winner(session, found)
+        out = [each.team for each in disqualified_since_the_end(session)]
     _print(found, left, none="Nobody wins yet.", as_json=as_json)
+    if out:
+        warn(f"disqualified after the end: {', '.join(out)}. `results finalize --again` decides without them.")
 
 
 @app.command()
-def finalize(yes: Yes = False, dry_run: DryRun = False, as_json: AsJson = False) -> None:
-    """End the competition for good, with the winners as they are now."""
+def finalize(
+    again: Annotated[
+        bool, typer.Option("--again", help="Of one that is final: without the teams that are disqualified now.")
+    ] = False,
+    yes: Yes = False,
+    dry_run: DryRun = False,
+    as_json: AsJson = False,
+) -> None:
+    """End the competition with the winners as they are now; with --again, decide them anew after it."""
     from vitac.server.accounts.principals import CONSOLE
     from vitac.server.results.finishing import finalize as finalize_results
-    from vitac.server.results.finishing import prizes_without_winner
+    from vitac.server.results.finishing import finalize_again, prizes_without_winner
 
     def change(session: "Session") -> "tuple[list[Winner], list[str]]":
-        found = finalize_results(session, CONSOLE)
+        found = finalize_again(session, CONSOLE) if again else finalize_results(session, CONSOLE)
         return found, prizes_without_winner(session, found)
 
     change_as_shown(
         change,
         lambda shown: _print(*shown, none="Nobody wins.", as_json=as_json),
-        "End the competition for good with these winners?",
+        "Replace the winners by these?" if again else "End the competition for good with these winners?",
         yes=yes,
         dry_run=dry_run,
     )
@@ -91,7 +102,10 @@ def publish(
 
 def _print(found: "list[Winner]", left: list[str], *, none: str, as_json: bool) -> None:
     """Print winners, and warn of prizes that nobody wins."""
-    print_records([asdict(winner) for winner in found], COLUMNS, none=none, as_json=as_json)
+    rows = [asdict(winner) for winner in found]
+    if not as_json:
+        rows = [row | {name: percent(row[name]) for name in ("success_rate", "total")} for row in rows]
+    print_records(rows, COLUMNS, none=none, as_json=as_json)
     for sentence in left:
         warn(sentence)
     if not found and not left:

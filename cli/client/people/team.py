@@ -6,23 +6,22 @@ import sys
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from vitac.envs.errors import VitacError
+from vitac.server.db.states import NoticeKind
 
 from ...terminal.options import Server, TokenFile
 from ...terminal.output import AsJson, print_json, print_pairs, print_records
 from .. import credentials
 from ..http import client_from
+from . import webhook
+from .own_team import NoTeam, own_path
 
 if TYPE_CHECKING:
     from ..http import Client, Json
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
+app.add_typer(webhook.app, name="webhook", help="Addresses that get the team's notices: list, add, remove.")
 
 MemberName = Annotated[str, typer.Argument(help="The member's name, as `vitac team show` prints it.")]
-
-
-class NoTeam(VitacError):
-    """The token belongs to no team, or the team has no such member: `vitac whoami` and `vitac team show` say which."""
 
 
 @app.command()
@@ -42,14 +41,14 @@ def show(server: Server = None, token_file: TokenFile = None, as_json: AsJson = 
 def data(server: Server = None, token_file: TokenFile = None) -> None:
     """Print everything that the service has of the team, as JSON."""
     client = client_from(server, token_file)
-    print_json(client.call("GET", f"{_path(client)}/data"))
+    print_json(client.call("GET", f"{own_path(client)}/data"))
 
 
 @app.command()
 def invite(server: Server = None, token_file: TokenFile = None, as_json: AsJson = False) -> None:
     """Print a code with which one person joins the team; for its captain."""
     client = client_from(server, token_file)
-    made = client.call("POST", f"{_path(client)}/invitations")
+    made = client.call("POST", f"{own_path(client)}/invitations")
     if as_json:
         print_json(made)
         return
@@ -107,6 +106,22 @@ def email(
 
 
 @app.command()
+def mute(
+    member: MemberName,
+    kinds: Annotated[
+        list[NoticeKind] | None, typer.Argument(help="Of notices that you do not want; none: you get all.")
+    ] = None,
+    server: Server = None,
+    token_file: TokenFile = None,
+) -> None:
+    """Say which notices you do not want by e-mail, in place of what you said before."""
+    client = client_from(server, token_file)
+    muted = sorted(set(kinds or ()))
+    client.call("PATCH", _path_of_member(client, member), {"muted": muted})
+    print(f"{member} gets no notices of: {', '.join(muted)}" if muted else f"{member} gets all notices")
+
+
+@app.command()
 def password(member: MemberName, server: Server = None, token_file: TokenFile = None) -> None:
     """Set your password, read from a prompt or standard input; an empty one takes it away."""
     client = client_from(server, token_file)
@@ -133,14 +148,7 @@ def renew_token(
 
 
 def _own_team(client: Client) -> Json:
-    return client.call("GET", _path(client))
-
-
-def _path(client: Client) -> str:
-    team = client.me()["team"]
-    if team is None:
-        raise NoTeam("This token belongs to no team; `vitac whoami` shows whose it is.")
-    return f"/api/v1/teams/{team['id']}"
+    return client.call("GET", own_path(client))
 
 
 def _path_of_member(client: Client, name: str) -> str:

@@ -8,7 +8,7 @@ import time
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Final
 
 from ..limits import Limits
@@ -126,6 +126,22 @@ def create(limits: Limits, *, root: Path = _ROOT, membership: Path = _MEMBERSHIP
         if group is not None and _set_limits(group, limits):
             return group
     return None
+
+
+def memory_limit_bytes(*, root: Path = _ROOT, membership: Path = _MEMBERSHIP) -> int | None:
+    """Return how much memory this process's groups let it use, such as those of a container; None without a limit.
+
+    The smallest limit from the process's own group up to the root holds. Version 1 says that there is none by a number
+    that is larger than any memory.
+    """
+    own, limits = _own_groups(membership), []
+    for controller, top, name in (("", root, "memory.max"), ("memory", root / "memory", "memory.limit_in_bytes")):
+        group = PurePosixPath("/", own.get(controller, ""))
+        # In a container the path may be that of the host, of which only the last folder is mounted, as the root here.
+        for each in (group, *group.parents):
+            with contextlib.suppress(OSError, ValueError):  # it is not there, or says "max"
+                limits.append(int((top / each.relative_to("/") / name).read_text()))
+    return min(limits, default=None)
 
 
 def sweep(parent: Path) -> None:

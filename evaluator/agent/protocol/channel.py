@@ -9,7 +9,12 @@ from typing import Final
 
 from .frames import Answer, AnswerKind, FrameReader, Question, encode_question, violation
 
-_CHUNK_BYTES: Final = 256 * 1024
+_CHUNK_BYTES: Final = 64 * 1024
+"""Small enough that the C library has such a piece at hand and need not ask the kernel for it."""
+_PEEK: Final = int(socket.MSG_PEEK | socket.MSG_DONTWAIT)
+_DO_NOT_WAIT: Final = int(socket.MSG_DONTWAIT)
+_CUT_OFF: Final = int(socket.MSG_CTRUNC)
+"""Plain numbers: to combine Python's own names of them takes longer than the system call."""
 _CREDENTIALS_BYTES: Final = 12
 """struct ucred: pid, uid, gid."""
 
@@ -75,7 +80,7 @@ class Channel:
             PolicyFailed: protocol_violation.
         """
         try:
-            waiting = self._sock.recv(1, socket.MSG_PEEK | socket.MSG_DONTWAIT)
+            waiting = self._sock.recv(1, _PEEK)
         except (BlockingIOError, ConnectionResetError):
             waiting = b""
         if waiting or not self._reader.is_empty:
@@ -116,7 +121,7 @@ class Channel:
             return None
         except ConnectionResetError:
             data, ancillary, flags = b"", [], 0
-        if flags & socket.MSG_CTRUNC:
+        if flags & _CUT_OFF:
             raise violation("A message carried more than bytes (such as file descriptors).")
         if not data:
             raise ChannelClosed("The policy's end of the channel was closed before it answered.")
@@ -130,7 +135,7 @@ class ChannelClosed(Exception):
 def drain(sock: socket.socket) -> None:
     """Discard all unread data of a socket."""
     try:
-        while sock.recv(_CHUNK_BYTES, socket.MSG_DONTWAIT):
+        while sock.recv(_CHUNK_BYTES, _DO_NOT_WAIT):
             pass
     except (BlockingIOError, ConnectionResetError):
         return

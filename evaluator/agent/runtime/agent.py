@@ -14,9 +14,10 @@ every byte that it sends. Three processes take part:
 import contextlib
 import faulthandler
 import functools
+import gc
 import importlib
-import importlib.metadata
 import json
+import math
 import os
 import resource
 import runpy
@@ -28,6 +29,7 @@ import traceback
 import warnings
 from collections.abc import Callable
 from functools import partial
+from operator import methodcaller
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -97,7 +99,7 @@ def decode_arrays(specs: list[dict[str, Any]], payload: bytearray) -> dict[str, 
     arrays = {}
     offset = 0
     for spec in specs:
-        flat = np.frombuffer(payload, dtype=DTYPES[spec["dtype"]], count=int(np.prod(spec["shape"])), offset=offset)
+        flat = np.frombuffer(payload, dtype=DTYPES[spec["dtype"]], count=math.prod(spec["shape"]), offset=offset)
         arrays[spec["name"]] = flat.reshape(spec["shape"])
         offset += flat.nbytes
     return arrays
@@ -165,17 +167,25 @@ def guarded(otherwise: str, what: str, call: Callable[[], Any], hint: Callable[[
     except Refused:
         raise
     except BaseException as error:  # noqa: BLE001 - a policy may raise anything
-        print_traceback()
+        print_traceback(error)
         summary = f"{what} raised {type(error).__name__}: {error}"
-        with contextlib.suppress(Exception):
+        with contextlib.suppress(BaseException):  # a hint may run into the policy's modules
             summary += hint(error)
         raise Refused(code_of(error, otherwise), summary[:MESSAGE_MAX_CHARS]) from None
 
 
-def print_traceback() -> None:
-    """Tell the team where it failed, unless the policy has closed its output."""
+def print_traceback(error: BaseException) -> None:
+    """Tell the team where its code failed, from its first line on, unless the policy has closed its output."""
     with contextlib.suppress(Exception):
-        traceback.print_exc(limit=-30)
+        place = error.__traceback__
+        while place is not None and is_way_to_policy(place.tb_frame.f_code.co_filename):
+            place = place.tb_next
+        traceback.print_exception(type(error), error, place, limit=-30)
+
+
+def is_way_to_policy(file: str) -> bool:
+    """Return whether a line of a file leads to the policy's code: ours, or Python's own import."""
+    return file in (__file__, importlib.__file__) or file.startswith("<frozen importlib")
 
 
 def what_is_there(error: BaseException, submission: str, module_name: str) -> str:
@@ -187,11 +197,21 @@ def what_is_there(error: BaseException, submission: str, module_name: str) -> st
     hint += f" and {len(files) - NAMES_SHOWN} more" if len(files) > NAMES_SHOWN else ""
     if isinstance(error, FileNotFoundError) or error.name == module_name.partition(".")[0]:
         return hint + "."
+    sys.path[:] = [place for place in sys.path if place != submission]  # a file there may have the name of Python's own
     return f"{hint}. Installed packages: {', '.join(installed_packages())}."
+
+
+def classes_of(module: Any) -> str:
+    """Return the classes that a policy's module makes, for an entry point that names another."""
+    classes = {name: each for name, each in vars(module).items() if isinstance(each, type)}
+    made = sorted(name for name, each in classes.items() if each.__module__ == module.__name__)
+    return f". Classes there: {', '.join(made[:NAMES_SHOWN]) or 'none'}."
 
 
 def installed_packages() -> list[str]:
     """Return name and version of the packages that a policy can import."""
+    import importlib.metadata  # late: it would make every copy of the policy slower to start
+
     found = {(each.metadata["Name"] or "").lower(): each.version for each in importlib.metadata.distributions()}
     return [f"{name} {found[name]}" for name in sorted(found.keys() - {"", "vitac-arena"})]
 
@@ -203,7 +223,8 @@ def load(entry_point: str, submission: str) -> Any:
     module_name, _, class_name = entry_point.partition(":")
     hint = partial(what_is_there, submission=submission, module_name=module_name)
     module = guarded("import_error", f"Importing {module_name}", lambda: importlib.import_module(module_name), hint)
-    make = guarded("import_error", f"Looking up {class_name} in {module_name}", lambda: getattr(module, class_name))
+    looking_up = f"Looking up {class_name} in {module_name}"
+    make = guarded("import_error", looking_up, lambda: getattr(module, class_name), lambda _: classes_of(module))
     return guarded("load_failed", f"{class_name}()", make, hint)
 
 
@@ -212,12 +233,12 @@ def answer_episode(policy: Any, connection: Connection) -> None:
     while True:
         kind, text, arrays = connection.read()
         if kind == "reset":
-            guarded("crashed", "reset()", partial(policy.reset, text))
+            guarded("crashed", "reset()", partial(methodcaller("reset", text), policy))
             connection.write("ready")
         elif kind == "believe":
             answer_belief(policy, connection)
         else:
-            action = guarded("crashed", "act()", partial(policy.act, arrays))
+            action = guarded("crashed", "act()", partial(methodcaller("act", arrays), policy))
             connection.write("action", numbers=as_numbers(action))
 
 
@@ -245,6 +266,7 @@ def run_loader(connection: Connection, submission: str) -> None:
     _, entry_point, _ = connection.read()
     point_cloud()  # now, so that no episode has to read it
     policy = load(entry_point, submission)
+    gc.freeze()  # collections in the copies then leave what was loaded alone, which they would copy otherwise
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
         pid = os.fork()
@@ -261,8 +283,8 @@ def run_policy_side(connection: Connection, submission: str) -> NoReturn:
     except Refused as refusal:
         flush_output()
         connection.write("failed", code=refusal.code, message=refusal.message)
-    except BaseException:  # noqa: BLE001 - a policy may have broken anything in this process
-        print_traceback()
+    except BaseException as error:  # noqa: BLE001 - a policy may have broken anything in this process
+        print_traceback(error)
         flush_output()
         os._exit(1)
     os._exit(0)

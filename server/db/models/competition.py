@@ -17,8 +17,8 @@ class Competition(Base):
     Attributes:
         definition: what `server.competition.definition` reads.
         frozen_at: since then boards stand still for everybody but organizers; NULL: they do not.
-        finalized_at: since then nothing of it changes.
-        winners: as they were finalized.
+        finalized_at: since then winners and boards change only by `finalize_again`, and where a team is erased.
+        winners: as they were finalized, or finalized again.
         boards: as they were then (`LeaderboardView`); NULL before, and of one that was final before they were kept.
     """
 

@@ -12,15 +12,17 @@ from sqlalchemy import (
     Identity,
     Index,
     String,
+    Text,
     UniqueConstraint,
     false,
     func,
     text,
     true,
 )
-from sqlalchemy.dialects.postgresql import JSONB
+from sqlalchemy.dialects.postgresql import ARRAY, JSONB
 from sqlalchemy.orm import Mapped, mapped_column, relationship
 from vitac.evaluator.submission_kinds import SubmissionKind
+from vitac.evaluator.tracks import ListKind
 
 from ..states import EvaluationState, ShardState
 from .base import Base, closed_set, sha256_check
@@ -43,6 +45,8 @@ class Evaluation(Base):
     `server.queue.turns`. `charged_at` says when the team's quotas counted it; NULL
     where it costs nothing. `asked_by_team`: organizers did not start it. `packages`: versions by name of what the
     policy could import, once for each kind of worker that stored episodes; of those stored before, nothing.
+    `list_kind` says who could know the episodes when it began, `counted_tasks` which tasks were combined when it was
+    scored. NULL: as the track file says that is there, as it was before they were kept.
     """
 
     __tablename__ = "evaluations"
@@ -100,6 +104,8 @@ class Evaluation(Base):
     verdict_episode: Mapped[int | None]
     log_tail: Mapped[str] = mapped_column(default="")
     scores: Mapped[list[dict[str, Any]] | None] = mapped_column(JSONB(none_as_null=True))
+    list_kind: Mapped[ListKind | None] = mapped_column(closed_set(ListKind, "list_kind"))
+    counted_tasks: Mapped[list[str] | None] = mapped_column(ARRAY(Text))
     result_hash: Mapped[str | None] = mapped_column(String(64))
     packages: Mapped[list[dict[str, str]]] = mapped_column(JSONB, default=list, server_default="[]", deferred=True)
     submission: Mapped[Submission] = relationship()

@@ -45,6 +45,7 @@ class CompetitionTrackView(View):
     ties: str
     stages: list[StageView]
     prizes: list[PrizeView]
+    judging: str | None = Field(default=None, description="How judges' marks count, in words; null: the board decides.")
 
 
 class WinnerView(View):
@@ -62,6 +63,13 @@ class WinnerView(View):
     )
 
 
+class DisqualifiedTeamView(View):
+    """A team that was disqualified after the end, by the name that it has in winners and kept boards."""
+
+    team: str
+    disqualified_at: datetime
+
+
 class CompetitionView(View):
     """The competition of this service."""
 
@@ -76,7 +84,15 @@ class CompetitionView(View):
     anonymous: bool = Field(
         default=False, description="Whether teams are shown under random names until everything is final."
     )
+    appeal_days: int | None = Field(
+        default=None,
+        description="So long after the end of an evaluation its team may appeal; null: there are no appeals.",
+    )
     tracks: list[CompetitionTrackView]
     frozen_at: datetime | None = Field(description="Since then boards stand still; null: they do not.")
     finalized_at: datetime | None = Field(description="Since then everything is final.")
     winners: list[WinnerView] = Field(description="Empty before the end.")
+    disqualified: list[DisqualifiedTeamView] = Field(
+        default=[],
+        description="Of winners and archived boards, since the end; without them once it is finalized again.",
+    )

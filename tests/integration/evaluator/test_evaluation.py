@@ -63,23 +63,33 @@ BROKEN_AT_THIRD_STEP = DRIFT.replace(
 )
 
 
-@pytest.fixture
-def submission(tmp_path: Path) -> Path:
-    folder = tmp_path / "Track_1"
+def drifting(parent: Path) -> Path:
+    folder = parent / "Track_1"
     folder.mkdir()
-    tmp_path.chmod(0o755)
+    parent.chmod(0o755)
     folder.chmod(0o755)
     (folder / "submission.yaml").write_text("{track: track_1, tasks: [peg-insertion], name: test}")
     (folder / "policy.py").write_text(DRIFT)
     return folder
 
 
+@pytest.fixture
+def submission(tmp_path: Path) -> Path:
+    return drifting(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def drifted(tmp_path_factory: pytest.TempPathFactory) -> Evaluation:
+    """An evaluation of the submission as it is, for all tests that look at one."""
+    return run(drifting(tmp_path_factory.mktemp("drifted")))
+
+
 def run(submission: Path, **options: Any) -> Evaluation:
     return evaluate(submission_dir=submission, track=TRACK, task=TASK, **({"episodes": (1, 2, 31)} | options))
 
 
-def test_hash_is_the_same_for_workers_order_and_resume(submission: Path) -> None:
-    one, two = run(submission), run(submission, workers=2)
+def test_hash_is_the_same_for_workers_order_and_resume(submission: Path, drifted: Evaluation) -> None:
+    one, two = drifted, run(submission, workers=2)
     assert one.result_hash == two.result_hash
     order = ShardOrder(
         kind=SubmissionKind.MODEL,
@@ -95,7 +105,9 @@ def test_hash_is_the_same_for_workers_order_and_resume(submission: Path) -> None
         assert result_hash(process.result.manifest, resumed) == one.result_hash
 
 
-def test_a_sealed_list_is_played_from_its_secret_which_no_policy_can_find(submission: Path, tmp_path: Path) -> None:
+def test_a_sealed_list_is_played_from_its_secret_which_no_policy_can_find(
+    submission: Path, tmp_path: Path, drifted: Evaluation
+) -> None:
     path = tmp_path / "secret"
     secret = new_secret(path)
     (submission / "policy.py").write_text(LOOKS_FOR_THE_FILE.replace("SEALED", str(path)))
@@ -107,22 +119,20 @@ def test_a_sealed_list_is_played_from_its_secret_which_no_policy_can_find(submis
     assert found.manifest.list_seed == task.episode_list.list_seed
     assert found.manifest.task_hash == task.digest()
     first = {record.state_hashes[0] for record in found.records}
-    assert first.isdisjoint(record.state_hashes[0] for record in run(submission, episodes=(1, 2)).records)
+    assert first.isdisjoint(record.state_hashes[0] for record in drifted.records)
 
 
-def test_policy_that_counts_resets_scores_like_its_honest_twin(submission: Path) -> None:
-    honest = run(submission)
+def test_policy_that_counts_resets_scores_like_its_honest_twin(submission: Path, drifted: Evaluation) -> None:
     (submission / "policy.py").write_text(COUNTS_RESETS)
     counting = run(submission)
     assert [record.record_digest() for record in counting.records] == [
-        record.record_digest() for record in honest.records
+        record.record_digest() for record in drifted.records
     ]
 
 
-def test_records_hold_what_the_policy_did_and_how_it_was_isolated(submission: Path) -> None:
-    evaluation = run(submission)
-    record = evaluation.records[0]
-    assert evaluation.isolation is not None
+def test_records_hold_what_the_policy_did_and_how_it_was_isolated(drifted: Evaluation) -> None:
+    record = drifted.records[0]
+    assert drifted.isolation is not None
     assert record.outcome in (EpisodeOutcome.TACTILE, EpisodeOutcome.STEPS, EpisodeOutcome.SUCCESS)
     assert record.actions.to_array()[0, 2].item() == pytest.approx(0.05)
     assert set(record.infos[0]) >= {
@@ -136,8 +146,8 @@ def test_records_hold_what_the_policy_did_and_how_it_was_isolated(submission: Pa
     assert record.timings.policy_s > 0
 
 
-def test_recorded_actions_give_the_recorded_states_in_a_used_environment(submission: Path) -> None:
-    record = run(submission).records[1]
+def test_recorded_actions_give_the_recorded_states_in_a_used_environment(drifted: Evaluation) -> None:
+    record = drifted.records[1]
     env = make_environment(TASK)
     resimulate(env, TASK.episodes[30], record.actions.to_array())
     played = resimulate(env, TASK.episodes[record.episode - 1], record.actions.to_array())
@@ -145,19 +155,18 @@ def test_recorded_actions_give_the_recorded_states_in_a_used_environment(submiss
     assert (played.infos, played.outcome) == (record.infos, record.outcome)
 
 
-def test_log_of_an_evaluation_is_verified(submission: Path) -> None:
-    evaluation = run(submission)
+def test_log_of_an_evaluation_is_verified(drifted: Evaluation) -> None:
     verification = verify(
         env=make_environment(TASK),
         track=TRACK,
         task=TASK,
-        header=LogHeader(manifest=evaluation.manifest),
-        records=evaluation.records,
+        header=LogHeader(manifest=drifted.manifest),
+        records=drifted.records,
         episodes=(1, 2, 31),
     )
     assert verification.verdict is VerificationResult.VERIFIED
-    assert verification.score == evaluation.score
-    assert result_hash(verification.manifest, verification.records) == evaluation.result_hash
+    assert verification.score == drifted.score
+    assert result_hash(verification.manifest, verification.records) == drifted.result_hash
 
 
 def test_policy_that_fails_in_every_episode_ends_the_evaluation(submission: Path) -> None:
@@ -203,12 +212,14 @@ def test_lock_opening_is_evaluated_and_its_log_verified(submission: Path, reposi
     assert (verification.verdict, verification.score) == (VerificationResult.VERIFIED, evaluation.score)
 
 
-def test_sensor_of_a_team_is_played_in_every_shard_with_its_own_mesh_hash(submission: Path, repository: Path) -> None:
+def test_sensor_of_a_team_is_played_in_every_shard_with_its_own_mesh_hash(
+    submission: Path, repository: Path, drifted: Evaluation
+) -> None:
     dome = repository / "examples" / "track_3_dome" / "Track_3"
     first = run(submission, episodes=(1, 28), sensor=dome)
     again = run(submission, episodes=(1, 28), sensor=dome, workers=2)
     assert first.failure is None
     assert [record.episode for record in first.records] == [1, 28]
     assert first.result_hash == again.result_hash
-    assert first.manifest.mesh_hash != run(submission, episodes=(1,)).manifest.mesh_hash
+    assert first.manifest.mesh_hash != drifted.manifest.mesh_hash
     assert first.manifest.mesh_hash == make_environment(TASK, sensor=design_in(dome)).mesh_hash()

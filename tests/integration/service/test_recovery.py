@@ -120,7 +120,7 @@ def test_stopped_worker_leaves_the_rest_to_the_next_one(
     attempt: Attempt, worker: "subprocess.Popen[bytes]", start_worker: StartWorker
 ) -> None:
     worker.terminate()
-    assert worker.wait(30.0) == 0
+    assert worker.wait(120.0) == 0
     eventually(lambda: attempt.live.get(f"/submissions/{attempt.submission}").json()["workers"]["alive"] == 0)
     start_worker()
     attempt.assert_same_result()

@@ -1,28 +1,21 @@
 """Sensors of teams in the peg task: every gel is gripped alike, and nothing is lost or undefined."""
 
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import own_sensors
 import pytest
 from vitac.envs.fem.scene.scene import StepStatus
 from vitac.envs.geometry.pegs import GRIPPED_WIDTH_MM
-from vitac.envs.tactile.design import SensorDesign
 from vitac.envs.tasks.peg_insertion.env import PegInsertionEnv
 from vitac.evaluator.figures.starts import refined_design
 
 START = {"shape": "trapezoid", "offset_mm_deg": (2.0, -3.0, -6.0), "rng_seed": (0, 1)}
 
 
-@cache
-def design(name: str) -> SensorDesign:
-    return own_sensors.design(own_sensors.GELS[name]())
-
-
 @pytest.mark.parametrize("name", own_sensors.GELS)
 def test_episode_converges_with_every_marker_finite(name: str) -> None:
-    env = PegInsertionEnv(sensor=design(name))
+    env = PegInsertionEnv(sensor=own_sensors.designed(name))
     observation, info = env.reset(options=START)
     statuses = [report.status for report in info["step_reports"]]
     for _ in range(2):
@@ -38,14 +31,14 @@ def test_episode_converges_with_every_marker_finite(name: str) -> None:
 
 @pytest.mark.parametrize("name", own_sensors.GELS)
 def test_highest_point_starts_a_tenth_of_a_millimetre_from_the_peg(name: str) -> None:
-    env = PegInsertionEnv(sensor=design(name), indentation_mm=1e-3)
+    env = PegInsertionEnv(sensor=own_sensors.designed(name), indentation_mm=1e-3)
     start = START | {"offset_mm_deg": (-4.0, -4.0, 0.0), "shape": "cuboid"}
     env.reset(options=start)
     pose = env.scene.pose
     closed_mm = 0.1 + 1e-3
     for index, side in enumerate((1.0, -1.0)):
         centre_mm = env.scene.sensor_pose(index).centre_m[1] * 1e3
-        highest_mm = float(design(name).gel.rest_position_m[:, 2].max()) * 1e3
+        highest_mm = float(own_sensors.designed(name).gel.rest_position_m[:, 2].max()) * 1e3
         face_mm = side * (centre_mm - pose.y_m * 1e3) - highest_mm
         assert face_mm + closed_mm == pytest.approx(0.5 * GRIPPED_WIDTH_MM + 0.1, abs=1e-5)
 
@@ -57,7 +50,7 @@ def test_flat_gels_touch_at_the_same_grasp_travel() -> None:
     """
     middle_mm = []
     for name in ("2 mm", "4 mm", "8 mm"):
-        env = PegInsertionEnv(sensor=design(name), indentation_mm=1e-3)
+        env = PegInsertionEnv(sensor=own_sensors.designed(name), indentation_mm=1e-3)
         env.reset(options={"shape": "cuboid", "offset_mm_deg": (0.0, 0.0, 0.0)})
         peg_y_mm = env.scene.pose.y_m * 1e3
         for index in range(2):
@@ -70,30 +63,32 @@ def test_flat_gels_touch_at_the_same_grasp_travel() -> None:
     assert max(middle_mm) - min(middle_mm) < 0.02
 
 
-@pytest.mark.parametrize("name", ["4 mm", "dome", "ridge", "pyramids"])
+@pytest.mark.parametrize("name", ["4 mm", "dome", "ridge", "gable", "pyramids"])
 def test_refining_a_gel_changes_its_surface_motion_little(name: str) -> None:
     """By under 5 % in the median over starts, at the first env step: by another mesh, and by halving its edges."""
-    sensors = [own_sensors.design(own_sensors.GELS[name](), wanted_nodes=nodes) for nodes in (250, 550)]
+    gel = own_sensors.GELS[name]()
+    sensors = [own_sensors.design(gel), own_sensors.design(gel, wanted_nodes=550)]
     sensors.append(refined_design(sensors[0], 2.0))
     motions = []
     for refined in sensors:
         env = PegInsertionEnv(sensor=refined)
-        motions.append([first_motion(env, number) for number in range(5)])
-    assert len(sensors[0].gel.rest_position_m) < 450 < 550 <= min(len(it.gel.rest_position_m) for it in sensors[1:])
+        motions.append([first_motion(env, number) for number in range(3)])
+    nodes = [len(sensor.gel.rest_position_m) for sensor in sensors]
+    assert 1.3 * nodes[0] < min(nodes[1:])
     coarse, *finer = np.array(motions)
     for fine in finer:
         assert np.median(np.abs(fine / coarse - 1.0)) < 0.05
 
 
 def first_motion(env: PegInsertionEnv, number: int) -> list[float]:
-    offset = ((-4.0, -4.0, -8.0), (-2.0, 1.0, -2.0), (0.0, -3.0, -4.0), (2.0, -1.0, 4.0), (4.0, 2.0, -2.0))[number]
+    offset = ((-4.0, -4.0, -8.0), (-2.0, 1.0, -2.0), (2.0, -1.0, 4.0))[number]
     env.reset(options={"shape": ("cuboid", "trapezoid", "concave1")[number % 3], "offset_mm_deg": offset})
     *_, info = env.step(np.array([0.3, -0.4, 0.5], dtype=np.float32))
     return [float(value) for value in info["surface_diff_m"]]
 
 
 def test_renumbering_the_nodes_changes_no_verdict() -> None:
-    original = design("ridge")
+    original = own_sensors.designed("ridge")
     order = np.random.default_rng(0).permutation(len(original.gel.rest_position_m))
     number = np.argsort(order)
     gel = replace(
@@ -126,20 +121,20 @@ def test_cavity_runs_from_its_own_mesh() -> None:
     *_, info = env.step(np.array([-0.5, 0.7, 0.4], dtype=np.float32))
     assert env.scene.solved
     assert np.isfinite(observation["marker_flow"]).all()
-    solid = PegInsertionEnv(sensor=design("4 mm"))
+    solid = PegInsertionEnv(sensor=own_sensors.designed("4 mm"))
     solid.reset(options=START)
     *_, stiff = solid.step(np.array([-0.5, 0.7, 0.4], dtype=np.float32))
     assert not np.allclose(info["surface_diff_m"], stiff["surface_diff_m"], rtol=1e-2)
 
 
 def test_mesh_hash_tells_designs_apart() -> None:
-    hashes = {PegInsertionEnv(sensor=design(name)).mesh_hash() for name in ("2 mm", "4 mm", "ridge")}
+    hashes = {PegInsertionEnv(sensor=own_sensors.designed(name)).mesh_hash() for name in ("2 mm", "4 mm", "ridge")}
     assert len(hashes | {PegInsertionEnv().mesh_hash()}) == 4
-    assert PegInsertionEnv(gel=design("4 mm").gel).mesh_hash() not in hashes
+    assert PegInsertionEnv(gel=own_sensors.designed("4 mm").gel).mesh_hash() not in hashes
 
 
 def test_mesh_hash_changes_with_anything_that_a_team_draws() -> None:
-    sensor = design("ridge")
+    sensor = own_sensors.designed("ridge")
     moved = sensor.gel.rest_position_m.copy()
     moved[-1, 0] = np.nextafter(moved[-1, 0], 1.0)
     unsensing = sensor.gel.sensing.copy()

@@ -48,6 +48,18 @@ def test_continues_to_the_same_bits_as_often_as_asked(env: Any) -> None:
         assert played(env, actions[1:]) == first
 
 
+def test_another_action_shows_the_same_after_going_back_as_in_an_episode_without(env: Any) -> None:
+    """Both actions take as many IPC steps, so nothing may be remembered by their number."""
+    action = np.full(env.action_space.shape, 0.5, dtype=np.float32)
+    env.reset(seed=3)
+    snapshot = env.snapshot()
+    played(env, np.array([action]))
+    env.restore(snapshot)
+    again = played(env, np.array([-action]))
+    env.reset(seed=3)
+    assert again == played(env, np.array([-action]))
+
+
 def test_continues_after_episodes_of_other_shapes(env: Any) -> None:
     env.reset(seed=3)
     actions = actions_of(env, 2)

@@ -59,6 +59,15 @@ def pyramids(*, half_mm: float = 2.5, height_mm: float = 2.0) -> DrawnSurface:
     return _drawn(faces)
 
 
+def gable() -> DrawnSurface:
+    """A roof across the whole gel, whose foot and top meet the rim of the base."""
+    bends = [(-12.625, 2.0), (-0.7, 2.0), (1.5, 4.0), (3.7, 2.0), (12.625, 2.0)]
+    rim = [(12.625, 0.0), *reversed(bends), (-12.625, 0.0)]
+    front, back = (np.array([(x, y, z) for x, z in rim]) for y in (-10.375, 10.375))
+    sides = [Face(outline_mm=np.array([front[i], front[i - 1], back[i - 1], back[i]])) for i in range(len(rim))]
+    return _drawn([Face(outline_mm=front), Face(outline_mm=back[::-1]), *sides])
+
+
 def wedge() -> DrawnSurface:
     """A ramp that rises from the floor between two vertical walls, which fade to nothing at its foot."""
     a, b, c, d = (np.array([x, y]) for x, y in ((-5.0, -4.0), (5.0, -4.0), (5.0, 4.0), (-5.0, 4.0)))

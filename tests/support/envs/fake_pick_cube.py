@@ -78,7 +78,7 @@ def in_place_of_maniskill(monkeypatch: pytest.MonkeyPatch) -> FakePickCube:
         made.draws = draws
         return made
 
-    monkeypatch.setattr(adapter, "_made", make)
+    monkeypatch.setattr(adapter, "made", make)
     versions = {"mani-skill": "3.0.1", "sapien": "3.0.3", "torch": "2.13.0+cpu"}
     monkeypatch.setattr(adapter, "version", versions.__getitem__)
     return made

@@ -1,6 +1,7 @@
 """Sensors as teams would design them, ready to be simulated."""
 
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -22,6 +23,7 @@ GELS: dict[str, Callable[[], DrawnSurface]] = {
     "4 mm": lambda: drawn_gels.flat(4.0),
     "8 mm": lambda: drawn_gels.flat(8.0),
     "ridge": drawn_gels.ridge,
+    "gable": drawn_gels.gable,
     "pyramids": drawn_gels.pyramids,
     "dome": drawn_gels.dome,
 }
@@ -42,14 +44,21 @@ def design(
     mesh: str | None = None,
     wanted_nodes: int | None = None,
 ) -> SensorDesign:
-    """The design that a folder with these contents holds, meshed with at least so many nodes."""
+    """The design that a folder with these contents holds; with at least so many nodes, the tips are finer, too."""
     limits = sensor_limits()
     if wanted_nodes is not None:
-        limits = limits.model_copy(update={"wanted_nodes": wanted_nodes})
+        finer = {"wanted_nodes": wanted_nodes, "wanted_tip_nodes": 2 * limits.wanted_tip_nodes, "max_nodes": 1500}
+        limits = limits.model_copy(update=finer)
     with TemporaryDirectory() as name:
         found = check_sensor(write_sensor(Path(name), gel, f"camera: {camera}\nmarkers: {markers}\n", mesh), limits)
     assert found.design is not None, [finding for finding in found.findings if not finding.ok]
     return found.design
+
+
+@cache
+def designed(name: str) -> SensorDesign:
+    """The design of one of `GELS`, made once for all tests of this process."""
+    return design(GELS[name]())
 
 
 def write_sensor(folder: Path, gel: DrawnSurface, yaml: str = "{}", mesh: str | None = None) -> Path:

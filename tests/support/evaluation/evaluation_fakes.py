@@ -106,7 +106,12 @@ class FakePolicy:
 
 
 class FakeSession:
-    """A loaded policy; counts the episodes it has started and says whether it is open."""
+    """A loaded policy; counts the episodes it has started and says whether it is open.
+
+    Args:
+        answer: gives its actions.
+        plays: the task, and the shape of its actions.
+    """
 
     isolation = Isolation(
         user=UserIsolation.ROOT,
@@ -115,8 +120,9 @@ class FakeSession:
         process_ids_repeat=False,
     )
 
-    def __init__(self, answer: Answer) -> None:
+    def __init__(self, answer: Answer, plays: tuple[str, tuple[int, ...]] = ("peg-insertion", (3,))) -> None:
         self.answer = answer
+        self.plays = plays
         self.shards = 0
         self.started = 0
         self.open = False
@@ -138,7 +144,7 @@ class FakeSession:
     @contextmanager
     def episode(self, *, task: str, action_shape: tuple[int, ...], clouds: object = ()) -> Iterator[FakePolicy]:
         assert self.open
-        assert (task, action_shape) == ("peg-insertion", (3,))
+        assert (task, action_shape) == self.plays
         self.started += 1
         yield FakePolicy(self.answer, self.started)
 

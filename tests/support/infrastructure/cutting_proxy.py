@@ -52,7 +52,7 @@ class CuttingProxy:
 
     def _pass_on(self, client: socket.socket) -> None:
         try:
-            server = socket.create_connection(self.target, timeout=10.0)
+            server = socket.create_connection(self.target, timeout=60.0)
         except OSError:
             client.close()
             return

@@ -13,7 +13,7 @@ import httpx
 
 BUCKET = "arena"
 CREDENTIALS = {"AWS_ACCESS_KEY_ID": "test", "AWS_SECRET_ACCESS_KEY": "test", "AWS_REGION": "us-east-1"}
-START_LIMIT_S = 60.0
+START_LIMIT_S = 300.0
 
 
 class S3Server:
@@ -47,7 +47,7 @@ class S3Server:
         if self.process.poll() is not None:
             self.start()
         else:
-            httpx.post(f"{self.endpoint}/moto-api/reset", timeout=10).raise_for_status()
+            httpx.post(f"{self.endpoint}/moto-api/reset", timeout=60).raise_for_status()
             self._make_bucket()
 
     def kill(self) -> None:
@@ -73,10 +73,10 @@ class S3Server:
         return self._texts("?uploads", "Key")
 
     def _make_bucket(self) -> None:
-        httpx.put(f"{self.endpoint}/{BUCKET}", timeout=10).raise_for_status()
+        httpx.put(f"{self.endpoint}/{BUCKET}", timeout=60).raise_for_status()
 
     def _texts(self, query: str, tag: str) -> list[str]:
-        answer = httpx.get(f"{self.endpoint}/{BUCKET}{query}", timeout=30)
+        answer = httpx.get(f"{self.endpoint}/{BUCKET}{query}", timeout=60)
         answer.raise_for_status()
         found = ET.fromstring(answer.text).iter()  # noqa: S314 - of a server that the test has started
         return [element.text or "" for element in found if element.tag.rpartition("}")[2] == tag]

@@ -8,17 +8,23 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from uuid import UUID
 
 import quick_worker
 from databases import fresh_database
-from service_factories import make_principal, make_secret, make_settings
+from service_client import serving
+from service_factories import make_principal, make_secret, make_settings, play_all, submit
 from typer.testing import CliRunner, Result
 from vitac.cli.main import build_app
-from vitac.cli.service.web_server import WebServer, address_of, bind
+from vitac.server.accounts import teams
+from vitac.server.accounts.principals import Principal
 from vitac.server.db.engine import Database
+from vitac.server.db.states import Role
 from vitac.server.services import Services
 from vitac.server.storage.blobs import BlobStore
 from vitac.web.application import create
+
+from competitions import make_competition, put_in_place
 
 POLICY = (
     "import numpy as np\n\nclass Policy:\n    def reset(self, task): ...\n    def act(self, o): return np.zeros(3)\n"
@@ -73,21 +79,19 @@ def cli_service(state_dir: Path, team: str = "Team A", **values: Any) -> Iterato
         )
         with database.transaction() as session:
             token = make_secret(session, make_principal(session, team))
-        listener = bind("127.0.0.1", 0)
-        server = WebServer(app=create(services), listener=listener)
-        server.start()
-        environment = {
-            "VITAC_SERVER": address_of(listener),
-            "VITAC_TOKEN": token,
-            "VITAC_DATABASE_URL": database_address,
-            "VITAC_STATE_DIR": str(state_dir),
-            "COLUMNS": "200",
-            "XDG_CONFIG_HOME": str(state_dir / "config"),
-        }
         try:
-            yield CliService(address=address_of(listener), database=database, environment=environment)
+            with serving(create(services)) as (host, port):
+                address = f"http://{host}:{port}"
+                environment = {
+                    "VITAC_SERVER": address,
+                    "VITAC_TOKEN": token,
+                    "VITAC_DATABASE_URL": database_address,
+                    "VITAC_STATE_DIR": str(state_dir),
+                    "COLUMNS": "200",
+                    "XDG_CONFIG_HOME": str(state_dir / "config"),
+                }
+                yield CliService(address=address, database=database, environment=environment)
         finally:
-            server.stop()
             database.dispose()
 
 
@@ -106,3 +110,16 @@ def zip_of(**files: str) -> bytes:
         for name, content in files.items():
             archive.writestr(name, content)
     return buffer.getvalue()
+
+
+def evaluated_submission(service: CliService) -> tuple[Principal, UUID]:
+    """A finished submission of Team A, where appeals are possible, and who speaks for the team."""
+    with service.database.transaction() as session:
+        content = make_competition(appeal_days=7)
+        content["tracks"] = {"mail": content["tracks"]["track_1"] | {"taken_here": False}}
+        put_in_place(session, content)
+        team = teams.find(session, "Team A")
+        by = Principal(role=Role.TEAM, team_id=team.id, team_name=team.name)
+        submission = submit(session, by)
+    play_all(service.database, submission)
+    return by, submission.id

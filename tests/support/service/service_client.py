@@ -2,6 +2,7 @@
 
 import asyncio
 import io
+import shutil
 import socket
 import ssl
 import threading
@@ -9,11 +10,12 @@ import time
 import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import uvicorn
+from databases import copied_database
 from fastapi import FastAPI
 from httpx import Client, Response
 from service_factories import TASK, TRACK, make_principal, make_secret, make_settings
@@ -25,6 +27,9 @@ from vitac.server.settings import Settings
 from vitac.server.storage.blobs import BlobStore
 
 API = "/api/v1"
+ANSWER_LIMIT_S = 60.0
+"""A request that takes longer when its server ends makes its test fail: a page was left open, or something hangs."""
+
 MANIFEST = f"track: {TRACK}\ntasks: [{TASK}]\nname: zero\n"
 POLICY = """
 import numpy as np
@@ -103,6 +108,20 @@ def running_service(database: Database, state_dir: Path, **settings: Any) -> Ite
 
 
 @contextmanager
+def copied_service(service: Service, state_dir: Path) -> Iterator[Service]:
+    """A copy of a service that has ended, with the same tokens; tests may change it."""
+    shutil.copytree(service.settings.state_dir, state_dir, dirs_exist_ok=True)
+    settings = service.settings.model_copy(update={"state_dir": state_dir})
+    with copied_database(service.database.address) as database:
+        services = Services(
+            settings=settings, database=database, blobs=BlobStore.from_settings(settings), postgres=None
+        )
+        app = create_app(settings, services=services)
+        with serving(app) as address, _client(address) as client:
+            yield replace(service, services=services, client=client, address=address)
+
+
+@contextmanager
 def live_service(settings: Settings) -> Iterator[Service]:
     """A service that starts everything that the settings name."""
     with open_services(settings) as services, _served(services) as service:
@@ -134,7 +153,10 @@ def _served(services: Services) -> Iterator[Service]:
 
 
 class _QuickServer(uvicorn.Server):
-    """Ends as soon as it is asked to, where uvicorn looks ten times a second and then waits for a tenth of one."""
+    """Ends as soon as it is asked to, where uvicorn looks ten times a second and then waits for a tenth of one.
+
+    Once it has ended, none of its connections is left: the garbage collector would find it during another test.
+    """
 
     def __init__(self, app: FastAPI) -> None:
         super().__init__(uvicorn.Config(app, log_config=None, access_log=False))
@@ -147,11 +169,31 @@ class _QuickServer(uvicorn.Server):
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         for server in self.servers:
             server.close()
-        for connection in list(self.server_state.connections):
-            connection.shutdown()
-        await asyncio.sleep(0.005)  # the connections close
-        await asyncio.wait_for(self._wait_tasks_to_complete(), 2)
-        await self.lifespan.shutdown()
+        try:
+            async with asyncio.timeout(ANSWER_LIMIT_S):
+                await self._close_connections()
+        finally:
+            for task in self.server_state.tasks:
+                task.cancel()
+            await asyncio.gather(*self.server_state.tasks, return_exceptions=True)
+            for connection in self.server_state.connections:
+                connection.transport.abort()
+            await _next_rounds()
+            await self.lifespan.shutdown()
+
+    async def _close_connections(self) -> None:
+        await _next_rounds()
+        while self.server_state.connections or self.server_state.tasks:
+            for connection in self.server_state.connections:
+                if not connection.transport.is_closing():
+                    connection.shutdown()  # again and again: a client may just have connected
+            await asyncio.sleep(0.005)
+
+
+async def _next_rounds() -> None:
+    """Let a connection that was just accepted be made, and one that was just aborted be lost."""
+    for _ in range(5):
+        await asyncio.sleep(0)
 
 
 @contextmanager

@@ -3,6 +3,7 @@
 import hashlib
 from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
+from functools import cache
 from typing import Any, Protocol
 from uuid import UUID, uuid4
 
@@ -51,6 +52,7 @@ from vitac.server.uploads.checked_upload import CheckedUpload
 TRACK = "track_1"
 TASK = "peg-insertion"
 LOCK = "lock-opening"
+LEASE_S = 60.0
 ISOLATION = Isolation(
     user=UserIsolation.ROOT,
     memory=MemoryIsolation.CGROUP_V1,
@@ -204,6 +206,15 @@ def outdate(session: Session, version: str = "0+old") -> None:
 def make_record(
     episode: int, outcome: EpisodeOutcome = EpisodeOutcome.SUCCESS, task: str = TASK, **changes: Any
 ) -> EpisodeRecord:
+    return _changed_record(episode, outcome, task, **changes) if changes else _record(episode, outcome, task)
+
+
+@cache
+def _record(episode: int, outcome: EpisodeOutcome, task: str) -> EpisodeRecord:
+    return _changed_record(episode, outcome, task)
+
+
+def _changed_record(episode: int, outcome: EpisodeOutcome, task: str, **changes: Any) -> EpisodeRecord:
     listed = find_task(task)[1].episodes[episode - 1]
     steps = 3
     values: dict[str, Any] = {
@@ -253,7 +264,7 @@ def shard_ids(session: Session, submission: Submission) -> list[int]:
     return [shard.id for shard in sorted(newest.shards, key=lambda shard: shard.id)]
 
 
-def claim(database: Database, shard_id: int, worker_id: UUID | None = None, lease_s: float = 60.0) -> Lease:
+def claim(database: Database, shard_id: int, worker_id: UUID | None = None, lease_s: float = LEASE_S) -> Lease:
     with database.transaction() as session:
         lease = leases.claim(session, shard_id, worker_id or uuid4(), lease_s)
     assert lease is not None
@@ -275,8 +286,12 @@ def store(database: Database, lease: Lease, records: Iterable[EpisodeRecord]) ->
 
 def finish(database: Database, lease: Lease, end: ShardEnd = ShardEnd.COMPLETE) -> None:
     with database.transaction() as session:
-        result = ShardResult(index=lease.number, end=end, manifest=make_manifest(lease.task), isolation=ISOLATION)
-        lifecycle.finish_shard(session, lease, result)
+        _finish(session, lease, end)
+
+
+def _finish(session: Session, lease: Lease, end: ShardEnd = ShardEnd.COMPLETE) -> None:
+    result = ShardResult(index=lease.number, end=end, manifest=make_manifest(lease.task), isolation=ISOLATION)
+    lifecycle.finish_shard(session, lease, result)
 
 
 class RecordOf(Protocol):
@@ -289,18 +304,23 @@ def play(
     database: Database, shard_id: int, record_of: RecordOf = make_record, *, worker_id: UUID | None = None
 ) -> None:
     """Runs a shard from claim to end; all its episodes are stored at once, which is quicker than a worker."""
-    lease = claim(database, shard_id, worker_id)
-    rows = [row_values(lease, record_of(episode, task=lease.task)) for episode in lease.episodes]
     with database.transaction() as session:
-        session.execute(insert(EpisodeResult).on_conflict_do_nothing(), rows)
-    finish(database, lease)
+        _play(session, shard_id, record_of, worker_id)
 
 
 def play_all(database: Database, submission: Submission, record_of: RecordOf = make_record) -> None:
+    """Runs all shards of its newest evaluation, in one transaction."""
     with database.transaction() as session:
-        ids = shard_ids(session, submission)
-    for shard_id in ids:
-        play(database, shard_id, record_of)
+        for shard_id in shard_ids(session, submission):
+            _play(session, shard_id, record_of)
+
+
+def _play(session: Session, shard_id: int, record_of: RecordOf, worker_id: UUID | None = None) -> None:
+    lease = leases.claim(session, shard_id, worker_id or uuid4(), LEASE_S)
+    assert lease is not None
+    rows = [row_values(lease, record_of(episode, task=lease.task)) for episode in lease.episodes]
+    session.execute(insert(EpisodeResult).on_conflict_do_nothing(), rows)
+    _finish(session, lease)
 
 
 def state_of(session: Session, shard_id: int) -> Any:

@@ -5,14 +5,18 @@ from collections.abc import Iterable
 from starlette.routing import Route
 from vitac.web.pages.routes import EPISODE, pages
 
+BOARD = "/tracks/track_1?stage=stage1"
 PAGES_OF_ROLES = {
-    "visitor": ("/announcements", "/competition", "/join", "/sign-in"),
-    "other": ("/appeals",),
-    "judge": ("/appeals", "/judging", "SUBMISSION"),
-    "participant": ("/team", "/announcements", "/appeals", "SUBMISSION"),
-    "organizer": ("/desk", "/appeals", "/judging", "/rejudging", "/operations", "SUBMISSION"),
+    "visitor": ("/announcements", "/competition", "/join", "/sign-in", BOARD, "PUBLIC", "SUBMISSION"),
+    "other": ("/appeals", "PUBLIC", "SUBMISSION"),
+    "judge": ("/appeals", "/judging", BOARD, "SUBMISSION"),
+    "participant": ("/team", "/announcements", "/appeals", BOARD, "SUBMISSION"),
+    "organizer": ("/desk", "/appeals", "/judging", "/rejudging", "/operations", BOARD, "SUBMISSION"),
 }
-"""What each role looks at in a service (`test_people_in_browser`)."""
+"""What each role looks at in a service (`test_people_in_browser`).
+
+SUBMISSION is one of the participant's team, PUBLIC another one, which the team shares with everybody.
+"""
 WITH_SCENES = {
     EPISODE: "test_episodes_in_browser",
     "/submissions/{submission_id}/sensor": "test_sensors_in_browser",
@@ -26,7 +30,7 @@ DOWNLOADS = ("/document",)
 
 def unchecked(paths: Iterable[str]) -> list[str]:
     """Routes of pages that are looked at neither at these paths nor by a role nor with a scene."""
-    looked_at = [path.partition("?")[0] for path in paths] + [path for of in PAGES_OF_ROLES.values() for path in of]
+    looked_at = [path.partition("?")[0] for path in [*paths, *(path for of in PAGES_OF_ROLES.values() for path in of)]]
     return [
         route.path
         for route in pages().routes

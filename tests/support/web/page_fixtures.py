@@ -233,6 +233,7 @@ def a_submission(
         success_rate_interval=(result.interval.low, result.interval.high) if result else None,
         mean_steps=result.mean_steps if result else None,
         scores=scores,
+        counted_tasks=list(TASKS),
         evaluator_hash="01234567" * 8,
         platform_class="x86_64-linux",
         isolation=[] if state is EvaluationState.QUEUED else ["user-namespace, memory by cgroup-v2"],
@@ -548,6 +549,7 @@ class FixedData(FixedPlaybacks):
     registration_rule: Registration = Registration.OPEN
     locked_since: datetime | None = None
     cup: CompetitionView | None = None
+    decided_again_at: datetime | None = None
     service: OperationsView = field(default_factory=an_operations_view)
     public_one: PublicEpisodeView | None = None
     said: list[AnnouncementView] = field(default_factory=list)
@@ -606,10 +608,20 @@ class FixedData(FixedPlaybacks):
             raise ServiceError(ProblemCode.NOT_FOUND, "This service runs no competition.")
         return self.cup
 
+    async def stages(self, track: str) -> Sequence[StageView]:
+        tracks = self.cup.tracks if self.cup else ()
+        return next((found.stages for found in tracks if found.name == track), ())
+
     async def archive(self) -> ArchiveView:
         found = await self.competition()
         key = a_receipt().link.public_key
-        return ArchiveView(competition=found, boards=[self.board], public_key=key, citation="@misc{cup}")
+        return ArchiveView(
+            competition=found,
+            boards=[self.board],
+            public_key=key,
+            decided_again_at=self.decided_again_at,
+            citation="@misc{cup}",
+        )
 
     async def log_boards(self, track: str, stage: str | None = None) -> LogBoardsView:
         return self.logs.model_copy(update={"stage": stage})
@@ -721,10 +733,10 @@ class FixedData(FixedPlaybacks):
         return [LimitRow(title="Processes and threads", value="64")]
 
 
-def an_application(data: FixedData) -> FastAPI:
+def an_application(data: FixedData, tracks: tuple[str, ...] = ("track_1",)) -> FastAPI:
     """Pages over fixed content, as `vitac serve` mounts them."""
     app = FastAPI(docs_url=None, redoc_url=None)
     app.state.settings = load_settings(database_url="postgresql:///elsewhere")
     problems.install(app)
-    routes.install(app, Site(data=data, signer=SIGNER, version="0.1.0", tracks=("track_1",)))
+    routes.install(app, Site(data=data, signer=SIGNER, version="0.1.0", tracks=tracks))
     return app

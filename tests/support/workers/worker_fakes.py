@@ -93,7 +93,7 @@ class FakeShards:
             shard.kill()
 
 
-def eventually(holds: Callable[[], bool], limit_s: float = 30.0) -> None:
+def eventually(holds: Callable[[], bool], limit_s: float = 120.0) -> None:
     """Waits until it holds, and looks less often as time goes on: looking takes time from what is waited for."""
     deadline, pause_s = time.monotonic() + limit_s, 0.005
     while not holds():

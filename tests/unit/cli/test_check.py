@@ -12,6 +12,7 @@ from submissions import submission_folder
 from typer.testing import CliRunner, Result
 from vitac.cli.main import build_app
 from vitac.envs.errors import VitacError
+from vitac.evaluator.agent.verdicts import VerdictCode
 from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord
 from vitac.evaluator.tracks import load_track
 
@@ -21,7 +22,7 @@ LAST = len(load_track("track_1").tasks["peg-insertion"].episodes)
 @pytest.fixture
 def played(monkeypatch: pytest.MonkeyPatch) -> list[EpisodeRecord]:
     """The records of the two episodes, which a test may change."""
-    records = [make_record(1, env_steps=4), make_record(LAST, EpisodeOutcome.STEPS, env_steps=8)]
+    records = [make_record(1, env_steps=1), make_record(LAST, EpisodeOutcome.STEPS, env_steps=8)]
 
     def evaluate(*, episodes: list[int], **_: Any) -> SimpleNamespace:
         assert episodes == [1, LAST]
@@ -44,10 +45,20 @@ def test_what_is_in_order_is_listed_with_the_digest(tmp_path: Path) -> None:
     assert lines[:4] == [
         "ok       the files follow the archive rules",
         "ok       submission.yaml is complete: test policy, peg-insertion",
-        f"ok       peg-insertion, episode 1: 4 env steps, outcome success. {EpisodeOutcome.SUCCESS.sentence}",
+        f"ok       peg-insertion, episode 1: 1 env step, outcome success. {EpisodeOutcome.SUCCESS.sentence}",
         f"ok       peg-insertion, episode {LAST}: 8 env steps, outcome steps. {EpisodeOutcome.STEPS.sentence}",
     ]
     assert lines[4].startswith("All checks passed. Digest ")
+
+
+def test_no_advice_is_to_run_the_command_that_gives_it(tmp_path: Path, played: list[EpisodeRecord]) -> None:
+    folder = submission_folder(tmp_path)
+    for code in VerdictCode:
+        played[0] = make_record(1, EpisodeOutcome.POLICY_FAILED, 1, failure=make_failure(code=code))
+        result = check(folder)
+        assert result.exit_code == 1
+        assert f"{code}. It ended with signal 11. {code.sentence}" in result.stdout
+        assert "vitac check" not in result.stdout
 
 
 def test_a_failure_is_a_refusal_with_the_last_twenty_lines_of_output(

@@ -1,10 +1,8 @@
 import json
-import sys
 import zipfile
 from importlib.util import find_spec
 from pathlib import Path
 
-import fake_shard_process
 import numpy as np
 import pytest
 import typer
@@ -14,13 +12,8 @@ from vitac.evaluator.agent.verdicts import VerdictCode
 from vitac.evaluator.episodes.records import result_hash
 from vitac.evaluator.evaluation.report import EvaluationReport
 from vitac.evaluator.logs.log import LogReader
-from vitac.evaluator.shards import process as shard_process
 
-
-@pytest.fixture(autouse=True)
-def fake_command(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(shard_process, "COMMAND", (sys.executable, fake_shard_process.__file__))
-    monkeypatch.delenv("VITAC_ASSETS_DIR", raising=False)
+pytestmark = pytest.mark.usefixtures("fake_command")
 
 
 @pytest.fixture

@@ -107,7 +107,7 @@ def test_assets_come_from_the_option_or_the_environment(
     ("arguments", "code", "message"),
     [
         ([], 2, "Missing option '--task'"),
-        (["--task", "peg"], 1, "There is no task 'peg'; the tasks are"),
+        (["--task", "peg"], 1, "There is no task 'peg'; did you mean lift-peg-upright or peg-insertion"),
     ],
 )
 def test_unknown_task_is_refused(

@@ -161,3 +161,16 @@ def test_files_that_commands_name_exist(repository: Path) -> None:
                     if not any(repository.glob(found.rstrip("/."))) and "/tutorial_" not in found:
                         missing.append(f"{name}: {line}: {found}")
     assert missing == []
+
+
+def test_commands_to_type_are_those_of_a_checkout(repository: Path) -> None:
+    """Who follows a document there has no `vitac` on the path; the quick start says what to write without one."""
+    typed = [
+        (name, line)
+        for name, markdown in documents(repository)
+        for language, block in FENCE.findall(markdown)
+        for line in block.splitlines()
+        if language in ("", "sh") and re.match(r"(?:\S+=\S+ )*(?:\./)?vitac [a-z-]", line)
+    ]
+    assert [each for each in typed if not re.match(r"(?:\S+=\S+ )*\./vitac ", each[1])] == []
+    assert len(typed) > 100

@@ -1,6 +1,7 @@
 """What the documents say exists: files that they link to, commands that they show, settings that they name."""
 
 import re
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -20,6 +21,14 @@ def headings(document: Path) -> set[str]:
     """The anchors of a document's headings, as the usual renderers make them."""
     titles = re.findall(r"^#+ (.+)$", document.read_text(), re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", title.lower()).strip().replace(" ", "-") for title in titles}
+
+
+def test_the_changelog_says_each_thing_once(repository: Path) -> None:
+    """Lines that two changes add are merged by keeping both, which brings back what one of them had moved."""
+    lines = (repository / "CHANGELOG.md").read_text(encoding="utf-8").splitlines()
+    begins = Counter(line[:40] for line in lines if line.startswith("- "))
+    assert len(begins) > 100
+    assert {begin for begin, times in begins.items() if times > 1} == set()
 
 
 def test_links_lead_somewhere(repository: Path) -> None:
@@ -44,6 +53,17 @@ def test_documents_of_the_site_link_to_no_document_outside_it(repository: Path) 
             if "://" not in target and not (document.parent / target).resolve().is_relative_to(site):
                 outside.append(f"{document.relative_to(site)}: {target}")
     assert outside == []
+
+
+def test_columns_of_tables_have_headings(repository: Path) -> None:
+    """Screen readers say the heading of a column before each cell."""
+    heads = [
+        (document.name, head)
+        for document in documents(repository)
+        for head in re.findall(r"^\|(.+)\|\n\|[ :|-]+\|$", document.read_text(), re.MULTILINE)
+    ]
+    assert len(heads) > 50
+    assert [(name, head) for name, head in heads if not all(cell.strip() for cell in head.split("|"))] == []
 
 
 def test_commands_shown_exist(repository: Path) -> None:

@@ -53,4 +53,4 @@ def test_no_descriptor_is_left_open(tmp_path: Path) -> None:
     for _ in range(3):
         with pytest.raises(OSError, match="no regular file"):
             read_start(tmp_path / "pipe", 10)
-    assert len(list(Path("/proc/self/fd").iterdir())) == before
+    assert len(list(Path("/proc/self/fd").iterdir())) <= before

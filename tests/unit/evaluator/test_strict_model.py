@@ -1,5 +1,6 @@
 """What is wrong with a file is said in short sentences, with the nearest valid key."""
 
+from pathlib import Path
 from typing import Literal, Self
 
 import pytest
@@ -13,6 +14,7 @@ from vitac.evaluator.strict_model import (
     explain,
     parse_untrusted_yaml,
     parse_yaml,
+    read_yaml,
     validate,
 )
 
@@ -142,6 +144,16 @@ def test_text_that_is_no_document_is_refused_in_one_line(text: str, reason: str)
             parse(Camera, text, "camera.yaml")
         assert str(rejection.value).startswith(reason)
         assert "\n" not in str(rejection.value)
+
+
+def test_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "camera.yaml"
+    path.write_text("name: left")
+    assert read_yaml(Camera, path).name == "left"
+    path.write_bytes(b"name: \xff")
+    for file, reason in ((path, "can't decode byte 0xff"), (tmp_path, "Is a directory"), (tmp_path / "a", "No such")):
+        with pytest.raises(DocumentRejected, match=f"{file} cannot be read: .*{reason}"):
+            read_yaml(Camera, file)
 
 
 @pytest.mark.parametrize("text", ["name: !!str a", "name: &a a\nwidth: *a", "name: !!python/object:os.system a"])

@@ -1,11 +1,13 @@
 """YAML is read as plain data: no key twice, and of untrusted documents no tags, aliases or large values."""
 
+from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from vitac.evaluator import tracks
 from vitac.evaluator.strict_yaml import UNTRUSTED_MAX_DEPTH, UNTRUSTED_MAX_NODES, UniqueKeyLoader, UntrustedLoader
 
 BOTH = pytest.mark.parametrize("loader", [UniqueKeyLoader, UntrustedLoader])
@@ -16,26 +18,31 @@ PLAIN = st.recursive(
 )
 
 
-def load(text: str, loader: type[UniqueKeyLoader]) -> Any:
+OWN_DOCUMENTS = sorted(Path(tracks.__file__).parent.glob("*.yaml"))
+
+
+def load(text: str, loader: type[UniqueKeyLoader | UntrustedLoader]) -> Any:
     return yaml.load(text, Loader=loader)  # noqa: S506 - both derive from SafeLoader
 
 
 @BOTH
 @settings(max_examples=25)
 @given(value=PLAIN)
-def test_plain_values_are_read_as_they_were_written(loader: type[UniqueKeyLoader], value: object) -> None:
+def test_plain_values_are_read_as_they_were_written(
+    loader: type[UniqueKeyLoader | UntrustedLoader], value: object
+) -> None:
     assert load(yaml.safe_dump({"value": value}), loader) == {"value": value}
 
 
 @BOTH
 @pytest.mark.parametrize("text", ["a: 1\na: 1", "a: 1\n'a': 2", "x: {a: 1, a: 2}", "1: a\n1: b", "[{b: 1, b: 2}]"])
-def test_a_key_twice_is_refused(loader: type[UniqueKeyLoader], text: str) -> None:
+def test_a_key_twice_is_refused(loader: type[UniqueKeyLoader | UntrustedLoader], text: str) -> None:
     with pytest.raises(yaml.YAMLError, match="is given twice"):
         load(text, loader)
 
 
 @BOTH
-def test_a_long_key_is_cut_in_the_message(loader: type[UniqueKeyLoader]) -> None:
+def test_a_long_key_is_cut_in_the_message(loader: type[UniqueKeyLoader | UntrustedLoader]) -> None:
     key = "k" * 500
     with pytest.raises(yaml.YAMLError) as refused:
         load(f"{key}: 1\n{key}: 2", loader)
@@ -44,7 +51,7 @@ def test_a_long_key_is_cut_in_the_message(loader: type[UniqueKeyLoader]) -> None
 
 @BOTH
 @pytest.mark.parametrize("text", ["? [a, b]\n: 1", "? {a: 1}\n: 1"])
-def test_a_key_is_text(loader: type[UniqueKeyLoader], text: str) -> None:
+def test_a_key_is_text(loader: type[UniqueKeyLoader | UntrustedLoader], text: str) -> None:
     with pytest.raises(yaml.YAMLError, match="a key must be text, expected no list or mapping"):
         load(text, loader)
 
@@ -112,3 +119,23 @@ def test_an_untrusted_document_may_be_as_deep_as_allowed_and_no_deeper() -> None
 def test_depth_is_counted_along_one_branch() -> None:
     branch = "[" * (UNTRUSTED_MAX_DEPTH - 1) + "]" * (UNTRUSTED_MAX_DEPTH - 1)
     assert len(load(f"[{', '.join([branch] * 5)}]", UntrustedLoader)) == 5
+
+
+def test_the_fast_reader_finds_in_our_documents_what_the_slow_one_does() -> None:
+    assert OWN_DOCUMENTS
+    for file in OWN_DOCUMENTS:
+        text = file.read_text(encoding="utf-8")
+        assert load(text, UniqueKeyLoader) == yaml.safe_load(text), file.name
+
+
+@pytest.mark.skipif(not yaml.__with_libyaml__, reason="PyYAML has no libyaml here")
+def test_documents_of_our_own_are_read_by_libyaml_and_untrusted_ones_by_what_counts_their_values() -> None:
+    assert issubclass(UniqueKeyLoader, yaml.CSafeLoader)
+    assert not issubclass(UntrustedLoader, yaml.CSafeLoader)
+
+
+@BOTH
+@pytest.mark.parametrize("text", ["a: [1", "a: 1\n\tb: 2", "a: 'b", "- a\nb: 1", "a: b: c"])
+def test_what_is_no_yaml_is_refused_with_its_line(loader: type[UniqueKeyLoader | UntrustedLoader], text: str) -> None:
+    with pytest.raises(yaml.YAMLError, match=r"line [12], column"):
+        load(text, loader)

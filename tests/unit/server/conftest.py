@@ -2,6 +2,8 @@ from collections.abc import Iterator
 
 import pytest
 from databases import fresh_database
+from quota_clock import QuotaClock
+from vitac.server.accounts import quotas
 from vitac.server.db.engine import Database
 
 
@@ -12,3 +14,11 @@ def database() -> Iterator[Database]:
         database = Database(address)
         yield database
         database.dispose()
+
+
+@pytest.fixture
+def quota_clock(monkeypatch: pytest.MonkeyPatch) -> QuotaClock:
+    """The clock of quotas, which stands still."""
+    clock = QuotaClock()
+    monkeypatch.setattr(quotas, "datetime", clock)
+    return clock

@@ -105,6 +105,24 @@ def test_work_that_fails_stops_none_of_the_other_work(services: Services, monkey
     assert (tried.count("prune"), tried.count("_issue_older_receipts")) == (1, 1)
 
 
+def test_only_lost_shards_are_looked_for_in_every_round(services: Services, monkeypatch: pytest.MonkeyPatch) -> None:
+    done: list[str] = []
+    monkeypatch.setattr(housekeeping, "prune", lambda _: None)
+    monkeypatch.setattr(Housekeeping, "_sweep", lambda _: done.append("shards"))
+    monkeypatch.setattr(housekeeping, "supersede_outdated", lambda *_: done.append("versions"))
+    monkeypatch.setattr(work, "recover", lambda *_: done.append("playbacks"))
+    keeper = Housekeeping(services)
+    keeper.start()
+    eventually(lambda: done.count("shards") > 3)
+    assert done[:3] == ["shards", "versions", "playbacks"]
+    assert set(done[3:]) == {"shards"}
+    before = len(done)
+    monkeypatch.setattr(housekeeping, "OTHERS_EVERY_S", 0.0)
+    eventually(lambda: done.count("playbacks") > 2)
+    keeper.stop()
+    assert [what for what in done[before:] if what != "shards"][:4] == 2 * ["versions", "playbacks"]
+
+
 def leases_lost(services: Services) -> float:
     with services.database.transaction() as session:
         return totals(session).get(SeriesKey("vitac_leases_lost_total"), 0.0)

@@ -4,7 +4,7 @@ import pytest
 from service_factories import make_settings
 from vitac.evaluator.tracks import list_tracks, load_track
 from vitac.server.errors import ProblemCode, ServiceError
-from vitac.server.tracks import load_known_track, require_task, track_view, track_views
+from vitac.server.tracks import known_task, known_track, load_known_track, require_task, track_view, track_views
 
 
 @pytest.mark.parametrize("name", list_tracks())
@@ -32,6 +32,13 @@ def test_an_unknown_task_is_refused_with_the_tracks_own() -> None:
     assert refused.value.detail == (
         f"Track 'track_1' has no task 'fusion-insertion'; its tasks are {', '.join(track.tasks)}."
     )
+
+
+def test_what_a_submission_has_kept_of_a_removed_track_is_not_known() -> None:
+    assert known_track("track_1") is load_track("track_1")
+    assert known_task("track_1", "peg-insertion") is load_track("track_1").tasks["peg-insertion"]
+    assert known_track("gone") is None
+    assert [known_task("gone", "peg-insertion"), known_task("track_1", "gone")] == [None, None]
 
 
 def test_all_tracks_are_shown() -> None:

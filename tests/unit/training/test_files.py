@@ -86,7 +86,7 @@ def test_stopping_in_the_middle_keeps_what_was_saved_before(tmp_path: Path, monk
 
 def test_folder_that_cannot_be_made_is_told(tmp_path: Path) -> None:
     (tmp_path / "taken").write_text("a file")
-    with pytest.raises(NotSaved, match=r"taken/log.jsonl cannot be written"):
+    with pytest.raises(NotSaved, match=r"taken/log.jsonl cannot be written \(File exists\); give a folder that can be"):
         write_text(tmp_path / "taken" / "log.jsonl", "text")
 
 

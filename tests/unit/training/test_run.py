@@ -17,7 +17,7 @@ from vitac.training.files import FileDamaged
 from vitac.training.learning.network import Learner, TrainingDiverged
 from vitac.training.recipe import AssessorRecipe, CriticRecipe, Recipe, StudentRecipe
 from vitac.training.run import Folder, OtherRun, RoundResult, Run, best, results_of, told
-from vitac.training.streams import Use, stream
+from vitac.training.streams import StreamRefused, Use, stream
 
 RECIPE = Recipe(
     task="peg-insertion",
@@ -171,6 +171,26 @@ def test_collecting_first_is_what_the_run_does_first(tmp_path: Path, toy: list[T
     assert len(toy[0].resets) == episodes + 20 + 10 + 4 * 10
 
 
+def test_second_run_in_the_same_folder_is_refused_and_changes_nothing(tmp_path: Path) -> None:
+    short, tried = RECIPE.model_copy(update={"rounds": 1, "chosen_by": 2}), []
+
+    def try_too(line: str) -> None:
+        if line.startswith(("random episodes: 1", "round 1 of 1")):
+            before = files(tmp_path)
+            for use in (run(tmp_path, short).go, run(tmp_path, short).collect_first):
+                with pytest.raises(
+                    OtherRun, match=r"Another process trains in .*; wait for it, or give another folder"
+                ):
+                    use()
+            assert files(tmp_path) == before
+            tried.append(line.partition(":")[0])
+
+    first = Run(recipe=short, folder=Folder(path=tmp_path), tell=try_too)
+    assert first.collect_first() == run(tmp_path, short).collect_first() == 60, "free again"
+    assert first.go() == run(tmp_path, short).go()
+    assert tried == ["random episodes", "random episodes", "round 1 of 1"], "in both verbs, and at the end"
+
+
 def test_folder_of_another_recipe_is_refused(tmp_path: Path) -> None:
     run(tmp_path).collect_first()
     other = RECIPE.model_copy(update={"seed": 3})
@@ -194,9 +214,21 @@ def test_folder_that_does_not_say_what_it_is_for_is_refused(tmp_path: Path) -> N
             run(tmp_path).go()
     described.unlink()
     before = files(tmp_path)
-    with pytest.raises(OtherRun, match=r"holds rounds but no run.json that says of which recipe; give another folder"):
+    with pytest.raises(
+        OtherRun, match=r"holds a training but no run.json that says of which recipe; give another folder"
+    ):
         run(tmp_path, RECIPE.model_copy(update={"seed": 3})).go()
     assert files(tmp_path) == before
+
+
+def test_seed_of_an_official_list_is_refused_before_anything_is_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for use in Use:
+        monkeypatch.setattr("vitac.training.streams.FIRST_STREAM", -10 * RECIPE.seed - use)  # its stream is list 0
+        with pytest.raises(StreamRefused, match="Seed 0 is that of the official list of peg-insertion"):
+            run(tmp_path / "run").collect_first()
+    assert not (tmp_path / "run").exists()
 
 
 def test_folder_of_other_training_code_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,5 +1,6 @@
 import re
 from datetime import UTC, datetime, timedelta, timezone
+from pathlib import Path
 
 import jinja2
 import pytest
@@ -108,7 +109,7 @@ def test_an_undefined_name_is_an_error() -> None:
 
 def test_every_template_compiles() -> None:
     names = environment().list_templates()
-    assert {"layout.html", "leaderboard.html", "submission_live.html"} <= set(names)
+    assert {"layout.html", "leaderboard.html", "submission_live.html", "people/appeals.html"} <= set(names)
     for name in names:
         environment().get_template(name)
 
@@ -147,3 +148,21 @@ def test_templates_hold_no_inline_script_or_style() -> None:
 )
 def test_writes_a_value_of_an_info_with_four_figures(value: object, text: str) -> None:
     assert rendering.quantity(value) == text
+
+
+def test_templates_are_those_of_the_start_whatever_becomes_of_the_files(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "people").mkdir()
+    (tmp_path / "people" / "row.html").write_text("{{ name }}")
+    (tmp_path / "notes.txt").write_text("no template")
+    (tmp_path / "page.html").write_text("{% include 'people/row.html' %} · today", encoding="utf-8")
+    latin = lambda file, encoding="latin-1": file.read_bytes().decode(encoding)  # noqa: E731 - as where LANG says so
+    monkeypatch.setattr(Path, "read_text", latin)
+    templates = rendering.read_templates(tmp_path)
+    assert sorted(templates) == ["page.html", "people/row.html"]
+    monkeypatch.setattr(rendering, "TEMPLATES", templates)
+    jinja = rendering.environment.__wrapped__()
+    (tmp_path / "page.html").write_text("{{ made_by_later_code }}")
+    (tmp_path / "people" / "row.html").unlink()
+    assert jinja.get_template("page.html").render(name="Gelbots") == "Gelbots · today"

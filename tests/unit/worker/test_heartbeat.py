@@ -26,7 +26,7 @@ def test_worker_of_another_schema_ends_and_says_which_it_expected(
         assert not ended.wait(0.3)
         with services.database.transaction() as session:
             session.execute(text(change))
-        assert ended.wait(20.0)
+        assert ended.wait(120.0)
         heartbeat.stop()
     (said,) = [line["message"] for line in logs if line["event"] == "other_schema"]
     assert said.startswith(f"The database has schema {installed}, expected {newest_revision()}.")

@@ -77,7 +77,7 @@ def raising(error: Exception) -> Callable[..., None]:
 
 
 def ended_by_kill(run: FakeRun) -> None:
-    assert run.process.killed.wait(20.0)
+    assert run.process.killed.wait(120.0)
 
 
 def stopped_from_outside(run: FakeRun) -> None:
@@ -87,7 +87,7 @@ def stopped_from_outside(run: FakeRun) -> None:
 
 def renewed_thrice(run: FakeRun) -> None:
     for _ in range(3):
-        assert run.renewed.acquire(timeout=20.0)
+        assert run.renewed.acquire(timeout=120.0)
 
 
 def test_finished_work_leaves_no_thread_and_says_nothing(tmp_path: Path) -> None:

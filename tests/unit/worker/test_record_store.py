@@ -21,7 +21,7 @@ class Database:
         self.given_up = threading.Event()
 
     def store(self, records: Sequence[EpisodeRecord]) -> None:
-        self.lets_in.wait(30.0)
+        self.lets_in.wait(120.0)
         if self.refuses:
             raise LeaseLost("Shard 1 is no longer held under token 1.")
         self.stored.append([record.episode for record in records])
@@ -76,7 +76,7 @@ def test_failure_ends_the_shard_at_once_and_is_raised_where_the_shard_is_run(
 ) -> None:
     database.refuses = True
     store.add(make_record(1))
-    assert database.given_up.wait(30.0)
+    assert database.given_up.wait(120.0)
     store.add(make_record(2))
     with pytest.raises(LeaseLost, match="no longer held"):
         store.close()

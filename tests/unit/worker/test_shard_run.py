@@ -1,13 +1,15 @@
 import errno
 import hashlib
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
+from psycopg.errors import DiskFull
 from service_factories import (
     claim,
     make_failed_record,
@@ -22,7 +24,10 @@ from service_factories import (
 )
 from small_disk import FILLER, fill, make_room, small_disk
 from sqlalchemy import select, text
+from sqlalchemy.exc import DBAPIError
+from sqlalchemy.orm import Session
 from structlog.testing import capture_logs
+from vitac.evaluator.episodes.records import EpisodeRecord
 from vitac.evaluator.figures.figures import FiguresPart
 from vitac.evaluator.shards.order import ShardOrder
 from vitac.evaluator.shards.process import ShardProcessFailed
@@ -32,12 +37,13 @@ from vitac.server.competition import sealing
 from vitac.server.db.models import EpisodeResult, Shard, Submission, SubmissionFile
 from vitac.server.db.states import EvaluationState, Role, ShardState
 from vitac.server.errors import ProblemCode, ServiceError
+from vitac.server.evaluations.episode_store import store_episodes
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.queue.leases import Lease
 from vitac.server.services import Services
 from vitac.server.storage.blobs import BlobStore, StoredFileLost
 from vitac.server.submissions import creation, runs
-from vitac.worker import leased_run
+from vitac.worker import leased_run, record_store, shard_run
 from vitac.worker.leased_run import RunEnd
 from vitac.worker.shard_run import ShardRun
 from vitac.worker.staging import SubmissionStage
@@ -75,7 +81,7 @@ def run_in_thread(run: ShardRun) -> Callable[[], RunEnd]:
     thread.start()
 
     def wait() -> RunEnd:
-        thread.join(30.0)
+        thread.join(120.0)
         assert ends, "the run did not end"
         return ends[0]
 
@@ -109,11 +115,34 @@ def test_shard_is_run_from_the_unpacked_submission_and_ended(
         )
 
 
-def test_each_episode_is_stored_soon_after_it_is_over(services: Services, stage: SubmissionStage, lease: Lease) -> None:
+def test_each_episode_is_stored_soon_after_it_is_over(
+    services: Services, stage: SubmissionStage, lease: Lease, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(record_store, "TOGETHER_S", 0.01)
+
     def gate(number: int) -> None:
         eventually(lambda: stored_numbers(services) == list(range(1, number)))
 
     assert ShardRun(services, stage, lease, FakeShards(gate=gate)).run() is RunEnd.FINISHED
+
+
+def test_what_the_policy_could_import_is_asked_for_once_in_a_shard_and_again_where_storing_failed(
+    services: Services, stage: SubmissionStage, lease: Lease, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = []
+
+    def store(session: Session, lease: Lease, records: Sequence[EpisodeRecord], *, notes_packages: bool) -> None:
+        asked.append(notes_packages)
+        if len(asked) == 1:
+            raise DBAPIError("INSERT", {}, DiskFull("no space left"))
+        store_episodes(session, lease, records, notes_packages=notes_packages)
+
+    monkeypatch.setattr(record_store, "TOGETHER_S", 0.01)
+    monkeypatch.setattr(shard_run, "store_episodes", store)
+    shards = FakeShards(gate=lambda number: eventually(lambda: len(stored_numbers(services)) >= min(number - 1, 2)))
+    assert ShardRun(services, stage, lease, shards).run() is RunEnd.FINISHED
+    assert asked[:3] == [True, True, False]
+    assert not any(asked[3:])
 
 
 def test_episodes_before_the_death_of_the_process_are_stored(
@@ -284,11 +313,11 @@ def test_cancel_kills_the_process_within_a_renewal(
         if number == 5:
             eventually(lambda: stored_numbers(services) == [1, 2, 3, 4])
             running.set()
-            assert shards.started[0].killed.wait(20.0)
+            assert shards.started[0].killed.wait(120.0)
 
     shards.gate = gate
     wait = run_in_thread(ShardRun(services, stage, lease, shards))
-    running.wait(20.0)
+    running.wait(120.0)
     with services.database.transaction() as session:
         runs.cancel(session, make_principal_of(submission), submission.id)
     assert wait() is RunEnd.LOST
@@ -324,12 +353,12 @@ def test_stopped_worker_gives_the_shard_back_without_an_attempt(
     def gate(number: int) -> None:
         if number == 3:
             running.set()
-            assert shards.started[0].killed.wait(20.0)
+            assert shards.started[0].killed.wait(120.0)
 
     shards.gate = gate
     run = ShardRun(services, stage, lease, shards)
     wait = run_in_thread(run)
-    running.wait(20.0)
+    running.wait(120.0)
     run.stop()
     assert wait() is RunEnd.HANDED_BACK
     with services.database.transaction() as session:
@@ -366,7 +395,7 @@ def test_process_that_hangs_is_ended_and_reported(
 
     def gate(number: int) -> None:
         if number == 1:
-            assert shards.started[-1].killed.wait(20.0)
+            assert shards.started[-1].killed.wait(120.0)
 
     shards.gate = gate
     assert ShardRun(impatient, stage, lease, shards).run() is RunEnd.BROKE
@@ -378,16 +407,19 @@ def test_process_that_hangs_is_ended_and_reported(
 
 
 def test_process_that_stored_episodes_before_it_hung_costs_no_attempt(
-    services: Services, stage: SubmissionStage, lease: Lease
+    services: Services, stage: SubmissionStage, lease: Lease, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    impatient = replace(
-        services, settings=services.settings.model_copy(update={"shard_idle_timeout_s": 0.3, "shard_attempts": 1})
-    )
-    shards = FakeShards()
+    impatient = replace(services, settings=services.settings.model_copy(update={"shard_attempts": 1}))
+    shards, passed_s = FakeShards(), [0.0]
+    monkeypatch.setattr(leased_run, "time", SimpleNamespace(monotonic=lambda: passed_s[0]))
 
     def gate(number: int) -> None:
+        def is_ended() -> bool:
+            passed_s[0] += 2 * services.settings.shard_idle_timeout_s
+            return shards.started[-1].killed.is_set()
+
         if number == 4:
-            assert shards.started[-1].killed.wait(20.0)
+            eventually(is_ended)
 
     shards.gate = gate
     assert ShardRun(impatient, stage, lease, shards).run() is RunEnd.BROKE

@@ -58,7 +58,7 @@ def working(services: Services, shards: FakeShards, **options: Any) -> Iterator[
         yield worker
     finally:
         worker.stop()
-        thread.join(30.0)
+        thread.join(120.0)
         housekeeping.stop()
         stage.close()
         assert not thread.is_alive()
@@ -94,7 +94,7 @@ def test_two_workers_share_the_shards_and_give_the_same_hash(services: Services,
 
     def gate(number: int) -> None:
         if number in (1, 31):
-            both_at_work.wait(20.0)
+            both_at_work.wait(120.0)
 
     with working(services, FakeShards(gate=gate)), working(services, FakeShards(gate=gate)):
         eventually(lambda: state(services, shared) is EvaluationState.COMPLETED)
@@ -128,11 +128,11 @@ def test_stopped_worker_gives_its_shard_back_and_another_one_goes_on(services: S
     def gate(number: int) -> None:
         if number == 5:
             at_five.set()
-            shards.started[-1].killed.wait(20.0)
+            shards.started[-1].killed.wait(120.0)
 
     shards.gate = gate
     with working(services, shards):
-        assert at_five.wait(20.0)
+        assert at_five.wait(120.0)
     with services.database.transaction() as session:
         first = session.get_one(Shard, shard_ids(session, submission)[0])
         assert (first.state, first.attempts) == (ShardState.QUEUED, 0)
@@ -165,14 +165,14 @@ def test_cancel_frees_the_worker_for_the_next_submission(services: Services, arc
     def gate(number: int) -> None:
         if len(shards.started) == 1:
             hung.set()
-            shards.started[0].killed.wait(20.0)
+            shards.started[0].killed.wait(120.0)
 
     shards.gate = gate
     with working(services, shards):
-        assert hung.wait(20.0)
+        assert hung.wait(120.0)
         with services.database.transaction() as session:
             runs.cancel(session, CONSOLE, hanging.id)
-        assert shards.started[0].killed.wait(20.0)
+        assert shards.started[0].killed.wait(120.0)
         other = submit(services, archive_sha256, "Team B", digest="b" * 64)
         eventually(lambda: state(services, other) is EvaluationState.COMPLETED)
 
@@ -189,7 +189,7 @@ def test_slots_run_shards_at_the_same_time(services: Services, archive_sha256: s
 
     def gate(number: int) -> None:
         if number in (1, 31, 61):
-            together.wait(20.0)
+            together.wait(120.0)
 
     submission = submit(services, archive_sha256)
     with working(several, FakeShards(gate=gate)):

@@ -1,4 +1,4 @@
-"""The archive of a competition that is final: winners, boards as they were, how to cite; nothing on it changes."""
+"""The archive of a competition that is final: winners, boards as they were, how to cite."""
 
 from __future__ import annotations
 
@@ -26,6 +26,8 @@ async def archive(request: Request) -> Response:
         found=found.competition,
         boards=found.boards,
         public_key=found.public_key,
+        decided_again_at=found.decided_again_at,
         citation=found.citation,
         titles={track.name: track.title for track in found.competition.tracks},
+        stages={(track.name, stage.name): stage.title for track in found.competition.tracks for stage in track.stages},
     )

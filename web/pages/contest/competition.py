@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
 from ...site import page, site_of, viewer_of
@@ -23,4 +24,12 @@ async def competition(request: Request) -> Response:
     data = site_of(request).data
     found, said = await data.competition(), await data.announcements()
     viewer = await viewer_of(request)
-    return page(request, "competition.html", viewer=viewer, section="/competition", found=found, said=said[:N_SAID])
+    return page(
+        request,
+        "competition.html",
+        viewer=viewer,
+        section="/competition",
+        found=found,
+        said=said[:N_SAID],
+        now=datetime.now(UTC),
+    )

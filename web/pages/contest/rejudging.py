@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from vitac.server.competition.schedule import current, track_title
 from vitac.server.results import rejudging
 from vitac.server.results.rejudging_view import rejudgement_detail_view, rejudgement_view
 
@@ -17,7 +18,6 @@ if TYPE_CHECKING:
     from starlette.requests import Request
     from starlette.responses import Response
     from vitac.server.accounts.principals import Principal
-    from vitac.server.views.contest.rejudging import RejudgementDetailView, RejudgementView
 
 ADDRESS = "/rejudging"
 
@@ -28,25 +28,29 @@ async def rejudgements(request: Request) -> Response:
     Raises:
         ServiceError: the visitor is no organizer.
     """
-    viewer = await require_viewer(request)
+    viewer, site = await require_viewer(request), site_of(request)
 
-    def read(session: Session) -> tuple[list[RejudgementDetailView], list[RejudgementView]]:
+    def read(session: Session) -> dict[str, Any]:
         viewer.visitor.principal.require_organizer()
         found = rejudging.rejudgements(session)
         ended = [one for one in found if one.applied_at or one.discarded_at]
         open_ones = [rejudgement_detail_view(session, one) for one in found if one not in ended]
-        return open_ones, [rejudgement_view(one) for one in ended]
+        competition = current(session)
+        return {
+            "open_ones": open_ones,
+            "ended": [rejudgement_view(one) for one in ended],
+            "stages": competition.stage_titles if competition else {},
+            "titles": {name: track_title(session, name) for name in {*site.tracks, *(one.track for one in found)}},
+        }
 
-    site = site_of(request)
-    open_ones, ended = await site.data.ask(read)
+    shown = await site.data.ask(read)
     return page(
         request,
         "rejudging.html",
         viewer=viewer,
         section="/desk",
-        open_ones=open_ones,
-        ended=ended,
         tracks=site.tracks,
+        **shown,
     )
 
 

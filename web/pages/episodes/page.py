@@ -53,7 +53,7 @@ class Player:
     @property
     def task(self) -> Task:
         """What is played."""
-        return load_track(self.shown.track).tasks[self.shown.task]
+        return load_track(self.shown.track).task(self.shown.task)
 
     @property
     def is_filmed(self) -> bool:
@@ -108,7 +108,7 @@ async def episode(request: Request) -> Response:
     beside = request.query_params.get("beside", "").strip()
     if beside:
         players.append(await _player(request, viewer, _beside(place, beside)))
-    task = load_track(players[0].shown.track).tasks[place.task]
+    task = load_track(players[0].shown.track).task(place.task)
     return page(
         request,
         "episode.html",

@@ -63,14 +63,13 @@ def table_of(table: Table, form: Format) -> Page:
 
 
 def _episodes(detail: SubmissionDetail) -> Rows:
-    tasks = load_track(detail.submission.track).tasks
+    track = load_track(detail.submission.track)
     # A stage's own list has other starts than the track file.
     known = detail.submission.evaluation.commitment is None
     starts = {
         (name, episode.number): " ".join(f"{value:g}" for value in episode.offset)
         for name in detail.submission.tasks
-        for episode in tasks[name].episodes
-        if known
+        for episode in (track.tasks[name].episodes if known and name in track.tasks else ())
     }
     for end in detail.episodes:
         start = starts.get((end.task, end.episode), "")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from datetime import timedelta
 from http import HTTPStatus
+from types import MappingProxyType
 from typing import TYPE_CHECKING, TypeVar
 
 from pydantic import BaseModel, ValidationError
@@ -11,7 +12,7 @@ from starlette.exceptions import HTTPException
 from starlette.responses import Response
 from vitac.server.accounts import members, teams, tokens
 from vitac.server.api.people.members import MemberChanges, NewMember
-from vitac.server.db.states import MemberRole
+from vitac.server.db.states import MemberRole, NoticeKind
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.limiter import client_key
 from vitac.server.people import team_data
@@ -35,6 +36,17 @@ if TYPE_CHECKING:
 
 FormT = TypeVar("FormT", bound=BaseModel)
 ADDRESS = "/team"
+NOTICES: Mapping[NoticeKind, str] = MappingProxyType(
+    {
+        NoticeKind.ACCEPTED: "A submission waits for its evaluation",
+        NoticeKind.FINISHED: "An evaluation has a score",
+        NoticeKind.FAILED: "An evaluation has ended without one",
+        NoticeKind.PROMOTED: "The team takes part in a further stage",
+        NoticeKind.DEADLINE: "A stage closes within 24 hours",
+        NoticeKind.ANNOUNCEMENT: "The organizers announce something to all teams",
+    }
+)
+"""What each kind of notice says, in the form of a member."""
 
 
 async def team(request: Request) -> Response:
@@ -64,6 +76,7 @@ async def team(request: Request) -> Response:
         good=good,
         myself=myself,
         leads=by.leads_team,
+        notices=NOTICES,
         locked_since=await site_of(request).data.teams_locked_since(),
     )
 
@@ -107,7 +120,8 @@ async def renew_token(request: Request) -> Response:
         return issued.secret, issued.token.id
 
     secret, token_id = await site_of(request).data.ask(made)
-    answer = page(request, "people/secret.html", viewer=None, section=ADDRESS, status=201, what="token", secret=secret)
+    shown = {"viewer_known": False, "what": "token", "secret": secret}  # the session of before has ended
+    answer = page(request, "people/secret.html", viewer=None, section=ADDRESS, status=HTTPStatus.CREATED, **shown)
     answer.headers["Cache-Control"] = "no-store"
     begin_session(request, answer, token_id)
     return answer
@@ -136,8 +150,10 @@ async def join(request: Request) -> Response:
         await data.note_registration(address)
         team_name, secret, token_id = await data.ask(joined)
     except ServiceError as error:
-        return await _join_page(request, viewer=None, wrong=error.detail, given=given, status=error.status)
-    answer = await _join_page(request, viewer=None, made=(team_name, secret), status=HTTPStatus.CREATED)
+        viewer = await viewer_of(request)
+        return await _join_page(request, viewer=viewer, wrong=error.detail, given=given, status=error.status)
+    made = {"made": (team_name, secret), "viewer_known": False}
+    answer = await _join_page(request, viewer=None, status=HTTPStatus.CREATED, **made)
     answer.headers["Cache-Control"] = "no-store"
     begin_session(request, answer, token_id)
     return answer
@@ -160,12 +176,18 @@ def _change_self(session: Session, by: Principal, fields: Mapping[str, str]) -> 
         members.set_password(session, by, member, password)
 
 
+def _choose_notices(session: Session, by: Principal, fields: Mapping[str, str]) -> None:
+    """Mute the kinds whose box is not ticked; browsers leave those out."""
+    members.mute(session, by, _self(session, by), [kind for kind in NoticeKind if kind.value not in fields])
+
+
 def _member(session: Session, by: Principal, fields: Mapping[str, str]) -> Member:
     return members.find(session, by, teams.own(session, by).id, id_in(fields, "id"))
 
 
 CHANGES: Mapping[str, Change] = {
     "me": _change_self,
+    "notices": _choose_notices,
     "leave": lambda session, by, _: members.remove(session, by, _self(session, by)),
     "remove": lambda session, by, fields: members.remove(session, by, _member(session, by, fields)),
     "captain": lambda session, by, fields: members.hand_over(session, by, _member(session, by, fields)),

@@ -23,7 +23,7 @@ async def output(request: Request) -> Response:
     data = site_of(request).data
     found = (await data.submission(viewer.visitor, submission_id)).submission
     shown = await data.output(viewer.visitor, submission_id, task, after)
-    tasks, address = load_track(found.track).tasks, f"/submissions/{submission_id}/output"
+    track, address = load_track(found.track), f"/submissions/{submission_id}/output"
     return page(
         request,
         "output.html",
@@ -32,7 +32,7 @@ async def output(request: Request) -> Response:
         submission=found,
         shown=shown,
         tabs=[
-            Tab(title=tasks[name].title, target=f"{address}?task={name}", current=name == (task or found.tasks[0]))
+            Tab(title=track.task(name).title, target=f"{address}?task={name}", current=name == (task or found.tasks[0]))
             for name in found.tasks
         ],
         older=f"{address}?task={task or found.tasks[0]}&after={shown.next_after}",

@@ -39,8 +39,9 @@ async def register(request: Request) -> Response:
     except ServiceError as error:
         if error.code not in IN_FORM:
             raise
-        return await _page(request, viewer=None, given=given, wrong=error.detail, status=error.status)
-    answer = await _page(request, viewer=None, given=NOTHING, made=made, status=HTTPStatus.CREATED)
+        viewer = await viewer_of(request)
+        return await _page(request, viewer=viewer, given=given, wrong=error.detail, status=error.status)
+    answer = await _page(request, viewer=None, viewer_known=False, given=NOTHING, made=made, status=HTTPStatus.CREATED)
     answer.headers["Cache-Control"] = "no-store"
     begin_session(request, answer, made.token_id)
     return answer

@@ -30,7 +30,7 @@ NOBODY = {"team": "", "member": ""}
 async def sign_in_form(request: Request) -> Response:
     """Show the sign-in form."""
     target = local_target(request.query_params.get("next", ""))
-    return _page(request, viewer=await viewer_of(request), next=target)
+    return await _page(request, next=target)
 
 
 async def sign_in(request: Request) -> Response:
@@ -39,7 +39,7 @@ async def sign_in(request: Request) -> Response:
     target = local_target(fields.get("next", ""))
     visitor = await site_of(request).data.visitor_with_token(fields.get("token", "").strip())
     if visitor is None:
-        return _page(request, viewer=None, status=401, next=target, wrong=WRONG_TOKEN)
+        return await _page(request, status=401, next=target, wrong=WRONG_TOKEN)
     answer = RedirectResponse(target, status_code=303)
     begin_session(request, answer, visitor.token_id)
     return answer
@@ -60,16 +60,16 @@ async def sign_in_with_password(request: Request) -> Response:
     except ServiceError as error:
         if error.code is not ProblemCode.TOO_MANY_REQUESTS:
             raise
-        return _page(request, viewer=None, status=error.status, next=target, wrong_password=error.detail, given=shown)
+        return await _page(request, status=error.status, next=target, wrong_password=error.detail, given=shown)
     if visitor is None:
-        return _page(request, viewer=None, status=401, next=target, wrong_password=WRONG_PASSWORD, given=shown)
+        return await _page(request, status=401, next=target, wrong_password=WRONG_PASSWORD, given=shown)
     answer = RedirectResponse(target, status_code=303)
     begin_session(request, answer, visitor.token_id)
     return answer
 
 
-def _page(request: Request, **values: object) -> Response:
-    shown = {"wrong": None, "wrong_password": None, "given": NOBODY, **values}
+async def _page(request: Request, **values: object) -> Response:
+    shown = {"viewer": await viewer_of(request), "wrong": None, "wrong_password": None, "given": NOBODY, **values}
     return page(request, "sign_in.html", section="/sign-in", **shown)  # type: ignore[arg-type]
 
 

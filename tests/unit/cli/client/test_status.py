@@ -59,8 +59,8 @@ def test_shows_a_score_with_its_interval_and_hash(service: CliService, tmp_path:
     shown = service.run("status", submission_id).stdout
     for part in ("completed", "66.7 % (60.8 % to 72.0 %), 3.00 env steps, rank 1 of 1", "270 of 270"):
         assert part in shown
-    assert "33.3 % (30.4 % to 36.0 %), no success, rank 1 of 1" in shown
-    assert "lock-opening (adds nothing" in shown
+    assert "33.3 % (30.4 % to 36.0 %), not every task has a success, rank 1 of 1" in shown
+    assert "lock-opening (counts as 0 %" in shown
     as_json = json.loads(service.run("status", submission_id, "--json").stdout)
     assert as_json["evaluation"]["result_hash"] in shown
 
@@ -132,12 +132,15 @@ def answer(**changes: Any) -> dict[str, Any]:
         "verdict": None,
         "log_tail": "",
         "scores": [{"task": "peg-insertion", **SCORE}],
+        "counted_tasks": ["peg-insertion"],
         "result_hash": "bb",
     }
     whole = {
         "id": "1234",
         "name": "mine",
         "team": {"name": "Team A"},
+        "track": "track_1",
+        "stage": None,
         "kind": "model",
         "tasks": ["peg-insertion"],
         "missing_tasks": [],
@@ -162,13 +165,15 @@ def test_one_task_is_shown_with_its_rank_and_no_sum(capsys: pytest.CaptureFixtur
     assert lines["peg-insertion"] == "50.0 % (25.0 % to 75.0 %), 4.25 env steps, rank 2 of 7"
     assert lines["episodes"] == "270 of 270, 3 reused"
     assert lines["result hash"] == "bb"
+    assert (lines["track"], printed(answer(stage="final"), capsys)["track"]) == ("track_1", "track_1, final")
     assert not {"all tasks", "hash, peg-insertion", "verdict", "waits", "not submitted"} & lines.keys()
 
 
 def test_a_task_that_was_not_submitted_counts_and_is_named(capsys: pytest.CaptureFixture[str]) -> None:
-    lines = printed(answer(missing_tasks=["lock-opening"], rank={"rank": 5, "of": 9}), capsys)
+    both = {"counted_tasks": ["peg-insertion", "lock-opening"]}
+    lines = printed(answer(missing_tasks=["lock-opening"], evaluation=both, rank={"rank": 5, "of": 9}), capsys)
     assert lines["all tasks"].endswith(", rank 5 of 9")
-    assert lines["not submitted"] == "lock-opening (adds nothing to the ranking of all tasks)"
+    assert lines["not submitted"] == "lock-opening (counts as 0 % in the ranking of all tasks)"
     assert "hash, peg-insertion" not in lines, "one score has the hash of the whole"
 
 
@@ -178,9 +183,10 @@ def test_a_sensor_without_a_policy_has_a_score_for_each_run_and_none_of_all_task
     tasks = ["sensor-standard", "sensor-blind"]
     none = {"success_rate": None, "success_rate_interval": None, "mean_steps": None}
     scores = [{**SCORE, "task": task} for task in tasks]
-    lines = printed(answer(tasks=tasks, missing_tasks=["sensor-design"], evaluation=none | {"scores": scores}), capsys)
+    evaluation = {**none, "scores": scores, "counted_tasks": ["sensor-design"]}
+    lines = printed(answer(tasks=tasks, missing_tasks=["sensor-design"], evaluation=evaluation), capsys)
     assert lines["sensor-standard"] == lines["sensor-blind"] == "50.0 % (25.0 % to 75.0 %), 4.25 env steps"
-    assert lines["not submitted"] == "sensor-design (adds nothing to the ranking of all tasks)"
+    assert lines["not submitted"] == "sensor-design (without it no place in the ranking of all tasks)"
     assert "all tasks" not in lines
 
 

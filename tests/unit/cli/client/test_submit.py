@@ -17,7 +17,7 @@ def test_submits_a_folder_and_prints_id_and_page(service: CliService, tmp_path: 
     submission_id = done.stdout.split()[1]
     assert f"{service.address}/submissions/{submission_id}" in done.stdout
     assert "number 1 in the queue" in done.stdout
-    assert "tasks       peg-insertion (not lock-opening: adds nothing" in done.stdout
+    assert "tasks       peg-insertion\nnot played  lock-opening (counts as 0 %" in done.stdout
 
 
 def test_json_is_the_services_answer(service: CliService, tmp_path: Path) -> None:

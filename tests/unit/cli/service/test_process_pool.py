@@ -1,13 +1,13 @@
 import subprocess
 import sys
 import tempfile
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from vitac.cli.service import process_pool
 from vitac.cli.service.process_pool import ProcessPool
+from worker_fakes import eventually
 
 SLEEPER = ("-c", "import time; time.sleep(600)")
 STUBBORN = ("-c", "import signal, time; signal.signal(15, signal.SIG_IGN); print('deaf', flush=True); time.sleep(600)")
@@ -16,17 +16,8 @@ STUBBORN = ("-c", "import signal, time; signal.signal(15, signal.SIG_IGN); print
 def alive(pid: int) -> bool:
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except FileNotFoundError:
+    except (FileNotFoundError, ProcessLookupError):
         return False
-
-
-def eventually(condition: Callable[[], bool]) -> bool:
-    deadline = time.monotonic() + 20
-    while time.monotonic() < deadline:
-        if condition():
-            return True
-        time.sleep(0.01)
-    return False
 
 
 @pytest.fixture
@@ -55,7 +46,7 @@ def test_one_that_was_killed_is_replaced(workers: ProcessPool, notices: list[str
     workers.start()
     killed, other = workers.pids
     subprocess.run(["kill", "-9", str(killed)], check=True)
-    assert eventually(lambda: not alive(killed))
+    eventually(lambda: not alive(killed))
     workers.restart_ended()
     assert other in workers.pids
     assert killed not in workers.pids
@@ -63,16 +54,19 @@ def test_one_that_was_killed_is_replaced(workers: ProcessPool, notices: list[str
     assert notices == [f"worker {killed} ended with code -9; starting another one"]
 
 
-def test_one_that_dies_at_once_is_not_started_over_and_over(notices: list[str]) -> None:
+def test_one_that_dies_at_once_is_not_started_over_and_over(
+    notices: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(process_pool, "RESTART_PAUSE_S", 3600.0)
     workers = ProcessPool(count=1, log=subprocess.DEVNULL, notify=notices.append, command=("-c", "raise SystemExit(3)"))
     workers.start()
     try:
         first = workers.pids[0]
-        assert eventually(lambda: not alive(first))
+        eventually(lambda: not alive(first))
         for _ in range(50):
             workers.restart_ended()
         second = workers.pids[0]
-        assert eventually(lambda: not alive(second))
+        eventually(lambda: not alive(second))
         for _ in range(50):
             workers.restart_ended()
         assert len(notices) == 1
@@ -86,7 +80,7 @@ def test_one_that_does_not_listen_is_killed(monkeypatch: pytest.MonkeyPatch) -> 
         workers = ProcessPool(count=1, log=log.fileno(), notify=print, command=STUBBORN)
         workers.start()
         pid = workers.pids[0]
-        assert eventually(lambda: log.tell() > 0 or _size(log.fileno()) > 0)
+        eventually(lambda: log.tell() > 0 or _size(log.fileno()) > 0)
         workers.stop()
         assert not alive(pid)
 
@@ -106,9 +100,9 @@ def test_they_end_with_their_starter_even_when_it_is_killed() -> None:
     with subprocess.Popen([sys.executable, "-c", starter], stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         worker = int(process.stdout.readline())
-        assert eventually(lambda: _asked_for_death_signal(worker))
+        eventually(lambda: _asked_for_death_signal(worker))
         process.kill()
-    assert eventually(lambda: not alive(worker))
+    eventually(lambda: not alive(worker))
 
 
 def _asked_for_death_signal(pid: int) -> bool:

@@ -136,7 +136,10 @@ def test_real_physics_is_drawn(run: Run, tmp_path: Path, monkeypatch: pytest.Mon
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("peg-insertoin", "--episode", 1), "There is no task 'peg-insertoin'; the tasks are"),
+        (
+            ("peg-insertoin", "--episode", 1),
+            "There is no task 'peg-insertoin'; did you mean peg-insertion? The tasks are",
+        ),
         (("peg-insertion", "--episode", 0), "Expected episodes of peg-insertion from 1 to 270, got 0."),
         (("peg-insertion", "--episode", 271), "Expected episodes of peg-insertion from 1 to 270, got 271."),
         (("peg-insertion", "--episode", 5, "--out", "a.jpg"), "expected .png, .gif, .webp, or no suffix for a folder"),

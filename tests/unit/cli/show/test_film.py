@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from evaluation_records import make_record
 from fake_pick_cube import FakePickCube, in_place_of_maniskill
+from numpy.typing import NDArray
 from PIL import Image
 from submissions import submission_folder
 from vitac.cli import main as cli
@@ -122,6 +123,25 @@ def test_an_env_step_an_animation_and_a_folder_show_what_they_are_asked_for(
     assert sorted(path.name for path in (tmp_path / "frames").iterdir()) == [f"step-0{step}.png" for step in range(4)]
     code, _, err = run(*arguments, "--step", 4)
     assert (code, "ended after env step 3: expected --step 0 to 3, got 4" in err) == (1, True)
+
+
+@pytest.mark.usefixtures("fake")
+def test_a_still_draws_no_more_than_its_env_step_and_the_last(
+    run: Run, log: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A picture may take a second where no GPU draws it."""
+    drawn = []
+    picture = env.ManiSkillEnv.picture
+
+    def counted(self: env.ManiSkillEnv) -> NDArray[np.uint8]:
+        drawn.append(1)
+        return picture(self)
+
+    monkeypatch.setattr(env.ManiSkillEnv, "picture", counted)
+    for arguments, count in (((), 1), (("--step", 1), 2), (("--step", 3), 1)):
+        drawn.clear()
+        assert run("--episode", 3, "--actions", log, *arguments)[0] == 0
+        assert len(drawn) == count
 
 
 @pytest.mark.usefixtures("fake")

@@ -16,7 +16,7 @@ from worker_fakes import eventually
 
 STARTED = "vitac: compiling the physics, once for each version (about half a minute)\n"
 DONE = "vitac: compiled the physics\n"
-LIMIT_S = 20.0
+LIMIT_S = 120.0
 
 
 @pytest.fixture

@@ -1,24 +1,32 @@
+import errno
 import os
+import weakref
+from collections.abc import Iterator
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 import pytest
 from PIL import Image
-from vitac.envs.drawing.files import Destination, Kind, PicturesNotWritable
+from vitac.envs.drawing.files import Destination, Frame, Kind, PicturesNotWritable
 
 GREEN = np.full((6, 8, 3), (20, 200, 60), dtype=np.uint8)
 RED = np.full((6, 8, 3), (200, 20, 60), dtype=np.uint8)
-NAMES = ("step-00", "step-01")
 DURATIONS_MS = (100, 2500)
 
 
 def write(destination: Destination) -> list[Path]:
-    return destination.write([GREEN, RED], names=NAMES, durations_ms=DURATIONS_MS)
+    first, second = (frame(picture, index) for index, picture in enumerate((GREEN, RED)))
+    return destination.write([first, second], end_ms=DURATIONS_MS[1])
+
+
+def frame(picture: np.ndarray = RED, index: int = 0) -> Frame:
+    return Frame(picture=picture, name=f"step-{index:02}", duration_ms=DURATIONS_MS[0])
 
 
 def test_png_is_the_picture(tmp_path: Path) -> None:
     destination = Destination.at(tmp_path / "a.png")
-    assert destination.write([RED], names=NAMES[:1], durations_ms=DURATIONS_MS[:1]) == [tmp_path / "a.png"]
+    assert destination.write([frame()]) == [tmp_path / "a.png"]
     with Image.open(tmp_path / "a.png") as image:
         assert np.array_equal(np.asarray(image), RED)
 
@@ -48,7 +56,7 @@ def test_an_existing_file_is_replaced_only_when_pictures_come(tmp_path: Path) ->
     path.write_bytes(b"old")
     destination = Destination.at(path)
     assert path.read_bytes() == b"old"
-    destination.write([RED], names=NAMES[:1], durations_ms=DURATIONS_MS[:1])
+    destination.write([frame()])
     assert path.read_bytes().startswith(b"\x89PNG")
 
 
@@ -99,4 +107,74 @@ def test_folder_without_permission_is_refused(tmp_path: Path) -> None:
 def test_a_disk_that_fills_up_is_told(tmp_path: Path) -> None:
     destination = Destination(path=Path("/dev/full"), kind=Kind.PNG)
     with pytest.raises(PicturesNotWritable):
-        destination.write([RED], names=NAMES[:1], durations_ms=DURATIONS_MS[:1])
+        destination.write([frame()])
+
+
+@pytest.mark.parametrize("name", ["a.gif", "a.webp", "frames"])
+def test_each_picture_is_let_go_before_the_one_after_the_next_is_asked_for(tmp_path: Path, name: str) -> None:
+    """A long episode has more pictures than memory holds."""
+    alive: list[weakref.ref[np.ndarray]] = []
+    most = 0
+
+    def frames() -> Iterator[Frame]:
+        nonlocal most
+        for index in range(6):
+            picture = np.full((60, 80, 3), 40 * index, np.uint8)
+            alive.append(weakref.ref(picture))
+            most = max(most, sum(it() is not None for it in alive))
+            yield frame(picture, index)
+            del picture
+
+    Destination.at(tmp_path / name).write(frames())
+    assert most <= 2
+
+
+@pytest.mark.parametrize("name", ["a.png", "a.gif", "a.webp", "frames"])
+def test_of_no_pictures_nothing_is_written(tmp_path: Path, name: str) -> None:
+    assert Destination.at(tmp_path / name).write([]) == []
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
+
+
+def test_an_error_while_pictures_are_made_is_not_one_of_writing_and_leaves_an_old_file(tmp_path: Path) -> None:
+    def frames() -> Iterator[Frame]:
+        yield frame()
+        raise OSError("the camera is gone")
+
+    path = tmp_path / "a.webp"
+    path.write_bytes(b"old")
+    with pytest.raises(OSError, match="the camera is gone"):
+        Destination.at(path).write(frames())
+    assert [(found.name, found.read_bytes()) for found in tmp_path.iterdir()] == [("a.webp", b"old")]
+
+
+@pytest.mark.parametrize("name", ["a.gif", "a.webp"])
+def test_a_disk_that_fills_up_leaves_the_old_animation_and_no_half_a_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    def fills_up(image: Image.Image, file: BinaryIO, filename: str) -> None:
+        file.write(b"half")
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    path, alias = tmp_path / name, tmp_path / f"alias-{name}"
+    write(Destination.at(path))
+    before = path.read_bytes()
+    alias.symlink_to(path)
+    with monkeypatch.context() as patch:
+        patch.setitem(Image.SAVE_ALL, path.suffix[1:].upper(), fills_up)
+        for destination in (path, alias, tmp_path / f"new-{name}"):
+            with pytest.raises(PicturesNotWritable, match=f"{destination.name}: No space left on device"):
+                write(Destination.at(destination))
+    assert sorted(tmp_path.iterdir()) == [path, alias]
+    assert path.read_bytes() == before
+    Destination.at(alias).write([frame()])
+    assert alias.is_symlink(), "what it points at is replaced"
+    assert path.read_bytes() != before
+
+
+def test_a_place_that_has_gone_is_told(tmp_path: Path) -> None:
+    for name in ("a.png", "a.webp"):
+        (tmp_path / "gone").mkdir()
+        destination = Destination.at(tmp_path / "gone" / name)
+        (tmp_path / "gone").rmdir()
+        with pytest.raises(PicturesNotWritable, match="No such file or directory"):
+            destination.write([frame()])

@@ -23,9 +23,9 @@ with CompilingTurn().taken(Path(sys.argv[1]), CompileProgress(compiled=0, kernel
 """
 
 
-def open_files() -> list[str]:
-    """The numbers of this process's open files; reading them takes one, always the same."""
-    return sorted(path.name for path in Path("/proc/self/fd").iterdir())
+def open_files() -> set[str]:
+    """The numbers of this process's open files; reading them takes one. What other tests left open may be closed."""
+    return {path.name for path in Path("/proc/self/fd").iterdir()}
 
 
 def holder(folder: Path) -> subprocess.Popen[str]:
@@ -118,7 +118,7 @@ def test_a_file_system_without_locks_stops_nobody_and_leaves_no_open_file(
     monkeypatch.setattr("fcntl.flock", no_locks)
     before = open_files()
     with CompilingTurn().taken(tmp_path, START):
-        assert open_files() == before
+        assert open_files() <= before
     assert "No locks available" in caplog.text
     assert (tmp_path / LOCK_FILE).read_bytes() == b""
 
@@ -152,5 +152,5 @@ def test_a_process_that_waits_in_vain_is_interrupted_without_an_open_file(
         monkeypatch.setattr("time.sleep", interrupt)
         with pytest.raises(KeyboardInterrupt), CompilingTurn().taken(tmp_path, START):
             pytest.fail("the turn was another process's")
-        assert open_files() == before
+        assert open_files() <= before
         other.communicate()

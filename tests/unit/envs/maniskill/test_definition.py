@@ -124,3 +124,21 @@ def test_physics_on_a_gpu_is_a_family_of_its_own_that_does_not_repeat() -> None:
         assert (task.family, task.repeats) == (Family.MANISKILL_CUDA, False)
     with pytest.raises(ManiSkillTaskRejected, match="sim_backend is 'cuda:0', expected physx_cpu or physx_cuda"):
         definition_of("ManiSkill/PickCube-v1", {"sim_backend": "cuda:0"})
+
+
+def test_several_scenes_at_once_are_for_a_gpu_alone_and_no_more_than_policies_can_be_loaded() -> None:
+    on_gpu = {"sim_backend": "physx_cuda"}
+    sizes = [
+        definition_of("ManiSkill/PickCube-v1", settings).batch_size
+        for settings in ({}, {"batch_size": 1}, on_gpu, on_gpu | {"batch_size": 16}, on_gpu | {"batch_size": 64})
+    ]
+    assert sizes == [1, 1, 1, 16, 64]
+    for settings, expected in (
+        ({"batch_size": 2}, "batch_size is 2, expected 1: only physx_cuda moves several scenes at once"),
+        (on_gpu | {"batch_size": 65}, "batch_size is 65, expected 1 to 64"),
+        (on_gpu | {"batch_size": 0}, "batch_size is 0, expected 1 to 64"),
+    ):
+        with pytest.raises(ManiSkillTaskRejected, match=expected):
+            definition_of("ManiSkill/PickCube-v1", settings)
+    with pytest.raises(SettingsError, match="'batch_size' is '4', expected a value of type int"):
+        definition_of("ManiSkill/PickCube-v1", on_gpu | {"batch_size": "4"})

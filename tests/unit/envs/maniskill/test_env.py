@@ -14,7 +14,7 @@ import pytest
 from fake_pick_cube import FakePickCube, in_place_of_maniskill
 from vitac.envs.maniskill import env as adapter
 from vitac.envs.maniskill.abilities import abilities
-from vitac.envs.maniskill.env import ManiSkillEnv, ManiSkillFailed, ManiSkillMissing
+from vitac.envs.maniskill.env import ManiSkillEnv, ManiSkillFailed, ManiSkillMissing, seed_of
 from vitac.envs.tasks.definition import UnknownObservationKey
 from vitac.envs.tasks.options import ResetOptionsError
 
@@ -43,8 +43,9 @@ def test_every_reset_builds_the_scene_anew_with_a_seed_of_the_episode_alone(fake
 
 
 def test_seeds_of_published_lists_stay(fake: FakePickCube) -> None:
-    pick_cube().reset(options=START | {"rng_seed": (0, 1)})
-    assert fake.resets[0][0] == 1121323793
+    options = START | {"rng_seed": (0, 1)}
+    pick_cube().reset(options=options)
+    assert fake.resets[0][0] == seed_of(PICK_CUBE, options) == 1121323793
 
 
 def test_observations_are_plain_arrays_without_the_batch_and_infos_plain_values(fake: FakePickCube) -> None:
@@ -179,6 +180,8 @@ def test_an_action_that_is_not_clipped_to_the_box_never_reaches_it(fake: FakePic
 def test_an_unknown_option_is_refused(fake: FakePickCube) -> None:
     with pytest.raises(ResetOptionsError, match="has no reset option 'sede'"):
         pick_cube().reset(options={"sede": 1})
+    with pytest.raises(ResetOptionsError, match="has no reset option 'sede'"):
+        seed_of(PICK_CUBE, {"sede": 1})
 
 
 def test_without_the_packages_the_error_names_size_and_command(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -253,7 +256,7 @@ def test_pictures_without_a_driver_are_refused_with_what_to_install(monkeypatch:
 
 @pytest.fixture
 def loaded_stand_ins(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Stands in for what `_made` imports; each environment is a new one of the stand-in."""
+    """Stands in for what `made` imports; each environment is a new one of the stand-in."""
     torch = SimpleNamespace(set_num_threads=lambda count: None, inference_mode=lambda: lambda method: method)
     gymnasium = SimpleNamespace(make=lambda name, **settings: SimpleNamespace(unwrapped=FakePickCube()))
     for name, module in (("torch", torch), ("gymnasium", gymnasium), ("mani_skill", None), ("mani_skill.envs", None)):
@@ -261,14 +264,14 @@ def loaded_stand_ins(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.setattr(adapter, "missing_packages", tuple)
     monkeypatch.setattr(adapter, "has_driver", lambda: True)
     monkeypatch.setattr(adapter, "version", lambda package: "1")
-    for name in adapter._SAME_ON_EVERY_CPU:  # set by `_made`, and here as before again after the test
+    for name in adapter._SAME_ON_EVERY_CPU:  # set by `made`, and here as before again after the test
         monkeypatch.setenv(name, "1")
     adapter._keep_what_is_loaded.cache_clear()
     yield
     adapter._keep_what_is_loaded.cache_clear()
 
 
-@pytest.mark.usefixtures("loaded_stand_ins")
+@pytest.mark.usefixtures("without_earlier_garbage", "loaded_stand_ins")
 def test_environments_that_others_replace_are_freed() -> None:
     replaced = []
     for _ in range(3):

@@ -30,7 +30,7 @@ def hold(observation: Mapping[str, NDArray[Any]], info: Mapping[str, Any]) -> ND
 
 def drawn(every: int, max_steps: int = 5) -> list[Shot]:
     env = made(max_steps)
-    return list(shots(env, play(env, options=START, next_action=hold), every))
+    return list(shots(env, play(env, options=START, next_action=hold), lambda env_step: env_step % every == 0))
 
 
 def test_an_episode_is_played_to_its_end_or_to_the_last_action(fake: FakePickCube) -> None:

@@ -91,6 +91,18 @@ def test_what_the_sensors_see_is_made_once_between_two_ipc_steps(
     assert seen == [0, 1, 0, 1]
 
 
+def test_surface_motion_is_that_since_the_newest_reference(fake_scenes: list[FakeScene]) -> None:
+    made = scene()
+    made.capture_references()
+    fake_scenes[0].bulge_m = 4e-4
+    made.move_to(POSE.moved(x_m=1e-3), ipc_steps=1)
+    first = made.surface_diff_m()
+    first *= 1e3  # whoever gets it may change it
+    assert made.surface_diff_m() == pytest.approx([4e-4, 4e-4])
+    made.capture_references()
+    assert made.surface_diff_m().tolist() == [0.0, 0.0]
+
+
 def test_marker_flow_is_left_then_right_in_float32(fake_scenes: list[FakeScene]) -> None:
     made = scene()
     made.capture_references()
@@ -122,6 +134,27 @@ def test_held_vertices_are_those_of_the_first_body(fake_scenes: list[FakeScene])
     chosen = np.array([0, 3])
     rest = peg_mesh(Meshes(), PegShape.CUBOID).vertices_m[chosen]
     assert made.held_vertices_m(chosen) == pytest.approx(rest - np.array([0, 0, 1e-3]))
+
+
+def test_held_part_is_placed_once_between_two_ipc_steps(
+    fake_scenes: list[FakeScene], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = scene()
+    physics, placed = fake_scenes[0], []
+    vertices_m = physics.body_vertices_m
+
+    def looked_at(index: int) -> NDArray[np.float64]:
+        placed.append(made.ipc_steps)
+        return vertices_m(index)
+
+    monkeypatch.setattr(physics, "body_vertices_m", looked_at)
+    all_vertices = np.arange(4)
+    for _ in range(2):
+        made.held_vertices_m(all_vertices)[:] = np.nan  # whoever gets them may change them
+    first_m = made.held_vertices_m(all_vertices)
+    made.move_to(POSE.moved(z_m=-1e-3), ipc_steps=2)
+    assert made.held_vertices_m(all_vertices[:2]) == pytest.approx(first_m[:2] - np.array([0, 0, 1e-3]))
+    assert placed == [0, 2]
 
 
 def test_state_hash_follows_the_state(fake_scenes: list[FakeScene]) -> None:

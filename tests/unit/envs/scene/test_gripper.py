@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from vitac.envs.scene.gripper import UPRIGHT_MOUNTS, Gripper, GripperPose
+from vitac.envs.scene.gripper import UPRIGHT_MOUNTS, Gripper, GripperPose, _turned
 from vitac.envs.tactile.gel import gelsight_mini_mesh
 
 POSE = GripperPose(x_m=0.001, y_m=-0.002, z_m=0.0621, angle_rad=0.1, half_opening_m=0.0171)
@@ -27,6 +27,16 @@ def test_mounts_are_rotations() -> None:
     for mount in UPRIGHT_MOUNTS:
         assert (mount.rotation @ mount.rotation.T == np.eye(3)).all()
         assert np.linalg.det(mount.rotation) == pytest.approx(1.0)
+
+
+@given(st.integers(0, 2**32), st.booleans())
+def test_points_turn_to_the_bits_of_numpys_sums_of_products(seed: int, is_transposed: bool) -> None:
+    random = np.random.default_rng(seed)
+    rotation, points = random.normal(size=(3, 3)), random.normal(size=(3, 3) if is_transposed else (5, 3))
+    points = points.T if is_transposed else points
+    x, y, z = points.T
+    expected = np.column_stack([row[0] * x + row[1] * y + row[2] * z for row in rotation])
+    assert np.array_equal(_turned(rotation, points), expected)
 
 
 def test_gel_axes_stand_as_in_the_challenge_at_angle_zero() -> None:

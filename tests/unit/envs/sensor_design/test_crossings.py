@@ -1,3 +1,5 @@
+from functools import partial
+
 import drawn_gels
 import numpy as np
 import pytest
@@ -28,6 +30,28 @@ def test_vertex_pulled_through_the_opposite_face_is_found() -> None:
     surface = drawn_gels.pyramids()
     surface.vertices_mm[surface.vertices_mm[:, 2].argmax(), 2] = -1.0
     assert crossing(surface) != (NONE, NONE)
+
+
+def test_top_that_dips_through_a_base_on_the_same_grid_is_found() -> None:
+    """Its edges lie exactly above those of the base, so that none goes through the inside of a triangle."""
+    dip = drawn_gels.smooth(lambda x, y: -2.0 if abs(x) + abs(y) < 5.0 else 4.0, 6)
+    assert crossing(dip) != (NONE, NONE)
+
+
+@pytest.mark.parametrize(("height", "crosses"), [(0.0, True), (1e-9, False)])
+def test_edge_that_ends_on_a_triangle_meets_it_and_one_that_ends_above_does_not(height: float, crosses: bool) -> None:
+    vertices = np.array([[0.0, 0, 0], [2, 0, 0], [0, 2, 0], [0.5, 0.0, height], [0.5, 0.5, 3], [0.6, -0.5, 3]])
+    assert (first_crossing(vertices, np.array([[0, 1, 2], [3, 4, 5]]), 10) == (0, 1)) is crosses
+
+
+def test_triangles_of_one_leaning_plane_do_not_cross() -> None:
+    for slope in (0.1, 0.3, 1.7):
+        leaning = drawn_gels.smooth(partial(plane, slope), 9)
+        assert crossing(leaning) == (NONE, NONE)
+
+
+def plane(slope: float, x: float, y: float) -> float:
+    return 30.0 + slope * x + y / 3.0
 
 
 def test_triangle_folded_onto_its_neighbour_is_found() -> None:

@@ -106,6 +106,13 @@ def test_a_fine_circle_becomes_a_coarse_one_of_nearly_its_length() -> None:
     assert wall_length_mm(plane) == pytest.approx(2 * pi * 4.0, rel=0.01)
 
 
+def test_a_chain_that_is_cut_beside_its_end_again_and_again_is_no_trouble() -> None:
+    """As many cuts in each other as it has corners, more than Python calls may be nested."""
+    fading = [(-11.5 + 0.0115 * i, (1 - 2 * (i % 2)) * (9.0 - 0.004 * i)) for i in range(2000)]
+    with pytest.raises(TooManyPoints, match="More than 1000 points"):
+        meshed([line(a, b) for a, b in pairwise(fading)])
+
+
 def test_a_corner_where_three_lines_meet_stays() -> None:
     star = [line((-4.0, 0.0), (0.0, 0.02)), line((0.0, 0.02), (4.0, 0.0)), line((0.0, 0.02), (0.0, 5.0))]
     assert (0.0, 0.02) in inner_points(meshed(star))

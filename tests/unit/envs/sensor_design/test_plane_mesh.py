@@ -1,3 +1,4 @@
+from itertools import pairwise
 from math import acos, degrees, hypot
 
 import pytest
@@ -59,6 +60,19 @@ def test_refined_triangles_are_short_and_well_shaped(half_mm: float) -> None:
     assert max(lengths) <= 3.0 * GRID_PER_MM
     assert smallest_angle(mesh) > 20.7
     assert double_area(mesh) == 8 * HALF_X * HALF_Y
+
+
+@pytest.mark.parametrize("x_mm", [0.0, 1.5, 3.7222223, -7.1])
+def test_segment_that_ends_on_another_cuts_it_there_and_nowhere_near(x_mm: float) -> None:
+    """Halving the rectangle's side until it meets the end would put a cluster of points around it."""
+    mesh, x = PlaneMesh(HALF_X, HALF_Y, max_points=200), round(x_mm * GRID_PER_MM)
+    mesh.add_segment(*(mesh.add_point((x, y)) for y in (-HALF_Y, HALF_Y)), is_wall=False)
+    mesh.refine(longest=4.0 * GRID_PER_MM, shortest=0.25 * GRID_PER_MM)
+    assert len(mesh.points) < 100
+    at_the_side = sorted(point[0] for point in mesh.points if point[1] == HALF_Y)
+    assert x in at_the_side
+    assert min(b - a for a, b in pairwise(at_the_side)) > GRID_PER_MM
+    assert smallest_angle(mesh) > 20.7
 
 
 def test_walls_stay_where_they_are() -> None:

@@ -4,7 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from vitac.envs.sensor_design.sampling import MAX_SAMPLES, pulled_corners, samples_mm
+from vitac.envs.sensor_design.crossings import farthest
+from vitac.envs.sensor_design.sampling import MAX_SAMPLES, pulled_corners, samples_mm, samples_of_triangles_mm
 
 FloatArray = NDArray[np.float64]
 RIGHT_ANGLED = np.array([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0], [0.0, 4.0, 0.0]])
@@ -87,3 +88,11 @@ def test_corners_are_pulled_inside_by_the_distance_or_to_the_middle(seed: int, d
 
 def test_a_triangle_without_extent_stays_where_it_is() -> None:
     assert pulled_corners(np.ones((1, 3, 3)), 0.1).tolist() == np.ones((1, 3, 3)).tolist()
+
+
+def test_each_sample_is_of_the_triangle_that_is_named() -> None:
+    corners = drawn_gels.wedge().corners_mm
+    points, faces = samples_of_triangles_mm(corners)
+    assert set(faces.tolist()) == set(range(len(corners)))
+    for point, face in zip(points, faces.tolist(), strict=True):
+        assert farthest(point[None], corners[face], np.array([[0, 1, 2]]))[1] < 1e-9

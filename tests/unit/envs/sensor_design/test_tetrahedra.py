@@ -67,6 +67,14 @@ def test_faces_of_a_single_tetrahedron_look_outward() -> None:
     assert surface.volume_mm3 == pytest.approx(1.0 / 6.0)
 
 
+def test_faces_of_the_base_lie_in_its_plane_and_look_down() -> None:
+    faces = cube().surface.triangles[cube().base_faces]
+    assert sorted(sorted(face) for face in faces.tolist()) == [[0, 1, 3], [0, 2, 3]]
+    raised = CUBE.copy()
+    raised[3, 2] = 0.002
+    assert not Tetrahedra(nodes_mm=raised, corners=CUBE_CORNERS).base_faces.any()
+
+
 def test_a_face_of_three_tetrahedra_is_counted() -> None:
     assert cube().n_shared_faces == 0
     nodes = np.concatenate([CORNER, [[0.0, 0.0, -1.0], [0.0, 0.0, 2.0]]])

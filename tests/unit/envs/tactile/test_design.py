@@ -1,6 +1,5 @@
 from contextlib import nullcontext
 from dataclasses import replace
-from functools import cache
 
 import drawn_gels
 import numpy as np
@@ -19,11 +18,6 @@ from vitac.envs.tactile.thickness import eye_distance_m, highest_mm
 QUIET = MarkerSettings(noise_px=0.0, loss_probability=0.0)
 
 
-@cache
-def design(name: str) -> SensorDesign:
-    return own_sensors.design(own_sensors.GELS[name]())
-
-
 def at_rest(sensor: SensorDesign, settings: MarkerSettings = QUIET) -> tuple[DesignedSensor, np.ndarray]:
     tactile = DesignedSensor(sensor, settings)
     view = tactile.view_m(sensor.gel.rest_position_m, np.eye(3), np.zeros(3))
@@ -33,7 +27,7 @@ def at_rest(sensor: SensorDesign, settings: MarkerSettings = QUIET) -> tuple[Des
 
 @pytest.mark.parametrize("name", own_sensors.GELS)
 def test_markers_lie_in_their_triangles_on_the_cameras_ray(name: str) -> None:
-    sensor = design(name)
+    sensor = own_sensors.designed(name)
     found = sensor.attachment
     assert (found.faults == Fault.NONE).all()
     assert (found.weights >= 0.0).all()
@@ -46,7 +40,7 @@ def test_markers_lie_in_their_triangles_on_the_cameras_ray(name: str) -> None:
 
 
 def test_markers_of_a_flat_gel_are_where_they_are_drawn() -> None:
-    sensor = design("4 mm")
+    sensor = own_sensors.designed("4 mm")
     np.testing.assert_allclose(sensor.printed_m[:, :2] * 1e3, sensor.markers_mm, atol=1e-9)
     np.testing.assert_allclose(sensor.printed_m[:, 2], 2e-3, atol=1e-12)
 
@@ -60,7 +54,7 @@ def test_ray_takes_the_first_face_that_it_leaves_by() -> None:
 def test_what_the_grasp_reaches_has_shares_of_its_area() -> None:
     """Of the ridge its top, of the flat gel all of its face, of the pyramids what is 0.875 mm below the tips."""
     for name, area_mm2 in (("ridge", 2.0 * 14.0), ("4 mm", 25.25 * 20.75)):
-        sensor = design(name)
+        sensor = own_sensors.designed(name)
         touched = sensor.touched
         assert touched.areas_m2.sum() == pytest.approx(1.0)
         heights_m = sensor.gel.rest_position_m[sensor.gel.sensing_nodes[touched.corners], 2]
@@ -72,7 +66,7 @@ def test_what_the_grasp_reaches_has_shares_of_its_area() -> None:
             np.cross(corners_m[:, 1] - corners_m[:, 0], corners_m[:, 2] - corners_m[:, 0]), axis=1
         )
         assert areas_m2.sum() * 1e6 == pytest.approx(area_mm2)
-    sensor = design("pyramids")
+    sensor = own_sensors.designed("pyramids")
     corners, weights, _ = sensor.touched
     z_m = (sensor.gel.rest_position_m[sensor.gel.sensing_nodes[corners], 2] * weights).sum(axis=1)
     top_m = sensor.gel.rest_position_m[:, 2].max()
@@ -81,7 +75,7 @@ def test_what_the_grasp_reaches_has_shares_of_its_area() -> None:
 
 def test_needles_that_lean_too_much_to_sense_leave_nothing_to_measure() -> None:
     """The floor between them senses, but the grasp does not reach it."""
-    sensor = design("pyramids")
+    sensor = own_sensors.designed("pyramids")
     floor = sensor.gel.rest_position_m[sensor.sensing_triangles, 2].max(axis=1) < 0.3e-3
     needles = replace(sensor, sensing_triangles=sensor.sensing_triangles[floor])
     assert needles.sensing_depth_m == pytest.approx(2e-3)
@@ -90,7 +84,7 @@ def test_needles_that_lean_too_much_to_sense_leave_nothing_to_measure() -> None:
 
 
 def test_a_face_is_reached_where_a_place_on_it_is_not_only_a_corner() -> None:
-    sensor = design("pyramids")
+    sensor = own_sensors.designed("pyramids")
     reached = []
     for face in sensor.sensing_triangles:
         alone = replace(sensor, sensing_triangles=face[None])
@@ -116,7 +110,7 @@ def refined(min_nodes: int) -> SensorDesign:
         min_tip_nodes=25,
     )
     gel, sensing = gel_of(mesh_height_field(drawn, goal), name="dome")
-    return replace(design("dome"), gel=gel, sensing_triangles=sensing)
+    return replace(own_sensors.designed("dome"), gel=gel, sensing_triangles=sensing)
 
 
 def test_surface_difference_does_not_depend_on_the_mesh() -> None:
@@ -134,7 +128,7 @@ def test_surface_difference_does_not_depend_on_the_mesh() -> None:
 
 
 def test_flow_follows_the_surface_and_repeats_the_last_marker() -> None:
-    sensor = design("4 mm")
+    sensor = own_sensors.designed("4 mm")
     tactile, view = at_rest(sensor)
     flow = tactile.marker_flow(view + np.array([1e-3, 0.0, 0.0]), np.random.default_rng(1))
     assert flow.shape == (2, 128, 2)
@@ -151,17 +145,17 @@ def test_camera_of_the_design_is_used() -> None:
 
 def test_markers_are_lost_with_the_organizers_probability_but_never_all() -> None:
     always = MarkerSettings(noise_px=0.0, loss_probability=1.0)
-    tactile, view = at_rest(design("4 mm"), always)
+    tactile, view = at_rest(own_sensors.designed("4 mm"), always)
     flow = tactile.marker_flow(view, np.random.default_rng(1))
-    np.testing.assert_allclose(flow[0], np.tile(design("4 mm").rest_pixels[0], (128, 1)), atol=1e-9)
+    np.testing.assert_allclose(flow[0], np.tile(own_sensors.designed("4 mm").rest_pixels[0], (128, 1)), atol=1e-9)
     half = MarkerSettings(noise_px=0.0, loss_probability=0.5)
-    tactile, view = at_rest(design("4 mm"), half)
+    tactile, view = at_rest(own_sensors.designed("4 mm"), half)
     seen = np.unique(tactile.marker_flow(view, np.random.default_rng(1))[0], axis=0)
     assert 12 < len(seen) < 36
 
 
 def test_design_whose_markers_are_off_its_faces_is_refused() -> None:
-    broken = replace(design("4 mm"), markers_mm=np.array([[0.0, 0.0], [40.0, 0.0]]))
+    broken = replace(own_sensors.designed("4 mm"), markers_mm=np.array([[0.0, 0.0], [40.0, 0.0]]))
     assert broken.attachment.faults.tolist() == [Fault.NONE, Fault.OFF_THE_GEL]
     np.testing.assert_allclose(broken.printed_m, [[0.0, 0.0, 2e-3]], atol=1e-12)
     with pytest.raises(MarkersNotAttached, match="1 of 2 markers"):
@@ -180,13 +174,13 @@ def test_face_seen_edge_on_carries_no_marker() -> None:
 
 @pytest.mark.parametrize(("name", "height_mm"), [("2 mm", 1.0), ("4 mm", 2.0), ("8 mm", 4.0), ("ridge", 2.0)])
 def test_camera_stands_18_mm_behind_every_gel(name: str, height_mm: float) -> None:
-    gel = design(name).gel
+    gel = own_sensors.designed(name).gel
     assert highest_mm(gel) == pytest.approx(height_mm, abs=1e-5)
     assert eye_distance_m(gel) == pytest.approx(0.018 + 1e-3 * height_mm, abs=1e-8)
 
 
 def test_hash_covers_camera_markers_and_sensing_faces() -> None:
-    sensor = design("4 mm")
+    sensor = own_sensors.designed("4 mm")
     changed = [
         sensor,
         replace(sensor, camera=sensor.camera._replace(focal_u_px=341.0)),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from vitac.envs.deterministic_math import normal_pairs
+from vitac.envs.deterministic_math import normal_pairs, sine_cosine
 from vitac.envs.fem.model.mesh import GelMesh
 from vitac.envs.tactile import markers
 from vitac.envs.tactile.camera import CHALLENGE_CAMERA, camera_frame, project
@@ -168,6 +168,62 @@ def test_golden_draws_are_pinned() -> None:
     assert random.uniform(1.95, 2.15) == GOLDEN_UNIFORM
     assert normal_pairs(random.random((2, 2))).ravel().tolist() == GOLDEN_NORMALS
     assert random.choice(100, 5, replace=False).tolist() == GOLDEN_CHOICE
+
+
+@given(st.floats(-20, 20), st.floats(0, 30), st.integers(0, 2**32))
+@settings(max_examples=60)
+def test_range_of_a_draw_is_that_of_numpys_generator(low: float, width: float, seed: int) -> None:
+    expected = np.random.default_rng(seed).uniform(low, low + width)
+    assert markers._uniform(low, low + width, np.random.default_rng(seed).random()) == expected
+
+
+def drawn_step_by_step(current: np.ndarray, settings: MarkerSettings, random: np.random.Generator) -> np.ndarray:
+    """The flow as NumPy computes it line by line, the fixed count apart; what the fused kernels have to give."""
+    surface, view = SensingSurface.of_gel(gelsight_mini_mesh()), rest_view()
+    moved, shift = settings.translation_mm, settings.shift_mm
+    interval = random.uniform(*settings.interval_mm)
+    angle = random.uniform(-settings.rotation_rad, settings.rotation_rad)
+    lines = []
+    for half in (8.0, 6.0):
+        by = random.uniform(-moved, moved)
+        lines.append(np.arange(-np.ceil((half + by) / interval), np.ceil((half - by) / interval) + 1) * interval + by)
+    x, y = np.tile(lines[0], len(lines[1])), np.repeat(lines[1], len(lines[0]))
+    x = x + random.uniform(-shift, shift, len(x))
+    y = y + random.uniform(-shift, shift, len(y))
+    sine, cosine = sine_cosine(angle)
+    grid = np.column_stack([cosine * x - sine * y, sine * x + cosine * y]) * 1e-3
+    triangle, weights = markers._attach(grid, *surface.arrays)
+    corners = surface.triangles[triangle]
+    seen = [project(markers.interpolated(side, corners, weights), CHALLENGE_CAMERA) for side in (view, current)]
+    flow = np.stack(seen)[:, markers.in_picture(seen[0])]
+    flow = flow[:, random.random(flow.shape[1]) >= settings.loss_probability]
+    return flow + settings.noise_px * normal_pairs(random.random((flow.size // 2, 2))).reshape(flow.shape)
+
+
+@pytest.mark.parametrize(
+    "ranges",
+    [
+        MarkerSettings(),
+        MarkerSettings(interval_mm=(1.0, 1.5)),
+        MarkerSettings(loss_probability=0.3, translation_mm=6.0),
+        MarkerSettings(rotation_rad=0.5, shift_mm=0.4, noise_px=0.0),
+    ],
+)
+def test_fused_kernels_give_the_bits_of_numpy_line_by_line(ranges: MarkerSettings) -> None:
+    bends = np.random.default_rng(1)
+    for seed in range(30):
+        current = rest_view() + bends.normal(0.0, 1e-4, rest_view().shape)
+        left, right = (np.random.default_rng(seed) for _ in range(2))
+        expected = drawn_step_by_step(current, ranges, left)
+        count = expected.shape[1]
+        if count >= 128:
+            expected = expected[:, left.choice(count, 128, replace=False)]
+        pixels = flow(current, ranges, seed)
+        surface = SensingSurface.of_gel(gelsight_mini_mesh())
+        assert np.array_equal(marker_flow(surface, rest_view(), current, settings=ranges, random=right), pixels)
+        assert np.array_equal(pixels[:, :count], expected)
+        assert (pixels[:, count:] == expected[:, -1:]).all()
+        assert left.random() == right.random(), "both have drawn as many numbers"
 
 
 def test_golden_flow_is_pinned() -> None:

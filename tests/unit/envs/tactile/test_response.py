@@ -3,20 +3,14 @@ from functools import cache
 import numpy as np
 import own_sensors
 import pytest
-from vitac.envs.tactile.design import SensorDesign
 from vitac.envs.tactile.response import Response, response_of
 
 YOUNGS_MODULUS_PA, POISSON_RATIO = 3e5, 0.3
 
 
 @cache
-def flat() -> SensorDesign:
-    return own_sensors.design(own_sensors.GELS["4 mm"]())
-
-
-@cache
 def response(youngs_modulus_pa: float = YOUNGS_MODULUS_PA) -> Response:
-    return response_of(flat(), youngs_modulus_pa=youngs_modulus_pa, poisson_ratio=POISSON_RATIO)
+    return response_of(own_sensors.designed("4 mm"), youngs_modulus_pa=youngs_modulus_pa, poisson_ratio=POISSON_RATIO)
 
 
 def everywhere() -> np.ndarray:
@@ -60,7 +54,7 @@ def test_each_pressure_is_scaled_to_1_n() -> None:
 
 
 def test_pin_moves_the_markers_around_it_most() -> None:
-    found, markers = response(), flat().markers_mm
+    found, markers = response(), own_sensors.designed("4 mm").markers_mm
     for place in (300, 700):
         load = np.eye(len(found.points_mm))[:, [place]]
         moved = found.motion_px_n(load)[:, 0, 0].reshape(2, -1)

@@ -4,7 +4,7 @@ import os
 import signal
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import pytest
 from vitac.evaluator.agent.exchange import LOADER_PID, Deadlines, EpisodeProcess, Exchange
@@ -15,8 +15,8 @@ from vitac.evaluator.agent.protocol.frames import Answer, AnswerHeader, AnswerKi
 from vitac.evaluator.agent.verdicts import PolicyFailed, SandboxFailed, VerdictCode
 
 PROCESS = EpisodeProcess(outside_pid=4711, inside_pid=7)
-DEADLINES = Deadlines(what="act", wall_s=0.15, cpu_s=1.0)
-LOADING = Deadlines(what="loading", wall_s=0.15, cpu_s=1.0, wall_verdict=VerdictCode.START_TIMEOUT)
+DEADLINES = Deadlines(what="act", wall_s=60.0, cpu_s=1.0)
+LOADING = Deadlines(what="loading", wall_s=60.0, cpu_s=1.0, wall_verdict=VerdictCode.START_TIMEOUT)
 KILLED = int(signal.SIGKILL)
 
 
@@ -80,8 +80,10 @@ class FakeSandbox:
     kills: int = 0
     refused: int = 0
     used_cpu_s: Iterator[float] = field(default_factory=lambda: iter([]))
+    looks: int = 0
 
     def exit_status(self, pid: int) -> int | None:
+        self.looks += 1
         return self.statuses.get(pid)
 
     def has_ended(self) -> bool:
@@ -95,13 +97,19 @@ class FakeSandbox:
 
 
 @pytest.fixture
-def sandbox() -> Iterator[FakeSandbox]:
+def pipes() -> Iterator[list[tuple[int, int]]]:
+    """Of channel, output and status: what is written makes them ready."""
     pipes = [os.pipe() for _ in range(3)]
-    reads = [read for read, _ in pipes]
-    yield FakeSandbox(FakeChannel(reads[0]), FakeOutput(reads[1]), reads[2])
+    yield pipes
     for pair in pipes:
         for descriptor in pair:
             os.close(descriptor)
+
+
+@pytest.fixture
+def sandbox(pipes: list[tuple[int, int]]) -> FakeSandbox:
+    channel, output, status = (read for read, _ in pipes)
+    return FakeSandbox(FakeChannel(channel), FakeOutput(output), status)
 
 
 def exchange_with(sandbox: FakeSandbox, process: EpisodeProcess | None = PROCESS) -> Exchange:
@@ -130,6 +138,35 @@ def test_an_answer_counts_though_its_process_has_ended_since(sandbox: FakeSandbo
     sandbox.channel.answers = [an_answer(AnswerKind.ACTION)]
     sandbox.statuses = {PROCESS.inside_pid: exited(0)}
     assert exchange_with(sandbox).ask(Question(kind=QuestionKind.OBSERVE), AnswerKind.ACTION, DEADLINES)
+
+
+@pytest.mark.parametrize(("is_reported", "looks"), [(False, 0), (True, 1)])
+def test_ends_are_looked_up_for_an_answer_only_where_one_was_reported(
+    sandbox: FakeSandbox, pipes: list[tuple[int, int]], is_reported: bool, looks: int
+) -> None:
+    (_, channel), _, (_, status) = pipes
+    os.write(channel, b"answer")
+    if is_reported:
+        os.write(status, b"a child")
+    sandbox.channel.answers = [an_answer(AnswerKind.ACTION)]
+    exchange_with(sandbox).ask(Question(kind=QuestionKind.OBSERVE), AnswerKind.ACTION, DEADLINES)
+    assert sandbox.looks == looks
+
+
+def test_an_end_that_was_reported_before_the_question_is_found_without_a_further_report(
+    sandbox: FakeSandbox, pipes: list[tuple[int, int]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also where half an answer keeps the channel busy: silence follows, and then it is looked up."""
+    (read, channel), *_ = pipes
+    os.write(channel, b"half")
+    sandbox.statuses = {PROCESS.inside_pid: exited(4)}
+
+    def receive(_: Sequence[AnswerKind]) -> None:
+        if sandbox.looks == 0:
+            os.read(read, 4)
+
+    monkeypatch.setattr(sandbox.channel, "receive", receive)
+    assert "exit code 4" in failure_of(exchange_with(sandbox)).message
 
 
 def test_another_processs_answer_is_a_violation(sandbox: FakeSandbox) -> None:
@@ -192,9 +229,10 @@ def test_a_closed_channel_is_explained_by_the_end_of_the_process(sandbox: FakeSa
 
 def test_silence_ends_at_the_deadline(sandbox: FakeSandbox) -> None:
     began = time.monotonic()
-    assert failure_of(exchange_with(sandbox)).verdict is VerdictCode.WALL_TIME
-    assert time.monotonic() - began >= DEADLINES.wall_s
-    assert failure_of(exchange_with(sandbox, None), LOADING).verdict is VerdictCode.START_TIMEOUT
+    assert failure_of(exchange_with(sandbox), replace(DEADLINES, wall_s=0.15)).verdict is VerdictCode.WALL_TIME
+    assert time.monotonic() - began >= 0.15
+    loading = failure_of(exchange_with(sandbox, None), replace(LOADING, wall_s=0.15))
+    assert loading.verdict is VerdictCode.START_TIMEOUT
 
 
 def test_cpu_time_is_counted_from_the_question(sandbox: FakeSandbox) -> None:
@@ -208,6 +246,16 @@ def test_cpu_time_is_counted_from_the_question(sandbox: FakeSandbox) -> None:
 
 def test_printing_too_much_ends_the_policy(sandbox: FakeSandbox) -> None:
     sandbox.output.counted_bytes = MIB + 1
+    assert failure_of(exchange_with(sandbox)).verdict is VerdictCode.OUTPUT_FLOOD
+
+
+def test_printing_too_much_before_an_answer_ends_the_policy_as_well(
+    sandbox: FakeSandbox, pipes: list[tuple[int, int]]
+) -> None:
+    (_, channel), (_, output), _ = pipes
+    os.write(output, b"flood")
+    os.write(channel, b"answer")
+    sandbox.channel.answers, sandbox.output.counted_bytes = [an_answer(AnswerKind.ACTION)], MIB + 1
     assert failure_of(exchange_with(sandbox)).verdict is VerdictCode.OUTPUT_FLOOD
 
 

@@ -21,6 +21,8 @@ from vitac.evaluator.episodes.records import (
     SampledPicture,
     Timings,
     canonical_json,
+    counted_env_steps,
+    digest_of_stored,
     in_order,
     result_hash,
 )
@@ -39,6 +41,8 @@ def test_output_and_timings_change_no_digest() -> None:
     assert loud.record_digest() == quiet.record_digest()
     assert result_hash(make_manifest(), [loud]) == result_hash(make_manifest(), [quiet])
     assert make_record(6).record_digest() != quiet.record_digest()
+    for left_out in ({"output"}, {"output", "timings"}, set()):
+        assert digest_of_stored(loud.model_dump(mode="json", exclude=left_out)) == quiet.record_digest()
 
 
 @given(st.lists(st.lists(st.floats(width=32, allow_nan=False, allow_infinity=False), min_size=3, max_size=3)))
@@ -362,10 +366,16 @@ def test_the_json_has_no_blanks_and_sorted_keys_inside_too() -> None:
     [
         ("Looking up P raised AttributeError: no attribute 'P'", "no attribute 'P'. The entry point"),
         ("Action has shape (2,), expected (3,).", "expected (3,). The entry point"),
-        ("act() raised ValueError: (why)\n", "ValueError: (why) The entry point"),
+        ("act() raised ValueError: (why)\n", "ValueError: (why). The entry point"),
+        ("Importing policy raised SyntaxError: bad (policy.py, line 3)", "(policy.py, line 3). The entry point"),
+        ("More than 3 GiB were used. (act() raised MemoryError.)", "MemoryError.) The entry point"),
     ],
 )
 def test_a_failure_is_told_in_sentences_with_what_to_do(message: str, told: str) -> None:
     failure = PolicyFailure(stage=FailureStage.LOAD, code=VerdictCode.IMPORT_ERROR, message=message)
     assert told in failure.told
     assert failure.told.endswith(VerdictCode.IMPORT_ERROR.sentence)
+
+
+def test_one_env_step_is_told_as_one() -> None:
+    assert [counted_env_steps(number) for number in (0, 1, 2)] == ["0 env steps", "1 env step", "2 env steps"]

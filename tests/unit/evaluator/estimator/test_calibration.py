@@ -1,6 +1,8 @@
 from pathlib import Path
+from typing import Any
 
 import drawn_gels
+import numpy as np
 import pytest
 from own_sensors import design, write_sensor
 from vitac.evaluator.episodes.episode import make_environment
@@ -25,6 +27,47 @@ def test_calibration_gives_the_same_bytes_again_and_names_its_sensor() -> None:
     assert (first.mesh_hash, first.starts) == (env.mesh_hash(), 6)
     assert {len(regression.means) for regression in first.regressions} == {COUNT + 3}
     assert 1 <= len(first.regressions) <= calibration.ENV_STEPS
+
+
+class Counting:
+    """An environment that plays nothing: episodes end after so many env steps, or never."""
+
+    def __init__(self, ends_after: int | None) -> None:
+        self._ends_after = ends_after
+        self.env_steps: list[int] = []
+
+    def mesh_hash(self) -> str:
+        """Return that of no mesh."""
+        return "none"
+
+    def reset(self, **_: object) -> tuple[Any, Any]:
+        """Count the env steps of another episode."""
+        self.env_steps.append(0)
+        return self._seen()
+
+    def step(self, _: object) -> tuple[Any, ...]:
+        """Count an env step."""
+        self.env_steps[-1] += 1
+        observation, info = self._seen()
+        return observation, 0.0, False, False, info
+
+    def _seen(self) -> tuple[Any, Any]:
+        end_reason = "steps" if self.env_steps[-1] == self._ends_after else None
+        info = {"gt_offset_mm_deg": np.array([1.0, -1.0, 2.0]), "end_reason": end_reason}
+        return {"marker_flow": np.zeros((2, 2, 4, 2), np.float32)}, info
+
+
+@pytest.mark.parametrize(
+    ("ends_after", "played", "learned"),
+    [(None, calibration.ENV_STEPS - 1, calibration.ENV_STEPS), (3, 3, 3), (1, 1, 1)],
+)
+def test_calibration_plays_no_env_step_of_which_it_learns_nothing(
+    ends_after: int | None, played: int, learned: int
+) -> None:
+    env = Counting(ends_after)
+    found = calibrate(env, TASK, starts=3)  # type: ignore[arg-type]
+    assert env.env_steps == [played] * 3
+    assert len(found.regressions) == learned
 
 
 def test_a_sensor_is_calibrated_once_for_both_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

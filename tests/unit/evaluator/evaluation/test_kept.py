@@ -5,7 +5,6 @@ import sys
 import time
 from pathlib import Path
 
-import fake_shard_process
 import pytest
 from vitac.evaluator.episodes.records import EpisodeRecord
 from vitac.evaluator.evaluation import kept as kept_module
@@ -17,16 +16,12 @@ from vitac.evaluator.shards.order import ShardOrder
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import load_track
 
+pytestmark = pytest.mark.usefixtures("fake_command")
 TRACK = load_track("track_1")
 TASK = TRACK.tasks["peg-insertion"]
 ORDER = ShardOrder(
     kind=SubmissionKind.MODEL, submission=Path("/a"), track="track_1", task="peg-insertion", shard=0, episodes=(1,)
 )
-
-
-@pytest.fixture(autouse=True)
-def fake_command(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(shard_process, "COMMAND", (sys.executable, fake_shard_process.__file__))
 
 
 def play(

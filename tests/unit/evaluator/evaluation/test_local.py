@@ -1,8 +1,6 @@
-import sys
 from pathlib import Path
 from typing import Any
 
-import fake_shard_process
 import pytest
 from evaluation_records import make_manifest
 from vitac.evaluator.agent.verdicts import VerdictCode
@@ -10,21 +8,16 @@ from vitac.evaluator.episodes.records import EpisodeRecord
 from vitac.evaluator.estimator.regression import Coefficients
 from vitac.evaluator.evaluation.kept import FinishedShard
 from vitac.evaluator.evaluation.local import Evaluation, evaluate
-from vitac.evaluator.shards import process as shard_process
 from vitac.evaluator.shards.order import ShardOrder
 from vitac.evaluator.shards.process import ShardProcessFailed
 from vitac.evaluator.shards.result import ShardEnd, ShardResult
 from vitac.evaluator.tracks import load_track
 from vitac.evaluator.tracks.cut import UnknownEpisodes
 
+pytestmark = pytest.mark.usefixtures("fake_command")
 TRACK = load_track("track_1")
 TASK = TRACK.tasks["peg-insertion"]
 SPREAD = (1, 2, 31, 61, 62)
-
-
-@pytest.fixture(autouse=True)
-def fake_command(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(shard_process, "COMMAND", (sys.executable, fake_shard_process.__file__))
 
 
 def run(behaviour: str, **options: Any) -> Evaluation:

@@ -6,7 +6,7 @@ from vitac.evaluator.figures.grasp import START, grasp_figures, smallest_det_f
 
 
 def grasped(name: str, *, indentation_mm: float) -> PegInsertionEnv:
-    return PegInsertionEnv(sensor=own_sensors.design(own_sensors.GELS[name]()), indentation_mm=indentation_mm)
+    return PegInsertionEnv(sensor=own_sensors.designed(name), indentation_mm=indentation_mm)
 
 
 def test_flat_gel_is_pressed_by_what_the_grasp_closes() -> None:

@@ -3,7 +3,6 @@ from functools import cache
 import numpy as np
 import own_sensors
 import pytest
-from vitac.envs.tactile.design import SensorDesign
 from vitac.evaluator.episodes.episode import make_environment
 from vitac.evaluator.estimator.calibration import calibrate
 from vitac.evaluator.figures.figures import StartFigures, Variation
@@ -15,14 +14,9 @@ TASK = load_track("track_3").tasks["sensor-blind"]
 
 
 @cache
-def design() -> SensorDesign:
-    return own_sensors.design(own_sensors.GELS["ridge"]())
-
-
-@cache
 def measurement() -> Measurement:
-    env = make_environment(TASK, sensor=design())
-    return Measurement(TASK, design(), calibrate(env, TASK, starts=2))
+    env = make_environment(TASK, sensor=own_sensors.designed("ridge"))
+    return Measurement(TASK, own_sensors.designed("ridge"), calibrate(env, TASK, starts=2))
 
 
 @cache
@@ -64,14 +58,14 @@ def test_every_variation_is_played() -> None:
 def test_sensor_as_a_whole_is_measured_in_its_own_environment() -> None:
     whole = measurement().whole()
     assert whole.starts == ()
-    assert whole.grasp == grasp_figures(make_environment(TASK, sensor=design()))
+    assert whole.grasp == grasp_figures(make_environment(TASK, sensor=own_sensors.designed("ridge")))
     assert whole.touch is not None
     assert (whole.touch.normal_px_n or 0.0) > 0.0
 
 
 def test_refined_design_keeps_shape_faces_and_markers() -> None:
-    fine = refined_design(design(), 1.5)
-    assert len(fine.gel.rest_position_m) == int(1.5 * len(design().gel.rest_position_m))
-    assert fine.gel.volumes_m3.sum() == pytest.approx(design().gel.volumes_m3.sum())
+    fine = refined_design(own_sensors.designed("ridge"), 1.5)
+    assert len(fine.gel.rest_position_m) == int(1.5 * len(own_sensors.designed("ridge").gel.rest_position_m))
+    assert fine.gel.volumes_m3.sum() == pytest.approx(own_sensors.designed("ridge").gel.volumes_m3.sum())
     assert not fine.attachment.faults.any()
-    np.testing.assert_allclose(fine.rest_pixels, design().rest_pixels)
+    np.testing.assert_allclose(fine.rest_pixels, own_sensors.designed("ridge").rest_pixels)

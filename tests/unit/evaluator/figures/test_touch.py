@@ -13,13 +13,8 @@ from vitac.evaluator.figures.touch import touch_figures
 
 
 @cache
-def design(name: str) -> SensorDesign:
-    return own_sensors.design(own_sensors.GELS[name]())
-
-
-@cache
 def figures(name: str) -> TouchFigures:
-    return of(design(name))
+    return of(own_sensors.designed(name))
 
 
 def of(sensor: SensorDesign, youngs_modulus_pa: float = 3e5) -> TouchFigures:
@@ -44,9 +39,9 @@ def test_map_of_a_flat_gel_is_whole_and_nearly_symmetric() -> None:
 
 
 def test_places_beside_the_sensing_faces_are_left_out() -> None:
-    gel = design("4 mm").gel
-    centres_m = gel.rest_position_m[design("4 mm").sensing_triangles].mean(axis=1)
-    half = replace(design("4 mm"), sensing_triangles=design("4 mm").sensing_triangles[centres_m[:, 0] > 0.0])
+    whole = own_sensors.designed("4 mm")
+    centres_m = whole.gel.rest_position_m[whole.sensing_triangles].mean(axis=1)
+    half = replace(whole, sensing_triangles=whole.sensing_triangles[centres_m[:, 0] > 0.0])
     found = of(half).sensitivity
     assert {row[0] for row in found.normal_px_n} == {None}
     assert {row[0] for row in found.shear_px_n} == {None}
@@ -55,7 +50,7 @@ def test_places_beside_the_sensing_faces_are_left_out() -> None:
 
 def test_gel_that_senses_in_no_place_has_no_medians_and_shows_so() -> None:
     """As four ridges with tops of half a millimetre, which keep every rule."""
-    drawn = design("4 mm")
+    drawn = own_sensors.designed("4 mm")
     centres_mm = 1e3 * drawn.gel.rest_position_m[drawn.sensing_triangles].mean(axis=1)
     narrow = replace(drawn, sensing_triangles=drawn.sensing_triangles[np.abs(centres_mm[:, 0] - 1.0) < 0.6])
     found = of(narrow)
@@ -71,7 +66,7 @@ def test_gel_that_senses_in_no_place_has_no_medians_and_shows_so() -> None:
 
 
 def test_softer_gel_is_more_sensitive_and_resolves_more() -> None:
-    stiff, soft = figures("4 mm"), of(design("4 mm"), 1.5e5)
+    stiff, soft = figures("4 mm"), of(own_sensors.designed("4 mm"), 1.5e5)
     assert soft.normal_px_n == pytest.approx(2.0 * known(stiff.normal_px_n), rel=1e-3)
     assert soft.shear_px_n == pytest.approx(2.0 * known(stiff.shear_px_n), rel=1e-3)
     assert soft.pin_mm == pytest.approx(0.5 * known(stiff.pin_mm), rel=1e-3)
@@ -84,7 +79,7 @@ def test_thicker_gel_is_more_sensitive_to_shear() -> None:
 
 
 def test_twice_the_markers_halve_the_variance() -> None:
-    sensor = design("4 mm")
+    sensor = own_sensors.designed("4 mm")
     twice = replace(sensor, markers_mm=np.concatenate([sensor.markers_mm, sensor.markers_mm]))
     assert of(twice).pin_mm == pytest.approx(known(figures("4 mm").pin_mm) / np.sqrt(2.0), rel=1e-3)
     assert of(twice).normal_px_n == pytest.approx(known(figures("4 mm").normal_px_n) * np.sqrt(2.0), rel=1e-3)

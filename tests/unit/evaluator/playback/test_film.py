@@ -1,16 +1,16 @@
 """Films of recorded episodes, on the stand-in for ManiSkill."""
 
+import weakref
 from pathlib import Path
 
 import numpy as np
 import pytest
-from evaluation_records import make_record
 from fake_pick_cube import FakePickCube, in_place_of_maniskill
 from PIL import Image
+from resimulated_record import resimulated_record
 from vitac.envs.maniskill.env import ManiSkillMissing
-from vitac.evaluator.episodes.episode import make_environment
-from vitac.evaluator.episodes.records import ActionSequence, EpisodeOutcome, EpisodeRecord
-from vitac.evaluator.episodes.replay import resimulate
+from vitac.envs.maniskill.film import Shot
+from vitac.evaluator.episodes.records import EpisodeRecord
 from vitac.evaluator.playback import film
 from vitac.evaluator.playback.film import WIDTH_PX, make_film
 from vitac.evaluator.playback.making import make
@@ -31,20 +31,7 @@ def fake(monkeypatch: pytest.MonkeyPatch) -> FakePickCube:
 
 
 def recorded(task: Task, env_steps: int = 3, number: int = 2) -> EpisodeRecord:
-    episode = task.episodes[number - 1]
-    actions = np.full((env_steps, 4), 0.5, np.float32)
-    played = resimulate(make_environment(task), episode, actions)
-    return make_record(
-        number,
-        EpisodeOutcome.ACTIONS_ENDED,
-        env_steps,
-        task=task.name,
-        shape=episode.shape,
-        initial_offset=episode.offset,
-        actions=ActionSequence.from_array(actions),
-        state_hashes=played.state_hashes,
-        infos=played.infos,
-    )
+    return resimulated_record(task, number, np.full((env_steps, 4), 0.5, np.float32))
 
 
 def test_a_film_shows_every_recorded_env_step_and_ends_with_the_still(
@@ -83,6 +70,24 @@ def test_another_state_than_the_recorded_one_is_not_shown(task: Task, tmp_path: 
     assert list(tmp_path.iterdir()) == []
 
 
+def test_no_more_than_a_few_pictures_are_in_memory_at_once(
+    task: Task, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[weakref.ref[np.ndarray]] = []
+    most = 0
+
+    def captioned(shot: Shot, *_: object) -> np.ndarray:
+        nonlocal most
+        picture = shot.picture.copy()
+        made.append(weakref.ref(picture))
+        most = max(most, sum(it() is not None for it in made))
+        return picture
+
+    monkeypatch.setattr("vitac.envs.maniskill.film.captioned", captioned)
+    make_film(task, recorded(task, env_steps=20), lambda _: None, tmp_path)
+    assert (len(made), most <= 3) == (21, True)
+
+
 def test_an_episode_that_ends_before_its_record_is_not_shown(task: Task, fake: FakePickCube, tmp_path: Path) -> None:
     record = recorded(task, env_steps=4)
     fake.solves = True
@@ -98,7 +103,7 @@ def test_without_a_driver_the_refusal_says_what_to_install(
     def no_driver(*_: object, **__: object) -> None:
         raise ManiSkillMissing("A picture of it is drawn by SAPIEN, which finds no Vulkan driver.")
 
-    monkeypatch.setattr("vitac.envs.maniskill.env._made", no_driver)
+    monkeypatch.setattr("vitac.envs.maniskill.env.made", no_driver)
     with pytest.raises(ManiSkillMissing, match="no Vulkan driver"):
         film.make_film(task, record, lambda _: None, tmp_path)
 

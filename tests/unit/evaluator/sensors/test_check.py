@@ -76,6 +76,19 @@ def test_marker_behind_a_wall_is_named(tmp_path: Path) -> None:
     assert "2 at (1.02, 0.00) mm is not on sensing face" in problem(check)
 
 
+def test_markers_closer_than_the_camera_can_tell_apart_are_named(tmp_path: Path) -> None:
+    """Each is seen with a noise of its own: many at one place would average it away."""
+    flat = write_sensor(tmp_path, drawn_gels.flat(), yaml="markers: {points_mm: [[0, 0], [2, 1], [0, 0], [2.3, 1.39]]}")
+    check = check_sensor(flat)
+    assert broken(check) == [Rule.MARKERS]
+    assert check.design is None
+    assert problem(check).startswith("4 of 4 attached, 2 too close")
+    assert problem(check).endswith("3 is 0.00 mm from 1; 4 is 0.49 mm from 2.")
+    for spacing_mm, faults in ((0.5, []), (0.499, [Rule.MARKERS])):
+        yaml = f"markers: {{grid: {{columns: 9, rows: 7, spacing_mm: [{spacing_mm}, 0.7], rotation_deg: 31}}}}"
+        assert broken(check_sensor(write_sensor(tmp_path, drawn_gels.flat(), yaml=yaml))) == faults
+
+
 def test_digest_is_that_of_the_mesh_alone(tmp_path: Path, ridge: Tetrahedra) -> None:
     folders = [tmp_path / name for name in ("first", "second")]
     for folder in folders:
@@ -224,6 +237,14 @@ def dented(by_mm: float) -> Tetrahedra:
     return mesh
 
 
+def lifted(by_mm: float) -> Tetrahedra:
+    """A flat gel with one node of its base that is not at the rim moved up, and all faces around it with it."""
+    mesh = block()
+    inner = np.flatnonzero((mesh.nodes_mm[:, 2] == 0.0) & (np.abs(mesh.nodes_mm[:, :2]).max(axis=1) < 4.0))
+    mesh.nodes_mm[inner[0], 2] += by_mm
+    return mesh
+
+
 # For each rule of a mesh the last value that is accepted, the first one that is refused, and a mesh with it.
 MESH_BORDERS: dict[str, tuple[Rule, Callable[[float], Tetrahedra], float, float]] = {
     "fewest nodes": (Rule.NODES, lambda nodes: with_nodes_inside(block((5, 5, 3)), int(nodes) - 144), 150, 149),
@@ -232,6 +253,7 @@ MESH_BORDERS: dict[str, tuple[Rule, Callable[[float], Tetrahedra], float, float]
     "more volume": (Rule.VOLUME, lambda share: scaled(block(), 1.0, 1.0, 1.0 + share), 0.00999, 0.01001),
     "distance": (Rule.DISTANCE, dented, 0.0999, 0.1001),
     "shorter base": (Rule.BASE_NODES, lambda by: scaled(block(), 1.0 - by / 25.25, 1.0, 1.0), 0.00099, 0.00101),
+    "base beside its plane": (Rule.BASE_NODES, lifted, 0.00099, 0.00101),
     "wider base": (Rule.BASE_NODES, lambda by: scaled(block(), 1.0, 1.0 + by / 20.75, 1.0), 0.00099, 0.00101),
 }
 
@@ -250,3 +272,13 @@ def test_size_of_an_own_mesh_is_limited_to_the_byte(tmp_path: Path) -> None:
         folder = write_sensor(tmp_path, drawn_gels.flat(), mesh=text.ljust(n_bytes))
         assert broken(check_sensor(folder)) == expected
     assert f"expected at most {most} bytes" in problem(check_sensor(folder))
+
+
+def test_mesh_that_is_glued_only_at_its_rim_is_refused(tmp_path: Path) -> None:
+    """It would be softer than what was drawn, and 0.05 mm is within what surfaces may be apart."""
+    mesh = block()
+    inner = (mesh.nodes_mm[:, 2] == 0.0) & (np.abs(mesh.nodes_mm[:, :2]) < [12.0, 10.0]).all(axis=1)
+    mesh.nodes_mm[inner, 2] = 0.05
+    check = check_sensor(write_sensor(tmp_path, drawn_gels.flat(), mesh=msh(mesh)))
+    assert broken(check) == [Rule.BASE_NODES]
+    assert "32 nodes, outline 0.0000 mm off, 515.62 mm2 not in its plane" in problem(check)

@@ -88,8 +88,8 @@ FAULTS: dict[str, tuple[Callable[[], DrawnSurface], Rule, str]] = {
     "flat": (sheet, Rule.FLAT, "sheet"),
     "two bodies": (two_bodies, Rule.BODIES, "loose parts"),
     "crossing": (crossed, Rule.SELF_INTERSECTION, r"cross near \("),
-    "infinite": (with_infinity, Rule.FINITE, "infinite or no number"),
-    "no number": (with_nan, Rule.FINITE, "infinite or no number"),
+    "infinite": (with_infinity, Rule.FINITE, "infinite, too large or no number"),
+    "no number": (with_nan, Rule.FINITE, "infinite, too large or no number"),
     "metres": (lambda: drawn_gels.moved(drawn_gels.flat(), scale=1e-3), Rule.UNIT, "in metres"),
     "inches": (lambda: drawn_gels.moved(drawn_gels.flat(), scale=1 / 25.4), Rule.UNIT, "in inches"),
     "too large": (lambda: drawn_gels.moved(drawn_gels.flat(), scale=7.0), Rule.UNIT, "in millimetres"),
@@ -159,6 +159,12 @@ def test_too_many_triangles_are_refused_before_they_are_parsed(tmp_path: Path) -
 )
 def test_what_is_no_stl_is_unreadable(content: bytes, tmp_path: Path) -> None:
     assert broken(checked(content, tmp_path)) == [Rule.READABLE]
+
+
+@pytest.mark.parametrize(("number", "rule"), [("1e400", Rule.FINITE), ("1e308", Rule.FINITE), ("9e29", Rule.UNIT)])
+def test_numbers_that_could_not_be_squared_are_refused(number: str, rule: Rule, tmp_path: Path) -> None:
+    text = f"solid\nvertex 0 0 0\nvertex -{number} 0 0\nvertex {number} 1 0\nendsolid"
+    assert broken(checked(text.encode(), tmp_path)) == [rule]
 
 
 def test_missing_file_is_unreadable(tmp_path: Path) -> None:

@@ -126,13 +126,13 @@ def test_policy_that_cannot_be_loaded_ends_the_shard_at_once() -> None:
 
 
 def test_failures_before_a_resume_count() -> None:
-    result, records = run(FakeSession(fail).load, skip={1, 2}, earlier_failures=[make_failure(), make_failure()])
+    result, records = run(FakeSession(fail).load, skip={1, 2}, failures=[make_failure(), make_failure()])
     assert (result.end, len(records)) == (ShardEnd.BROKEN, 1)
 
 
 def test_shard_that_was_broken_stays_broken() -> None:
     session = FakeSession(succeed)
-    result, records = run(session.load, skip={1}, earlier_failures=[make_failure(stage=FailureStage.LOAD)])
+    result, records = run(session.load, skip={1}, failures=[make_failure(stage=FailureStage.LOAD)])
     assert (result.end, records, session.loads) == (ShardEnd.BROKEN, {}, 0)
 
 
@@ -186,7 +186,7 @@ def test_verdict_is_of_the_first_broken_shard_in_any_order(stages: list[FailureS
 
 def test_time_of_the_shard_that_is_used_up_ends_it_at_once_and_is_the_verdict() -> None:
     failures = {1: make_failure(), 3: make_failure(code=VerdictCode.SHARD_TIME)}
-    result, records = run(FakeSession(succeed).load, skip=set(failures), earlier_failures=list(failures.values()))
+    result, records = run(FakeSession(succeed).load, skip=set(failures), failures=list(failures.values()))
     assert (result.end, records) == (ShardEnd.BROKEN, {})
     failed = [
         make_record(number, EpisodeOutcome.POLICY_FAILED, failure=failure) for number, failure in failures.items()

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
-import fake_shard_process
 import pytest
 from vitac.evaluator.episodes.records import EpisodeRecord
 from vitac.evaluator.estimator.regression import Coefficients
@@ -18,12 +17,7 @@ from vitac.evaluator.shards.result import ShardEnd, ShardResult
 from vitac.evaluator.tracks import load_track
 from worker_fakes import eventually
 
-FAKE = (sys.executable, fake_shard_process.__file__)
-
-
-@pytest.fixture(autouse=True)
-def fake_command(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(shard_process, "COMMAND", FAKE)
+pytestmark = pytest.mark.usefixtures("fake_command")
 
 
 def order(behaviour: str, **changes: object) -> ShardOrder:
@@ -50,7 +44,7 @@ def parent_of(pid: int) -> int:
 def is_alive(pid: int) -> bool:
     try:
         return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
-    except FileNotFoundError:
+    except (FileNotFoundError, ProcessLookupError):
         return False
 
 
@@ -375,12 +369,11 @@ def test_leaving_the_block_ends_the_process(processes: ShardProcesses) -> None:
     assert not is_alive(pid)
 
 
-def test_process_dies_with_its_parent() -> None:
+def test_process_dies_with_its_parent(fake_command: tuple[str, str]) -> None:
     code = (
-        f"import sys; sys.path.insert(0, {str(Path(fake_shard_process.__file__).parent)!r})\n"
         "from vitac.evaluator.shards import process as shard_process\n"
         "from vitac.evaluator.shards.order import ShardOrder\n"
-        f"shard_process.COMMAND = {FAKE!r}\n"
+        f"shard_process.COMMAND = {fake_command!r}\n"
         f"order = ShardOrder.model_validate_json({order('hang').model_dump_json()!r})\n"
         "with shard_process.ShardProcesses() as processes, processes.running_shard(order) as process:\n"
         "    print(process.pid, flush=True)\n"

@@ -63,6 +63,21 @@ def test_too_many_observation_keys_are_refused() -> None:
     assert "observation_keys" in manifest_error(f"{MANIFEST}observation_keys: [{'marker_flow, ' * 65}]\n")
 
 
+def test_one_submission_can_play_all_tasks_of_the_track_that_has_most() -> None:
+    track = registry.load_track("maniskill")
+    modes = {name: task.definition.control_mode for name, task in track.tasks.items()}
+    content = {"track": track.name, "name": "all of them", "tasks": list(modes), "control_modes": modes}
+    manifest = parse_manifest(yaml.safe_dump(content).encode())
+    assert (manifest.tasks, manifest.control_modes) == (tuple(track.tasks), modes)
+
+
+def test_too_many_tasks_and_control_modes_are_refused() -> None:
+    many = ", ".join(f"task-{number}" for number in range(129))
+    assert "tasks" in manifest_error(MANIFEST.replace("[peg-insertion]", f"[{many}]"))
+    modes = ", ".join(f"task-{number}: x" for number in range(129))
+    assert "control_modes" in manifest_error(f"{MANIFEST}control_modes: {{{modes}}}\n")
+
+
 def test_missing_manifest_is_named(tmp_path: Path) -> None:
     with pytest.raises(ManifestRejected, match=r"submission\.yaml is missing"):
         load_manifest(tmp_path)
@@ -366,13 +381,24 @@ def test_a_staged_folder_has_the_name_of_its_track(tmp_path: Path) -> None:
 def test_wrong_name_of_the_manifest_lists_the_files_that_are_there(tmp_path: Path) -> None:
     folder = submission_folder(tmp_path)
     (folder / "submission.yaml").rename(folder / "submission.yml")
-    with pytest.raises(NoSubmission, match=r"holds 'policy\.py', .*'submission\.yml'"):
+    mend = r"; rename 'submission\.yml' to submission\.yaml\."
+    with pytest.raises(NoSubmission, match=rf"holds 'policy\.py', .*'submission\.yml'{mend}"):
         find_submission(folder)
-    with pytest.raises(ManifestRejected, match=r"submission's folder holds 'policy\.py', .*'submission\.yml'"):
+    with pytest.raises(ManifestRejected, match=rf"folder holds 'policy\.py', .*'submission\.yml'{mend}"):
         load_manifest(folder)
     archive = tmp_path / "packed.zip"
     archive.write_bytes(zip_bytes({"Track_1/submission.yml": MANIFEST, "Track_1/policy.py": ""}))
-    with pytest.raises(ManifestRejected, match=r"The archive holds 'policy\.py', 'submission\.yml'\."):
+    with pytest.raises(ManifestRejected, match=rf"{mend} The archive holds 'policy\.py', 'submission\.yml'\."):
+        manifest_of(archive)
+
+
+def test_a_manifest_of_the_right_name_is_not_to_be_renamed(tmp_path: Path) -> None:
+    (tmp_path / "submission.yaml").mkdir()
+    with pytest.raises(NoSubmission, match=r"name the submission's folder or its zip\.$"):
+        find_submission(tmp_path)
+    archive = tmp_path / "packed.zip"
+    archive.write_bytes(zip_bytes({"Track_1/submission.yaml": "#" * 20_000}))
+    with pytest.raises(ManifestRejected, match=r"; put it directly into the submission's folder\. The archive holds"):
         manifest_of(archive)
 
 

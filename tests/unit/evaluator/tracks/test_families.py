@@ -50,11 +50,13 @@ def test_a_sealed_list_has_other_seeds() -> None:
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("PickCube-v1", "PickCubes-v1", r"did you mean 'PickCube-v1'"),
+        ("PickCube-v1", "PickCubes-v1", r"did you mean 'PickCube-v1'\?$"),
         ("PickCube-v1", "TurnFaucet-v1", r"cannot be a task\. It needs files that ManiSkill downloads"),
         ("pd_ee_delta_pos", "pd_ee_pos", r"no control mode 'pd_ee_pos'"),
         ("obs_mode: state", "obs_mode: sensors", r"obs_mode is 'sensors', expected one of state, rgb"),
         ("obs_mode: state", "observe: state", r"Unknown setting 'observe'"),
+        ("obs_mode: state", "batch_size: 4", r"batch_size is 4, expected 1: only physx_cuda"),
+        ("obs_mode: state", "sim_backend: physx_cuda, batch_size: 16", r"shard_size is 10, expected at least batch_s"),
         ("ManiSkill/PickCube-v1", "Other/PickCube-v1", r"env_id is 'Other/PickCube-v1', expected one of ViTac/Fusion"),
     ],
 )

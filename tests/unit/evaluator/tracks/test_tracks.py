@@ -147,8 +147,19 @@ def test_unknown_track_names_the_tracks() -> None:
 
 
 def test_unknown_task_names_the_tasks() -> None:
-    with pytest.raises(UnknownTask, match=r"'peg'.*peg-insertion"):
+    with pytest.raises(UnknownTask, match=r"'xyz'; the tasks are .*peg-insertion"):
+        find_task("xyz")
+    with pytest.raises(UnknownTask, match=r"''; the tasks are "):
+        find_task("")
+    with pytest.raises(UnknownTask, match=r"'peg'; did you mean .*peg-insertion.*\? The tasks are .*lock-opening"):
         find_task("peg")
+
+
+def test_a_track_names_its_tasks_where_one_is_missing() -> None:
+    track = load_track("track_1")
+    assert track.task("peg-insertion") is track.tasks["peg-insertion"]
+    with pytest.raises(UnknownTask, match=r"^Track 'track_1' has no task 'peg'; its tasks are peg-insertion, lock-"):
+        track.task("peg")
 
 
 def test_find_task_gives_its_track() -> None:

@@ -2,6 +2,7 @@ from datetime import UTC, datetime, timedelta
 from typing import Any
 
 import pytest
+from quota_clock import QuotaClock
 from service_factories import make_principal, play_all
 from sqlalchemy import select, update
 from submission_steps import break_policy, create, refused
@@ -15,6 +16,8 @@ from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.evaluations.lifecycle import FREE_FAILURES_PER_DAY, fail_by_machines
 from vitac.server.settings import Quotas
 from vitac.server.submissions import runs
+
+pytestmark = pytest.mark.usefixtures("quota_clock")
 
 
 @pytest.fixture
@@ -53,23 +56,30 @@ def test_one_evaluation_more_than_a_quota_is_refused_by_its_name(
         assert len(session.scalars(select(Submission)).all()) == 1
 
 
-def test_a_daily_quota_says_when_it_opens_and_opens_then(database: Database, principal: Principal) -> None:
+def test_a_daily_quota_says_when_it_opens_and_opens_then(
+    database: Database, principal: Principal, quota_clock: QuotaClock
+) -> None:
+    midnight = quota_clock.midnight
+    quota_clock.moment = midnight - timedelta(microseconds=1)
     first = submit(database, principal, "one", attempts_per_day=1)
     with pytest.raises(ServiceError) as caught:
         submit(database, principal, "two", attempts_per_day=1)
-    midnight = datetime.now(UTC).replace(hour=0, minute=0, second=0, microsecond=0) + timedelta(days=1)
     assert caught.value.extras["opens_at"] == midnight.isoformat()
     assert f"{midnight:%F} 00:00 UTC" in caught.value.detail
-    with database.transaction() as session:
-        last_moment_of_yesterday = midnight - timedelta(days=1, microseconds=1)
-        session.execute(update(Evaluation).values(charged_at=last_moment_of_yesterday))
+    assert used(database, principal)["attempts_per_day"] == 1
+    quota_clock.moment = midnight
+    counts = used(database, principal)
+    assert (counts["attempts_per_day"], counts["scored_runs_per_day"], counts["queued_at_once"]) == (0, 0, 1)
     assert submit(database, principal, "two", attempts_per_day=1).id != first.id
 
 
-def test_the_first_moment_of_a_day_counts_for_it(database: Database, principal: Principal) -> None:
+def test_the_first_moment_of_a_day_counts_for_it(
+    database: Database, principal: Principal, quota_clock: QuotaClock
+) -> None:
+    first_moment = quota_clock.moment = quota_clock.midnight
     submit(database, principal, "one")
-    with database.transaction() as session:
-        session.execute(update(Evaluation).values(charged_at=quotas._day_start(datetime.now(UTC))))
+    quota_clock.moment = quota_clock.midnight - timedelta(microseconds=1)
+    assert quota_clock.moment.date() == first_moment.date()
     assert used(database, principal)["attempts_per_day"] == 1
 
 

@@ -47,13 +47,17 @@ def evaluation(
     kind: SubmissionKind = SubmissionKind.MODEL,
     tasks: tuple[str, ...] = (TASK,),
     commitment: str | None = None,
+    list_kind: ListKind | None = None,
 ) -> Evaluation:
     """What the rules look at of an evaluation of our team."""
     sealed_list = None if listed == OPEN else SimpleNamespace(revealed_at=None if listed == SEALED else "a moment")
     if sealed_list is not None:
         commitment = "c" * 64  # the row of the list is found by it
     submission = SimpleNamespace(team_id=OURS, is_public=public, kind=kind, track=TRACK, tasks=list(tasks))
-    return cast(Evaluation, SimpleNamespace(submission=submission, sealed_list=sealed_list, commitment=commitment))
+    return cast(
+        Evaluation,
+        SimpleNamespace(submission=submission, sealed_list=sealed_list, commitment=commitment, list_kind=list_kind),
+    )
 
 
 SEEN = {
@@ -106,11 +110,53 @@ def test_a_stage_or_a_task_of_the_file_can_have_a_sealed_list(monkeypatch: pytes
     lock = track.tasks[LOCK]
     sealed = lock.model_copy(update={"episode_list": lock.episode_list.model_copy(update={"commitment": "c"})})
     changed = track.model_copy(update={"tasks": {**track.tasks, LOCK: sealed}})
-    monkeypatch.setattr("vitac.server.accounts.visibility.load_track", lambda _: changed)
+    monkeypatch.setattr("vitac.server.tracks.load_track", lambda _: changed)
     assert played_list_kind(both) is ListKind.SEALED, "one of its tasks is enough"
     assert played_list_kind(evaluation(tasks=(TASK,))) is ListKind.PUBLIC
     assert is_sealed(both)
     assert not is_sealed(evaluation(listed=REVEALED, tasks=(LOCK,))), "a stage's own list counts before the file's"
+
+
+def test_a_list_that_was_removed_with_its_task_counts_as_sealed() -> None:
+    assert played_list_kind(evaluation(tasks=(TASK, "gone"))) is ListKind.SEALED
+    assert not sight_of(VISITOR, evaluation(tasks=("gone",))).episodes
+    assert sight_of(CONSOLE, evaluation(tasks=("gone",))).episodes
+
+
+def test_the_kind_that_was_kept_counts_whatever_the_track_file_says_later(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("vitac.server.tracks.load_track", lambda _: pytest.fail("the track file was asked"))
+    public, sealed = (evaluation(tasks=(TASK,), list_kind=kind) for kind in ListKind)
+    assert (played_list_kind(public), played_list_kind(sealed)) == (ListKind.PUBLIC, ListKind.SEALED)
+    assert sight_of(READERS["own"], public) == EVERYTHING
+    require_episodes(READERS["own"], public)
+    assert is_sealed(evaluation(listed=SEALED, list_kind=ListKind.PUBLIC)), "the stage's secret counts first"
+    assert not is_sealed(evaluation(listed=REVEALED, list_kind=ListKind.SEALED))
+
+
+def test_a_sealed_list_of_the_file_opens_when_its_commitment_is_taken_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    played = evaluation(list_kind=ListKind.SEALED)
+    track = load_track(TRACK)
+    task = track.tasks[TASK]
+    listed = task.model_copy(update={"episode_list": task.episode_list.model_copy(update={"commitment": "c"})})
+    closed = track.model_copy(update={"tasks": {**track.tasks, TASK: listed}})
+    for file, seen in ((closed, NOTHING), (track, EVERYTHING)):
+        monkeypatch.setattr("vitac.server.tracks.load_track", lambda _, file=file: file)
+        assert is_sealed(played) is (seen == NOTHING)
+        assert sight_of(READERS["own"], played) == seen
+        assert played_list_kind(played) is ListKind.SEALED, "who could know it while it was played stays"
+    assert is_sealed(evaluation(commitment="c" * 64, list_kind=ListKind.SEALED)), "of a stage whose secret is lost"
+    gone = evaluation(tasks=(TASK, "gone"), list_kind=ListKind.SEALED)
+    assert refused_code(require_episodes, READERS["own"], gone) is ProblemCode.LIST_SEALED
+
+
+def test_who_asks_for_episodes_of_a_removed_task_learns_that_it_is_gone() -> None:
+    with pytest.raises(ServiceError, match=r"no longer has\. It played .*gone of track_1") as refused:
+        require_episodes(READERS["own"], evaluation(tasks=(TASK, "gone")))
+    assert refused.value.code is ProblemCode.TRACK_REMOVED
+    assert refused_code(require_episodes, READERS["own"], evaluation(listed=SEALED, tasks=("gone",))) is (
+        ProblemCode.LIST_SEALED
+    ), "its secret can still be published"
+    require_episodes(CONSOLE, evaluation(tasks=("gone",)))
 
 
 def refused_code(call: Any, *arguments: Any) -> ProblemCode | None:

@@ -2,8 +2,15 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from sensors_made_once import make_each_once
 from service_client import Service, running_service
 from vitac.server.db.engine import Database
+
+
+@pytest.fixture(autouse=True)
+def _sensors_are_made_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A second in the sandbox for each; `tests/integration/sandbox/test_sensor` is about that."""
+    monkeypatch.setattr("vitac.server.uploads.sensors.make_sensor", make_each_once)
 
 
 @pytest.fixture

@@ -1,19 +1,22 @@
 """Who may call which route: one table over all routes of the API's description, tried whole."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from datetime import timedelta
 from enum import StrEnum
+from pathlib import Path
 from typing import Any
 from uuid import UUID, uuid4
 
 import drawn_gels
 import pytest
-from service_client import POLICY, Service, bearer, make_archive
+from databases import fresh_database
+from service_client import POLICY, Service, bearer, copied_service, make_archive, running_service
 from service_factories import TASK, TRACK, make_principal, make_score, play_all, submit_scored
 from sqlalchemy import delete
 from vitac.server.accounts import members, tokens
 from vitac.server.accounts.principals import CONSOLE
+from vitac.server.db.engine import Database
 from vitac.server.db.models import (
     ApiToken,
     Appeal,
@@ -323,8 +326,25 @@ BODIES: dict[tuple[str, str], Options] = {
 }
 
 
+@pytest.fixture(scope="module")
+def filled(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Setting]:
+    """A setting for tests to copy; its service has ended."""
+    with fresh_database() as address:
+        database = Database(address)
+        with running_service(database, tmp_path_factory.mktemp("filled")) as service:
+            setting = fill(service)
+        database.dispose()
+        yield setting
+
+
 @pytest.fixture
-def setting(service: Service) -> Setting:
+def setting(filled: Setting, tmp_path: Path) -> Iterator[Setting]:
+    with copied_service(filled.service, tmp_path) as service:
+        yield replace(filled, service=service)
+
+
+def fill(service: Service) -> Setting:
+    """Makes everybody and what they ask for."""
     sensor: dict[str, str | bytes] = {
         "Track_3/submission.yaml": "track: track_3\ntasks: [sensor-standard]\nname: flat\n",
         "Track_3/sensor.yaml": "{}",

@@ -11,6 +11,7 @@ import pytest
 from fastapi import FastAPI, Query
 from sqlalchemy.exc import OperationalError
 from starlette.exceptions import HTTPException
+from vitac.evaluator.tracks import UnknownTask, UnknownTrack
 from vitac.server.api import problems
 from vitac.server.errors import STATUS_OF_CODE, ProblemCode, ServiceError
 
@@ -25,6 +26,8 @@ TO_RAISE: dict[str, Exception] = {
     "bug": ValueError("the secret of the service"),
     "teapot": HTTPException(418, "short and stout", headers={"X-Pot": "tea"}),
     "large": HTTPException(413, "Expected at most 5 bytes."),
+    "removed-track": UnknownTrack("There is no track 'gone'."),
+    "removed-task": UnknownTask("Track 'pegs' has no task 'gone'."),
     "connection": OperationalError("SELECT 1", {}, Exception("gone"), connection_invalidated=True),
 }
 
@@ -78,6 +81,14 @@ def problem_of(answer: httpx.Response) -> dict[str, Any]:
     assert content["type"] == f"urn:vitac:problem:{content['code']}"
     assert content["instance"] == answer.request.url.path
     return content
+
+
+@pytest.mark.parametrize(("name", "gone"), [("removed-track", "no track 'gone'"), ("removed-task", "no task 'gone'")])
+def test_what_belongs_to_a_removed_track_is_said_to_be_gone(client: Client, name: str, gone: str) -> None:
+    answer = client.get(f"/raise/{name}")
+    assert (answer.status_code, answer.json()["code"]) == (410, "track_removed")
+    assert answer.json()["detail"].startswith("This belongs to a track or task that this service no longer has. ")
+    assert gone in answer.json()["detail"]
 
 
 def test_every_code_has_a_status_that_says_no() -> None:

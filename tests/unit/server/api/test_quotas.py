@@ -9,6 +9,8 @@ from service_client import API, Service, bearer, make_archive, problem_of, runni
 from vitac.server.db.engine import Database
 from vitac.server.settings import Quotas
 
+pytestmark = pytest.mark.usefixtures("quota_clock")
+
 
 @pytest.fixture
 def service(database: Database, tmp_path: Path) -> Iterator[Service]:

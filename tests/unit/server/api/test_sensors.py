@@ -158,6 +158,21 @@ def test_same_sensor_twice_is_one_submission_with_its_files_once(service: Servic
     assert list(roles) == [FileRole.DOCUMENT, FileRole.SENSOR]
 
 
+def test_sensor_stays_that_of_its_run_until_another_begins(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
+    """After an upgrade another mesher makes another sensor of the same archive."""
+    identity = service.upload(package()).json()["id"]
+    digest = service.get(f"/submissions/{identity}/sensor").json()["digest"]
+    made = read_made_sensor(service.services.blobs.read(digest))
+    other = made.model_copy(update={"markers_mm": made.markers_mm[1:]})
+    monkeypatch.setattr("vitac.server.uploads.sensors.make_sensor", lambda _: other)
+    again = service.upload(package())
+    assert (again.status_code, again.json()["id"]) == (200, identity)
+    assert service.get(f"/submissions/{identity}/sensor").json()["digest"] == digest
+    service.post(f"/submissions/{identity}/cancel")
+    assert service.upload(package()).status_code == 202
+    assert service.get(f"/submissions/{identity}/sensor").json()["digest"] == other.digest
+
+
 def test_housekeeping_keeps_the_files_of_submissions(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
     service.upload(package())
     kept = stored(service)
@@ -292,6 +307,53 @@ def test_figures_are_put_together_of_what_the_shards_of_the_blind_run_measured(s
         evaluation = newest_evaluation(session, session.get_one(Submission, identity))
         evaluation.evaluator_version = "0+old"
     assert service.get(f"/submissions/{identity}/sensor").json()["figures"] is None
+
+
+def measured_with(service: Service, identity: str, shard: int, shards: FakeShards) -> FigureChoice:
+    """Run a shard of the blind run; return which figures it was asked for."""
+    with service.database.transaction() as session:
+        lease = claim(service.database, shard_ids(session, session.get_one(Submission, identity))[10 + shard])
+    run_shard(service, lease, shards)
+    return shards.started[-1].order.figures
+
+
+def test_figures_of_the_same_sensor_are_measured_once_for_its_team(service: Service) -> None:
+    """Nothing else of the archive plays a part in them; another sensor, shard or team has its own."""
+    other_text, other_markers = {"design.pdf": b"%PDF-1.7 again"}, {"sensor.yaml": "markers: {points_mm: [[0, 0]]}"}
+    first, again, drawn_anew = (service.upload(package(it)).json()["id"] for it in ({}, other_text, other_markers))
+    elsewhere = service.upload(package(other_text), token=service.other_token).json()["id"]
+    shards = measuring([])
+    asked = [measured_with(service, first, 0, shards)]
+    asked += [measured_with(service, it, 0, shards) for it in (again, drawn_anew, elsewhere)]
+    asked += [measured_with(service, it, 1, shards) for it in (again, first)]
+    assert asked == [FigureChoice.ALL, FigureChoice.NONE, *[FigureChoice.ALL] * 3, FigureChoice.NONE]
+    shown = [service.get(f"/submissions/{it}/sensor").json()["figures"] for it in (first, again)]
+    assert shown[0] == shown[1]
+    assert shown[0]["starts"] == 2
+
+
+def test_figures_are_not_taken_from_a_shard_that_could_not_measure_all_or_played_another_list(
+    service: Service,
+) -> None:
+    first, again = (service.upload(package({"design.pdf": text})).json()["id"] for text in (PDF, b"%PDF-1.7 again"))
+    failing = FakeShards(figures_of=lambda _: FiguresPart(starts=(), touch=TOUCH, grasp=GRASP, problem="no room"))
+    assert measured_with(service, first, 0, failing) is FigureChoice.ALL
+    assert measured_with(service, again, 0, measuring([])) is FigureChoice.ALL
+    assert measured_with(service, first, 1, measuring([])) is FigureChoice.ALL
+    with service.database.transaction() as session:
+        made = sealing.seal(session, CONSOLE, "track_3", "final")
+        evaluation = newest_evaluation(session, session.get_one(Submission, again))
+        evaluation.commitment = made.commitment
+    assert measured_with(service, again, 1, measuring([])) is FigureChoice.ALL
+
+
+def test_figures_are_not_taken_from_another_track(service: Service) -> None:
+    """All tracks number their shards from the start, and all public lists have no commitment."""
+    first, again = (service.upload(package({"design.pdf": text})).json()["id"] for text in (PDF, b"%PDF-1.7 again"))
+    measured_with(service, first, 0, measuring([]))
+    with service.database.transaction() as session:
+        session.get_one(Submission, first).track = "track_of_our_own"
+    assert measured_with(service, again, 0, measuring([])) is FigureChoice.ALL
 
 
 def test_what_the_estimator_has_learned_goes_with_later_shards_of_the_same_evaluation(

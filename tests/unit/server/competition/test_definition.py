@@ -8,7 +8,7 @@ import pytest
 from service_factories import TRACK
 from vitac.evaluator.strict_model import DocumentRejected
 from vitac.evaluator.tracks import ListKind
-from vitac.server.competition.definition import CompetitionDefinition, read_competition
+from vitac.server.competition.definition import CompetitionDefinition, Judging, read_competition
 
 from competitions import CLOSES, FIRST, OPENS, SECOND, make_competition, write_competition
 
@@ -76,6 +76,16 @@ def set_in(place: Callable[[Content], Content], **values: object) -> Callable[[C
             "two prizes 'first'",
         ),
         (lambda content: content["tracks"].clear(), "tracks"),
+        (
+            lambda content: content["tracks"][TRACK].update(judging={"criteria": [{"name": "a", "title": "A"}]}),
+            "judging.weights.figures: expected 0, got 0.2; teams bring no sensors to this track",
+        ),
+        (
+            lambda content: content["tracks"][TRACK].update(
+                judging={"criteria": [{"name": "a", "title": "A"}], "weights": {"success": 0.5, "judges": 0.5}}
+            ),
+            "expected weights that make 1 together, got 0.5 for success, 0.5 for judges and 0.2 for figures",
+        ),
     ],
 )
 def test_what_is_wrong_is_named(tmp_path: Path, spoil: Callable[[Content], object], said: str) -> None:
@@ -128,6 +138,18 @@ def test_a_rule_is_said_in_words(rule: Content, sentence: str) -> None:
     assert found is not None
     assert found.qualified is not None
     assert found.qualified.sentence == sentence
+
+
+def test_judging_is_said_in_words() -> None:
+    criteria = [{"name": "idea", "title": "The idea"}, {"name": "proof", "title": "Its proof"}]
+    weights = {"success": 0.75, "judges": 0.25, "figures": 0}
+    found = Judging.model_validate({"criteria": criteria, "judges_at_least": 1, "weights": weights})
+    assert found.sentence == (
+        "At least 1 judge gives marks from 0 to 10 for: The idea, Its proof. The total, by which prizes go, is 75 % "
+        "the success rate, 25 % the judges' mean mark."
+    )
+    assert "2 judges give" in Judging.model_validate({"criteria": criteria}).sentence
+    assert "20 % the figures of the sensor" in Judging.model_validate({"criteria": criteria}).sentence
 
 
 def test_the_challenge_of_2025_is_a_valid_competition(repository: Path) -> None:

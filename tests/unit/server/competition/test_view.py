@@ -6,7 +6,7 @@ from submission_steps import refused
 from vitac.evaluator.tracks import ListKind
 from vitac.server.accounts.principals import CONSOLE
 from vitac.server.competition import sealing
-from vitac.server.competition.view import competition_view
+from vitac.server.competition.view import competition_view, track_stages
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Competition
 from vitac.server.errors import ProblemCode
@@ -22,7 +22,9 @@ WINNER = {
 @pytest.fixture
 def prepared(database: Database) -> Database:
     with database.transaction() as session:
-        put_in_place(session, make_competition(prizes=[{"place": "first", "amount": 5}]))
+        content = make_competition(prizes=[{"place": "first", "amount": 5}], appeal_days=3)
+        content["tracks"][TRACK]["judging"] = {"criteria": [{"name": "idea", "title": "The idea"}]}
+        put_in_place(session, content)
         sealing.seal(session, CONSOLE, TRACK, SECOND)
     return database
 
@@ -40,6 +42,15 @@ def test_everybody_sees_schedule_prizes_and_commitments_but_no_secret(prepared: 
     assert secret not in found.model_dump_json()
     assert found.tracks[0].prizes[0].amount == 5
     assert found.winners == []
+    assert found.appeal_days == 3
+    assert "for: The idea." in (found.tracks[0].judging or "")
+
+
+def test_the_stages_of_a_track_are_those_of_the_competition(prepared: Database) -> None:
+    with prepared.transaction() as session:
+        at = OPENS + timedelta(days=1)
+        assert track_stages(session, TRACK, at) == competition_view(session, at).tracks[0].stages
+        assert track_stages(session, "track_3") == ()
 
 
 def test_after_the_reveal_the_secret_is_published(prepared: Database) -> None:

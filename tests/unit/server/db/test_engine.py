@@ -53,7 +53,7 @@ JSON_VALUES = st.recursive(
 )
 
 
-@settings(max_examples=10, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=10, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(values=st.lists(JSON_VALUES, min_size=5))
 def test_json_is_read_to_the_last_bit_of_a_number(database: Database, values: list[object]) -> None:
     """Scores and result hashes are made of what is read."""

@@ -47,7 +47,7 @@ def test_changes_that_were_not_written_yet_wait_no_longer_either(database: Datab
     with database.transaction() as stuck, database.transaction() as session:
         team = session.scalars(select(Team)).one()
         stuck.scalars(select(Team).with_for_update()).one()
-        session.execute(text("SET LOCAL statement_timeout = '5s'"))
+        session.execute(text("SET LOCAL statement_timeout = '60s'"))
 
         def change() -> bool:
             team.name_key = "b"
@@ -58,7 +58,9 @@ def test_changes_that_were_not_written_yet_wait_no_longer_either(database: Datab
 
 
 def test_any_other_error_is_raised(database: Database) -> None:
-    with database.transaction() as session:
+    def sleep_too_long() -> None:
         session.execute(text("SET LOCAL statement_timeout = '20ms'"))
-        with pytest.raises(OperationalError, match="statement timeout"):
-            unless_held(session, lambda: session.execute(text("SELECT pg_sleep(5)")))
+        session.execute(text("SELECT pg_sleep(60)"))
+
+    with database.transaction() as session, pytest.raises(OperationalError, match="statement timeout"):
+        unless_held(session, sleep_too_long)

@@ -159,6 +159,43 @@ def test_coefficients_get_the_evaluations_that_are_known_to_have_learned_them(fi
     assert [row[1] for row in before] == [{}] * 5
 
 
+def test_results_keep_their_list_and_tasks_as_far_as_the_track_files_tell(filled: str) -> None:
+    change = "UPDATE submissions SET {} WHERE name = %s"
+    sealed = "UPDATE evaluations SET commitment = %s WHERE state = 'queued'"
+    told = """
+        SELECT CASE WHEN state = 'completed' THEN name ELSE state END, list_kind, counted_tasks
+        FROM evaluations JOIN submissions ON submissions.id = submission_id
+    """
+    listed = "INSERT INTO sealed_lists (commitment, track, stage, secret) VALUES (%s, 'track_1', 'one', %s)"
+    with copied_database(filled) as database:
+        with psycopg.connect(database.address) as connection:
+            before = {name: kept for name, *kept in connection.execute(told)}
+        downgrade(database, "0041")
+        with psycopg.connect(database.address) as connection:
+            connection.execute(change.format("track = 'gone'"), ["one task"])
+            connection.execute(change.format("tasks = tasks || '{gone}'"), ["nothing met"])
+            connection.execute(change.format("kind = 'log', track = 'gone'"), ["both tasks"])
+            connection.execute(listed, [64 * "c", 64 * "5"])
+            connection.execute(sealed, [64 * "c"])
+        upgrade(database)
+        with psycopg.connect(database.address) as connection:
+            after = {name: kept for name, *kept in connection.execute(told)}
+    combined = [TASK, LOCK]
+    assert before == {
+        "one task": ["public", combined],
+        "both tasks": ["public", combined],
+        "nothing met": ["public", combined],
+        "running": ["public", None],
+        "queued": ["public", None],
+    }
+    assert after == before | {
+        "one task": [None, None],
+        "both tasks": [None, combined],
+        "nothing met": [None, combined],
+        "queued": ["sealed", None],
+    }
+
+
 def make_at(database: Database, revision: str) -> None:
     """Makes the tables as that revision had them."""
     with schema._migrating(database, 5.0, 60.0) as (_, configuration):

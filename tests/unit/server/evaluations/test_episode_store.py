@@ -99,7 +99,7 @@ def test_evaluations_of_one_content_store_the_same_episodes_at_once_without_a_de
             threads.submit(storing, other, list(reversed(numbers))),
         ]
         for each in both:
-            each.result(30.0)
+            each.result(120.0)
     with database.transaction() as session:
         assert missing_episodes(session, lease) == []
 

@@ -316,7 +316,7 @@ def test_a_worker_of_a_new_kind_waits_for_the_evaluation_without_holding_its_sha
             eventually(lambda: _waits(database))
             session.execute(text("SET LOCAL lock_timeout = 2000"))
             lock_held(session, leases[1])
-        storing.result(30.0)
+        storing.result(120.0)
     with database.transaction() as session:
         assert newest_evaluation(session, submission).packages == kinds
 

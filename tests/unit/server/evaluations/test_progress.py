@@ -49,6 +49,8 @@ def test_scores_count_where_there_are_any() -> None:
     evaluation = Evaluation(episodes_reused=0, scores=scores)
     found = progress_of(evaluation, submission("peg-insertion"), {"peg-insertion": (1, 1)})
     assert (found.episodes_done, found.successes) == (PEG, 200)
+    shorter = Evaluation(episodes_reused=0, scores=[{"task": "peg-insertion", "episodes": 12, "successes": 3}])
+    assert progress_of(shorter, submission("peg-insertion")).episodes_total == 12, "its list was another one"
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,9 @@ from vitac.server.db.models import ALL_TASKS, Evaluation, Submission
 from vitac.server.evaluations.scores import (
     combination_of,
     combine_hashes,
+    combined_result,
     combined_score,
+    counted_tasks,
     score_views,
     scores_of,
     store_scores,
@@ -62,7 +64,7 @@ def test_before_the_end_there_is_no_score() -> None:
     assert scores_of(running) == {}
     assert score_views(running) == []
     assert combined_score(running) is None
-    assert combination_of(running.submission, {}) is None
+    assert combination_of(running, {}) is None
 
 
 def test_scores_are_read_back_as_they_were_stored() -> None:
@@ -110,6 +112,38 @@ def test_the_combination_is_that_of_all_tasks_of_the_track() -> None:
     assert combined == combine(load_track("track_1").tasks, scores)
     assert combined is not None
     assert (combined.success_rate, combined.mean_steps) == (0.75, 5.0)
+
+
+def test_a_combination_stays_what_it_was_when_tasks_are_added_or_removed(monkeypatch: pytest.MonkeyPatch) -> None:
+    both = {PEG: HALF, LOCK: score_of(SOLVED, env_steps=7)}
+    found = {"one task": scored({PEG: HALF}), "both": scored(both), "log": scored({PEG: HALF}, SubmissionKind.LOG)}
+    before = {name: (combined_score(each), combined_result(each)) for name, each in found.items()}
+    assert [each.counted_tasks for each in found.values()] == [[PEG, LOCK], [PEG, LOCK], [PEG]]
+    track = load_track("track_1")
+    third = track.tasks[PEG].model_copy(update={"name": "third"})
+    for tasks in ({PEG: track.tasks[PEG]}, {"third": third}, {**track.tasks, "third": third}):
+        changed = track.model_copy(update={"tasks": tasks})
+        monkeypatch.setattr("vitac.server.tracks.load_track", lambda _, changed=changed: changed)
+        assert {name: (combined_score(each), combined_result(each)) for name, each in found.items()} == before
+        assert counted_tasks(evaluation(PEG)) == changed.tasks_that_count, "it is not scored yet"
+    for each in found.values():
+        each.submission.track = "gone"
+    assert {name: (combined_score(each), combined_result(each)) for name, each in found.items()} == before
+
+
+def test_a_model_scored_before_tasks_were_kept_has_no_combination_without_its_track() -> None:
+    of_track, of_task = scored({PEG: HALF}), scored({PEG: HALF})
+    of_track.submission.track = "gone"
+    of_task.scores = [{**(of_task.scores or [])[0], "task": "gone"}]
+    log = scored({PEG: HALF}, SubmissionKind.LOG)
+    log.submission.track = "gone"
+    of_track.counted_tasks = of_task.counted_tasks = log.counted_tasks = None
+    assert [combined_score(found) for found in (of_track, of_task)] == [None, None]
+    assert [combined_result(found) for found in (of_track, of_task)] == [None, None]
+    assert scores_of(of_track) == {PEG: HALF}
+    combined = combined_score(log)
+    assert combined is not None
+    assert combined.success_rate == HALF.success_rate, "it is of one task, whatever the track combines"
 
 
 def test_a_score_is_shown_with_its_interval_shapes_and_outcomes() -> None:

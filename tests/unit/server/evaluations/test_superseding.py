@@ -120,7 +120,7 @@ def add_worker(database: Database, version: str) -> None:
 
 def supersede(database: Database) -> int:
     with database.transaction() as session:
-        session.execute(text("SET LOCAL statement_timeout = '5s'"))  # else one that waits would hang the test
+        session.execute(text("SET LOCAL statement_timeout = '60s'"))  # else one that waits would hang the test
         return supersede_outdated(session, SETTINGS)
 
 

@@ -12,7 +12,7 @@ from vitac.server.competition import sealing
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Evaluation, Submission, SubmissionFile
 from vitac.server.db.states import FileRole, Role
-from vitac.server.errors import ProblemCode
+from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.judging.judging import declare_conflict, give_marks
 from vitac.server.judging.sheet import Sheet, SheetEntry, sheets
 
@@ -36,6 +36,18 @@ def measured(database: Database) -> Submission:
         made = submit_scored(session, team, "ridge", {"sensor-design": make_score(80)}, track=SENSORS)
     keep_figures(database, made, None)
     return made
+
+
+def test_a_sensor_that_is_never_in_the_ranking_takes_no_marks(database: Database, measured: Submission) -> None:
+    with database.transaction() as session:
+        team = make_principal(session, "Bees")
+        scores = {task: make_score(90) for task in ("sensor-standard", "sensor-blind")}
+        without = submit_scored(session, team, "dome", scores, track=SENSORS)
+    ranked = pytest.raises(ServiceError, match="plays sensor-design, by which track_3 is ranked, got one")
+    with ranked as caught, database.transaction() as session:
+        give_marks(session, JUDGE, without.id, {"structure": 4.0})
+    assert caught.value.code is ProblemCode.INVALID_REQUEST
+    assert seen(database, JUDGE)[1].entry.submission_id == measured.id
 
 
 def keep_figures(database: Database, submission: Submission, commitment: str | None) -> None:

@@ -62,7 +62,7 @@ def best_by_the_rule(evaluations: Sequence[Evaluation], task: str | None) -> lis
 
 
 @given(st.lists(results, max_size=14, unique_by=lambda result: result[-1]))
-@settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 def test_the_database_ranks_as_the_evaluator_does(database: Database, drawn: list[tuple[object, ...]]) -> None:
     with database.transaction() as session:
         teams = [Team(name=f"Team {number}", name_key=f"team {number}") for number in range(TEAMS)]
@@ -83,7 +83,7 @@ def test_the_database_ranks_as_the_evaluator_does(database: Database, drawn: lis
             assert [entry.evaluation_id for entry in entries if entry.rank] == ranked
             assert [entry.rank for entry in entries[: len(ranked)]] == list(range(1, len(ranked) + 1))
             assert [entry.evaluation_id for entry in entries if not entry.rank] == best_by_the_rule(others, task)
-            shown = places(session, TRACK)[task]
+            shown = places(session, Board(track=TRACK))[task]
             assert {found: (place.rank, place.of) for found, place in shown.items()} == {
                 session.get_one(Evaluation, found).submission_id: (rank, len(ranked))
                 for rank, found in enumerate(ranked, start=1)
@@ -120,7 +120,7 @@ def test_boards_read_the_best_of_each_team_and_not_all_results(many_results: Dat
         lambda session: leaderboard(session, TRACK),
         lambda session: leaderboard(session, TRACK, task=TASK),
         lambda session: log_boards(session, TRACK),
-        lambda session: places(session, TRACK),
+        lambda session: places(session, Board(track=TRACK)),
     ):
         with many_results.transaction() as session, database_work(session) as work:
             read(session)
@@ -132,13 +132,13 @@ def test_boards_read_the_best_of_each_team_and_not_all_results(many_results: Dat
 
 def test_as_long_as_nothing_changes_boards_and_places_cost_one_small_statement(many_results: Database) -> None:
     with many_results.transaction() as session:
-        first = places(session, TRACK), leaderboard(session, TRACK).view, log_boards(session, TRACK).view
+        first = places(session, Board(track=TRACK)), leaderboard(session, TRACK).view, log_boards(session, TRACK).view
     with many_results.transaction() as session, database_work(session) as work:
-        found = places(session, TRACK)
+        found = places(session, Board(track=TRACK))
     assert (work.statements, work.rows_read["board_results"]) == (1, 0)
     best = {place.rank: submission for submission, place in found[TASK].items()}
     with many_results.transaction() as session, database_work(session) as work:
-        again = places(session, TRACK), leaderboard(session, TRACK).view, log_boards(session, TRACK).view
+        again = places(session, Board(track=TRACK)), leaderboard(session, TRACK).view, log_boards(session, TRACK).view
         entries = best_entries(session, Board(track=TRACK, task=TASK))
     assert again == first
     assert work.rows_read["board_results"] <= 2 * 10, "those of the last call, which keeps nothing"

@@ -70,7 +70,7 @@ def session(database: Database) -> Any:
 
 
 def placed_on_pegs(results: Results, until: datetime = EVER) -> list[UUID]:
-    found = places(results.session, TRACK, until=until)[TASK]
+    found = places(results.session, Board(track=TRACK), until=until)[TASK]
     assert [place.rank for place in found.values()] == list(range(1, len(found) + 1))
     assert {place.of for place in found.values()} <= {len(found)}
     return list(found)
@@ -156,11 +156,11 @@ def test_who_is_disqualified_is_on_no_board_and_takes_no_place(results: Results)
 
 
 def test_places_are_of_each_board_by_itself(results: Results) -> None:
-    assert places(results.session, TRACK) == {None: {}, TASK: {}, LOCK: {}}
+    assert places(results.session, Board(track=TRACK)) == {None: {}, TASK: {}, LOCK: {}}
     ours, lock = results.add("Ours", 10), results.add("Ours", 90, task=LOCK)
     theirs, third = results.add("Theirs", 50), results.add("Third", 40)
     other_lock = results.add("Third", 50, task=LOCK)
-    found = places(results.session, TRACK)
+    found = places(results.session, Board(track=TRACK))
     assert {board: [*shown] for board, shown in found.items()} == {
         None: [lock.submission_id, *(one.submission_id for one in sorted_by_time_and_id(theirs, other_lock))],
         TASK: [theirs.submission_id, third.submission_id, ours.submission_id],
@@ -178,9 +178,12 @@ def test_places_of_another_stage_or_order_are_read_by_themselves(results: Result
     in_final = results.add("Final", 90, stage="final")
     early = (RankingKey.SUBMITTED_AT,)
     for _ in range(2):  # the second time they are kept
-        assert list(places(results.session, TRACK)[TASK]) == [better.submission_id, first.submission_id]
-        assert list(places(results.session, TRACK, stage="final")[TASK]) == [in_final.submission_id]
-        assert list(places(results.session, TRACK, ranking=early)[TASK]) == [first.submission_id, better.submission_id]
+        assert list(places(results.session, Board(track=TRACK))[TASK]) == [better.submission_id, first.submission_id]
+        assert list(places(results.session, Board(track=TRACK, stage="final"))[TASK]) == [in_final.submission_id]
+        assert list(places(results.session, Board(track=TRACK, ranking=early))[TASK]) == [
+            first.submission_id,
+            better.submission_id,
+        ]
 
 
 def sorted_by_time_and_id(*evaluations: Evaluation) -> list[Evaluation]:

@@ -10,7 +10,7 @@ from sqlalchemy.orm import Session
 from vitac.server.db.engine import Database
 from vitac.server.db.models import BoardChange, BoardResult, Evaluation, LogCopy, Submission, Team
 from vitac.server.leaderboards import changes
-from vitac.server.leaderboards.best_entries import places
+from vitac.server.leaderboards.best_entries import Board, places
 from vitac.server.leaderboards.changes import forget_old_notes, kept_until_change
 from vitac.server.leaderboards.log_boards import log_boards
 from vitac.server.leaderboards.standings import leaderboard
@@ -117,7 +117,7 @@ def test_what_concerns_no_board_is_not_noted(scored: Database) -> None:
 def test_boards_and_places_follow_a_disqualification_and_a_new_best_result(scored: Database) -> None:
     def shown() -> list[list[str]]:
         with scored.transaction() as session:
-            found = places(session, TRACK)[TASK]
+            found = places(session, Board(track=TRACK))[TASK]
             names = {submission: session.get_one(Submission, submission).name for submission in found}
             ranked = sorted(found, key=lambda submission: found[submission].rank)
             assert {place.of for place in found.values()} <= {len(found)}

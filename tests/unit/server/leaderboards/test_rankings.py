@@ -51,7 +51,7 @@ def test_entries_are_compared_key_by_key(filled: Database, ranking: tuple[Rankin
         name_of = {entry.submission_id: entry.submission_name for entry in board.entries}
         shown = [name_of[entry.submission_id] for entry in entries]
         assert shown == sorted(SCORES, key=lambda name: key_of(name, ranking))
-        found = places(session, TRACK, ranking=ranking)[TASK]
+        found = places(session, Board(track=TRACK, ranking=ranking))[TASK]
         assert sorted(name_of, key=lambda submission: found[submission].rank) == [
             entry.submission_id for entry in entries
         ]

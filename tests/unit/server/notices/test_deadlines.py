@@ -1,12 +1,13 @@
 from datetime import timedelta
 
-from service_factories import TRACK, make_principal
+from service_factories import TRACK, make_principal, make_settings
 from vitac.server.accounts import members, teams
 from vitac.server.accounts.principals import CONSOLE
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Qualification
 from vitac.server.notices import outbox
 from vitac.server.notices.deadlines import announce_near
+from vitac.server.notices.mail import message_of
 
 from competitions import CLOSES, LATER_CLOSES, SECOND, make_competition, put_in_place
 
@@ -32,3 +33,10 @@ def test_each_team_that_may_submit_is_told_once_a_day_before(database: Database)
         announce_near(session, LATER_CLOSES - timedelta(seconds=1))
         told = [notice.target for notice in outbox.newest(session) if SECOND in notice.subject]
         assert told == ["Bees@example.org"]
+        bees_notice = next(notice for notice in outbox.newest(session) if SECOND in notice.subject)
+        assert (bees_notice.facts["track"], bees_notice.facts["stage"]) == (TRACK, SECOND), "names, for programs"
+        made = message_of(bees_notice, make_settings())
+        assert made["Subject"] == f"ViTac Arena: Stage Final of Touch closes at {LATER_CLOSES:%F %H:%M} UTC."
+        bees_notice.facts = {name: fact for name, fact in bees_notice.facts.items() if not name.endswith("_title")}
+        made = message_of(bees_notice, make_settings())
+        assert f"Stage {SECOND} of {TRACK} closes at" in made["Subject"], "written by an older server"

@@ -202,7 +202,7 @@ def test_of_appeals_opened_or_ended_at_once_only_so_many_count(
 
     def at_once(done: Callable[[Session], object]) -> ProblemCode | None:
         with database.transaction() as session:
-            barrier.wait(10)
+            barrier.wait(120.0)
             try:
                 done(session)
             except ServiceError as error:

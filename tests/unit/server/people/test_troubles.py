@@ -6,6 +6,7 @@ from datetime import UTC, datetime, timedelta
 import pytest
 from service_factories import TASK, TRACK, add_result, make_score, sha256
 from sqlalchemy.orm import Session
+from vitac.evaluator.tracks import load_track
 from vitac.server.db.engine import Database
 from vitac.server.db.models import EpisodeDifference, Evaluation, LogCopy, Qualification, Team
 from vitac.server.db.states import EvaluationState
@@ -72,10 +73,16 @@ def test_each_trouble_is_said_once_and_the_newest_comes_first(session: Session) 
         "an episode gave another result when it was run again; a log with the states of another team's",
         "an episode gave another result when it was run again",
     ]
-    assert [(one.team, one.track, one.at, one.submission) for one in found] == [
-        ("Team A", TRACK, BEGIN + timedelta(minutes=3), both.submission.name),
-        ("Team A", TRACK, BEGIN + timedelta(minutes=2), twice.submission.name),
+    titled = load_track(TRACK).title
+    assert [(one.team, one.track_title, one.at, one.submission) for one in found] == [
+        ("Team A", titled, BEGIN + timedelta(minutes=3), both.submission.name),
+        ("Team A", titled, BEGIN + timedelta(minutes=2), twice.submission.name),
     ]
+    put_in_place(session, make_competition())
+    assert {one.track_title for one in troubles(session)} == {"Touch"}, "as the competition calls it"
+    good.submission.track = both.submission.track = "gone"
+    session.flush()
+    assert [one.track_title for one in troubles(session)] == ["gone", "Touch"]
 
 
 def test_a_failure_of_the_machines_is_a_trouble_and_one_of_the_policy_is_none(session: Session) -> None:
@@ -120,6 +127,10 @@ def test_stages_tell_how_far_they_are(session: Session) -> None:
     assert [state_of(one) for one in stages(session, before)] == [
         (TRACK, FIRST, None, 3, 0, False),
         (TRACK, SECOND, 1, 0, 0, False),
+    ]
+    assert [(one.track_title, one.stage.title) for one in stages(session)] == [
+        ("Touch", "Simulation"),
+        ("Touch", "Final"),
     ]
     assert [one.over for one in stages(session, at_the_end)] == [True, False]
     assert [one.over for one in stages(session, after)] == [True, True]

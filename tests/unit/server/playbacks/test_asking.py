@@ -11,10 +11,9 @@ from submission_steps import make_worker
 from vitac.envs.tasks.definition import Family
 from vitac.evaluator.tracks import ListKind, load_track
 from vitac.evaluator.version import evaluator_version
-from vitac.server.accounts import visibility
 from vitac.server.accounts.principals import CONSOLE, VISITOR, Principal
 from vitac.server.db.engine import Database
-from vitac.server.db.models import Playback, Shard, Submission, Worker
+from vitac.server.db.models import Evaluation, Playback, Shard, Submission, Worker
 from vitac.server.db.states import PlaybackState, Role, ShardState, WorkerState
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.playbacks import asking, work
@@ -299,19 +298,12 @@ def test_another_teams_episode_is_not_found(team_a: Played) -> None:
     assert refused.value.code is ProblemCode.NOT_FOUND
 
 
-@pytest.fixture
-def sealed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Makes the list of the task a sealed one."""
-    track = load_track("track_1")
-    task = track.tasks[TASK]
-    listed = task.episode_list.model_copy(update={"commitment": "c" * 64})
-    changed = track.model_copy(update={"tasks": {TASK: task.model_copy(update={"episode_list": listed})}})
-    assert changed.tasks[TASK].episode_list.kind is ListKind.SEALED
-    monkeypatch.setattr(visibility, "load_track", lambda _: changed)
-
-
-@pytest.mark.usefixtures("sealed")
-def test_episodes_of_a_sealed_list_are_shown_to_organizers_only(team_a: Played) -> None:
+def test_episodes_of_a_sealed_list_are_shown_to_organizers_only(
+    team_a: Played, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("vitac.server.accounts.visibility.known_task", lambda *_: None)
+    with team_a.database.transaction() as session:
+        session.execute(update(Evaluation).values(list_kind=ListKind.SEALED))
     with team_a.database.transaction() as session:
         assert find_episode(session, CONSOLE, team_a.submission.id, TASK, 1).episode == 1
         with pytest.raises(ServiceError) as refused:

@@ -6,7 +6,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import psycopg
@@ -16,8 +16,7 @@ from vitac.server.postgres import cluster, leftovers
 from vitac.server.postgres.binaries import PostgresNotFound, copy_binaries, find_binaries
 from vitac.server.postgres.cluster import SOCKET_PATH_LIMIT, Cluster, StateDirectoryUnreachable
 from vitac.server.postgres.embedded import EmbeddedPostgres
-
-DEADLINE_S = 30.0
+from worker_fakes import eventually
 
 
 @pytest.fixture
@@ -25,13 +24,6 @@ def folder() -> Iterator[Path]:
     folder = state_directory()
     yield folder
     subprocess.run(["rm", "-rf", str(folder)], check=True)
-
-
-def eventually(holds: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + DEADLINE_S
-    while not holds():
-        assert time.monotonic() < deadline, "did not happen in time"
-        time.sleep(0.02)
 
 
 def answers(address: str) -> bool:

@@ -53,7 +53,7 @@ def ids_of(database: Database, submission: Submission) -> list[int]:
 def run_sweep(database: Database, settings: Settings = SETTINGS) -> Sweep:
     with database.transaction() as session:
         session.execute(text("SELECT pg_sleep(0.01)"))
-        session.execute(text("SET LOCAL statement_timeout = '5s'"))  # else a sweep that waits would hang the test
+        session.execute(text("SET LOCAL statement_timeout = '60s'"))  # else a sweep that waits would hang the test
         return sweep(session, settings, give_up=fail_by_machines)
 
 

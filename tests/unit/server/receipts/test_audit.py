@@ -103,6 +103,8 @@ def test_an_untouched_board_is_found_right_and_a_sampled_episode_gives_the_same_
     assert found.unchecked == []
     assert (found.links, found.entries, found.logs) == (3, 3, 3)
     assert [sample.episode for sample in found.resimulated] == [sampled(SEED, len(TEAMS))[1]]
+    other_key = audit(tmp_path / "board.zip", episodes=0, public_key="1" * 64).findings
+    assert other_key == [f"Expected the key {'1' * 64}, got {key}."], "said once, however long the chain is"
     secret = {"secret": "1" * 64}
     published = changed(tmp_path, DESCRIPTION_NAME, lambda content: json.dumps(json.loads(content) | secret).encode())
     still = audit(published, episodes=1, seed=SEED).findings

@@ -164,18 +164,25 @@ def test_older_results_get_theirs_in_the_order_in_which_they_ended(database: Dat
 def test_an_older_result_that_cannot_be_read_does_not_stop_the_others(database: Database) -> None:
     with database.transaction() as session:
         team = make_principal(session)
-        names = ("of a track that is gone", "without its scores' fields", "whole")
-        gone, odd, whole = [submit_scored(session, team, name, {TASK: make_score(50)}) for name in names]
+        names = ("of a track that is gone", "without its tasks", "without its scores' fields", "whole")
+        gone, unknown, odd, whole = [submit_scored(session, team, name, {TASK: make_score(50)}) for name in names]
         session.execute(text("SET LOCAL session_replication_role = replica"))
         session.execute(text("UPDATE evaluations SET platform_class = 'linux-x86_64'"))
-        session.execute(text("UPDATE submissions SET track = 'gone' WHERE id = :id"), {"id": gone.id})
+        for each in (gone, unknown):
+            session.execute(text("UPDATE submissions SET track = 'gone' WHERE id = :id"), {"id": each.id})
+        session.execute(
+            text("UPDATE evaluations SET counted_tasks = NULL WHERE submission_id = :id"), {"id": unknown.id}
+        )
         session.execute(text("UPDATE evaluations SET scores = '[{}]' WHERE submission_id = :id"), {"id": odd.id})
     with database.transaction() as session:
         ensure_key(session)
     with database.transaction() as session, capture_logs() as logs:
-        assert issue_older(session) == 2
+        assert issue_older(session) == 3
         assert issue_older(session) == 0
-        assert receipts_of_submission(session, gone.id)[0].result.combined is None
+        combined = receipts_of_submission(session, gone.id)[0].result.combined
+        assert combined is not None
+        assert combined.success_rate == 0.25, "half of one of the two tasks that counted"
+        assert receipts_of_submission(session, unknown.id)[0].result.combined is None
         assert len(receipts_of_submission(session, whole.id)) == 1
         assert receipts_of_submission(session, odd.id) == []
     assert [line["event"] for line in logs] == 2 * ["receipt_left_out"]

@@ -127,8 +127,11 @@ def test_a_person_in_two_teams_hears_of_both_and_of_a_second_confirmation(databa
     for options in ({}, {"without": ["Bees"]}, {}):
         confirmed(database, **options)
     with database.transaction() as session:
-        told = [notice.facts["team"] for notice in session.query(Notice).filter_by(kind=NoticeKind.PROMOTED)]
-    assert sorted(told) == ["Ants", "Bees", "Bees"]
+        told = [notice.facts for notice in session.query(Notice).filter_by(kind=NoticeKind.PROMOTED)]
+    assert sorted(facts["team"] for facts in told) == ["Ants", "Bees", "Bees"]
+    assert {(facts["stage"], facts["stage_title"], facts["track_title"]) for facts in told} == {
+        (SECOND, "Final", "Touch")
+    }
 
 
 def test_organizers_add_and_leave_out_teams(database: Database) -> None:

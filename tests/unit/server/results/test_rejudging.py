@@ -23,6 +23,7 @@ from sqlalchemy import select, text, update
 from submission_steps import refused
 from vitac.evaluator.agent.verdicts import VerdictCode
 from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord, FailureStage
+from vitac.evaluator.tracks import UnknownTask
 from vitac.evaluator.version import evaluator_version
 from vitac.server.accounts.audit import newest_entries
 from vitac.server.accounts.principals import CONSOLE, Principal
@@ -277,3 +278,24 @@ def test_a_proposed_evaluation_can_be_cancelled_and_uploads_that_are_gone_are_le
         assert proposed.state is EvaluationState.CANCELLED
         assert newest_evaluation(session, upgraded["Ants"]).state is EvaluationState.COMPLETED
         runs.run_again(session, CONSOLE, upgraded["Ants"].id)
+
+
+def test_what_played_a_removed_task_is_left_out_unless_it_is_named(
+    database: Database, upgraded: dict[str, Submission]
+) -> None:
+    with database.transaction() as session:
+        gone = session.get_one(Submission, upgraded["Bees"].id)
+        gone.tasks = [TASK, "gone"]
+    with pytest.raises(UnknownTask, match="'gone'"):
+        start(database, gone)
+    rejudgement = start(database)
+    assert compared(database, rejudgement).keys() == {"Ants", "Cats"}
+    with database.transaction() as session:
+        rejudging.discard(session, CONSOLE, rejudgement)
+        session.get_one(Submission, gone.id).tasks = ["gone"]
+        on_board = session.get_one(Evaluation, newest_evaluation(session, gone).id)
+        on_board.scores = [{**row, "task": "gone"} for row in on_board.scores or []]
+    with database.transaction() as session:
+        board = leaderboard(session, TRACK).view
+    assert [(entry.team, entry.rank) for entry in board.entries] == [("Ants", None), ("Cats", None)]
+    assert board.teams == 2

@@ -1,3 +1,4 @@
+from datetime import UTC, datetime
 from uuid import uuid4
 
 import pytest
@@ -5,6 +6,7 @@ from database_work import database_work
 from service_factories import (
     TASK,
     TRACK,
+    add_result,
     claim,
     make_principal,
     make_record,
@@ -20,6 +22,7 @@ from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.evaluator.logs.findings import VerificationResult
 from vitac.server.accounts.principals import CONSOLE, Principal
 from vitac.server.db.engine import Database
+from vitac.server.db.models import Team
 from vitac.server.db.states import EvaluationState
 from vitac.server.errors import ProblemCode
 from vitac.server.evaluations.history import newest_evaluation
@@ -127,9 +130,9 @@ def test_who_can_run_the_same_is_found_once_for_a_whole_list(
 def test_a_teams_list_reads_no_other_teams_rows_and_no_output(database: Database, principal: Principal) -> None:
     with database.transaction() as session:
         for other in range(20):
-            stranger = make_principal(session, f"Team {other}")
+            stranger = session.get_one(Team, make_principal(session, f"Team {other}").team_id)
             for number in range(10):
-                submit_scored(session, stranger, f"model {other} {number}", {TASK: make_score(number)})
+                add_result(session, number, stranger, {TASK: make_score(number)}, datetime.now(UTC))
         for number in range(30):
             submit_scored(session, principal, f"model {number}", {TASK: make_score(number)})
         session.execute(text("UPDATE evaluations SET log_tail = 'printed'"))

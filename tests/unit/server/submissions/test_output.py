@@ -4,7 +4,6 @@ import pytest
 from service_factories import (
     LOCK,
     TASK,
-    TRACK,
     claim,
     make_failed_record,
     make_principal,
@@ -13,13 +12,13 @@ from service_factories import (
     store,
     submit,
 )
+from sqlalchemy import update
 from sqlalchemy.orm import Session
 from submission_steps import SETTINGS, refused
 from vitac.evaluator.agent.verdicts import VerdictCode
 from vitac.evaluator.episodes.records import EpisodeRecord
 from vitac.evaluator.submission_kinds import SubmissionKind
-from vitac.evaluator.tracks import load_track
-from vitac.server.accounts import visibility
+from vitac.evaluator.tracks import ListKind
 from vitac.server.accounts.principals import CONSOLE, Principal
 from vitac.server.accounts.visibility import Sight, sight_of
 from vitac.server.db.engine import Database
@@ -55,12 +54,11 @@ def evaluation_of(session: Session, submission: Submission) -> Evaluation:
     return newest_evaluation(session, session.get_one(Submission, submission.id))
 
 
-def seal(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Seals the list of the lock task."""
-    track = load_track(TRACK)
-    sealed = track.tasks[LOCK].episode_list.model_copy(update={"commitment": "c0ffee"})
-    tasks = track.tasks | {LOCK: track.tasks[LOCK].model_copy(update={"episode_list": sealed})}
-    monkeypatch.setattr(visibility, "load_track", lambda _: track.model_copy(update={"tasks": tasks}))
+def seal(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Makes the lists sealed ones of a track file that is gone."""
+    monkeypatch.setattr("vitac.server.accounts.visibility.known_task", lambda *_: None)
+    with database.transaction() as session:
+        session.execute(update(Evaluation).values(list_kind=ListKind.SEALED))
 
 
 def test_team_and_organizers_read_what_was_printed_page_by_page(
@@ -90,7 +88,7 @@ def test_why_a_policy_failed_is_told_to_those_who_see_its_output(
         assert [item.failure for item in output_for(database, by, submission).items][:3] == [None] * 3
         with database.transaction() as session:
             assert episodes_with_output(session, by, evaluation_of(session, submission)) == 4
-    seal(monkeypatch)
+    seal(database, monkeypatch)
     with refused(ProblemCode.FORBIDDEN):
         output_for(database, principal, submission)
 
@@ -115,7 +113,7 @@ def test_a_task_that_it_does_not_play_is_refused(
 def test_output_on_a_sealed_list_is_for_organizers_only(
     database: Database, principal: Principal, submission: Submission, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    seal(monkeypatch)
+    seal(database, monkeypatch)
     with refused(ProblemCode.FORBIDDEN):
         output_for(database, principal, submission)
     with database.transaction() as session:
@@ -134,7 +132,7 @@ def test_output_of_a_failure_on_a_sealed_list_is_for_organizers_only(
     tails = []
     for sealed in (False, True):
         if sealed:
-            seal(monkeypatch)
+            seal(database, monkeypatch)
         for by in (principal, CONSOLE):
             with database.transaction() as session:
                 tails.append(listing.get(session, SETTINGS, by, submission.id).evaluation.log_tail)

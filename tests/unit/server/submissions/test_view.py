@@ -1,3 +1,5 @@
+from types import SimpleNamespace
+
 import pytest
 from service_factories import (
     TASK,
@@ -8,6 +10,7 @@ from submission_steps import break_policy, create, ids_of, make_worker, view_of
 from vitac.server.accounts.principals import Principal
 from vitac.server.db.engine import Database
 from vitac.server.db.states import EvaluationState, WorkerState
+from vitac.server.evaluations import view as evaluation_view
 
 
 def test_new_submission_is_queued_with_its_position(database: Database, principal: Principal) -> None:
@@ -37,7 +40,7 @@ def test_failed_evaluation_shows_verdict_sentence_and_output(database: Database,
 
 
 def test_eta_counts_own_and_earlier_episodes_over_the_slots_of_living_workers(
-    database: Database, principal: Principal
+    database: Database, principal: Principal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     first, _ = create(database, principal, "one")
     second, _ = create(database, principal, "two")
@@ -46,6 +49,10 @@ def test_eta_counts_own_and_earlier_episodes_over_the_slots_of_living_workers(
     make_worker(database, slots=2)
     assert view_of(database, principal, first).evaluation.eta_s == pytest.approx(243 * 0.5 / 2)
     assert view_of(database, principal, second).evaluation.eta_s == pytest.approx((243 + 270) * 0.5 / 2)
+    in_batches = SimpleNamespace(definition=SimpleNamespace(batch_size=16))
+    for task, at_once in ((in_batches, 16), (None, 1)):
+        monkeypatch.setattr(evaluation_view, "known_task", lambda *_, task=task: task)
+        assert view_of(database, principal, first).evaluation.eta_s == pytest.approx(243 * 0.5 / at_once / 2)
 
 
 def test_workers_that_are_lost_refusing_or_of_another_version_do_not_count_as_alive(

@@ -72,9 +72,7 @@ def test_what_is_beyond_the_limit_is_not_written(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("chunks", "announced", "message"),
     [
-        ((), None, "expected at least one, got 0 bytes"),
-        ((b"",), None, "expected at least one, got 0 bytes"),
-        ((), 0, "expected 0, got 0 bytes"),
+        ((), 3, "expected 3, got 0 bytes"),
         ((b"abc",), 4, "expected 4, got 3 bytes"),
         ((b"abc",), 2, "expected 2, got 3 bytes"),
     ],
@@ -88,6 +86,13 @@ def test_a_body_that_is_not_the_announced_one_is_cut(
     assert found.value.detail == (
         f"The upload ended early: {message}. Send it again; one in pieces goes on where it ended."
     )
+
+
+@pytest.mark.parametrize(("chunks", "announced"), [((), None), ((b"",), None), ((), 0)])
+def test_an_empty_body_is_told_as_such(tmp_path: Path, chunks: tuple[bytes, ...], announced: int | None) -> None:
+    with pytest.raises(ServiceError, match=r"The upload is empty, expected at least one byte\.") as found:
+        received(tmp_path, *chunks, announced_bytes=announced)
+    assert found.value.code is ProblemCode.UPLOAD_TRUNCATED
 
 
 @pytest.mark.parametrize("n_bytes", [None, 0, 99, 100])

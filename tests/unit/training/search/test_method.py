@@ -13,7 +13,7 @@ from vitac.evaluator.submission.manifest import load_manifest
 from vitac.training.charts import FOLDER, Charts
 from vitac.training.files import NotSaved, load
 from vitac.training.run import Folder, OtherRun, results_of
-from vitac.training.search import policy
+from vitac.training.search import method, policy
 from vitac.training.search.method import (
     FIRST_LIFT,
     FIRST_PULL,
@@ -114,6 +114,26 @@ def test_best_generation_becomes_a_submission(whole: Path) -> None:
 def test_several_processes_find_the_same(small: Path, tmp_path: Path) -> None:
     search(tmp_path, SMALL, processes=2).go()
     assert files(tmp_path) == files(small)
+
+
+def test_second_search_in_the_same_folder_is_refused_until_the_submission_is_whole(
+    small: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    exported = method.export
+
+    def try_too(*_: object) -> None:
+        with pytest.raises(OtherRun, match=r"Another process trains in .*; wait for it, or give another folder"):
+            search(tmp_path, SMALL).go()
+
+    def export(*arguments: Any) -> None:
+        try_too()
+        exported(*arguments)
+
+    monkeypatch.setattr(method, "export", export)
+    search(tmp_path, SMALL, tell=try_too).go()
+    monkeypatch.undo()
+    assert files(tmp_path) == files(small)
+    assert len(search(tmp_path, SMALL).go()) == 3, "free again"
 
 
 @pytest.mark.parametrize("stop_at", ["generation 1", "generation 2"])

@@ -1,12 +1,91 @@
 import errno
+from uuid import UUID
 
+import httpx
 import psycopg
 import pytest
 from asgi_browser import AsgiBrowser
 from page_fixtures import FixedData
 from sqlalchemy.exc import OperationalError
+from visits import COMPLETED, form_token, sign_in
+from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.views.leaderboards import LeaderboardView
+from vitac.web.data.protocol import SubmissionDetail, Visitor
 from vitac.web.headers import HEADERS
+
+SIGN_IN, SIGN_OUT = '<a href="/sign-in">Sign in</a>', 'Sign out <span class="visually-hidden">Gelbots</span>'
+
+
+def header(answer: httpx.Response) -> list[str]:
+    """What the header offers."""
+    assert "text/html" in answer.headers["content-type"]
+    return [offer for offer in (SIGN_IN, SIGN_OUT) if offer in answer.text]
+
+
+def test_error_pages_have_the_header_of_other_pages(
+    data: FixedData, browser: AsgiBrowser, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def gone(_: object, submission_id: UUID) -> SubmissionDetail:
+        raise ServiceError(ProblemCode.TRACK_REMOVED, f"The track of {submission_id} is gone.")
+
+    def failing() -> list[tuple[int, list[str]]]:
+        answers = [browser.get("/nothing-here"), browser.post("/tracks/track_1")]
+        answers += [browser.get(f"/submissions/{COMPLETED.id}"), browser.get("/")]
+        return [(answer.status_code, header(answer)) for answer in answers]
+
+    monkeypatch.setattr(data, "submission", gone)
+    monkeypatch.setattr(data, "board", None)
+    assert failing() == [(status, [SIGN_IN]) for status in (404, 405, 410, 500)]
+    sign_in(browser, "Gelbots")
+    assert failing() == [(status, [SIGN_OUT]) for status in (404, 405, 410, 500)]
+    forged = browser.post("/sign-out", data={"form_token": "another"})
+    assert (forged.status_code, header(forged)) == (403, [SIGN_OUT])
+    assert forged.headers["cache-control"] == "no-store"
+    assert form_token(browser) in forged.text, "signing out works from there"
+
+
+def test_who_cannot_be_looked_up_is_offered_neither_to_sign_in_nor_to_sign_out(
+    data: FixedData, browser: AsgiBrowser, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sign_in(browser, "Gelbots")
+    asked: list[UUID] = []
+
+    async def away(token_id: UUID) -> Visitor | None:
+        asked.append(token_id)
+        raise OperationalError("SELECT 1", {}, psycopg.OperationalError("connection refused"))
+
+    async def broken(token_id: UUID) -> Visitor | None:
+        raise RuntimeError(f"no idea who {token_id} is")
+
+    monkeypatch.setattr(data, "visitor_with_token_id", away)
+    answer = browser.get("/")
+    assert (answer.status_code, header(answer)) == (503, [])
+    assert len(asked) == 1, "a database that failed is not asked again"
+    for lookup in (away, broken):
+        monkeypatch.setattr(data, "visitor_with_token_id", lookup)
+        missing = browser.get("/nothing-here")
+        assert (missing.status_code, header(missing)) == (404, [])
+    browser.cookies.clear()
+    assert header(browser.get("/nothing-here")) == [SIGN_IN]
+
+
+def test_who_asks_too_often_costs_no_look_up_more(
+    data: FixedData, browser: AsgiBrowser, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sign_in(browser, "Gelbots")
+    asked, look_up = [], data.visitor_with_token_id
+
+    async def counted(token_id: UUID) -> Visitor | None:
+        asked.append(token_id)
+        return await look_up(token_id)
+
+    async def refused(_: object, submission_id: UUID) -> SubmissionDetail:
+        raise ServiceError(ProblemCode.TOO_MANY_REQUESTS, f"Wait before you ask for {submission_id} again.")
+
+    monkeypatch.setattr(data, "visitor_with_token_id", counted)
+    monkeypatch.setattr(data, "submission", refused)
+    answer = browser.get(f"/submissions/{COMPLETED.id}")
+    assert (answer.status_code, header(answer), len(asked)) == (429, [], 1), "by the page itself"
 
 
 def test_browsers_get_a_page_and_programs_their_json(browser: AsgiBrowser) -> None:

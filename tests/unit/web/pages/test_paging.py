@@ -44,6 +44,14 @@ def test_search_finds_parts_of_names_in_any_case() -> None:
     assert len(asked(f"q={'x' * 1000}").search) == 64
 
 
+def test_search_finds_a_name_however_its_spaces_and_accents_are_typed() -> None:
+    entries = [an_entry(rank, team, SCORE) for rank, team in enumerate(("Söhne 07", "Straße", "Gelbots"), 1)]
+    for query, found in (("+s%C3%B6hne++07+", [1]), ("So%CC%88hne", [1]), ("STRASSE", [2]), ("%EF%BC%A7el", [3])):
+        page = asked(f"q={query}", entries)
+        assert (ranks(page), page.found) == (found, 1), query
+    assert asked("q=%00", entries).found == 3
+
+
 def test_links_keep_task_and_search() -> None:
     page = asked("q=Team+%26")
     assert page.link(2) == f"/tracks/track_1?task={TASK}&q=Team+%26&page=2"

@@ -66,6 +66,8 @@ def test_static_files_are_kept_for_ever_under_their_digest_only(browser: AsgiBro
     address = html.split('rel="stylesheet" href="')[1].split('"')[0]
     assert "immutable" in browser.get(address).headers["cache-control"]
     assert browser.get("/static/arena.css").headers["cache-control"] == "no-cache"
+    of_before = address.partition("?v=")[0] + "?v=0123456789ab"  # named by a page from before an upgrade
+    assert browser.get(of_before).headers["cache-control"] == "no-cache"
     assert browser.get("/static/../pages.py").status_code == 404
 
 

@@ -10,6 +10,7 @@ from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.evaluator.logs.findings import VerificationResult
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.db.states import EvaluationState
+from vitac.server.errors import TRACK_REMOVED
 from vitac.server.views.evaluations import DifferingEpisodeView, EvaluationView
 from vitac.web.pages import submissions
 from vitac.web.plots.map import EpisodeMap, episode_map
@@ -143,7 +144,8 @@ def test_a_sensor_has_a_rate_of_all_tasks_only_with_a_policy_of_its_own(
     own = COMPLETED.evaluation
     rates = {name: getattr(own, name) for name in ("success_rate", "success_rate_interval", "mean_steps")}
     nothing = own.progress.model_copy(update={"tasks": []})
-    changes = {"scores": [], "progress": nothing} | (rates if "sensor-design" in tasks else dict.fromkeys(rates))
+    changes = {"scores": [], "progress": nothing, "counted_tasks": ["sensor-design"]}
+    changes |= rates if "sensor-design" in tasks else dict.fromkeys(rates)
     sensor = COMPLETED.model_copy(
         update={
             "id": an_id("a sensor"),
@@ -189,6 +191,21 @@ def test_a_running_submission_of_two_tasks_shows_the_progress_of_each(data: Fixe
         assert shown in html
 
 
+def test_a_submission_of_a_removed_track_shows_the_score_that_is_kept(data: FixedData, browser: AsgiBrowser) -> None:
+    data.found = [kept.model_copy(update={"track": "chess", "public": True}) for kept in (BOTH, FAILED)]
+    for name, is_own in (("Bears", False), ("Gelbots", True)):
+        sign_in(browser, name)
+        answer = browser.get(f"/submissions/{BOTH.id}")
+        assert answer.status_code == 410
+        assert f"{TRACK_REMOVED} It played peg insertion, lock opening of <code>chess</code>." in answer.text
+        for score in BOTH.evaluation.scores:
+            assert f"{score.successes} of {score.episodes}" in answer.text
+        assert ("Signed receipt" in answer.text) == is_own
+        assert "/tracks/chess" not in answer.text, "it leads nowhere"
+    answer = browser.get(f"/submissions/{FAILED.id}")
+    assert (answer.status_code, "It has no score." in answer.text) == (410, True)
+
+
 def test_failed_submission_shows_verdict_and_escaped_output(browser: AsgiBrowser) -> None:
     sign_in(browser, "Gelbots")
     html = browser.get(f"/submissions/{FAILED.id}").text
@@ -205,7 +222,11 @@ def test_a_result_without_a_control_group_is_shown_as_isolated_more_weakly(
     evaluation = COMPLETED.evaluation.model_copy(update={"isolation": levels})
     data.found = [COMPLETED.model_copy(update={"evaluation": evaluation})]
     sign_in(browser, "Gelbots")
-    assert ("Weaker than usual" in browser.get(f"/submissions/{COMPLETED.id}").text) is is_told
+    page = browser.get(f"/submissions/{COMPLETED.id}").text
+    assert ("Weaker than usual" in page) is is_told
+    assert "Where process ids repeat, that of an episode does not tell how many there were before." in page
+    data.found = [COMPLETED.model_copy(update={"evaluation": evaluation.model_copy(update={"isolation": []})})]
+    assert "Where process ids repeat" not in browser.get(f"/submissions/{COMPLETED.id}").text
 
 
 def test_packages_of_each_kind_of_worker_are_told_short_and_in_full(browser: AsgiBrowser, data: FixedData) -> None:

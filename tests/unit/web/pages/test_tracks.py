@@ -6,10 +6,10 @@ import pytest
 from asgi_browser import AsgiBrowser
 from cubes_track import FILE
 from markupsafe import escape
-from page_fixtures import LOCK, SIGNER, TASK, FixedData, a_leaderboard, a_score, an_entry, an_id
+from page_fixtures import LOCK, NOW, SIGNER, TASK, FixedData, a_leaderboard, a_score, an_application, an_entry, an_id
 from visits import sign_in
 from vitac.evaluator.tracks import list_tracks, load_track
-from vitac.web.pages.tracks import PICTURES, track_tabs
+from vitac.web.pages.tracks import PICTURES, accepts_logs, track_tabs
 from vitac.web.rendering import STATIC
 from vitac.web.site import Site
 
@@ -202,6 +202,8 @@ def test_a_task_on_a_gpu_says_that_it_does_not_repeat_and_one_without_a_picture_
         "name: cubes", "name: gpu"
     )
     (tmp_path / "gpu.yaml").write_text(listed)
+    many = listed.replace("name: gpu", "name: many").replace("physx_cuda", "physx_cuda, batch_size: 8")
+    (tmp_path / "many.yaml").write_text(many.replace("folder: Cubes", "folder: Many"))
     monkeypatch.setenv("VITAC_TRACKS_DIR", str(tmp_path))
     monkeypatch.setattr("vitac.web.pages.tracks.STATIC", tmp_path)
     html = browser.get("/tracks/gpu/rules").text
@@ -209,6 +211,8 @@ def test_a_task_on_a_gpu_says_that_it_does_not_repeat_and_one_without_a_picture_
     assert "with one evaluator version, except in the tasks that say otherwise." in html
     assert "There is no picture of this task" in html
     assert "Pictures come from the graphics driver" not in html
+    assert "episodes at once" not in html
+    assert "A GPU plays 8 episodes at once, each with a policy of its own." in browser.get("/tracks/many/rules").text
 
 
 def test_a_task_with_pictures_says_what_of_it_does_not_repeat(
@@ -256,6 +260,18 @@ def test_every_track_is_reached_from_the_leaderboard_and_the_rules_of_another() 
         assert [tab.title for tab in shown] == [load_track(name).title for name in names]
 
 
+def test_logs_of_other_tracks_are_one_link_away_where_they_are_accepted() -> None:
+    names = list_tracks()
+    accepting = [name for name in names if accepts_logs(load_track(name))]
+    assert 1 < len(accepting) < len(names)
+    site = Site(data=FixedData(), signer=SIGNER, version="0.1.0", tracks=names)
+    shown = track_tabs(site, load_track("track_1"), "/logs", has_page=accepts_logs)
+    assert [tab.target for tab in shown] == [f"/tracks/{name}/logs" for name in accepting]
+    html = AsgiBrowser(an_application(FixedData(), tracks=names)).get("/tracks/track_1/logs").text
+    assert html.count('aria-label="Tracks"') == 1
+    assert '<a href="/tracks/track_1/logs" aria-current="page">' in html
+
+
 def test_a_single_track_needs_no_links_to_tracks(browser: AsgiBrowser) -> None:
     assert 'aria-label="Tracks"' not in browser.get("/tracks/track_1").text
 
@@ -276,6 +292,20 @@ def test_rows_show_the_ranks_that_chance_allows_as_they_are_now(data: FixedData,
         data.task_boards[TASK] = a_leaderboard(entry.model_copy(update={"rank_range": rank_range}), task=TASK)
         html = browser.get(f"/tracks/track_1?task={TASK}").text
         assert shown in html if shown else "by chance rank" not in html
+
+
+def test_boards_of_models_and_logs_say_since_when_they_are_final(data: FixedData, browser: AsgiBrowser) -> None:
+    archive = 'href="/competition/archive"'
+    pages = ("/tracks/track_1?stage=final", "/tracks/track_1/logs?stage=final")
+    for page in pages:
+        assert archive not in browser.get(page).text
+    data.board = data.board.model_copy(update={"final_since": NOW, "revision": "final"})
+    data.logs = data.logs.model_copy(update={"final_since": NOW, "revision": "final"})
+    for page in pages:
+        html = browser.get(page).text
+        assert "final since" in html, page
+        assert f"{NOW:%F}" in html
+        assert archive in html
 
 
 def test_the_tab_of_logs_keeps_the_stage(browser: AsgiBrowser) -> None:

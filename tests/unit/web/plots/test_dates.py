@@ -34,7 +34,7 @@ def test_the_order_of_the_input_does_not_matter() -> None:
 def test_one_point_and_one_day_are_drawn() -> None:
     figure = rates_by_date("h", "History", rates(0.5))
     assert figure.drawing.count("<circle") == 1
-    assert figure.drawing.count("2026-11-01</text>") == 1
+    assert figure.drawing.count("2026-11-01 12:00</text>") == 1
     assert "the best is <0> with 50.0" in figure.summary
 
 
@@ -51,7 +51,23 @@ def test_dates_are_those_of_utc_and_four_are_written_at_equal_distances() -> Non
     assert [date for _, date in written] == ["2026-11-01", "2026-11-02", "2026-11-03", "2026-11-04"]
     assert [float(x) for x, _ in written] == [70.0, 232.0, 394.0, 556.0]
     west = [DatedRate(name="w", at=datetime(2026, 10, 31, 22, tzinfo=timezone(-timedelta(hours=5))), success_rate=0.5)]
-    assert rates_by_date("h", "History", west).table.rows == (("2026-11-01", "w", "50.0\N{NO-BREAK SPACE}%"),)
+    assert rates_by_date("h", "History", west).table.rows == (("2026-11-01 03:00", "w", "50.0\N{NO-BREAK SPACE}%"),)
+
+
+def test_submissions_of_one_day_have_their_minutes() -> None:
+    hours = [DatedRate(name=f"{n}", at=START + timedelta(hours=n), success_rate=0.5) for n in range(4)]
+    figure = rates_by_date("h", "History", hours)
+    written = re.findall(r'y="212"[^>]*>([^<]+)<', figure.drawing)
+    assert written == [f"11-01 {hour}:00" for hour in (12, 13, 14, 15)]
+    assert [row[0] for row in figure.table.rows] == [f"2026-{text}" for text in written]
+    assert "0, 2026-11-01 12:00: 50.0" in figure.drawing
+    assert len(set(re.findall(r'cx="([\d.]+)"', figure.drawing))) == 4
+
+
+def test_days_that_would_be_written_twice_have_their_minutes() -> None:
+    figure = rates_by_date("h", "History", rates(0.1, 0.2, 0.3))
+    written = re.findall(r'y="212"[^>]*>([^<]+)<', figure.drawing)
+    assert written == ["11-01 12:00", "11-02 04:00", "11-02 20:00", "11-03 12:00"]
 
 
 def test_a_line_that_never_rises_stays_where_it_began() -> None:

@@ -100,6 +100,13 @@ def test_histogram_counts_every_episode_once() -> None:
     rows = {row[0]: row[1:] for row in figure.table.rows}
     assert (rows["3"], rows["8"], rows["0"], rows["5"]) == (("1", "1"), ("1", "0"), ("0", "1"), ("0", "0"))
     assert len(rows) == 9
+    assert re.findall(r"<text [^>]*>([a-z ]+)</text>", figure.drawing) == ["episodes", "solved", "not solved"]
+    titles = re.findall(r"<title>(.*?)</title>", figure.drawing)
+    assert titles[:3] == [
+        "0 env steps: 0 solved, 1 not",
+        "1 env step: 0 solved, 0 not",
+        "2 env steps: 0 solved, 0 not",
+    ]
 
 
 @pytest.mark.parametrize("most", [0, 1, 24, 25, 50, 1000])

@@ -9,12 +9,13 @@ from PIL import Image
 from vitac.server.db.states import EvaluationState
 from vitac.server.errors import SettingsError
 from vitac.server.views.submissions import SubmissionView
+from vitac.web.sharing import preview
 from vitac.web.sharing.preview import HEIGHT, WIDTH, checked_font, draw_preview
 
 COMPLETED = a_submission("Gelbots", EvaluationState.COMPLETED, name="Soft touch")
 EPISODES = some_episodes(TASK, 270)
 DEJAVU = Path(mpl.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"
-"""A font with accents and Greek, without CJK."""
+"""A font that also has Georgian, without CJK."""
 
 
 def pixels(picture: bytes) -> np.ndarray:
@@ -25,6 +26,17 @@ def named(name: str, team: str = "Gelbots") -> SubmissionView:
     return COMPLETED.model_copy(
         update={"name": name, "team": COMPLETED.team.model_copy(update={"name": team}), "rank": None}
     )
+
+
+def boxes(name: str, font_file: Path | None = None) -> int:
+    """How many characters of a name no font has."""
+    files = [file for file in (preview._noto_sans(), font_file) if file is not None]
+    return sum(not any(preview._can_write(character, file) for file in files) for character in preview._plain(name))
+
+
+def drawn(shown: SubmissionView, track: str = "Track 1", font_file: Path | None = None) -> np.ndarray:
+    """The picture without episodes."""
+    return pixels(draw_preview(shown, track, [], font_file))
 
 
 def test_is_a_small_picture_that_shows_each_episode() -> None:
@@ -45,15 +57,32 @@ def test_where_episodes_are_not_shown_there_are_none() -> None:
     assert (pixels(draw_preview(COMPLETED, "Track 1", EPISODES)) != without).any()
 
 
-@pytest.mark.parametrize("name", ["触覚", "é", "\N{RIGHT-TO-LEFT OVERRIDE}abc"])
-def test_a_name_that_the_font_cannot_write_is_left_out_rather_than_drawn_as_boxes(name: str) -> None:
-    without = draw_preview(named("", team=""), "Track 1", EPISODES)
-    assert draw_preview(named(name, team=""), "Track 1", EPISODES) == without
-    assert draw_preview(named("abc", team=""), "Track 1", EPISODES) != without
+def test_names_with_accents_in_greek_and_cyrillic_are_written_as_they_are() -> None:
+    for name in ("Équipe", "Zażółć gęślą jaźń", "Þórr Øst", "Αφή", "Команда Її", "e\N{COMBINING ACUTE ACCENT}"):
+        assert boxes(name) == 0
+    assert preview._plain("e\N{COMBINING ACUTE ACCENT}") == "é"
+    unassigned, private = "\U000e0fff", "\ue000"  # of no name in any version of Unicode, so boxes
+    assert preview._plain(f"a\u200b{unassigned}\n{private}") == f"a{unassigned} {private}"
+    plain = drawn(named("Equipe"))
+    assert (drawn(named("Équipe")) != plain).any()
+    assert (drawn(named("Equipe", team="Αφή")) != plain).any()
 
 
-def test_the_longest_names_stay_left_of_the_episodes() -> None:
-    wide = pixels(draw_preview(named("W" * 128, team="W" * 64), "Track 1", EPISODES))
+def test_a_character_that_no_font_has_is_a_box() -> None:
+    for name, missing in (("触覚", 2), ("é触", 1), ("abc 🙂 Ü", 1), ("触\u3000覚", 2)):
+        assert boxes(name) == missing
+    assert (drawn(named("a触")) != drawn(named("a"))).any()
+    assert (drawn(named("a触")) == drawn(named("a覚"))).all()
+
+
+def test_characters_that_show_nothing_are_left_out() -> None:
+    for name in ("\N{RIGHT-TO-LEFT OVERRIDE}abc def", "ab\N{ZERO WIDTH SPACE}c def", "abc\N{NO-BREAK SPACE}def\x00"):
+        assert preview._plain(name) == "abc def"
+
+
+@pytest.mark.parametrize("letters", ["W", "É", "W触"])
+def test_the_longest_names_stay_left_of_the_episodes(letters: str) -> None:
+    wide = pixels(draw_preview(named((letters * 128)[:128], team=(letters * 64)[:64]), "Track 1", EPISODES))
     short = pixels(draw_preview(named("a", team="b"), "Track 1", EPISODES))
     assert (wide[:, 640:] == short[:, 640:]).all()
     assert (wide[:, :640] != short[:, :640]).any()
@@ -65,18 +94,20 @@ def test_a_thousand_episodes_fit() -> None:
     assert (shown[-100:, WIDTH // 2 :] == shown[-1, -1]).all(), "nothing below the grid"
 
 
-@pytest.mark.parametrize("name", ["Équipe", "Αφή", "Łódź"])
-def test_another_font_writes_the_names_that_ours_cannot(name: str) -> None:
-    without = draw_preview(named("", team=""), "Track 1", EPISODES, DEJAVU)
-    assert draw_preview(named(name, team=""), "Track 1", EPISODES, DEJAVU) != without
-    assert draw_preview(named("", team=name), "Track 1", EPISODES, DEJAVU) != without
+def test_the_font_that_was_set_writes_what_ours_cannot() -> None:
+    for name in ("ა", "abc ა", "é ა"):
+        assert (boxes(name), boxes(name, DEJAVU)) == (1, 0)
+    without = drawn(named("a", team="b"), "ა")
+    for changed in (drawn(named("ა", team="b"), "ა", DEJAVU), drawn(named("a", team="b"), "ა", DEJAVU)):
+        assert (changed != without).any()
+    assert (drawn(named("Équipe", team="触"), "1", DEJAVU) == drawn(named("Équipe", team="触"), "1")).all()
 
 
-def test_another_font_changes_nothing_where_ours_can_write_or_neither_can() -> None:
-    for name in ("abc", "触覚", "é触"):
-        assert draw_preview(named(name), "Track 1", [], DEJAVU) == draw_preview(named(name), "Track 1", [])
-    wide = pixels(draw_preview(named("É" * 128), "Track 1", EPISODES, DEJAVU))
-    assert (wide[:, 640:] == pixels(draw_preview(named("a"), "Track 1", EPISODES))[:, 640:]).all(), "it is cut off, too"
+def test_fonts_are_mixed_only_in_names_of_which_none_has_all_characters() -> None:
+    ours, theirs = preview._noto_sans(), DEJAVU
+    assert list(preview._runs("é ა", (ours, theirs))) == [("é ა", theirs)]
+    assert list(preview._runs("éა触 ა", (ours, theirs))) == [("é", ours), ("ა", theirs), ("触 ", ours), ("ა", theirs)]
+    assert list(preview._runs("", (ours, theirs))) == [("", ours)]
 
 
 def test_a_font_file_that_is_none_is_refused(tmp_path: Path) -> None:

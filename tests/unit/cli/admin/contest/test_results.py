@@ -47,6 +47,35 @@ def test_the_end_comes_with_consent_and_once(played: CliService) -> None:
     assert "is final since" in str(again.exception)
 
 
+def test_a_final_result_is_decided_again_without_a_team_that_was_disqualified(
+    played: CliService, tmp_path: Path
+) -> None:
+    results = ("admin", "results")
+    early = played.run(*results, "finalize", "--again", "--yes")
+    assert "is not final yet" in str(early.exception)
+    assert played.run("admin", "team", "disqualify", "Bees", "--reason", "late", "--yes").stderr == ""
+    played.run("admin", "team", "reinstate", "Bees")
+    played.run(*results, "finalize", "--yes")
+    disqualify = ("admin", "team", "disqualify", "Ants", "--reason", "two accounts")
+    tried = played.run(*disqualify, "--dry-run")
+    assert tried.exit_code == 0
+    assert "struck through" not in tried.stderr, "it did not happen"
+    out = played.run(*disqualify, "--yes")
+    assert "WARNING: the results are final: Ants is struck through there" in out.stderr
+    kept = played.run(*results, "winners")
+    assert "Ants" in kept.stdout
+    assert "WARNING: disqualified after the end: Ants." in kept.stderr
+    refused = played.run(*results, "publish", str(tmp_path / "published"))
+    assert "finalize --again" in str(refused.exception)
+    assert not (tmp_path / "published").exists()
+    assert isinstance(played.run(*results, "finalize", "--again").exception, ConsentMissing)
+    for way in ("--dry-run", "--yes"):
+        done = played.run(*results, "finalize", "--again", way, "--json")
+        assert [winner["team"] for winner in json.loads(done.stdout)] == ["Bees"]
+    assert played.run(*results, "winners").stderr == ""
+    assert played.run(*results, "publish", str(tmp_path / "published")).exit_code == 0
+
+
 def test_an_end_without_winners_is_warned_of(played: CliService) -> None:
     assert "WARNING" not in played.run("admin", "results", "finalize", "--dry-run").stderr
     with played.database.transaction() as session:

@@ -3,16 +3,12 @@
 import json
 from datetime import UTC, datetime
 
-from cli_service import CliService
-from service_factories import play_all, submit
+from cli_service import CliService, evaluated_submission
 from vitac.server.accounts import teams
-from vitac.server.accounts.principals import Principal
 from vitac.server.db.models import Notice
-from vitac.server.db.states import NoticeChannel, NoticeKind, Role
+from vitac.server.db.states import NoticeChannel, NoticeKind
 from vitac.server.errors import ServiceError
 from vitac.server.people import appeals
-
-from competitions import make_competition, put_in_place
 
 WHEN = datetime(2031, 2, 1, 12, 30, 15, 250_000, tzinfo=UTC)
 
@@ -41,22 +37,15 @@ def test_a_notice_that_was_given_up_is_listed_and_tried_again(service: CliServic
 
 
 def test_an_appeal_is_shown_and_ruled_on(service: CliService) -> None:
+    by, submission = evaluated_submission(service)
     with service.database.transaction() as session:
-        content = make_competition(appeal_days=7)
-        content["tracks"] = {"mail": content["tracks"]["track_1"] | {"taken_here": False}}
-        put_in_place(session, content)
-        own = teams.find(session, "Team A")
-        by = Principal(role=Role.TEAM, team_id=own.id, team_name=own.name)
-        submission = submit(session, by)
-    play_all(service.database, submission)
-    with service.database.transaction() as session:
-        number = str(appeals.open_appeal(session, by, submission.id, "Look again.").id)
+        number = str(appeals.open_appeal(session, by, submission, "Look again.").id)
         opened_at = appeals.find(session, by, int(number)).opened_at
     shown = service.run("admin", "appeal", "show", number).stdout
     assert f"opened_at        {opened_at:%F %T}Z" in shown
     told = json.loads(service.run("admin", "appeal", "list", "--open", "--json").stdout)
     assert [each["opened_at"] for each in told] == [opened_at.isoformat().replace("+00:00", "Z")]
-    assert told[0]["submission_id"] == str(submission.id)
+    assert told[0]["submission_id"] == str(submission)
     ruled = json.loads(service.run("admin", "appeal", "rule", number, "It was not.", "--reject", "--json").stdout)
     assert (ruled["state"], ruled["ruling"]) == ("rejected", "It was not.")
     assert "rejected already" in str(service.run("admin", "appeal", "rule", number, "No.", "--uphold").exception)

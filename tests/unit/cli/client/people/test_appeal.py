@@ -1,31 +1,14 @@
 import json
-from uuid import UUID, uuid4
+from uuid import uuid4
 
-from cli_service import CliService
-from service_factories import TASK, make_principal, make_record, make_secret, play_all, sha256, submit
-from vitac.server.accounts import teams
-from vitac.server.accounts.principals import CONSOLE, Principal
-from vitac.server.db.states import Role
+from cli_service import CliService, evaluated_submission
+from service_factories import TASK, make_principal, make_record, make_secret, sha256
+from vitac.server.accounts.principals import CONSOLE
 from vitac.server.people import appeals
-
-from competitions import make_competition, put_in_place
-
-
-def evaluated(service: CliService) -> UUID:
-    """A finished submission of Team A, where appeals are possible."""
-    with service.database.transaction() as session:
-        content = make_competition(appeal_days=7)
-        content["tracks"] = {"mail": content["tracks"]["track_1"] | {"taken_here": False}}
-        put_in_place(session, content)
-        own = teams.find(session, "Team A")
-        by = Principal(role=Role.TEAM, team_id=own.id, team_name=own.name)
-        submission = submit(session, by)
-    play_all(service.database, submission)
-    return submission.id
 
 
 def test_an_appeal_is_opened_read_and_withdrawn_from_the_command_line(service: CliService) -> None:
-    submission = str(evaluated(service))
+    submission = str(evaluated_submission(service)[1])
     assert "No appeal." in service.run("appeal", "list").stdout
     of_episode = ("--task", TASK, "--episode", "3")
     made = json.loads(service.run("appeal", "open", submission, "Look again.", *of_episode, "--json").stdout)

@@ -70,6 +70,39 @@ def test_there_is_none_where_nothing_is_delegated(tmp_path: Path) -> None:
     assert cgroup.create(LIMITS, root=tmp_path, membership=membership(tmp_path, "0::/user.slice/own\n")) is None
 
 
+@pytest.mark.parametrize(
+    ("files", "groups", "limit"),
+    [
+        ({"memory.max": "max"}, "0::/", None),
+        ({"memory.max": "5000"}, "0::/", 5000),
+        ({"a/b/memory.max": "max", "a/memory.max": "7000"}, "0::/a/b", 7000),
+        ({"a/b/memory.max": "3000", "a/memory.max": "7000"}, "0::/a/b", 3000),
+        ({"a/b/memory.max": "9000", "a/memory.max": "7000"}, "0::/a/b", 7000),
+        ({"other/memory.max": "1"}, "0::/a/b", None),
+        ({"memory.max": "5000"}, "0::/../../docker/4711", 5000),
+        ({"memory/mine/memory.limit_in_bytes": "4000"}, "4:memory:/mine\n2:pids:/mine\n0::/", 4000),
+        ({"memory/memory.limit_in_bytes": "4000"}, "4:memory:/docker/4711\n0::/", 4000),
+        ({"memory/memory.limit_in_bytes": "9223372036854771712"}, "4:memory:/", 2**63 - 4096),
+        ({"memory/memory.limit_in_bytes": "4000", "memory.max": "2000"}, "4:memory:/\n0::/", 2000),
+        ({}, "", None),
+    ],
+)
+def test_the_smallest_memory_limit_up_to_the_root_holds(
+    tmp_path: Path, files: dict[str, str], groups: str, limit: int | None
+) -> None:
+    """As the kernel keeps it: a group cannot use more than any group around it may."""
+    root = tmp_path / "cgroup"
+    for name, content in files.items():
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
+        (root / name).write_text(content + "\n")
+    assert cgroup.memory_limit_bytes(root=root, membership=membership(tmp_path, groups)) == limit
+
+
+def test_the_memory_limit_of_this_process_can_be_read() -> None:
+    limit = cgroup.memory_limit_bytes()
+    assert limit is None or limit > 0
+
+
 def test_limits_are_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     v2_tree(tmp_path)
     plain_mkdir = Path.mkdir
@@ -152,4 +185,4 @@ def test_what_still_runs_in_a_dead_evaluators_group_is_killed(tmp_path: Path) ->
     with subprocess.Popen(["sleep", "600"]) as left:
         (group / "cgroup.procs").write_text(f"0\n{left.pid}\n")
         cgroup.sweep(tmp_path)
-        assert left.wait(timeout=20) == -signal.SIGKILL
+        assert left.wait(timeout=60) == -signal.SIGKILL

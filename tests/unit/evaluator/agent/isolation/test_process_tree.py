@@ -40,7 +40,7 @@ def test_reads_time_and_memory(parent: int) -> None:
     first = process_tree.cpu_s(parent)
     while process_tree.cpu_s(parent) == first:
         pass
-    assert process_tree.cpu_s(parent) > first > 0
+    assert process_tree.cpu_s(parent) > first
     assert process_tree.resident_bytes(parent) > 1_000_000
 
 

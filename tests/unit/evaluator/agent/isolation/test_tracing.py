@@ -35,7 +35,7 @@ class Waiting:
 def waiting() -> Iterator[Waiting]:
     ours, theirs = socket.socketpair()
     with ours:
-        ours.settimeout(10)
+        ours.settimeout(60)
         with theirs:
             process = Popen([sys.executable, "-c", WAITS, str(theirs.fileno())], pass_fds=[theirs.fileno()])
         assert ours.recv(5) == b"ready"

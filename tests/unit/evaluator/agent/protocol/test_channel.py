@@ -119,7 +119,7 @@ def test_passed_descriptors_are_a_violation_and_not_kept(ends: tuple[Channel, so
         socket.send_fds(theirs, [frame(1)], [file.fileno()] * 50)
     with pytest.raises(PolicyFailed, match="more than bytes"):
         channel.receive([AnswerKind.READY])
-    assert open_descriptors() == before
+    assert open_descriptors() <= before
 
 
 def test_starting_afresh_forgets_what_came(ends: tuple[Channel, socket.socket]) -> None:

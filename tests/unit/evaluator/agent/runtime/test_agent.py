@@ -1,5 +1,8 @@
 """What the runtime says to a team, on its functions alone; tests/integration/sandbox runs it in the sandbox."""
 
+import subprocess
+import sys
+from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
 from types import SimpleNamespace
@@ -20,6 +23,14 @@ def submission(tmp_path: Path) -> str:
 
 def hint(error: BaseException, submission: str) -> str:
     return agent.what_is_there(error, submission, "polcy.main")
+
+
+def test_nothing_is_imported_that_every_copy_of_a_policy_would_carry_in_vain() -> None:
+    code = "import runpy, sys; runpy.run_path(sys.argv[1]); print(*sys.modules)"
+    command = [sys.executable, "-I", "-S", "-c", code, str(agent.__file__)]
+    imported = subprocess.run(command, check=True, capture_output=True, text=True).stdout.split()
+    assert "json" in imported
+    assert not {"importlib.metadata", "email", "zipfile", "random", "numpy"} & set(imported)
 
 
 FILES = ". Files in the submission: models/weights.npz, policy.py"
@@ -44,9 +55,85 @@ def test_missing_package_lists_what_is_installed(submission: str) -> None:
     assert "vitac" not in text.removeprefix(FILES)
 
 
+LOADED_ALONE = """
+import runpy, sys
+agent = runpy.run_path(sys.argv[1])
+try:
+    agent["load"]("policy:Policy", sys.argv[2])
+except agent["Refused"] as refused:
+    print(refused)
+"""
+
+
+@pytest.mark.parametrize("own_file", ["", "raise SystemExit"])
+def test_packages_are_listed_though_a_file_has_the_name_of_a_module_of_pythons_own(
+    submission: str, own_file: str
+) -> None:
+    Path(submission, "policy.py").write_text("import torhc")
+    Path(submission, "email.py").write_text(own_file)
+    command = [sys.executable, "-I", "-B", "-c", LOADED_ALONE, str(agent.__file__), submission]
+    shown = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+    assert "No module named 'torhc'. Files in the submission: email.py, models/weights.npz, policy.py." in shown
+    assert "Installed packages: " in shown
+
+
 @pytest.mark.parametrize("error", [RuntimeError(), ImportError(), PermissionError(), SystemExit()])
 def test_other_errors_have_no_hint(error: BaseException, submission: str) -> None:
     assert hint(error, submission) == ""
+
+
+@pytest.fixture
+def refusal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Callable[[str], tuple[str, str]]:
+    """Load a policy of the given code, and return what is said of it and what it printed."""
+
+    def load(code: str) -> tuple[str, str]:
+        (tmp_path / "wrong_policy.py").write_text(code)
+        monkeypatch.chdir(tmp_path)
+        monkeypatch.setattr("sys.path", [*sys.path])
+        monkeypatch.delitem(sys.modules, "wrong_policy", raising=False)
+        with pytest.raises(agent.Refused) as caught:
+            agent.load("wrong_policy:Policy", str(tmp_path))
+        assert caught.value.code == "import_error"
+        return caught.value.message, capsys.readouterr().err
+
+    return load
+
+
+@pytest.mark.parametrize(
+    ("code", "told"),
+    [
+        ("from pathlib import Path\nclass Polcy: pass\nclass Arm: pass", "Classes there: Arm, Polcy."),
+        ("from pathlib import Path", "Classes there: none."),
+    ],
+)
+def test_a_wrong_name_of_the_class_lists_those_that_are_there(
+    refusal: Callable[[str], tuple[str, str]], code: str, told: str
+) -> None:
+    message, output = refusal(code)
+    missing = "module 'wrong_policy' has no attribute 'Policy'"
+    assert message.endswith(f"{missing}. {told}")
+    assert output == f"AttributeError: {missing}\n"
+
+
+@pytest.mark.parametrize(
+    ("code", "first", "last"),
+    [
+        ("import gone_for_good", ", line 1, in <module>", "No module named 'gone_for_good'\n"),
+        ("x = (", "wrong_policy.py", "SyntaxError: '(' was never closed\n"),
+    ],
+)
+def test_a_traceback_begins_with_the_policys_code(
+    refusal: Callable[[str], tuple[str, str]], code: str, first: str, last: str
+) -> None:
+    _, output = refusal(code)
+    lines = [line for line in output.splitlines() if not line.startswith("Traceback")]
+    assert first in lines[0]
+    assert code in lines[1]
+    assert output.endswith(last)
+    assert "agent.py" not in output
+    assert "importlib" not in output
 
 
 def test_hint_that_fails_leaves_the_error_named() -> None:
@@ -260,3 +347,16 @@ def test_a_wrong_belief_is_refused_by_name(believed: Any, code: str, message: st
     with pytest.raises(agent.Refused) as caught:
         agent.belief_of(Believer(believed))
     assert (caught.value.code, caught.value.message) == (code, message)
+
+
+@pytest.mark.parametrize(
+    ("kind", "text", "arrays", "method"), [("reset", "peg-insertion", {}, "reset"), ("observe", "", {"x": 1}, "act")]
+)
+def test_a_policy_without_a_method_is_refused_by_its_name(
+    kind: str, text: str, arrays: dict[str, Any], method: str
+) -> None:
+    connection = SimpleNamespace(read=lambda: (kind, text, arrays))
+    with pytest.raises(agent.Refused) as caught:
+        agent.answer_episode(object(), connection)  # type: ignore[arg-type]
+    assert caught.value.code == "crashed"
+    assert caught.value.message == f"{method}() raised AttributeError: 'object' object has no attribute '{method}'"

@@ -62,7 +62,7 @@ def test_two_lengths_of_one_body_are_refused_and_the_connection_is_closed(servic
         b"Content-Length: %d\r\nTransfer-Encoding: chunked\r\n",
         b"Transfer-Encoding: chunked\r\nContent-Length: %d\r\n",
     ):
-        with socket.create_connection(service.address, timeout=20) as connection:
+        with socket.create_connection(service.address, timeout=60) as connection:
             connection.sendall(head + lengths % len(body) + b"\r\n" + body)
             answer = b"".join(iter(lambda: connection.recv(4096), b""))
         assert answer.startswith(b"HTTP/1.1 400")

@@ -50,7 +50,7 @@ def test_a_visitor_sees_schedule_rules_prizes_and_commitment(data: FixedData, br
         "c0ffee",
         "2 000 USD (2 teams)",
         "a talk",
-        "3 scored at most",
+        "3 scored runs at most",
         "Open",
     ):
         assert text in html, text
@@ -80,6 +80,17 @@ def test_a_frozen_competition_says_so(data: FixedData, browser: AsgiBrowser) -> 
 
 def test_without_a_competition_there_is_no_page(browser: AsgiBrowser) -> None:
     assert browser.get("/competition").status_code == 404
+
+
+def test_quotas_appeals_and_judging_are_told(data: FixedData, browser: AsgiBrowser) -> None:
+    stage = a_competition().tracks[0].stages[0].model_copy(update={"scored_runs": 1, "attempts": 2})
+    track = a_competition().tracks[0].model_copy(update={"stages": [stage], "judging": "Judges decide <it>."})
+    html = shown(data, browser, tracks=[track], appeal_days=1, rules=[], teams_locked=None)
+    for text in ("1 scored run at most", "2 attempts at most", "until 1 day after", "Judges decide &lt;it&gt;."):
+        assert text in html, text
+    plain = shown(data, browser, rules=[], teams_locked=None)
+    assert "/appeals" not in plain
+    assert 'id="rules"' not in plain
 
 
 def test_the_newest_announcements_and_hidden_names_are_told(data: FixedData, browser: AsgiBrowser) -> None:

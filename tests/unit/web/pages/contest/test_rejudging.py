@@ -10,6 +10,7 @@ from httpx import Client
 from served_pages import NO_CERTIFICATES, visitor, visitor_of_role
 from service_factories import TASK, TRACK, make_principal, make_score, make_secret, outdate, play, submit_scored
 from sqlalchemy import select
+from vitac.evaluator.tracks import load_track
 from vitac.server.accounts.principals import CONSOLE
 from vitac.server.db.models import Evaluation, Rejudgement
 from vitac.server.db.states import Role
@@ -73,6 +74,9 @@ def test_an_organizer_starts_looks_at_and_applies_a_rejudgement(service: CliServ
     started = organizer.send("/rejudging", "/rejudging/start", track=TRACK, reason="<the> new evaluator")
     assert (started.status_code, started.headers["location"]) == (303, "/rejudging")
     waiting = organizer.get("/rejudging").text
+    title = load_track(TRACK).title
+    assert f"{title}: &lt;the&gt; new evaluator</h2>" in waiting
+    assert f'<option value="{TRACK}">{title}</option>' in waiting
     assert "2 still wait or run" in waiting
     assert '<button type="submit" disabled>' in waiting
     before = field(waiting, "shown")
@@ -89,7 +93,9 @@ def test_an_organizer_starts_looks_at_and_applies_a_rejudgement(service: CliServ
     assert applied.status_code == 303, applied.text
     assert [rank for rank, _ in board(service)] == [1, 2]
     assert ended(service) == {"<the> new evaluator": (True, False)}
-    assert "applied" in organizer.get("/rejudging").text.partition('id="ended"')[2]
+    listed = organizer.get("/rejudging").text.partition('id="ended"')[2]
+    assert "applied" in listed
+    assert f"<p>{title}, " in listed
     again = organizer.send("/rejudging", "/rejudging/discard", id=number)
     assert again.status_code == 409, "it has ended"
 

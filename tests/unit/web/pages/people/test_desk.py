@@ -85,6 +85,9 @@ def test_an_organizer_settles_what_waits_and_everybody_sees_what_is_theirs(servi
 def test_submissions_in_trouble_and_stages_are_listed(service: CliService) -> None:
     with service.database.transaction() as session:
         put_in_place(session, make_competition())
+    shown = visitor_of_role(service, Role.ORGANIZER).get("/desk").text
+    assert '<a href="/tracks/track_1?stage=stage2">Touch, Final</a>' in shown
+    with service.database.transaction() as session:
         state = {one.stage.name: (one.qualified, one.submissions, one.over) for one in stages(session)}
         assert state == {"stage1": (None, 0, False), "stage2": (0, 0, False)}
         session.execute(update(Team).values(disqualified_at=None, disqualified_for=None))

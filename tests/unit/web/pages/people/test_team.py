@@ -8,7 +8,7 @@ from cli_service import CliService, cli_service
 from httpx import Cookies
 from served_pages import FORM_TOKEN, PageVisitor, team_visitor, visitor, visitor_of_role
 from vitac.server.accounts import passwords, teams
-from vitac.server.db.states import Role
+from vitac.server.db.states import NoticeKind, Role
 
 from competitions import make_competition, put_in_place
 
@@ -84,6 +84,10 @@ def test_a_member_is_invited_joins_signs_in_leads_and_leaves(service: CliService
     assert ann.send("/team", "/team/me", password=new).status_code == 303
     assert ann.send("/team", "/team/me", email="").status_code == 303
     assert "ann@example.org" not in ann.get("/team").text
+    assert ann.send("/team", "/team/notices", finished="yes", deadline="yes").status_code == 303
+    boxes = re.findall(r'name="(\w+)" type="checkbox" value="yes"( checked)?', ann.get("/team").text)
+    assert {name for name, ticked in boxes if ticked} == {"finished", "deadline"}
+    assert [name for name, _ in boxes] == [kind.value for kind in NoticeKind], "each kind can be chosen"
     assert sign_in(service, new)[0] == 303
     assert captain.send("/team", "/team/captain", id=id_beside(captain.get("/team").text, "captain")).status_code == 303
     assert ann.send("/team", "/team/leave").status_code == 422

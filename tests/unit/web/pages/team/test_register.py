@@ -18,6 +18,7 @@ def test_registers_shows_the_token_once_and_signs_in(browser: AsgiBrowser) -> No
     assert answer.status_code == 201
     assert answer.headers["cache-control"] == "no-store"
     assert "vitac_made" in answer.text
+    assert ">Sign in</a>" not in answer.text, "that is done"
     assert signer.COOKIE in browser.cookies
     assert "vitac_made" not in browser.get("/register").text
     assert browser.get("/submissions").status_code == 200
@@ -30,6 +31,9 @@ def test_a_name_that_is_taken_can_be_corrected_in_the_form(browser: AsgiBrowser)
     assert 'value="Bears"' in answer.text
     assert "<script>" not in answer.text.replace('<script src="', "")
     assert signer.COOKIE not in browser.cookies
+    assert ">Sign in</a>" in answer.text
+    browser.post("/register", data={"name": "Newcomers"})
+    assert "Sign out" in browser.post("/register", data={"name": "Bears"}).text, "of the team that is signed in"
 
 
 def test_an_invite_is_asked_for_where_one_is_needed(data: FixedData, browser: AsgiBrowser) -> None:

@@ -31,6 +31,15 @@ def test_wrong_token_is_told_beside_the_field(browser: AsgiBrowser) -> None:
     assert signer.COOKIE not in browser.cookies
 
 
+def test_wrong_token_ends_no_session(browser: AsgiBrowser) -> None:
+    sign_in(browser, "Gelbots")
+    for path, given in (("/sign-in", {"token": "wrong"}), ("/sign-in/password", {"password": "wrong"})):
+        answer = browser.post(path, data=given)
+        assert answer.status_code == 401
+        assert 'Sign out <span class="visually-hidden">Gelbots' in answer.text
+        assert answer.headers["cache-control"] == "no-store"
+
+
 @pytest.mark.parametrize(
     "target", ["https://evil.test/", "//evil.test", "/\\evil.test", "javascript:alert(1)", "", "x"]
 )

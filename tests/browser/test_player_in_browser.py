@@ -1,0 +1,230 @@
+"""What the 3D player spends: when it draws, how sharply, and what it sends to the graphics card."""
+
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+from browser_checks import DESK
+from page_fixtures import FixedData
+from played_episodes import a_playback, a_shown_episode, guided
+from playwright.sync_api import Browser, Page, expect
+from real_browser import SOFTWARE_WEBGL, launched
+from site_under_test import SiteUnderTest
+from waiting import LIMIT_S, PIXELS_AT_REST, resize, until, wait_for_rest
+
+COUNTED = """
+    window.counted = { pictures: 0, uploads: 0 };
+    const { clear, bufferSubData } = WebGL2RenderingContext.prototype;
+    Object.assign(WebGL2RenderingContext.prototype, {
+      clear(...given) { counted.pictures += 1; return clear.apply(this, given); },
+      bufferSubData(...given) { counted.uploads += 1; return bufferSubData.apply(this, given); },
+    });
+"""
+SIZES = """() => {
+    const scene = document.querySelector("canvas.scene");
+    const [seen, room] = [scene, scene.parentElement].map((one) => one.getBoundingClientRect());
+    return { seen: [seen.width, seen.height], drawn: [scene.width, scene.height], room: [room.width, room.height] };
+}"""
+AFTER_TWO_FRAMES = "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => done({...counted}))))"
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with launched(*SOFTWARE_WEBGL) as browser:
+        yield browser
+
+
+@pytest.fixture
+def still_page(browser: Browser, site: SiteUnderTest) -> Iterator[Page]:
+    """The page of an episode whose scene has come to rest, and which counts what it draws and sends."""
+    context = browser.new_context(viewport=DESK)  # type: ignore[arg-type]
+    page = context.new_page()
+    page.add_init_script(COUNTED)
+    site.sign_in(page)
+    site.open(page, path_of_an_episode(site.data))
+    expect(page.get_by_role("form", name="Playback")).to_be_visible()
+    wait_for_rest(page)
+    yield page
+    context.close()
+
+
+def path_of_an_episode(data: FixedData) -> str:
+    steps = len(guided("peg-insertion", 5).rewards)
+    [done] = [found for found in data.found if found.name == "done"]
+    return data.show(done.id, a_shown_episode(a_playback(env_steps=steps), env_steps=steps))
+
+
+def counted(page: Page) -> dict[str, int]:
+    found: dict[str, int] = page.evaluate(AFTER_TWO_FRAMES)
+    return found
+
+
+def test_a_scene_is_drawn_once_for_what_changes_between_two_frames_and_not_while_it_rests(still_page: Page) -> None:
+    drawn = still_page.evaluate(
+        """async () => {
+            const before = counted.pictures;
+            const controls = document.querySelector("form.transport").elements;
+            for (const name of ["forward", "back", "forward", "back"]) controls[name].click();
+            await new Promise(requestAnimationFrame);  // asked for after the page's own, so it comes after that
+            return counted.pictures - before;
+        }"""
+    )
+    assert drawn == 1
+    wait_for_rest(still_page)
+    rested = counted(still_page)["pictures"]
+    still_page.wait_for_timeout(400)
+    assert counted(still_page)["pictures"] == rested
+
+
+def test_a_moment_of_the_episode_is_sent_to_the_graphics_card_once(still_page: Page) -> None:
+    page = still_page
+    sent = []
+    for time in ("1.0001", "1.0002", "1.0003"):  # between the same two moments
+        page.get_by_label("Env step", exact=True).fill(time)
+        sent.append(counted(page)["uploads"])
+    assert sent[0] > 0
+    assert sent == [sent[0]] * 3
+    page.get_by_label("Env step", exact=True).fill("2.5")
+    assert counted(page)["uploads"] > sent[0]
+
+
+def test_a_scene_in_motion_is_drawn_less_sharply_and_in_full_once_it_rests(still_page: Page) -> None:
+    found = still_page.evaluate(
+        """async (full) => {
+            const { speed, play, time } = document.querySelector("form.transport").elements;
+            const scene = document.querySelector("canvas.scene");
+            const look = () => ({ time: Number(time.value), pixels: scene.width / scene.clientWidth });
+            speed.value = 0.25;
+            play.click();
+            let found = look();
+            for (let frames = 0; frames < 100 && !(found.time > 0 && found.pixels < full); frames += 1) {
+              await new Promise(requestAnimationFrame);
+              found = look();
+            }
+            play.click();
+            return found;
+        }""",
+        0.99 * PIXELS_AT_REST,
+    )
+    assert found["time"] > 0
+    assert found["pixels"] < 0.99 * PIXELS_AT_REST
+    wait_for_rest(still_page)
+    assert float(still_page.get_by_label("Env step", exact=True).input_value()) >= found["time"]
+
+
+def test_a_state_that_never_comes_fails_with_what_was_seen(still_page: Page) -> None:
+    with pytest.raises(AssertionError, match=r"expected another state within 0\.1 s, got \d"):
+        until(still_page, lambda: counted(still_page)["pictures"], lambda pictures: pictures < 0, limit_s=0.1)
+
+
+def test_a_scene_covers_whole_pixels_of_the_page_so_that_its_lines_are_unbroken(still_page: Page) -> None:
+    def is_covered(found: dict[str, list[float]]) -> bool:
+        seen, drawn, room = (found[name] for name in ("seen", "drawn", "room"))
+        return drawn == [PIXELS_AT_REST * length for length in seen] and all(
+            0 <= space - length <= 3 for length, space in zip(seen, room, strict=True)
+        )
+
+    rooms = []
+    for width in (DESK["width"], 903):
+        resize(still_page, {**DESK, "width": width})
+        rooms.append(until(still_page, lambda: still_page.evaluate(SIZES), is_covered)["room"])
+    assert rooms[0] != rooms[1]
+
+
+def test_a_scene_at_rest_is_drawn_again_after_the_graphics_card_was_lost(still_page: Page) -> None:
+    before = counted(still_page)["pictures"]
+    still_page.evaluate(
+        """(limitMs) => new Promise((done, fail) => {
+            const scene = document.querySelector("canvas.scene");
+            const card = scene.getContext("webgl2").getExtension("WEBGL_lose_context");
+            scene.addEventListener("webglcontextrestored", done);
+            scene.addEventListener("webglcontextlost", () => setTimeout(() => card.restoreContext()));
+            card.loseContext();
+            setTimeout(() => fail(new Error("the card did not come back")), limitMs);
+        })""",
+        1000 * LIMIT_S,
+    )
+    wait_for_rest(still_page)
+    assert counted(still_page)["pictures"] > before
+
+
+PARTS = """async ([source, intervals]) => {
+    const address = URL.createObjectURL(new Blob([source], { type: "text/javascript" }));
+    const { Resolution } = await import(address);
+    const resolution = new Resolution();
+    return intervals.map((interval) => {
+      if (interval === null) resolution.rest();
+      else resolution.took(interval);
+      return resolution.part;
+    });
+}"""
+
+
+@pytest.fixture(scope="module")
+def empty_page(browser: Browser) -> Iterator[Page]:
+    page = browser.new_page()
+    yield page
+    page.close()
+
+
+def parts(page: Page, repository: Path, *intervals: float | None) -> list[float]:
+    """What part of the full resolution is drawn after each frame that took so long [ms]; None: it stood still."""
+    source = (repository / "viewer" / "resolution.js").read_text(encoding="utf-8")
+    found: list[float] = page.evaluate(PARTS, [source, list(intervals)])
+    return found
+
+
+def test_slow_frames_are_drawn_with_fewer_pixels_until_they_come_in_time(empty_page: Page, repository: Path) -> None:
+    first, slow, slower, in_time = (parts(empty_page, repository, *steps)[-1] for steps in (
+        [16.7], [40.0] * 6, [40.0] * 6 + [25.0] * 6, [40.0] * 6 + [25.0] * 6 + [16.7] * 12,
+    ))  # fmt: skip
+    assert first > slow > slower == in_time > 0
+
+
+def test_one_slow_frame_changes_nothing(empty_page: Page, repository: Path) -> None:
+    assert len(set(parts(empty_page, repository, *([16.7] * 5 + [400.0]) * 3))) == 1
+
+
+def test_pixels_that_are_no_help_are_given_back(empty_page: Page, repository: Path) -> None:
+    found = parts(empty_page, repository, *[33.3] * 60)
+    assert min(found) < found[0]
+    assert found[-1] == found[0]
+    assert len(set(found[12:])) == 1, "not tried again and again"
+
+
+def test_short_motions_on_a_slow_screen_leave_the_resolution_as_it_was(empty_page: Page, repository: Path) -> None:
+    found = parts(empty_page, repository, *([33.3] * 7 + [None]) * 6, *[33.3] * 60)
+    assert found[7::8][:6] == [found[0]] * 6
+    assert found[-1] == found[0]
+
+
+def test_a_machine_that_was_busy_now_and_then_draws_in_full_again_within_a_minute(
+    empty_page: Page, repository: Path
+) -> None:
+    busy = ([16.7] * 6 * 100 + [30.0] * 6 + [None]) * 10
+    assert parts(empty_page, repository, *busy, *[16.7] * 60 * 60)[-1] == 1
+
+
+def test_a_fast_machine_draws_in_full(empty_page: Page, repository: Path) -> None:
+    found = parts(empty_page, repository, *[8.3] * 200)
+    assert found == sorted(found)
+    assert found[-1] == 1
+
+
+def test_a_rise_that_was_too_much_is_not_tried_soon(empty_page: Page, repository: Path) -> None:
+    def rises(*more: float) -> int:
+        found = parts(empty_page, repository, *[16.7] * 30, *more)
+        return sum(one < other for one, other in pairwise(found))
+
+    again = [16.7] * 30
+    assert rises() == 1
+    assert rises(*again) == 2
+    assert rises(*[30.0] * 6, *again) == 1
+    assert rises(*[30.0] * 6, *again, *again) == 2
+
+
+def test_a_rest_forgets_how_long_frames_took(empty_page: Page, repository: Path) -> None:
+    steps: list[Any] = [*[40.0] * 5, None]
+    assert len(set(parts(empty_page, repository, *steps * 4))) == 1
