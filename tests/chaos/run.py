@@ -42,6 +42,9 @@ WORKER_LIMIT_S = 60.0
 LOST_SHARD_LIMIT_S = 60.0
 """The shard of a killed worker is waited for at least so long, to tell how long it took."""
 
+LAST_EVENTS = 20
+"""So many lines of each log are printed when something was found."""
+
 END_LIMIT_S = 60.0
 """Processes of what was killed may take so long to end once the service has ended."""
 
@@ -64,12 +67,22 @@ def main() -> int:
         with state_disk(folder) as has_small_disk:
             problems = disturb(DisturbedService(folder=folder, workers=options.workers), options, has_small_disk)
     finally:
-        if not problems:
+        if problems:
+            print_last_events(folder)
+        else:
             shutil.rmtree(folder)
     for problem in problems:
         print(f"FOUND {problem}")
     print("found nothing" if not problems else f"the service events are in {folder}")
     return 1 if problems else 0
+
+
+def print_last_events(folder: Path) -> None:
+    """Print how the logs of the service's processes end: where CI ran, nobody can look into the folder."""
+    for log in sorted(folder.glob("*.log")):
+        print(f"--- {log.name}")
+        for line in log.read_text(errors="replace").splitlines()[-LAST_EVENTS:]:
+            print(line[:400])
 
 
 def parse() -> argparse.Namespace:
