@@ -97,8 +97,8 @@ def check_stage_quotas(session: Session, by: Principal, team: Team, *, track: st
         if limit is not None and _used(session, team, track, stage, quota) >= limit:
             raise ServiceError(
                 ProblemCode.QUOTA_EXCEEDED,
-                f"{team.name} may have {limit} {quota.replace('_', ' ')} in stage {stage} of {track} and has used "
-                "all of them.",
+                f"The quota of {quota.replace('_', ' ')} in stage {stage} of {track} is {limit} for each team, and "
+                f"{team.name} has used it up.",
                 quota=f"stage_{quota}",
                 limit=limit,
             )

@@ -23,6 +23,8 @@ from ..competition.schedule import current, shown_stage
 from ..db.competition_row import lock_competition, require_not_final
 from ..db.models import Evaluation, JudgingConflict, JudgingMark, Submission
 from ..errors import ProblemCode, ServiceError
+from ..evaluations.history import newest_evaluation
+from ..evaluations.scores import counted_tasks
 from ..leaderboards.standings import leaderboard
 from ..submissions.figures import figures_of
 from ..views.leaderboards import LeaderboardEntryView
@@ -88,7 +90,7 @@ def give_marks(
     teams.lock(session, submission.team)  # no conflict and no other marks of the team meanwhile
     _require_going_on(session)
     rubric = rubric_of(session, submission.track)
-    _require_ranked_task(submission)
+    _require_ranked_task(session, submission)
     _require_whole(rubric, marks)
     conflict = session.get(JudgingConflict, (submission.team_id, name))
     if conflict is not None:
@@ -289,8 +291,8 @@ def _judge(session: Session, by: Principal, named: str | None) -> str:
     return tokens.judge_named(session, named)
 
 
-def _require_ranked_task(submission: Submission) -> None:
-    ranked = load_track(submission.track).tasks_that_count
+def _require_ranked_task(session: Session, submission: Submission) -> None:
+    ranked = counted_tasks(newest_evaluation(session, submission))
     if set(ranked).isdisjoint(submission.tasks):
         raise ServiceError(
             ProblemCode.INVALID_REQUEST,

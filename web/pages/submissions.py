@@ -93,7 +93,8 @@ async def _kept_score(request: Request, viewer: Viewer | None) -> Response:
     found = (await site_of(request).data.submission(visitor_of(viewer), submission_id)).submission
     is_own = viewer is not None and viewer.may_see(found.team.name)
     section = "/submissions" if is_own else ""
-    shown: dict[str, Any] = {"submission": found, "is_own": is_own, "sentence": TRACK_REMOVED}
+    active = found.evaluation.state not in TERMINAL_EVALUATION_STATES
+    shown: dict[str, Any] = {"submission": found, "is_own": is_own, "active": active, "sentence": TRACK_REMOVED}
     return page(request, "removed.html", viewer=viewer, section=section, status=HTTPStatus.GONE, **shown)
 
 

@@ -20,6 +20,8 @@ from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.accounts.principals import CONSOLE, Principal
 from vitac.server.db.engine import Database
 from vitac.server.db.models import EpisodeResult, Submission
+from vitac.server.evaluations import lifecycle
+from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.logs.claims import LogClaim
 from vitac.server.playbacks import asking
 from vitac.server.services import Services
@@ -56,7 +58,7 @@ SECOND = TRACK[TRACK.index("  own-pegs:") :].replace("own-pegs", "far-pegs")
 BOTH = TRACK.replace("accepts:", "combination_rule: The mean of both.\naccepts:") + SECOND.removeprefix("\n")
 REMOVED = {"track": BOTH.replace("pegs", "others"), "task": TRACK.replace("own-pegs", "far-pegs")}
 """What is left in the folder of track files."""
-NAMES = ("done", "waits", "log")
+NAMES = ("done", "waits", "failed", "log")
 EXAMPLES = {"task": "own-pegs", "track": "pegs", "number": "1", "file": "scene", "action": "none"}
 SUBMISSION = "/submissions/{submission_id}"
 EPISODE = f"{SUBMISSION}/episodes/{{task}}/{{number}}"
@@ -115,6 +117,9 @@ def remaining(
             ids = {name: str(submission.id) for name, submission in made.items()}
         play_all(database, made["done"])
         with database.transaction() as session:
+            lifecycle.fail_by_machines(
+                session, newest_evaluation(session, made["failed"]), "The disk of worker 1 broke."
+            )
             public_pages.set_public(session, team, made["done"].id, public=True)
             asking.ask(session, settings, CONSOLE, asking.find_episode(session, team, made["done"].id, "own-pegs", 1))
             outdate(session)  # a track file that goes changes the evaluator's version
@@ -215,10 +220,20 @@ def test_an_old_link_leads_to_the_score_that_is_kept(remaining: RemainingSubmiss
 
 
 def test_what_waits_can_be_cancelled(remaining: RemainingSubmissions) -> None:
+    page = f"/submissions/{remaining.ids['waits']}"
+    assert f'action="{page}/cancel"' in remaining.get(page)[1]
     address = f"{remaining.address}/api/v1/submissions/{remaining.ids['waits']}/cancel"
     answer = post(address, headers=remaining.headers, verify=NO_CERTIFICATES, trust_env=False)
     assert answer.status_code == 200
     assert answer.json()["evaluation"]["state"] == "cancelled"
+    assert f'action="{page}/cancel"' not in remaining.get(page)[1]
+
+
+@pytest.mark.parametrize("remaining", ["track"], indirect=True)
+def test_what_failed_says_why(remaining: RemainingSubmissions) -> None:
+    text = remaining.get(f"/submissions/{remaining.ids['failed']}")[1]
+    assert "It has no score." in text
+    assert "The disk of worker 1 broke." in text
 
 
 @pytest.mark.parametrize("address", ["submissions/{done}/requeue", "rejudgements"])
