@@ -24,14 +24,14 @@ from .storage.scratch import remove_leftovers
 from .submissions.files import stored_digests
 from .submissions.receipts import issue_older
 from .uploads import partial
-from .uploads.intake import UPLOAD_FOLDER
 
 logger = structlog.get_logger(__name__)
 
 PRUNE_EVERY_S = 3600.0
 OTHERS_EVERY_S = 10.0
-"""Seconds between two looks for playbacks of lost workers and for evaluations of other versions. Whoever waits for one
-waits up to so much longer; shards are looked after in every round, because each worker does this beside its shards."""
+"""Seconds between two looks for playbacks of lost workers, evaluations of other versions and folders of killed
+processes. Whoever waits for one waits up to so much longer; shards are looked after in every round, because each
+worker does this beside its shards."""
 ORPHAN_KEPT = timedelta(hours=24)
 """An upload is stored before its row is committed, so a file without a row is left alone for so long."""
 
@@ -72,6 +72,7 @@ class Housekeeping:
             if self._sweeps and time.monotonic() - others_at >= OTHERS_EVERY_S:
                 others_at = time.monotonic()
                 _tried(self._sweep_others)
+                _tried(lambda: remove_leftovers(self._services.settings.scratch_dir))
             _tried(lambda: self._totals.write(self._services.database))
             if self._sweeps and time.monotonic() - pruned_at > PRUNE_EVERY_S and _tried(lambda: prune(self._services)):
                 pruned_at = time.monotonic()
@@ -128,7 +129,6 @@ def prune(services: Services) -> None:
         if digest not in known:
             with services.database.transaction() as session:
                 stored_files.remove_if_older(session, services.blobs, digest, ORPHAN_KEPT)
-    remove_leftovers(services.settings.scratch_dir, UPLOAD_FOLDER)
     oldest_kept = time.time() - ORPHAN_KEPT.total_seconds()
     for pattern in ("upload-*", "playback-*"):
         for path in services.settings.scratch_dir.glob(pattern):

@@ -4,7 +4,6 @@ Called by `vitac admin appeal replay`. Nothing of the queue, the stored records 
 """
 
 import hashlib
-import tempfile
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +22,7 @@ from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.people import appeals
 from vitac.server.services import Services
 from vitac.server.storage.blobs import BlobStore
+from vitac.server.storage.scratch import scratch_folder
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,7 +66,7 @@ def replay(
         track = played_track(session, submission.track, evaluation.commitment)
         secret = None if evaluation.commitment is None else secret_of(session, evaluation.commitment)
     with ExitStack() as stack:
-        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(dir=services.settings.scratch_dir)))
+        folder = stack.enter_context(scratch_folder(services.settings.scratch_dir, "replay"))
         archive = corrected or _fetched(services.blobs, submission, folder)
         secret_file = folder / "secret"
         if secret is not None:

@@ -1,7 +1,6 @@
 """One claimed playback: made in a process of its own, its files stored."""
 
 import hashlib
-import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from functools import partial
@@ -18,10 +17,11 @@ from vitac.server.playbacks import work
 from vitac.server.playbacks.work import PlaybackLease
 from vitac.server.services import Services
 from vitac.server.storage import stored_files
+from vitac.server.storage.scratch import scratch_folder
 
 from .leased_run import LeasedRun, RunningProcess
 
-FOLDER_PREFIX = "playback-"
+PLAYBACK_FOLDER = "playback"
 
 _COLUMNS: Mapping[str, str] = MappingProxyType(
     {
@@ -56,10 +56,8 @@ class PlaybackRun(LeasedRun[RunningPlayback]):
 
     def _work(self) -> None:
         try:
-            with tempfile.TemporaryDirectory(
-                prefix=FOLDER_PREFIX, dir=self._services.settings.scratch_dir, ignore_cleanup_errors=True
-            ) as folder:
-                digests = self._make(Path(folder))
+            with scratch_folder(self._services.settings.scratch_dir, PLAYBACK_FOLDER) as folder:
+                digests = self._make(folder)
         except PlaybackFailed as error:
             problem = str(error)
             self._database(lambda session: work.end_failed(session, self._lease, problem))

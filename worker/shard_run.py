@@ -26,6 +26,7 @@ from vitac.server.queue.leases import Lease
 from vitac.server.services import Services
 from vitac.server.storage import stored_files
 from vitac.server.storage.blobs import StoredFileLost
+from vitac.server.storage.scratch import scratch_folder
 from vitac.server.submissions.figures import (
     coefficients_digest,
     coefficients_file,
@@ -37,6 +38,7 @@ from vitac.server.submissions.figures import (
 )
 from vitac.server.submissions.files import add_files
 from vitac.server.uploads.checked_upload import UploadedFile
+from vitac.server.uploads.intake import UPLOAD_FOLDER
 
 from .leased_run import LeasedRun, RunningProcess
 from .record_store import RecordStore
@@ -130,8 +132,8 @@ class ShardRun(LeasedRun[RunningShard]):
 
     def _keep(self, result: ShardResult) -> None:
         """Store what is known of a sensor after a shard: what the estimator has learned, and a part of the figures."""
-        with tempfile.TemporaryDirectory(prefix="upload-", dir=self._services.settings.scratch_dir) as name:
-            folder, files = Path(name), []
+        with scratch_folder(self._services.settings.scratch_dir, UPLOAD_FOLDER) as folder:
+            files = []
             if result.coefficients is not None:
                 files.append(coefficients_file(result.coefficients, self._lease, folder))
             if result.figures is not None:

@@ -39,7 +39,7 @@ class SubmissionStage:
         self._staged: dict[str, _Staged] = {}
         """By name, the one used most recently last."""
         self._numbers = count()
-        remove_leftovers(scratch_dir, WORKER_FOLDER)
+        remove_leftovers(scratch_dir)
         self._folder = new_folder(scratch_dir, WORKER_FOLDER)
 
     @contextmanager

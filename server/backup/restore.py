@@ -1,6 +1,5 @@
 """Brings a backup into an empty service; called by `vitac admin restore`."""
 
-import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -17,6 +16,7 @@ from ..postgres import tools
 from ..queue.workers import workers_alive
 from ..services import Services
 from ..settings import Settings
+from ..storage.scratch import scratch_folder
 from .archive import BackupDescription, BackupReader, BackupRejected
 from .track_files import missing_track_files, put_back
 
@@ -58,14 +58,14 @@ def restore(
     with BackupReader.opened(source) as reader:
         put_back(_check(services, reader))
         blobs = reader.description.blobs
-        with tempfile.TemporaryDirectory(dir=services.settings.scratch_dir) as folder:
+        with scratch_folder(services.settings.scratch_dir, "restore") as folder:
             for count, sha256 in enumerate(blobs, start=1):
-                blob = Path(folder) / sha256
+                blob = folder / sha256
                 reader.extract_blob(sha256, blob)
                 services.blobs.put(blob, sha256)
                 blob.unlink()
                 on_file(count, len(blobs))
-            dump = Path(folder) / "database.dump"
+            dump = folder / "database.dump"
             reader.extract_dump(dump)
             _restore_database(services, dump)
         with services.database.transaction() as session:

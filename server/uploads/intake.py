@@ -5,7 +5,6 @@ Called by the API's upload route, in the event loop. `acceptance` checks what wa
 
 import asyncio
 import hashlib
-import shutil
 from collections.abc import AsyncIterator, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -13,7 +12,7 @@ from pathlib import Path
 
 from ..errors import ProblemCode, ServiceError
 from ..settings import Settings
-from ..storage.scratch import new_folder
+from ..storage.scratch import scratch_folder
 
 FILE_NAME = "upload"
 UPLOAD_FOLDER = "upload"
@@ -32,11 +31,8 @@ class ReceivedFile:
 @contextmanager
 def upload_folder(settings: Settings) -> Iterator[Path]:
     """Return a private folder for one upload, gone with all it holds when the block is left."""
-    folder = new_folder(settings.scratch_dir, UPLOAD_FOLDER)
-    try:
+    with scratch_folder(settings.scratch_dir, UPLOAD_FOLDER) as folder:
         yield folder
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
 
 
 def check_announced_size(n_bytes: int | None, limit_bytes: int) -> None:

@@ -38,6 +38,9 @@ NOTHING_MORE_S = 300.0
 CALM_SHARE = 0.7
 """After so many of the faults the next one waits until a worker is ready again."""
 
+WHOLE_LIMIT_S = 120.0
+"""After the last fault, server and workers may take so long to be back."""
+
 WORKER_LIMIT_S = 60.0
 LOST_SHARD_LIMIT_S = 60.0
 """The shard of a killed worker is waited for at least so long, to tell how long it took."""
@@ -48,7 +51,7 @@ LAST_EVENTS = 20
 END_LIMIT_S = 60.0
 """Processes of what was killed may take so long to end once the service has ended."""
 
-READY = "SELECT count(*) FROM workers WHERE state = 'ready' AND heartbeat_at > now() - interval '4 seconds'"
+READY = "SELECT pid FROM workers WHERE state = 'ready' AND heartbeat_at > now() - interval '4 seconds'"
 
 FINDINGS = """
     SELECT submissions.id::text, submissions.name, evaluations.state, evaluations.result_hash,
@@ -135,6 +138,8 @@ def disturb(service: DisturbedService, options: argparse.Namespace, has_small_di
         print(f"answers and errors that led to another try: {submissions.refusals}")
         print(f"seconds until a killed worker's shard ran elsewhere: {[round(s, 1) for s in faults.lost_shard_s]}")
         problems = [] if ended else ["evaluations stopped ending"]
+        problems += [] if done else ["nothing was disturbed: give more submissions"]
+        problems += [] if is_whole_again(service) else [f"server and workers were not back within {WHOLE_LIMIT_S:g} s"]
         problems += compare(service, submissions, expected)
         problems += [f"answer {text}" for text in submissions.unexpected]
         problems += [f"a lost shard waited {s:.1f} s" for s in faults.lost_shard_s if s > options.lost_shard_s]
@@ -185,9 +190,22 @@ def wait_for_worker(service: DisturbedService) -> None:
     deadline = time.monotonic() + WORKER_LIMIT_S
     while time.monotonic() < deadline:
         with contextlib.suppress(OSError, psycopg.Error):
-            if service.query(READY)[0][0]:
+            if service.query(READY):
                 return
         time.sleep(0.2)
+
+
+def is_whole_again(service: DisturbedService) -> bool:
+    """Return whether all workers come back: each sweeps first what those that were killed have left."""
+    deadline = time.monotonic() + WHOLE_LIMIT_S
+    while time.monotonic() < deadline:
+        with contextlib.suppress(OSError, psycopg.Error, httpx.HTTPError):
+            ready = {row[0] for row in service.query(READY)}
+            answers = httpx.get(f"{service.address}/ready", timeout=10).is_success
+            if answers and ready >= {service.pid(name) for name in service.worker_names}:
+                return True
+        time.sleep(0.2)
+    return False
 
 
 def count_ended(service: DisturbedService) -> int | None:

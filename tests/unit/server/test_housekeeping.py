@@ -25,7 +25,6 @@ from vitac.server.services import Services
 from vitac.server.storage.blobs import BlobStore
 from vitac.server.storage.scratch import new_folder
 from vitac.server.submissions import creation
-from vitac.server.uploads.intake import UPLOAD_FOLDER
 from worker_fakes import eventually
 
 
@@ -230,16 +229,19 @@ def test_file_is_not_removed_while_somebody_stores_it(services: Services, monkey
     assert not services.blobs.holds(orphan)
 
 
-def test_uploads_of_a_server_process_that_was_killed_are_removed_at_once(services: Services) -> None:
+def test_folders_of_a_process_that_was_killed_are_removed_soon(services: Services) -> None:
     with subprocess.Popen([sys.executable, "-c", "pass"]) as gone:
         gone.wait()
     scratch = services.settings.scratch_dir
-    mine = new_folder(scratch, UPLOAD_FOLDER)
-    its, elsewhere = (Path(str(mine).replace(f"-{os.getpid()}-", f"-{gone.pid}-")), scratch / "upload-other-1-x")
-    for folder in (its, elsewhere):
+    mine = [new_folder(scratch, purpose) for purpose in ("upload", "playback", "worker")]
+    its = [Path(str(folder).replace(f"-{os.getpid()}-", f"-{gone.pid}-")) for folder in mine]
+    elsewhere = scratch / "upload-other-1-x"
+    for folder in (*its, elsewhere):
         folder.mkdir()
-    prune(services)
-    assert (mine.is_dir(), its.exists(), elsewhere.is_dir()) == (True, False, True)
+    running = Housekeeping(services)
+    running.start()
+    eventually(lambda: sorted(scratch.iterdir()) == sorted([*mine, elsewhere]))
+    running.stop()
 
 
 def test_leftovers_of_interrupted_uploads_and_playbacks_are_removed_when_old(services: Services) -> None:
