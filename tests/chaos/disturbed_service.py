@@ -1,6 +1,7 @@
 """A whole service as an operator runs it, `vitac serve` and workers, each started again when it ends."""
 
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -168,6 +169,12 @@ def descendants(pid: int) -> list[int]:
 
 def command_of(pid: int) -> bytes:
     return content_of(pid, "cmdline")
+
+
+def is_of_policy(pid: int) -> bool:
+    """Return whether a process runs a team's code: it is in a sandbox and not the first one there."""
+    found = re.search(rb"^NSpid:\t\d+\t.*?(\d+)$", content_of(pid, "status"), re.MULTILINE)
+    return found is not None and int(found[1]) != 1
 
 
 def content_of(pid: int, file: str) -> bytes:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import psycopg
-from disturbed_service import DisturbedService, command_of, descendants, pause_processes, send
+from disturbed_service import DisturbedService, command_of, descendants, is_of_policy, pause_processes, send
 from small_disk import fill, make_room
 
 OTHER_READY = """
@@ -72,9 +72,12 @@ class Faults:
         return f"killed {name}{self._wait_for_other_worker(held)}"
 
     def kill_shard(self) -> str:
-        """Kill a process below a worker: the one that forks shards, a shard, or one of its sandbox."""
+        """Kill a process below a worker: the one that forks shards, a shard, or one of its sandbox.
+
+        Not one of the policy: a policy may kill itself, and nobody can tell who did it.
+        """
         name = self.random.choice(self.service.worker_names)
-        below = descendants(self.service.pid(name) or 0)
+        below = [pid for pid in descendants(self.service.pid(name) or 0) if not is_of_policy(pid)]
         if not below:
             return f"nothing runs below {name}"
         pid = self.random.choice(below)
