@@ -1,13 +1,15 @@
 """Measures the evaluation of PickCube-v1 by state, and its env steps beside those of bare ManiSkill.
 
 Run it as `python benchmarks/maniskill/pick_cube.py [--episodes 100] [--workers 2] [--rounds 20] [--json FILE]` where
-the extra maniskill is installed and nothing else runs. Episodes are played in the sandbox and bare, from the same
-start with the same actions, in turns; the CPU time in the sandbox has the policy's in it.
+the extra maniskill is installed and nothing else runs. Each episode is played by the same policy in the sandbox and
+bare, where it is called in the same process as ManiSkill; each way goes first every other time. Env steps after the
+first are compared, by the clock and in CPU time with the policy's.
 """
 
 import argparse
 import json
-from collections.abc import Iterator, Mapping
+import sys
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from time import perf_counter, process_time
@@ -17,11 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 from vitac.envs.maniskill.env import seed_of
 from vitac.evaluator.agent.session import PolicySession
-from vitac.evaluator.episodes.episode import Environment, Policy, make_environment, run_episode
-from vitac.evaluator.episodes.records import EpisodeOutcome
+from vitac.evaluator.episodes.episode import Policy, make_environment, run_episode
+from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord
 from vitac.evaluator.evaluation.local import evaluate
 from vitac.evaluator.submission.staging import staged
-from vitac.evaluator.tracks import find_task
+from vitac.evaluator.tracks import Episode, Task, find_task
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "maniskill"
 TASK = "pick-cube"
@@ -79,9 +81,9 @@ class TimedEnvironment:
         steps_s: from there to the end of the last env step.
     """
 
-    def __init__(self, env: Environment, policy: CountedSession) -> None:
+    def __init__(self, env: Any, policy_cpu_s: Callable[[], float]) -> None:
         self._env = env
-        self._policy = policy
+        self._policy_cpu_s = policy_cpu_s
         self._before = np.zeros(2)
         self.reset_s = self.first_step_s = self.steps_s = np.zeros(2)
 
@@ -89,16 +91,16 @@ class TimedEnvironment:
         """Return what the environment has of that name."""
         return getattr(self._env, name)
 
-    def reset(self, *, options: Mapping[str, object]) -> tuple[Mapping[str, NDArray[Any]], dict[str, Any]]:
+    def reset(self, **arguments: Any) -> Any:
         """Start an episode."""
         self._passed()
-        begun = self._env.reset(options=options)
+        begun = self._env.reset(**arguments)
         self.reset_s, self.first_step_s, self.steps_s = self._passed(), np.zeros(2), np.zeros(2)
         return begun
 
-    def step(self, action: NDArray[np.float32]) -> tuple[Any, ...]:
+    def step(self, action: NDArray[np.float32]) -> Any:
         """Play one env step, and count what has passed since the one before."""
-        stepped: tuple[Any, ...] = self._env.step(action)
+        stepped = self._env.step(action)
         if self.first_step_s.any():
             self.steps_s = self.steps_s + self._passed()
         else:
@@ -106,13 +108,44 @@ class TimedEnvironment:
         return stepped
 
     def _passed(self) -> NDArray[np.float64]:
-        before, self._before = self._before, times(self._policy.cpu_s)
+        before, self._before = self._before, times(self._policy_cpu_s())
         return self._before - before
 
 
-def times(policy_s: float = 0.0) -> NDArray[np.float64]:
+def times(policy_s: float) -> NDArray[np.float64]:
     """Return the time by the clock, and the CPU time of this process and the policy [s]."""
     return np.array([perf_counter(), process_time() + policy_s])
+
+
+class BarePlay:
+    """Plays a task in ManiSkill's own environment, with the example's policy in this process.
+
+    Attributes:
+        env: counts times; the policy's are in those of this process.
+        actions: of the last episode, shape [env steps, 4].
+        succeeded: whether the last episode was a success.
+    """
+
+    def __init__(self, task: Task) -> None:
+        sys.path.insert(0, str(EXAMPLE / "ManiSkill"))
+        from policy import Policy as Example
+
+        self._task = task
+        self._make_policy: Callable[[], Any] = Example
+        self.env = TimedEnvironment(bare_environment(task.settings), lambda: 0.0)
+
+    def play(self, episode: Episode) -> None:
+        """Play an episode to its end."""
+        actions: list[NDArray[np.float32]] = []
+        policy, self.succeeded = self._make_policy(), False
+        policy.reset(self._task.name)
+        seed = seed_of(self._task.env_id, episode.options)
+        observation, _ = self.env.reset(seed=seed, options={"reconfigure": True})
+        while not self.succeeded and len(actions) < self._task.max_steps:
+            actions.append(policy.act({"state": np.array(observation.cpu())[0]}))
+            observation, *_, info = self.env.step(actions[-1])
+            self.succeeded = bool(info["success"])
+        self.actions = np.array(actions)
 
 
 def compared(submission: Path, *, rounds: int) -> dict[str, float]:
@@ -121,24 +154,21 @@ def compared(submission: Path, *, rounds: int) -> dict[str, float]:
     steps, bare_steps, resets, bare_resets, starts = [], [], [], [], []
     with PolicySession(submission) as loaded:
         session = CountedSession(loaded)
-        env, bare = TimedEnvironment(make_environment(task), session), bare_environment(task.settings)
-        for episode in task.episodes[:rounds]:
+        env = TimedEnvironment(make_environment(task), lambda: session.cpu_s)
+        bare = BarePlay(task)
+        for turn, episode in enumerate(task.episodes[:rounds]):
+            if turn % 2:
+                bare.play(episode)
             record = run_episode(env=env, task=task, episode=episode, open_session=lambda: session)
-            if record.failure:
-                raise SystemExit(record.failure.message)
-            steps.append(env.steps_s / (record.env_steps - 1))
+            if not turn % 2:
+                bare.play(episode)
+            require_equal(record, bare)
+            later_steps = record.env_steps - 1
+            steps.append(env.steps_s / later_steps)
+            bare_steps.append(bare.env.steps_s / later_steps)
             resets.append(env.reset_s)
-            starts.append(env.first_step_s - steps[-1])
-            began = times()
-            bare.reset(seed=seed_of(task.env_id, episode.options), options={"reconfigure": True})
-            was_reset = times()
-            bare_resets.append(was_reset - began)
-            for action in record.actions.to_array():
-                observation, *_, info = bare.step(action)
-                np.array(observation.cpu())
-            bare_steps.append((times() - was_reset) / record.env_steps)
-            if bool(info["success"]) != (record.outcome is EpisodeOutcome.SUCCESS):
-                raise SystemExit(f"Episode {episode.number} went otherwise bare, so its times cannot be compared.")
+            bare_resets.append(bare.env.reset_s)
+            starts.append(env.first_step_s - bare.env.first_step_s)
     step_ratio, step_cpu_ratio = np.median(np.divide(steps, bare_steps), axis=0)
     return {
         "steps_per_s": 1.0 / float(np.median(steps, axis=0)[0]),
@@ -149,6 +179,16 @@ def compared(submission: Path, *, rounds: int) -> dict[str, float]:
         "bare_reset_ms": 1e3 * float(np.median(bare_resets, axis=0)[0]),
         "policy_start_ms": 1e3 * float(np.median(starts, axis=0)[0]),
     }
+
+
+def require_equal(record: EpisodeRecord, bare: BarePlay) -> None:
+    """Make sure that an episode was the same in the sandbox and bare, so that its times can be compared."""
+    if record.failure:
+        raise SystemExit(record.failure.message)
+    if not np.array_equal(record.actions.to_array(), bare.actions):
+        raise SystemExit(f"Episode {record.episode} had other actions bare, so its times cannot be compared.")
+    if bare.succeeded != (record.outcome is EpisodeOutcome.SUCCESS):
+        raise SystemExit(f"Episode {record.episode} ended otherwise bare, so its times cannot be compared.")
 
 
 def bare_environment(settings: Mapping[str, Any]) -> Any:
