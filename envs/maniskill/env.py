@@ -29,6 +29,7 @@ from ..tasks.settings import settings_from
 from .catalogue import catalogue
 from .definition import CPU, PREFIX, ManiSkillSettings, definition_of, needs_driver
 from .observations import flattened, unbatched
+from .state import StateReader
 
 Observation = dict[str, NDArray[Any]]
 
@@ -298,7 +299,7 @@ def made(name: str, settings: ManiSkillSettings, *, draws: bool = False, n_scene
     if not has_renderer:
         _do_without_materials()
     _keep_what_is_loaded()
-    env = gymnasium.make(
+    env: Any = gymnasium.make(
         name,
         num_envs=n_scenes,
         obs_mode=settings.obs_mode,
@@ -310,6 +311,8 @@ def made(name: str, settings: ManiSkillSettings, *, draws: bool = False, n_scene
     # Nothing is learned here; without gradients an env step takes a tenth less time, and the same bits.
     for method in ("reset", "step", "get_state"):
         setattr(env, method, torch.inference_mode()(getattr(env, method)))
+    if on_cpu:
+        env.get_state = StateReader(env)
     return env
 
 

@@ -14,7 +14,10 @@ import pytest
 import yaml
 from cubes_track import FILE
 from submissions import submission_folder
+from vitac.envs.maniskill import state as state_module
+from vitac.envs.maniskill.definition import ManiSkillSettings
 from vitac.envs.maniskill.env import ManiSkillEnv, ManiSkillFailed, ManiSkillMissing, missing_packages
+from vitac.envs.maniskill.env import made as made_by_name
 from vitac.evaluator.agent.session import PolicySession
 from vitac.evaluator.agent.verdicts import VerdictCode
 from vitac.evaluator.episodes.episode import run_episode
@@ -191,6 +194,36 @@ def test_an_error_in_the_middle_of_an_episode_is_the_machines_and_the_next_episo
         with pytest.raises(ManiSkillFailed, match="failed in step at env step 2: RuntimeError: PhysX is out of memory"):
             play(named(track, "one"))
     assert play(named(track, "one")).state_hashes == before.state_hashes
+
+
+@pytest.mark.filterwarnings("ignore:The 'warn' method is deprecated:DeprecationWarning")  # ManiSkill's own
+@pytest.mark.parametrize(
+    ("name", "control_mode"),
+    [
+        ("PickCube-v1", "pd_ee_delta_pos"),
+        ("PickCube-v1", "pd_ee_target_delta_pose"),  # a controller that has a state, too
+        ("PegInsertionSide-v1", "pd_joint_delta_pos"),  # bodies that ManiSkill merges
+        ("RotateValveLevel0-v1", "pd_joint_delta_pos"),  # two articulations
+    ],
+)
+def test_the_state_is_maniskills_own_in_every_bit(name: str, control_mode: str) -> None:
+    played = made_by_name(name, ManiSkillSettings(control_mode=control_mode))
+    random = np.random.default_rng(0)
+    for seed in (1, 2):
+        played.reset(seed=seed, options={"reconfigure": True})
+        for _ in range(10):
+            played.step(random.uniform(-1.0, 1.0, played.single_action_space.shape).astype(np.float32))
+            state, own = played.get_state(), type(played).get_state(played).numpy()
+            assert (state.shape, state.dtype, state.tobytes()) == (own.shape, own.dtype, own.tobytes())
+
+
+def test_a_state_that_is_read_otherwise_than_maniskill_does_is_the_machines_failure(
+    track: Track, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fresh = made(track.tasks[TASK])
+    monkeypatch.setattr(state_module, "_AT_REST", np.ones(6, np.float32))
+    with pytest.raises(ManiSkillFailed, match="failed in reset at env step 0: ValueError: expected the state that get"):
+        fresh.reset(options=track.tasks[TASK].episodes[0].options)
 
 
 @pytest.mark.parametrize("mode", ["rgb", "rgbd", "pointcloud"])

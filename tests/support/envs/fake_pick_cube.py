@@ -28,6 +28,12 @@ class Tensor:
         return bool(self._array[0])
 
 
+class Scene:
+    """Has no body, so that all of the state is that of a controller."""
+
+    state_dict_registry = SimpleNamespace(actors={}, articulations={})
+
+
 class FakePickCube:
     """Succeeds at the third env step if told to; its state is the sum of its actions."""
 
@@ -39,6 +45,8 @@ class FakePickCube:
         self.reward, self.force = 0.25, 1.0
         self.state_size = 42
         self.draws = False
+        self.scene = Scene()
+        self.agent = SimpleNamespace(get_controller_state=lambda: {"arm": {"targets": Tensor(self.state)}})
 
     def reset(self, *, seed: int, options: dict[str, bool]) -> tuple[Tensor, dict[str, Any]]:
         self.resets.append((seed, options))
