@@ -1,5 +1,6 @@
 """What a camera rig sees, as pictures with scales: beside the scene of an episode, or alone and in full."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Colormap, Normalize
 from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
 from numpy.typing import NDArray
 
 from ..vision.camera import Sight
@@ -18,26 +20,38 @@ from .plots import INK, TICK_PT, style
 from .projection.frame import Frame, widened
 
 Picture = NDArray[np.uint8]
+FloatArray = NDArray[np.float64]
 
 _WIDTH_IN, _STRIP_HEIGHT_IN, _SHEET_HEIGHT_IN = 10.0, 3.0, 6.4
 _DEPTHS = "viridis"
 _UNKNOWN = "white"
 
 
-def camera_strip(sight: Sight, frame: Frame, *, width_px: int) -> Picture:
-    """Return the colour and the depth picture side by side, RGB of shape [height, width_px, 3].
+class CameraStrip:
+    """Draws colour and depth pictures side by side, all of an episode in one frame and on the same axes.
 
     Args:
-        sight: what the rig saw.
-        frame: what is shown of it; the same for all pictures of an episode.
+        sights: what the rig saw in the episode.
         width_px: pixels across.
     """
-    figure = Figure(figsize=(_WIDTH_IN, _STRIP_HEIGHT_IN), dpi=width_px / _WIDTH_IN, facecolor="white")
-    colour, depth = figure.subplots(1, 2)
-    figure.subplots_adjust(left=0.05, right=0.9, bottom=0.14, top=0.9, wspace=0.12)
-    _show(colour, sight.colours, frame, "camera, colour")
-    _show_depth(depth, sight, frame)
-    return _drawn(figure)
+
+    def __init__(self, sights: Sequence[Sight], *, width_px: int) -> None:
+        self._frame = Frame.around(sights)
+        figure = Figure(figsize=(_WIDTH_IN, _STRIP_HEIGHT_IN), dpi=width_px / _WIDTH_IN, facecolor="white")
+        colour, depth = figure.subplots(1, 2)
+        figure.subplots_adjust(left=0.05, right=0.9, bottom=0.14, top=0.9, wspace=0.12)
+        self._colour = _show(colour, sights[0].colours, self._frame, "camera, colour")
+        self._depth = _show_depth(depth, sights[0], self._frame)
+        self._figure = figure
+        self._sight: Sight | None = None
+
+    def picture(self, sight: Sight) -> Picture:
+        """Return the picture of one of them, RGB of shape [height, width_px, 3]."""
+        if sight is not self._sight:
+            self._colour.set_data(sight.colours[self._frame.rows, self._frame.columns])
+            self._depth.set_data(_shown_depth_mm(sight, self._frame))
+            self._sight, self._picture = sight, _drawn(self._figure)
+        return self._picture
 
 
 def camera_sheet(sight: Sight, title: str, *, width_px: int) -> Picture:
@@ -87,22 +101,29 @@ def rendered_sheet(sight: Sight, rendered: Picture, title: str, *, mode: RenderM
     return _drawn(figure)
 
 
-def _show(axes: Axes, picture: Picture, frame: Frame, title: str, cmap: str | None = None) -> None:
+def _show(axes: Axes, picture: Picture, frame: Frame, title: str, cmap: str | None = None) -> AxesImage:
     part = picture[frame.rows, frame.columns]
-    axes.imshow(part, cmap=cmap, extent=_extent(frame), interpolation="nearest")
+    image = axes.imshow(part, cmap=cmap, extent=_extent(frame), interpolation="nearest")
     _label(axes, title)
+    return image
 
 
-def _show_depth(axes: Axes, sight: Sight, frame: Frame) -> None:
+def _show_depth(axes: Axes, sight: Sight, frame: Frame) -> AxesImage:
     colours, norm = _depth_colours(), Normalize(frame.nearest_mm, frame.farthest_mm)
-    depth_mm = 1e3 * sight.depth_m[frame.rows, frame.columns]
-    axes.imshow(
-        np.ma.masked_equal(depth_mm, 0.0), cmap=colours, norm=norm, extent=_extent(frame), interpolation="nearest"
+    image = axes.imshow(
+        _shown_depth_mm(sight, frame), cmap=colours, norm=norm, extent=_extent(frame), interpolation="nearest"
     )
     _label(axes, "depth, white where unknown")
     bar = axes.figure.colorbar(ScalarMappable(norm, colours), ax=axes, extend="both", pad=0.03, fraction=0.05)
     bar.ax.tick_params(labelsize=TICK_PT - 1, color=INK, labelcolor=INK)
     bar.set_label("mm", size=TICK_PT, color=INK, labelpad=2)
+    return image
+
+
+def _shown_depth_mm(sight: Sight, frame: Frame) -> FloatArray:
+    """Return the depth inside the frame [mm], masked where it is unknown."""
+    masked: FloatArray = np.ma.masked_equal(1e3 * sight.depth_m[frame.rows, frame.columns], 0.0)
+    return masked
 
 
 def _show_cloud(axes: Any, sight: Sight, frame: Frame) -> None:

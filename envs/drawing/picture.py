@@ -17,12 +17,11 @@ from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from ..scene.perspective import Beside, Perspective
-from .camera_view import camera_strip
+from .camera_view import CameraStrip
 from .colouring import Quantity, colouring
 from .drawable import perspective_of
 from .playback import TRUE_OFFSET, Moment, Playback
 from .plots import BELIEF_COLOUR, INK, QUIET, draw_progress, draw_section
-from .projection.frame import Frame
 from .scene_view import SceneImage, SceneView
 from .sensor_view import SIDES, SensorPanels
 
@@ -111,33 +110,44 @@ class Painter:
         )
         self._sensors = SensorPanels(playback)
         sights = [moment.sight for moment in playback.moments if moment.sight is not None]
-        self._frame = Frame.around(sights) if sights else None
+        self._cameras = CameraStrip(sights, width_px=self._size_px[0]) if sights else None
+        self._canvas = FigureCanvasAgg(self._empty_figure())
 
-    def picture(self, index: int) -> NDArray[np.uint8]:
-        """Return the picture of one moment, RGB of shape [height, width, 3]."""
-        canvas = FigureCanvasAgg(self.figure(index))
-        canvas.draw()  # type: ignore[no-untyped-call]
-        scene = np.asarray(canvas.buffer_rgba())[..., :3]  # type: ignore[no-untyped-call]
-        sight = self._playback.moments[index].sight
-        if sight is None or self._frame is None:
-            return scene.copy()
-        return np.concatenate([scene, camera_strip(sight, self._frame, width_px=self._size_px[0])])
-
-    def figure(self, index: int) -> Figure:
-        """Return the drawing of one moment."""
+    def _empty_figure(self) -> Figure:
+        """Return what all pictures share: axes, which take longer to make than to be drawn on, and the colour bar."""
         dpi = self._size_px[0] / _WIDTH_IN
         # The canvas rounds down to whole pixels.
         width_in, height_in = ((pixels + 0.5) / dpi for pixels in self._size_px)
         figure = Figure(figsize=(width_in, height_in), dpi=dpi, facecolor="white")
-        moment, values = self._playback.moments[index], self._colouring.values[index]
-        self._write_caption(figure, moment)
-        self._draw_scene(figure, moment, values)
-        draw_section(_axes(figure, 0.545, 0.595, 0.2, 0.245), self._perspective, self._playback, moment)
-        draw_progress(_axes(figure, 0.815, 0.595, 0.17, 0.245), self._perspective.progress, self._playback, index)
-        for side in SIDES:
-            axes = figure.add_axes((0.53 + 0.235 * side.index, 0.17, 0.22, 0.29))
-            self._sensors.draw(axes, side, moment, values[side.index], cmap=self._cmap, norm=self._norm)
+        self._scene = figure.add_axes(_SCENE_AREA)
+        self._scene.set_axis_off()
+        self._section = figure.add_axes((0.545, 0.595, 0.2, 0.245))
+        self._progress = figure.add_axes((0.815, 0.595, 0.17, 0.245))
+        self._panels = [figure.add_axes((0.53 + 0.235 * side.index, 0.17, 0.22, 0.29)) for side in SIDES]
         self._draw_colour_bar(figure)
+        return figure
+
+    def picture(self, index: int) -> NDArray[np.uint8]:
+        """Return the picture of one moment, RGB of shape [height, width, 3]."""
+        self.figure(index)
+        self._canvas.draw()  # type: ignore[no-untyped-call]
+        scene = np.asarray(self._canvas.buffer_rgba())[..., :3]  # type: ignore[no-untyped-call]
+        sight = self._playback.moments[index].sight
+        if sight is None or self._cameras is None:
+            return scene.copy()
+        return np.concatenate([scene, self._cameras.picture(sight)])
+
+    def figure(self, index: int) -> Figure:
+        """Return the drawing of one moment, until another one is asked for."""
+        figure = self._canvas.figure
+        moment, values = self._playback.moments[index], self._colouring.values[index]
+        _wipe(figure, self._scene, self._section, self._progress, *self._panels)
+        self._write_caption(figure, moment)
+        self._draw_scene(moment, values)
+        draw_section(self._section, self._perspective, self._playback, moment)
+        draw_progress(self._progress, self._perspective.progress, self._playback, index)
+        for side, axes in zip(SIDES, self._panels, strict=True):
+            self._sensors.draw(axes, side, moment, values[side.index], cmap=self._cmap, norm=self._norm)
         return figure
 
     def _write_caption(self, figure: Figure, moment: Moment) -> None:
@@ -156,11 +166,10 @@ class Painter:
         actions = shorten(f"actions: {self._caption.actions}", _LONGEST_LINE, placeholder=" …")
         figure.text(0.02, 0.03, actions, size=_FONT_PT, color=QUIET, va="center")
 
-    def _draw_scene(self, figure: Figure, moment: Moment, values: tuple[FloatArray, FloatArray]) -> None:
+    def _draw_scene(self, moment: Moment, values: tuple[FloatArray, FloatArray]) -> None:
         image = self._view.image(moment, values, lambda value: self._cmap(self._norm(value)))
         height, width = image.rgb.shape[:2]
-        axes = figure.add_axes(_SCENE_AREA)
-        axes.set_axis_off()
+        axes = self._scene
         axes.imshow(image.rgb, extent=(0, width, height, 0), interpolation="antialiased", aspect="auto")
         for lines, line_width, colour in (
             (image.element_lines, 0.35, (0.2, 0.1, 0.1, 0.45)),
@@ -186,8 +195,11 @@ class Painter:
         bar.set_label(self._colouring.label, size=_FONT_PT, color=INK, labelpad=2)
 
 
-def _axes(figure: Figure, left: float, bottom: float, width: float, height: float) -> Axes:
-    return figure.add_axes((left, bottom, width, height))
+def _wipe(figure: Figure, *plots: Axes) -> None:
+    """Remove what was drawn of another moment; `clear` would also make the axes' own parts anew."""
+    drawn = [(axes.images, axes.collections, axes.lines, axes.patches, axes.texts) for axes in plots]
+    for artist in [*figure.texts, *(artist for kinds in drawn for kind in kinds for artist in kind)]:
+        artist.remove()
 
 
 def _label_parts(axes: Axes, image: SceneImage, perspective: Perspective) -> None:

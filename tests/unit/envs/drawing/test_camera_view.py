@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from fake_scene import FakeScene
-from vitac.envs.drawing.camera_view import camera_sheet, camera_strip, rendered_sheet
+from vitac.envs.drawing.camera_view import CameraStrip, camera_sheet, rendered_sheet
 from vitac.envs.drawing.colouring import Quantity
 from vitac.envs.drawing.drawable import straight_to_target
 from vitac.envs.drawing.picture import Caption, draw
@@ -64,11 +64,19 @@ def test_the_camera_stands_below_the_scene_in_the_same_width(playback: Playback)
     caption = Caption(title="title", actions="actions")
     *_, picture = draw(playback, caption, quantity=Quantity.STRESS, width_px=600, moments=slice(0, 1))
     sight = sights_of(playback)[0]
-    strip = camera_strip(sight, Frame.around(sights_of(playback)), width_px=600)
+    strip = CameraStrip(sights_of(playback), width_px=600).picture(sight)
     assert picture.shape == (342 + len(strip), 600, 3)
     np.testing.assert_array_equal(picture[342:], strip)
     reds = (strip[..., 0] > 200) & (strip[..., 1] < 100) & (strip[..., 2] < 100)
     assert reds.sum() > 500
+
+
+def test_a_strip_shows_nothing_of_those_that_were_drawn_before(playback: Playback) -> None:
+    sights = sights_of(playback)
+    strip = CameraStrip(sights, width_px=600)
+    for sight in (sights[-1], sights[0]):
+        np.testing.assert_array_equal(strip.picture(sight), CameraStrip(sights, width_px=600).picture(sight))
+    assert not np.array_equal(strip.picture(sights[-1]), strip.picture(sights[0]))
 
 
 def test_the_sheet_shows_every_picture_and_looks_the_same_twice(playback: Playback) -> None:

@@ -52,6 +52,15 @@ def test_the_same_episode_gives_the_same_picture(peg_playback: Playback) -> None
     assert np.array_equal(first, second)
 
 
+def test_a_picture_shows_nothing_of_those_that_were_drawn_before(peg_playback: Playback) -> None:
+    first, *others = peg_playback.moments
+    believed = replace(first, belief_error=np.array([2.0, -1.0, 30.0]))
+    playback = replace(peg_playback, moments=(believed, *others))
+    painter = painted(playback)
+    for index in (len(others), 0, 1, 0):
+        np.testing.assert_array_equal(painter.picture(index), painted(playback).picture(index))
+
+
 def test_moments_and_quantities_differ(peg_playback: Playback) -> None:
     stress = painted(peg_playback)
     assert not np.array_equal(stress.picture(0), stress.picture(2))
