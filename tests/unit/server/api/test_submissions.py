@@ -3,6 +3,7 @@ import hashlib
 import json
 import socket
 import threading
+from collections.abc import Callable
 from pathlib import Path
 from uuid import uuid4
 
@@ -206,23 +207,23 @@ def test_digest_that_came_along_is_verified(service: Service) -> None:
 @pytest.mark.parametrize(
     ("archive", "reason"),
     [
-        (b"\x89PNG not a zip", "not_a_zip"),
-        (ARCHIVE[:-30], "damaged"),
-        (make_archive({"Track_1/../../escaped.py": "x"}), "parent_path"),
-        (make_archive({"/etc/cron.d/x": "x"}), "absolute_path"),
-        (make_archive({"Other/submission.yaml": MANIFEST}), "wrong_top_folder"),
-        (make_archive({f"Track_1/{n}": "" for n in range(10_000)}), "too_many_files"),
+        (lambda: b"\x89PNG not a zip", "not_a_zip"),
+        (lambda: ARCHIVE[:-30], "damaged"),
+        (lambda: make_archive({"Track_1/../../escaped.py": "x"}), "parent_path"),
+        (lambda: make_archive({"/etc/cron.d/x": "x"}), "absolute_path"),
+        (lambda: make_archive({"Other/submission.yaml": MANIFEST}), "wrong_top_folder"),
+        (lambda: make_archive({f"Track_1/{n}": "" for n in range(10_000)}), "too_many_files"),
         (
-            make_archive({"Track_1/submission.yaml": MANIFEST, "Track_1/bomb": b"\0" * (64 << 20)}),
+            lambda: make_archive({"Track_1/submission.yaml": MANIFEST, "Track_1/bomb": b"\0" * (64 << 20)}),
             "compressed_too_much",
         ),
     ],
     ids=["junk", "truncated", "parent", "absolute", "top folder", "10000 files", "bomb"],
 )
 def test_archive_that_breaks_a_rule_is_refused_and_nothing_is_left(
-    service: Service, archive: bytes, reason: str
+    service: Service, archive: Callable[[], bytes], reason: str
 ) -> None:
-    problem = problem_of(service.upload(archive), 422, "archive_rejected")
+    problem = problem_of(service.upload(archive()), 422, "archive_rejected")
     assert problem["reason"] == reason
     assert_nothing_left(service)
 
