@@ -111,6 +111,11 @@ class LeasedRun(ABC, Generic[ProcessT]):
         if self._stopping.is_set() or self._lost.is_set():
             process.kill()
 
+    def _unwatch(self) -> None:
+        """Leave the process alone from now on: it has done its work and may soon do other work."""
+        with self._lock:
+            self._process = None
+
     def _advance(self) -> None:
         self._moved_at = time.monotonic()
 

@@ -2,6 +2,7 @@
 
 import errno
 import tempfile
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack
 from functools import partial
@@ -42,6 +43,7 @@ from vitac.server.uploads.intake import UPLOAD_FOLDER
 
 from .leased_run import LeasedRun, RunningProcess
 from .record_store import RecordStore
+from .slot import Slot
 from .staging import SubmissionStage
 
 
@@ -56,6 +58,10 @@ class RunningShard(RunningProcess, Protocol):
         """What the shard ended with."""
 
 
+NEXT_FETCHED_S = 0.3
+"""So long before the end of a shard the worker fetches the next job, which then waits for the slot."""
+
+
 StartShard = Callable[[ShardOrder], AbstractContextManager[RunningShard]]
 
 
@@ -64,11 +70,29 @@ class ShardRun(LeasedRun[RunningShard]):
 
     step = "episode ended"
 
-    def __init__(self, services: Services, stage: SubmissionStage, lease: Lease, start: StartShard) -> None:
+    def __init__(
+        self,
+        services: Services,
+        stage: SubmissionStage,
+        lease: Lease,
+        start: StartShard,
+        slot: Slot | None = None,
+    ) -> None:
+        """Prepare; nothing is started.
+
+        Args:
+            services: open services.
+            stage: submissions on this machine's disk.
+            lease: on the shard.
+            start: starts its process.
+            slot: left when all is played and the process has ended, or waits for another shard. What is left is to
+                store the result.
+        """
         super().__init__(services, shard=lease.shard_id, attempt=lease.attempt)
         self._stage = stage
         self._lease = lease
         self._start = start
+        self._slot = slot or Slot()
         self._began_with_space = False
         self._has_stored = False
 
@@ -94,6 +118,18 @@ class ShardRun(LeasedRun[RunningShard]):
         if not self._has_space():
             raise OSError(errno.ENOSPC, "Expected free space on the disk of the worker's files, got a full one")
         self._began_with_space = True
+        store = RecordStore(self._store, give_up=self._kill)
+        try:
+            result = self._result_of_process(stored, store)
+            # What a shard leaves for the next ones has to be there before they begin.
+            if result.coefficients is None and result.figures is None:
+                self._slot.leave()
+        finally:
+            store.close()
+        self._keep(result)
+        return result
+
+    def _result_of_process(self, stored: StoredEpisodes, store: RecordStore) -> ShardResult:
         with ExitStack() as stack:
             path = self._fetch(stack, partial(self._stage.submission, self._lease.kind, self._lease.archive_sha256))
             made = self._lease.sensor_sha256
@@ -103,17 +139,16 @@ class ShardRun(LeasedRun[RunningShard]):
             figures = FigureChoice.ALL if measures and known is None else FigureChoice.NONE
             order = self._order(path, stored, secret=self._secret_file(stack), sensor=sensor, figures=figures)
             process = stack.enter_context(self._start(order))
+            stack.callback(self._unwatch)
             self._watch(process)
-            store = RecordStore(self._store, give_up=process.kill)
-            try:
-                for record in process.records():
-                    self._advance()
-                    store.add(record)
-            finally:
-                store.close()
-            result = process.result if known is None else process.result.model_copy(update={"figures": known})
-            self._keep(result)
-            return result
+            pace = _Pace(len(self._lease.episodes) - len(stored.numbers))
+            for record in process.records():
+                self._advance()
+                store.add(record)
+                pace.count()
+                if pace.left_s() < NEXT_FETCHED_S:
+                    self._slot.soon_left()
+            return process.result if known is None else process.result.model_copy(update={"figures": known})
 
     def _fetch(self, stack: ExitStack, stage: Callable[[], AbstractContextManager[Path]]) -> Path:
         """Return where staged files are until the stack is closed."""
@@ -209,3 +244,25 @@ class ShardRun(LeasedRun[RunningShard]):
         """
         others_disk = isinstance(error, ServiceError)  # that of the stored files
         return super()._waits_for_space(error) and (others_disk or not self._began_with_space)
+
+
+class _Pace:
+    """Tells from the episodes that were played how long the others take.
+
+    Args:
+        episodes: how many there are to play.
+    """
+
+    def __init__(self, episodes: int) -> None:
+        self._left = episodes
+        self._played = 0
+        self._began = time.monotonic()
+
+    def count(self) -> None:
+        """Count an episode as played."""
+        self._left -= 1
+        self._played += 1
+
+    def left_s(self) -> float:
+        """Return the time that those left will take [s]."""
+        return self._left * (time.monotonic() - self._began) / self._played

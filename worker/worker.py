@@ -5,6 +5,8 @@ import contextlib
 import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import Any
 from uuid import UUID
 
 import structlog
@@ -23,6 +25,7 @@ from .families import families_here
 from .leased_run import DATABASE_PATIENCE_S, RunEnd
 from .playback_run import PlaybackRun, StartPlayback
 from .shard_run import ShardRun, StartShard
+from .slot import Slot
 from .staging import SubmissionStage
 
 logger = structlog.get_logger(__name__)
@@ -49,6 +52,7 @@ class QueueWorker:
         self._start = start
         self._start_playback = start_playback
         self._slots = services.settings.worker_slots
+        self._free_slots = threading.Semaphore(self._slots)
         self._lock = threading.Lock()
         self._runs: set[ShardRun | PlaybackRun] = set()
         self._stopping = False
@@ -60,7 +64,8 @@ class QueueWorker:
         self._loop, self._stopped = asyncio.get_running_loop(), asyncio.Event()
         if self._stopping:
             return
-        with ThreadPoolExecutor(self._slots, thread_name_prefix="shard") as threads:
+        # As many shards as run may be played already while their results are stored.
+        with ThreadPoolExecutor(2 * self._slots, thread_name_prefix="shard") as threads:
             while not self._stopped.is_set():
                 try:
                     await self._work_while_connected(threads, self._stopped)
@@ -84,11 +89,11 @@ class QueueWorker:
 
         @app.task(name=RUN_SHARD)
         async def run_shard(shard_id: int) -> None:
-            await asyncio.get_running_loop().run_in_executor(threads, self._run_shard, shard_id)
+            await self._until_next_is_due(threads, self._run_shard, shard_id)
 
         @app.task(name=MAKE_PLAYBACK)
         async def make_playback(playback_id: int) -> None:
-            await asyncio.get_running_loop().run_in_executor(threads, self._make_playback, playback_id)
+            await self._until_next_is_due(threads, self._make_playback, playback_id)
 
         async with app.open_async():
             working = asyncio.create_task(
@@ -107,19 +112,41 @@ class QueueWorker:
             with contextlib.suppress(asyncio.CancelledError):
                 await working
 
-    def _run_shard(self, shard_id: int) -> None:
+    async def _until_next_is_due(
+        self, threads: ThreadPoolExecutor, do: Callable[[int, Slot], None], number: int
+    ) -> None:
+        """Do a job in a thread, in a slot; return when it is time to fetch the next job, which waits for the slot.
+
+        What is left of the work then goes on without its job, which nobody needs: the row and its lease decide.
+        """
+        soon = asyncio.Event()
+        slot = Slot(self._free_slots, partial(asyncio.get_running_loop().call_soon_threadsafe, soon.set))
+        working = asyncio.wrap_future(threads.submit(slot.hold, partial(do, number, slot)))
+        leaving = asyncio.create_task(soon.wait())
+        awaited: set[asyncio.Future[Any]] = {working, leaving}
+        try:
+            await asyncio.wait(awaited, return_when=asyncio.FIRST_COMPLETED)
+        except asyncio.CancelledError:
+            working.cancel()  # unless it has begun
+            raise
+        finally:
+            leaving.cancel()
+        if working.done():
+            await working
+
+    def _run_shard(self, shard_id: int, slot: Slot) -> None:
         """Do one job, in a thread: the shard's row decides whether there is something to do."""
         lease = self._claim(shard_id)
         if lease is None:
             return
-        end = self._ended(ShardRun(self._services, self._stage, lease, self._start), shard=shard_id)
+        end = self._ended(ShardRun(self._services, self._stage, lease, self._start, slot), shard=shard_id)
         if end is None:
             return
         self._count(end)
         log: Callable[..., object] = logger.info if end is RunEnd.FINISHED else logger.warning
         log("shard_ended", shard=shard_id, task=lease.task, number=lease.number, attempt=lease.attempt, end=str(end))
 
-    def _make_playback(self, playback_id: int) -> None:
+    def _make_playback(self, playback_id: int, _slot: Slot) -> None:
         """Do the job of a playback, in a thread; its row decides whether there is something to do."""
         lease_s = self._services.settings.lease_s
         lease = self._services.database.retrying(

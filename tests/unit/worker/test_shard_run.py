@@ -28,9 +28,11 @@ from sqlalchemy.exc import DBAPIError
 from sqlalchemy.orm import Session
 from structlog.testing import capture_logs
 from vitac.evaluator.episodes.records import EpisodeRecord
+from vitac.evaluator.estimator.regression import Coefficients
 from vitac.evaluator.figures.figures import FiguresPart
 from vitac.evaluator.shards.order import ShardOrder
 from vitac.evaluator.shards.process import ShardProcessFailed
+from vitac.evaluator.shards.result import ShardResult
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.accounts.principals import CONSOLE, Principal
 from vitac.server.competition import sealing
@@ -39,6 +41,7 @@ from vitac.server.db.states import EvaluationState, Role, ShardState
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.evaluations.episode_store import store_episodes
 from vitac.server.evaluations.history import newest_evaluation
+from vitac.server.evaluations.lifecycle import finish_shard
 from vitac.server.queue.leases import Lease
 from vitac.server.services import Services
 from vitac.server.storage.blobs import BlobStore, StoredFileLost
@@ -46,6 +49,7 @@ from vitac.server.submissions import creation, runs
 from vitac.worker import leased_run, record_store, shard_run
 from vitac.worker.leased_run import RunEnd
 from vitac.worker.shard_run import ShardRun
+from vitac.worker.slot import Slot
 from vitac.worker.staging import SubmissionStage
 from worker_fakes import FakeShard, FakeShards, eventually
 
@@ -143,6 +147,55 @@ def test_what_the_policy_could_import_is_asked_for_once_in_a_shard_and_again_whe
     assert ShardRun(services, stage, lease, shards).run() is RunEnd.FINISHED
     assert asked[:3] == [True, True, False]
     assert not any(asked[3:])
+
+
+@pytest.mark.parametrize(("fetched_s", "first_episode"), [(0.0, None), (1e9, 2)])
+def test_next_job_is_due_when_what_is_left_takes_little_time(
+    services: Services,
+    stage: SubmissionStage,
+    lease: Lease,
+    monkeypatch: pytest.MonkeyPatch,
+    fetched_s: float,
+    first_episode: int | None,
+) -> None:
+    monkeypatch.setattr(shard_run, "NEXT_FETCHED_S", fetched_s)
+    due: list[int] = []
+    after: list[int] = []
+
+    def gate(number: int) -> None:
+        if due:
+            after.append(number)
+
+    slot = Slot(soon=lambda: due.append(1))
+    assert ShardRun(services, stage, lease, FakeShards(gate=gate), slot).run() is RunEnd.FINISHED
+    assert due == [1]
+    assert next(iter(after), None) == first_episode
+
+
+@pytest.mark.parametrize(
+    ("learned", "is_free"), [(None, True), (Coefficients(mesh_hash="0" * 64, starts=5, regressions=()), False)]
+)
+def test_slot_is_left_before_the_result_is_stored_unless_the_next_shards_need_it(
+    services: Services,
+    stage: SubmissionStage,
+    lease: Lease,
+    monkeypatch: pytest.MonkeyPatch,
+    learned: Coefficients | None,
+    is_free: bool,
+) -> None:
+    places, seen = threading.Semaphore(), []
+
+    def finish(session: Session, lease: Lease, result: ShardResult) -> None:
+        seen.append(places.acquire(blocking=False))
+        finish_shard(session, lease, result)
+
+    monkeypatch.setattr(shard_run, "finish_shard", finish)
+    monkeypatch.setattr(ShardRun, "_keep", lambda *_: None)
+    slot = Slot(places)
+    run = ShardRun(services, stage, lease, FakeShards(coefficients=learned), slot)
+    ends: list[RunEnd] = []
+    slot.hold(lambda: ends.append(run.run()))
+    assert (seen, ends) == ([is_free], [RunEnd.FINISHED])
 
 
 def test_episodes_before_the_death_of_the_process_are_stored(

@@ -9,22 +9,28 @@ import pytest
 from asked_playbacks import played
 from service_factories import make_principal, make_record, make_upload, shard_ids
 from sqlalchemy import select, text
+from sqlalchemy.orm import Session
 from vitac.evaluator.episodes.records import EpisodeRecord
 from vitac.evaluator.playback.order import SCENE_FILE, PlaybackOrder
 from vitac.evaluator.shards.order import ShardOrder
+from vitac.evaluator.shards.result import ShardResult
 from vitac.server.accounts.principals import CONSOLE
 from vitac.server.db.models import EpisodeResult, Playback, Shard, Submission
 from vitac.server.db.states import EvaluationState, PlaybackState, ShardState
+from vitac.server.evaluations import lifecycle
 from vitac.server.evaluations.episode_store import store_episodes
 from vitac.server.evaluations.history import newest_evaluation
+from vitac.server.evaluations.lifecycle import EpisodesMissing, finish_shard
 from vitac.server.housekeeping import Housekeeping
 from vitac.server.metrics.totals import SeriesKey, totals
 from vitac.server.queue import leases
+from vitac.server.queue.leases import Lease
 from vitac.server.services import Services
 from vitac.server.submissions import creation, runs
+from vitac.worker import shard_run
 from vitac.worker.staging import SubmissionStage
 from vitac.worker.worker import QueueWorker
-from worker_fakes import FakeShards, eventually
+from worker_fakes import FakeShard, FakeShards, eventually
 
 
 def submit(services: Services, archive_sha256: str, team: str = "Team A", **changes: Any) -> Submission:
@@ -194,6 +200,150 @@ def test_slots_run_shards_at_the_same_time(services: Services, archive_sha256: s
     submission = submit(services, archive_sha256)
     with working(several, FakeShards(gate=gate)):
         eventually(lambda: state(services, submission) is EvaluationState.COMPLETED)
+
+
+class CountingShards(FakeShards):
+    """Counts the processes that run at the same time."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.most = 0
+        self._running = 0
+        self._lock = threading.Lock()
+
+    @contextmanager
+    def __call__(self, order: ShardOrder) -> Iterator[FakeShard]:
+        with self._lock:
+            self._running += 1
+            self.most = max(self.most, self._running)
+        try:
+            with super().__call__(order) as shard:
+                yield shard
+        finally:
+            with self._lock:
+                self._running -= 1
+
+
+def test_next_shard_begins_while_the_result_of_the_one_before_is_stored(
+    services: Services, archive_sha256: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shards = CountingShards()
+    n_shards = 10
+
+    def finish(session: Session, lease: Lease, result: ShardResult) -> None:
+        eventually(lambda: len(shards.started) >= min(lease.number + 2, n_shards))
+        finish_shard(session, lease, result)
+
+    monkeypatch.setattr(shard_run, "finish_shard", finish)
+    submission = submit(services, archive_sha256)
+    with working(services, shards):
+        eventually(lambda: state(services, submission) is EvaluationState.COMPLETED)
+    assert [shard.order.shard for shard in shards.started] == list(range(n_shards))
+    assert shards.most == services.settings.worker_slots == 1
+
+
+def test_job_of_the_next_shard_is_fetched_before_the_slot_is_free_and_its_shard_is_claimed_after(
+    services: Services, archive_sha256: str
+) -> None:
+    shards = FakeShards()
+    submission = submit(services, archive_sha256)
+    with services.database.transaction() as session:
+        second = shard_ids(session, submission)[1]
+    taken = text("SELECT (args ->> 'shard_id')::bigint FROM procrastinate_jobs WHERE status = 'doing'")
+    states = []
+
+    def has_come() -> bool:
+        with services.database.transaction() as session:
+            return list(session.scalars(taken)) == [second]
+
+    def gate(number: int) -> None:
+        if number == 27:
+            eventually(has_come)
+            with services.database.transaction() as session:
+                states.append(session.get_one(Shard, second).state)
+
+    shards.gate = gate
+    with working(services, shards):
+        eventually(lambda: state(services, submission) is EvaluationState.COMPLETED)
+    assert states == [ShardState.QUEUED]
+
+
+def test_worker_keeps_no_more_results_back_than_it_has_slots(
+    services: Services, archive_sha256: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shards, may_be_stored = FakeShards(), threading.Event()
+
+    def finish(session: Session, lease: Lease, result: ShardResult) -> None:
+        assert may_be_stored.wait(120.0)
+        finish_shard(session, lease, result)
+
+    monkeypatch.setattr(shard_run, "finish_shard", finish)
+    submission = submit(services, archive_sha256)
+    with working(services, shards):
+        eventually(lambda: len(shards.started) == 2)
+        eventually(lambda: played_to_the_end(services, shards))
+        with services.database.transaction() as session:
+            states = [session.get_one(Shard, shard_id).state for shard_id in shard_ids(session, submission)]
+        assert states.count(ShardState.RUNNING) == len(shards.started) == 2
+        may_be_stored.set()
+        eventually(lambda: state(services, submission) is EvaluationState.COMPLETED)
+
+
+def played_to_the_end(services: Services, shards: FakeShards) -> bool:
+    with services.database.transaction() as session:
+        stored = set(session.scalars(select(EpisodeResult.episode)))
+    return all(stored.issuperset(shard.order.episodes or ()) for shard in shards.started)
+
+
+def test_stopped_worker_stores_what_is_played_and_gives_back_what_has_begun(
+    services: Services, archive_sha256: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shards = FakeShards()
+    second_began, stopping = threading.Event(), threading.Event()
+
+    def gate(number: int) -> None:
+        if len(shards.started) == 2:
+            second_began.set()
+            shards.started[1].killed.wait(120.0)
+            stopping.set()
+
+    def finish(session: Session, lease: Lease, result: ShardResult) -> None:
+        assert stopping.wait(120.0)
+        finish_shard(session, lease, result)
+
+    shards.gate = gate
+    monkeypatch.setattr(shard_run, "finish_shard", finish)
+    submission = submit(services, archive_sha256)
+    with working(services, shards):
+        assert second_began.wait(120.0)
+    with services.database.transaction() as session:
+        found = [session.get_one(Shard, shard_id) for shard_id in shard_ids(session, submission)]
+    assert [shard.state for shard in found[:2]] == [ShardState.DONE, ShardState.QUEUED]
+    assert [shard.attempts for shard in found[:2]] == [0, 0]
+    assert {shard.state for shard in found[2:]} == {ShardState.QUEUED}
+
+
+def test_shard_whose_result_cannot_be_stored_runs_again_after_the_one_that_has_begun(
+    services: Services, archive_sha256: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shards, refused = FakeShards(), threading.Event()
+
+    def finish(session: Session, lease: Lease, result: ShardResult) -> None:
+        if lease.number == 0 and not refused.is_set():
+            eventually(lambda: len(shards.started) == 2)
+            refused.set()
+            raise EpisodesMissing("Some are not stored.")
+        finish_shard(session, lease, result)
+
+    monkeypatch.setattr(shard_run, "finish_shard", finish)
+    monkeypatch.setattr(lifecycle, "RETRY_DELAY_S", 0.01)
+    submission = submit(services, archive_sha256)
+    with working(services, shards):
+        eventually(lambda: state(services, submission) is EvaluationState.COMPLETED)
+    assert refused.is_set()
+    with services.database.transaction() as session:
+        tokens = [session.get_one(Shard, shard_id).token for shard_id in shard_ids(session, submission)]
+    assert tokens == [2] + [1] * 9
 
 
 def test_worker_counts_claims_waits_and_episodes_in_the_totals_of_all(services: Services, archive_sha256: str) -> None:
