@@ -3,7 +3,8 @@
 Run it as `python benchmarks/service.py [--workers 2] [--waits 20] [--json FILE]` on an otherwise idle machine. It
 starts a database and workers of its own in a temporary folder, as `vitac serve` does, and waits until they have loaded
 the simulation. `cpu_s` says where the CPU time of an evaluation went, by kind of process; unlike its wall time it can
-be compared on a machine that does other work, except that `at_rest_s_per_s` goes on for as long as it takes.
+be compared on a machine that does other work, except that `at_rest_s_per_s` goes on for as long as it takes. `slots_s`
+says how long the workers, all together, played no episode.
 """
 
 import argparse
@@ -122,6 +123,10 @@ def evaluation_figures(services: Services, principal: Principal, example: Path, 
         task = done.submission.tasks[0]
         records = records_of(session, EpisodeKey.of(done, done.submission), task)
         machines = list(session.scalars(select(Worker.platform_class).distinct()))
+        ends = session.execute(
+            select(func.max(Shard.finished_at)).where(Shard.evaluation_id == done.id).group_by(Shard.worker_id)
+        )
+        idle_at_end_s = sum((done.finished_at - end).total_seconds() for (end,) in ends if end is not None)
     wall_s = (done.finished_at - done.started_at).total_seconds()
     sums = parts(services, records)
     return {
@@ -131,6 +136,10 @@ def evaluation_figures(services: Services, principal: Principal, example: Path, 
         "platform_class": machines,
         "wall_s": round(wall_s, 2),
         "cpu_s": used_s,
+        "slots_s": {
+            "outside_episodes": round(n_workers * wall_s - sums["wall_s"], 2),
+            "of_it_after_last_shard": round(idle_at_end_s, 2),
+        },
         "wall_over_physics": round(wall_s * min(n_workers, os.cpu_count() or 1) / sums["physics_s"], 2),
         "success_rate": score(records).success_rate,
         "result_hash": done.result_hash,
@@ -226,12 +235,20 @@ def wait_figures(services: Services, principal: Principal, n: int) -> dict[str, 
             runs.cancel(session, principal, submission_id)
         wait_until(lambda: not running_shards(services))
         time.sleep(2 * services.settings.lease_renewal_s)
-    waits_ms.sort()
+    return summary_of(waits_ms)
+
+
+def summary_of(waits_ms: Sequence[float]) -> dict[str, float]:
+    """Return how many waits there were and, if any, how long they are [ms]."""
+    n = len(waits_ms)
+    if not n:
+        return {"n": 0}
+    in_order = sorted(waits_ms)
     return {
         "n": n,
-        "median": round(statistics.median(waits_ms), 1),
-        "p95": round(waits_ms[min(n - 1, int(0.95 * n))], 1),
-        "longest": round(waits_ms[-1], 1),
+        "median": round(statistics.median(in_order), 1),
+        "p95": round(in_order[min(n - 1, int(0.95 * n))], 1),
+        "longest": round(in_order[-1], 1),
     }
 
 

@@ -53,3 +53,15 @@ def test_cpu_time_counts_for_the_kind_of_the_process_that_used_it_and_once(
     used = service.since(times)
     assert used["worker"] < BURNING_S
     assert "simulation" not in used
+
+
+@pytest.mark.parametrize(
+    ("waits_ms", "summary"),
+    [
+        ([], {"n": 0}),
+        ([7.0], {"n": 1, "median": 7.0, "p95": 7.0, "longest": 7.0}),
+        ([30.0, 10.0, 20.0], {"n": 3, "median": 20.0, "p95": 30.0, "longest": 30.0}),
+    ],
+)
+def test_any_number_of_waits_can_be_measured(waits_ms: list[float], summary: dict[str, float]) -> None:
+    assert service.summary_of(waits_ms) == summary
