@@ -170,7 +170,7 @@ class SimulationHost:
         return True
 
     def _load_task(self, track: str, task: str, assets_dir: Path | None = None, sensor: Path | None = None) -> None:
-        """Play one env step of a task, so that copies have all kernels and know the evaluator's hash."""
+        """Play one env step of a task, so that copies have all kernels and parts, and know the evaluator's hash."""
         what = (track, task, assets_dir, sensor)
         if what in self._loaded:
             return
@@ -182,6 +182,7 @@ class SimulationHost:
             env = make_environment(listed, assets_dir, sensor=design_in(sensor) if sensor else None)
             env.reset(options=listed.episodes[0].options)
             env.step(np.zeros(len(listed.actions), dtype=np.float32))
+            env.mesh_hash()  # which needs the parts of every shape
             evaluator_hash()
             self._loaded.add(what)
 
