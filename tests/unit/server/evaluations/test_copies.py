@@ -15,12 +15,14 @@ from service_factories import (
 from sqlalchemy import text
 from vitac.evaluator.episodes.records import ActionSequence, EpisodeRecord
 from vitac.evaluator.submission_kinds import SubmissionKind
+from vitac.evaluator.tracks import Task
+from vitac.evaluator.tracks.cut import Shard
 from vitac.server.accounts.principals import CONSOLE, Principal
 from vitac.server.accounts.shown_names import ShownNames
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Submission
 from vitac.server.db.schema import downgrade, upgrade
-from vitac.server.evaluations import listing
+from vitac.server.evaluations import lifecycle, listing
 from vitac.server.evaluations.copies import copies_among, flag_copies
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.leaderboards.log_boards import log_boards
@@ -29,6 +31,16 @@ from vitac.server.submissions import creation
 from vitac.server.views.logs import LogCopyView
 
 CLAIM = LogClaim(team=None, episodes=270, successes=270, success_rate=1.0, mean_steps=3.0)
+
+
+@pytest.fixture(autouse=True)
+def _whole_lists_are_one_shard(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Dozens of evaluations are made up here, of which ten shards each took most of the time."""
+
+    def uncut(task: Task) -> tuple[Shard, ...]:
+        return (Shard(index=0, episodes=task.episodes),)
+
+    monkeypatch.setattr(lifecycle, "cut", uncut)
 
 
 @pytest.fixture
