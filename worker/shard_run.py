@@ -121,8 +121,8 @@ class ShardRun(LeasedRun[RunningShard]):
         store = RecordStore(self._store, give_up=self._kill)
         try:
             result = self._result_of_process(stored, store)
-            # What a shard leaves for the next ones has to be there before they begin.
-            if result.coefficients is None and result.figures is None:
+            # What a shard leaves for the next ones has to be there before they begin, be it that none is to begin.
+            if result.end is ShardEnd.COMPLETE and result.coefficients is None and result.figures is None:
                 self._slot.leave()
         finally:
             store.close()
@@ -146,7 +146,7 @@ class ShardRun(LeasedRun[RunningShard]):
                 self._advance()
                 store.add(record)
                 pace.count()
-                if pace.left_s() < NEXT_FETCHED_S:
+                if figures is not FigureChoice.ALL and pace.left_s() < NEXT_FETCHED_S:  # they come after all episodes
                     self._slot.soon_left()
             return process.result if known is None else process.result.model_copy(update={"figures": known})
 

@@ -3,7 +3,7 @@
 import shutil
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from itertools import count
 from pathlib import Path
@@ -12,7 +12,7 @@ from vitac.evaluator.agent.limits import Limits
 from vitac.evaluator.submission.archive import unpack
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.storage.blobs import BlobStore
-from vitac.server.storage.scratch import new_folder, remove_leftovers
+from vitac.server.storage.scratch import remove_leftovers, scratch_folder
 
 KEPT_IDLE = 2
 """Unpacked submissions that are kept although no shard of them runs: the next shard is often of the same one."""
@@ -40,7 +40,8 @@ class SubmissionStage:
         """By name, the one used most recently last."""
         self._numbers = count()
         remove_leftovers(scratch_dir)
-        self._folder = new_folder(scratch_dir, WORKER_FOLDER)
+        self._exits = ExitStack()
+        self._folder = self._exits.enter_context(scratch_folder(scratch_dir, WORKER_FOLDER))
 
     @contextmanager
     def submission(self, kind: SubmissionKind, archive_sha256: str) -> Iterator[Path]:
@@ -89,7 +90,7 @@ class SubmissionStage:
 
     def close(self) -> None:
         """Remove everything."""
-        shutil.rmtree(self._folder, ignore_errors=True)
+        self._exits.close()
 
     def _whole(self, folder: Path, fetch: Callable[[Path], Path]) -> Path:
         try:

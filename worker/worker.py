@@ -135,7 +135,12 @@ class QueueWorker:
             await working
 
     def _run_shard(self, shard_id: int, slot: Slot) -> None:
-        """Do one job, in a thread: the shard's row decides whether there is something to do."""
+        """Do one job, in a thread: the shard's row decides whether there is something to do.
+
+        A job that waited for its slot when the worker was stopped is left; the sweep gives its shard another.
+        """
+        if self._stopping:
+            return
         lease = self._claim(shard_id)
         if lease is None:
             return
@@ -148,6 +153,8 @@ class QueueWorker:
 
     def _make_playback(self, playback_id: int, _slot: Slot) -> None:
         """Do the job of a playback, in a thread; its row decides whether there is something to do."""
+        if self._stopping:
+            return
         lease_s = self._services.settings.lease_s
         lease = self._services.database.retrying(
             lambda session: work.claim(session, playback_id, lease_s), give_up_after_s=DATABASE_PATIENCE_S
@@ -168,6 +175,9 @@ class QueueWorker:
         except DBAPIError as error:
             logger.error("lease_left", error=" ".join(str(error).split())[:300], **names)
             return None
+        except Exception:
+            logger.exception("run_failed", **names)  # its job may have ended before, so that nobody else says it
+            raise
         finally:
             with self._lock:
                 self._runs.discard(run)

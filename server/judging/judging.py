@@ -292,7 +292,12 @@ def _judge(session: Session, by: Principal, named: str | None) -> str:
 
 
 def _require_ranked_task(session: Session, submission: Submission) -> None:
-    ranked = counted_tasks(newest_evaluation(session, submission))
+    runs_policy = submission.kind.form.runs_policy  # a log counts on the board of its own task
+    ranked = (
+        counted_tasks(newest_evaluation(session, submission))
+        if runs_policy
+        else load_track(submission.track).tasks_that_count
+    )
     if set(ranked).isdisjoint(submission.tasks):
         raise ServiceError(
             ProblemCode.INVALID_REQUEST,

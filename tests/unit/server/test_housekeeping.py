@@ -1,7 +1,6 @@
 import hashlib
 import os
-import subprocess
-import sys
+import socket
 import threading
 import time
 from collections.abc import Callable
@@ -23,7 +22,7 @@ from vitac.server.metrics.totals import SeriesKey, totals
 from vitac.server.playbacks import work
 from vitac.server.services import Services
 from vitac.server.storage.blobs import BlobStore
-from vitac.server.storage.scratch import new_folder
+from vitac.server.storage.scratch import scratch_folder
 from vitac.server.submissions import creation
 from worker_fakes import eventually
 
@@ -230,18 +229,15 @@ def test_file_is_not_removed_while_somebody_stores_it(services: Services, monkey
 
 
 def test_folders_of_a_process_that_was_killed_are_removed_soon(services: Services) -> None:
-    with subprocess.Popen([sys.executable, "-c", "pass"]) as gone:
-        gone.wait()
     scratch = services.settings.scratch_dir
-    mine = [new_folder(scratch, purpose) for purpose in ("upload", "playback", "worker")]
-    its = [Path(str(folder).replace(f"-{os.getpid()}-", f"-{gone.pid}-")) for folder in mine]
-    elsewhere = scratch / "upload-other-1-x"
-    for folder in (*its, elsewhere):
+    left = [scratch / f"{purpose}-{socket.gethostname()}-x" for purpose in ("upload", "playback", "worker")]
+    for folder in left:
         folder.mkdir()
     running = Housekeeping(services)
-    running.start()
-    eventually(lambda: sorted(scratch.iterdir()) == sorted([*mine, elsewhere]))
-    running.stop()
+    with scratch_folder(scratch, "upload") as mine:
+        running.start()
+        eventually(lambda: list(scratch.iterdir()) == [mine])
+        running.stop()
 
 
 def test_leftovers_of_interrupted_uploads_and_playbacks_are_removed_when_old(services: Services) -> None:

@@ -242,6 +242,13 @@ def test_next_shard_begins_while_the_result_of_the_one_before_is_stored(
     assert shards.most == services.settings.worker_slots == 1
 
 
+def jobs_at_work(services: Services) -> list[int]:
+    """The shards whose jobs a worker has fetched."""
+    taken = text("SELECT (args ->> 'shard_id')::bigint FROM procrastinate_jobs WHERE status = 'doing'")
+    with services.database.transaction() as session:
+        return list(session.scalars(taken))
+
+
 def test_job_of_the_next_shard_is_fetched_before_the_slot_is_free_and_its_shard_is_claimed_after(
     services: Services, archive_sha256: str
 ) -> None:
@@ -249,16 +256,11 @@ def test_job_of_the_next_shard_is_fetched_before_the_slot_is_free_and_its_shard_
     submission = submit(services, archive_sha256)
     with services.database.transaction() as session:
         second = shard_ids(session, submission)[1]
-    taken = text("SELECT (args ->> 'shard_id')::bigint FROM procrastinate_jobs WHERE status = 'doing'")
     states = []
-
-    def has_come() -> bool:
-        with services.database.transaction() as session:
-            return list(session.scalars(taken)) == [second]
 
     def gate(number: int) -> None:
         if number == 27:
-            eventually(has_come)
+            eventually(lambda: jobs_at_work(services) == [second])
             with services.database.transaction() as session:
                 states.append(session.get_one(Shard, second).state)
 
@@ -268,7 +270,7 @@ def test_job_of_the_next_shard_is_fetched_before_the_slot_is_free_and_its_shard_
     assert states == [ShardState.QUEUED]
 
 
-def test_worker_keeps_no_more_results_back_than_it_has_slots(
+def test_worker_keeps_at_most_two_results_back_for_a_slot(
     services: Services, archive_sha256: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shards, may_be_stored = FakeShards(), threading.Event()
@@ -321,6 +323,27 @@ def test_stopped_worker_stores_what_is_played_and_gives_back_what_has_begun(
     assert [shard.state for shard in found[:2]] == [ShardState.DONE, ShardState.QUEUED]
     assert [shard.attempts for shard in found[:2]] == [0, 0]
     assert {shard.state for shard in found[2:]} == {ShardState.QUEUED}
+
+
+def test_stopped_worker_does_not_begin_what_waits_for_its_slot(services: Services, archive_sha256: str) -> None:
+    shards = FakeShards()
+    submission = submit(services, archive_sha256)
+    with services.database.transaction() as session:
+        second = shard_ids(session, submission)[1]
+    waits = threading.Event()
+
+    def gate(number: int) -> None:
+        if number == 27:
+            eventually(lambda: jobs_at_work(services) == [second])
+            waits.set()
+            shards.started[0].killed.wait(120.0)
+
+    shards.gate = gate
+    with working(services, shards):
+        assert waits.wait(120.0)
+    with services.database.transaction() as session:
+        shard = session.get_one(Shard, second)
+    assert (len(shards.started), shard.state, shard.token) == (1, ShardState.QUEUED, 0)
 
 
 def test_shard_whose_result_cannot_be_stored_runs_again_after_the_one_that_has_begun(
