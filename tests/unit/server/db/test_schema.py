@@ -1,8 +1,11 @@
 import re
 import shutil
+import subprocess
+import sys
 import threading
 from collections.abc import Iterable, Iterator, Mapping
 from enum import StrEnum
+from importlib.util import find_spec
 from itertools import product
 from pathlib import Path
 
@@ -10,6 +13,7 @@ import psycopg
 import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
+from alembic.script import ScriptDirectory
 from databases import FAST, fresh_database, shared_cluster, state_directory
 from procrastinate.schema import SchemaManager
 from service_factories import LOCK, TASK, make_principal, make_score, submit_scored
@@ -20,7 +24,15 @@ from vitac.migrations.versions import v0003_queue as queue_migration
 from vitac.migrations.versions import v0018_playbacks as playback_migration
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Base
-from vitac.server.db.schema import WrongEncoding, downgrade, installed_revision, is_current, newest_revision, upgrade
+from vitac.server.db.schema import (
+    WrongEncoding,
+    downgrade,
+    installed_revision,
+    is_current,
+    knows_revision,
+    newest_revision,
+    upgrade,
+)
 from vitac.server.db.states import EVALUATION_TRANSITIONS, PLAYBACK_TRANSITIONS, SHARD_TRANSITIONS
 from vitac.server.postgres.binaries import DEBIAN_ROOT, OLDEST_MAJOR, inspect_bin_dir
 from vitac.server.postgres.embedded import EmbeddedPostgres
@@ -92,6 +104,23 @@ def test_upgrade_of_an_empty_database_reaches_the_newest_revision_and_is_repeata
     upgrade(empty)
     upgrade(empty)
     assert is_current(empty)
+
+
+def test_the_newest_revision_is_the_one_that_all_migrations_lead_to() -> None:
+    folder = find_spec("vitac.migrations")
+    assert folder is not None
+    assert folder.origin is not None
+    scripts = ScriptDirectory(str(Path(folder.origin).parent))
+    assert scripts.get_heads() == [newest_revision()]
+    revisions = {script.revision for script in scripts.walk_revisions()}
+    assert {revision for revision in map("{:04}".format, range(10_000)) if knows_revision(revision)} == revisions
+
+
+def test_a_current_database_is_looked_at_without_alembic(migrated: Database) -> None:
+    """A worker starts sooner without it."""
+    looked = "from vitac.server.db import engine, schema; schema.upgrade(engine.Database(sys.argv[1]))"
+    code = f"import sys; {looked}; sys.exit('alembic' in sys.modules)"
+    subprocess.run([sys.executable, "-c", code, migrated.address], check=True)
 
 
 def test_downgrade_takes_everything_back(empty: Database) -> None:

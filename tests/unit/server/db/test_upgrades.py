@@ -7,7 +7,6 @@ from typing import Any
 import psycopg
 import pytest
 from alembic import command
-from alembic.script import ScriptDirectory
 from databases import copied_database, fresh_database
 from psycopg import sql
 from service_factories import (
@@ -33,11 +32,7 @@ from vitac.server.evaluations import lifecycle
 from vitac.server.leaderboards import standings
 from vitac.server.submissions import listing
 
-OLDER = sorted(
-    script.revision
-    for script in ScriptDirectory.from_config(schema._configuration()).walk_revisions()
-    if script.revision != newest_revision()
-)
+OLDER = sorted(schema._revisions() - {newest_revision()})
 TABLES = """
     SELECT table_name, array_agg(column_name::text ORDER BY column_name) FROM information_schema.columns
     WHERE table_schema = 'public' AND is_generated = 'NEVER' AND table_name !~ '^(procrastinate|alembic)'
@@ -198,8 +193,8 @@ def test_results_keep_their_list_and_tasks_as_far_as_the_track_files_tell(filled
 
 def make_at(database: Database, revision: str) -> None:
     """Makes the tables as that revision had them."""
-    with schema._migrating(database, 5.0, 60.0) as (_, configuration):
-        command.upgrade(configuration, revision)
+    with schema._migrating(database, 5.0, 60.0) as connection:
+        command.upgrade(schema._configuration(connection), revision)
 
 
 def copy_rows(source: str, target: str) -> None:
