@@ -88,7 +88,7 @@ def machines(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Machines]:
     with ExitStack() as stack:
         s3 = stack.enter_context(s3_server(tmp_path_factory.mktemp("s3")))
         address = stack.enter_context(fresh_database())
-        quick = {"VITAC_LEASE_S": "3", "VITAC_LEASE_RENEWAL_S": "0.3", "VITAC_SWEEP_INTERVAL_S": "0.3"}
+        quick = {"VITAC_LEASE_S": "3", "VITAC_LEASE_RENEWAL_S": "0.8", "VITAC_SWEEP_INTERVAL_S": "1"}
         common = {"VITAC_DATABASE_URL": address, "VITAC_SESSION_KEY": "the same everywhere", **s3.environment, **quick}
         machines = Machines(common=common)
         for _ in range(N_SERVERS):
