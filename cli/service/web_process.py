@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 from .database import load_settings
 from .events import write_events_to
+from .loading import no_collections
 from .stop_request import StopRequest
 from .web_server import BACKLOG, START_LIMIT_S, ServerDidNotStart, WebServer
 from .worker import end_with
@@ -36,7 +37,8 @@ def main(listener: int, parent: int) -> None:
         listener: descriptor of the socket.
         parent: process id of the process that started us; we end with it.
     """
-    from vitac.server.services import open_services
+    with no_collections():
+        from vitac.server.services import open_services
 
     settings = load_settings()
     write_events_to(sys.stderr, settings.log_format)
@@ -61,7 +63,8 @@ def serving(services: Services, listener: socket.socket, *, sweeps: bool = True)
         listener: bound socket.
         sweeps: look for lost work; False where the process that started this one does.
     """
-    from vitac.web.application import create
+    with no_collections():
+        from vitac.web.application import create
 
     trusted = services.settings.trusted_proxy_networks
     server = WebServer(app=create(services, sweeps=sweeps), listener=listener, trusted_proxies=trusted)

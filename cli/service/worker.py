@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from .database import load_settings
+from .loading import no_collections
 
 
 def command(
@@ -17,9 +18,10 @@ def command(
     ] = None,
 ) -> None:
     """Run a worker until Ctrl-C. Run any number, on any machine that reaches database and storage."""
-    from vitac.worker.main import run
-
     from .events import write_events_to
+
+    with no_collections():
+        from vitac.worker.main import run
 
     settings = load_settings(worker_slots=slots)
     write_events_to(sys.stderr, settings.log_format)

@@ -7,9 +7,12 @@ not try its sandbox out first, which takes two seconds; `tests/unit/worker/test_
 import subprocess
 from collections.abc import Callable, Sequence
 
-from vitac.evaluator.tracks import Task
-from vitac.evaluator.tracks.cut import Shard, cut
-from vitac.server.evaluations import lifecycle
+from vitac.cli.service.loading import no_collections
+
+with no_collections():  # as in `vitac worker`
+    from vitac.evaluator.tracks import Task
+    from vitac.evaluator.tracks.cut import Shard, cut
+    from vitac.server.evaluations import lifecycle
 
 EPISODES = (1, 2, 3, 4, 31, 32, 33, 34)
 """Four of each of the first two shards."""
@@ -28,9 +31,10 @@ def shorten() -> None:
 
 
 if __name__ == "__main__":
-    from vitac.server.settings import load_settings
-    from vitac.worker.isolation import IsolationReport
-    from vitac.worker.main import run
+    with no_collections():
+        from vitac.server.settings import load_settings
+        from vitac.worker.isolation import IsolationReport
+        from vitac.worker.main import run
 
     shorten()
     run(load_settings(), probe=lambda: IsolationReport(level="not tried out", problems=()))
