@@ -1,6 +1,5 @@
 """Several scenes in one simulation, on a stand-in for ManiSkill; one scene, and a GPU, where the extra is installed."""
 
-import signal
 import threading
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -157,8 +156,12 @@ def no_third_thread(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def ctrl_c(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Has Ctrl-C come while an env step is simulated."""
-    monkeypatch.setattr(FakeScenes, "step", lambda self, actions: signal.raise_signal(signal.SIGINT))
+    """Has Ctrl-C come while an env step is simulated; no signal, which a process in the background may ignore."""
+
+    def step(self: FakeScenes, actions: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(FakeScenes, "step", step)
 
 
 @pytest.mark.parametrize(
