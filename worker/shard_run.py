@@ -121,12 +121,14 @@ class ShardRun(LeasedRun[RunningShard]):
         store = RecordStore(self._store, give_up=self._kill)
         try:
             result = self._result_of_process(stored, store)
-            # What a shard leaves for the next ones has to be there before they begin, be it that none is to begin.
-            if result.end is ShardEnd.COMPLETE and result.coefficients is None and result.figures is None:
+            has_learned = result.coefficients is not None or result.figures is not None
+            # The next shards begin with what this one has learned of a sensor, and not at all where it has failed.
+            if result.end is ShardEnd.COMPLETE and not has_learned:
                 self._slot.leave()
         finally:
             store.close()
-        self._keep(result)
+        if has_learned:
+            self._keep(result)
         return result
 
     def _result_of_process(self, stored: StoredEpisodes, store: RecordStore) -> ShardResult:

@@ -2,7 +2,6 @@
 
 import threading
 from collections.abc import Callable
-from contextlib import suppress
 
 
 class Slot:
@@ -18,7 +17,8 @@ class Slot:
 
     def __init__(self, free: threading.Semaphore | None = None, soon: Callable[[], object] = lambda: None) -> None:
         self._free = free or threading.Semaphore()
-        self._soon = [soon]
+        self._soon = soon
+        self._is_said = False
         self._is_held = False
 
     def hold(self, work: Callable[[], None]) -> None:
@@ -32,8 +32,9 @@ class Slot:
 
     def soon_left(self) -> None:
         """Say that the work will leave within moments."""
-        with suppress(IndexError):  # it was said before
-            self._soon.pop()()
+        if not self._is_said:
+            self._is_said = True
+            self._soon()
 
     def leave(self) -> None:
         """Let another simulation have the place; called by the work, which goes on."""

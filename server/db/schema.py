@@ -1,6 +1,6 @@
 """Brings a database to the schema of this version; called by server, worker and CLI at their start.
 
-Alembic is imported only where there is something to migrate: with all migrations it takes a tenth of a worker's start.
+Alembic is imported only where there is something to migrate: every start would pay for it and for all migrations.
 """
 
 from __future__ import annotations

@@ -173,7 +173,13 @@ def test_next_job_is_due_when_what_is_left_takes_little_time(
 
 
 @pytest.mark.parametrize(
-    ("learned", "is_free"), [(None, True), (Coefficients(mesh_hash="0" * 64, starts=5, regressions=()), False)]
+    ("learned", "record_of", "is_free"),
+    [
+        (None, make_record, True),
+        (None, make_failed_record, False),
+        (Coefficients(mesh_hash="0" * 64, starts=5, regressions=()), make_record, False),
+    ],
+    ids=["complete", "broken", "learned"],
 )
 def test_slot_is_left_before_the_result_is_stored_unless_the_next_shards_need_it(
     services: Services,
@@ -181,6 +187,7 @@ def test_slot_is_left_before_the_result_is_stored_unless_the_next_shards_need_it
     lease: Lease,
     monkeypatch: pytest.MonkeyPatch,
     learned: Coefficients | None,
+    record_of: Callable[[int], EpisodeRecord],
     is_free: bool,
 ) -> None:
     places, seen = threading.Semaphore(), []
@@ -192,7 +199,7 @@ def test_slot_is_left_before_the_result_is_stored_unless_the_next_shards_need_it
     monkeypatch.setattr(shard_run, "finish_shard", finish)
     monkeypatch.setattr(ShardRun, "_keep", lambda *_: None)
     slot = Slot(places)
-    run = ShardRun(services, stage, lease, FakeShards(coefficients=learned), slot)
+    run = ShardRun(services, stage, lease, FakeShards(record_of, coefficients=learned), slot)
     ends: list[RunEnd] = []
     slot.hold(lambda: ends.append(run.run()))
     assert (seen, ends) == ([is_free], [RunEnd.FINISHED])
