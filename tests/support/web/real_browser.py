@@ -16,7 +16,12 @@ ARGUMENTS = (
     "--no-first-run",
 )
 WITHOUT_GPU = ("--disable-gpu",)
-SOFTWARE_WEBGL = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist")
+SOFTWARE_WEBGL = (
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--ignore-gpu-blocklist",
+    "--disable-gpu-compositing",  # only scenes are drawn as a graphics card would: it costs much to emulate one
+)
 NO_WEBGL = """
     const { getContext } = HTMLCanvasElement.prototype;
     HTMLCanvasElement.prototype.getContext = function (kind, ...rest) {
