@@ -37,7 +37,7 @@ def page(browser: Browser, site: SiteUnderTest) -> Iterator[Page]:
     heard: list[str] = []
     page.on("pageerror", lambda error: heard.append(str(error)))
     page.on("console", lambda message: heard.append(message.text) if message.type == "error" else None)
-    site.sign_in(page)
+    site.enter(page)
     yield page
     assert heard == []
     context.close()
@@ -226,7 +226,7 @@ def test_two_episodes_play_side_by_side(site: SiteUnderTest, page: Page) -> None
 def test_an_episode_fits_a_phone(browser: Browser, site: SiteUnderTest, scheme: Any) -> None:
     context = browser.new_context(viewport=PHONE, color_scheme=scheme)  # type: ignore[arg-type]
     page = context.new_page()
-    site.sign_in(page)
+    site.enter(page)
     open_player(site, page, made(site, FUSION, 7))
     wait_for_rest(page)
     assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
@@ -266,7 +266,7 @@ def test_help_for_the_player_stands_only_where_something_is_played(site: SiteUnd
 def test_without_javascript_there_is_the_still_and_a_button_to_ask(browser: Browser, site: SiteUnderTest) -> None:
     context = browser.new_context(java_script_enabled=False)
     page = context.new_page()
-    site.sign_in(page)
+    site.enter(page)
     site.open(page, made(site))
     expect(page.locator("img.still")).to_be_visible()
     expect(page.locator("canvas.scene")).to_be_hidden()
@@ -300,7 +300,7 @@ def test_a_page_asks_again_only_where_the_answer_may_change(
     context = browser.new_context()
     page = context.new_page()
     page.clock.install()
-    site.sign_in(page)
+    site.enter(page)
     path = site.data.show(submission_id(site), a_shown_episode(None))
     asked: list[str] = []
 
@@ -344,7 +344,7 @@ def test_a_failed_playback_says_so(site: SiteUnderTest, page: Page) -> None:
 def test_a_server_that_is_gone_is_said(browser: Browser, site: SiteUnderTest) -> None:
     context = browser.new_context()
     page = context.new_page()
-    site.sign_in(page)
+    site.enter(page)
     path = site.data.show(submission_id(site), a_shown_episode(None))
     page.route("**/playback", lambda route: route.abort())
     site.open(page, path)
@@ -355,7 +355,7 @@ def test_a_server_that_is_gone_is_said(browser: Browser, site: SiteUnderTest) ->
 def test_a_file_that_was_lost_is_said(browser: Browser, site: SiteUnderTest) -> None:
     context = browser.new_context()
     page = context.new_page()
-    site.sign_in(page)
+    site.enter(page)
     path = made(site)
     site.data.files.clear()
     site.open(page, path)
@@ -366,7 +366,7 @@ def test_a_file_that_was_lost_is_said(browser: Browser, site: SiteUnderTest) -> 
 def test_one_playback_too_many_is_said(browser: Browser, site: SiteUnderTest) -> None:
     context = browser.new_context()
     page = context.new_page()
-    site.sign_in(page)
+    site.enter(page)
     site.data.refuses_playbacks = True
     site.open(page, site.data.show(submission_id(site), a_shown_episode(None)))
     expect(page.get_by_text("At most 4 playbacks are possible.")).to_be_visible()

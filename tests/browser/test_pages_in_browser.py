@@ -94,7 +94,7 @@ def test_operations_are_accessible_fit_and_need_no_javascript(
 def test_an_empty_site_is_accessible(page: Page, site: SiteUnderTest) -> None:
     site.data.board = a_leaderboard()
     site.data.found.clear()
-    site.sign_in(page)
+    site.enter(page)
     for path in ("/", "/submissions"):
         site.open(page, path)
         assert violations(page) == []
@@ -116,7 +116,7 @@ def test_dark_and_light_are_different(browser: Browser, site: SiteUnderTest) -> 
 def test_a_running_evaluation_moves_on_without_a_reload_and_ends_with_its_score(
     page: Page, site: SiteUnderTest
 ) -> None:
-    site.sign_in(page)
+    site.enter(page)
     site.open(page, site.path_of("runs"))
     page.evaluate("window.sameDocument = true")
     expect(page.get_by_text("137 of 270")).to_be_visible()
@@ -130,7 +130,7 @@ def test_a_running_evaluation_moves_on_without_a_reload_and_ends_with_its_score(
 
 
 def test_a_change_of_state_is_announced(page: Page, site: SiteUnderTest) -> None:
-    site.sign_in(page)
+    site.enter(page)
     site.open(page, site.path_of("waits"))
     expect(page.get_by_role("status")).to_have_text("")
     replace(site.data, a_submission("Gelbots", EvaluationState.RUNNING, name="waits", done=1))
@@ -269,7 +269,7 @@ def test_the_own_row_of_a_long_board_is_one_link_away(page: Page, site: SiteUnde
     score = a_score((80, 74, 80), 4.92)
     teams = [*(f"Team {rank}" for rank in range(1, 180)), "Gelbots", *(f"Team {rank}" for rank in range(181, 201))]
     site.data.board = a_leaderboard(*(an_entry(rank, team, score) for rank, team in enumerate(teams, 1)))
-    site.sign_in(page)
+    site.enter(page)
     site.open(page, "/tracks/track_1")
     page.get_by_role("link", name="Your team").click()
     expect(page.locator("#own")).to_contain_text("Gelbots")
@@ -303,7 +303,7 @@ def test_a_submission_is_uploaded_in_the_browser(browser: Browser, site: SiteUnd
 
 
 def test_the_script_shows_how_far_an_upload_is_and_when_it_was_cut(page: Page, site: SiteUnderTest) -> None:
-    site.sign_in(page)
+    site.enter(page)
     site.open(page, "/submissions/upload")
     expect(page.get_by_role("progressbar")).to_be_hidden()
     held: list[Route] = []
@@ -324,7 +324,7 @@ def replace(data: FixedData, changed: SubmissionView) -> None:
 
 
 def test_an_open_table_behind_a_plot_is_printed_whole(page: Page, site: SiteUnderTest) -> None:
-    site.sign_in(page)
+    site.enter(page)
     site.open(page, site.path_of("done"))
     page.get_by_text("Table: Cuboid").click()
     table = page.get_by_role("region", name="Table: Cuboid")

@@ -42,7 +42,7 @@ def still_page(browser: Browser, site: SiteUnderTest) -> Iterator[Page]:
     context = browser.new_context(viewport=DESK)  # type: ignore[arg-type]
     page = context.new_page()
     page.add_init_script(COUNTED)
-    site.sign_in(page)
+    site.enter(page)
     site.open(page, path_of_an_episode(site.data))
     expect(page.get_by_role("form", name="Playback")).to_be_visible()
     wait_for_rest(page)

@@ -32,7 +32,7 @@ def page(browser: Browser, site: SiteUnderTest) -> Iterator[Page]:
     complaints: list[str] = []
     page.on("pageerror", lambda error: complaints.append(str(error)))
     page.on("console", lambda message: complaints.append(message.text) if message.type == "error" else None)
-    site.sign_in(page)
+    site.enter(page)
     yield page
     assert complaints == []
     context.close()
