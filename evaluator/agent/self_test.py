@@ -1,14 +1,15 @@
 """Tries to break out of this machine's own sandbox. Called by `vitac doctor` and by workers, before they start.
 
-Each probe is a small hostile policy. It answers with the number of things it reached, or meets a verdict.
+Each probe is an attempt of a small hostile policy. It answers with the number of things it reached, or meets a verdict.
 """
 
 import os
 from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Final
+from typing import Final, Self
 
 import numpy as np
 
@@ -78,18 +79,25 @@ def allowed(*calls):
     return sum(SYSCALL(*map(ctypes.c_long, call)) >= 0 for call in calls)
 
 
-def attempt():
-{body}
-
-
 class Policy:
     memory = 0
 
     def reset(self, task):
-        pass
+        self.attempt = ATTEMPTS[task]
 
     def act(self, observation):
-        return [attempt()]
+        return [self.attempt()]
+
+
+ATTEMPTS = {{}}
+"""
+_ATTEMPT: Final = """
+
+def attempt():
+{body}
+
+
+ATTEMPTS[{name!r}] = attempt
 """
 
 PROBES: Final = (
@@ -137,8 +145,14 @@ return len(found) + sum("{CANARY}" in value for value in os.environ.values())"""
     ),
     Probe(
         name="fork bomb capped",
-        # Each process sleeps once it was refused: it would else use up the CPU time before the others are refused.
-        code="while reached(os.fork):\n    pass\ntime.sleep(60)",
+        # The first process fails when it is refused. The others sleep: they would else use up the CPU time before that.
+        code="""
+first = os.getpid()
+while reached(os.fork):
+    pass
+if os.getpid() == first:
+    os.fork()
+time.sleep(60)""",
         verdict=VerdictCode.TOO_MANY_PROCESSES,
         # CPU time and memory for all processes that the limit allows, also on a busy machine.
         limits=replace(_LIMITS, memory_bytes=1024 * MIB, action_cpu_s=20.0, episode_cpu_s=30.0, action_wall_s=5.0),
@@ -209,11 +223,12 @@ def run(probes: tuple[Probe, ...] = PROBES) -> Iterator[Outcome]:
         canary = folder / "secret" / CANARY
         canary.parent.mkdir()
         canary.write_text(CANARY)
-        for number, probe in enumerate(probes):
-            submission = folder / f"probe-{number}"
-            submission.mkdir(mode=0o755)
-            (submission / "policy.py").write_text(_policy(probe, canary))
-            yield _with_canary(probe, submission)
+        submission = folder / "probes"
+        submission.mkdir(mode=0o755)
+        (submission / "policy.py").write_text(_policy(probes, canary))
+        with _Sessions(submission) as sessions:
+            for probe in probes:
+                yield _with_canary(probe, sessions)
 
 
 def is_safe(outcomes: list[Outcome]) -> bool:
@@ -221,27 +236,62 @@ def is_safe(outcomes: list[Outcome]) -> bool:
     return all(outcome.state is ProbeState.HELD for outcome in outcomes)
 
 
-def _policy(probe: Probe, canary: Path) -> str:
-    body = "".join(f"    {line}\n" for line in probe.code.strip().splitlines())
-    return _TEMPLATE.format(canary_file=str(canary), body=body)
+class _Sessions:
+    """Gives probes their sessions: one for all that have to end well, and to each of the others one of its own."""
+
+    def __init__(self, submission: Path) -> None:
+        self._submission = submission
+        self._exits = ExitStack()
+        self._shared: PolicySession | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._exits.close()
+
+    @contextmanager
+    def session(self, probe: Probe) -> Iterator[PolicySession]:
+        """Give a session with the probe's limits.
+
+        Raises:
+            PolicyFailed: the probes do not load.
+            SandboxFailed: it cannot be started.
+        """
+        if probe.verdict is not None or probe.limits != _LIMITS:
+            with PolicySession(self._submission, limits=probe.limits) as session:
+                yield session
+            return
+        if self._shared is None:
+            self._shared = self._exits.enter_context(PolicySession(self._submission, limits=_LIMITS))
+        self._shared.begin_shard()
+        yield self._shared
 
 
-def _with_canary(probe: Probe, submission: Path) -> Outcome:
+def _policy(probes: tuple[Probe, ...], canary: Path) -> str:
+    """Return the code of a policy that makes the attempt whose name it is reset with."""
+    code = _TEMPLATE.format(canary_file=str(canary))
+    for probe in probes:
+        body = "".join(f"    {line}\n" for line in probe.code.strip().splitlines())
+        code += _ATTEMPT.format(name=probe.name, body=body)
+    return code
+
+
+def _with_canary(probe: Probe, sessions: _Sessions) -> Outcome:
     """Run a probe while the evaluator's own environment holds a secret."""
     os.environ["VITAC_CANARY"] = CANARY
     try:
-        return _run(probe, submission)
+        return _run(probe, sessions)
     finally:
         del os.environ["VITAC_CANARY"]
 
 
-def _run(probe: Probe, submission: Path) -> Outcome:
-    session = PolicySession(submission, limits=probe.limits)
+def _run(probe: Probe, sessions: _Sessions) -> Outcome:
     isolation = None
     try:
-        with session:
+        with sessions.session(probe) as session:
             isolation = session.isolation
-            reached = [_act(session) for _ in range(_EPISODES)]
+            reached = [_act(session, probe) for _ in range(_EPISODES)]
     except PolicyFailed as failure:
         state = ProbeState.HELD if failure.verdict is probe.verdict else ProbeState.ESCAPED
         detail = f"{failure.verdict}: {failure.message}"
@@ -254,6 +304,6 @@ def _run(probe: Probe, submission: Path) -> Outcome:
     return Outcome(name=probe.name, state=state, detail=detail, isolation=isolation)
 
 
-def _act(session: PolicySession) -> int:
-    with session.episode(task="self-test", action_shape=(1,)) as policy:
+def _act(session: PolicySession, probe: Probe) -> int:
+    with session.episode(task=probe.name, action_shape=(1,)) as policy:
         return int(policy.act(_OBSERVATION)[0])

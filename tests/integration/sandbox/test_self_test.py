@@ -39,6 +39,20 @@ def test_an_escape_is_told(probe: Probe) -> None:
     assert not is_safe([outcome])
 
 
+def test_probes_that_share_a_session_are_told_apart() -> None:
+    probes = (
+        Probe(name="ends though it should not", code="raise ValueError"),
+        Probe(name="leaves a file", code='open("/tmp/left", "w").close()\nreturn 0'),
+        Probe(name="finds the file of another", code='return int(os.path.exists("/tmp/left"))'),
+        Probe(name="reaches something", code="return 1"),
+        PROBES[0],
+    )
+    escaped, held = ProbeState.ESCAPED, ProbeState.HELD
+    assert [(outcome.name, outcome.state) for outcome in run(probes)] == [
+        (probe.name, state) for probe, state in zip(probes, (escaped, held, held, escaped, held), strict=True)
+    ]
+
+
 def test_a_sandbox_that_does_not_start_is_not_safe(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("VITAC_BWRAP", "/none")
     outcome = outcome_of(PROBES[0])
