@@ -6,14 +6,15 @@ import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 from uuid import UUID
 
 import quick_worker
-from databases import fresh_database
+from databases import fresh_database, make_template
 from service_client import serving
-from service_factories import make_principal, make_secret, make_settings, play_all, submit
+from service_factories import make_principal, make_secret, make_settings, play_all, sha256, submit
 from typer.testing import CliRunner, Result
 from vitac.cli.main import build_app
 from vitac.server.accounts import teams
@@ -67,20 +68,30 @@ class CliService:
         return CliRunner().invoke(build_app(arguments), list(arguments), input=text, env=environment)
 
 
+@cache
+def template_with_team(team: str) -> tuple[str, str]:
+    """The name of a template in which this team is already, and its token."""
+    name = f"vitac_team_{sha256(team)[:8]}"
+    database = make_template(name)
+    with database.transaction() as session:
+        token = make_secret(session, make_principal(session, team))
+    database.dispose()
+    return name, token
+
+
 @contextmanager
 def cli_service(state_dir: Path, team: str = "Team A", **values: Any) -> Iterator[CliService]:
-    """A service with one team, whose token the environment holds."""
-    with fresh_database() as database_address:
+    """A service with one team, whose token the environment holds; it looks for no lost work."""
+    template, token = template_with_team(team)
+    with fresh_database(template) as database_address:
         database = Database(database_address)
         settings = make_settings(state_dir=state_dir, **values)
         settings.scratch_dir.mkdir(parents=True)
         services = Services(
             settings=settings, database=database, blobs=BlobStore.from_settings(settings), postgres=None
         )
-        with database.transaction() as session:
-            token = make_secret(session, make_principal(session, team))
         try:
-            with serving(create(services)) as (host, port):
+            with serving(create(services, sweeps=False)) as (host, port):
                 address = f"http://{host}:{port}"
                 environment = {
                     "VITAC_SERVER": address,

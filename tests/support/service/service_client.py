@@ -11,17 +11,20 @@ import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import uvicorn
-from databases import copied_database
+from databases import copied_database, fresh_database, make_template
 from fastapi import FastAPI
 from httpx import Client, Response
 from service_factories import TASK, TRACK, make_principal, make_secret, make_settings
+from sqlalchemy.orm import Session
 from vitac.server.accounts.principals import CONSOLE, Principal
 from vitac.server.api.app import create_app
 from vitac.server.db.engine import Database
+from vitac.server.db.models import Team
 from vitac.server.services import Services, open_services
 from vitac.server.settings import Settings
 from vitac.server.storage.blobs import BlobStore
@@ -93,17 +96,57 @@ class Service:
         return [path for folder in folders for path in folder.rglob("*") if path.is_file()]
 
 
+@dataclass(frozen=True, kw_only=True)
+class People:
+    """A principal of Team A and the tokens of both teams and of an organizer."""
+
+    principal: Principal
+    token: str
+    other_token: str
+    organizer_token: str
+
+
+def make_people(session: Session) -> People:
+    principal = make_principal(session, "Team A")
+    tokens = [make_secret(session, one) for one in (principal, make_principal(session, "Team B"), CONSOLE)]
+    return People(principal=principal, token=tokens[0], other_token=tokens[1], organizer_token=tokens[2])
+
+
+@cache
+def template_with_people() -> tuple[str, People]:
+    """The name of a template in which these people are already, and who they are."""
+    database = make_template("vitac_people")
+    with database.transaction() as session:
+        people = make_people(session)
+    database.dispose()
+    return "vitac_people", people
+
+
+@contextmanager
+def database_with_people() -> Iterator[Database]:
+    """A fresh database in which a service finds its people."""
+    with fresh_database(template_with_people()[0]) as address:
+        database = Database(address)
+        yield database
+        database.dispose()
+
+
+def _people_of(session: Session) -> People:
+    _, people = template_with_people()
+    return people if session.get(Team, people.principal.team_id) is not None else make_people(session)
+
+
 def bearer(token: str) -> dict[str, str]:
     return {"Authorization": f"Bearer {token}"}
 
 
 @contextmanager
 def running_service(database: Database, state_dir: Path, **settings: Any) -> Iterator[Service]:
-    """A service on an open database; `settings` change the defaults."""
+    """A service on an open database that looks for no lost work; `settings` change the defaults."""
     made = make_settings(state_dir=state_dir, **settings)
     services = Services(settings=made, database=database, blobs=BlobStore.from_settings(made), postgres=None)
     made.scratch_dir.mkdir(parents=True, exist_ok=True)
-    with _served(services) as service:
+    with _served(services, sweeps=False) as service:
         yield service
 
 
@@ -116,7 +159,7 @@ def copied_service(service: Service, state_dir: Path) -> Iterator[Service]:
         services = Services(
             settings=settings, database=database, blobs=BlobStore.from_settings(settings), postgres=None
         )
-        app = create_app(settings, services=services)
+        app = create_app(settings, services=services, sweeps=False)
         with serving(app) as address, _client(address) as client:
             yield replace(service, services=services, client=client, address=address)
 
@@ -135,20 +178,19 @@ def _client(address: tuple[str, int]) -> Client:
 
 
 @contextmanager
-def _served(services: Services) -> Iterator[Service]:
+def _served(services: Services, *, sweeps: bool = True) -> Iterator[Service]:
     with services.database.transaction() as session:
-        principal = make_principal(session, "Team A")
-        tokens = [make_secret(session, one) for one in (principal, make_principal(session, "Team B"), CONSOLE)]
-    app = create_app(services.settings, services=services)
+        people = _people_of(session)
+    app = create_app(services.settings, services=services, sweeps=sweeps)
     with serving(app) as address, _client(address) as client:
         yield Service(
             client=client,
             address=address,
             services=services,
-            principal=principal,
-            token=tokens[0],
-            other_token=tokens[1],
-            organizer_token=tokens[2],
+            principal=people.principal,
+            token=people.token,
+            other_token=people.other_token,
+            organizer_token=people.organizer_token,
         )
 
 

@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 from sensors_made_once import make_each_once
-from service_client import Service, running_service
+from service_client import Service, database_with_people, running_service
 from vitac.server.db.engine import Database
 
 
@@ -11,6 +11,13 @@ from vitac.server.db.engine import Database
 def _sensors_are_made_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """A second in the sandbox for each; `tests/integration/sandbox/test_sensor` is about that."""
     monkeypatch.setattr("vitac.server.uploads.sensors.make_sensor", make_each_once)
+
+
+@pytest.fixture
+def database() -> Iterator[Database]:
+    """A fresh, migrated database with the people of a service."""
+    with database_with_people() as database:
+        yield database
 
 
 @pytest.fixture
