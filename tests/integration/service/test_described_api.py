@@ -77,19 +77,21 @@ def test_no_request_of_a_description_meets_an_error_of_the_server(
 def send_all(live: Service, cases: st.SearchStrategy[AnyCase], sent: dict[str, list[str]]) -> None:
     """Send what is made up, which takes longer than to answer it, once with each token; add the addresses asked."""
 
+    base_url = "http://{}:{}".format(*live.address)
+
     @BOUNDED
     @given(case=cases)
     def send(case: AnyCase) -> None:
-        host, port = live.address
         for token, addresses in sent.items():
             try:
-                answer = case.call(base_url=f"http://{host}:{port}", headers={"Authorization": f"Bearer {token}"})
+                answer = case.call(base_url=base_url, headers={"Authorization": f"Bearer {token}"}, session=connected)
             except (requests.exceptions.InvalidHeader, UnicodeError):
                 return  # the client itself refuses to send it
             addresses.append(str(answer.request.url))
             assert answer.status_code < 500, f"{case.method} {case.formatted_path}: {answer.text}"
 
-    with suppress(Unsatisfiable):  # nothing can be wrong in a request without parts
+    # One connection for all: another one for each request took 1 to 2 ms of CPU.
+    with requests.Session() as connected, suppress(Unsatisfiable):  # nothing can be wrong in a request without parts
         send()
 
 
