@@ -1,5 +1,6 @@
 import re
 from pathlib import Path
+from typing import Literal
 
 import checked_pages
 import pytest
@@ -28,25 +29,30 @@ LINES_OF_TEXT = """cell => {
     range.selectNodeContents(cell);
     return range.getClientRects().length;
 }"""
+LOOKS: tuple[tuple[Literal["light", "dark"], dict[str, int]], ...] = (("light", DESK), ("dark", PHONE))
 A4_PAPER = {"width": 720, "height": 1050}  # px at 96 dpi, without margins
 
 
-@pytest.mark.parametrize(("scheme", "size"), [("light", DESK), ("dark", PHONE)], ids=["light desk", "dark phone"])
-def test_pages_are_accessible_fit_and_raise_no_error(
-    browser: Browser, site: SiteUnderTest, scheme: str, size: dict[str, int]
-) -> None:
+def test_pages_are_accessible_fit_and_raise_no_error(page: Page, site: SiteUnderTest) -> None:
+    """In both looks, one after the other; that a page may be opened once for both is the next test."""
     site.data.cup = a_finished_cup()
-    context = browser.new_context(viewport=size, color_scheme=scheme)  # type: ignore[arg-type]
-    page = context.new_page()
     complaints = Complaints(page)
     site.sign_in(page)
     for path in site.paths():
         site.open(page, path)
         expect(page.get_by_role("heading", level=1)).to_be_visible()
-        assert page.evaluate("document.documentElement.scrollWidth") <= size["width"], f"{path} scrolls sideways"
-        assert violations(page) == [], path
+        for scheme, size in LOOKS:
+            page.emulate_media(color_scheme=scheme)
+            resize(page, size)
+            assert page.evaluate("document.documentElement.scrollWidth") <= size["width"], f"{path} scrolls sideways"
+            assert violations(page) == [], f"{path}, {scheme}"
     assert complaints.heard == []
-    context.close()
+
+
+def test_no_script_asks_for_size_or_colours_but_the_player_which_has_tests_of_both(repository: Path) -> None:
+    asks = re.compile(r"matchMedia|(inner|client|offset|scroll)(Width|Height)|getBoundingClientRect|ResizeObserver")
+    scripts = (repository / "web" / "static").glob("*.js")
+    assert [path.name for path in scripts if asks.search(path.read_text(encoding="utf-8"))] == ["playback.js"]
 
 
 def test_every_page_is_looked_at_for_barriers(site: SiteUnderTest, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -71,7 +77,7 @@ def test_the_scene_in_the_rules_stands_in_line_with_the_text(browser: Browser, s
     page.close()
 
 
-@pytest.mark.parametrize(("scheme", "size"), [("light", DESK), ("dark", PHONE)], ids=["light desk", "dark phone"])
+@pytest.mark.parametrize(("scheme", "size"), LOOKS, ids=["light desk", "dark phone"])
 def test_operations_are_accessible_fit_and_need_no_javascript(
     browser: Browser, site: SiteUnderTest, scheme: str, size: dict[str, int]
 ) -> None:

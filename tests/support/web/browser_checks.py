@@ -31,6 +31,7 @@ MEASURE_EACH_LOOK = """places => {
     };
     const hasText = element => [...element.childNodes].some(node => node.nodeType === 3 && node.data.trim().length > 1);
     for (const element of document.querySelectorAll("body, body *")) {
+        element.removeAttribute("data-measured");  // in another colour scheme or size, before
         const isControl = element.matches("button, input, select, textarea");
         if (!isControl && !hasText(element)) continue;
         const look = lookOf(element), before = marked.get(look) ?? 0;
@@ -61,7 +62,8 @@ class Complaints:
 
 def violations(page: Page) -> list[str]:
     """Rules of accessibility that a page breaks, each with the part of the page that does."""
-    page.evaluate(AXE_SCRIPT)
+    if not page.evaluate("'axe' in window"):
+        page.evaluate(AXE_SCRIPT)
     page.evaluate(MEASURE_EACH_LOOK, PLACES_PER_LOOK)
     found: list[dict[str, Any]] = page.evaluate("options => axe.run(options).then(found => found.violations)", CHECKED)
     return [f"{rule['id']}: {node['html'][:200]} {node['failureSummary']}" for rule in found for node in rule["nodes"]]
