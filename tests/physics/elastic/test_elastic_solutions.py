@@ -8,8 +8,6 @@ import pytest
 from block_meshes import box_gel
 from engine_probe import Probe
 from numpy.typing import NDArray
-from skfem import Basis, BilinearForm, ElementTetP1, ElementVector, LinearForm, MeshTet, condense, solve  # type: ignore[import-untyped]
-from skfem.helpers import ddot, det, grad, inv, transpose  # type: ignore[import-untyped]
 from small_scenes import IDENTITY, driven_positions_m
 from vectors import random_rotation
 from vitac.envs.fem.model.bodies import GelBody
@@ -101,6 +99,18 @@ def test_refining_the_mesh_converges_from_the_stiff_side() -> None:
 
 def skfem_solution(mesh: GelMesh, targets_m: FloatArray) -> FloatArray:
     """Positions of all nodes by scikit-fem: own assembly and quadrature, Newton with a sparse direct solver."""
+    from skfem import (  # type: ignore[import-untyped]
+        Basis,
+        BilinearForm,
+        ElementTetP1,
+        ElementVector,
+        LinearForm,
+        MeshTet,
+        condense,
+        solve,
+    )
+    from skfem.helpers import ddot, det, grad, inv, transpose  # type: ignore[import-untyped]
+
     basis = Basis(
         MeshTet(mesh.rest_position_m.T.copy(), mesh.tetrahedra.T.copy()), ElementVector(ElementTetP1()), intorder=1
     )

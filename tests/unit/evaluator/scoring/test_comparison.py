@@ -4,7 +4,6 @@ import pytest
 from evaluation_records import make_record
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.stats import binomtest
 from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.evaluator.scoring.comparison import Comparison, NothingToCompare, compare, mcnemar_p_value
 
@@ -66,6 +65,8 @@ def test_records_can_be_compared() -> None:
 
 @given(st.integers(0, 300), st.integers(0, 300))
 def test_p_value_is_the_binomial_tests(only_first: int, only_second: int) -> None:
+    from scipy.stats import binomtest
+
     differing = only_first + only_second
     expected = binomtest(only_first, differing, 0.5).pvalue if differing else 1.0
     assert mcnemar_p_value(only_first, only_second) == pytest.approx(expected, rel=1e-9)

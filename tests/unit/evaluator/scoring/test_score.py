@@ -6,13 +6,14 @@ from evaluation_records import make_record
 from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
-from scipy.stats import binom, binomtest
 from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.evaluator.scoring.score import Interval, Rate, interval_of_mean, rate, score, wilson_interval
 
 
 @given(st.integers(1, 1000).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n))))
 def test_interval_is_wilsons(counts: tuple[int, int]) -> None:
+    from scipy.stats import binomtest
+
     successes, episodes = counts
     interval = wilson_interval(successes, episodes)
     oracle = binomtest(successes, episodes).proportion_ci(0.95, method="wilson")
@@ -39,6 +40,8 @@ def test_interval_shrinks_with_episodes() -> None:
 
 @pytest.mark.parametrize(("first", "second"), [(0.5, 0.5), (0.15, 0.6), (0.9, 0.05), (0.98, 0.97)])
 def test_interval_of_a_mean_covers_it_as_often_as_it_says(first: float, second: float) -> None:
+    from scipy.stats import binom
+
     rates = [[rate(successes, episodes) for successes in range(episodes + 1)] for episodes in (90, 60)]
     chances = [np.atleast_1d(binom.pmf(range(91), 90, first)), np.atleast_1d(binom.pmf(range(61), 60, second))]
     covered = 0.0
