@@ -47,6 +47,8 @@ from vitac.web.session.signer import COOKIE, SessionSigner, begin
 TRACK = "track_1"
 TARGET_P99_MS = 20.0
 WARM_UP = 5
+TURNS = 10
+"""So many submissions of a team have all kinds among them."""
 RECORD_BYTES = 8000
 ROWS_AT_ONCE = 500
 A_CLAIM = LogClaim(team=None, episodes=270, successes=135, success_rate=0.5, mean_steps=5.0)
@@ -62,6 +64,11 @@ def main() -> None:
         "--json", type=Path, nargs="?", const=Path("-"), help="print the figures as JSON, or write them to this file"
     )
     arguments = parser.parse_args()
+    if arguments.submissions < TURNS * arguments.teams:
+        parser.error(
+            f"Expected --submissions {TURNS * arguments.teams} or more, {TURNS} for each of {arguments.teams} teams, "
+            f"so that all kinds are among them; got {arguments.submissions}. Lists show 50, and are faster with fewer."
+        )
     with service(arguments.submissions, arguments.teams) as services:
         pages = asyncio.run(measure(services, arguments.requests))
     figures = {"submissions": arguments.submissions, "teams": arguments.teams, "target_p99_ms": TARGET_P99_MS}
@@ -92,7 +99,7 @@ def service(n_submissions: int, n_teams: int) -> Iterator[Services]:
             for begun in range(0, n_submissions, ROWS_AT_ONCE):
                 with services.database.transaction() as session:
                     for number in range(begun, min(begun + ROWS_AT_ONCE, n_submissions)):
-                        add_submission(session, number, team_ids[number % n_teams], rng, number // n_teams % 10)
+                        add_submission(session, number, team_ids[number % n_teams], rng, number // n_teams % TURNS)
             with services.database.transaction() as session:
                 for kind in (SubmissionKind.MODEL, SubmissionKind.LOG):
                     add_episodes(session, newest(session, team_ids[0], kind), rng)
