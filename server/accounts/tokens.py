@@ -6,10 +6,12 @@ import secrets
 from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
+from functools import cache
+from typing import Any
 from uuid import UUID
 
-from sqlalchemy import ColumnElement, exists, or_, select
-from sqlalchemy.orm import Session, joinedload
+from sqlalchemy import ColumnElement, Row, Select, case, exists, or_, select, update
+from sqlalchemy.orm import Session, aliased, joinedload
 
 from ..db.models import ApiToken, Member, Team
 from ..db.states import MemberRole, Role
@@ -229,12 +231,47 @@ def hash_secret(secret: str) -> str:
     return hashlib.sha256(secret.encode()).hexdigest()
 
 
-def _find(session: Session, condition: ColumnElement[bool]) -> ApiToken | None:
-    joined = joinedload(ApiToken.team), joinedload(ApiToken.member)
-    return session.scalar(select(ApiToken).options(*joined).where(condition))
+def _find(session: Session, condition: ColumnElement[bool]) -> Row[*tuple[Any, ...]] | None:
+    return session.execute(_holders().where(condition)).one_or_none()
 
 
-def _principal(session: Session, token: ApiToken | None) -> Principal:
+@cache
+def _holders() -> Select[*tuple[Any, ...]]:
+    """Return the query of tokens with all that is asked of who holds one; put together once, as every request asks."""
+    others = aliased(ApiToken)
+    captain_signs_in = exists().where(
+        Member.team_id == ApiToken.team_id,
+        Member.role == MemberRole.CAPTAIN,
+        Member.left_at.is_(None),
+        Member.password_hash.is_not(None) | exists().where(others.member_id == Member.id),
+    )
+    holder = aliased(Member)
+    return (
+        select(
+            ApiToken.id,
+            ApiToken.role,
+            ApiToken.label,
+            ApiToken.revoked_at,
+            ApiToken.expires_at,
+            ApiToken.last_used_at,
+            ApiToken.team_id,
+            Team.name.label("team_name"),
+            Team.pseudonym.label("team_pseudonym"),
+            ApiToken.member_id,
+            holder.name.label("member_name"),
+            # It is the captain's, or shared by a team whose captain has never had a token or a password.
+            case(
+                (ApiToken.member_id.is_not(None), holder.role == MemberRole.CAPTAIN),
+                (ApiToken.team_id.is_not(None), ~captain_signs_in),
+                else_=False,
+            ).label("leads_team"),
+        )
+        .outerjoin(Team, Team.id == ApiToken.team_id)
+        .outerjoin(holder, holder.id == ApiToken.member_id)
+    )
+
+
+def _principal(session: Session, token: Row[*tuple[Any, ...]] | None) -> Principal:
     now = datetime.now(UTC)
     if token is None:
         raise ServiceError(ProblemCode.INVALID_CREDENTIALS, "This token is not known here. Check server and token.")
@@ -245,32 +282,15 @@ def _principal(session: Session, token: ApiToken | None) -> Principal:
             ProblemCode.INVALID_CREDENTIALS, f"This token expired at {token.expires_at:%F %T} UTC. Ask for a new one."
         )
     if token.last_used_at is None or token.last_used_at < now - USE_NOTED_EVERY:
-        token.last_used_at = now
+        session.execute(update(ApiToken).where(ApiToken.id == token.id).values(last_used_at=now))
     return Principal(
         role=token.role,
         team_id=token.team_id,
-        team_name=token.team.name if token.team is not None else None,
-        team_pseudonym=token.team.pseudonym if token.team is not None else None,
+        team_name=token.team_name,
+        team_pseudonym=token.team_pseudonym,
         token_id=token.id,
         member_id=token.member_id,
-        member_name=token.member.name if token.member is not None else None,
-        leads_team=_leads_team(session, token),
+        member_name=token.member_name,
+        leads_team=token.leads_team,
         judge_name=token.label if token.role is Role.JUDGE else None,
-    )
-
-
-def _leads_team(session: Session, token: ApiToken) -> bool:
-    """Return whether it is the captain's, or shared by a team whose captain has never had a token or a password."""
-    if token.member is not None:
-        return token.member.role is MemberRole.CAPTAIN
-    own = exists().where(ApiToken.member_id == Member.id)
-    return token.team_id is not None and not session.scalar(
-        select(
-            exists().where(
-                Member.team_id == token.team_id,
-                Member.role == MemberRole.CAPTAIN,
-                Member.left_at.is_(None),
-                Member.password_hash.is_not(None) | own,
-            )
-        )
     )

@@ -43,7 +43,7 @@ def optional_principal_of(
     """
     if credentials is None:
         return None
-    with services_of(request).database.transaction() as session:
+    with services_of(request).database.reading() as session:
         return tokens.authenticate(session, credentials.credentials)
 
 

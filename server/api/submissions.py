@@ -110,7 +110,7 @@ def list_submissions(
     limit: Annotated[int, Query(ge=1, le=100)] = 50,
 ) -> SubmissionListView:
     """Return the team's submissions, newest first; all teams' for an organizer."""
-    with services.database.transaction() as session:
+    with services.database.reading() as session:
         return listing.list_submissions(
             session, services.settings, principal, track=track, state=state, team=team, before=before, limit=limit
         )
@@ -122,14 +122,14 @@ def get_submission(services: ServicesOf, principal: ReaderOf, submission_id: UUI
 
     One that is public and complete is for everybody; every other one of another team is answered with 404.
     """
-    with services.database.transaction() as session:
+    with services.database.reading() as session:
         return listing.get(session, services.settings, principal, submission_id)
 
 
 @router.get("/{submission_id}/episodes")
 def get_episodes(services: ServicesOf, principal: ReaderOf, submission_id: UUID) -> list[EpisodeView]:
     """Return how each finished episode ended, also of a public submission; none while the list is sealed."""
-    with services.database.transaction() as session:
+    with services.database.reading() as session:
         return listing.episodes(session, principal, submission_id)
 
 
@@ -173,7 +173,7 @@ def get_document(services: ServicesOf, principal: PrincipalOf, submission_id: UU
 @router.get("/{submission_id}/action-matches")
 def get_action_matches(services: ServicesOf, principal: PrincipalOf, submission_id: UUID) -> list[ActionMatchView]:
     """Return how many of a verified log's actions each later model of the team gives; none for all but a log."""
-    with services.database.transaction() as session:
+    with services.database.reading() as session:
         return action_matches.action_matches(session, principal, submission_id)
 
 

@@ -41,14 +41,14 @@ def get_track(services: ServicesOf, track: str) -> TrackView:
 @router.get("/competition")
 def get_competition(services: ServicesOf) -> CompetitionView:
     """Return the competition of this service: schedule, rules, prizes, commitments, at the end winners; else 404."""
-    with services.database.transaction() as session:
+    with services.database.reading() as session:
         return competition_view(session)
 
 
 @router.get("/competition/archive")
 def get_archive(services: ServicesOf) -> ArchiveView:
     """Return winners and boards as they were when the competition was finalized, and how to cite; before that 404."""
-    with services.database.transaction() as session:
+    with services.database.reading() as session:
         return archive_view(session)
 
 
@@ -62,7 +62,7 @@ def get_leaderboard(
     stage: Stage = None,
 ) -> Response:
     """Return the standings of a track or of one of its tasks: the best completed evaluation of each team."""
-    with services.database.transaction() as session:
+    with services.database.reading() as session:
         board = leaderboard(session, track, task=task, stage=stage)
     return _answer(request, board)
 
@@ -70,7 +70,7 @@ def get_leaderboard(
 @router.get("/leaderboards/{track}/logs", response_model=LogBoardsView, responses=UNCHANGED)
 def get_log_boards(request: Request, services: ServicesOf, track: str, stage: Stage = None) -> Response:
     """Return the verified logs of a track, ranked by task, and the 2025 text logs, which are not ranked."""
-    with services.database.transaction() as session:
+    with services.database.reading() as session:
         board = log_boards(session, track, stage=stage)
     return _answer(request, board)
 

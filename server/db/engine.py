@@ -1,16 +1,19 @@
 """Connections and transactions: `Database` is made once per process and passed down."""
 
+import select
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TypeVar
 
 import msgspec
+import psycopg
 import structlog
 from sqlalchemy import Engine, create_engine, event, make_url
 from sqlalchemy.engine.interfaces import DBAPIConnection
-from sqlalchemy.exc import DBAPIError
+from sqlalchemy.exc import DBAPIError, InvalidatePoolError
 from sqlalchemy.orm import Session, sessionmaker
+from sqlalchemy.pool import ConnectionPoolEntry
 
 ResultT = TypeVar("ResultT")
 logger = structlog.get_logger(__name__)
@@ -30,6 +33,10 @@ LET_GO = (
 """When the database takes the locks from who has gone: a machine without power is noticed after 25 s instead of two
 hours, a process that stands still after a while that is longer than storing a file takes."""
 
+TRUSTED_FOR_S = 30.0
+"""A connection that was used within this time is not asked whether it works, unless the database has said something on
+it meanwhile: it says so when it closes it, and all that stands between the two forgets connections later than this."""
+
 RETRY_PAUSES_S = (0.05, 0.1, 0.2, 0.5, 1.0)
 
 
@@ -38,23 +45,40 @@ class Database:
 
     def __init__(self, address: str, *, pool_size: int = 10) -> None:
         self.address = address
-        # pre_ping: a pooled connection that died with the server is replaced before anybody uses it.
         self.engine: Engine = create_engine(
             sqlalchemy_url(address),
             pool_size=pool_size,
             max_overflow=20,
-            pool_pre_ping=True,
             json_deserializer=msgspec.json.decode,
             connect_args={"connect_timeout": 15, "application_name": "vitac", **ENCODING},
         )
         event.listen(self.engine, "connect", _let_go_when_gone)
+        event.listen(self.engine, "checkin", _note_use)
+        event.listen(self.engine, "checkout", _replace_if_dead)
         self._sessions = sessionmaker(self.engine, expire_on_commit=False)
+        self._readers = sessionmaker(self.engine, autoflush=False)
 
     @contextmanager
     def transaction(self) -> Iterator[Session]:
         """Return a session whose work is committed at the end of the block and rolled back on an error."""
         with self._sessions.begin() as session:
             yield session
+
+    @contextmanager
+    def reading(self) -> Iterator[Session]:
+        """Return a session to read with, in which each statement stands alone.
+
+        It sees what one of `transaction` would, where each statement sees what is committed by then, but nothing is
+        begun and committed: two exchanges with the database less. One statement may change something.
+
+        Raises:
+            RuntimeError: a row was changed as an object, which would be lost.
+        """
+        with self._readers() as session:
+            session.connection(execution_options={"isolation_level": "AUTOCOMMIT"})
+            yield session
+            if session.new or session.dirty or session.deleted:
+                raise RuntimeError("A session that only reads was given rows to change; use Database.transaction().")
 
     @contextmanager
     def snapshot(self) -> Iterator[Session]:
@@ -92,6 +116,31 @@ def _let_go_when_gone(connection: DBAPIConnection, _: object) -> None:
     cursor.execute("; ".join(LET_GO))
     cursor.close()
     connection.commit()
+
+
+def _note_use(_: DBAPIConnection | None, entry: ConnectionPoolEntry) -> None:
+    entry.info["used_at"] = time.monotonic()
+
+
+def _replace_if_dead(connection: DBAPIConnection, entry: ConnectionPoolEntry, _: object) -> None:
+    """Have a pooled connection that died with the server replaced before anybody uses it."""
+    used_at: float | None = entry.info.get("used_at")
+    if used_at is None:  # made just now
+        return
+    try:
+        if time.monotonic() - used_at < TRUSTED_FOR_S and not _has_said_something(connection):
+            return
+        connection.cursor().execute("SELECT 1")
+        connection.rollback()
+    except psycopg.Error as error:
+        raise InvalidatePoolError from error
+
+
+def _has_said_something(connection: DBAPIConnection) -> bool:
+    """Return whether something was sent that nobody asked for, as when the server ends."""
+    poll = select.poll()
+    poll.register(connection.fileno(), select.POLLIN)
+    return bool(poll.poll(0))
 
 
 def is_connection_loss(error: DBAPIError) -> bool:

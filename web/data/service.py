@@ -39,8 +39,8 @@ from .limits import limit_rows, size
 from .protocol import RegisteredTeam, ShownSensor, SubmissionDetail, Visitor
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Callable, Collection, Sequence
-    from contextlib import AbstractAsyncContextManager
+    from collections.abc import AsyncIterator, Awaitable, Callable, Collection, Sequence
+    from contextlib import AbstractAsyncContextManager, AbstractContextManager
     from datetime import datetime
     from uuid import UUID
 
@@ -85,7 +85,7 @@ class ServiceData:
 
     async def visitor_with_token(self, token: str) -> Visitor | None:
         """Return the holder of an API token."""
-        return await self._visitor(lambda session: tokens.authenticate(session, token))
+        return await self._visitor(self.read(lambda session: tokens.authenticate(session, token)))
 
     async def visitor_with_password(self, given: PasswordSignIn) -> Visitor | None:
         """Begin a session for who signed in."""
@@ -96,7 +96,7 @@ class ServiceData:
             made = members.sign_in(session, given.team, given.member, given.password, LIFETIME)
             return tokens.principal_of_token_id(session, made.id)
 
-        return await self._visitor(begun)
+        return await self._visitor(self.ask(begun))
 
     async def end_session(self, visitor: Visitor) -> None:
         """End the session of a browser that signed in with a password."""
@@ -109,7 +109,7 @@ class ServiceData:
 
     async def visitor_with_token_id(self, token_id: UUID) -> Visitor | None:
         """Return the holder of a token that signed in before."""
-        return await self._visitor(lambda session: tokens.principal_of_token_id(session, token_id))
+        return await self._visitor(self.read(lambda session: tokens.principal_of_token_id(session, token_id)))
 
     def registration(self) -> Registration:
         """Return who may register a team."""
@@ -146,15 +146,15 @@ class ServiceData:
 
     async def leaderboard(self, track: str, task: str | None, stage: str | None = None) -> LeaderboardView:
         """Return the leaderboard of a track, or of one of its tasks; `stage` None is the stage that opened last."""
-        return await self.ask(lambda session: standings.leaderboard(session, track, task=task, stage=stage).view)
+        return await self.read(lambda session: standings.leaderboard(session, track, task=task, stage=stage).view)
 
     async def competition(self) -> CompetitionView:
         """Return the competition of this service."""
-        return await self.ask(competition_view)
+        return await self.read(competition_view)
 
     async def stages(self, track: str) -> Sequence[StageView]:
         """Return the stages of a track."""
-        return await self.ask(lambda session: track_stages(session, track))
+        return await self.read(lambda session: track_stages(session, track))
 
     async def archive(self) -> ArchiveView:
         """Return the archive of the competition."""
@@ -162,7 +162,7 @@ class ServiceData:
 
     async def log_boards(self, track: str, stage: str | None = None) -> LogBoardsView:
         """Return the logs of a track."""
-        return await self.ask(lambda session: log_boards.log_boards(session, track, stage=stage).view)
+        return await self.read(lambda session: log_boards.log_boards(session, track, stage=stage).view)
 
     async def submission(self, visitor: Visitor | None, submission_id: UUID) -> SubmissionDetail:
         """Return one submission with its episodes, all read in one transaction."""
@@ -180,11 +180,11 @@ class ServiceData:
                 past=history.past_results(session, by, shown) if is_own else (),
             )
 
-        return await self.ask(detail)
+        return await self.read(detail)
 
     async def public_among(self, submissions: Collection[UUID]) -> Collection[UUID]:
         """Return those of some submissions that everybody may see."""
-        return await self.ask(lambda session: public_pages.public_among(session, submissions)) if submissions else ()
+        return await self.read(lambda session: public_pages.public_among(session, submissions)) if submissions else ()
 
     async def set_public(self, visitor: Visitor, submission_id: UUID, *, public: bool) -> None:
         """Let everybody see the result of a submission, or its team only."""
@@ -193,7 +193,7 @@ class ServiceData:
 
     async def submissions(self, visitor: Visitor, before: UUID | None, track: str | None = None) -> SubmissionListView:
         """Return a page of submissions."""
-        return await self.ask(
+        return await self.read(
             lambda session: listing.list_submissions(
                 session, self.settings, visitor.principal, track=track, before=before
             )
@@ -303,9 +303,9 @@ class ServiceData:
         """Return the limits in force."""
         return limit_rows(self.settings.limits)
 
-    async def _visitor(self, authenticate: Callable[[Session], Principal]) -> Visitor | None:
+    async def _visitor(self, authenticated: Awaitable[Principal]) -> Visitor | None:
         try:
-            principal = await self.ask(authenticate)
+            principal = await authenticated
         except ServiceError as error:
             if error.code is ProblemCode.INVALID_CREDENTIALS:
                 return None
@@ -313,12 +313,17 @@ class ServiceData:
         return None if principal.token_id is None else Visitor(principal=principal, token_id=principal.token_id)
 
     async def ask(self, query: Callable[[Session], ResultT]) -> ResultT:
-        """Return what a function of the service layer gives."""
-        return await asyncio.to_thread(self._run_in_transaction, query)
+        """Return what a function of the service layer gives, which may change something."""
+        return await asyncio.to_thread(_run, self.database.transaction, query)
 
-    def _run_in_transaction(self, query: Callable[[Session], ResultT]) -> ResultT:
-        with self.database.transaction() as session:
-            return query(session)
+    async def read(self, query: Callable[[Session], ResultT]) -> ResultT:
+        """Return what a function of the service layer gives that only reads."""
+        return await asyncio.to_thread(_run, self.database.reading, query)
+
+
+def _run(opened: Callable[[], AbstractContextManager[Session]], query: Callable[[Session], ResultT]) -> ResultT:
+    with opened() as session:
+        return query(session)
 
 
 def _principal(visitor: Visitor | None) -> Principal:

@@ -3,6 +3,7 @@ from datetime import UTC, datetime, timedelta
 from uuid import uuid4
 
 import pytest
+from database_work import database_work
 from service_factories import make_principal
 from sqlalchemy import text
 from vitac.server.accounts import teams, tokens
@@ -113,6 +114,17 @@ def test_use_is_noted_but_not_at_every_request(database: Database, principal: Pr
     assert used[0] == used[1]
     assert used[0] is not None
     assert datetime.now(UTC) - used[0] < timedelta(minutes=1)
+
+
+def test_who_asks_is_found_by_one_statement(database: Database, principal: Principal) -> None:
+    """Every request asks."""
+    issued = issue(database, principal)
+    statements = []
+    for _ in range(2):
+        with database.transaction() as session, database_work(session) as work:
+            assert tokens.authenticate(session, issued.secret).team_name == principal.team_name
+        statements.append(work.statements)
+    assert statements == [2, 1], "the first one notes the use, too"
 
 
 def test_audit_log_tells_who_issued_and_revoked(database: Database, principal: Principal) -> None:

@@ -8,7 +8,9 @@ from sqlalchemy import Text, cast, literal, select, text
 from sqlalchemy.dialects.postgresql import JSONB
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.orm import Session
+from vitac.server.db import engine
 from vitac.server.db.engine import Database, is_connection_loss, sqlalchemy_url
+from vitac.server.db.models import Worker
 from vitac.server.queue.jobs import enqueue_shards
 
 
@@ -132,13 +134,48 @@ def test_server_that_is_not_there_is_a_connection_loss() -> None:
     assert is_connection_loss(failed.value)
 
 
-def test_pooled_connection_that_died_is_replaced(database: Database) -> None:
+@pytest.mark.parametrize("trusted_for_s", [0.0, 30.0])
+def test_pooled_connection_that_died_is_replaced(
+    database: Database, monkeypatch: pytest.MonkeyPatch, trusted_for_s: float
+) -> None:
+    """Whether it is asked first, or trusted as it was used a moment ago."""
+    monkeypatch.setattr(engine, "TRUSTED_FOR_S", trusted_for_s)
+    for opened in (database.transaction, database.reading):
+        with opened() as session:
+            backend = session.scalar(text("SELECT pg_backend_pid()"))
+        with psycopg.connect(database.address) as other:
+            other.execute("SELECT pg_terminate_backend(%s, 5000)", [backend])
+        with opened() as session:
+            assert session.scalar(text("SELECT pg_backend_pid()")) != backend
+
+
+def test_pooled_connection_is_asked_whether_it_works_only_after_a_while(
+    database: Database, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The database tells the last statement of each connection."""
+    last = []
     with database.transaction() as session:
-        backend = session.scalar(text("SELECT pg_backend_pid()"))
-    with psycopg.connect(database.address) as other:
-        other.execute("SELECT pg_terminate_backend(%s)", [backend])
-    with database.transaction() as session:
-        assert session.scalar(text("SELECT 1")) == 1
+        pid = session.scalar(text("SELECT pg_backend_pid()"))
+    for trusted_for_s in (30.0, 0.0):
+        monkeypatch.setattr(engine, "TRUSTED_FOR_S", trusted_for_s)
+        with database.engine.connect(), psycopg.connect(database.address) as other:
+            last.append(other.execute("SELECT query FROM pg_stat_activity WHERE pid = %s", [pid]).fetchone())
+    assert last == [("COMMIT",), ("ROLLBACK",)]
+
+
+def test_reading_begins_no_transaction_and_leaves_the_connection_as_it_was(database: Database) -> None:
+    added = text("INSERT INTO audit_log (actor, action, subject, after) VALUES ('a', 'b', 'c', '{}')")
+    with database.reading() as session:
+        assert session.scalar(text("SELECT now()")) < session.scalar(text("SELECT now()"))
+    with database.engine.connect() as connection:
+        connection.execute(added)  # and never commit it
+    with database.reading() as session:
+        assert session.scalar(text("SELECT count(*) FROM audit_log")) == 0
+
+
+def test_reading_refuses_changes_of_rows_that_would_be_lost(database: Database) -> None:
+    with pytest.raises(RuntimeError, match="only reads"), database.reading() as session:
+        session.add(Worker())
 
 
 @pytest.mark.parametrize("scheme", ["postgresql", "postgres+psycopg", "postgresql+psycopg"])
