@@ -21,6 +21,22 @@ class Kept(Generic[KeyT, ValueT]):
         self._lock = Lock()
         self._values: OrderedDict[KeyT, ValueT] = OrderedDict()
 
+    def find(self, key: KeyT) -> ValueT | None:
+        """Return the value under a key; None where it is not kept."""
+        with self._lock:
+            found = self._values.get(key)
+            if found is not None:
+                self._values.move_to_end(key)
+            return found
+
+    def keep(self, key: KeyT, value: ValueT) -> None:
+        """Keep a value that was made with others."""
+        with self._lock:
+            self._values[key] = value
+            self._values.move_to_end(key)
+            while len(self._values) > self._at_most:
+                self._values.popitem(last=False)
+
     def get(self, key: KeyT, make: Callable[[], ValueT]) -> ValueT:
         """Return the value under a key; made only where it is not kept, perhaps by two threads at once."""
         with self._lock:
@@ -28,8 +44,5 @@ class Kept(Generic[KeyT, ValueT]):
                 self._values.move_to_end(key)
                 return self._values[key]
         value = make()
-        with self._lock:
-            self._values[key] = value
-            while len(self._values) > self._at_most:
-                self._values.popitem(last=False)
+        self.keep(key, value)
         return value

@@ -9,7 +9,7 @@ from ..accounts.principals import CONSOLE
 from ..db.models import Evaluation, Shard, Submission
 from ..db.states import EvaluationState
 from ..errors import not_found
-from ..queue.workers import workers_alive
+from ..queue.workers import fleet
 from ..settings import Settings
 from ..views.evaluations import EvaluationDetailView, EvaluationRowView, ShardView
 from .copies import count_copied_episodes
@@ -50,7 +50,7 @@ def show_evaluation(session: Session, settings: Settings, evaluation_id: UUID) -
         ServiceError: there is none.
     """
     evaluation = find(session, evaluation_id)
-    workers = workers_alive(session, settings, evaluation.evaluator_version)
+    workers = fleet(session, settings).alive
     rows = EvaluationRows.read(session, [evaluation], CONSOLE, with_output=True)
     return EvaluationDetailView(
         **dict(evaluation_view(evaluation, workers, rows)),

@@ -74,6 +74,8 @@ def isolation_levels(session: Session, evaluations: Collection[Evaluation]) -> d
     """Return by evaluation how the policy was isolated, once for each kind of machine that ran a shard."""
     ids = [evaluation.id for evaluation in evaluations]
     levels: dict[UUID, list[str]] = {evaluation_id: [] for evaluation_id in ids}
+    if not ids:
+        return levels
     rows = session.execute(
         select(Shard.evaluation_id, Shard.isolation)
         .where(among(Shard.evaluation_id, ids), Shard.isolation.is_not(None))

@@ -1,17 +1,18 @@
 """Makes the view of an evaluation out of its rows; called where submissions and evaluations are shown."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Self
 from uuid import UUID
 
-from sqlalchemy import select
+from sqlalchemy import Row, select
 from sqlalchemy.orm import Session
-from vitac.evaluator.scoring.ranking import CombinedScore
+from vitac.evaluator.tracks import ListKind
 
 from ..accounts.principals import Principal
 from ..accounts.visibility import has_lists, played_list_kind, sight_of
+from ..db.among import among
 from ..db.models import EpisodeResult, Evaluation
 from ..db.states import ACTIVE_EVALUATION_STATES, TERMINAL_EVALUATION_STATES, EvaluationState
 from ..errors import TRACK_REMOVED
@@ -47,12 +48,17 @@ PROGRESS_STEPS = 10
 SEALED_DETAILS = "The list is sealed; the details are shown once its secret is published."
 
 
+_complete: Kept[tuple[UUID, bool, ListKind], EvaluationView] = Kept(at_most=5000)
+"""Completed evaluations as a list shows them: these do not change. By whether episodes are hidden, and kind of list."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class EvaluationRows:
     """What the views of evaluations show out of other tables, by evaluation, read once for all of them.
 
     Attributes:
-        isolation: how policies were isolated.
+        kept: completed evaluations that were shown before.
+        isolation: how policies were isolated, of the others.
         differing: episodes that were run again with another record; None where only organizers may see them.
         output: the end of what policies printed; nothing where many are shown.
         packages: what policies could import; nothing where many are shown.
@@ -63,6 +69,7 @@ class EvaluationRows:
         mean_s: mean time that an episode of some tasks takes of a slot [s], by how many it plays at once.
     """
 
+    kept: Mapping[UUID, EvaluationView]
     isolation: Mapping[UUID, list[str]]
     differing: Mapping[UUID, list[DifferingEpisodeView]] | None
     output: Mapping[UUID, str]
@@ -84,88 +91,101 @@ class EvaluationRows:
             with_output: with what the policies printed, which is up to 64 Ki characters each, and could import.
         """
         sights = {found.id: sight_of(by, found) for found in evaluations}
-        for found in evaluations if with_output else ():
-            session.refresh(found, ["log_tail", "packages"])  # both by one statement: lists leave them out
+        hidden = frozenset(found for found, sight in sights.items() if not sight.episodes)
+        kept = {
+            found.id: view
+            for found in evaluations
+            if found.state is EvaluationState.COMPLETED and (view := _complete.find(_key(found, hidden)))
+        }
+        printed = _printed(session, sights) if with_output else {}
         return cls(
-            isolation=isolation_levels(session, evaluations),
+            kept=kept,
+            isolation=isolation_levels(session, [found for found in evaluations if found.id not in kept]),
             differing=differing_episodes(session, evaluations) if by.is_organizer else None,
             output={
-                found.id: _output(session, found) for found in evaluations if with_output and sights[found.id].output
+                found.id: _output(session, found, printed[found.id].log_tail)
+                for found in evaluations
+                if with_output and sights[found.id].output
             },
-            packages={found.id: found.packages for found in evaluations if with_output},
+            packages={found: row.packages for found, row in printed.items()},
             counts=episode_counts(session, evaluations),
-            hidden=frozenset(found for found, sight in sights.items() if not sight.episodes),
+            hidden=hidden,
             positions=queue_positions(session, evaluations),
             ahead=episodes_ahead(session, evaluations),
             mean_s=cache(lambda at_once: mean_episode_s(session, dict(at_once))),
         )
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Outcome:
-    """What an evaluation has reached: finished episodes, and the scores of a completed one."""
-
-    progress: ProgressView
-    combined: CombinedScore | None
-    scores: list[TaskScoreView]
-
-    @classmethod
-    def of(cls, evaluation: Evaluation, counts: EpisodeCounts) -> Self:
-        """Return what its row says, and until it is scored the counts of its episodes."""
-        scores = scores_of(evaluation)
-        return cls(
-            progress=progress_of(evaluation, evaluation.submission, counts),
-            combined=combination_of(evaluation, scores),
-            scores=task_views(evaluation, scores),
-        )
-
-
-_outcomes: Kept[UUID, _Outcome] = Kept(at_most=5000)
-"""Of completed evaluations; they do not change."""
-
-
-def evaluation_view(evaluation: Evaluation, workers: WorkersAlive, rows: EvaluationRows) -> EvaluationView:
+def evaluation_view(
+    evaluation: Evaluation, workers: Callable[[str], WorkersAlive], rows: EvaluationRows
+) -> EvaluationView:
     """Return an evaluation as it is shown.
 
     Args:
         evaluation: whose view.
-        workers: those alive of its evaluator version.
+        workers: those alive of an evaluator version.
         rows: of this evaluation among others.
     """
-    if evaluation.state is EvaluationState.COMPLETED:
-        outcome = _outcomes.get(evaluation.id, lambda: _Outcome.of(evaluation, {}))
-    else:
-        outcome = _Outcome.of(evaluation, rows.counts.get(evaluation.id, {}))
-    progress, combined, verdict = outcome.progress, outcome.combined, verdict_view(evaluation)
-    if evaluation.id in rows.hidden:
-        progress, verdict = _coarse(progress, outcome.scores), _without_details(verdict, evaluation)
+    view = rows.kept.get(evaluation.id)
+    if view is None:
+        view = _view(evaluation, workers, rows)
+        if evaluation.state is EvaluationState.COMPLETED:
+            _complete.keep(_key(evaluation, rows.hidden), view)
+    more: dict[str, object] = {}
+    if evaluation.id in rows.packages:
+        more |= {"log_tail": rows.output.get(evaluation.id, ""), "packages": rows.packages[evaluation.id]}
+    if rows.differing is not None:
+        more["differing_episodes"] = rows.differing[evaluation.id]
+    return view.model_copy(update=more) if more else view
+
+
+def _key(evaluation: Evaluation, hidden: Collection[UUID]) -> tuple[UUID, bool, ListKind]:
+    return evaluation.id, evaluation.id in hidden, played_list_kind(evaluation)
+
+
+def _view(evaluation: Evaluation, workers: Callable[[str], WorkersAlive], rows: EvaluationRows) -> EvaluationView:
+    """Return an evaluation as a list shows it to teams."""
+    scores = scores_of(evaluation)
+    combined, shown_scores = combination_of(evaluation, scores), task_views(evaluation, scores)
+    progress = progress_of(evaluation, evaluation.submission, rows.counts.get(evaluation.id, {}))
+    verdict, is_hidden = verdict_view(evaluation), evaluation.id in rows.hidden
+    if is_hidden:
+        progress, verdict = _coarse(progress, shown_scores), _without_details(verdict, evaluation)
     return EvaluationView(
         **vars(summary_view(evaluation)),
         started_at=evaluation.started_at,
         queue_position=rows.positions.get(evaluation.id),
-        eta_s=None if evaluation.id in rows.hidden else _seconds_to_end(evaluation, progress, workers, rows),
+        eta_s=None if is_hidden else _seconds_to_end(evaluation, progress, workers, rows),
         progress=progress,
         verdict=verdict,
-        log_tail=rows.output.get(evaluation.id, ""),
+        log_tail="",
         success_rate=combined.success_rate if combined else None,
         success_rate_interval=bounds(combined.interval) if combined else None,
         mean_steps=combined.mean_steps if combined else None,
-        scores=outcome.scores,
+        scores=shown_scores,
         counted_tasks=list(counted_tasks(evaluation)),
         evaluator_hash=evaluation.evaluator_hash,
         platform_class=evaluation.platform_class,
         isolation=rows.isolation[evaluation.id],
-        packages=rows.packages.get(evaluation.id, []),
+        packages=[],
         list_kind=played_list_kind(evaluation),
         commitment=evaluation.commitment,
-        episodes_hidden=evaluation.id in rows.hidden,
-        differing_episodes=None if rows.differing is None else rows.differing[evaluation.id],
+        episodes_hidden=is_hidden,
+        differing_episodes=None,
     )
 
 
 def summary_view(evaluation: Evaluation) -> EvaluationSummaryView:
     """Return an evaluation as a line of its submission's history."""
-    return EvaluationSummaryView.model_validate(evaluation, from_attributes=True)
+    return EvaluationSummaryView(
+        id=evaluation.id,
+        run=evaluation.run,
+        state=evaluation.state,
+        evaluator_version=evaluation.evaluator_version,
+        created_at=evaluation.created_at,
+        finished_at=evaluation.finished_at,
+        result_hash=evaluation.result_hash,
+    )
 
 
 def verdict_view(evaluation: Evaluation) -> VerdictView | None:
@@ -197,21 +217,30 @@ def _without_details(verdict: VerdictView | None, evaluation: Evaluation) -> Ver
 
 
 def _seconds_to_end(
-    evaluation: Evaluation, progress: ProgressView, workers: WorkersAlive, rows: EvaluationRows
+    evaluation: Evaluation, progress: ProgressView, workers: Callable[[str], WorkersAlive], rows: EvaluationRows
 ) -> float | None:
-    if evaluation.state not in ACTIVE_EVALUATION_STATES or not workers.slots:
+    if evaluation.state not in ACTIVE_EVALUATION_STATES:
+        return None
+    alive = workers(evaluation.evaluator_version)
+    if not alive.slots:
         return None
     known = {task.task: known_task(evaluation.submission.track, task.task) for task in progress.tasks}
     at_once = tuple((name, task.definition.batch_size if task else 1) for name, task in known.items())
     mean_s = rows.mean_s(at_once)
-    return seconds_to_end(progress, ahead=rows.ahead.get(evaluation.id, 0), slots=workers.slots, mean_s=mean_s)
+    return seconds_to_end(progress, ahead=rows.ahead.get(evaluation.id, 0), slots=alive.slots, mean_s=mean_s)
 
 
-def _output(session: Session, evaluation: Evaluation) -> str:
+def _printed(session: Session, evaluations: Collection[UUID]) -> dict[UUID, Row[UUID, str, list[dict[str, str]]]]:
+    """Return what lists leave out."""
+    columns = Evaluation.id, Evaluation.log_tail, Evaluation.packages
+    return {row.id: row for row in session.execute(select(*columns).where(among(Evaluation.id, evaluations)))}
+
+
+def _output(session: Session, evaluation: Evaluation, log_tail: str) -> str:
     """Return what was kept at the end; while it runs, the output of the last episode that the policy failed in."""
     submission = evaluation.submission
     if evaluation.state in TERMINAL_EVALUATION_STATES:
-        return evaluation.log_tail
+        return log_tail
     tail = session.scalar(
         select(EpisodeResult.record["failure"]["output_tail"].astext)
         .where(*EpisodeKey.of(evaluation, submission).conditions(), EpisodeResult.outcome == "policy_failed")

@@ -19,6 +19,9 @@ ValueT = TypeVar("ValueT")
 NOTES_KEPT = 1000
 """So many of the newest notes stay, which one statement reads within a fraction of a millisecond."""
 
+_SEEN = select(func.count(), func.sum(BoardChange.mark))
+"""Marks are random: other changes do not have the same number and sum. A copy of a database has them, though."""
+
 _kept: Kept[Hashable, Any] = Kept(at_most=200)
 
 
@@ -30,8 +33,7 @@ def kept_until_change(session: Session, key: Hashable, read: Callable[[], ValueT
         key: all that the value depends on besides.
         read: reads the value, which nobody may change.
     """
-    # Marks are random: other changes do not have the same number and sum. A copy of a database has them, though.
-    seen = session.execute(select(func.count(), func.sum(BoardChange.mark))).one()
+    seen = session.execute(_SEEN).one()
     return cast(ValueT, _kept.get((session.get_bind().engine.url, *seen, evaluator_version(), key), read))
 
 

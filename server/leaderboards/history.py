@@ -41,4 +41,4 @@ def past_results(session: Session, by: Principal, shown: Evaluation) -> list[Pas
         .order_by(BoardResult.submitted_at.desc(), BoardResult.submission_id)
         .limit(MAX_RESULTS)
     )
-    return [PastResultView.model_validate(row, from_attributes=True) for row in rows]
+    return [PastResultView(**row) for row in rows.mappings()]

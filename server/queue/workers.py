@@ -5,10 +5,11 @@ import shutil
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
+from functools import cache
 from pathlib import Path
 from uuid import UUID
 
-from sqlalchemy import ColumnElement, and_, delete, func, select, update
+from sqlalchemy import ColumnElement, Select, and_, delete, func, select, update
 from sqlalchemy.orm import Session
 from vitac.envs.tasks.definition import Family
 from vitac.evaluator.agent.description import SandboxDescription
@@ -99,22 +100,30 @@ def heartbeat(session: Session, worker_id: UUID, state: WorkerState, disk: Disk,
 
 def is_alive(settings: Settings) -> ColumnElement[bool]:
     """Return the condition that a worker takes shards and is not lost."""
-    lost_before = func.clock_timestamp() - timedelta(seconds=settings.worker_lost_after_s)
+    return _takes_shards(settings.worker_lost_after_s)
+
+
+def _takes_shards(lost_after_s: float) -> ColumnElement[bool]:
+    lost_before = func.clock_timestamp() - timedelta(seconds=lost_after_s)
     return and_(Worker.state == WorkerState.READY, Worker.heartbeat_at > lost_before)
+
+
+@cache
+def _alike(lost_after_s: float) -> Select[str, list[str], int, int, datetime]:
+    """Return the query of groups of workers, which is put together once: it is part of each page of submissions."""
+    taking = _takes_shards(lost_after_s)
+    return select(
+        Worker.evaluator_version,
+        Worker.families,
+        func.count().filter(taking),
+        func.coalesce(func.sum(Worker.slots).filter(taking), 0),
+        func.max(Worker.heartbeat_at),
+    ).group_by(Worker.evaluator_version, Worker.families)
 
 
 def fleet(session: Session, settings: Settings) -> Fleet:
     """Return the workers that take shards and are not lost."""
-    taking = is_alive(settings)
-    rows = session.execute(
-        select(
-            Worker.evaluator_version,
-            Worker.families,
-            func.count().filter(taking),
-            func.coalesce(func.sum(Worker.slots).filter(taking), 0),
-            func.max(Worker.heartbeat_at),
-        ).group_by(Worker.evaluator_version, Worker.families)
-    ).all()
+    rows = session.execute(_alike(settings.worker_lost_after_s)).all()
     groups = [
         AlikeWorkers(evaluator_version=version, families=families, alive=alive, slots=slots)
         for version, families, alive, slots, _ in rows

@@ -2,7 +2,6 @@
 
 from uuid import UUID
 
-from pydantic import TypeAdapter
 from sqlalchemy import select, tuple_
 from sqlalchemy.orm import Session, joinedload
 
@@ -17,8 +16,6 @@ from ..settings import Settings
 from ..sharing.public_pages import readable
 from ..views.submissions import EpisodeView, SubmissionListView, SubmissionView
 from .view import submission_views
-
-_EPISODES = TypeAdapter(list[EpisodeView])
 
 
 def get(session: Session, settings: Settings, by: Principal, submission_id: UUID) -> SubmissionView:
@@ -92,4 +89,7 @@ def episodes_of(session: Session, by: Principal, evaluation: Evaluation) -> list
         .where(*key.conditions())
         .order_by(EpisodeResult.task, EpisodeResult.episode)
     )
-    return _EPISODES.validate_python(rows.all(), from_attributes=True)
+    return [
+        EpisodeView(task=task, episode=episode, shape=shape, outcome=outcome, success=success, env_steps=env_steps)
+        for task, episode, shape, outcome, success, env_steps in rows
+    ]

@@ -133,7 +133,7 @@ def _view(runs: Sequence[Evaluation], shown: _Shown) -> SubmissionView:
         archive_bytes=submission.archive_bytes,
         submitted_at=submission.submitted_at,
         public=submission.is_public,
-        evaluation=evaluation_view(newest, shown.fleet.alive(newest.evaluator_version), shown.evaluations),
+        evaluation=evaluation_view(newest, shown.fleet.alive, shown.evaluations),
         evaluations=[summary_view(evaluation) for evaluation in shown_runs],
         workers=shown.workers(newest.evaluator_version, submission.track, tuple(submission.tasks)),
         rank=ranks.get(None),

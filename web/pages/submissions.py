@@ -57,9 +57,33 @@ async def submissions(request: Request) -> Response:
         "submissions.html",
         viewer=viewer,
         section="/submissions",
-        submissions=found.items,
+        rows=_rows(request, found.items, with_team=viewer.is_organizer),
         older=found.next_before,
     )
+
+
+def _rows(request: Request, items: Sequence[SubmissionView], *, with_team: bool) -> Markup:
+    """Return the rows of submissions, each as it was last rendered with the same in it."""
+    fragments = site_of(request).fragments
+
+    def row(item: SubmissionView) -> Markup:
+        evaluation, log = item.evaluation, item.log
+        return fragments.get(
+            (
+                "submission_row.html",
+                item.id,
+                item.name,
+                item.team.name if with_team else None,
+                (log.label, log.verdict) if log else None,
+                evaluation.id,
+                evaluation.state,  # says whether it has scores, which do not change
+                evaluation.progress.episodes_done,
+                evaluation.progress.episodes_total,
+            ),
+            lambda: render("submission_row.html", request, item=item, with_team=with_team),
+        )
+
+    return Markup("\n".join(map(row, items)))  # noqa: S704 - rendered templates, whose values are escaped
 
 
 @open_to_all

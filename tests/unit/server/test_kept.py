@@ -16,6 +16,16 @@ def test_makes_a_value_once_and_drops_what_was_not_asked_for_longest() -> None:
     assert made == ["a", "b", "c", "b"]
 
 
+def test_what_was_made_with_others_is_kept_and_found() -> None:
+    kept: Kept[str, int] = Kept(at_most=2)
+    for key, value in (("a", 1), ("b", 2)):
+        kept.keep(key, value)
+    assert kept.find("a") == 1
+    kept.keep("c", 3)
+    assert [kept.find(key) for key in ("a", "b", "c")] == [1, None, 3]
+    assert kept.get("c", lambda: 4) == 3
+
+
 def test_a_value_that_could_not_be_made_is_asked_for_again() -> None:
     kept: Kept[str, int] = Kept(at_most=2)
     with pytest.raises(ZeroDivisionError):

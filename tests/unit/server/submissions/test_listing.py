@@ -145,6 +145,6 @@ def test_a_teams_list_reads_no_other_teams_rows_and_no_output(database: Database
     assert {item.evaluation.log_tail for item in found} == {""}
     with database.transaction() as session, database_work(session) as work:
         assert listing.get(session, SETTINGS, principal, found[0].id).evaluation.log_tail == "printed"
-    assert work.statements <= 7
+    assert work.statements <= 6
     assert work.rows_read["submissions"] <= 2
     assert work.rows_read["evaluations"] <= 3

@@ -1,16 +1,25 @@
 from types import SimpleNamespace
 
 import pytest
+from database_work import database_work
 from service_factories import (
     TASK,
+    make_score,
     play,
+    submit_scored,
 )
 from sqlalchemy import text
-from submission_steps import break_policy, create, ids_of, make_worker, view_of
-from vitac.server.accounts.principals import Principal
+from submission_steps import SETTINGS, break_policy, create, ids_of, make_worker, view_of
+from vitac.evaluator.tracks import ListKind
+from vitac.server.accounts import visibility
+from vitac.server.accounts.principals import CONSOLE, Principal
 from vitac.server.db.engine import Database
+from vitac.server.db.models import EpisodeDifference, Submission
 from vitac.server.db.states import EvaluationState, WorkerState
 from vitac.server.evaluations import view as evaluation_view
+from vitac.server.evaluations.history import newest_evaluation
+from vitac.server.submissions import listing
+from vitac.server.tracks import known_task
 
 
 def test_new_submission_is_queued_with_its_position(database: Database, principal: Principal) -> None:
@@ -70,3 +79,37 @@ def test_workers_that_are_lost_refusing_or_of_another_version_do_not_count_as_al
     view = view_of(database, principal, submission)
     assert view.workers.alive == 0
     assert view.workers.last_heartbeat_at is not None
+
+
+def test_a_completed_evaluation_is_read_once_and_shown_to_each_as_far_as_they_may_see_it(
+    database: Database, principal: Principal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with database.transaction() as session:
+        shown = submit_scored(session, principal, "model", {TASK: make_score(50)})
+        evaluation = newest_evaluation(session, shown)
+        report = {"task": TASK, "episode": 1, "stored_digest": "a" * 64, "differing_digest": "b" * 64}
+        session.add(EpisodeDifference(evaluation_id=evaluation.id, **report))
+        evaluation.log_tail = "printed"
+    statements: list[int] = []
+    for by, sealed, expected in (
+        (principal, False, (False, None)),
+        (principal, False, (False, None)),
+        (CONSOLE, False, (False, 1)),
+        (principal, True, (True, None)),
+        (CONSOLE, True, (False, 1)),
+        (principal, False, (False, None)),
+    ):
+        monkeypatch.setattr(visibility, "known_task", (lambda *_: None) if sealed else known_task)
+        with database.transaction() as session:
+            kind = ListKind.SEALED if sealed else ListKind.PUBLIC
+            newest_evaluation(session, session.get_one(Submission, shown.id)).list_kind = kind
+            session.flush()
+            with database_work(session) as work:
+                (item,) = listing.list_submissions(session, SETTINGS, by).items
+            alone = listing.get(session, SETTINGS, by, shown.id)
+        found, statements = item.evaluation, [*statements, work.statements]
+        differing = None if found.differing_episodes is None else len(found.differing_episodes)
+        assert (found.episodes_hidden, differing) == expected
+        assert (found.list_kind, found.log_tail) == (kind, "")
+        assert alone.evaluation.log_tail == ("" if found.episodes_hidden else "printed")
+    assert statements[1] == statements[-1] < statements[0]

@@ -40,6 +40,21 @@ def test_an_organizer_lists_all_with_their_teams(browser: AsgiBrowser) -> None:
     assert "Bears" in html
 
 
+def test_a_row_changes_with_what_it_shows(data: FixedData, browser: AsgiBrowser) -> None:
+    sign_in(browser, "Gelbots")
+    assert browser.get("/submissions").text == browser.get("/submissions").text
+    evaluation = RUNNING.evaluation
+    further = evaluation.progress.model_copy(update={"episodes_done": evaluation.progress.episodes_done + 1})
+    for changed, shown in (
+        ({"progress": further}, f"{further.episodes_done} of {further.episodes_total}"),
+        ({"state": EvaluationState.CANCELLED}, "Cancelled"),
+    ):
+        assert shown not in browser.get("/submissions").text
+        place = next(place for place, found in enumerate(data.found) if found.id == RUNNING.id)
+        data.found[place] = RUNNING.model_copy(update={"evaluation": evaluation.model_copy(update=changed)})
+        assert shown in browser.get("/submissions").text
+
+
 def test_no_submission_yet_tells_how_to_make_one(data: FixedData, browser: AsgiBrowser) -> None:
     data.found.clear()
     sign_in(browser, "Gelbots")
