@@ -1,10 +1,11 @@
 """Measures the service: whole evaluations of the example policies by parts, and the wait in the queue.
 
-Run it as `python benchmarks/service.py [--workers 2] [--waits 20] [--json FILE]` on an otherwise idle machine. It
-starts a database and workers of its own in a temporary folder, as `vitac serve` does, and waits until they have loaded
-the simulation. `cpu_s` says where the CPU time of an evaluation went, by kind of process; unlike its wall time it can
-be compared on a machine that does other work, except that `at_rest_s_per_s` goes on for as long as it takes. `slots_s`
-says how long the workers, all together, played no episode.
+Run it as `python benchmarks/service.py [--workers 1] [--slots 2] [--waits 20] [--json FILE]` on an otherwise idle
+machine. It starts a database and workers of its own in a temporary folder, as `vitac serve` does, and waits until they
+have loaded the simulation. One worker with a slot for each processor is what `vitac demo` starts and docs/capacity.md
+advises. `cpu_s` says where the CPU time of an evaluation went, by kind of process; unlike its wall time it can be
+compared on a machine that does other work, except that `at_rest_s_per_s` goes on for as long as it takes. `slots_s`
+says how long the slots, all together, played no episode.
 """
 
 import argparse
@@ -25,6 +26,7 @@ from typing import Any
 from uuid import UUID, uuid4
 
 from sqlalchemy import func, select
+from sqlalchemy.orm import Session
 from vitac.evaluator.agent.isolation.process_tree import cpu_s, descendants, reaped_cpu_s, text_of
 from vitac.evaluator.episodes.records import EpisodeRecord
 from vitac.evaluator.scoring.score import score
@@ -67,16 +69,20 @@ KINDS = {"vitac.evaluator.shards.host": "simulation", "vitac.worker.main": "work
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--workers", type=int, default=1, help="worker processes")
+    parser.add_argument(
+        "--slots", type=int, default=len(os.sched_getaffinity(0)), help="shards that each plays at once"
+    )
     parser.add_argument("--waits", type=int, default=20, help="how many waits in the queue are measured")
     parser.add_argument("--json", type=Path, help="write the figures to this file")
     arguments = parser.parse_args()
-    with service(arguments.workers) as (services, principal):
+    n_slots = arguments.workers * arguments.slots
+    with service(arguments.workers, arguments.slots) as (services, principal):
         time.sleep(LOADING_S)
         figures = {
             "evaluation": {
-                "peg-insertion": evaluation_figures(services, principal, PEG_INSERTION, arguments.workers),
-                "lock-opening": evaluation_figures(services, principal, LOCK_OPENING, arguments.workers),
+                "peg-insertion": evaluation_figures(services, principal, PEG_INSERTION, n_slots),
+                "lock-opening": evaluation_figures(services, principal, LOCK_OPENING, n_slots),
             },
             "at_rest_s_per_s": at_rest_figures(),
             "enqueue_to_start_ms": wait_figures(services, principal, arguments.waits),
@@ -87,8 +93,8 @@ def main() -> None:
 
 
 @contextmanager
-def service(n_workers: int) -> Iterator[tuple[Services, Principal]]:
-    """Open services with a team and ready workers."""
+def service(n_workers: int, slots: int) -> Iterator[tuple[Services, Principal]]:
+    """Open services with a team and ready workers, each with so many slots."""
     folder = Path(tempfile.mkdtemp(prefix="vitac-benchmark-"))
     folder.chmod(0o711)
     with ExitStack() as stack:
@@ -97,9 +103,10 @@ def service(n_workers: int) -> Iterator[tuple[Services, Principal]]:
         housekeeping = Housekeeping(services)
         housekeeping.start()
         stack.callback(housekeeping.stop)
+        variables = {"VITAC_STATE_DIR": str(services.settings.state_dir), "VITAC_WORKER_SLOTS": str(slots)}
         for _ in range(n_workers):
             process = subprocess.Popen(  # noqa: S603 - our own interpreter and module
-                [sys.executable, "-c", WORKER], env=os.environ | {"VITAC_STATE_DIR": str(services.settings.state_dir)}
+                [sys.executable, "-c", WORKER], env=os.environ | variables
             )
             stack.callback(process.wait)
             stack.callback(process.terminate)
@@ -109,7 +116,7 @@ def service(n_workers: int) -> Iterator[tuple[Services, Principal]]:
         yield services, Principal(role=Role.TEAM, team_id=team.id, team_name=team.name)
 
 
-def evaluation_figures(services: Services, principal: Principal, example: Path, n_workers: int) -> dict[str, Any]:
+def evaluation_figures(services: Services, principal: Principal, example: Path, n_slots: int) -> dict[str, Any]:
     """Return the wall time of all episodes of an example policy, and its parts [s]."""
     time.sleep(SANDBOXES_END_S)
     submission_id = upload(services, principal, example)
@@ -123,28 +130,35 @@ def evaluation_figures(services: Services, principal: Principal, example: Path, 
         task = done.submission.tasks[0]
         records = records_of(session, EpisodeKey.of(done, done.submission), task)
         machines = list(session.scalars(select(Worker.platform_class).distinct()))
-        ends = session.execute(
-            select(func.max(Shard.finished_at)).where(Shard.evaluation_id == done.id).group_by(Shard.worker_id)
-        )
-        idle_at_end_s = sum((done.finished_at - end).total_seconds() for (end,) in ends if end is not None)
+        idle_at_end_s = idle_after_last_start_s(session, done, n_slots)
     wall_s = (done.finished_at - done.started_at).total_seconds()
     sums = parts(services, records)
     return {
         "episodes": len(records),
-        "workers": n_workers,
+        "slots": n_slots,
         "processors": os.cpu_count(),
         "platform_class": machines,
         "wall_s": round(wall_s, 2),
         "cpu_s": used_s,
         "slots_s": {
-            "outside_episodes": round(n_workers * wall_s - sums["wall_s"], 2),
-            "of_it_after_last_shard": round(idle_at_end_s, 2),
+            "outside_episodes": round(n_slots * wall_s - sums["wall_s"], 2),
+            "of_it_without_a_shard_at_the_end": round(idle_at_end_s, 2),
         },
-        "wall_over_physics": round(wall_s * min(n_workers, os.cpu_count() or 1) / sums["physics_s"], 2),
+        "wall_over_physics": round(wall_s * min(n_slots, os.cpu_count() or 1) / sums["physics_s"], 2),
         "success_rate": score(records).success_rate,
         "result_hash": done.result_hash,
         "seconds_of_all_episodes": sums,
     }
+
+
+def idle_after_last_start_s(session: Session, evaluation: Evaluation, n_slots: int) -> float:
+    """Return how long the slots, all together, had no shard any more when the last one was at work [s]."""
+    query = select(Shard.started_at, Shard.finished_at).where(Shard.evaluation_id == evaluation.id)
+    times = [(start, end) for start, end in session.execute(query) if start is not None and end is not None]
+    last_start = max(start for start, _ in times)
+    end = max(end for _, end in times)
+    at_work_s = sum((end - max(start, last_start)).total_seconds() for start, end in times if end > last_start)
+    return n_slots * (end - last_start).total_seconds() - at_work_s
 
 
 def cpu_by_kind() -> dict[str, float]:

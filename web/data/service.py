@@ -165,7 +165,7 @@ class ServiceData:
         return await self.read(lambda session: log_boards.log_boards(session, track, stage=stage).view)
 
     async def submission(self, visitor: Visitor | None, submission_id: UUID) -> SubmissionDetail:
-        """Return one submission with its episodes, all read in one transaction."""
+        """Return one submission with its episodes."""
         by = _principal(visitor)
 
         def detail(session: Session) -> SubmissionDetail:
