@@ -1,9 +1,11 @@
 """Evaluations with the real environment in the real sandbox; a few episodes each."""
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from shared_simulation import SharedProcesses, evaluate_with, loaded_once
 from vitac.evaluator.agent.verdicts import VerdictCode
 from vitac.evaluator.episodes.episode import make_environment
 from vitac.evaluator.episodes.records import EpisodeOutcome, result_hash
@@ -79,6 +81,18 @@ def submission(tmp_path: Path) -> Path:
 
 
 @pytest.fixture(scope="module")
+def processes() -> Iterator[SharedProcesses]:
+    with loaded_once() as loaded:
+        yield loaded
+
+
+@pytest.fixture
+def shared_simulation(processes: SharedProcesses, monkeypatch: pytest.MonkeyPatch) -> None:
+    """For evaluations that are compared with `drifted`, which loads its own, or with nothing."""
+    evaluate_with(processes, monkeypatch)
+
+
+@pytest.fixture(scope="module")
 def drifted(tmp_path_factory: pytest.TempPathFactory) -> Evaluation:
     """An evaluation of the submission as it is, for all tests that look at one."""
     return run(drifting(tmp_path_factory.mktemp("drifted")))
@@ -105,6 +119,7 @@ def test_hash_is_the_same_for_workers_order_and_resume(submission: Path, drifted
         assert result_hash(process.result.manifest, resumed) == one.result_hash
 
 
+@pytest.mark.usefixtures("shared_simulation")
 def test_a_sealed_list_is_played_from_its_secret_which_no_policy_can_find(
     submission: Path, tmp_path: Path, drifted: Evaluation
 ) -> None:
@@ -122,6 +137,7 @@ def test_a_sealed_list_is_played_from_its_secret_which_no_policy_can_find(
     assert first.isdisjoint(record.state_hashes[0] for record in drifted.records)
 
 
+@pytest.mark.usefixtures("shared_simulation")
 def test_policy_that_counts_resets_scores_like_its_honest_twin(submission: Path, drifted: Evaluation) -> None:
     (submission / "policy.py").write_text(COUNTS_RESETS)
     counting = run(submission)
@@ -169,6 +185,7 @@ def test_log_of_an_evaluation_is_verified(drifted: Evaluation) -> None:
     assert result_hash(verification.manifest, verification.records) == drifted.result_hash
 
 
+@pytest.mark.usefixtures("shared_simulation")
 def test_policy_that_fails_in_every_episode_ends_the_evaluation(submission: Path) -> None:
     (submission / "policy.py").write_text(BROKEN_AT_THIRD_STEP)
     evaluation = run(submission, episodes=(1, 2, 3, 4, 5))
@@ -178,6 +195,7 @@ def test_policy_that_fails_in_every_episode_ends_the_evaluation(submission: Path
     assert {record.env_steps for record in evaluation.records} == {2}
 
 
+@pytest.mark.usefixtures("shared_simulation")
 def test_policy_that_cannot_be_imported_ends_the_evaluation_at_once(submission: Path) -> None:
     (submission / "policy.py").write_text("import a_module_that_nobody_has")
     evaluation = run(submission)
@@ -186,6 +204,7 @@ def test_policy_that_cannot_be_imported_ends_the_evaluation_at_once(submission: 
     assert "a_module_that_nobody_has" in evaluation.failure.output_tail
 
 
+@pytest.mark.usefixtures("shared_simulation")
 def test_nothing_privileged_reaches_a_policy(submission: Path) -> None:
     keys = "\n        assert set(observation) == {'marker_flow', 'relative_motion'}, set(observation)\n"
     (submission / "policy.py").write_text(NOTHING.replace("observation): ", f"observation):{keys}        "))
@@ -194,6 +213,7 @@ def test_nothing_privileged_reaches_a_policy(submission: Path) -> None:
     assert evaluation.records[0].failure is None
 
 
+@pytest.mark.usefixtures("shared_simulation")
 def test_lock_opening_is_evaluated_and_its_log_verified(submission: Path, repository: Path) -> None:
     track, task = find_task("lock-opening")
     (submission / "submission.yaml").write_text("{track: track_1, tasks: [lock-opening], name: test}")
@@ -212,6 +232,7 @@ def test_lock_opening_is_evaluated_and_its_log_verified(submission: Path, reposi
     assert (verification.verdict, verification.score) == (VerificationResult.VERIFIED, evaluation.score)
 
 
+@pytest.mark.usefixtures("shared_simulation")
 def test_sensor_of_a_team_is_played_in_every_shard_with_its_own_mesh_hash(
     submission: Path, repository: Path, drifted: Evaluation
 ) -> None:

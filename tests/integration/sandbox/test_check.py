@@ -1,11 +1,25 @@
 """`vitac check` lists everything that would be refused."""
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from shared_simulation import SharedProcesses, evaluate_with, loaded_once
 from submissions import FILES, MANIFEST, submission_folder, submission_zip
 from vitac.cli.main import main
+
+
+@pytest.fixture(scope="module")
+def processes() -> Iterator[SharedProcesses]:
+    with loaded_once() as loaded:
+        yield loaded
+
+
+@pytest.fixture
+def shared_simulation(processes: SharedProcesses, monkeypatch: pytest.MonkeyPatch) -> None:
+    """For all tests but the first, which loads the simulation as the command does."""
+    evaluate_with(processes, monkeypatch)
 
 
 def check(path: Path, capsys: pytest.CaptureFixture[str], *options: str) -> tuple[int, str]:
@@ -26,6 +40,7 @@ def test_a_good_submission_passes(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert "outcome steps. All env steps were used up." in text
 
 
+@pytest.mark.usefixtures("shared_simulation")
 def test_a_submission_of_two_tasks_is_tried_in_both(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     act = "np.ones({'peg-insertion': 3, 'lock-opening': 2}[self.task], np.float32)"
     policy = (
@@ -38,6 +53,7 @@ def test_a_submission_of_two_tasks_is_tried_in_both(tmp_path: Path, capsys: pyte
     assert (text.count("peg-insertion, episode"), text.count("lock-opening, episode")) == (2, 2)
 
 
+@pytest.mark.usefixtures("shared_simulation")
 def test_a_zip_and_its_folder_have_the_same_digest(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     archive = tmp_path / "s.zip"
     archive.write_bytes(submission_zip())
@@ -46,6 +62,7 @@ def test_a_zip_and_its_folder_have_the_same_digest(tmp_path: Path, capsys: pytes
     assert json.loads(of_zip) == json.loads(of_folder)
 
 
+@pytest.mark.usefixtures("shared_simulation")
 @pytest.mark.parametrize(
     ("name", "text", "told"),
     [
@@ -68,6 +85,7 @@ def test_what_would_be_refused_is_told(
     assert (told or "All checks passed") in output
 
 
+@pytest.mark.usefixtures("shared_simulation")
 def test_output_of_the_policy_is_shown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     code, text = check(with_files(tmp_path, policy__py="print('loading weights')\nraise OSError('gone')"), capsys)
     assert code == 1
