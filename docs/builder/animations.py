@@ -1,9 +1,8 @@
 """Draws an episode of each environment for its page, by `vitac show`; the pictures are kept until the code changes."""
 
+import io
 import shutil
-import subprocess
-import sys
-from concurrent.futures import ThreadPoolExecutor
+from contextlib import redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -71,15 +70,15 @@ def _draw(app: Sphinx, config: Config) -> None:
 
 
 def draw(folder: Path) -> None:
-    """Draw what the folder lacks: an animation and a still of each environment's episode, side by side.
+    """Draw what the folder lacks: an animation and a still of each environment's episode.
 
     Raises:
-        CalledProcessError: `vitac show` failed; its messages were passed on.
+        VitacError: `vitac show` failed.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    lacking = [env_id for env_id in SHOWN if not all(path.exists() for path in files_of(env_id, folder))]
-    with ThreadPoolExecutor(max_workers=2) as pool:
-        list(pool.map(lambda env_id: _draw_episode(env_id, folder), lacking))
+    for env_id in SHOWN:
+        if not all(path.exists() for path in files_of(env_id, folder)):
+            _draw_episode(env_id, folder)
 
 
 def files_of(env_id: str, folder: Path) -> tuple[Path, Path]:
@@ -89,12 +88,13 @@ def files_of(env_id: str, folder: Path) -> tuple[Path, Path]:
 
 
 def _draw_episode(env_id: str, folder: Path) -> None:
+    from vitac.cli.show.command import command as show
+
     shown = SHOWN[env_id]
     pictures = folder / shown.task
     shutil.rmtree(pictures, ignore_errors=True)
-    show = "import sys; from vitac.cli.main import main; main(['show', *sys.argv[1:]])"
-    options = ("--episode", str(shown.episode), "--every", "env-step", "--width", "640", "--out", str(pictures))
-    subprocess.run([sys.executable, "-c", show, shown.task, *options], check=True, stdout=subprocess.DEVNULL)  # noqa: S603 - our own command
+    with redirect_stdout(io.StringIO()):  # here, since a process of its own would load the simulation again
+        show(shown.task, episode=shown.episode, every="env-step", width=640, out=pictures)
     write_animation(sorted(pictures.glob("*.png")), *files_of(env_id, folder))
     shutil.rmtree(pictures)
 

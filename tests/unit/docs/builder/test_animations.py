@@ -1,36 +1,36 @@
 """docs/builder/animations.py: the episode of each environment is drawn once, and stands still where that is wished."""
 
 import re
-import sys
 from pathlib import Path
 
 import pytest
-from animations import END_MS, ENV_STEP_MS, SHOWN, draw, element, files_of, write_animation
+from animations import END_MS, ENV_STEP_MS, SHOWN, Shown, draw, element, files_of, write_animation
 from PIL import Image, ImageSequence
 from vitac.envs import ENVIRONMENTS
 from vitac.evaluator.tracks import find_task
 
 PEG = "ViTac/PegInsertion-v1"
-# Stands in for this Python with `vitac show`: writes a picture for the reset and one for an env step.
-FAKE_SHOW = f"""#!/bin/sh
-for out; do :; done
-echo "$3" >>"${{out%/*}}/calls"
-exec '{sys.executable}' -c '
-import pathlib, sys
-from PIL import Image
-folder = pathlib.Path(sys.argv[1]); folder.mkdir()
-for number, colour in enumerate(("red", "blue")): Image.new("RGB", (64, 48), colour).save(folder / f"{{number}}.png")
-' "$out"
-"""
 
 
 @pytest.fixture
-def calls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    program = tmp_path / "python"
-    program.write_text(FAKE_SHOW)
-    program.chmod(0o755)
-    monkeypatch.setattr(sys, "executable", str(program))
-    return tmp_path / "pictures" / "calls"
+def drawn(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The tasks that were drawn, in order, by a stand-in for `vitac show`: the reset and one env step of each."""
+    tasks: list[str] = []
+
+    def show(task: str, *, out: Path, episode: int, every: str, width: int) -> None:
+        assert (episode, every, width) == (shown_of(task).episode, "env-step", 640)
+        tasks.append(task)
+        out.mkdir()
+        for number, colour in enumerate(("red", "blue")):
+            Image.new("RGB", (64, 48), colour).save(out / f"{number}.png")
+            print(f"{number}.png")  # noqa: T201 - as the command does
+
+    monkeypatch.setattr("vitac.cli.show.command.command", show)
+    return tasks
+
+
+def shown_of(task: str) -> Shown:
+    return next(shown for shown in SHOWN.values() if shown.task == task)
 
 
 def test_every_environment_has_an_episode_of_its_own_list_and_words_for_it() -> None:
@@ -43,11 +43,14 @@ def test_every_environment_has_an_episode_of_its_own_list_and_words_for_it() -> 
         assert '"' not in shown.shows
 
 
-def test_pictures_are_drawn_once_and_again_where_one_is_missing(tmp_path: Path, calls: Path) -> None:
+def test_pictures_are_drawn_once_and_again_where_one_is_missing(
+    tmp_path: Path, drawn: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
     folder = tmp_path / "pictures"
     draw(folder)
     draw(folder)
-    assert sorted(calls.read_text().split()) == sorted(shown.task for shown in SHOWN.values())
+    assert capsys.readouterr().out == "", "what the command says belongs to nobody who builds the site"
+    assert drawn == [shown.task for shown in SHOWN.values()]
     assert sorted(path.name for path in folder.glob("*.webp")) == sorted(
         file.name for env_id in SHOWN for file in files_of(env_id, folder)
     )
@@ -55,7 +58,7 @@ def test_pictures_are_drawn_once_and_again_where_one_is_missing(tmp_path: Path, 
     files_of(PEG, folder)[1].unlink()
     (folder / SHOWN[PEG].task).mkdir()  # a build that was killed while it drew
     draw(folder)
-    assert calls.read_text().split()[len(SHOWN) :] == [SHOWN[PEG].task]
+    assert drawn[len(SHOWN) :] == [SHOWN[PEG].task]
 
 
 def test_the_last_picture_stays_and_is_the_still(tmp_path: Path) -> None:
@@ -73,9 +76,8 @@ def test_the_last_picture_stays_and_is_the_still(tmp_path: Path) -> None:
     assert blue > 200 > red
 
 
-def test_those_who_prefer_less_motion_get_the_still_and_nothing_moves_when_it_loads(
-    tmp_path: Path, calls: Path
-) -> None:
+@pytest.mark.usefixtures("drawn")
+def test_those_who_prefer_less_motion_get_the_still_and_nothing_moves_when_it_loads(tmp_path: Path) -> None:
     folder = tmp_path / "pictures"
     draw(folder)
     html = element(PEG, folder, above="..")
