@@ -13,7 +13,7 @@ from vitac.evaluator.episodes.records import result_hash
 from vitac.evaluator.evaluation.report import EvaluationReport
 from vitac.evaluator.logs.log import LogReader
 
-pytestmark = pytest.mark.usefixtures("fake_command")
+pytestmark = pytest.mark.usefixtures("one_fake_host")
 
 
 @pytest.fixture

@@ -67,11 +67,13 @@ def test_ended_evaluation_goes_on_where_it_was(tmp_path: Path, monkeypatch: pyte
     assert sorted(record.episode for record in told) == [1, 2, 61]
 
 
+@pytest.mark.usefixtures("one_fake_host")
 def test_shard_of_a_broken_policy_is_not_kept(tmp_path: Path) -> None:
     assert play(tmp_path, "cannot_load").failure is not None
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.usefixtures("one_fake_host")
 def test_only_the_same_shard_of_the_same_sensor_and_evaluator_is_found(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -87,6 +89,7 @@ def test_only_the_same_shard_of_the_same_sensor_and_evaluator_is_found(
     assert kept.load(ORDER) is None
 
 
+@pytest.mark.usefixtures("one_fake_host")
 def test_damaged_file_is_played_again(tmp_path: Path) -> None:
     shard = finished(tmp_path)
     kept = KeptShards(tmp_path, of="a")
@@ -99,6 +102,7 @@ def test_damaged_file_is_played_again(tmp_path: Path) -> None:
     assert kept.load(ORDER) == shard
 
 
+@pytest.mark.usefixtures("one_fake_host")
 def test_what_nobody_used_for_a_month_is_removed(tmp_path: Path) -> None:
     shard = finished(tmp_path)
     kept = KeptShards(tmp_path, of="a")
@@ -113,6 +117,7 @@ def test_what_nobody_used_for_a_month_is_removed(tmp_path: Path) -> None:
     assert kept.load(ORDER) == shard
 
 
+@pytest.mark.usefixtures("one_fake_host")
 def test_a_run_that_measures_no_figures_is_found_whichever_were_asked_for(tmp_path: Path) -> None:
     play(tmp_path, episodes=(1,), figures=FigureChoice.NONE)
     for figures in FigureChoice:
@@ -120,6 +125,7 @@ def test_a_run_that_measures_no_figures_is_found_whichever_were_asked_for(tmp_pa
     assert len(list(tmp_path.iterdir())) == 1
 
 
+@pytest.mark.usefixtures("one_fake_host")
 def test_a_file_of_another_shard_is_played_again(tmp_path: Path) -> None:
     shard = finished(tmp_path)
     (record,) = shard.records
@@ -140,6 +146,7 @@ def test_a_file_of_another_shard_is_played_again(tmp_path: Path) -> None:
     assert kept.load(all_of_it) is None, "it does not say which episodes there must be"
 
 
+@pytest.mark.usefixtures("one_fake_host")
 def test_files_of_the_users_own_are_never_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shard = finished(tmp_path)
     digest = "0123456789abcdef" * 4
@@ -165,6 +172,7 @@ def test_files_of_the_users_own_are_never_removed(tmp_path: Path, monkeypatch: p
     assert {path.name for path in tmp_path.iterdir()} == {*own, f"{digest[::-1]}.json"}
 
 
+@pytest.mark.usefixtures("one_fake_host")
 def test_folder_that_cannot_be_written_keeps_nothing(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     whole = play(tmp_path / "file" / "folder")

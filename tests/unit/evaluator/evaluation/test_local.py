@@ -1,10 +1,8 @@
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 from evaluation_records import make_manifest
-from shared_simulation import SharedProcesses, evaluate_with, loaded_once
 from vitac.evaluator.agent.verdicts import VerdictCode
 from vitac.evaluator.episodes.records import EpisodeRecord
 from vitac.evaluator.estimator.regression import Coefficients
@@ -22,18 +20,6 @@ TASK = TRACK.tasks["peg-insertion"]
 SPREAD = (1, 2, 31, 61, 62)
 
 
-@pytest.fixture(scope="module")
-def processes() -> Iterator[SharedProcesses]:
-    with loaded_once() as loaded:
-        yield loaded
-
-
-@pytest.fixture
-def shared_simulation(processes: SharedProcesses, monkeypatch: pytest.MonkeyPatch) -> None:
-    """For tests whose evaluations come to their own end, with a result or a failure."""
-    evaluate_with(processes, monkeypatch)
-
-
 def run(behaviour: str, **options: Any) -> Evaluation:
     return evaluate(submission_dir=Path(behaviour), track=TRACK, task=TASK, **({"episodes": SPREAD} | options))
 
@@ -45,21 +31,21 @@ def test_one_and_many_workers_give_the_same_hash_and_score() -> None:
     assert [record.episode for record in many.records] == list(SPREAD)
 
 
-@pytest.mark.usefixtures("shared_simulation")
+@pytest.mark.usefixtures("one_fake_host")
 def test_episodes_are_told_as_they_end() -> None:
     told: list[EpisodeRecord] = []
     evaluation = run("succeed", on_episode=told.append)
     assert sorted(told, key=lambda record: record.episode) == list(evaluation.records)
 
 
-@pytest.mark.usefixtures("shared_simulation")
+@pytest.mark.usefixtures("one_fake_host")
 def test_score_is_of_the_records() -> None:
     evaluation = run("succeed")
     assert evaluation.score is not None
     assert (evaluation.score.successes, evaluation.score.mean_steps, evaluation.failure) == (5, 3.0, None)
 
 
-@pytest.mark.usefixtures("shared_simulation")
+@pytest.mark.usefixtures("one_fake_host")
 @pytest.mark.parametrize("workers", [1, 3])
 def test_broken_policy_has_a_verdict_and_neither_score_nor_hash(workers: int) -> None:
     evaluation = run("cannot_load", workers=workers)
@@ -68,12 +54,12 @@ def test_broken_policy_has_a_verdict_and_neither_score_nor_hash(workers: int) ->
     assert (evaluation.score, evaluation.result_hash) == (None, None)
 
 
-@pytest.mark.usefixtures("shared_simulation")
+@pytest.mark.usefixtures("one_fake_host")
 def test_shards_after_a_broken_one_are_not_played() -> None:
     assert {record.episode for record in run("cannot_load").records} <= {1, 2}
 
 
-@pytest.mark.usefixtures("shared_simulation")
+@pytest.mark.usefixtures("one_fake_host")
 def test_fault_of_the_machine_ends_the_evaluation_with_its_reason() -> None:
     with pytest.raises(ShardProcessFailed, match="bwrap is missing"):
         run("break_sandbox", workers=2)
@@ -101,7 +87,7 @@ class KeptFirstShard:
         """Keep nothing."""
 
 
-@pytest.mark.usefixtures("shared_simulation")
+@pytest.mark.usefixtures("one_fake_host")
 @pytest.mark.parametrize("from_where", ["a shard that was kept", "the run before"])
 def test_estimator_is_not_calibrated_to_a_sensor_that_it_knows(from_where: str, tmp_path: Path) -> None:
     """The fake calibrates for ever."""
