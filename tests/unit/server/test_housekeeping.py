@@ -176,7 +176,8 @@ def test_files_of_playbacks_stay_as_long_as_the_playbacks(services: Services, mo
     assert not services.blobs.holds(still)
 
 
-def test_lost_playbacks_are_found_in_the_background(services: Services) -> None:
+def test_lost_playbacks_are_found_in_the_background(services: Services, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(housekeeping, "OTHERS_EVERY_S", 0.1)  # as soon as shards here: else 200 sweeps in 10 s
     team = played(services.database)
     playback = team.ask(1)
     with services.database.transaction() as session:
