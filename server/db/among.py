@@ -3,7 +3,7 @@
 from collections.abc import Collection
 from uuid import UUID
 
-from sqlalchemy import ColumnElement, Uuid, func, literal
+from sqlalchemy import ColumnElement, Uuid, bindparam, func, literal
 from sqlalchemy.dialects.postgresql import ARRAY
 from sqlalchemy.orm import InstrumentedAttribute
 
@@ -14,3 +14,8 @@ def among(column: InstrumentedAttribute[UUID], ids: Collection[UUID]) -> ColumnE
     With a parameter for each (`in_`), driver and database read a statement of many kilobytes each time.
     """
     return column == func.any(literal(list(ids), ARRAY(Uuid)))
+
+
+def among_given(column: InstrumentedAttribute[UUID], name: str) -> ColumnElement[bool]:
+    """Return the same for a statement that is put together once: the list of ids is its parameter of that name."""
+    return column == func.any(bindparam(name, type_=ARRAY(Uuid)))

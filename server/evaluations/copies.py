@@ -8,7 +8,7 @@ half-way through an episode do so where its last actions are other ones.
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from datetime import datetime
-from functools import partial
+from functools import cache, partial
 from typing import Any
 from uuid import UUID
 
@@ -19,7 +19,7 @@ from vitac.evaluator.episodes.records import ActionSequence
 from vitac.evaluator.submission_kinds import SubmissionKind
 
 from ..accounts.shown_names import ShownNames
-from ..db.among import among
+from ..db.among import among_given
 from ..db.models import BoardResult, EpisodeResult, Evaluation, LogCopy, Submission, Team
 from ..db.states import EvaluationState
 from ..views.logs import LogCopyView
@@ -113,17 +113,23 @@ def copies_among(session: Session, evaluations: Collection[UUID], names: ShownNa
     """Return what was found of these evaluations, with the teams under the names that are shown."""
     if not evaluations:
         return {}
-    rows = session.execute(
-        select(LogCopy.evaluation_id, Team, LogCopy.episodes, BoardResult.is_copy)
-        .join(Submission, Submission.id == LogCopy.earlier_submission_id)
-        .join(Team, Team.id == Submission.team_id)
-        .join(BoardResult, BoardResult.evaluation_id == LogCopy.evaluation_id)
-        .where(among(LogCopy.evaluation_id, evaluations))
-    )
+    rows = session.execute(_copies_with_teams(), {"evaluations": list(evaluations)})
     return {
         evaluation_id: LogCopyView(team=names.name_of(team), episodes=episodes, ranked=not is_copy)
         for evaluation_id, team, episodes, is_copy in rows
     }
+
+
+@cache
+def _copies_with_teams() -> Select[UUID, Team, int, bool]:
+    """Return the query of what was found of `evaluations`, put together once: each page with a log asks it."""
+    return (
+        select(LogCopy.evaluation_id, Team, LogCopy.episodes, BoardResult.is_copy)
+        .join(Submission, Submission.id == LogCopy.earlier_submission_id)
+        .join(Team, Team.id == Submission.team_id)
+        .join(BoardResult, BoardResult.evaluation_id == LogCopy.evaluation_id)
+        .where(among_given(LogCopy.evaluation_id, "evaluations"))
+    )
 
 
 def count_copied_episodes() -> ScalarSelect[int]:

@@ -2,10 +2,10 @@
 
 import hashlib
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import Any, Self
 
-from sqlalchemy import func, select
+from sqlalchemy import bindparam, func, select
 from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
 from vitac.evaluator.episodes.records import EpisodeRecord, PolicyFailure, digest_of_stored
@@ -64,6 +64,15 @@ class EpisodeKey:
             result.run == self.run,
             result.commitment == self.commitment,
         )
+
+    def given(self) -> dict[str, Any]:
+        """Return the parameters for `conditions_given`."""
+        return asdict(self)
+
+    @classmethod
+    def conditions_given(cls) -> tuple[Any, ...]:
+        """Return the conditions of some key, for a statement that is put together once."""
+        return tuple(getattr(EpisodeResult, part.name) == bindparam(part.name) for part in fields(cls))
 
 
 _TABLE = EpisodeResult.metadata.tables[EpisodeResult.__tablename__]

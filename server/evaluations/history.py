@@ -4,14 +4,15 @@ Those that a rejudgement only proposes are left out.
 """
 
 from collections.abc import Collection
+from functools import cache
 from typing import TypeVar
 from uuid import UUID
 
 from sqlalchemy import ScalarSelect, Select, select
-from sqlalchemy.orm import InstrumentedAttribute, Session, defer
+from sqlalchemy.orm import InstrumentedAttribute, Session, defer, undefer
 from sqlalchemy.orm.attributes import set_committed_value
 
-from ..db.among import among
+from ..db.among import among_given
 from ..db.models import Evaluation, Submission
 from ..db.states import EvaluationState
 
@@ -40,21 +41,35 @@ def all_runs(submission: Submission) -> Select[Evaluation]:
     )
 
 
-def histories(session: Session, submissions: Collection[Submission]) -> dict[UUID, list[Evaluation]]:
-    """Return all evaluations of each submission, newest first, without what their policies printed."""
+def histories(
+    session: Session, submissions: Collection[Submission], *, with_output: bool = False
+) -> dict[UUID, list[Evaluation]]:
+    """Return all evaluations of each submission, newest first.
+
+    Args:
+        session: of the transaction.
+        submissions: whose evaluations.
+        with_output: with what their policies printed, which is up to 64 Ki characters each, and could import.
+    """
     by_id = {submission.id: submission for submission in submissions}
     found: dict[UUID, list[Evaluation]] = {submission_id: [] for submission_id in by_id}
-    rows = session.scalars(
-        select(Evaluation)
-        .where(among(Evaluation.submission_id, found), ~Evaluation.is_proposed)
-        .options(defer(Evaluation.log_tail))
-        .order_by(*_NEWEST_FIRST)
-        .execution_options(populate_existing=True)
-    )
-    for evaluation in rows:
+    for evaluation in session.scalars(_of_submissions(with_output), {"submissions": list(found)}):
         set_committed_value(evaluation, "submission", by_id[evaluation.submission_id])
         found[evaluation.submission_id].append(evaluation)
     return found
+
+
+@cache
+def _of_submissions(with_output: bool) -> Select[Evaluation]:
+    """Return the query of the evaluations of `submissions`, put together once: each page of submissions asks it."""
+    output = (undefer(Evaluation.packages),) if with_output else (defer(Evaluation.log_tail),)
+    return (
+        select(Evaluation)
+        .where(among_given(Evaluation.submission_id, "submissions"), ~Evaluation.is_proposed)
+        .options(*output)
+        .order_by(*_NEWEST_FIRST)
+        .execution_options(populate_existing=True)
+    )
 
 
 def newest_state() -> ScalarSelect[EvaluationState]:

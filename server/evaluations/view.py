@@ -6,13 +6,12 @@ from functools import cache
 from typing import Self
 from uuid import UUID
 
-from sqlalchemy import Row, select
+from sqlalchemy import select
 from sqlalchemy.orm import Session
 from vitac.evaluator.tracks import ListKind
 
 from ..accounts.principals import Principal
 from ..accounts.visibility import has_lists, played_list_kind, sight_of
-from ..db.among import among
 from ..db.models import EpisodeResult, Evaluation
 from ..db.states import ACTIVE_EVALUATION_STATES, TERMINAL_EVALUATION_STATES, EvaluationState
 from ..errors import TRACK_REMOVED
@@ -88,7 +87,7 @@ class EvaluationRows:
             session: of the transaction.
             evaluations: which ones.
             by: who asks, and gets what may be shown to them.
-            with_output: with what the policies printed, which is up to 64 Ki characters each, and could import.
+            with_output: with what the policies printed and could import, which `histories` then reads with the rest.
         """
         sights = {found.id: sight_of(by, found) for found in evaluations}
         hidden = frozenset(found for found, sight in sights.items() if not sight.episodes)
@@ -97,17 +96,14 @@ class EvaluationRows:
             for found in evaluations
             if found.state is EvaluationState.COMPLETED and (view := _complete.find(_key(found, hidden)))
         }
-        printed = _printed(session, sights) if with_output else {}
         return cls(
             kept=kept,
             isolation=isolation_levels(session, [found for found in evaluations if found.id not in kept]),
             differing=differing_episodes(session, evaluations) if by.is_organizer else None,
             output={
-                found.id: _output(session, found, printed[found.id].log_tail)
-                for found in evaluations
-                if with_output and sights[found.id].output
+                found.id: _output(session, found) for found in evaluations if with_output and sights[found.id].output
             },
-            packages={found: row.packages for found, row in printed.items()},
+            packages={found.id: found.packages for found in evaluations} if with_output else {},
             counts=episode_counts(session, evaluations),
             hidden=hidden,
             positions=queue_positions(session, evaluations),
@@ -230,17 +226,11 @@ def _seconds_to_end(
     return seconds_to_end(progress, ahead=rows.ahead.get(evaluation.id, 0), slots=alive.slots, mean_s=mean_s)
 
 
-def _printed(session: Session, evaluations: Collection[UUID]) -> dict[UUID, Row[UUID, str, list[dict[str, str]]]]:
-    """Return what lists leave out."""
-    columns = Evaluation.id, Evaluation.log_tail, Evaluation.packages
-    return {row.id: row for row in session.execute(select(*columns).where(among(Evaluation.id, evaluations)))}
-
-
-def _output(session: Session, evaluation: Evaluation, log_tail: str) -> str:
+def _output(session: Session, evaluation: Evaluation) -> str:
     """Return what was kept at the end; while it runs, the output of the last episode that the policy failed in."""
     submission = evaluation.submission
     if evaluation.state in TERMINAL_EVALUATION_STATES:
-        return log_tail
+        return evaluation.log_tail
     tail = session.scalar(
         select(EpisodeResult.record["failure"]["output_tail"].astext)
         .where(*EpisodeKey.of(evaluation, submission).conditions(), EpisodeResult.outcome == "policy_failed")

@@ -1,6 +1,10 @@
 """What a team has reached with its submissions so far; called by the pages."""
 
-from sqlalchemy import select
+from functools import cache
+from typing import Any
+
+from sqlalchemy import Select, Text, bindparam, func, select
+from sqlalchemy.dialects.postgresql import ARRAY
 from sqlalchemy.orm import Session
 
 from ..accounts.principals import Principal
@@ -20,8 +24,23 @@ def past_results(session: Session, by: Principal, shown: Evaluation) -> list[Pas
         ServiceError: there is no such submission for them.
     """
     submission = visible(session, by, shown.submission_id)
-    stage = select(BoardResult.stage).where(BoardResult.evaluation_id == shown.id).limit(1).scalar_subquery()
-    rows = session.execute(
+    asked = {
+        "evaluation": shown.id,
+        "team": submission.team_id,
+        "track": submission.track,
+        "kind": submission.kind,
+        "tasks": submission.tasks,
+        "evaluator_version": shown.evaluator_version,
+        "at_most": MAX_RESULTS,
+    }
+    return [PastResultView(**row) for row in session.execute(_results(), asked).mappings()]
+
+
+@cache
+def _results() -> Select[*tuple[Any, ...]]:
+    """Return the query of past results, put together once: each page of a submission asks it of its team."""
+    stage = select(BoardResult.stage).where(BoardResult.evaluation_id == bindparam("evaluation")).limit(1)
+    return (
         select(
             BoardResult.board.label("task"),
             BoardResult.submission_id,
@@ -31,14 +50,13 @@ def past_results(session: Session, by: Principal, shown: Evaluation) -> list[Pas
         )
         .join(Submission, Submission.id == BoardResult.submission_id)
         .where(
-            BoardResult.team_id == submission.team_id,
-            BoardResult.track == submission.track,
-            BoardResult.kind == submission.kind,
-            BoardResult.board.in_(submission.tasks),
-            BoardResult.evaluator_version == shown.evaluator_version,
-            BoardResult.stage == stage,
+            BoardResult.team_id == bindparam("team"),
+            BoardResult.track == bindparam("track"),
+            BoardResult.kind == bindparam("kind"),
+            BoardResult.board == func.any(bindparam("tasks", type_=ARRAY(Text))),
+            BoardResult.evaluator_version == bindparam("evaluator_version"),
+            BoardResult.stage == stage.scalar_subquery(),
         )
         .order_by(BoardResult.submitted_at.desc(), BoardResult.submission_id)
-        .limit(MAX_RESULTS)
+        .limit(bindparam("at_most"))
     )
-    return [PastResultView(**row) for row in rows.mappings()]

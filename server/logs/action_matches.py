@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from functools import cache, partial
 from uuid import UUID
 
-from sqlalchemy import select
+from sqlalchemy import Select, bindparam, select
 from sqlalchemy.orm import Session, defer, joinedload
 from vitac.evaluator.episodes.records import ActionSequence
 from vitac.evaluator.logs.action_match import EpisodeMatch, compare_actions
@@ -65,21 +65,34 @@ def _compared(session: Session, model_id: UUID, task: str, of_log: Callable[[], 
 
 
 def _models(session: Session, log: Submission, evaluation: Evaluation) -> Sequence[UUID]:
-    return session.scalars(
+    asked = {
+        "team": log.team_id,
+        "track": log.track,
+        "tasks": log.tasks,
+        "evaluator_version": evaluation.evaluator_version,
+        "commitment": evaluation.commitment,
+    }
+    return session.scalars(_last_models(), asked).all()
+
+
+@cache
+def _last_models() -> Select[UUID]:
+    """Return the query of a team's models, put together once: each page of a log asks it."""
+    return (
         select(Evaluation.id)
         .join(Submission)
         .where(
-            Submission.team_id == log.team_id,
-            Submission.track == log.track,
+            Submission.team_id == bindparam("team"),
+            Submission.track == bindparam("track"),
             Submission.kind == SubmissionKind.MODEL,
-            Submission.tasks.contains(log.tasks),
-            Evaluation.evaluator_version == evaluation.evaluator_version,
-            Evaluation.commitment.is_not_distinct_from(evaluation.commitment),
+            Submission.tasks.contains(bindparam("tasks")),
+            Evaluation.evaluator_version == bindparam("evaluator_version"),
+            Evaluation.commitment.is_not_distinct_from(bindparam("commitment")),
             Evaluation.state == EvaluationState.COMPLETED,
         )
         .order_by(Evaluation.finished_at.desc(), Evaluation.id)
         .limit(MAX_MODELS)
-    ).all()
+    )
 
 
 def _actions(session: Session, key: EpisodeKey, task: str) -> ActionsByEpisode:

@@ -24,7 +24,7 @@ def get(session: Session, settings: Settings, by: Principal, submission_id: UUID
     Raises:
         ServiceError: there is none that the principal may see.
     """
-    runs = histories(session, [readable(session, by, submission_id)])
+    runs = histories(session, [readable(session, by, submission_id)], with_output=True)
     return submission_views(session, settings, runs, by, with_output=True)[0]
 
 

@@ -170,7 +170,7 @@ class ServiceData:
 
         def detail(session: Session) -> SubmissionDetail:
             found = readable(session, by, submission_id)
-            evaluations = histories(session, [found])
+            evaluations = histories(session, [found], with_output=True)
             shown, is_own = evaluations[submission_id][0], by.may_see(found.team_id)
             return SubmissionDetail(
                 submission=submission_views(session, self.settings, evaluations, by, with_output=True)[0],
