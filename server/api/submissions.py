@@ -3,7 +3,7 @@
 import base64
 import binascii
 import json
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Sequence
 from contextlib import aclosing
 from http import HTTPStatus
 from typing import Annotated
@@ -127,7 +127,7 @@ def get_submission(services: ServicesOf, principal: ReaderOf, submission_id: UUI
 
 
 @router.get("/{submission_id}/episodes")
-def get_episodes(services: ServicesOf, principal: ReaderOf, submission_id: UUID) -> list[EpisodeView]:
+def get_episodes(services: ServicesOf, principal: ReaderOf, submission_id: UUID) -> Sequence[EpisodeView]:
     """Return how each finished episode ended, also of a public submission; none while the list is sealed."""
     with services.database.reading() as session:
         return listing.episodes(session, principal, submission_id)

@@ -1,5 +1,6 @@
 """Submissions as those read them who may: one, a page of them, the episodes of one."""
 
+from collections.abc import Sequence
 from uuid import UUID
 
 from sqlalchemy import select, tuple_
@@ -12,10 +13,14 @@ from ..db.models import EpisodeResult, Evaluation, Submission
 from ..db.states import EvaluationState
 from ..evaluations.episode_store import EpisodeKey
 from ..evaluations.history import histories, newest_evaluation, newest_state
+from ..kept import Kept
 from ..settings import Settings
 from ..sharing.public_pages import readable
 from ..views.submissions import EpisodeView, SubmissionListView, SubmissionView
 from .view import submission_views
+
+_ends: Kept[UUID, Sequence[EpisodeView]] = Kept(at_most=128)
+"""Episodes by evaluation, about 150 kB each. They do not change: a completed evaluation has all its episodes."""
 
 
 def get(session: Session, settings: Settings, by: Principal, submission_id: UUID) -> SubmissionView:
@@ -63,7 +68,7 @@ def list_submissions(
     )
 
 
-def episodes(session: Session, by: Principal, submission_id: UUID) -> list[EpisodeView]:
+def episodes(session: Session, by: Principal, submission_id: UUID) -> Sequence[EpisodeView]:
     """Return how each finished episode of the newest evaluation ended, in order; none where they are not shown.
 
     Raises:
@@ -72,10 +77,16 @@ def episodes(session: Session, by: Principal, submission_id: UUID) -> list[Episo
     return episodes_of(session, by, newest_evaluation(session, readable(session, by, submission_id)))
 
 
-def episodes_of(session: Session, by: Principal, evaluation: Evaluation) -> list[EpisodeView]:
+def episodes_of(session: Session, by: Principal, evaluation: Evaluation) -> Sequence[EpisodeView]:
     """Return how each finished episode of an evaluation ended, in order; none where they are not shown."""
     if not sight_of(by, evaluation).episodes:
-        return []
+        return ()
+    if evaluation.state is not EvaluationState.COMPLETED:
+        return _read_episodes(session, evaluation)
+    return _ends.get(evaluation.id, lambda: _read_episodes(session, evaluation))
+
+
+def _read_episodes(session: Session, evaluation: Evaluation) -> Sequence[EpisodeView]:
     key = EpisodeKey.of(evaluation, evaluation.submission)
     rows = session.execute(
         select(
@@ -89,7 +100,7 @@ def episodes_of(session: Session, by: Principal, evaluation: Evaluation) -> list
         .where(*key.conditions())
         .order_by(EpisodeResult.task, EpisodeResult.episode)
     )
-    return [
+    return tuple(
         EpisodeView(task=task, episode=episode, shape=shape, outcome=outcome, success=success, env_steps=env_steps)
         for task, episode, shape, outcome, success, env_steps in rows
-    ]
+    )

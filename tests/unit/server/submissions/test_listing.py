@@ -8,6 +8,7 @@ from service_factories import (
     TRACK,
     add_result,
     claim,
+    complete_scored,
     make_principal,
     make_record,
     make_score,
@@ -20,14 +21,16 @@ from submission_steps import SETTINGS, create, ids_of, make_worker, refused, vie
 from vitac.envs.tasks.definition import Family
 from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.evaluator.logs.findings import VerificationResult
+from vitac.evaluator.tracks import ListKind
+from vitac.server.accounts import visibility
 from vitac.server.accounts.principals import CONSOLE, Principal
 from vitac.server.db.engine import Database
-from vitac.server.db.models import Team
+from vitac.server.db.models import Submission, Team
 from vitac.server.db.states import EvaluationState
 from vitac.server.errors import ProblemCode
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.submissions import listing, runs
-from vitac.server.tracks import family_of
+from vitac.server.tracks import family_of, known_task
 
 
 def test_foreign_submission_looks_like_a_missing_one(database: Database, principal: Principal) -> None:
@@ -77,6 +80,28 @@ def test_episodes_are_listed_in_order(database: Database, principal: Principal) 
         (2, "success", True),
         (4, "tactile", False),
     ]
+
+
+def test_episodes_of_a_completed_evaluation_are_read_once_and_shown_to_each_as_far_as_they_may_see_them(
+    database: Database, principal: Principal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    submission, _ = create(database, principal)
+    store(database, claim(database, ids_of(database, submission)[0]), [make_record(1)])
+    with database.transaction() as session:
+        complete_scored(session, session.get_one(Submission, submission.id), {TASK: make_score(1)})
+    statements, found = [], []
+    for by, is_sealed in ((principal, False), (principal, False), (CONSOLE, True), (principal, True)):
+        monkeypatch.setattr(visibility, "known_task", (lambda *_: None) if is_sealed else known_task)
+        with database.transaction() as session:
+            shown = session.get_one(Submission, submission.id)
+            evaluation = newest_evaluation(session, shown)
+            evaluation.list_kind = ListKind.SEALED if is_sealed else ListKind.PUBLIC
+            session.flush()
+            with database_work(session) as work:
+                found.append([view.episode for view in listing.episodes_of(session, by, evaluation)])
+        statements.append(work.statements)
+    assert found == [[1], [1], [1], []]
+    assert statements == [1, 0, 0, 0]
 
 
 def test_a_long_list_takes_no_more_statements_than_a_short_one(database: Database, principal: Principal) -> None:
