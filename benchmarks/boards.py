@@ -30,7 +30,7 @@ from vitac.cli.service.web_server import collect_garbage_rarely
 from vitac.evaluator.episodes.records import ActionSequence, EpisodeOutcome
 from vitac.evaluator.scoring.score import Rate, Score, rate
 from vitac.evaluator.submission_kinds import SubmissionKind
-from vitac.evaluator.tracks import Task, load_track
+from vitac.evaluator.tracks import ListKind, Task, load_track
 from vitac.evaluator.version import evaluator_hash, evaluator_version
 from vitac.server.accounts import teams, tokens
 from vitac.server.accounts.principals import CONSOLE
@@ -126,6 +126,7 @@ def add_submission(session: Session, number: int, team_id: UUID, rng: np.random.
         submission=submission, run=1, evaluator_version=evaluator_version(), evaluator_hash=evaluator_hash(),
         platform_class="benchmark", state=EvaluationState.COMPLETED, episodes_reused=0, log_tail="",
         created_at=moment, started_at=moment, finished_at=moment + timedelta(seconds=15), result_hash=digest,
+        list_kind=ListKind.PUBLIC,
     )  # fmt: skip
     scores = {name: random_score(tasks[name], rng) for name in chosen}
     store_scores(evaluation, scores, dict.fromkeys(chosen, digest), finished_at=moment)
