@@ -3,6 +3,7 @@
 import os
 import subprocess
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -65,6 +66,13 @@ def test_probes_can_reach_what_is_open() -> None:
     memory = next(probe for probe in PROBES if probe.verdict is VerdictCode.OUT_OF_MEMORY)
     outcome = outcome_of(Probe(name=memory.name, code="return 0 * len([bytearray(1 << 20)])", limits=Limits()))
     assert outcome.state is ProbeState.HELD
+
+
+def test_a_slow_machine_is_not_taken_for_an_escape() -> None:
+    slowly = "end = time.process_time() + 0.7\nwhile time.process_time() < end:\n    pass\n"
+    memory = next(probe for probe in PROBES if probe.verdict is VerdictCode.OUT_OF_MEMORY)
+    outcome = outcome_of(replace(memory, code=slowly + memory.code))
+    assert outcome.state is ProbeState.HELD, outcome.detail
 
 
 def test_folders_of_killed_self_tests_are_removed_and_those_of_others_at_work_are_not(
