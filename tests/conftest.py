@@ -55,9 +55,9 @@ def pytest_collection() -> Generator[None, object, object]:
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """Four processes for the suite on two cores, since tests often wait; none for tests that were named or chosen."""
+    """Three processes for the suite on two cores, since tests often wait; none for tests that were named or chosen."""
     chosen = config.option.file_or_dir or config.option.keyword
-    return 0 if chosen else min(4, (os.cpu_count() or 1) + 2)
+    return 0 if chosen else min(3, (os.cpu_count() or 1) + 1)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
