@@ -5,11 +5,15 @@ import gc
 import os
 import sys
 import warnings
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 from hypothesis import HealthCheck, settings
+
+if TYPE_CHECKING:
+    from shared_simulation import SharedProcesses
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 MACHINE_VARIABLES = {
@@ -95,6 +99,22 @@ def reference_dir() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no reference folder at {folder} (set VITAC_REFERENCE_DIR to compare with the challenge's files)")
     return folder
+
+
+@pytest.fixture(scope="module")
+def _loaded_simulation() -> Iterator["SharedProcesses"]:
+    from shared_simulation import loaded_once  # late: few tests need it, and it imports the evaluator
+
+    with loaded_once() as processes:
+        yield processes
+
+
+@pytest.fixture
+def shared_simulation(_loaded_simulation: "SharedProcesses", monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the evaluations of a file's tests share one process that has the simulation loaded."""
+    from shared_simulation import evaluate_with
+
+    evaluate_with(_loaded_simulation, monkeypatch)
 
 
 @pytest.fixture

@@ -1,11 +1,9 @@
 """Evaluations with the real environment in the real sandbox; a few episodes each."""
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from shared_simulation import SharedProcesses, evaluate_with, loaded_once
 from vitac.evaluator.agent.verdicts import VerdictCode
 from vitac.evaluator.episodes.episode import make_environment
 from vitac.evaluator.episodes.records import EpisodeOutcome, result_hash
@@ -81,20 +79,8 @@ def submission(tmp_path: Path) -> Path:
 
 
 @pytest.fixture(scope="module")
-def processes() -> Iterator[SharedProcesses]:
-    with loaded_once() as loaded:
-        yield loaded
-
-
-@pytest.fixture
-def shared_simulation(processes: SharedProcesses, monkeypatch: pytest.MonkeyPatch) -> None:
-    """For evaluations that are compared with `drifted`, which loads its own, or with nothing."""
-    evaluate_with(processes, monkeypatch)
-
-
-@pytest.fixture(scope="module")
 def drifted(tmp_path_factory: pytest.TempPathFactory) -> Evaluation:
-    """An evaluation of the submission as it is, for all tests that look at one."""
+    """An evaluation of the submission as it is, which loads the simulation itself, for all tests that look at one."""
     return run(drifting(tmp_path_factory.mktemp("drifted")))
 
 

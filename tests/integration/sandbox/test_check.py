@@ -1,25 +1,11 @@
-"""`vitac check` lists everything that would be refused."""
+"""`vitac check` lists everything that would be refused. In the first test it loads the simulation as a user's does."""
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from shared_simulation import SharedProcesses, evaluate_with, loaded_once
 from submissions import FILES, MANIFEST, submission_folder, submission_zip
 from vitac.cli.main import main
-
-
-@pytest.fixture(scope="module")
-def processes() -> Iterator[SharedProcesses]:
-    with loaded_once() as loaded:
-        yield loaded
-
-
-@pytest.fixture
-def shared_simulation(processes: SharedProcesses, monkeypatch: pytest.MonkeyPatch) -> None:
-    """For all tests but the first, which loads the simulation as the command does."""
-    evaluate_with(processes, monkeypatch)
 
 
 def check(path: Path, capsys: pytest.CaptureFixture[str], *options: str) -> tuple[int, str]:
