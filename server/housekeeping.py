@@ -14,7 +14,6 @@ from .evaluations.superseding import supersede_outdated
 from .leaderboards.changes import forget_old_notes
 from .metrics.instruments import RetryReason
 from .metrics.totals import TotalsWriter
-from .people.contacts import forget_contacts
 from .playbacks import work as playbacks
 from .queue.jobs import prune_finished_jobs
 from .queue.sweep import sweep
@@ -23,6 +22,7 @@ from .storage import stored_files
 from .storage.scratch import remove_leftovers
 from .submissions.files import stored_digests
 from .submissions.receipts import issue_older
+from .teams.contacts import forget_contacts
 from .uploads import partial
 
 logger = structlog.get_logger(__name__)

@@ -15,11 +15,11 @@ from vitac.evaluator.submission.staging import staged
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import load_track
 from vitac.evaluator.tracks.sealed import write_secret
-from vitac.server.accounts.principals import Principal
-from vitac.server.competition.sealing import played_track, secret_of
+from vitac.server.appeals import appeals
+from vitac.server.contest.sealing import played_track, secret_of
 from vitac.server.db.models import Submission
 from vitac.server.errors import ProblemCode, ServiceError
-from vitac.server.people import appeals
+from vitac.server.principals import Principal
 from vitac.server.services import Services
 from vitac.server.storage.blobs import BlobStore
 from vitac.server.storage.scratch import scratch_folder

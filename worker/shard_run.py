@@ -17,7 +17,7 @@ from vitac.evaluator.scoring.failures import is_broken
 from vitac.evaluator.shards.order import ShardOrder
 from vitac.evaluator.shards.result import ShardEnd, ShardResult
 from vitac.evaluator.tracks.sealed import write_secret
-from vitac.server.competition.sealing import secret_of
+from vitac.server.contest.sealing import secret_of
 from vitac.server.errors import ServiceError
 from vitac.server.evaluations.episode_store import StoredEpisodes, store_episodes, stored_episodes
 from vitac.server.evaluations.lifecycle import finish_shard, report_broken_machine

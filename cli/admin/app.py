@@ -4,9 +4,12 @@ import sys
 
 import typer
 
-from . import audit, backup, evaluation, quota, submission, team, token, worker
-from .contest import advance, competition, judging, receipt, rejudge, results, track
-from .people import announcement, appeal, notice, question
+from . import appeal, audit, backup, evaluation, judging, notice, quota, receipt, submission, team, token, worker
+from . import rejudging as rejudge
+from .contest import advancement as advance
+from .contest import contest as competition
+from .contest import results, track
+from .messages import announcement, question
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 

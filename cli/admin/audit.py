@@ -24,7 +24,7 @@ def list_entries(
     as_json: AsJson = False,
 ) -> None:
     """List the changes that people made, newest first: who, when, what, before and after."""
-    from vitac.server.accounts.audit import entry_view, newest_entries
+    from vitac.server.audit import entry_view, newest_entries
 
     with transaction() as session:
         found = [entry_view(entry) for entry in newest_entries(session, limit, action=action, subject=subject)]

@@ -70,8 +70,8 @@ def requeue(
     as_json: AsJson = False,
 ) -> None:
     """Start a new run of the same submission, all episodes anew; this evaluation stays as it is."""
-    from vitac.server.accounts.principals import CONSOLE
     from vitac.server.evaluations import listing
+    from vitac.server.principals import CONSOLE
     from vitac.server.submissions import runs
     from vitac.server.submissions.listing import get
 
@@ -90,8 +90,8 @@ def cancel(
     as_json: AsJson = False,
 ) -> None:
     """Cancel an evaluation that waits or runs."""
-    from vitac.server.accounts.principals import CONSOLE
     from vitac.server.evaluations import listing
+    from vitac.server.principals import CONSOLE
     from vitac.server.submissions import runs
 
     question = f"Cancel evaluation {evaluation}?"

@@ -18,8 +18,8 @@ TeamName = Annotated[str, typer.Argument(help="Name or id of the team.")]
 @app.command("list")
 def list_quotas(team: TeamName, as_json: AsJson = False) -> None:
     """List the quotas of a team and how much of each is used."""
-    from vitac.server.accounts import teams
-    from vitac.server.accounts.quotas import uses
+    from vitac.server.quotas import uses
+    from vitac.server.teams import teams
 
     with transaction() as session:
         found = [vars(use) for use in uses(session, load_settings().quotas, teams.find(session, team).id)]
@@ -35,9 +35,10 @@ def set_quota(
     as_json: AsJson = False,
 ) -> None:
     """Give a team a limit of its own."""
-    from vitac.server.accounts import quotas, teams
-    from vitac.server.accounts.principals import CONSOLE
+    from vitac.server import quotas
     from vitac.server.db.states import Quota
+    from vitac.server.principals import CONSOLE
+    from vitac.server.teams import teams
 
     if quota not in set(Quota):
         raise typer.BadParameter(f"{quota!r} is no quota; they are {', '.join(Quota)}")

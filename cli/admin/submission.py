@@ -29,7 +29,7 @@ def list_submissions(
     as_json: AsJson = False,
 ) -> None:
     """List submissions, newest first."""
-    from vitac.server.accounts.principals import CONSOLE
+    from vitac.server.principals import CONSOLE
     from vitac.server.submissions import listing
 
     wanted = None if state is None else known_state(state)
@@ -51,7 +51,7 @@ def show(
     as_json: AsJson = False,
 ) -> None:
     """Show a submission with its newest evaluation."""
-    from vitac.server.accounts.principals import CONSOLE
+    from vitac.server.principals import CONSOLE
     from vitac.server.submissions import listing
 
     from ..client.status import show as show_status
@@ -72,7 +72,7 @@ def requeue(
     as_json: AsJson = False,
 ) -> None:
     """Evaluate a submission once more, all episodes anew. Earlier results stay; the newest run is the one shown."""
-    from vitac.server.accounts.principals import CONSOLE
+    from vitac.server.principals import CONSOLE
     from vitac.server.submissions import listing, runs
 
     question = f"Evaluate submission {submission} once more?"
@@ -90,7 +90,7 @@ def cancel(
     as_json: AsJson = False,
 ) -> None:
     """Cancel the evaluation of a submission; its workers stop within seconds."""
-    from vitac.server.accounts.principals import CONSOLE
+    from vitac.server.principals import CONSOLE
     from vitac.server.submissions import listing, runs
 
     question = f"Cancel the evaluation of submission {submission}?"

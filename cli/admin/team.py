@@ -27,9 +27,9 @@ def add(
     as_json: AsJson = False,
 ) -> None:
     """Add a team and print its API token, which is shown only now."""
-    from vitac.server.accounts import teams
-    from vitac.server.accounts.principals import CONSOLE
-    from vitac.server.accounts.registration import NewTeam, register
+    from vitac.server.members.registration import NewTeam, register
+    from vitac.server.principals import CONSOLE
+    from vitac.server.teams import teams
 
     with change_transaction(dry_run=dry_run) as session:
         team, issued = register(session, load_settings(), CONSOLE, NewTeam(name=name, contact=contact))
@@ -49,7 +49,7 @@ def list_teams(
     as_json: AsJson = False,
 ) -> None:
     """List all teams."""
-    from vitac.server.accounts import teams
+    from vitac.server.teams import teams
 
     with transaction() as session:
         listed = teams.waiting(session) if waiting else teams.list_teams(session)
@@ -65,8 +65,9 @@ def show(
     as_json: AsJson = False,
 ) -> None:
     """Show one team with its members."""
-    from vitac.server.accounts import members, teams
-    from vitac.server.accounts.principals import CONSOLE
+    from vitac.server.members import members
+    from vitac.server.principals import CONSOLE
+    from vitac.server.teams import teams
 
     with transaction() as session:
         found = members.own_team_view(session, CONSOLE, teams.find(session, team)).model_dump(mode="json")
@@ -83,8 +84,8 @@ def show(
 @app.command()
 def accept(team: TeamName, dry_run: DryRun = False, as_json: AsJson = False) -> None:
     """Let a team submit that waits to be accepted, or that was refused."""
-    from vitac.server.accounts import teams
-    from vitac.server.accounts.principals import CONSOLE
+    from vitac.server.principals import CONSOLE
+    from vitac.server.teams import teams
 
     _change(team, lambda session, found: teams.accept(session, CONSOLE, found), dry_run=dry_run, as_json=as_json)
 
@@ -97,8 +98,8 @@ def refuse(
     as_json: AsJson = False,
 ) -> None:
     """Say no to a team that waits to be accepted."""
-    from vitac.server.accounts import teams
-    from vitac.server.accounts.principals import CONSOLE
+    from vitac.server.principals import CONSOLE
+    from vitac.server.teams import teams
 
     _change(
         team, lambda session, found: teams.refuse(session, CONSOLE, found, reason), dry_run=dry_run, as_json=as_json
@@ -113,8 +114,8 @@ def rename(
     as_json: AsJson = False,
 ) -> None:
     """Give a team another name."""
-    from vitac.server.accounts import teams
-    from vitac.server.accounts.principals import CONSOLE
+    from vitac.server.principals import CONSOLE
+    from vitac.server.teams import teams
 
     _change(team, lambda session, found: teams.rename(session, CONSOLE, found, name), dry_run=dry_run, as_json=as_json)
 
@@ -127,8 +128,8 @@ def captain(
     as_json: AsJson = False,
 ) -> None:
     """Make another member the captain."""
-    from vitac.server.accounts import members
-    from vitac.server.accounts.principals import CONSOLE
+    from vitac.server.members import members
+    from vitac.server.principals import CONSOLE
 
     def change(session: "Session", found: "Team") -> None:
         members.hand_over(session, CONSOLE, members.find_by_name(session, found, member))
@@ -145,8 +146,8 @@ def remove_member(
     as_json: AsJson = False,
 ) -> None:
     """Remove a member from a team; their token ends at once."""
-    from vitac.server.accounts import members
-    from vitac.server.accounts.principals import CONSOLE
+    from vitac.server.members import members
+    from vitac.server.principals import CONSOLE
 
     def change(session: "Session", found: "Team") -> None:
         members.remove(session, CONSOLE, members.find_by_name(session, found, member))
@@ -157,9 +158,9 @@ def remove_member(
 @app.command()
 def data(team: TeamName, as_json: AsJson = False) -> None:
     """Say how much the service has of a team; with --json print all of it."""
-    from vitac.server.accounts import teams
-    from vitac.server.accounts.principals import CONSOLE
-    from vitac.server.people.team_data import export
+    from vitac.server.principals import CONSOLE
+    from vitac.server.team_data import export
+    from vitac.server.teams import teams
 
     with transaction() as session:
         found = export(session, load_settings(), CONSOLE, teams.find(session, team)).model_dump(mode="json")
@@ -174,8 +175,8 @@ def data(team: TeamName, as_json: AsJson = False) -> None:
 @app.command()
 def delete(team: TeamName, yes: Yes = False, dry_run: DryRun = False, as_json: AsJson = False) -> None:
     """Remove a team's name, people, texts and uploads for good; its scores stay."""
-    from vitac.server.accounts.principals import CONSOLE
-    from vitac.server.people.team_data import erase
+    from vitac.server.principals import CONSOLE
+    from vitac.server.team_data import erase
 
     _change(
         team,
@@ -196,8 +197,8 @@ def merge(
     as_json: AsJson = False,
 ) -> None:
     """Make two teams one, with all submissions and members of both; what both have used of quotas counts together."""
-    from vitac.server.accounts import merging, teams
-    from vitac.server.accounts.principals import CONSOLE
+    from vitac.server.principals import CONSOLE
+    from vitac.server.teams import merging, teams
 
     def change(session: "Session", found: "Team") -> None:
         merging.merge(session, CONSOLE, teams.find(session, team), found)
@@ -214,9 +215,9 @@ def disqualify(
     as_json: AsJson = False,
 ) -> None:
     """Take a team off all boards and refuse its submissions; `reinstate` takes it back."""
-    from vitac.server.accounts import teams
-    from vitac.server.accounts.principals import CONSOLE
-    from vitac.server.competition.view import disqualified_since_the_end
+    from vitac.server.contest.view import disqualified_since_the_end
+    from vitac.server.principals import CONSOLE
+    from vitac.server.teams import teams
 
     kept: list[str] = []
 
@@ -235,8 +236,8 @@ def disqualify(
 @app.command()
 def reinstate(team: TeamName, dry_run: DryRun = False, as_json: AsJson = False) -> None:
     """Let a disqualified team take part again, with all its results."""
-    from vitac.server.accounts import teams
-    from vitac.server.accounts.principals import CONSOLE
+    from vitac.server.principals import CONSOLE
+    from vitac.server.teams import teams
 
     _change(team, lambda session, found: teams.reinstate(session, CONSOLE, found), dry_run=dry_run, as_json=as_json)
 
@@ -251,7 +252,7 @@ def _change(
     yes: bool = False,
 ) -> None:
     """Change a team and print what it is then."""
-    from vitac.server.accounts import teams
+    from vitac.server.teams import teams
 
     with change_transaction(dry_run=dry_run, question=question, yes=yes) as session:
         found = teams.find(session, team)

@@ -30,9 +30,10 @@ def add(
     as_json: AsJson = False,
 ) -> None:
     """Add a token and print it, which happens only now."""
-    from vitac.server.accounts import teams, tokens
-    from vitac.server.accounts.principals import CONSOLE
+    from vitac.server import tokens
     from vitac.server.db.states import Role
+    from vitac.server.principals import CONSOLE
+    from vitac.server.teams import teams
 
     if (team is not None) + organizer + judge != 1:
         raise typer.BadParameter("give one of TEAM, --organizer and --judge")
@@ -60,8 +61,8 @@ def add(
 @app.command("list")
 def list_tokens(as_json: AsJson = False) -> None:
     """List all tokens, without their secrets."""
-    from vitac.server.accounts import tokens
-    from vitac.server.accounts.principals import CONSOLE
+    from vitac.server import tokens
+    from vitac.server.principals import CONSOLE
 
     with transaction() as session:
         found = [tokens.token_view(token).model_dump() for token in tokens.list_tokens(session, CONSOLE)]
@@ -77,8 +78,8 @@ def revoke(
     as_json: AsJson = False,
 ) -> None:
     """End a token at once, for good."""
-    from vitac.server.accounts import tokens
-    from vitac.server.accounts.principals import CONSOLE
+    from vitac.server import tokens
+    from vitac.server.principals import CONSOLE
 
     with change_transaction(dry_run=dry_run, question=f"Revoke token {token} for good?", yes=yes) as session:
         shown = tokens.token_view(tokens.revoke(session, CONSOLE, token)).model_dump()

@@ -31,7 +31,7 @@ def team_token(database: Database, state_dir: Path) -> str:
 
 
 def _is_valid(session: Session, secret: str) -> bool:
-    from vitac.server.accounts import tokens
+    from vitac.server import tokens
     from vitac.server.errors import ServiceError
 
     try:
@@ -41,9 +41,9 @@ def _is_valid(session: Session, secret: str) -> bool:
 
 
 def _issue(session: Session) -> str:
-    from vitac.server.accounts import tokens
-    from vitac.server.accounts.principals import CONSOLE
+    from vitac.server import tokens
     from vitac.server.db.states import Role
+    from vitac.server.principals import CONSOLE
 
     issued = tokens.issue(
         session, CONSOLE, role=Role.TEAM, label="vitac demo", team=_find_or_register(session), lifetime=TOKEN_LIFETIME
@@ -52,9 +52,9 @@ def _issue(session: Session) -> str:
 
 
 def _find_or_register(session: Session) -> Team:
-    from vitac.server.accounts import teams
-    from vitac.server.accounts.principals import CONSOLE
     from vitac.server.errors import ProblemCode, ServiceError
+    from vitac.server.principals import CONSOLE
+    from vitac.server.teams import teams
 
     try:
         return teams.find(session, TEAM)

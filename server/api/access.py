@@ -5,9 +5,9 @@ from typing import Annotated, Final
 from fastapi import Depends, Path, Request
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 
-from ..accounts import tokens
-from ..accounts.principals import VISITOR, Principal
+from .. import tokens
 from ..errors import token_missing
+from ..principals import VISITOR, Principal
 from ..services import Services
 
 bearer = HTTPBearer(auto_error=False, description="An API token: `vitac_` and 43 characters.")

@@ -16,12 +16,12 @@ from ..notices.sending import NoticeSender
 from ..operations.exposition import Exposition
 from ..services import Services, open_services
 from ..settings import Settings
-from . import health, judging, metrics, problems, receipts, submissions, teams, tracks
+from . import appeals, health, judging, members, messages, metrics, problems, receipts, submissions, teams, tracks
+from . import rejudging as rejudgements
 from .middleware.body_limit import BodyLimit
 from .middleware.request_head import RequestHead
 from .middleware.request_times import RequestTimes
 from .middleware.shutdown import Shutdown
-from .people import appeals, members, messages, rejudgements
 from .resumable import routes as uploads
 from .resumable.protocol import ProtocolVersion
 

@@ -9,7 +9,7 @@ from fastapi import APIRouter, Query, Response
 from pydantic import BaseModel, ConfigDict, Field
 
 from ..judging import judging
-from ..views.contest.judging import JudgedTeamView
+from ..views.judging import JudgedTeamView
 from .access import PrincipalOf, ServicesOf
 from .problems import RESPONSES
 

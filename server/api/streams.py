@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 from fastapi.concurrency import run_in_threadpool
 
-from ..accounts.principals import Principal
-from ..accounts.quotas import exceeded, limit_of
 from ..db.states import Quota
 from ..limiter import ConcurrencyLimiter
+from ..principals import Principal
+from ..quotas import exceeded, limit_of
 from ..services import Services
 
 

@@ -15,19 +15,19 @@ from pydantic import BaseModel, ConfigDict, Field
 from sse_starlette import EventSourceResponse, ServerSentEvent
 from vitac.evaluator.submission_kinds import SubmissionKind
 
-from ..accounts.principals import Principal
-from ..accounts.visibility import visible
 from ..db.states import EvaluationState
 from ..errors import ProblemCode, ServiceError
 from ..limiter import UPLOADS
 from ..logs import action_matches
 from ..logs.export import export_log
+from ..principals import Principal
 from ..services import Services
 from ..sharing import public_pages
 from ..submissions import listing, output, runs, sensors, upload
 from ..submissions.watch import watch
 from ..views.logs import ActionMatchView
 from ..views.submissions import EpisodeView, OutputView, SensorView, SubmissionListView, SubmissionView
+from ..visibility import visible
 from .access import MAX_NUMBER, PrincipalOf, ReaderOf, ServicesOf
 from .problems import RESPONSES
 from .streams import OpenStreams

@@ -9,23 +9,18 @@ from fastapi import APIRouter, Request, Response
 from pydantic import BaseModel, ConfigDict, Field
 from sqlalchemy.orm import Session
 
-from ..accounts import registration, teams, tokens
-from ..accounts.principals import CONSOLE, Principal
-from ..accounts.quotas import charge, uses
-from ..accounts.shown_names import ShownNames
-from ..competition.schedule import stage_quota_uses
+from .. import tokens
+from ..contest.stages import stage_quota_uses
 from ..db.models import ApiToken, Team
 from ..db.states import Quota, Role
 from ..limiter import client_key
+from ..members import registration
+from ..principals import CONSOLE, Principal
+from ..quotas import charge, uses
 from ..services import Services
-from ..views.accounts import (
-    MeView,
-    NewTokenView,
-    QuotaView,
-    RegisteredTeamView,
-    StageQuotaView,
-    TokenListView,
-)
+from ..teams import teams
+from ..teams.shown_names import ShownNames
+from ..views.teams import MeView, NewTokenView, QuotaView, RegisteredTeamView, StageQuotaView, TokenListView
 from .access import OptionalPrincipalOf, PrincipalOf, ServicesOf
 from .problems import RESPONSES
 

@@ -4,14 +4,14 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request, Response
 
-from ..competition.view import competition_view
+from ..contest.view import competition_view
 from ..leaderboards.log_boards import log_boards
 from ..leaderboards.made_boards import MadeBoard
 from ..leaderboards.standings import leaderboard
-from ..results.archive import archive_view
+from ..publishing.archive import archive_view
 from ..tracks import load_known_track, track_view, track_views
-from ..views.contest.archive import ArchiveView
-from ..views.contest.competition import CompetitionView
+from ..views.archive import ArchiveView
+from ..views.contest import CompetitionView
 from ..views.leaderboards import LeaderboardView, LogBoardsView
 from ..views.tracks import TrackListView, TrackView
 from .access import ServicesOf

@@ -10,11 +10,11 @@ from pathlib import Path
 from sqlalchemy import Connection, text
 from vitac.envs.errors import VitacError
 
-from ..accounts.audit import record
-from ..accounts.principals import CONSOLE
+from ..audit import record
 from ..db.models import PartialUpload, UploadPart
 from ..db.schema import installed_revision
 from ..postgres import tools
+from ..principals import CONSOLE
 from ..services import Services
 from ..storage.new_file import new_file
 from ..submissions.files import stored_digests

@@ -7,12 +7,12 @@ from sqlalchemy import func, select, text
 from sqlalchemy.orm import Session
 from vitac.envs.errors import VitacError
 
-from ..accounts.audit import record
-from ..accounts.principals import CONSOLE
+from ..audit import record
 from ..db.advisory_locks import AdvisoryLock, wait_for_lock
 from ..db.models import ApiToken, Submission, Team, Worker
 from ..db.schema import knows_revision, upgrade
 from ..postgres import tools
+from ..principals import CONSOLE
 from ..queue.workers import workers_alive
 from ..services import Services
 from ..settings import Settings

@@ -18,10 +18,10 @@ from sqlalchemy.orm import Session, aliased
 from vitac.evaluator.episodes.records import ActionSequence
 from vitac.evaluator.submission_kinds import SubmissionKind
 
-from ..accounts.shown_names import ShownNames
 from ..db.among import among_given
 from ..db.models import BoardResult, EpisodeResult, Evaluation, LogCopy, Submission, Team
 from ..db.states import EvaluationState
+from ..teams.shown_names import ShownNames
 from ..views.logs import LogCopyView
 from .episode_store import EpisodeKey
 

@@ -16,8 +16,7 @@ from vitac.evaluator.tracks import load_track
 from vitac.evaluator.tracks.cut import cut
 from vitac.evaluator.version import evaluator_hash, evaluator_version
 
-from ..accounts.visibility import played_list_kind
-from ..competition.sealing import commitment_of_stage
+from ..contest.sealing import commitment_of_stage
 from ..db.models import Evaluation, Shard, Submission
 from ..db.row_locks import lock_evaluation
 from ..db.states import OPEN_SHARD_STATES, EvaluationState, NoticeKind, ShardState
@@ -28,6 +27,7 @@ from ..queue.turns import next_turn
 from ..receipts.chain import issue
 from ..settings import Settings
 from ..tracks import family_of
+from ..visibility import played_list_kind
 from .copies import flag_copies
 from .episode_store import EpisodeKey, count_stored, missing_episodes, records_of
 from .provenance import manifest_of

@@ -5,10 +5,10 @@ from uuid import UUID
 from sqlalchemy import select
 from sqlalchemy.orm import Session, defer, joinedload
 
-from ..accounts.principals import CONSOLE
 from ..db.models import Evaluation, Shard, Submission
 from ..db.states import EvaluationState
 from ..errors import not_found
+from ..principals import CONSOLE
 from ..queue.workers import fleet
 from ..settings import Settings
 from ..views.evaluations import EvaluationDetailView, EvaluationRowView, ShardView

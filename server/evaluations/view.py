@@ -10,12 +10,11 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 from vitac.evaluator.tracks import ListKind
 
-from ..accounts.principals import Principal
-from ..accounts.visibility import has_lists, played_list_kind, sight_of
 from ..db.models import EpisodeResult, Evaluation
 from ..db.states import ACTIVE_EVALUATION_STATES, TERMINAL_EVALUATION_STATES, EvaluationState
 from ..errors import TRACK_REMOVED
 from ..kept import Kept
+from ..principals import Principal
 from ..queue.workers import WorkersAlive
 from ..tracks import known_task
 from ..views.evaluations import (
@@ -26,6 +25,7 @@ from ..views.evaluations import (
     VerdictView,
 )
 from ..views.scores import TaskScoreView
+from ..visibility import has_lists, played_list_kind, sight_of
 from .differences import differing_episodes
 from .episode_store import EpisodeKey
 from .lifecycle import LOG_TAIL_CHARACTERS

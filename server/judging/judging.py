@@ -14,20 +14,21 @@ from sqlalchemy.orm import Session
 from vitac.evaluator.figures.figures import SensorFigures
 from vitac.evaluator.tracks import load_track
 
-from ..accounts import teams, tokens
-from ..accounts.audit import record
-from ..accounts.principals import CONSOLE, Principal
-from ..accounts.visibility import sight_of, visible
-from ..competition.definition import Judging
-from ..competition.schedule import current, shown_stage
+from .. import tokens
+from ..audit import record
+from ..contest.definition import Judging
+from ..contest.stages import current, shown_stage
 from ..db.competition_row import lock_competition, require_not_final
 from ..db.models import Evaluation, JudgingConflict, JudgingMark, Submission
 from ..errors import ProblemCode, ServiceError
 from ..evaluations.history import newest_evaluation
 from ..evaluations.scores import counted_tasks
 from ..leaderboards.standings import leaderboard
+from ..principals import CONSOLE, Principal
 from ..submissions.figures import figures_of
+from ..teams import teams
 from ..views.leaderboards import LeaderboardEntryView
+from ..visibility import sight_of, visible
 
 BEST_MARK = 10.0
 

@@ -8,12 +8,12 @@ from sqlalchemy.orm import Session
 from vitac.evaluator.figures.figures import SensorFigures
 from vitac.evaluator.tracks import load_track
 
-from ..accounts.principals import Principal
-from ..competition.definition import Judging
-from ..competition.schedule import current
+from ..contest.definition import Judging
+from ..contest.stages import current
 from ..db.models import JudgingConflict, JudgingMark, Submission
 from ..errors import ProblemCode, ServiceError
 from ..leaderboards.standings import leaderboard
+from ..principals import Principal
 from ..views.leaderboards import LeaderboardEntryView
 from .judging import JudgedTeam, figures_of_entry, judged
 

@@ -15,7 +15,7 @@ from sqlalchemy.orm import Session, aliased
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.version import evaluator_version
 
-from ..competition.definition import DEFAULT_RANKING, RankingKey
+from ..contest.definition import DEFAULT_RANKING, RankingKey
 from ..db.models import ALL_TASKS, BoardResult, Team
 from ..tracks import known_track
 from ..views.submissions import RankView

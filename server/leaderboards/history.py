@@ -7,10 +7,10 @@ from sqlalchemy import Select, Text, bindparam, func, select
 from sqlalchemy.dialects.postgresql import ARRAY
 from sqlalchemy.orm import Session
 
-from ..accounts.principals import Principal
-from ..accounts.visibility import visible
 from ..db.models import BoardResult, Evaluation, Submission
+from ..principals import Principal
 from ..views.leaderboards import PastResultView
+from ..visibility import visible
 
 MAX_RESULTS = 500
 

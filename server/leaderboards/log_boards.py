@@ -16,20 +16,20 @@ from sqlalchemy.orm import Session
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import Track
 
-from ..accounts import teams
-from ..accounts.principals import VISITOR
-from ..accounts.shown_names import ShownNames
-from ..accounts.visibility import played_list_kind
-from ..competition.definition import DEFAULT_RANKING, CompetitionTrack, RankingKey
-from ..competition.schedule import CountedResults, counted_results, shown_stage, track_rules
+from ..contest.definition import DEFAULT_RANKING, CompetitionTrack, RankingKey
+from ..contest.stages import CountedResults, counted_results, shown_stage, track_rules
 from ..db.models import BoardResult, Evaluation, Team
 from ..evaluations.copies import copies_among
 from ..evaluations.scores import score_views
 from ..logs.claims import LogClaim
 from ..logs.view import verification_of
+from ..principals import VISITOR
+from ..teams import teams
+from ..teams.shown_names import ShownNames
 from ..tracks import load_known_track
 from ..views.leaderboards import LogBoardsView, LogBoardView, LogEntryView, TextLogEntryView
 from ..views.logs import LogCopyView
+from ..visibility import played_list_kind
 from .best_entries import EVER, BestEntry, Board, best_entries, takes_part
 from .changes import kept_until_change
 from .made_boards import MadeBoard, MadeBoards, revision_of

@@ -12,17 +12,17 @@ from sqlalchemy.orm import Session, defer, selectinload
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import ListKind, Track
 
-from ..accounts import teams
-from ..accounts.principals import CONSOLE, VISITOR
-from ..accounts.shown_names import ShownNames
-from ..accounts.visibility import played_list_kind
-from ..competition.definition import DEFAULT_RANKING
-from ..competition.schedule import CountedResults, counted_results, shown_stage, track_rules
-from ..competition.sealing import commitment_of_stage
+from ..contest.definition import DEFAULT_RANKING
+from ..contest.sealing import commitment_of_stage
+from ..contest.stages import CountedResults, counted_results, shown_stage, track_rules
 from ..db.models import Evaluation, Submission
 from ..evaluations.scores import bounds, combination_of, scores_of, task_views
+from ..principals import CONSOLE, VISITOR
+from ..teams import teams
+from ..teams.shown_names import ShownNames
 from ..tracks import load_known_track, require_task
 from ..views.leaderboards import LeaderboardEntryView, LeaderboardView, LogEntryView
+from ..visibility import played_list_kind
 from .best_entries import EVER, BestEntry, Board, best_entries
 from .changes import kept_until_change
 from .made_boards import MadeBoard, MadeBoards, revision_of

@@ -15,14 +15,14 @@ from vitac.evaluator.episodes.records import ActionSequence
 from vitac.evaluator.logs.action_match import EpisodeMatch, compare_actions
 from vitac.evaluator.submission_kinds import SubmissionKind
 
-from ..accounts.principals import Principal
-from ..accounts.visibility import sight_of, visible
 from ..db.models import EpisodeResult, Evaluation, Submission
 from ..db.states import EvaluationState
 from ..evaluations.episode_store import EpisodeKey
 from ..evaluations.history import newest_evaluation
 from ..kept import Kept
+from ..principals import Principal
 from ..views.logs import ActionMatchView, MatchedEpisodeView
+from ..visibility import sight_of, visible
 
 MAX_MODELS = 20
 """So many models are compared, the ones evaluated last."""

@@ -6,14 +6,14 @@ from uuid import UUID
 from sqlalchemy.orm import Session
 from vitac.evaluator.logs.log import LogHeader, write_log
 
-from ..accounts.principals import Principal
-from ..accounts.shown_names import ShownNames
-from ..accounts.visibility import require_episodes, visible
 from ..db.states import EvaluationState
 from ..errors import ProblemCode, ServiceError
 from ..evaluations.episode_store import EpisodeKey, records_of
 from ..evaluations.history import newest_evaluation
 from ..evaluations.provenance import manifest_of
+from ..principals import Principal
+from ..teams.shown_names import ShownNames
+from ..visibility import require_episodes, visible
 
 
 def export_log(session: Session, by: Principal, submission_id: UUID, task: str | None) -> bytes:

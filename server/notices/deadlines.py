@@ -5,7 +5,7 @@ from datetime import UTC, datetime, timedelta
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from ..competition.schedule import current, is_qualified
+from ..contest.stages import current, is_qualified
 from ..db.models import Team
 from ..db.states import NoticeKind
 from .outbox import announce, stage_facts

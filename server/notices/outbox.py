@@ -9,14 +9,14 @@ from sqlalchemy import func, select
 from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
 
-from ..accounts.audit import record
-from ..accounts.principals import Principal
-from ..competition.definition import CompetitionDefinition
-from ..competition.schedule import track_title
+from ..audit import record
+from ..contest.definition import CompetitionDefinition
+from ..contest.stages import track_title
 from ..db.models import Evaluation, Member, Notice, Webhook
 from ..db.states import NoticeChannel, NoticeKind
 from ..errors import ProblemCode, ServiceError, not_found
-from ..views.contest.people import NoticeView
+from ..principals import Principal
+from ..views.notices import NoticeView
 
 MAX_MAILS_A_DAY = 200
 """To the members of one team: an address may be somebody else's, who did not ask for mails."""

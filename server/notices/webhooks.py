@@ -16,12 +16,12 @@ from uuid import UUID
 from sqlalchemy import delete, func, select
 from sqlalchemy.orm import Session
 
-from ..accounts import teams
-from ..accounts.audit import record
-from ..accounts.principals import Principal
+from ..audit import record
 from ..db.models import Notice, Team, Webhook
 from ..errors import ProblemCode, ServiceError, not_found
-from ..views.contest.people import NewWebhookView, WebhookView
+from ..principals import Principal
+from ..teams import teams
+from ..views.notices import NewWebhookView, WebhookView
 from . import addresses
 
 MAX_WEBHOOKS = 5

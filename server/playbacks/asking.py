@@ -17,21 +17,21 @@ from vitac.evaluator.playback.order import FORMAT, NotPlayable, require_playable
 from vitac.evaluator.tracks import load_track
 from vitac.evaluator.version import evaluator_version
 
-from ..accounts.principals import Principal
-from ..accounts.shown_names import ShownNames
-from ..accounts.visibility import sight_of
 from ..db.advisory_locks import AdvisoryLock, wait_for_turn
 from ..db.models import EpisodeResult, Playback, Shard
 from ..db.states import OPEN_PLAYBACK_STATES, PlaybackState, ShardState
 from ..errors import ProblemCode, ServiceError, not_found
 from ..evaluations.episode_store import EpisodeKey
 from ..evaluations.history import newest_evaluation
+from ..principals import Principal
 from ..queue.jobs import enqueue_playback, queue_name
 from ..queue.workers import fleet
 from ..settings import Settings
 from ..sharing.public_pages import readable
+from ..teams.shown_names import ShownNames
 from ..tracks import playback_family_of
 from ..views.playbacks import PlaybackView, ShownEpisodeView
+from ..visibility import sight_of
 
 NOBODY_DRAWS = "no running worker can draw ManiSkill’s environments, which takes its packages and a Vulkan driver"
 """Why nobody makes a film of ManiSkill."""

@@ -6,10 +6,10 @@ from sqlalchemy import and_, select
 from sqlalchemy.orm import Session
 from vitac.evaluator.version import evaluator_version
 
-from ..accounts.principals import VISITOR
 from ..db.models import EpisodeResult, Playback, Submission
 from ..db.states import PlaybackState
 from ..errors import ProblemCode, ServiceError
+from ..principals import VISITOR
 from ..settings import Settings
 from ..sharing.public_pages import public_among
 from ..views.playbacks import PublicEpisodeView, ShownEpisodeView

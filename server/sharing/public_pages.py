@@ -9,15 +9,15 @@ from uuid import UUID
 from sqlalchemy import or_, select
 from sqlalchemy.orm import Session, joinedload
 
-from ..accounts.audit import record
-from ..accounts.principals import VISITOR, Principal
-from ..accounts.visibility import changeable
-from ..competition.schedule import NO_STAGE, boards_stand_since, current
+from ..audit import record
+from ..contest.stages import NO_STAGE, boards_stand_since, current
 from ..db.among import among
 from ..db.models import Evaluation, Submission, Team
 from ..db.states import EvaluationState
 from ..errors import not_found, token_missing
 from ..evaluations.history import newest_state, of_newest
+from ..principals import VISITOR, Principal
+from ..visibility import changeable
 
 
 def readable(session: Session, by: Principal, submission_id: UUID) -> Submission:

@@ -4,9 +4,9 @@ from contextlib import suppress
 from dataclasses import replace
 from uuid import UUID
 
-from ..accounts.principals import Principal
 from ..db.models import PartialUpload
 from ..errors import ProblemCode, ServiceError
+from ..principals import Principal
 from ..services import Services
 from ..uploads import intake, partial
 from ..uploads.acceptance import accept

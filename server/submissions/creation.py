@@ -7,18 +7,18 @@ from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
 from vitac.evaluator.tracks import load_track
 
-from ..accounts import teams
-from ..accounts.audit import record
-from ..accounts.principals import Principal
-from ..accounts.quotas import charge, check
-from ..competition.schedule import check_stage_quotas, stage_for_submission
+from ..audit import record
+from ..contest.stages import check_stage_quotas, stage_for_submission
 from ..db.models import Submission, Team
 from ..db.states import NoticeKind, Quota
 from ..errors import ProblemCode, ServiceError
 from ..evaluations import lifecycle
 from ..notices.outbox import announce_evaluation
+from ..principals import Principal
+from ..quotas import charge, check
 from ..settings import Quotas
 from ..sharing.public_pages import is_public_from_the_start
+from ..teams import teams
 from ..uploads.checked_upload import CheckedUpload
 from ..uploads.file_names import check_file_name
 from .files import add_files

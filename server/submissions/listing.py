@@ -6,17 +6,17 @@ from uuid import UUID
 from sqlalchemy import select, tuple_
 from sqlalchemy.orm import Session, joinedload
 
-from ..accounts import teams
-from ..accounts.principals import Principal
-from ..accounts.visibility import sight_of, visible
 from ..db.models import EpisodeResult, Evaluation, Submission
 from ..db.states import EvaluationState
 from ..evaluations.episode_store import EpisodeKey
 from ..evaluations.history import histories, newest_evaluation, newest_state
 from ..kept import Kept
+from ..principals import Principal
 from ..settings import Settings
 from ..sharing.public_pages import readable
+from ..teams import teams
 from ..views.submissions import EpisodeView, SubmissionListView, SubmissionView
+from ..visibility import sight_of, visible
 from .view import submission_views
 
 _ends: Kept[UUID, Sequence[EpisodeView]] = Kept(at_most=128)

@@ -8,13 +8,13 @@ from sqlalchemy import Row, Select, func, or_, select
 from sqlalchemy.orm import Session
 from vitac.evaluator.episodes.records import EpisodeOutcome, PolicyFailure
 
-from ..accounts.principals import Principal
-from ..accounts.visibility import require_lists, sight_of, visible
 from ..db.models import EpisodeResult, Evaluation
 from ..errors import ProblemCode, ServiceError
 from ..evaluations.episode_store import EpisodeKey
 from ..evaluations.history import newest_evaluation
+from ..principals import Principal
 from ..views.submissions import EpisodeOutputView, OutputView
+from ..visibility import require_lists, sight_of, visible
 
 PAGE_EPISODES = 20
 _HAS_SOMETHING = or_(

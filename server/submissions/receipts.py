@@ -6,15 +6,15 @@ import structlog
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from ..accounts.principals import Principal
-from ..accounts.visibility import visible
 from ..db.models import Evaluation, ReceiptRow
 from ..db.states import EvaluationState
 from ..errors import ProblemCode, ServiceError
 from ..evaluations.scores import combined_result
+from ..principals import Principal
 from ..receipts import chain
 from ..receipts.receipt import Receipt
 from ..views.receipts import ChainView, LinkView
+from ..visibility import visible
 
 logger = structlog.get_logger(__name__)
 

@@ -6,9 +6,7 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 from vitac.evaluator.version import evaluator_version
 
-from ..accounts.audit import record
-from ..accounts.principals import Principal
-from ..accounts.visibility import changeable, visible
+from ..audit import record
 from ..db.models import Evaluation, Submission
 from ..db.row_locks import lock_evaluation
 from ..db.states import ACTIVE_EVALUATION_STATES, TERMINAL_EVALUATION_STATES, EvaluationState
@@ -16,6 +14,8 @@ from ..errors import ProblemCode, ServiceError
 from ..evaluations import lifecycle
 from ..evaluations.history import all_runs, newest_evaluation
 from ..evaluations.verdicts import REFUTING_RESULTS, ServiceVerdict
+from ..principals import Principal
+from ..visibility import changeable, visible
 
 MACHINE_FAILURES = 3
 """After so many evaluations of a submission that machines have ended within 24 hours, only organizers start another."""

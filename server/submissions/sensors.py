@@ -7,13 +7,13 @@ from sqlalchemy.orm import Session
 from vitac.evaluator.scoring.gain import RunsDiffer, SensingGain, sensing_gain
 from vitac.evaluator.tracks import Player, load_track
 
-from ..accounts.principals import Principal
-from ..accounts.visibility import sight_of, visible
 from ..db.models import Submission, SubmissionFile
 from ..db.states import EvaluationState, FileRole
 from ..errors import not_found
 from ..evaluations.history import newest_evaluation
+from ..principals import Principal
 from ..views.submissions import DocumentView, EpisodeView, SensorView
+from ..visibility import sight_of, visible
 from .figures import coefficients_digest, figures_of
 from .files import file_of
 from .listing import episodes

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from starlette.requests import ClientDisconnect
 from vitac.evaluator.submission_kinds import SubmissionKind
 
-from ..accounts.principals import Principal
+from ..principals import Principal
 from ..services import Services
 from ..tracks import load_known_track
 from ..uploads import intake

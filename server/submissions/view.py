@@ -9,11 +9,8 @@ from sqlalchemy.orm import Session
 from vitac.evaluator.logs.findings import LogFinding
 from vitac.evaluator.submission_kinds import SubmissionKind
 
-from ..accounts.principals import Principal
-from ..accounts.shown_names import ShownNames
-from ..accounts.teams import team_view
-from ..competition.definition import DEFAULT_RANKING
-from ..competition.schedule import counted_results, track_rules
+from ..contest.definition import DEFAULT_RANKING
+from ..contest.stages import counted_results, track_rules
 from ..db.models import Evaluation, Submission
 from ..db.states import EvaluationState
 from ..evaluations.copies import copies_among
@@ -21,8 +18,11 @@ from ..evaluations.scores import counted_tasks
 from ..evaluations.view import EvaluationRows, evaluation_view, summary_view
 from ..leaderboards.best_entries import EVER, Board, PlacesOfBoards, places
 from ..logs.view import findings_of
+from ..principals import Principal
 from ..queue.workers import Fleet, fleet
 from ..settings import Settings
+from ..teams.shown_names import ShownNames
+from ..teams.teams import team_view
 from ..tracks import family_of
 from ..uploads.kinds import SERVED_KINDS
 from ..views.logs import LogCopyView

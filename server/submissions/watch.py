@@ -4,9 +4,9 @@ import asyncio
 from collections.abc import AsyncGenerator
 from uuid import UUID
 
-from ..accounts.principals import Principal
 from ..db.engine import Database
 from ..db.states import TERMINAL_EVALUATION_STATES
+from ..principals import Principal
 from ..settings import Settings
 from ..views.submissions import SubmissionView
 from .listing import get

@@ -16,12 +16,12 @@ from sqlalchemy import delete, func, select, update
 from sqlalchemy.orm import Session, joinedload
 from vitac.evaluator.submission_kinds import SubmissionKind
 
-from ..accounts import teams
-from ..accounts.principals import Principal
 from ..db.models import PartialUpload, Team, UploadPart
 from ..errors import ProblemCode, ServiceError, not_found
+from ..principals import Principal
 from ..services import Services
 from ..settings import Settings
+from ..teams import teams
 from .intake import FILE_NAME, ReceivedFile, check_announced_size
 from .kinds import SERVED_KINDS
 

@@ -8,10 +8,10 @@ from vitac.evaluator.figures.figures import SensorFigures
 from vitac.evaluator.scoring.gain import SensingGain
 from vitac.evaluator.submission_kinds import SubmissionKind
 
-from .accounts import TeamView
 from .base import View
 from .evaluations import EvaluationSummaryView, EvaluationView
 from .logs import LogView
+from .teams import TeamView
 from .workers import WorkersView
 
 

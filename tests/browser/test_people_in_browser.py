@@ -10,12 +10,15 @@ from checked_pages import BOARD, PAGES_OF_ROLES
 from cli_service import CliService, cli_service
 from playwright.sync_api import Page, expect
 from service_factories import make_principal, make_secret, play_all, submit
-from vitac.server.accounts import members, teams, tokens
-from vitac.server.accounts.principals import CONSOLE, Principal
+from vitac.server import tokens
+from vitac.server.appeals import appeals
 from vitac.server.db.states import Role
-from vitac.server.people import announcements, appeals, questions
-from vitac.server.results import rejudging
+from vitac.server.members import members
+from vitac.server.messages import announcements, questions
+from vitac.server.principals import CONSOLE, Principal
+from vitac.server.rejudging import rejudging
 from vitac.server.sharing.public_pages import set_public
+from vitac.server.teams import teams
 from waiting import answered, resize
 
 from competitions import make_competition, open_now, put_in_place

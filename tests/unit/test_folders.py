@@ -11,7 +11,7 @@ import pytest
 
 PRODUCT = ("cli", "envs", "evaluator", "server", "training", "web", "worker")
 CODE = (*PRODUCT, "benchmarks", "migrations", "tests")
-MAX_MODULES = 12
+MAX_MODULES = 20
 MAX_SIBLINGS = 2
 # One file for each migration, and one for each attack: data, read by one runner.
 DATA = {Path("migrations/versions"), Path("tests/integration/sandbox/policies")}

@@ -11,9 +11,9 @@ if TYPE_CHECKING:
     from uuid import UUID
 
     from vitac.evaluator.tracks import Track
-    from vitac.server.views.contest.competition import CompetitionView
-    from vitac.server.views.contest.people import AnnouncementView
+    from vitac.server.views.contest import CompetitionView
     from vitac.server.views.leaderboards import LeaderboardEntryView
+    from vitac.server.views.messages import AnnouncementView
     from vitac.server.views.playbacks import PublicEpisodeView
 
 

@@ -14,17 +14,17 @@ if TYPE_CHECKING:
     from sqlalchemy.orm import Session
     from vitac.evaluator.agent.description import SandboxDescription
     from vitac.evaluator.sensors.appearance import Appearance
-    from vitac.server.accounts.principals import Principal
     from vitac.server.playbacks.files import PlaybackFile
+    from vitac.server.principals import Principal
     from vitac.server.queue.workers import Disk
     from vitac.server.receipts.receipt import Receipt
     from vitac.server.settings import Registration
     from vitac.server.submissions.upload import AnnouncedUpload
-    from vitac.server.views.contest.archive import ArchiveView
-    from vitac.server.views.contest.competition import CompetitionView, StageView
-    from vitac.server.views.contest.people import AnnouncementView
+    from vitac.server.views.archive import ArchiveView
+    from vitac.server.views.contest import CompetitionView, StageView
     from vitac.server.views.leaderboards import LeaderboardView, LogBoardsView, PastResultView
     from vitac.server.views.logs import ActionMatchView
+    from vitac.server.views.messages import AnnouncementView
     from vitac.server.views.operations import OperationsView
     from vitac.server.views.playbacks import PlaybackView, PublicEpisodeView, ShownEpisodeView
     from vitac.server.views.receipts import ChainView

@@ -12,27 +12,29 @@ from typing import TYPE_CHECKING, TypeVar
 from pydantic import ValidationError
 from vitac.evaluator.sensors.appearance import appearance
 from vitac.evaluator.sensors.made import read_made_sensor
-from vitac.server.accounts import members, registration, teams, tokens
-from vitac.server.accounts.principals import VISITOR
-from vitac.server.accounts.visibility import visible
+from vitac.server import tokens
 from vitac.server.api.teams import NewTeam
-from vitac.server.competition.view import competition_view, track_stages
+from vitac.server.contest.view import competition_view, track_stages
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.evaluations.history import histories
 from vitac.server.leaderboards import history, log_boards, standings
 from vitac.server.limiter import UPLOADS
 from vitac.server.logs import action_matches
+from vitac.server.members import members, registration
+from vitac.server.messages import announcements
 from vitac.server.metrics.totals import totals
 from vitac.server.operations.state import operations
-from vitac.server.people import announcements
 from vitac.server.playbacks import asking, files, recent
+from vitac.server.principals import VISITOR
+from vitac.server.publishing.archive import archive_view
 from vitac.server.queue import workers
 from vitac.server.queue.workers import disk_of
-from vitac.server.results.archive import archive_view
 from vitac.server.sharing import public_pages
 from vitac.server.sharing.public_pages import readable
 from vitac.server.submissions import listing, output, receipts, runs, sensors, upload
 from vitac.server.submissions.view import submission_views
+from vitac.server.teams import teams
+from vitac.server.visibility import visible
 
 from ..session.signer import LIFETIME
 from .limits import limit_rows, size
@@ -46,20 +48,20 @@ if TYPE_CHECKING:
 
     from sqlalchemy.orm import Session
     from vitac.evaluator.agent.description import SandboxDescription
-    from vitac.server.accounts.principals import Principal
     from vitac.server.api.streams import OpenStreams
     from vitac.server.db.engine import Database
     from vitac.server.limiter import ConcurrencyLimiter, SignInLimiters, WindowLimiter
     from vitac.server.playbacks.files import PlaybackFile
+    from vitac.server.principals import Principal
     from vitac.server.queue.workers import Disk
     from vitac.server.receipts.receipt import Receipt
     from vitac.server.settings import Registration, Settings
     from vitac.server.storage.blobs import BlobStore
     from vitac.server.submissions.upload import AnnouncedUpload
-    from vitac.server.views.contest.archive import ArchiveView
-    from vitac.server.views.contest.competition import CompetitionView, StageView
-    from vitac.server.views.contest.people import AnnouncementView
+    from vitac.server.views.archive import ArchiveView
+    from vitac.server.views.contest import CompetitionView, StageView
     from vitac.server.views.leaderboards import LeaderboardView, LogBoardsView
+    from vitac.server.views.messages import AnnouncementView
     from vitac.server.views.operations import OperationsView
     from vitac.server.views.playbacks import PlaybackView, PublicEpisodeView, ShownEpisodeView
     from vitac.server.views.receipts import ChainView

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 from urllib.parse import urlencode
 
-from vitac.server.accounts import names
+from vitac.server import names
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence

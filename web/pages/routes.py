@@ -10,14 +10,29 @@ from starlette.staticfiles import StaticFiles
 
 from ..headers import SecurityHeaders
 from ..rendering import STATIC, static_digest
-from . import documentation, errors, logs, operations, sandbox, sensors, submissions, tracks
-from .contest import archive, competition, home, judging, receipts, rejudging
+from . import (
+    appeals,
+    desk,
+    documentation,
+    errors,
+    home,
+    judging,
+    logs,
+    messages,
+    operations,
+    receipts,
+    rejudging,
+    sandbox,
+    tracks,
+)
+from .contest import archive
+from .contest import contest as competition
 from .episodes import page as episodes
 from .files import boards
 from .files import submissions as tables
 from .files.formats import Format
-from .people import appeals, desk, messages, team
-from .team import comparison, output, register, sharing, sign_in, upload
+from .submissions import comparison, output, sensors, sharing, submissions, upload
+from .teams import register, sign_in, team
 
 if TYPE_CHECKING:
     from fastapi import FastAPI

@@ -12,7 +12,7 @@ from ..consent import DryRun, Yes, change_as_shown, change_transaction
 
 if TYPE_CHECKING:
     from sqlalchemy.orm import Session
-    from vitac.server.results.finishing import Winner
+    from vitac.server.prizes.finishing import Winner
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
@@ -22,8 +22,8 @@ COLUMNS = ("track", "place", "team", "amount", "currency", "rank", "success_rate
 @app.command()
 def freeze(dry_run: DryRun = False, as_json: AsJson = False) -> None:
     """Let the boards of all stages stand still for everybody but organizers; `unfreeze` takes it back."""
-    from vitac.server.accounts.principals import CONSOLE
-    from vitac.server.results.finishing import freeze as freeze_boards
+    from vitac.server.principals import CONSOLE
+    from vitac.server.prizes.finishing import freeze as freeze_boards
 
     with change_transaction(dry_run=dry_run) as session:
         freeze_boards(session, CONSOLE)
@@ -33,8 +33,8 @@ def freeze(dry_run: DryRun = False, as_json: AsJson = False) -> None:
 @app.command()
 def unfreeze(yes: Yes = False, dry_run: DryRun = False, as_json: AsJson = False) -> None:
     """Show all results again."""
-    from vitac.server.accounts.principals import CONSOLE
-    from vitac.server.results.finishing import unfreeze as unfreeze_boards
+    from vitac.server.principals import CONSOLE
+    from vitac.server.prizes.finishing import unfreeze as unfreeze_boards
 
     with change_transaction(dry_run=dry_run, question="Show all results on the boards again?", yes=yes) as session:
         unfreeze_boards(session, CONSOLE)
@@ -44,9 +44,9 @@ def unfreeze(yes: Yes = False, dry_run: DryRun = False, as_json: AsJson = False)
 @app.command()
 def winners(as_json: AsJson = False) -> None:
     """List who wins what: final, or by today's boards of the last stages."""
-    from vitac.server.competition.view import disqualified_since_the_end
-    from vitac.server.results.finishing import prizes_without_winner
-    from vitac.server.results.finishing import winners as all_winners
+    from vitac.server.contest.view import disqualified_since_the_end
+    from vitac.server.prizes.finishing import prizes_without_winner
+    from vitac.server.prizes.finishing import winners as all_winners
 
     with transaction() as session:
         found = all_winners(session)
@@ -67,9 +67,9 @@ def finalize(
     as_json: AsJson = False,
 ) -> None:
     """End the competition with the winners as they are now; with --again, decide them anew after it."""
-    from vitac.server.accounts.principals import CONSOLE
-    from vitac.server.results.finishing import finalize as finalize_results
-    from vitac.server.results.finishing import finalize_again, prizes_without_winner
+    from vitac.server.principals import CONSOLE
+    from vitac.server.prizes.finishing import finalize as finalize_results
+    from vitac.server.prizes.finishing import finalize_again, prizes_without_winner
 
     def change(session: "Session") -> "tuple[list[Winner], list[str]]":
         found = finalize_again(session, CONSOLE) if again else finalize_results(session, CONSOLE)
@@ -90,7 +90,7 @@ def publish(
     as_json: AsJson = False,
 ) -> None:
     """Write the results as JSON, CSV, a page to print and certificates."""
-    from vitac.server.results.publishing import publish as publish_results
+    from vitac.server.publishing.publishing import publish as publish_results
 
     with transaction() as session:
         written = [str(path) for path in publish_results(session, folder)]

@@ -26,7 +26,7 @@ def check(
 
     A few episodes are played: every shape once, and the largest offsets. What a policy computes comes on top.
     """
-    from vitac.server.competition.own_tracks import CORES, check_track
+    from vitac.server.contest.own_tracks import CORES, check_track
 
     with compiling_shown():
         found = check_track(file)

@@ -9,10 +9,10 @@ from fastapi import APIRouter, Header, Request, Response
 from fastapi.concurrency import run_in_threadpool
 from vitac.evaluator.submission_kinds import SubmissionKind
 
-from ...accounts.principals import Principal
 from ...db.models import PartialUpload
 from ...errors import ProblemCode, ServiceError
 from ...limiter import UPLOADS
+from ...principals import Principal
 from ...services import Services
 from ...submissions import completion, creation, listing
 from ...tracks import load_known_track

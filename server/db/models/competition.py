@@ -15,7 +15,7 @@ class Competition(Base):
     """The one competition of this service.
 
     Attributes:
-        definition: what `server.competition.definition` reads.
+        definition: what `server.contest.definition` reads.
         frozen_at: since then boards stand still for everybody but organizers; NULL: they do not.
         finalized_at: since then winners and boards change only by `finalize_again`, and where a team is erased.
         winners: as they were finalized, or finalized again.

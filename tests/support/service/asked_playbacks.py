@@ -4,10 +4,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from service_factories import TASK, make_principal, make_settings, play, shard_ids, submit
-from vitac.server.accounts.principals import Principal
 from vitac.server.db.engine import Database
 from vitac.server.db.models import EpisodeResult, Playback, Submission
 from vitac.server.playbacks.asking import ask, find_episode, find_playback
+from vitac.server.principals import Principal
 
 SETTINGS = make_settings(database_url="postgresql:///elsewhere")
 

@@ -7,7 +7,7 @@ from typing import Any
 import yaml
 from service_factories import TRACK
 from sqlalchemy.orm import Session
-from vitac.server.competition.definition import CompetitionDefinition
+from vitac.server.contest.definition import CompetitionDefinition
 from vitac.server.db.models import Competition
 
 FIRST, SECOND = "stage1", "stage2"

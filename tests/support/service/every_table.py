@@ -5,8 +5,7 @@ from uuid import uuid4
 
 from sqlalchemy import select, text
 from sqlalchemy.orm import Session
-from vitac.server.accounts.principals import CONSOLE
-from vitac.server.competition.sealing import seal
+from vitac.server.contest.sealing import seal
 from vitac.server.db.engine import Database
 from vitac.server.db.models import (
     Announcement,
@@ -36,6 +35,7 @@ from vitac.server.db.models import (
     Worker,
 )
 from vitac.server.db.states import AppealState, FileRole, NoticeChannel, NoticeKind, PlaybackState, Quota, WorkerState
+from vitac.server.principals import CONSOLE
 
 from competitions import make_competition, put_in_place
 

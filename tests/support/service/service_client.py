@@ -21,10 +21,10 @@ from fastapi import FastAPI
 from httpx import Client, Response
 from service_factories import TASK, TRACK, make_principal, make_secret, make_settings
 from sqlalchemy.orm import Session
-from vitac.server.accounts.principals import CONSOLE, Principal
 from vitac.server.api.app import create_app
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Team
+from vitac.server.principals import CONSOLE, Principal
 from vitac.server.services import Services, open_services
 from vitac.server.settings import Settings
 from vitac.server.storage.blobs import BlobStore

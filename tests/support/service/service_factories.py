@@ -30,8 +30,7 @@ from vitac.evaluator.shards.result import ShardEnd, ShardResult
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import find_task
 from vitac.evaluator.version import evaluator_hash, evaluator_version, platform_class
-from vitac.server.accounts import teams, tokens
-from vitac.server.accounts.principals import CONSOLE, Principal
+from vitac.server import tokens
 from vitac.server.db.engine import Database
 from vitac.server.db.models import BoardResult, EpisodeResult, Evaluation, Shard, Submission, Team
 from vitac.server.db.states import EvaluationState, Role, ShardState
@@ -43,10 +42,12 @@ from vitac.server.kept import Kept
 from vitac.server.leaderboards import changes, log_boards, standings
 from vitac.server.leaderboards.made_boards import MadeBoards
 from vitac.server.logs.claims import LogClaim
+from vitac.server.principals import CONSOLE, Principal
 from vitac.server.queue import leases
 from vitac.server.queue.leases import Lease
 from vitac.server.settings import Settings
 from vitac.server.submissions import creation
+from vitac.server.teams import teams
 from vitac.server.uploads.checked_upload import CheckedUpload
 
 TRACK = "track_1"

@@ -14,11 +14,11 @@ from service_factories import (
 )
 from vitac.evaluator.shards.result import ShardEnd
 from vitac.evaluator.version import evaluator_version
-from vitac.server.accounts.principals import CONSOLE, Principal
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Submission, Worker
 from vitac.server.db.states import WorkerState
 from vitac.server.errors import ProblemCode, ServiceError
+from vitac.server.principals import CONSOLE, Principal
 from vitac.server.queue import workers
 from vitac.server.submissions import creation, listing
 from vitac.server.views.submissions import SubmissionView

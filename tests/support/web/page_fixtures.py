@@ -20,25 +20,17 @@ from vitac.evaluator.scoring.ranking import CombinedScore, combine
 from vitac.evaluator.scoring.score import Score, rate
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import ListKind, load_track
-from vitac.server.accounts.principals import Principal
 from vitac.server.api import problems
 from vitac.server.db.states import EvaluationState, Role, WorkerState
 from vitac.server.errors import ProblemCode, ServiceError, not_found, token_missing
 from vitac.server.playbacks.files import PlaybackFile
+from vitac.server.principals import Principal
 from vitac.server.queue.workers import Disk
 from vitac.server.receipts.receipt import Receipt
 from vitac.server.settings import Registration, load_settings
 from vitac.server.submissions.upload import AnnouncedUpload
-from vitac.server.views.accounts import TeamView
-from vitac.server.views.contest.archive import ArchiveView
-from vitac.server.views.contest.competition import (
-    CompetitionTrackView,
-    CompetitionView,
-    PrizeView,
-    StageView,
-    WinnerView,
-)
-from vitac.server.views.contest.people import AnnouncementView
+from vitac.server.views.archive import ArchiveView
+from vitac.server.views.contest import CompetitionTrackView, CompetitionView, PrizeView, StageView, WinnerView
 from vitac.server.views.evaluations import (
     EvaluationSummaryView,
     EvaluationView,
@@ -56,6 +48,7 @@ from vitac.server.views.leaderboards import (
     TextLogEntryView,
 )
 from vitac.server.views.logs import ActionMatchView, DivergenceView, LogCopyView, LogView, MatchedEpisodeView
+from vitac.server.views.messages import AnnouncementView
 from vitac.server.views.operations import CountsView, MachineWorkerView, OperationsView, QueueView, StorageView
 from vitac.server.views.playbacks import PlaybackView, PublicEpisodeView, ShownEpisodeView
 from vitac.server.views.receipts import ChainView
@@ -69,6 +62,7 @@ from vitac.server.views.submissions import (
     SubmissionListView,
     SubmissionView,
 )
+from vitac.server.views.teams import TeamView
 from vitac.server.views.workers import WorkersView, WorkerView
 from vitac.web.data.protocol import (
     EpisodeAddress,

@@ -3,7 +3,7 @@ from collections.abc import Iterator
 import pytest
 from databases import fresh_database
 from quota_clock import QuotaClock
-from vitac.server.accounts import quotas
+from vitac.server import quotas
 from vitac.server.db.engine import Database
 
 

@@ -8,11 +8,11 @@ from databases import fresh_database
 from service_client import make_archive
 from service_factories import TASK, make_principal, make_record, make_settings, play_all, submit
 from submission_steps import refused
-from vitac.server.accounts.principals import CONSOLE
+from vitac.server.appeals import appeals
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Submission
 from vitac.server.errors import ProblemCode
-from vitac.server.people import appeals
+from vitac.server.principals import CONSOLE
 from vitac.server.services import Services
 from vitac.server.storage.blobs import BlobStore
 from vitac.worker import appeal_replay

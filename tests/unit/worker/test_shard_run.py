@@ -34,14 +34,14 @@ from vitac.evaluator.shards.order import ShardOrder
 from vitac.evaluator.shards.process import ShardProcessFailed
 from vitac.evaluator.shards.result import ShardResult
 from vitac.evaluator.submission_kinds import SubmissionKind
-from vitac.server.accounts.principals import CONSOLE, Principal
-from vitac.server.competition import sealing
+from vitac.server.contest import sealing
 from vitac.server.db.models import EpisodeResult, Shard, Submission, SubmissionFile
 from vitac.server.db.states import EvaluationState, Role, ShardState
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.evaluations.episode_store import store_episodes
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.evaluations.lifecycle import finish_shard
+from vitac.server.principals import CONSOLE, Principal
 from vitac.server.queue.leases import Lease
 from vitac.server.services import Services
 from vitac.server.storage.blobs import BlobStore, StoredFileLost

@@ -14,7 +14,6 @@ from vitac.evaluator.episodes.records import EpisodeRecord
 from vitac.evaluator.playback.order import SCENE_FILE, PlaybackOrder
 from vitac.evaluator.shards.order import ShardOrder
 from vitac.evaluator.shards.result import ShardResult
-from vitac.server.accounts.principals import CONSOLE
 from vitac.server.db.models import EpisodeResult, Playback, Shard, Submission
 from vitac.server.db.states import EvaluationState, PlaybackState, ShardState
 from vitac.server.evaluations import lifecycle
@@ -23,6 +22,7 @@ from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.evaluations.lifecycle import EpisodesMissing, finish_shard
 from vitac.server.housekeeping import Housekeeping
 from vitac.server.metrics.totals import SeriesKey, totals
+from vitac.server.principals import CONSOLE
 from vitac.server.queue import leases
 from vitac.server.queue.leases import Lease
 from vitac.server.services import Services

@@ -10,7 +10,7 @@ from ...site import Tab
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from vitac.server.views.contest.competition import StageView
+    from vitac.server.views.contest import StageView
 
 
 def title_of(stages: Sequence[StageView], name: str | None) -> str | None:

@@ -11,7 +11,7 @@ from typer.testing import Result
 from vitac.cli.admin.consent import ConsentMissing
 from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.evaluator.scoring.ranking import combine
-from vitac.server.accounts.audit import newest_entries
+from vitac.server.audit import newest_entries
 from vitac.server.db.models import Submission, Worker
 from vitac.server.db.states import WorkerState
 from vitac.server.errors import ServiceError

@@ -18,16 +18,18 @@ from sqlalchemy.orm import Session
 from typer.core import TyperCommand, TyperGroup
 from vitac.cli.admin.app import app
 from vitac.cli.admin.consent import NOTHING_CHANGED
-from vitac.server.accounts import members, teams
-from vitac.server.accounts.audit import newest_entries
-from vitac.server.accounts.principals import CONSOLE, Principal
-from vitac.server.accounts.tokens import list_tokens
-from vitac.server.competition.sealing import seal
+from vitac.server.appeals import appeals
+from vitac.server.audit import newest_entries
+from vitac.server.contest.sealing import seal
 from vitac.server.db.models import Notice, Team
 from vitac.server.db.states import NoticeKind, Role
+from vitac.server.members import members
+from vitac.server.messages import announcements, questions
 from vitac.server.notices.outbox import announce
-from vitac.server.people import announcements, appeals, questions
-from vitac.server.results.finishing import freeze
+from vitac.server.principals import CONSOLE, Principal
+from vitac.server.prizes.finishing import freeze
+from vitac.server.teams import teams
+from vitac.server.tokens import list_tokens
 from vitac.worker import appeal_replay
 
 from competitions import make_competition, moved, open_now, put_in_place, sealed_competition, write_competition

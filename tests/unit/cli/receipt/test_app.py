@@ -8,12 +8,12 @@ from cli_service import CliService
 from service_factories import LOCK, TASK, TRACK, make_principal, play_all, submit
 from sqlalchemy.orm import Session
 from typer.testing import Result
-from vitac.server.accounts import teams
-from vitac.server.accounts.principals import Principal
 from vitac.server.db.states import Role
+from vitac.server.principals import Principal
+from vitac.server.publishing import exporting
+from vitac.server.publishing.exported_teams import teams_of
 from vitac.server.receipts.export import ExportedTeam
-from vitac.server.results import exporting
-from vitac.server.results.exported_teams import teams_of
+from vitac.server.teams import teams
 
 
 @pytest.fixture

@@ -14,8 +14,8 @@ from databases import fresh_database
 from service_client import POLICY, Service, bearer, copied_service, make_archive, running_service
 from service_factories import TASK, TRACK, make_principal, make_score, play_all, submit_scored
 from sqlalchemy import delete
-from vitac.server.accounts import members, tokens
-from vitac.server.accounts.principals import CONSOLE
+from vitac.server import tokens
+from vitac.server.appeals import appeals
 from vitac.server.db.engine import Database
 from vitac.server.db.models import (
     ApiToken,
@@ -29,8 +29,10 @@ from vitac.server.db.models import (
     Webhook,
 )
 from vitac.server.db.states import Role
-from vitac.server.people import announcements, appeals, questions
-from vitac.server.results.rejudged import revision_of
+from vitac.server.members import members
+from vitac.server.messages import announcements, questions
+from vitac.server.principals import CONSOLE
+from vitac.server.rejudging.comparison import revision_of
 
 from competitions import make_competition, put_in_place
 

@@ -21,14 +21,14 @@ from vitac.evaluator.sensors.made import design_in, read_made_sensor
 from vitac.evaluator.shards.order import ShardOrder
 from vitac.evaluator.submission.sensor import SensorNotMade
 from vitac.server import housekeeping
-from vitac.server.accounts.principals import CONSOLE
-from vitac.server.competition import sealing
+from vitac.server.contest import sealing
 from vitac.server.db.models import EpisodeResult, Evaluation, Submission, SubmissionFile
 from vitac.server.db.states import FileRole
 from vitac.server.evaluations import lifecycle
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.limiter import ConcurrencyLimiter
 from vitac.server.playbacks import asking, work
+from vitac.server.principals import CONSOLE
 from vitac.server.queue.leases import Lease
 from vitac.server.submissions.figures import coefficients_digest, has_part
 from vitac.server.submissions.files import add_files, stored_digests

@@ -18,8 +18,8 @@ from httpx import Client
 from service_client import API, Service, bearer, make_archive, running_service, serving
 from service_factories import forget_boards, make_principal, make_settings, play_all
 from sqlalchemy import func, select
-from vitac.server.accounts.audit import newest_entries
 from vitac.server.api.app import create_app
+from vitac.server.audit import newest_entries
 from vitac.server.backup import backup
 from vitac.server.backup.archive import BackupReader, BackupRejected
 from vitac.server.backup.backup import BackupNotMade, back_up

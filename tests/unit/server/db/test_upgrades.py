@@ -23,13 +23,13 @@ from service_factories import (
 )
 from service_factories import submit_scored as scored
 from sqlalchemy import select
-from vitac.server.accounts.principals import CONSOLE
 from vitac.server.db import schema
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Submission
 from vitac.server.db.schema import downgrade, installed_revision, is_current, newest_revision, upgrade
 from vitac.server.evaluations import lifecycle
 from vitac.server.leaderboards import standings
+from vitac.server.principals import CONSOLE
 from vitac.server.submissions import listing
 
 OLDER = sorted(schema._revisions() - {newest_revision()})

@@ -17,8 +17,6 @@ from vitac.evaluator.episodes.records import ActionSequence, EpisodeRecord
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import Task
 from vitac.evaluator.tracks.cut import Shard
-from vitac.server.accounts.principals import CONSOLE, Principal
-from vitac.server.accounts.shown_names import ShownNames
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Submission
 from vitac.server.db.schema import downgrade, upgrade
@@ -27,7 +25,9 @@ from vitac.server.evaluations.copies import copies_among, flag_copies
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.leaderboards.log_boards import log_boards
 from vitac.server.logs.claims import LogClaim
+from vitac.server.principals import CONSOLE, Principal
 from vitac.server.submissions import creation
+from vitac.server.teams.shown_names import ShownNames
 from vitac.server.views.logs import LogCopyView
 
 CLAIM = LogClaim(team=None, episodes=270, successes=270, success_rate=1.0, mean_steps=3.0)

@@ -13,10 +13,10 @@ from service_factories import (
     take_away,
 )
 from vitac.evaluator.episodes.records import EpisodeOutcome
-from vitac.server.accounts.principals import CONSOLE, Principal
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Submission
 from vitac.server.evaluations.listing import list_evaluations
+from vitac.server.principals import CONSOLE, Principal
 from vitac.server.submissions.listing import get, list_submissions
 from vitac.server.views.evaluations import DifferingEpisodeView
 

@@ -5,7 +5,6 @@ from service_factories import make_principal, make_settings, play, play_all, sha
 from sqlalchemy import select, text
 from vitac.evaluator.tracks import load_track
 from vitac.evaluator.version import evaluator_version
-from vitac.server.accounts.principals import Principal
 from vitac.server.db.advisory_locks import AdvisoryLock
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Evaluation, Shard, Submission, Worker
@@ -14,6 +13,7 @@ from vitac.server.db.states import EvaluationState, WorkerState
 from vitac.server.evaluations import lifecycle, superseding
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.evaluations.superseding import supersede_outdated
+from vitac.server.principals import Principal
 from vitac.server.queue import workers
 from vitac.server.submissions import listing
 

@@ -7,14 +7,15 @@ from service_factories import TASK, TRACK, make_principal, make_score, submit_sc
 from sqlalchemy import select
 from submission_steps import refused
 from vitac.evaluator.figures.figures import GraspFigures, Information, SensitivityMap, SensorFigures, TouchFigures
-from vitac.server.accounts import merging, teams, tokens
-from vitac.server.accounts.audit import newest_entries
-from vitac.server.accounts.principals import CONSOLE, Principal
+from vitac.server import tokens
+from vitac.server.audit import newest_entries
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Competition, JudgingMark, Submission
 from vitac.server.db.states import Role
 from vitac.server.errors import ProblemCode
 from vitac.server.judging.judging import JudgedTeam, declare_conflict, give_marks, judged, percentiles
+from vitac.server.principals import CONSOLE, Principal
+from vitac.server.teams import merging, teams
 
 from competitions import make_competition, open_now, put_in_place
 

@@ -7,14 +7,14 @@ from sqlalchemy import update
 from submission_steps import refused
 from vitac.evaluator.figures.figures import FiguresPart
 from vitac.evaluator.version import evaluator_version
-from vitac.server.accounts.principals import CONSOLE, VISITOR, Principal
-from vitac.server.competition import sealing
+from vitac.server.contest import sealing
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Evaluation, Submission, SubmissionFile
 from vitac.server.db.states import FileRole, Role
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.judging.judging import declare_conflict, give_marks
 from vitac.server.judging.sheet import Sheet, SheetEntry, sheets
+from vitac.server.principals import CONSOLE, VISITOR, Principal
 
 from competitions import make_competition, open_now, put_in_place
 

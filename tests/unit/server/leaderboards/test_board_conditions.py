@@ -8,8 +8,7 @@ import pytest
 from service_factories import LOCK, TASK, TRACK, add_result, make_score
 from sqlalchemy.orm import Session
 from vitac.evaluator.submission_kinds import SubmissionKind
-from vitac.server.accounts.principals import Principal
-from vitac.server.competition.definition import RankingKey
+from vitac.server.contest.definition import RankingKey
 from vitac.server.db.engine import Database
 from vitac.server.db.models import ALL_TASKS, Evaluation, Team
 from vitac.server.db.states import Role
@@ -17,6 +16,7 @@ from vitac.server.leaderboards import history
 from vitac.server.leaderboards.best_entries import EVER, BestEntry, Board, best_entries, places
 from vitac.server.leaderboards.history import past_results
 from vitac.server.leaderboards.log_boards import MAX_TEXT_LOGS, _newest_text_logs
+from vitac.server.principals import Principal
 
 BEGIN = datetime(2026, 1, 1, tzinfo=UTC)
 UNTIL = BEGIN + timedelta(hours=1)

@@ -1,10 +1,10 @@
 import pytest
 from service_factories import LOCK, TASK, make_principal, make_score, outdate, submit, submit_scored
-from vitac.server.accounts.principals import Principal
 from vitac.server.db.engine import Database
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.leaderboards.history import past_results
+from vitac.server.principals import Principal
 
 
 def test_a_teams_results_in_the_tasks_of_a_submission(database: Database) -> None:

@@ -33,14 +33,14 @@ from vitac.evaluator.logs.findings import Divergence, Impossibility, ImpossibleR
 from vitac.evaluator.logs.log import LogReader
 from vitac.evaluator.shards.result import ShardEnd, ShardResult
 from vitac.evaluator.version import evaluator_version
-from vitac.server.accounts.principals import CONSOLE
-from vitac.server.competition import sealing
+from vitac.server.contest import sealing
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Evaluation, Submission, Team
 from vitac.server.evaluations import lifecycle
 from vitac.server.evaluations.verdicts import sentence_of
 from vitac.server.leaderboards import log_boards
 from vitac.server.logs import action_matches
+from vitac.server.principals import CONSOLE
 from vitac.server.queue.leases import Lease
 from vitac.server.submissions import creation
 

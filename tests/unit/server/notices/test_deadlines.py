@@ -1,13 +1,14 @@
 from datetime import timedelta
 
 from service_factories import TRACK, make_principal, make_settings
-from vitac.server.accounts import members, teams
-from vitac.server.accounts.principals import CONSOLE
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Qualification
+from vitac.server.members import members
 from vitac.server.notices import outbox
 from vitac.server.notices.deadlines import announce_near
 from vitac.server.notices.mail import message_of
+from vitac.server.principals import CONSOLE
+from vitac.server.teams import teams
 
 from competitions import CLOSES, LATER_CLOSES, SECOND, make_competition, put_in_place
 

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from service_factories import make_settings
-from vitac.server.api.people.members import EMAIL
+from vitac.server.api.members import EMAIL
 from vitac.server.db.models import Notice
 from vitac.server.db.states import NoticeChannel, NoticeKind
 from vitac.server.notices import mail

@@ -21,15 +21,16 @@ from service_factories import TRACK, make_principal, make_settings, play_all, su
 from sqlalchemy import update
 from sqlalchemy.orm import Session
 from submission_steps import refused
-from vitac.server.accounts import members, teams
-from vitac.server.accounts.principals import CONSOLE, Principal
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Notice, Webhook
 from vitac.server.db.states import NoticeChannel, NoticeKind, Role
 from vitac.server.errors import ProblemCode
 from vitac.server.evaluations.history import newest_evaluation
+from vitac.server.members import members
 from vitac.server.notices import deadlines, mail, outbox, sending, webhooks
+from vitac.server.principals import CONSOLE, Principal
 from vitac.server.settings import Settings
+from vitac.server.teams import teams
 
 from competitions import make_competition, open_now, put_in_place
 

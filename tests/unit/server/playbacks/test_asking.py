@@ -11,7 +11,6 @@ from submission_steps import make_worker
 from vitac.envs.tasks.definition import Family
 from vitac.evaluator.tracks import ListKind, load_track
 from vitac.evaluator.version import evaluator_version
-from vitac.server.accounts.principals import CONSOLE, VISITOR, Principal
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Evaluation, Playback, Shard, Submission, Worker
 from vitac.server.db.states import PlaybackState, Role, ShardState, WorkerState
@@ -19,6 +18,7 @@ from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.playbacks import asking, work
 from vitac.server.playbacks.asking import ask, find_episode, find_playback, playback_key, playback_view, requester
 from vitac.server.playbacks.files import PlaybackFile, digest_of
+from vitac.server.principals import CONSOLE, VISITOR, Principal
 from vitac.server.queue.jobs import MAKE_PLAYBACK, RUN_SHARD, queue_name
 from vitac.server.sharing.public_pages import set_public
 from vitac.server.tracks import playback_family_of
@@ -301,7 +301,7 @@ def test_another_teams_episode_is_not_found(team_a: Played) -> None:
 def test_episodes_of_a_sealed_list_are_shown_to_organizers_only(
     team_a: Played, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("vitac.server.accounts.visibility.known_task", lambda *_: None)
+    monkeypatch.setattr("vitac.server.visibility.known_task", lambda *_: None)
     with team_a.database.transaction() as session:
         session.execute(update(Evaluation).values(list_kind=ListKind.SEALED))
     with team_a.database.transaction() as session:

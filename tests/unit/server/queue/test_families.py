@@ -12,10 +12,10 @@ from sqlalchemy.orm import Session
 from submission_steps import make_worker, view_of
 from vitac.envs.tasks.definition import Family
 from vitac.evaluator.version import evaluator_version
-from vitac.server.accounts.principals import CONSOLE
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Submission
 from vitac.server.evaluations.lifecycle import fail_by_machines
+from vitac.server.principals import CONSOLE
 from vitac.server.queue import leases
 from vitac.server.queue.jobs import queue_name
 from vitac.server.queue.sweep import sweep

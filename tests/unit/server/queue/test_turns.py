@@ -7,11 +7,11 @@ from sqlalchemy import text
 from sqlalchemy.orm import Session
 from submission_steps import view_of
 from vitac.evaluator.version import evaluator_version
-from vitac.server.accounts.principals import CONSOLE, Principal
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Shard, Submission
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.evaluations.lifecycle import fail_by_machines
+from vitac.server.principals import CONSOLE, Principal
 from vitac.server.queue import leases
 from vitac.server.queue.jobs import queue_name
 from vitac.server.queue.sweep import sweep

@@ -16,20 +16,20 @@ from sqlalchemy import Executable, func, select, text, update
 from sqlalchemy.orm import Session
 from vitac.evaluator.episodes.episode import Environment
 from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord
-from vitac.server.accounts import merging, teams
-from vitac.server.accounts.principals import CONSOLE
+from vitac.server import team_data
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Evaluation, ReceiptKey, ReceiptRow, Submission, Team
 from vitac.server.db.states import EvaluationState
-from vitac.server.people import team_data
+from vitac.server.principals import CONSOLE
+from vitac.server.publishing.exporting import export_receipts
+from vitac.server.publishing.publishing import ResultsNotWritten
 from vitac.server.receipts import chain
 from vitac.server.receipts.audit import Audit, audit
 from vitac.server.receipts.export import CHAIN_NAME, DESCRIPTION_NAME, ExportRejected, read_receipt
 from vitac.server.receipts.receipt import sign
-from vitac.server.results import rejudging
-from vitac.server.results.exporting import export_receipts
-from vitac.server.results.publishing import ResultsNotWritten
+from vitac.server.rejudging import rejudging
 from vitac.server.storage.blobs import BlobStore
+from vitac.server.teams import merging, teams
 
 SEED = 1
 ADDED = {"kind", "receipts", "last", "teams", "set_aside", "copies"}

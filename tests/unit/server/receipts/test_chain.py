@@ -19,12 +19,12 @@ from service_factories import (
 from sqlalchemy import func, select, text
 from sqlalchemy.exc import DBAPIError
 from structlog.testing import capture_logs
-from vitac.server.accounts.principals import CONSOLE
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Evaluation, ReceiptKey, ReceiptRow
 from vitac.server.db.schema import downgrade, upgrade
 from vitac.server.evaluations import lifecycle
 from vitac.server.evaluations.history import newest_evaluation
+from vitac.server.principals import CONSOLE
 from vitac.server.receipts import chain
 from vitac.server.receipts.chain import chain_state, ensure_key, links, receipts_of_submission
 from vitac.server.submissions import runs

@@ -15,17 +15,17 @@ from service_factories import (
 )
 from sqlalchemy import update
 from sqlalchemy.orm import Session
-from vitac.server.accounts.audit import newest_entries
-from vitac.server.accounts.principals import CONSOLE, VISITOR, Principal
-from vitac.server.accounts.visibility import sight_of
-from vitac.server.competition import sealing
+from vitac.server.audit import newest_entries
+from vitac.server.contest import sealing
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Competition, Submission, Team
 from vitac.server.db.states import EvaluationState, Role
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.evaluations.history import newest_evaluation
+from vitac.server.principals import CONSOLE, VISITOR, Principal
 from vitac.server.sharing.public_pages import public_among, readable, set_public
 from vitac.server.submissions import listing, runs
+from vitac.server.visibility import sight_of
 
 from competitions import make_competition, open_now, put_in_place, sealed_competition
 

@@ -2,8 +2,8 @@ import pytest
 from service_factories import (
     make_principal,
 )
-from vitac.server.accounts.principals import Principal
 from vitac.server.db.engine import Database
+from vitac.server.principals import Principal
 
 
 @pytest.fixture

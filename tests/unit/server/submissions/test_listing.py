@@ -22,13 +22,13 @@ from vitac.envs.tasks.definition import Family
 from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.evaluator.logs.findings import VerificationResult
 from vitac.evaluator.tracks import ListKind
-from vitac.server.accounts import visibility
-from vitac.server.accounts.principals import CONSOLE, Principal
+from vitac.server import visibility
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Submission, Team
 from vitac.server.db.states import EvaluationState
 from vitac.server.errors import ProblemCode
 from vitac.server.evaluations.history import newest_evaluation
+from vitac.server.principals import CONSOLE, Principal
 from vitac.server.submissions import listing, runs
 from vitac.server.tracks import family_of, known_task
 

@@ -19,16 +19,16 @@ from vitac.evaluator.agent.verdicts import VerdictCode
 from vitac.evaluator.episodes.records import EpisodeRecord
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import ListKind
-from vitac.server.accounts.principals import CONSOLE, Principal
-from vitac.server.accounts.visibility import Sight, sight_of
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Evaluation, Submission
 from vitac.server.errors import ProblemCode
 from vitac.server.evaluations import lifecycle
 from vitac.server.evaluations.history import newest_evaluation
+from vitac.server.principals import CONSOLE, Principal
 from vitac.server.submissions import listing
 from vitac.server.submissions.output import episode_outputs, episodes_with_output
 from vitac.server.views.submissions import OutputView
+from vitac.server.visibility import Sight, sight_of
 
 
 @pytest.fixture
@@ -56,7 +56,7 @@ def evaluation_of(session: Session, submission: Submission) -> Evaluation:
 
 def seal(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
     """Makes the lists sealed ones of a track file that is gone."""
-    monkeypatch.setattr("vitac.server.accounts.visibility.known_task", lambda *_: None)
+    monkeypatch.setattr("vitac.server.visibility.known_task", lambda *_: None)
     with database.transaction() as session:
         session.execute(update(Evaluation).values(list_kind=ListKind.SEALED))
 

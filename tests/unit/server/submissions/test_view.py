@@ -11,13 +11,13 @@ from service_factories import (
 from sqlalchemy import text
 from submission_steps import SETTINGS, break_policy, create, ids_of, make_worker, view_of
 from vitac.evaluator.tracks import ListKind
-from vitac.server.accounts import visibility
-from vitac.server.accounts.principals import CONSOLE, Principal
+from vitac.server import visibility
 from vitac.server.db.engine import Database
 from vitac.server.db.models import EpisodeDifference, Submission
 from vitac.server.db.states import EvaluationState, WorkerState
 from vitac.server.evaluations import view as evaluation_view
 from vitac.server.evaluations.history import newest_evaluation
+from vitac.server.principals import CONSOLE, Principal
 from vitac.server.submissions import listing
 from vitac.server.tracks import known_task
 

@@ -4,9 +4,9 @@ from service_factories import (
     play_all,
 )
 from submission_steps import SETTINGS, create
-from vitac.server.accounts.principals import Principal
 from vitac.server.db.engine import Database
 from vitac.server.db.states import EvaluationState
+from vitac.server.principals import Principal
 from vitac.server.submissions.watch import watch
 
 

@@ -3,7 +3,7 @@ from datetime import UTC, datetime
 from asgi_browser import AsgiBrowser
 from made_receipts import a_receipt
 from page_fixtures import TASK, FixedData, a_finished_cup, a_leaderboard, a_score, an_entry
-from vitac.server.views.contest.competition import DisqualifiedTeamView
+from vitac.server.views.contest import DisqualifiedTeamView
 
 
 def test_the_archive_shows_winners_boards_and_how_to_cite(data: FixedData, browser: AsgiBrowser) -> None:

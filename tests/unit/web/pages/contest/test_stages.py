@@ -8,7 +8,7 @@ from page_fixtures import LOCK, TASK, FixedData, a_finished_cup, a_leaderboard, 
 from visits import sign_in
 from vitac.evaluator.logs.findings import VerificationResult
 from vitac.server.db.states import EvaluationState
-from vitac.server.views.contest.competition import CompetitionView, StageView
+from vitac.server.views.contest import CompetitionView, StageView
 from vitac.web.pages.contest.stages import stage_tabs, title_of
 
 DAY = timedelta(days=1)

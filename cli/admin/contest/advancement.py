@@ -1,0 +1,91 @@
+"""`vitac admin advance`: who takes part in a stage for qualified teams."""
+
+from typing import Annotated
+
+import typer
+
+from ...service.database import transaction
+from ...terminal.output import AsJson, percent, print_json, print_table, warn
+from ..consent import DryRun, Yes, change_as_shown
+from .contest import StageName, TrackName
+
+app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
+
+TeamNames = Annotated[list[str] | None, typer.Option(help="Name or id of a team; may be given several times.")]
+
+
+@app.command()
+def propose(track: TrackName, stage: StageName, as_json: AsJson = False) -> None:
+    """Show who advances to a stage by its rule, and which teams chance may have put on their side of the border."""
+    from dataclasses import asdict
+
+    from vitac.server.advancement.advancement import propose as propose_teams
+
+    with transaction() as session:
+        found = propose_teams(session, track, stage)
+    if as_json:
+        print_json(asdict(found))
+        return
+    rows = [
+        [
+            team.rank,
+            team.team,
+            percent(team.success_rate),
+            " to ".join(str(percent(end)) for end in team.interval),
+            team.mean_steps,
+            "yes" if team.advances else "no",
+            "at the border" if team.at_border else None,
+        ]
+        for team in found.teams
+    ]
+    print(f"{found.rule}, by the board of {found.before}; {found.registered} teams are registered.")
+    columns = ("rank", "team", "success", "95 % interval", "steps", "advances", "")
+    print_table(columns, rows, none=f"No team is ranked in {found.before}.")
+    if found.unranked:
+        print(f"Not ranked, made by another evaluator version: {', '.join(found.unranked)}. Requeue them first.")
+    if found.running:
+        print(f"{found.running} evaluations of {found.before} wait or run.")
+
+
+@app.command()
+def confirm(
+    track: TrackName,
+    stage: StageName,
+    add: TeamNames = None,
+    without: TeamNames = None,
+    yes: Yes = False,
+    dry_run: DryRun = False,
+    as_json: AsJson = False,
+) -> None:
+    """Let the proposed teams, more of them or fewer, take part in a stage."""
+    from vitac.server.advancement.advancement import confirm as confirm_teams
+    from vitac.server.principals import CONSOLE
+
+    def show(found: list[str]) -> None:
+        if as_json:
+            print_json({"track": track, "stage": stage, "teams": found})
+        else:
+            print(f"{stage} of {track}: {', '.join(found) or 'no team'}")
+        if not found:
+            warn(f"no team takes part in {stage} of {track}; `vitac admin advance propose` shows the board before.")
+
+    change_as_shown(
+        lambda session: confirm_teams(session, CONSOLE, track, stage, add=add or (), without=without or ()),
+        show,
+        lambda found: f"Let these {len(found)} teams take part in {stage} of {track}?",
+        yes=yes,
+        dry_run=dry_run,
+    )
+
+
+@app.command("list")
+def list_teams(track: TrackName, stage: StageName, as_json: AsJson = False) -> None:
+    """List the teams that were confirmed for a stage."""
+    from vitac.server.advancement.advancement import qualified_teams
+
+    with transaction() as session:
+        found = qualified_teams(session, track, stage)
+    if as_json:
+        print_json(found)
+    else:
+        print("\n".join(found) or "Nobody was confirmed.")

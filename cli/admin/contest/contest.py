@@ -1,0 +1,140 @@
+"""`vitac admin competition`: the competition's file, its stages and their sealed lists."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ...service.database import transaction
+from ...terminal.output import AsJson, moment, print_json, print_pairs, print_record, print_records, print_table, warn
+from ..consent import DryRun, Yes, change_as_shown, change_transaction
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from vitac.server.contest.applying import Change
+
+app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
+
+CompetitionFile = Annotated[Path, typer.Argument(help="The competition's file (YAML).", exists=True, dir_okay=False)]
+TrackName = Annotated[str, typer.Argument(help="Name of the track.")]
+StageName = Annotated[str, typer.Argument(help="Name of the stage.")]
+
+
+@app.command()
+def check(file: CompetitionFile, as_json: AsJson = False) -> None:
+    """Check a competition's file without a service; the exit code is 0 if it can be applied."""
+    from vitac.server.contest.definition import read_competition
+
+    found = read_competition(file)
+    if as_json:
+        print_json(found.model_dump(mode="json"))
+        return
+    print_table(
+        ("track", "stage", "opens", "closes", "takes", "list", "for"),
+        [
+            [
+                name,
+                stage.name,
+                moment(stage.opens),
+                moment(stage.closes),
+                ", ".join(stage.accepts) if track.taken_here else "elsewhere",
+                stage.list.value if track.taken_here else None,
+                stage.qualified.sentence if stage.qualified else "all teams",
+            ]
+            for name, track in found.tracks.items()
+            for stage in track.stages
+        ],
+        none="",
+    )
+
+
+@app.command()
+def apply(file: CompetitionFile, yes: Yes = False, dry_run: DryRun = False, as_json: AsJson = False) -> None:
+    """Show what a competition's file changes, and make it the competition of this service."""
+    from vitac.server.contest.applying import apply as apply_definition
+    from vitac.server.contest.applying import warnings_about
+    from vitac.server.contest.definition import read_competition
+    from vitac.server.principals import CONSOLE
+
+    definition = read_competition(file)
+
+    def show(found: "Sequence[Change]") -> None:
+        _print_changes(found, as_json=as_json)
+        for warning in warnings_about(definition, found) if found else ():
+            warn(warning)
+
+    change_as_shown(
+        lambda session: apply_definition(session, CONSOLE, definition),
+        show,
+        lambda found: f"Apply these {len(found)} changes?" if found else None,
+        yes=yes,
+        dry_run=dry_run,
+    )
+
+
+@app.command()
+def show(as_json: AsJson = False) -> None:
+    """Show the competition of this service."""
+    from vitac.server.contest.stages import current
+
+    with transaction() as session:
+        found = current(session)
+    if as_json:
+        print_json(found.model_dump(mode="json") if found else None)
+    elif found is None:
+        print("No competition; `vitac admin competition apply FILE` makes one.")
+    else:
+        stages = [f"{name}/{stage.name}" for name, track in found.tracks.items() for stage in track.stages]
+        print_pairs({"competition": found.name, "title": found.title, "stages": ", ".join(stages)})
+
+
+@app.command()
+def lists(as_json: AsJson = False) -> None:
+    """List the sealed lists of stages: commitments to publish before, secrets once they are revealed."""
+    from vitac.server.contest.sealing import sealed_lists
+
+    with transaction() as session:
+        found = [
+            {
+                "track": each.track,
+                "stage": each.stage,
+                "commitment": each.commitment,
+                "revealed_at": each.revealed_at,
+                "secret": each.secret if each.revealed_at else None,
+            }
+            for each in sealed_lists(session)
+        ]
+    columns = ("track", "stage", "commitment", "revealed_at", "secret")
+    print_records(found, columns, none="No stage plays a sealed list.", as_json=as_json)
+
+
+@app.command()
+def reveal(
+    track: TrackName, stage: StageName, yes: Yes = False, dry_run: DryRun = False, as_json: AsJson = False
+) -> None:
+    """Publish the secret of a stage's sealed list, for good, after the stage has closed."""
+    from vitac.server.contest.sealing import reveal as reveal_list
+    from vitac.server.contest.stages import require_over
+    from vitac.server.principals import CONSOLE
+
+    with transaction() as session:
+        require_over(session, track, stage)
+    question = f"Publish the episodes of stage {stage} of {track} for good?"
+    with change_transaction(dry_run=dry_run, question=question, yes=yes) as session:
+        require_over(session, track, stage)  # the stage may have been prolonged meanwhile
+        found = reveal_list(session, CONSOLE, track, stage)
+        shown = {"track": track, "stage": stage, "commitment": found.commitment, "secret": found.secret}
+    print_record(shown | ({"secret": None} if dry_run else {}), as_json=as_json)
+
+
+def _print_changes(changes: "Sequence[Change]", *, as_json: bool) -> None:
+    if as_json:
+        print_json([vars(change) for change in changes])
+        return
+    rows = [[change.place, _shown(change.before), _shown(change.after)] for change in changes]
+    print_table(("what", "before", "after"), rows, none="Nothing changes.")
+
+
+def _shown(value: object) -> str | None:
+    return ", ".join(map(str, value)) if isinstance(value, list) else None if value is None else str(value)

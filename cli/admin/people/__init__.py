@@ -1,1 +1,0 @@
-"""Nouns of `vitac admin` about notices, announcements, questions and appeals."""

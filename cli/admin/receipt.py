@@ -1,0 +1,45 @@
+"""`vitac admin receipt`: receipts of final results, for those who check a board."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from ..service.database import load_settings, open_service, transaction
+from ..terminal.output import AsJson, print_record
+
+app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
+
+
+@app.command()
+def key(as_json: AsJson = False) -> None:
+    """Show the public key that signs receipts, how many there are, and the digest of the last one."""
+    from dataclasses import asdict
+
+    from vitac.server.receipts.chain import chain_state
+
+    with transaction() as session:
+        print_record(asdict(chain_state(session)), as_json=as_json)
+
+
+@app.command()
+def export(
+    track: Annotated[str, typer.Argument(help="Whose board.")],
+    file: Annotated[Path, typer.Argument(help="New file (zip).")],
+    task: Annotated[str | None, typer.Option(help="The board of this task; that of all together without it.")] = None,
+    stage: Annotated[str | None, typer.Option(help="Of the competition; the one that opened last without it.")] = None,
+    kind: Annotated[Literal["model", "log"], typer.Option(help="Of the board; log only with a task.")] = "model",
+    as_json: AsJson = False,
+) -> None:
+    """Write a board with receipts, records and teams' sensors for `vitac receipt audit`.
+
+    Records and sensors of a sealed list are left out until its secret is published.
+    """
+    from vitac.evaluator.submission_kinds import SubmissionKind
+    from vitac.server.publishing.exporting import export_receipts
+
+    ranked = SubmissionKind(kind)
+    with open_service(load_settings()) as services, services.database.snapshot() as session:
+        made = export_receipts(session, services.blobs, file, track, task=task, stage=stage, kind=ranked)
+    content = {"file": str(file), "entries": len(made.board.entries), "public_key": made.public_key}
+    print_record(content, as_json=as_json)

@@ -1,0 +1,32 @@
+"""`vitac login`: checks a token and keeps it."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ..terminal.options import Server
+from . import credentials
+from .http import client_from, read_token
+from .whoami import owner_of
+
+
+def command(
+    server: Server = None,
+    token_file: Annotated[Path | None, typer.Option(help="File with the API token; default: it is asked for.")] = None,
+) -> None:
+    """Check a token, read from a prompt or standard input, and keep it for the other commands."""
+    client = client_from(server, None, with_token=False)
+    if token_file is not None:
+        token = read_token(token_file)
+    elif sys.stdin.isatty():
+        token = typer.prompt("API token", hide_input=True).strip()
+    else:
+        token = sys.stdin.readline().strip()
+    me = replace(client, token=token).me()
+    credentials.keep(client.server, token)
+    print(f"logged in at {client.server} as {owner_of(me)}; the token is kept in {credentials.path()}")

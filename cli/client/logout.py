@@ -1,0 +1,28 @@
+"""`vitac logout`: forgets the kept token, and ends it if asked to."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Annotated
+
+import typer
+
+from . import credentials
+from .http import client_from
+
+
+def command(
+    server: Annotated[str | None, typer.Option(help="Address of the service; default: that of the last login.")] = None,
+    revoke: Annotated[bool, typer.Option("--revoke", help="End the token for good, wherever it is used.")] = False,
+) -> None:
+    """Remove the kept token from this machine; the team and its other tokens stay."""
+    client = client_from(server, None, with_token=False)
+    token = credentials.token_for(client.server)
+    if token is None:
+        print(f"not logged in at {client.server}")
+        return
+    if revoke:
+        own = replace(client, token=token)
+        own.revoke(own.me()["token"]["id"])
+    credentials.forget(client.server)
+    print(f"logged out at {client.server}")

@@ -1,0 +1,47 @@
+"""`vitac whoami`: whose token the commands use, and what the team may have."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from ..terminal.options import Server, TokenFile
+from ..terminal.output import AsJson, print_json, print_pairs, print_records
+from .http import client_from
+
+if TYPE_CHECKING:
+    from .http import Json
+
+
+def command(
+    server: Server = None,
+    token_file: TokenFile = None,
+    as_json: AsJson = False,
+) -> None:
+    """Show team, token and quotas."""
+    client = client_from(server, token_file)
+    me = client.me()
+    if as_json:
+        print_json(me)
+        return
+    token = me["token"]
+    print_pairs(
+        {
+            "server": client.server,
+            "as": owner_of(me),
+            **({"shown as": me["team"]["shown_as"]} if me["team"] is not None else {}),
+            "token": token["label"],
+            "expires": token["expires_at"] or "never",
+        }
+    )
+    if me["quotas"]:
+        print()
+        print_records(me["quotas"], ("quota", "limit", "used", "opens_at"), none="", as_json=False)
+    if me.get("stage_quotas"):
+        print()
+        columns = ("track", "stage", "quota", "limit", "used", "closes")
+        print_records(me["stage_quotas"], columns, none="", as_json=False)
+
+
+def owner_of(me: Json) -> str:
+    """Return the team's name, or that it is an organizer."""
+    return str(me["team"]["name"]) if me["team"] is not None else "organizer"

@@ -1,1 +1,0 @@
-"""Who asks: teams, tokens, principals and the audit log."""

@@ -1,0 +1,1 @@
+"""Who advances to a stage."""

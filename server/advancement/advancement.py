@@ -1,0 +1,231 @@
+"""Who advances to a stage: proposed by the stage's rule, decided by the organizers, recorded."""
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from fractions import Fraction
+from math import ceil
+from uuid import UUID
+
+from sqlalchemy import delete, func, select
+from sqlalchemy.orm import Session
+
+from ..audit import record
+from ..contest.definition import Advancement, CompetitionDefinition, Stage
+from ..contest.stages import current, require_over
+from ..db.models import Qualification, Submission, Team
+from ..db.states import NoticeKind
+from ..errors import ProblemCode, ServiceError
+from ..evaluations.readiness import count_running, require_current, require_scored
+from ..leaderboards.standings import leaderboard
+from ..notices.outbox import announce, stage_facts
+from ..principals import Principal
+from ..teams import teams
+from ..views.leaderboards import LeaderboardEntryView
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProposedTeam:
+    """A team on the board of the stage before.
+
+    Attributes:
+        interval: 95 % interval of the success rate.
+        advances: whether the rule takes it.
+        at_border: chance may have decided: its interval reaches across the border of the rule.
+    """
+
+    team: str
+    rank: int
+    success_rate: float
+    interval: tuple[float, float]
+    mean_steps: float | None
+    advances: bool
+    at_border: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class Proposal:
+    """Who would advance by the rule.
+
+    Attributes:
+        before: name of the stage whose board decides.
+        rule: in words.
+        registered: teams that the rule counts: accepted, not disqualified, registered before the stage before closed.
+        unranked: teams whose only results are of another evaluator version: evaluate them again first.
+        running: evaluations of the stage before that have not ended.
+    """
+
+    track: str
+    stage: str
+    before: str
+    rule: str
+    registered: int
+    teams: Sequence[ProposedTeam]
+    unranked: Sequence[str]
+    running: int
+
+
+def propose(session: Session, track: str, stage: str) -> Proposal:
+    """Return who advances to a stage by its rule, as the boards are now.
+
+    Raises:
+        ServiceError: there is no such stage, or it is for all teams.
+    """
+    _, before, rule = _rule(session, track, stage)
+    entries = leaderboard(session, track, stage=before.name, live=True).view.entries
+    ranked = [entry for entry in entries if entry.rank is not None]
+    taking_part = (Team.disqualified_at.is_(None), Team.approved_at.is_not(None), Team.created_at < before.closes)
+    registered = session.scalars(select(func.count()).select_from(Team).where(*taking_part)).one()
+    n_advancing = _count_advancing(rule, ranked, registered)
+    return Proposal(
+        track=track,
+        stage=stage,
+        before=before.name,
+        rule=rule.sentence,
+        registered=registered,
+        teams=[_proposed(entry, rule, ranked, n_advancing) for entry in ranked],
+        unranked=[entry.team for entry in entries if entry.rank is None],
+        running=count_running(session, track, before.name),
+    )
+
+
+def confirm(
+    session: Session, by: Principal, track: str, stage: str, *, add: Collection[str] = (), without: Collection[str] = ()
+) -> list[str]:
+    """Let the proposed teams take part in a stage, and say which; the organizers' own decisions come on top.
+
+    Confirming again replaces the teams of before, but for those that have submitted to the stage already.
+
+    Args:
+        session: of the transaction.
+        by: an organizer.
+        track: of the stage.
+        stage: which one.
+        add: names of further teams.
+        without: names of proposed teams that do not take part.
+
+    Raises:
+        ServiceError: not an organizer, the stage before is not over, scored and of today's evaluator, a team is unknown
+            or not proposed, or one that would lose its place has submitted already.
+    """
+    by.require_organizer()
+    competition, _, _ = _rule(session, track, stage)
+    proposal = propose(session, track, stage)
+    require_over(session, track, proposal.before)
+    require_scored(session, track, proposal.before)
+    require_current(session, track, proposal.before)
+    chosen = _chosen(session, proposal, add, without)
+    previous = _qualified(session, track, stage)
+    _refuse_loss(session, track, stage, previous.keys() - chosen.keys())
+    session.execute(delete(Qualification).where(Qualification.track == track, Qualification.stage == stage))
+    now, told = datetime.now(UTC), stage_facts(competition, track, stage)
+    for team_id in chosen.keys() - previous.keys():
+        facts = told | {"team": chosen[team_id]}
+        announce(session, NoticeKind.PROMOTED, team_id, f"stage:{track}/{stage}/{team_id}/{now.isoformat()}", facts)
+    session.add_all(Qualification(track=track, stage=stage, team_id=team_id) for team_id in chosen)
+    session.flush()
+    after = {
+        "teams": sorted(chosen.values()),
+        "rule": proposal.rule,
+        "proposed": [team.team for team in proposal.teams if team.advances],
+        "at_border": [team.team for team in proposal.teams if team.at_border],
+    }
+    before = {"teams": sorted(previous.values())}
+    record(session, by, "stage.qualify", f"stage:{track}/{stage}", after, before=before)
+    return sorted(chosen.values())
+
+
+def qualified_teams(session: Session, track: str, stage: str) -> list[str]:
+    """Return the names of the teams that were confirmed for a stage."""
+    return sorted(_qualified(session, track, stage).values())
+
+
+def _rule(session: Session, track: str, stage: str) -> tuple[CompetitionDefinition, Stage, Advancement]:
+    competition = current(session)
+    found = competition.stage(track, stage) if competition else None
+    if competition is None or found is None:
+        raise ServiceError(ProblemCode.UNKNOWN_STAGE, f"The competition has no stage {stage!r:.80} of {track!r:.80}.")
+    if found.qualified is None:
+        raise ServiceError(ProblemCode.UNKNOWN_STAGE, f"Stage {stage} of {track} is for all teams; nobody advances.")
+    stages = competition.tracks[track].stages
+    return competition, stages[stages.index(found) - 1], found.qualified
+
+
+def _count_advancing(rule: Advancement, ranked: Sequence[LeaderboardEntryView], registered: int) -> int:
+    if rule.score_at_least is not None:
+        return sum(entry.success_rate >= rule.score_at_least for entry in ranked)
+    if rule.top is not None:
+        return min(rule.top, len(ranked))
+    # The share as it is written: 0.07 of 100 teams are 7, whatever the nearest binary fraction is.
+    return min(ceil(Fraction(str(rule.top_share)) * registered), len(ranked))
+
+
+def _proposed(
+    entry: LeaderboardEntryView, rule: Advancement, ranked: Sequence[LeaderboardEntryView], n_advancing: int
+) -> ProposedTeam:
+    rank = entry.rank or 0
+    advances = entry.success_rate >= rule.score_at_least if rule.score_at_least is not None else rank <= n_advancing
+    return ProposedTeam(
+        team=entry.team,
+        rank=rank,
+        success_rate=entry.success_rate,
+        interval=entry.success_rate_interval,
+        mean_steps=entry.mean_steps,
+        advances=advances,
+        at_border=_is_at_border(entry, rule, ranked, n_advancing, advances=advances),
+    )
+
+
+def _is_at_border(
+    entry: LeaderboardEntryView,
+    rule: Advancement,
+    ranked: Sequence[LeaderboardEntryView],
+    n_advancing: int,
+    *,
+    advances: bool,
+) -> bool:
+    """Return whether the interval holds the score that is needed, or meets that of the nearest on the other side."""
+    low, high = entry.success_rate_interval
+    if rule.score_at_least is not None:
+        return low <= rule.score_at_least <= high
+    other_side = ranked[n_advancing:] if advances else ranked[:n_advancing]
+    if not other_side:
+        return False
+    nearest = other_side[0] if advances else other_side[-1]
+    return low <= nearest.success_rate_interval[1] and nearest.success_rate_interval[0] <= high
+
+
+def _chosen(session: Session, proposal: Proposal, add: Collection[str], without: Collection[str]) -> dict[UUID, str]:
+    found = [teams.find(session, team.team) for team in proposal.teams if team.advances]
+    chosen = {team.id: team.name for team in found}
+    for team in (teams.find(session, name) for name in without):
+        if team.id not in chosen:
+            raise ServiceError(ProblemCode.INVALID_REQUEST, f"{team.name} is not proposed, so it cannot be left out.")
+        del chosen[team.id]
+    for team in (teams.find(session, name) for name in add):
+        if team.disqualified_at is not None:
+            raise ServiceError(ProblemCode.TEAM_DISQUALIFIED, f"{team.name} is disqualified.")
+        chosen[team.id] = team.name
+    return chosen
+
+
+def _qualified(session: Session, track: str, stage: str) -> dict[UUID, str]:
+    rows = session.execute(
+        select(Team.id, Team.name)
+        .join(Qualification, Qualification.team_id == Team.id)
+        .where(Qualification.track == track, Qualification.stage == stage)
+    )
+    return {row.id: row.name for row in rows}
+
+
+def _refuse_loss(session: Session, track: str, stage: str, leaving: Collection[UUID]) -> None:
+    name = session.scalar(
+        select(Team.name)
+        .join(Submission)
+        .where(Submission.track == track, Submission.stage == stage, Team.id.in_(leaving))
+        .limit(1)
+    )
+    if name is not None:
+        raise ServiceError(
+            ProblemCode.STAGE_IN_USE, f"{name} has submitted to stage {stage} of {track}; disqualify it instead."
+        )

@@ -1,0 +1,73 @@
+"""Routes of appeals."""
+
+from http import HTTPStatus
+from uuid import UUID
+
+from fastapi import APIRouter
+from pydantic import BaseModel, ConfigDict, Field
+
+from ..appeals import appeals
+from ..texts import TEXT_LENGTH
+from ..views.appeals import AppealListView, AppealView
+from .access import PrincipalOf, RowNumber, ServicesOf
+from .problems import RESPONSES
+from .teams import ONE_LINE
+
+router = APIRouter(prefix="/appeals", tags=["appeals"], responses=RESPONSES)
+
+
+class NewAppeal(BaseModel):
+    """An appeal against the newest evaluation of a submission."""
+
+    model_config = ConfigDict(extra="forbid")
+    submission_id: UUID
+    text: str = Field(min_length=2, max_length=TEXT_LENGTH, description="What went wrong, as plain text.")
+    task: str | None = Field(default=None, max_length=100, pattern=ONE_LINE, description="In which task; null: in all.")
+    episode: int | None = Field(default=None, ge=1, le=1_000_000, description="In which of its episodes.")
+
+
+class Ruling(BaseModel):
+    """What the organizers decide."""
+
+    model_config = ConfigDict(extra="forbid")
+    upheld: bool
+    text: str = Field(min_length=2, max_length=TEXT_LENGTH, description="Why, as plain text.")
+
+
+@router.get("")
+def list_appeals(services: ServicesOf, principal: PrincipalOf) -> AppealListView:
+    """Return the own team's appeals, all for organizers and judges, newest first."""
+    with services.database.transaction() as session:
+        return AppealListView(items=appeals.visible(session, principal))
+
+
+@router.post("", status_code=HTTPStatus.CREATED)
+def post_appeal(services: ServicesOf, principal: PrincipalOf, new: NewAppeal) -> AppealView:
+    """Appeal against the newest evaluation of an own submission."""
+    with services.database.transaction() as session:
+        made = appeals.open_appeal(session, principal, new.submission_id, new.text, task=new.task, episode=new.episode)
+        return appeals.appeal_view(made, principal)
+
+
+@router.get("/{appeal_id}")
+def get_appeal(services: ServicesOf, principal: PrincipalOf, appeal_id: RowNumber) -> AppealView:
+    """Return an appeal with the episodes that were played again for it."""
+    with services.database.transaction() as session:
+        return appeals.appeal_view(appeals.find(session, principal, appeal_id), principal)
+
+
+@router.post("/{appeal_id}/withdraw")
+def withdraw_appeal(services: ServicesOf, principal: PrincipalOf, appeal_id: RowNumber) -> AppealView:
+    """Take an own appeal back."""
+    with services.database.transaction() as session:
+        appeals.withdraw(session, principal, appeal_id)
+        return appeals.appeal_view(appeals.find(session, principal, appeal_id), principal)
+
+
+@router.put("/{appeal_id}/ruling")
+def put_ruling(services: ServicesOf, principal: PrincipalOf, appeal_id: RowNumber, ruling: Ruling) -> AppealView:
+    """Decide an appeal; for organizers. No result changes by it."""
+    with services.database.transaction() as session:
+        return appeals.appeal_view(
+            appeals.rule(session, principal, appeal_id, ruling.text, upheld=ruling.upheld), principal
+        )

@@ -1,0 +1,236 @@
+"""Routes of the members of teams, and of what organizers decide about teams."""
+
+from datetime import timedelta
+from http import HTTPStatus
+from typing import Annotated
+from uuid import UUID
+
+from fastapi import APIRouter, Request, Response
+from pydantic import BaseModel, ConfigDict, Field
+from sqlalchemy.orm import Session
+
+from .. import team_data, tokens
+from ..db.models import Team
+from ..db.states import NoticeKind
+from ..errors import not_found
+from ..members import members
+from ..members.passwords import MAX_LENGTH, MIN_LENGTH
+from ..notices import webhooks
+from ..principals import CONSOLE, Principal
+from ..services import Services
+from ..teams import merging, teams
+from ..teams.shown_names import ShownNames
+from ..views.notices import NewWebhookView, WebhookListView
+from ..views.team_data import TeamDataView
+from ..views.teams import NewInvitationView, NewTokenView, OwnTeamView, RegisteredTeamView
+from .access import PrincipalOf, ServicesOf
+from .problems import RESPONSES
+from .teams import ONE_LINE, note_registration
+
+router = APIRouter(prefix="/teams", tags=["teams"], responses=RESPONSES)
+
+EMAIL = r"^[A-Za-z0-9!#$%&'*+/^_`{|}~-]+(\.[A-Za-z0-9!#$%&'*+/^_`{|}~-]+)*@[A-Za-z0-9-]+(\.[A-Za-z0-9-]+)*$"
+"""One plain address: nothing with which a header would name two, or none."""
+Email = Annotated[str, Field(max_length=254, pattern=EMAIL)]
+Password = Annotated[str, Field(min_length=MIN_LENGTH, max_length=MAX_LENGTH)]
+
+
+class NewMember(BaseModel):
+    """Somebody who joins a team."""
+
+    model_config = ConfigDict(extra="forbid")
+    code: str = Field(max_length=200, description="Of the captain's invitation.")
+    name: str = Field(min_length=2, max_length=teams.NAME_LENGTH, description="For the team and the organizers.")
+    email: Email | None = Field(default=None, description="For notices.")
+    password: Password | None = Field(default=None, description="To sign in on the pages, besides the token.")
+
+
+class MemberChanges(BaseModel):
+    """What changes of a member; what is left out stays, null takes it away."""
+
+    model_config = ConfigDict(extra="forbid")
+    email: Email | None = None
+    password: Password | None = None
+    muted: list[NoticeKind] | None = Field(default=None, max_length=20, description="Notices that are not wanted.")
+
+
+class NewWebhook(BaseModel):
+    """Where notices are sent."""
+
+    model_config = ConfigDict(extra="forbid")
+    address: str = Field(max_length=500, description="An https address of the internet.")
+
+
+class NewCaptain(BaseModel):
+    """Who leads the team from now on."""
+
+    model_config = ConfigDict(extra="forbid")
+    member_id: UUID
+
+
+class TeamChanges(BaseModel):
+    """What an organizer changes of a team; what is left out stays."""
+
+    model_config = ConfigDict(extra="forbid")
+    name: str | None = Field(default=None, min_length=2, max_length=teams.NAME_LENGTH)
+    accepted: bool | None = Field(default=None, description="The answer to a team that waits.")
+    reason: str | None = Field(
+        default=None, max_length=teams.REASON_LENGTH, pattern=ONE_LINE, description="Why it is not accepted."
+    )
+
+
+class Merge(BaseModel):
+    """With which team another one is merged."""
+
+    model_config = ConfigDict(extra="forbid")
+    into: str = Field(pattern=ONE_LINE, max_length=200, description="Name or id of the team that remains.")
+
+
+@router.post("/join", status_code=HTTPStatus.CREATED)
+def join_team(request: Request, services: ServicesOf, new: NewMember) -> RegisteredTeamView:
+    """Join a team with the code of an invitation; the token is shown this once."""
+    note_registration(request)
+    with services.database.transaction() as session:
+        member, issued = members.join(session, members.NewMember(**new.model_dump()), _lifetime(services))
+        return RegisteredTeamView(
+            team=teams.team_view(member.team, ShownNames.read(session, CONSOLE)),
+            token=tokens.new_token_view(issued),
+            waits_for_approval=member.team.approved_at is None,
+        )
+
+
+@router.get("/{team_id}")
+def get_team(services: ServicesOf, principal: PrincipalOf, team_id: UUID) -> OwnTeamView:
+    """Return a team with its members and open invitations."""
+    with services.database.transaction() as session:
+        return members.own_team_view(session, principal, _team(session, principal, team_id))
+
+
+@router.get("/{team_id}/data")
+def get_team_data(services: ServicesOf, principal: PrincipalOf, team_id: UUID) -> TeamDataView:
+    """Return everything that the service has of the team."""
+    with services.database.transaction() as session:
+        team = _team(session, principal, team_id)
+        return team_data.export(session, services.settings, principal, team)
+
+
+@router.delete("/{team_id}", status_code=HTTPStatus.NO_CONTENT, response_class=Response)
+def delete_team(services: ServicesOf, principal: PrincipalOf, team_id: UUID) -> None:
+    """Remove a team's name, people, texts and uploads for good; scores stay. For organizers."""
+    with services.database.transaction() as session:
+        team_data.erase(session, principal, _team(session, principal, team_id))
+
+
+@router.patch("/{team_id}")
+def change_team(services: ServicesOf, principal: PrincipalOf, team_id: UUID, changes: TeamChanges) -> OwnTeamView:
+    """Rename a team, or accept or refuse one that waits; for organizers."""
+    with services.database.transaction() as session:
+        team = _team(session, principal, team_id)
+        principal.require_organizer()
+        if changes.name is not None:
+            teams.rename(session, principal, team, changes.name)
+        if changes.accepted is not None:
+            if changes.accepted:
+                teams.accept(session, principal, team)
+            else:
+                teams.refuse(session, principal, team, changes.reason or "")
+        return members.own_team_view(session, principal, team)
+
+
+@router.post("/{team_id}/merge")
+def merge_team(services: ServicesOf, principal: PrincipalOf, team_id: UUID, merge: Merge) -> OwnTeamView:
+    """Merge a team with another one, which keeps its name; for organizers."""
+    with services.database.transaction() as session:
+        team = _team(session, principal, team_id)
+        principal.require_organizer()
+        into = teams.find(session, merge.into)
+        merging.merge(session, principal, team, into)
+        return members.own_team_view(session, principal, into)
+
+
+@router.post("/{team_id}/invitations", status_code=HTTPStatus.CREATED)
+def invite_member(services: ServicesOf, principal: PrincipalOf, team_id: UUID) -> NewInvitationView:
+    """Make a code with which one person joins the team; it is shown this once."""
+    with services.database.transaction() as session:
+        return members.new_invitation_view(*members.invite(session, principal, _team(session, principal, team_id)))
+
+
+@router.delete("/{team_id}/invitations/{invitation_id}", status_code=HTTPStatus.NO_CONTENT, response_class=Response)
+def withdraw_invitation(services: ServicesOf, principal: PrincipalOf, team_id: UUID, invitation_id: UUID) -> None:
+    """End an invitation that nobody has used."""
+    with services.database.transaction() as session:
+        members.withdraw_invitation(session, principal, _team(session, principal, team_id), invitation_id)
+
+
+@router.put("/{team_id}/captain")
+def change_captain(services: ServicesOf, principal: PrincipalOf, team_id: UUID, new: NewCaptain) -> OwnTeamView:
+    """Make another member the captain."""
+    with services.database.transaction() as session:
+        member = members.find(session, principal, team_id, new.member_id)
+        members.hand_over(session, principal, member)
+        return members.own_team_view(session, principal, member.team)
+
+
+@router.patch("/{team_id}/members/{member_id}")
+def change_member(
+    services: ServicesOf, principal: PrincipalOf, team_id: UUID, member_id: UUID, changes: MemberChanges
+) -> OwnTeamView:
+    """Change the own e-mail address or password; a new password signs out all browsers that used the old one."""
+    with services.database.transaction() as session:
+        member = members.find(session, principal, team_id, member_id)
+        if "email" in changes.model_fields_set:
+            members.set_email(session, principal, member, changes.email)
+        if "password" in changes.model_fields_set:
+            members.set_password(session, principal, member, changes.password)
+        if changes.muted is not None:
+            members.mute(session, principal, member, changes.muted)
+        return members.own_team_view(session, principal, member.team)
+
+
+@router.get("/{team_id}/webhooks")
+def list_webhooks(services: ServicesOf, principal: PrincipalOf, team_id: UUID) -> WebhookListView:
+    """Return the team's webhooks; for its captain."""
+    with services.database.transaction() as session:
+        return WebhookListView(items=webhooks.of_team(session, principal, _team(session, principal, team_id)))
+
+
+@router.post("/{team_id}/webhooks", status_code=HTTPStatus.CREATED)
+def add_webhook(services: ServicesOf, principal: PrincipalOf, team_id: UUID, new: NewWebhook) -> NewWebhookView:
+    """Have the team's notices sent to an address; the secret that signs them is shown this once."""
+    inside = services.settings.webhooks_may_lead_inside
+    with services.database.transaction() as session:
+        team = _team(session, principal, team_id)
+        return webhooks.add(session, principal, team, new.address, inside_allowed=inside)
+
+
+@router.delete("/{team_id}/webhooks/{webhook_id}", status_code=HTTPStatus.NO_CONTENT, response_class=Response)
+def remove_webhook(services: ServicesOf, principal: PrincipalOf, team_id: UUID, webhook_id: UUID) -> None:
+    """Send no further notices to an address."""
+    with services.database.transaction() as session:
+        webhooks.remove(session, principal, _team(session, principal, team_id), webhook_id)
+
+
+@router.delete("/{team_id}/members/{member_id}", status_code=HTTPStatus.NO_CONTENT, response_class=Response)
+def remove_member(services: ServicesOf, principal: PrincipalOf, team_id: UUID, member_id: UUID) -> None:
+    """Leave the team, or as its captain remove a member; their token ends at once."""
+    with services.database.transaction() as session:
+        members.remove(session, principal, members.find(session, principal, team_id, member_id))
+
+
+@router.post("/{team_id}/members/{member_id}/token", status_code=HTTPStatus.CREATED)
+def renew_member_token(services: ServicesOf, principal: PrincipalOf, team_id: UUID, member_id: UUID) -> NewTokenView:
+    """Get a new token in place of the own one, which ends; the secret is shown this once."""
+    with services.database.transaction() as session:
+        member = members.find(session, principal, team_id, member_id)
+        return tokens.new_token_view(members.renew_token(session, principal, member, _lifetime(services)))
+
+
+def _team(session: Session, by: Principal, team_id: UUID) -> Team:
+    team = session.get(Team, team_id)
+    if team is None or not by.may_change(team_id):
+        raise not_found("team", team_id)
+    return team
+
+
+def _lifetime(services: Services) -> timedelta:
+    return timedelta(days=services.settings.token_lifetime_days)

@@ -1,0 +1,90 @@
+"""Routes of announcements and of questions to the organizers."""
+
+from http import HTTPStatus
+
+from fastapi import APIRouter, Response
+from pydantic import BaseModel, ConfigDict, Field
+
+from ..messages import announcements, questions
+from ..texts import TEXT_LENGTH
+from ..views.messages import AnnouncementListView, AnnouncementView, QuestionListView, QuestionView
+from .access import OptionalPrincipalOf, PrincipalOf, RowNumber, ServicesOf
+from .problems import RESPONSES
+
+router = APIRouter(tags=["messages"], responses=RESPONSES)
+
+
+class NewAnnouncement(BaseModel):
+    """What organizers say to everybody."""
+
+    model_config = ConfigDict(extra="forbid")
+    title: str = Field(min_length=2, max_length=announcements.TITLE_LENGTH)
+    text: str = Field(min_length=2, max_length=TEXT_LENGTH, description="Plain text.")
+    notify: bool = Field(default=False, description="Whether it is sent to all teams, too.")
+
+
+class NewQuestion(BaseModel):
+    """A question to the organizers."""
+
+    model_config = ConfigDict(extra="forbid")
+    text: str = Field(min_length=2, max_length=TEXT_LENGTH, description="Plain text.")
+    public: bool = Field(description="Whether everybody may see it, without the team's name, once it is answered.")
+
+
+class Answer(BaseModel):
+    """An answer of the organizers."""
+
+    model_config = ConfigDict(extra="forbid")
+    text: str = Field(min_length=2, max_length=TEXT_LENGTH, description="Plain text.")
+    public: bool = Field(description="Whether everybody sees question and answer.")
+
+
+@router.get("/announcements")
+def list_announcements(services: ServicesOf) -> AnnouncementListView:
+    """Return what the organizers say to everybody, newest first."""
+    with services.database.transaction() as session:
+        return AnnouncementListView(items=announcements.shown(session))
+
+
+@router.post("/announcements", status_code=HTTPStatus.CREATED)
+def post_announcement(services: ServicesOf, principal: PrincipalOf, new: NewAnnouncement) -> AnnouncementView:
+    """Say something to everybody; for organizers."""
+    with services.database.transaction() as session:
+        made = announcements.publish(session, principal, title=new.title, text=new.text, notify=new.notify)
+        return AnnouncementView.model_validate(made, from_attributes=True)
+
+
+@router.delete("/announcements/{announcement_id}", status_code=HTTPStatus.NO_CONTENT, response_class=Response)
+def withdraw_announcement(services: ServicesOf, principal: PrincipalOf, announcement_id: RowNumber) -> None:
+    """Show an announcement to nobody from now on; for organizers."""
+    with services.database.transaction() as session:
+        announcements.withdraw(session, principal, announcement_id)
+
+
+@router.get("/questions")
+def list_questions(services: ServicesOf, principal: OptionalPrincipalOf) -> QuestionListView:
+    """Return public questions with their answers, and those of the own team (all for an organizer), newest first."""
+    with services.database.transaction() as session:
+        return QuestionListView(items=questions.visible(session, principal))
+
+
+@router.post("/questions", status_code=HTTPStatus.CREATED)
+def post_question(services: ServicesOf, principal: PrincipalOf, new: NewQuestion) -> QuestionView:
+    """Ask the organizers; for teams."""
+    with services.database.transaction() as session:
+        return questions.question_view(questions.ask(session, principal, new.text, public=new.public), principal)
+
+
+@router.put("/questions/{question_id}/answer")
+def put_answer(services: ServicesOf, principal: PrincipalOf, question_id: RowNumber, answer: Answer) -> QuestionView:
+    """Answer a question, or answer it anew; for organizers."""
+    with services.database.transaction() as session:
+        found = questions.answer(session, principal, question_id, answer.text, public=answer.public)
+        return questions.question_view(found, principal)
+
+
+@router.delete("/questions/{question_id}", status_code=HTTPStatus.NO_CONTENT, response_class=Response)
+def hide_question(services: ServicesOf, principal: PrincipalOf, question_id: RowNumber) -> None:
+    """Answer a question no longer, and show it to nobody but its team; for organizers."""
+    with services.database.transaction() as session:
+        questions.hide(session, principal, question_id)

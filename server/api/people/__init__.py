@@ -1,1 +1,0 @@
-"""Routes of the people around a competition: members of teams and what they say to each other."""

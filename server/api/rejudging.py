@@ -1,0 +1,72 @@
+"""Routes of rejudgements, for organizers: submissions evaluated again beside their results, applied or discarded."""
+
+from http import HTTPStatus
+from uuid import UUID
+
+from fastapi import APIRouter, Response
+from pydantic import BaseModel, ConfigDict, Field
+
+from ..rejudging import rejudging
+from ..rejudging.view import rejudgement_detail_view, rejudgement_view
+from ..views.rejudging import RejudgementDetailView, RejudgementView
+from .access import PrincipalOf, ServicesOf
+from .problems import RESPONSES
+
+router = APIRouter(prefix="/rejudgements", tags=["rejudging"], responses=RESPONSES)
+
+
+class NewRejudgement(BaseModel):
+    """Which submissions are evaluated again, and why."""
+
+    model_config = ConfigDict(extra="forbid")
+    track: str = Field(max_length=100)
+    stage: str | None = Field(default=None, max_length=100, description="The one that opened last without it.")
+    submissions: list[UUID] = Field(default=[], max_length=10_000, description="Empty: all models of the stage.")
+    reason: str = Field(max_length=rejudging.REASON_LENGTH, description="In one line, for the audit log.")
+
+
+class Application(BaseModel):
+    """What is applied."""
+
+    model_config = ConfigDict(extra="forbid")
+    shown: str = Field(max_length=64, description="`revision` of the rejudgement as it was looked at.")
+
+
+@router.get("")
+def get_rejudgements(services: ServicesOf, principal: PrincipalOf) -> list[RejudgementView]:
+    """Return all rejudgements, newest first."""
+    principal.require_organizer()
+    with services.database.transaction() as session:
+        return [rejudgement_view(one) for one in rejudging.rejudgements(session)]
+
+
+@router.post("", status_code=HTTPStatus.CREATED)
+def post_rejudgement(services: ServicesOf, principal: PrincipalOf, new: NewRejudgement) -> RejudgementDetailView:
+    """Evaluate submissions again with the present evaluator; nobody but organizers sees it, no result changes."""
+    with services.database.transaction() as session:
+        return rejudgement_detail_view(session, rejudging.start(session, principal, **dict(new)))
+
+
+@router.get("/{rejudgement_id}")
+def get_rejudgement(services: ServicesOf, principal: PrincipalOf, rejudgement_id: UUID) -> RejudgementDetailView:
+    """Return which scores and ranks would change."""
+    principal.require_organizer()
+    with services.database.transaction() as session:
+        return rejudgement_detail_view(session, rejudging.find(session, rejudgement_id))
+
+
+@router.post("/{rejudgement_id}/apply")
+def apply_rejudgement(
+    services: ServicesOf, principal: PrincipalOf, rejudgement_id: UUID, application: Application
+) -> RejudgementDetailView:
+    """Make the new results those of their submissions; refused if they are no longer those that were looked at."""
+    with services.database.transaction() as session:
+        rows = rejudging.apply(session, principal, rejudgement_id, shown=application.shown)
+        return rejudgement_detail_view(session, rejudging.find(session, rejudgement_id), rows)
+
+
+@router.post("/{rejudgement_id}/discard", status_code=HTTPStatus.NO_CONTENT, response_class=Response)
+def discard_rejudgement(services: ServicesOf, principal: PrincipalOf, rejudgement_id: UUID) -> None:
+    """Leave all present results as they are; what still waits or runs is cancelled."""
+    with services.database.transaction() as session:
+        rejudging.discard(session, principal, rejudgement_id)

@@ -1,0 +1,1 @@
+"""Appeals of teams against evaluations, and rulings."""

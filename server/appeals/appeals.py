@@ -1,0 +1,254 @@
+"""Appeals: a team says that an evaluation went wrong, an organizer looks, plays episodes again beside it, and rules."""
+
+from datetime import UTC, datetime, timedelta
+from typing import Any
+from uuid import UUID
+
+from sqlalchemy import func, select
+from sqlalchemy.orm import Session, joinedload, selectinload
+from vitac.evaluator.episodes.records import EpisodeRecord
+
+from ..audit import record
+from ..contest.stages import current
+from ..db.models import Appeal, AppealReplay, EpisodeResult, Evaluation, Rejudgement, Submission
+from ..db.states import TERMINAL_EVALUATION_STATES, AppealState
+from ..errors import ProblemCode, ServiceError, not_found
+from ..evaluations.episode_store import EpisodeKey
+from ..evaluations.history import newest_evaluation
+from ..principals import Principal
+from ..teams import teams
+from ..texts import clean_text
+from ..views.appeals import AppealReplayView, AppealView
+from ..visibility import changeable, sight_of
+
+MAX_OPEN = 3
+MAX_A_DAY = 20
+SHOWN = 200
+_MAX_EPISODE = 1_000_000
+
+
+def open_appeal(
+    session: Session,
+    by: Principal,
+    submission_id: UUID,
+    text: str,
+    *,
+    task: str | None = None,
+    episode: int | None = None,
+) -> Appeal:
+    """Appeal against the newest evaluation of a submission, within the time that the competition's file gives.
+
+    Args:
+        session: of the transaction.
+        by: the team.
+        submission_id: whose evaluation.
+        text: what went wrong.
+        task: in which task; None: in all.
+        episode: in which episode of it; None: in all.
+
+    Raises:
+        ServiceError: there is no such submission or episode, its evaluation has not ended, the time is over, or there
+            is an open appeal against it, or too many of the team.
+    """
+    submission = changeable(session, by, submission_id)
+    kept = clean_text(text, what="An appeal")
+    evaluation = newest_evaluation(session, submission)
+    _require_time(session, evaluation)
+    if task is not None or episode is not None:
+        require_episode(session, evaluation, task, episode)
+    teams.lock(session, submission.team)  # the second of two appeals at once sees the first one
+    counted = select(func.count()).select_from(Appeal)
+    is_open = Appeal.state == AppealState.OPEN
+    if session.scalar(counted.where(is_open, Appeal.evaluation_id == evaluation.id)):
+        raise ServiceError(ProblemCode.INVALID_REQUEST, "There is an open appeal against this evaluation already.")
+    of_team, day = Appeal.team_id == submission.team_id, datetime.now(UTC) - timedelta(days=1)
+    waiting = session.scalar(counted.where(is_open, of_team)) or 0
+    opened = session.scalar(counted.where(of_team, Appeal.opened_at > day)) or 0
+    if waiting >= MAX_OPEN or opened >= MAX_A_DAY:
+        raise ServiceError(
+            ProblemCode.TOO_MANY_REQUESTS,
+            f"A team may have {MAX_OPEN} open appeals and open {MAX_A_DAY} in a day; {submission.team.name} has "
+            f"{waiting} open and has opened {opened}.",
+        )
+    made = Appeal(
+        team_id=submission.team_id,
+        evaluation_id=evaluation.id,
+        task=task,
+        episode=episode,
+        text=kept,
+        state=AppealState.OPEN,
+        opened_at=datetime.now(UTC),
+    )
+    session.add(made)
+    session.flush()
+    after = {"evaluation": str(evaluation.id), "task": task, "episode": episode}
+    record(session, by, "appeal.open", f"appeal:{made.id}", after)
+    return made
+
+
+def withdraw(session: Session, by: Principal, appeal_id: int) -> None:
+    """Take an own appeal back.
+
+    Raises:
+        ServiceError: there is no such appeal, or it is ruled on.
+    """
+    found = find(session, by, appeal_id)
+    if not by.may_change(found.team_id):
+        raise ServiceError(ProblemCode.FORBIDDEN, "A judge reads appeals only; ask an organizer.")
+    _end(session, by, found, AppealState.WITHDRAWN, None)
+
+
+def rule(session: Session, by: Principal, appeal_id: int, ruling: str, *, upheld: bool) -> Appeal:
+    """Decide an appeal. It changes no result: to evaluate again, requeue the submission.
+
+    Raises:
+        ServiceError: not an organizer, there is no such appeal, it is decided already, or the text cannot be shown.
+    """
+    by.require_organizer()
+    found = find(session, by, appeal_id)
+    kept = clean_text(ruling, what="A ruling")
+    _end(session, by, found, AppealState.UPHELD if upheld else AppealState.REJECTED, kept)
+    return found
+
+
+def note_replay(
+    session: Session, by: Principal, appeal_id: int, played: EpisodeRecord, *, policy_sha256: str, corrected: bool
+) -> AppealReplay:
+    """Keep what an episode gave when it was played again, beside the stored result, which stays as it is.
+
+    Args:
+        session: of the transaction.
+        by: an organizer.
+        appeal_id: for which appeal.
+        played: the new record.
+        policy_sha256: of the archive that was played.
+        corrected: whether that is another one than the submission's.
+
+    Raises:
+        ServiceError: not an organizer, there is no such appeal, or its evaluation has no such episode.
+    """
+    by.require_organizer()
+    found = find(session, by, appeal_id)
+    old = require_episode(session, found.evaluation, played.task, played.episode)
+    stored = EpisodeRecord.model_validate(old.record)
+    made = AppealReplay(
+        appeal_id=found.id,
+        task=played.task,
+        episode=played.episode,
+        policy_sha256=policy_sha256,
+        corrected=corrected,
+        outcome=played.outcome.value,
+        env_steps=played.env_steps,
+        same_states=stored.state_hashes == played.state_hashes,
+        old_outcome=old.outcome,
+        old_env_steps=old.env_steps,
+        played_at=datetime.now(UTC),
+    )
+    session.add(made)
+    session.flush()
+    after = {
+        "task": made.task,
+        "episode": made.episode,
+        "policy": policy_sha256,
+        "corrected": corrected,
+        "outcome": made.outcome,
+        "same_states": made.same_states,
+    }
+    before = {"outcome": old.outcome, "env_steps": old.env_steps}
+    record(session, by, "appeal.replay", f"appeal:{found.id}", after, before=before)
+    return made
+
+
+def require_episode(session: Session, evaluation: Evaluation, task: str | None, episode: int | None) -> EpisodeResult:
+    """Return a stored episode of an evaluation.
+
+    Raises:
+        ServiceError: it has no such episode, or only one of task and episode is given.
+    """
+    if task is None or episode is None:
+        raise ServiceError(ProblemCode.INVALID_REQUEST, "Give both a task and an episode of it, or neither.")
+    found = None
+    if task.isprintable() and 0 < episode <= _MAX_EPISODE:
+        key = EpisodeKey.of(evaluation, evaluation.submission)
+        wanted = EpisodeResult.task == task, EpisodeResult.episode == episode
+        found = session.scalar(select(EpisodeResult).where(*key.conditions(), *wanted))
+    if found is None:
+        raise not_found("stored episode", f"{episode} of {task!r} of this evaluation")
+    return found
+
+
+def find(session: Session, by: Principal, appeal_id: int) -> Appeal:
+    """Return an appeal, locked.
+
+    Raises:
+        ServiceError: there is none that the principal may see.
+    """
+    found = session.get(Appeal, appeal_id, with_for_update={"of": Appeal}, populate_existing=True)
+    if found is None or not by.may_see(found.team_id):
+        raise not_found("appeal", appeal_id)
+    return found
+
+
+def visible(session: Session, by: Principal, *, open_only: bool = False) -> list[AppealView]:
+    """Return the newest appeals that somebody may see, newest first: those of the own team, or of all."""
+    evaluation = joinedload(Appeal.evaluation)
+    needed = (
+        joinedload(Appeal.team),
+        evaluation.joinedload(Evaluation.submission).joinedload(Submission.team),
+        evaluation.joinedload(Evaluation.sealed_list),
+        selectinload(Appeal.replays),
+    )
+    query = select(Appeal).options(*needed).order_by(Appeal.id.desc()).limit(SHOWN)
+    if not by.reads_all_teams:
+        query = query.where(Appeal.team_id == by.team_id)
+    if open_only:
+        query = query.where(Appeal.state == AppealState.OPEN)
+    return [appeal_view(one, by) for one in session.scalars(query)]
+
+
+def appeal_view(appeal: Appeal, by: Principal) -> AppealView:
+    """Return an appeal with what was played again, as far as its episodes are not sealed to who asks."""
+    submission = appeal.evaluation.submission
+    replays = appeal.replays if sight_of(by, appeal.evaluation).episodes else []
+    return AppealView(
+        id=appeal.id,
+        team=appeal.team.name,
+        submission_id=submission.id,
+        submission_name=submission.name,
+        track=submission.track,
+        evaluation_id=appeal.evaluation_id,
+        task=appeal.task,
+        episode=appeal.episode,
+        text=appeal.text,
+        state=appeal.state,
+        ruling=appeal.ruling,
+        opened_at=appeal.opened_at,
+        ended_at=appeal.ended_at,
+        replays=[AppealReplayView.model_validate(one, from_attributes=True) for one in replays],
+    )
+
+
+def _end(session: Session, by: Principal, appeal: Appeal, state: AppealState, ruling: str | None) -> None:
+    if appeal.state is not AppealState.OPEN:
+        raise ServiceError(ProblemCode.INVALID_REQUEST, f"Appeal {appeal.id} is {appeal.state} already.")
+    before: dict[str, Any] = {"state": appeal.state.value}
+    appeal.state, appeal.ruling, appeal.ended_at = state, ruling, datetime.now(UTC)
+    after = {"state": state.value, "ruling": ruling}
+    record(session, by, "appeal.rule" if ruling else "appeal.withdraw", f"appeal:{appeal.id}", after, before=before)
+
+
+def _require_time(session: Session, evaluation: Evaluation) -> None:
+    if evaluation.state not in TERMINAL_EVALUATION_STATES or evaluation.finished_at is None:
+        raise ServiceError(ProblemCode.APPEAL_TOO_LATE, "This evaluation has not ended; wait for its result.")
+    competition = current(session)
+    days = competition.appeal_days if competition is not None else None
+    if days is None:
+        raise ServiceError(ProblemCode.APPEAL_TOO_LATE, "This service takes no appeals; ask the organizers a question.")
+    until = (_counts_since(session, evaluation) or evaluation.finished_at) + timedelta(days=days)
+    if datetime.now(UTC) >= until:
+        raise ServiceError(ProblemCode.APPEAL_TOO_LATE, f"Appeals were possible until {until:%F %T} UTC, {days} days.")
+
+
+def _counts_since(session: Session, evaluation: Evaluation) -> datetime | None:
+    """Return when the rejudgement that made an evaluation was applied; until then nobody saw its result."""
+    return session.scalar(select(Rejudgement.applied_at).where(Rejudgement.id == evaluation.rejudgement_id))

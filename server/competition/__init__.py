@@ -1,1 +1,0 @@
-"""The competition: its file, its stages, and their sealed lists."""

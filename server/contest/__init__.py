@@ -1,0 +1,1 @@
+"""The contest: its definition, stages, own tracks and sealed lists."""

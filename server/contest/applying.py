@@ -1,0 +1,153 @@
+"""Makes a competition file the competition of this service: what changes by it, and the change itself."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+from vitac.evaluator.tracks import ListKind
+
+from ..audit import record
+from ..db.competition_row import competition_row, lock_competition, require_not_final
+from ..db.models import Competition, Submission
+from ..errors import ProblemCode, ServiceError
+from ..principals import Principal
+from .definition import CompetitionDefinition
+from .sealing import list_of_stage, seal, withdraw
+
+_NAMES = ("name", "place")
+"""Fields by which the members of a list are told apart."""
+
+_HIDING = (
+    "anonymous is switched on: from now on others see teams under random names, but whoever has seen results with the "
+    "real names knows them again."
+)
+_SHOWING = "anonymous is switched off: from now on everybody sees the real names of all teams, also on older results."
+"""What is said where names are hidden or shown that were not before."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Change:
+    """One value that a new file changes.
+
+    Attributes:
+        place: where in the file, with dots.
+        before: None where there was nothing.
+        after: None where the file no longer has it.
+    """
+
+    place: str
+    before: object
+    after: object
+
+
+def changes_by(session: Session, definition: CompetitionDefinition) -> list[Change]:
+    """Return what applying a file would change, in the order of the file.
+
+    Raises:
+        ServiceError: the competition is final, or submissions were made by what it takes away.
+    """
+    row = competition_row(session)
+    old = CompetitionDefinition.model_validate(row.definition) if row else None
+    if old != definition:
+        require_not_final(row)
+    _refuse_loss(session, definition)
+    return list(_differences(old, definition))
+
+
+def apply(session: Session, by: Principal, definition: CompetitionDefinition) -> list[Change]:
+    """Make it the competition of this service, with a sealed list for each stage that plays one; return what changed.
+
+    Applying the same file again changes nothing.
+
+    Raises:
+        ServiceError: not an organizer, or as `changes_by`.
+    """
+    by.require_organizer()
+    row = lock_competition(session)
+    before = row.definition if row else None
+    found = changes_by(session, definition)
+    after = definition.model_dump(mode="json")
+    if row is None:
+        row = Competition(definition=after)
+        session.add(row)
+    elif before != after:
+        row.definition, row.applied_at = after, datetime.now(UTC)
+    session.flush()
+    if before != after:
+        record(session, by, "competition.apply", f"competition:{definition.name}", after, before=before)
+    sealed = {(track, stage.name) for track, stage in definition.sealed_stages()}
+    for track, rules in definition.tracks.items():
+        for stage in rules.stages:
+            change = seal if (track, stage.name) in sealed else withdraw
+            change(session, by, track, stage.name)
+    return found
+
+
+def warnings_about(definition: CompetitionDefinition, changes: Sequence[Change]) -> list[str]:
+    """Return what takes effect at once where a file is applied, and cannot be taken back or is easily overlooked.
+
+    Args:
+        definition: the file.
+        changes: what it changes (`changes_by`).
+    """
+    now = datetime.now(UTC)
+    found = [
+        _HIDING if change.after else _SHOWING
+        for change in changes
+        if change.place == "anonymous" and change.before is not None
+    ]
+    if definition.teams_locked is not None and definition.teams_locked <= now:
+        found.append(
+            f"teams_locked is {definition.teams_locked:%F %T} UTC, which is over: from now on only organizers register "
+            "teams."
+        )
+    for name, track in definition.tracks.items():
+        if track.taken_here and track.stages[-1].closes <= now:
+            found.append(
+                f"The last stage of {name} closed at {track.stages[-1].closes:%F %T} UTC: it takes no submissions."
+            )
+    return found
+
+
+def _refuse_loss(session: Session, definition: CompetitionDefinition) -> None:
+    """Refuse to take away a stage that has submissions, and to change its list."""
+    used = session.execute(
+        select(Submission.track, Submission.stage).where(Submission.stage != "").distinct().order_by(Submission.track)
+    )
+    for track, name in used:
+        stage = definition.stage(track, name)
+        sealed_before = list_of_stage(session, track, name) is not None
+        if stage is None or (stage.list is ListKind.SEALED) != sealed_before:
+            lost = "taken away" if stage is None else f"played on a {stage.list} list"
+            raise ServiceError(
+                ProblemCode.STAGE_IN_USE,
+                f"Stage {name} of {track} has submissions, so it cannot be {lost}. Keep it as it is.",
+            )
+
+
+def _differences(old: CompetitionDefinition | None, new: CompetitionDefinition) -> Iterator[Change]:
+    before = dict(_values(old.model_dump(mode="json"))) if old else {}
+    after = dict(_values(new.model_dump(mode="json")))
+    for place in dict.fromkeys([*after, *before]):
+        if before.get(place) != after.get(place):
+            yield Change(place=place, before=before.get(place), after=after.get(place))
+
+
+def _values(content: object, place: str = "") -> Iterator[tuple[str, object]]:
+    """Yield each single value with its place; members of lists by their names, whose order is a value too."""
+    if isinstance(content, Mapping):
+        for key, value in content.items():
+            yield from _values(value, f"{place}.{key}" if place else key)
+    elif isinstance(content, list) and content and isinstance(content[0], Mapping):
+        yield place, [_name_of(member) for member in content]
+        for member in content:
+            yield from _values(member, f"{place}.{_name_of(member)}")
+    elif content is not None:
+        yield place, content
+
+
+def _name_of(member: Mapping[str, Any]) -> str:
+    return next(str(member[name]) for name in _NAMES if name in member)

@@ -1,0 +1,134 @@
+"""Sealed lists of stages: made from a secret before the first submission, published after the last evaluation.
+
+The commitment is public from the start. The secret is read by workers, which play the list, and by organizers.
+"""
+
+import secrets
+from datetime import UTC, datetime
+
+from sqlalchemy import exists, func, select
+from sqlalchemy.orm import Session
+from vitac.evaluator.tracks import Track
+from vitac.evaluator.tracks.sealed import SECRET_BYTES, commitment_of, load_played_track
+
+from ..audit import record
+from ..db.models import Evaluation, SealedList
+from ..db.states import ACTIVE_EVALUATION_STATES
+from ..errors import ProblemCode, ServiceError, not_found
+from ..principals import Principal
+
+
+def seal(session: Session, by: Principal, track: str, stage: str, secret: bytes | None = None) -> SealedList:
+    """Give a stage a sealed list; one that it has stays.
+
+    Args:
+        session: of the transaction.
+        by: an organizer.
+        track: of the stage.
+        stage: which one.
+        secret: of the list; None: a new one.
+
+    Raises:
+        ServiceError: not an organizer, or another secret was committed to.
+    """
+    by.require_organizer()
+    found = list_of_stage(session, track, stage)
+    if found is not None:
+        if secret is not None and commitment_of(secret) != found.commitment:
+            raise ServiceError(
+                ProblemCode.LIST_SEALED,
+                f"Stage {stage} of {track} is committed to {found.commitment}, expected the secret of that; "
+                "a published commitment does not change.",
+            )
+        return found
+    chosen = secrets.token_bytes(SECRET_BYTES) if secret is None else secret
+    made = SealedList(commitment=commitment_of(chosen), track=track, stage=stage, secret=chosen.hex())
+    session.add(made)
+    session.flush()
+    record(session, by, "list.seal", f"stage:{track}/{stage}", {"commitment": made.commitment})
+    return made
+
+
+def withdraw(session: Session, by: Principal, track: str, stage: str) -> None:
+    """Take away the list of a stage that is to play the public one; nothing happens where it has none.
+
+    Raises:
+        ServiceError: not an organizer, or an evaluation plays the list.
+    """
+    by.require_organizer()
+    found = list_of_stage(session, track, stage)
+    if found is None:
+        return
+    if session.scalar(select(exists().where(Evaluation.commitment == found.commitment))):
+        raise ServiceError(
+            ProblemCode.STAGE_IN_USE, f"Stage {stage} of {track} has evaluations on its sealed list. Keep it sealed."
+        )
+    session.delete(found)
+    session.flush()
+    record(
+        session,
+        by,
+        "list.withdraw",
+        f"stage:{track}/{stage}",
+        {"commitment": None},
+        before={"commitment": found.commitment},
+    )
+
+
+def reveal(session: Session, by: Principal, track: str, stage: str) -> SealedList:
+    """Publish the secret of a stage's list, for good; doing it again changes nothing. The caller says when it is time.
+
+    Raises:
+        ServiceError: not an organizer, there is no such list, or an evaluation of it has not ended.
+    """
+    by.require_organizer()
+    found = session.scalar(
+        select(SealedList).where(SealedList.track == track, SealedList.stage == stage).with_for_update()
+    )
+    if found is None:
+        raise not_found("sealed list of", f"{track}/{stage}")
+    active = select(func.count()).where(
+        Evaluation.commitment == found.commitment, Evaluation.state.in_(ACTIVE_EVALUATION_STATES)
+    )
+    if waiting := session.scalar(active):
+        raise ServiceError(
+            ProblemCode.LIST_SEALED,
+            f"Expected no evaluation of stage {stage} of {track} that waits or runs, got {waiting}; wait or cancel.",
+        )
+    if found.revealed_at is None:
+        found.revealed_at = datetime.now(UTC)
+        record(session, by, "list.reveal", f"stage:{track}/{stage}", {"commitment": found.commitment})
+    return found
+
+
+def list_of_stage(session: Session, track: str, stage: str) -> SealedList | None:
+    """Return the sealed list of a stage; None where the public one is played."""
+    return session.scalar(select(SealedList).where(SealedList.track == track, SealedList.stage == stage))
+
+
+def commitment_of_stage(session: Session, track: str, stage: str) -> str | None:
+    """Return by which list a new evaluation of a stage is played; None: the public one."""
+    found = list_of_stage(session, track, stage) if stage else None
+    return found.commitment if found else None
+
+
+def sealed_lists(session: Session) -> list[SealedList]:
+    """Return all sealed lists, by track and stage."""
+    return list(session.scalars(select(SealedList).order_by(SealedList.track, SealedList.stage)))
+
+
+def secret_of(session: Session, commitment: str) -> bytes:
+    """Return the secret that belongs to a commitment, for the worker that plays the list."""
+    return bytes.fromhex(session.get_one(SealedList, commitment).secret)
+
+
+def played_track(session: Session, track: str, commitment: str | None) -> Track:
+    """Return a track with the lists that were played: by the secret of a commitment, or the public ones for None."""
+    return load_played_track(track, None if commitment is None else secret_of(session, commitment))
+
+
+def list_seed_of(session: Session, commitment: str, track: str, task: str) -> int | None:
+    """Return the seed of a sealed list, with which its episodes are played again; None for the public one (empty)."""
+    if not commitment:
+        return None
+    return played_track(session, track, commitment).task(task).episode_list.list_seed

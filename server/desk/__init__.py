@@ -1,0 +1,1 @@
+"""What an organizer has to look at."""

@@ -1,0 +1,123 @@
+"""What organizers have to look at: submissions in trouble, and how far each stage is. Called by the desk's page."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from uuid import UUID
+
+from sqlalchemy import exists, func, or_, select
+from sqlalchemy.orm import Session, selectinload
+
+from ..contest.definition import Stage
+from ..contest.stages import current, track_title
+from ..db.models import EpisodeDifference, Evaluation, LogCopy, Qualification, Submission
+from ..evaluations.readiness import count_running
+from ..evaluations.verdicts import ServiceVerdict
+
+SHOWN = 20
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trouble:
+    """An evaluation that somebody has to look at.
+
+    Attributes:
+        problem: in words.
+        at: when the evaluation was begun.
+    """
+
+    submission_id: UUID
+    submission: str
+    team: str
+    track_title: str
+    problem: str
+    at: datetime
+
+
+@dataclass(frozen=True, kw_only=True)
+class StageState:
+    """How far a stage is.
+
+    Attributes:
+        qualified: number of teams that were confirmed; None: it is for all.
+        submissions: made to it.
+        running: evaluations that wait or run.
+        over: whether it has closed.
+    """
+
+    track: str
+    track_title: str
+    stage: Stage
+    qualified: int | None
+    submissions: int
+    running: int
+    over: bool
+
+
+def troubles(session: Session) -> list[Trouble]:
+    """Return the newest evaluations that machines failed, that gave other results when run again, or are copies."""
+    differs = exists().where(EpisodeDifference.evaluation_id == Evaluation.id)
+    copied = exists().where(LogCopy.evaluation_id == Evaluation.id)
+    failed = Evaluation.verdict_code == ServiceVerdict.MACHINE_FAILED.value
+    rows = session.execute(
+        select(Evaluation, failed, differs, copied)
+        .where(or_(failed, differs, copied))
+        .order_by(Evaluation.created_at.desc(), Evaluation.id)
+        .limit(SHOWN)
+        .options(selectinload(Evaluation.submission).selectinload(Submission.team))
+    )
+    return [
+        Trouble(
+            submission_id=evaluation.submission_id,
+            submission=evaluation.submission.name,
+            team=evaluation.submission.team.name,
+            track_title=track_title(session, evaluation.submission.track),
+            problem=_words(by_machines=by_machines, differing=differing, copy=copy),
+            at=evaluation.created_at,
+        )
+        for evaluation, by_machines, differing, copy in rows
+    ]
+
+
+def stages(session: Session, at: datetime | None = None) -> Sequence[StageState]:
+    """Return the stages of the competition; `at` is the moment, None: now."""
+    competition, now = current(session), at or datetime.now(UTC)
+    if competition is None:
+        return ()
+    return [
+        StageState(
+            track=name,
+            track_title=track.title,
+            stage=stage,
+            qualified=_count_qualified(session, name, stage.name) if stage.qualified is not None else None,
+            submissions=_count_submissions(session, name, stage.name),
+            running=count_running(session, name, stage.name),
+            over=stage.closes <= now,
+        )
+        for name, track in competition.tracks.items()
+        if track.taken_here
+        for stage in track.stages
+    ]
+
+
+def _words(*, by_machines: bool, differing: bool, copy: bool) -> str:
+    found = [
+        words
+        for words, holds in (
+            ("the machines failed", by_machines),
+            ("an episode gave another result when it was run again", differing),
+            ("a log with the states of another team's", copy),
+        )
+        if holds
+    ]
+    return "; ".join(found)
+
+
+def _count_qualified(session: Session, track: str, stage: str) -> int:
+    wanted = Qualification.track == track, Qualification.stage == stage
+    return session.scalar(select(func.count()).select_from(Qualification).where(*wanted)) or 0
+
+
+def _count_submissions(session: Session, track: str, stage: str) -> int:
+    wanted = Submission.track == track, Submission.stage == stage
+    return session.scalar(select(func.count()).select_from(Submission).where(*wanted)) or 0

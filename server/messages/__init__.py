@@ -1,0 +1,1 @@
+"""Announcements of organizers, questions of teams and their answers."""

@@ -1,0 +1,88 @@
+"""The one who asks, as far as the service layer needs to know."""
+
+from dataclasses import dataclass
+from uuid import UUID
+
+from .db.states import Role
+from .errors import ProblemCode, ServiceError, not_found
+
+
+@dataclass(frozen=True, kw_only=True)
+class Principal:
+    """Who asks: a member of a team (or whoever has its shared token), a judge, an organizer, or a visitor.
+
+    Attributes:
+        role: what may be done; None for a visitor without a token.
+        team_id: of a team's token.
+        team_name: of a team's token.
+        team_pseudonym: under which others see that team while names are hidden.
+        token_id: None for a visitor, and for the organizer's command line on the server machine.
+        member_id: whose token it is; None: shared by the team.
+        member_name: name of that member.
+        leads_team: whether members may be invited and removed.
+        judge_name: of a judge's token: under which marks and conflicts of interest are kept.
+    """
+
+    role: Role | None
+    team_id: UUID | None = None
+    team_name: str | None = None
+    team_pseudonym: str | None = None
+    token_id: UUID | None = None
+    member_id: UUID | None = None
+    member_name: str | None = None
+    leads_team: bool = False
+    judge_name: str | None = None
+
+    @property
+    def is_organizer(self) -> bool:
+        """Whether all teams' things may be seen and changed."""
+        return self.role is Role.ORGANIZER
+
+    @property
+    def reads_all_teams(self) -> bool:
+        """Whether all teams' submissions may be read."""
+        return self.role in {Role.ORGANIZER, Role.JUDGE}
+
+    @property
+    def actor(self) -> str:
+        """Name in the audit log."""
+        return f"{self.account}/{self.member_name}" if self.member_name else self.account
+
+    @property
+    def account(self) -> str:
+        """For whom uploads and event streams are counted: the members of a team share its limits."""
+        return f"{self.role}:{self.team_name or self.judge_name or self.token_id or 'console'}"
+
+    def may_see(self, team_id: UUID) -> bool:
+        """Return whether a thing of that team exists for this principal."""
+        return self.reads_all_teams or self.team_id == team_id
+
+    def may_change(self, team_id: UUID) -> bool:
+        """Return whether this principal may change a thing of that team."""
+        return self.is_organizer or self.team_id == team_id
+
+    def require_leader(self, team_id: UUID) -> None:
+        """Refuse everybody but the captain of that team and organizers.
+
+        Raises:
+            ServiceError: not_found for other teams, else forbidden.
+        """
+        if not self.may_change(team_id):
+            raise not_found("team", team_id)
+        if not (self.is_organizer or self.leads_team):
+            raise ServiceError(ProblemCode.FORBIDDEN, "Only the team's captain and organizers may do this.")
+
+    def require_organizer(self) -> None:
+        """Refuse everybody else.
+
+        Raises:
+            ServiceError: forbidden.
+        """
+        if not self.is_organizer:
+            raise ServiceError(ProblemCode.FORBIDDEN, "Only organizers may do this; use an organizer's token.")
+
+
+VISITOR = Principal(role=None)
+"""Whoever asks without a token."""
+CONSOLE = Principal(role=Role.ORGANIZER)
+"""Whoever runs commands on the server machine: has the database's password, so may do everything."""

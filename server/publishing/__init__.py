@@ -1,0 +1,1 @@
+"""What of a final contest is published: files, archive, export of receipts."""

@@ -1,0 +1,41 @@
+"""A competition after its end: what was final then, or when it was decided again."""
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from ..contest.view import competition_view
+from ..db.models import Competition
+from ..errors import ProblemCode, ServiceError
+from ..prizes.finishing import decided_again_at
+from ..receipts.chain import chain_state
+from ..views.archive import ArchiveView
+from ..views.leaderboards import LeaderboardView
+
+
+def archive_view(session: Session) -> ArchiveView:
+    """Return the archive of the competition.
+
+    Raises:
+        ServiceError: this service runs none, or it is not final.
+    """
+    found, row = competition_view(session), session.scalars(select(Competition)).one()
+    if found.finalized_at is None:
+        raise ServiceError(
+            ProblemCode.NOT_FOUND, f"{found.title} goes on; its archive is here once the organizers have made it final."
+        )
+    state = chain_state(session)
+    return ArchiveView(
+        competition=found,
+        boards=[LeaderboardView.model_validate(board) for board in row.boards or []],
+        public_key=state.public_key,
+        decided_again_at=decided_again_at(session, row),
+        citation=_citation(found.name, found.title, found.finalized_at.year, found.website),
+    )
+
+
+def _citation(name: str, title: str, year: int, website: str | None) -> str:
+    """Return an entry for BibTeX; what would end a field or begin a command in it is left out."""
+    plain = "".join(character for character in title if character not in "{}\\%#$&~^_")
+    lines = [f"  title = {{{{{plain}}}}}", f"  year  = {{{year}}}", "  note  = {Final results with result hashes}"]
+    lines += [f"  url   = {{{website}}}"] if website else []
+    return f"@misc{{{name},\n" + ",\n".join(lines) + "\n}"

@@ -1,0 +1,141 @@
+"""Writes a board with its receipts and records to a file that anybody can audit; for `vitac admin receipt export`."""
+
+import zipfile
+from collections.abc import Collection, Iterable
+from datetime import UTC, datetime
+from io import BytesIO
+from pathlib import Path
+from uuid import UUID
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+from vitac.evaluator.logs.log import LogHeader, write_log
+from vitac.evaluator.strict_model import StrictModel
+from vitac.evaluator.submission_kinds import SubmissionKind
+
+from ..contest.definition import DEFAULT_RANKING
+from ..contest.sealing import list_of_stage
+from ..contest.stages import track_rules
+from ..db.among import among
+from ..db.models import BoardResult, Evaluation
+from ..db.states import FileRole
+from ..errors import ProblemCode, ServiceError
+from ..evaluations.episode_store import EpisodeKey, records_of
+from ..evaluations.provenance import manifest_of
+from ..leaderboards.standings import leaderboard
+from ..receipts.chain import chain_state, links, receipts_of_board
+from ..receipts.export import CHAIN_NAME, DESCRIPTION_NAME, RECEIPTS_NAME, ExportDescription, log_name, sensor_name
+from ..rejudging.rejudging import set_aside
+from ..storage.blobs import BlobStore
+from ..storage.new_file import new_file
+from ..submissions.figures import coefficients_digest
+from ..submissions.files import file_of
+from ..tracks import load_known_track
+from ..visibility import is_sealed
+from .exported_teams import teams_of
+from .publishing import ResultsNotWritten
+
+
+def export_receipts(
+    session: Session,
+    blobs: BlobStore,
+    path: Path,
+    track: str,
+    *,
+    task: str | None = None,
+    stage: str | None = None,
+    kind: SubmissionKind = SubmissionKind.MODEL,
+) -> ExportDescription:
+    """Write the board of a track with all that its audit needs to a new file.
+
+    It holds the receipts of all results of the stage, or nobody could tell that one was taken off the board. Records
+    and sensors of a sealed list are left out until its secret is published, and a sensor that was replaced after the
+    evaluation. The file gets its name when it is whole.
+
+    Args:
+        session: of a transaction that sees one moment (`Database.snapshot`): results may end meanwhile.
+        blobs: where the teams' sensors are.
+        path: of the new file.
+        track: whose board.
+        task: as for `leaderboard`.
+        stage: as for `leaderboard`.
+        kind: model or log; logs are ranked task by task.
+
+    Raises:
+        ResultsNotWritten: the file exists or cannot be made.
+        ServiceError: there is no such board, or a sensor cannot be read.
+    """
+    _require_board(track, task, kind)
+    board = leaderboard(session, track, task=task, stage=stage, kind=kind, live=True).view
+    rules = track_rules(session, track)
+    sealed = list_of_stage(session, track, board.stage) if board.stage else None
+    state = chain_state(session)
+    receipts = receipts_of_board(session, track, board.stage or "", kind)
+    results = [receipt.result.evaluation for receipt in receipts]
+    description = ExportDescription(
+        made_at=datetime.now(UTC),
+        public_key=state.public_key,
+        ranking=tuple(key.value for key in (rules.ranking if rules else DEFAULT_RANKING)),
+        secret=sealed.secret if sealed and sealed.revealed_at else None,
+        board=board,
+        kind=kind,
+        receipts=state.receipts,
+        last=state.last,
+        teams=teams_of(session, results),
+        set_aside=set_aside(session, results),
+        copies=_copies(session, results),
+    )
+    evaluations = [entry.evaluation_id for entry in board.entries]
+    try:
+        with new_file(path) as unfinished, zipfile.ZipFile(unfinished, "x", zipfile.ZIP_DEFLATED) as archive:
+            archive.writestr(DESCRIPTION_NAME, description.model_dump_json(indent=1))
+            archive.writestr(CHAIN_NAME, _lines(links(session)))
+            archive.writestr(RECEIPTS_NAME, _lines(receipts))
+            for evaluation_id in evaluations:
+                _write_played(session, blobs, archive, session.get_one(Evaluation, evaluation_id))
+    except OSError as error:
+        raise ResultsNotWritten(f"{path} cannot be written: {error.strerror}. Name a new file.") from error
+    return description
+
+
+def _lines(models: Iterable[StrictModel]) -> str:
+    return "".join(f"{model.model_dump_json()}\n" for model in models)
+
+
+def _require_board(track: str, task: str | None, kind: SubmissionKind) -> None:
+    if kind is SubmissionKind.TEXT_LOG:
+        raise ServiceError(
+            ProblemCode.UNSUPPORTED_SUBMISSION_KIND, "2025 text logs are not ranked, so there is no board of them."
+        )
+    if kind is SubmissionKind.LOG and task is None:
+        tasks = ", ".join(load_known_track(track).tasks)
+        raise ServiceError(ProblemCode.UNKNOWN_TASK, f"Logs are ranked task by task; name one of {tasks}.")
+
+
+def _copies(session: Session, evaluations: Collection[UUID]) -> tuple[UUID, ...]:
+    of_results = among(BoardResult.evaluation_id, evaluations)
+    copies = select(BoardResult.evaluation_id).where(BoardResult.is_copy, of_results).distinct()
+    return tuple(sorted(session.scalars(copies)))
+
+
+def _write_played(session: Session, blobs: BlobStore, archive: zipfile.ZipFile, evaluation: Evaluation) -> None:
+    """Write what was played for an entry of the board, and with which sensor."""
+    submission = evaluation.submission
+    if is_sealed(evaluation):
+        return
+    sensor = file_of(session, submission.id, FileRole.SENSOR)
+    if (
+        sensor is not None
+        and submission.team.erased_at is None
+        and coefficients_digest(session, submission.id, evaluation.id, sensor.sha256)  # it is the one played with
+    ):
+        archive.writestr(sensor_name(evaluation.id), blobs.read(sensor.sha256))
+    for task in submission.tasks:
+        records = records_of(session, EpisodeKey.of(evaluation, submission), task)
+        if not records:
+            continue
+        policy = submission.digest if submission.kind.form.runs_policy else None
+        header = LogHeader(submission_digest=policy, manifest=manifest_of(session, evaluation, task))
+        stream = BytesIO()
+        write_log(stream, header, records)
+        archive.writestr(log_name(evaluation.id, task), stream.getvalue())

@@ -1,0 +1,191 @@
+"""Quotas of teams: what is counted, how much of it is used, and the refusal that names the quota.
+
+Counted is what a team itself asks for (`Evaluation.charged_at`). What organizers start and what machines failed costs
+nothing. Called by whatever gives a team something that is counted.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from types import MappingProxyType
+from uuid import UUID
+
+from sqlalchemy import Select, delete, func, or_, select
+from sqlalchemy.dialects.postgresql import insert
+from sqlalchemy.orm import Session
+
+from .audit import record
+from .db.models import ApiToken, Evaluation, Submission, Team, TeamQuota
+from .db.states import ACTIVE_EVALUATION_STATES, EvaluationState, Quota
+from .errors import ProblemCode, ServiceError
+from .principals import Principal
+from .settings import Quotas
+from .teams import teams
+
+DAILY = frozenset({Quota.SCORED_RUNS_PER_DAY, Quota.ATTEMPTS_PER_DAY})
+_UNITS: Mapping[Quota, str] = MappingProxyType(
+    {
+        Quota.SCORED_RUNS_PER_DAY: "evaluations a day (UTC) that end with a score or may still do so",
+        Quota.ATTEMPTS_PER_DAY: "evaluations a day (UTC), however they end",
+        Quota.QUEUED_AT_ONCE: "evaluations that wait or run",
+        Quota.TOKENS: "tokens that are good",
+        Quota.EVENT_STREAMS: "event streams at the same time",
+    }
+)
+_OPENING: Mapping[Quota, str] = MappingProxyType(
+    {
+        Quota.QUEUED_AT_ONCE: "when one of them ends; cancelling one helps",
+        Quota.TOKENS: "when one is revoked or expires",
+        Quota.EVENT_STREAMS: "when one of them is closed",
+    }
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class QuotaUse:
+    """How much of a quota a team has used.
+
+    Attributes:
+        quota: which one.
+        limit: how much is possible; None: any number.
+        used: how much is used; None where only the server processes know.
+        opens_at: when a daily quota counts from zero again.
+    """
+
+    quota: Quota
+    limit: int | None
+    used: int | None
+    opens_at: datetime | None
+
+
+def limit_of(session: Session, quotas: Quotas, team_id: UUID, quota: Quota) -> int | None:
+    """Return a team's limit: its own, else that of the settings; None: any number."""
+    own = session.get(TeamQuota, (team_id, quota))
+    return own.most if own is not None else getattr(quotas, quota.value)
+
+
+def charge(session: Session, quotas: Quotas, by: Principal, team: Team, *wanted: Quota) -> datetime | None:
+    """Refuse one thing more than the quotas allow; of several at once the next sees what the one before has taken.
+
+    Returns:
+        When it was charged; None: an organizer asked for it, so it costs nothing.
+
+    Raises:
+        ServiceError: quota_exceeded, with the quota's name, its limit, and when it opens again.
+    """
+    if by.is_organizer:
+        return None
+    teams.lock(session, team)
+    check(session, quotas, by, team, *wanted)
+    return datetime.now(UTC)
+
+
+def check(session: Session, quotas: Quotas, by: Principal, team: Team, *wanted: Quota) -> None:
+    """Refuse as `charge` does, without holding up anybody: to say no before a large upload.
+
+    Raises:
+        ServiceError: quota_exceeded.
+    """
+    if by.is_organizer:
+        return
+    for quota in wanted:
+        limit = limit_of(session, quotas, team.id, quota)
+        if limit is not None and (_used(session, team.id, quota) or 0) >= limit:
+            raise exceeded(team.name, quota, limit)
+
+
+def exceeded(team: str, quota: Quota, limit: int) -> ServiceError:
+    """Return the refusal of one thing more."""
+    now = datetime.now(UTC)
+    opens_at = _opens_at(quota, now)
+    times: dict[str, object] = {}
+    if opens_at is not None:
+        times = {"opens_at": opens_at.isoformat(), "retry_after_s": max(1, round((opens_at - now).total_seconds()))}
+    opening = f"at {opens_at:%F %H:%M} UTC" if opens_at is not None else _OPENING[quota]
+    return ServiceError(
+        ProblemCode.QUOTA_EXCEEDED,
+        f"{team} may have {limit} {_UNITS[quota]} and has used all of quota {quota.value}. It opens again {opening}.",
+        quota=quota.value,
+        limit=limit,
+        **times,
+    )
+
+
+def uses(session: Session, quotas: Quotas, team_id: UUID) -> list[QuotaUse]:
+    """Return all quotas of a team."""
+    now = datetime.now(UTC)
+    return [
+        QuotaUse(
+            quota=quota,
+            limit=limit_of(session, quotas, team_id, quota),
+            used=_used(session, team_id, quota),
+            opens_at=_opens_at(quota, now),
+        )
+        for quota in Quota
+    ]
+
+
+def set_quota(session: Session, by: Principal, team: Team, quota: Quota, limit: int | None) -> None:
+    """Give a team a limit of its own; None: any number.
+
+    Raises:
+        ServiceError: not an organizer.
+    """
+    by.require_organizer()
+    before = _noted(session, team, quota)
+    values = {"team_id": team.id, "quota": quota, "most": limit}
+    added = insert(TeamQuota).values(**values)
+    session.execute(added.on_conflict_do_update(constraint="pk_team_quotas", set_={"most": limit}))
+    after = {"quota": quota.value, "limit": limit}
+    record(session, by, "team.quota", f"team:{team.id}", after, before=before)
+
+
+def reset_quota(session: Session, by: Principal, team: Team, quota: Quota) -> None:
+    """Let the settings' limit hold for a team again.
+
+    Raises:
+        ServiceError: not an organizer.
+    """
+    by.require_organizer()
+    before = _noted(session, team, quota)
+    session.execute(delete(TeamQuota).where(TeamQuota.team_id == team.id, TeamQuota.quota == quota))
+    after = {"quota": quota.value, "limit": "default"}
+    record(session, by, "team.quota", f"team:{team.id}", after, before=before)
+
+
+def _noted(session: Session, team: Team, quota: Quota) -> dict[str, object]:
+    """Return a team's own limit as the audit log has it."""
+    own = session.get(TeamQuota, (team.id, quota), populate_existing=True)
+    return {"quota": quota.value, "limit": "default" if own is None else own.most}
+
+
+def _used(session: Session, team_id: UUID, quota: Quota) -> int | None:
+    if quota is Quota.EVENT_STREAMS:
+        return None
+    query = _tokens(team_id) if quota is Quota.TOKENS else _evaluations(team_id, quota)
+    return session.scalars(query).one()
+
+
+def _tokens(team_id: UUID) -> Select[int]:
+    is_good = ApiToken.revoked_at.is_(None) & or_(
+        ApiToken.expires_at.is_(None), ApiToken.expires_at > datetime.now(UTC)
+    )
+    return select(func.count()).select_from(ApiToken).where(ApiToken.team_id == team_id, ~ApiToken.is_session, is_good)
+
+
+def _evaluations(team_id: UUID, quota: Quota) -> Select[int]:
+    query = select(func.count()).select_from(Evaluation).join(Submission).where(Submission.team_id == team_id)
+    if quota is Quota.QUEUED_AT_ONCE:
+        return query.where(Evaluation.state.in_(ACTIVE_EVALUATION_STATES), Evaluation.charged_at.is_not(None))
+    today = query.where(Evaluation.charged_at >= _day_start(datetime.now(UTC)))
+    if quota is Quota.SCORED_RUNS_PER_DAY:
+        return today.where(Evaluation.state.in_({*ACTIVE_EVALUATION_STATES, EvaluationState.COMPLETED}))
+    return today
+
+
+def _opens_at(quota: Quota, now: datetime) -> datetime | None:
+    return _day_start(now) + timedelta(days=1) if quota in DAILY else None
+
+
+def _day_start(now: datetime) -> datetime:
+    return now.replace(hour=0, minute=0, second=0, microsecond=0)

@@ -1,0 +1,1 @@
+"""Evaluations of a set of submissions beside their results, applied or discarded together."""

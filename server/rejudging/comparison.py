@@ -1,0 +1,211 @@
+"""What a rejudgement changes: each of its submissions before and after. Called by `rejudging` and by what shows it."""
+
+import hashlib
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from datetime import datetime
+from uuid import UUID
+
+from sqlalchemy import ColumnElement, exists, select, true
+from sqlalchemy.orm import Session, aliased, defer, joinedload
+from vitac.evaluator.episodes.records import canonical_json
+from vitac.evaluator.scoring.ranking import CombinedScore
+from vitac.evaluator.submission_kinds import SubmissionKind
+
+from ..contest.definition import DEFAULT_RANKING, RankingKey
+from ..contest.stages import track_rules
+from ..db.models import Evaluation, Rejudgement, Submission, Team
+from ..db.states import TERMINAL_EVALUATION_STATES, EvaluationState
+from ..evaluations.scores import combined_score
+from ..evaluations.verdicts import ServiceVerdict
+from ..leaderboards.best_entries import takes_part
+
+
+@dataclass(frozen=True, kw_only=True)
+class Standing:
+    """What a submission reaches over all tasks of its track; without a score all but the verdict is None.
+
+    Attributes:
+        rank: of its team's best entry, where it is that.
+        verdict: why there is no score.
+    """
+
+    success_rate: float | None = None
+    mean_steps: float | None = None
+    rank: int | None = None
+    evaluator_version: str | None = None
+    verdict: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class RejudgedSubmission:
+    """A submission before and after its rejudgement.
+
+    Attributes:
+        state: of the new evaluation.
+        changes: whether score or rank would be another one; False before the end.
+        keeps_result: whether it keeps its present result: machines failed it, it was cancelled, or the submission was
+            evaluated once more since the rejudgement began.
+    """
+
+    team: str
+    submission: UUID
+    name: str
+    state: EvaluationState
+    before: Standing
+    after: Standing
+    changes: bool
+    keeps_result: bool
+
+
+def comparison(session: Session, rejudgement: Rejudgement) -> list[RejudgedSubmission]:
+    """Return each submission before and after, those that change first.
+
+    Ranks are those among all models of the stage as if every evaluator version counted alike, so that a board from
+    before an upgrade can be compared with the one after it. Of a rejudgement that has ended, results are compared as
+    they were then, among the teams that take part now.
+    """
+    new, kept = newest_of(session, rejudgement), _evaluated_since(session, rejudgement)
+    present = _present(session, rejudgement)
+    rules = track_rules(session, rejudgement.track)
+    keys = rules.ranking if rules else DEFAULT_RANKING
+    replaced = {submission: run for submission, run in new.items() if not _keeps_result(run, kept)}
+    ranks_before, ranks_after = _ranks(present, keys), _ranks({**present, **replaced}, keys)
+    rows = [
+        _compared(
+            evaluation,
+            present.get(submission),
+            (ranks_before.get(submission), ranks_after.get(submission)),
+            keeps_result=_keeps_result(evaluation, kept),
+        )
+        for submission, evaluation in new.items()
+    ]
+    return sorted(
+        rows, key=lambda row: (not row.changes, row.after.rank or len(rows) + 1, row.team, str(row.submission))
+    )
+
+
+def revision_of(rows: Sequence[RejudgedSubmission]) -> str:
+    """Return what changes whenever applying a rejudgement would do something else."""
+    content = {str(row.submission): asdict(row) | {"submission": None} for row in rows}
+    return hashlib.sha256(canonical_json(content)).hexdigest()
+
+
+def _evaluated_since(session: Session, rejudgement: Rejudgement) -> frozenset[UUID]:
+    """Return the submissions with an evaluation of their own, or by an applied rejudgement, that began after it."""
+    proposed, newer = aliased(Evaluation), aliased(Evaluation)
+    rows = session.scalars(
+        select(newer.submission_id)
+        .join(proposed, proposed.submission_id == newer.submission_id)
+        .where(
+            proposed.rejudgement_id == rejudgement.id,
+            *_counted(newer, rejudgement),
+            newer.created_at > rejudgement.started_at,
+        )
+    )
+    return frozenset(rows)
+
+
+def newest_of(session: Session, rejudgement: Rejudgement) -> Mapping[UUID, Evaluation]:
+    """Return the newest evaluation of each submission in a rejudgement: one may have begun again after an upgrade."""
+    rows = session.scalars(
+        select(Evaluation)
+        .where(Evaluation.rejudgement_id == rejudgement.id)
+        .options(defer(Evaluation.log_tail), joinedload(Evaluation.submission).joinedload(Submission.team))
+        .order_by(Evaluation.created_at, Evaluation.run)
+        .execution_options(populate_existing=True)
+    )
+    return {evaluation.submission_id: evaluation for evaluation in rows}
+
+
+def _present(session: Session, rejudgement: Rejudgement) -> Mapping[UUID, Evaluation]:
+    """Return the newest result of each model of the stage whose team takes part, beside this rejudgement's own."""
+    ended = _ended_at(rejudgement)
+    rows = session.scalars(
+        select(Evaluation)
+        .join(Submission)
+        .join(Team)
+        .where(
+            Submission.track == rejudgement.track,
+            Submission.stage == rejudgement.stage,
+            Submission.kind == SubmissionKind.MODEL,
+            Evaluation.state == EvaluationState.COMPLETED,
+            *_counted(Evaluation, rejudgement),
+            true() if ended is None else Evaluation.finished_at < ended,
+            takes_part(),
+        )
+        .options(defer(Evaluation.log_tail), joinedload(Evaluation.submission).joinedload(Submission.team))
+        .order_by(Evaluation.created_at, Evaluation.run)
+    )
+    return {evaluation.submission_id: evaluation for evaluation in rows}
+
+
+def _counted(evaluation: type[Evaluation], rejudgement: Rejudgement) -> tuple[ColumnElement[bool], ...]:
+    """Return whether an evaluation is no other rejudgement's proposal and not of this one: now, or at its end."""
+    conditions = (~evaluation.is_proposed, evaluation.rejudgement_id.is_distinct_from(rejudgement.id))
+    ended = _ended_at(rejudgement)
+    if ended is None:
+        return conditions
+    applied_later = exists().where(Rejudgement.id == evaluation.rejudgement_id, Rejudgement.applied_at > ended)
+    return (*conditions, evaluation.created_at < ended, ~applied_later)
+
+
+def _ended_at(rejudgement: Rejudgement) -> datetime | None:
+    return rejudgement.applied_at or rejudgement.discarded_at
+
+
+def _ranks(results: Mapping[UUID, Evaluation], keys: Sequence[RankingKey]) -> dict[UUID, int]:
+    """Return the rank of each submission that is its team's best."""
+    scored = [(evaluation, combined_score(evaluation)) for evaluation in results.values()]
+    in_order = sorted(
+        ((evaluation, score) for evaluation, score in scored if score is not None),
+        key=lambda pair: (*(_key(key, *pair) for key in keys), str(pair[0].id)),
+    )
+    best: dict[UUID, UUID] = {}
+    for evaluation, _ in in_order:
+        best.setdefault(evaluation.submission.team_id, evaluation.submission_id)
+    return {submission: rank for rank, submission in enumerate(best.values(), start=1)}
+
+
+def _key(key: RankingKey, evaluation: Evaluation, score: CombinedScore) -> float:
+    if key is RankingKey.SUCCESS_RATE:
+        return -score.success_rate
+    if key is RankingKey.MEAN_STEPS:
+        return float("inf") if score.mean_steps is None else score.mean_steps
+    return evaluation.submission.submitted_at.timestamp()
+
+
+def _compared(
+    new: Evaluation, old: Evaluation | None, ranks: tuple[int | None, int | None], *, keeps_result: bool
+) -> RejudgedSubmission:
+    before, after = _standing(old, ranks[0]), _standing(new, ranks[1])
+    same = all(
+        getattr(before, name) == getattr(after, name) for name in ("success_rate", "mean_steps", "rank", "verdict")
+    )
+    return RejudgedSubmission(
+        team=new.submission.team.name,
+        submission=new.submission_id,
+        name=new.submission.name,
+        state=new.state,
+        before=before,
+        after=after,
+        changes=new.state in TERMINAL_EVALUATION_STATES and not keeps_result and not same,
+        keeps_result=keeps_result,
+    )
+
+
+def _standing(evaluation: Evaluation | None, rank: int | None) -> Standing:
+    score = combined_score(evaluation) if evaluation else None
+    return Standing(
+        success_rate=score.success_rate if score else None,
+        mean_steps=score.mean_steps if score else None,
+        rank=rank,
+        evaluator_version=evaluation.evaluator_version if evaluation else None,
+        verdict=evaluation.verdict_code if evaluation else None,
+    )
+
+
+def _keeps_result(evaluation: Evaluation, kept: Collection[UUID]) -> bool:
+    """Return whether the result of a proposed evaluation is not taken; `kept`: submissions with a newer one."""
+    by_machines = evaluation.verdict_code == ServiceVerdict.MACHINE_FAILED.value
+    return evaluation.submission_id in kept or evaluation.state is EvaluationState.CANCELLED or by_machines

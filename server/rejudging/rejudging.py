@@ -1,0 +1,243 @@
+"""Submissions evaluated again, beside their results, with the present evaluator; applied or discarded together."""
+
+from collections.abc import Collection, Sequence
+from dataclasses import asdict
+from datetime import UTC, datetime
+from uuid import UUID
+
+from sqlalchemy import delete, exists, select
+from sqlalchemy.orm import Session, aliased
+from vitac.evaluator.submission_kinds import SubmissionKind
+from vitac.evaluator.version import evaluator_version
+
+from .. import names
+from ..audit import record
+from ..contest.stages import shown_stage
+from ..db.among import among
+from ..db.competition_row import lock_competition, require_not_final
+from ..db.models import BoardResult, Competition, Evaluation, Rejudgement, Submission, Team
+from ..db.row_locks import lock_evaluation
+from ..db.states import ACTIVE_EVALUATION_STATES, TERMINAL_EVALUATION_STATES, EvaluationState, NoticeKind
+from ..errors import ProblemCode, ServiceError, not_found
+from ..evaluations import lifecycle
+from ..evaluations.copies import flag_copies
+from ..evaluations.history import all_runs
+from ..evaluations.scores import add_to_boards, combined_result
+from ..leaderboards.best_entries import takes_part
+from ..notices.outbox import announce_evaluation
+from ..principals import Principal
+from ..receipts.chain import issue
+from ..tracks import load_known_track
+from .comparison import RejudgedSubmission, comparison, newest_of, revision_of
+
+REASON_LENGTH = 500
+
+
+def start(
+    session: Session,
+    by: Principal,
+    *,
+    track: str,
+    stage: str | None = None,
+    submissions: Collection[UUID] = (),
+    reason: str,
+) -> Rejudgement:
+    """Evaluate models of a stage again with the present evaluator, beside the results that they have.
+
+    Args:
+        session: of the transaction.
+        by: an organizer.
+        track: of the submissions.
+        stage: of the competition; None: the one that opened last.
+        submissions: which ones; none: all models of the stage whose team takes part and whose tasks are there.
+        reason: for the audit log.
+
+    Raises:
+        ServiceError: not an organizer, the reason cannot be shown, the competition is final, nothing is to be
+            evaluated, a submission is none of the stage's models, or is being evaluated.
+    """
+    by.require_organizer()
+    shown_reason = names.clean(reason, what="A reason", min_length=1, max_length=REASON_LENGTH)
+    load_known_track(track)
+    of_stage = shown_stage(session, track, stage)
+    _going_on(session, of_stage)
+    chosen = _chosen(session, track, of_stage, submissions)
+    made = Rejudgement(track=track, stage=of_stage, reason=shown_reason)
+    session.add(made)
+    session.flush()
+    for submission in chosen:
+        runs = session.scalars(all_runs(submission)).all()
+        if any(run.state in ACTIVE_EVALUATION_STATES for run in runs):
+            raise ServiceError(
+                ProblemCode.NOT_REQUEUABLE,
+                f"Submission {submission.id} of {submission.team.name} is being evaluated; wait or cancel.",
+            )
+        run = 1 + max((run.run for run in runs if run.evaluator_version == evaluator_version()), default=0)
+        lifecycle.start(session, submission, run, rejudgement_id=made.id)
+    after = {
+        "track": track,
+        "stage": of_stage,
+        "submissions": [str(submission.id) for submission in chosen],
+        "evaluator_version": evaluator_version(),
+        "reason": shown_reason,
+    }
+    record(session, by, "rejudgement.start", _subject(made), after)
+    return made
+
+
+def find(session: Session, rejudgement_id: UUID) -> Rejudgement:
+    """Return a rejudgement.
+
+    Raises:
+        ServiceError: there is none of that id.
+    """
+    found = session.get(Rejudgement, rejudgement_id)
+    if found is None:
+        raise not_found("rejudgement", rejudgement_id)
+    return found
+
+
+def rejudgements(session: Session) -> Sequence[Rejudgement]:
+    """Return all rejudgements, newest first."""
+    return session.scalars(select(Rejudgement).order_by(Rejudgement.started_at.desc(), Rejudgement.id)).all()
+
+
+def set_aside(session: Session, evaluations: Collection[UUID]) -> tuple[UUID, ...]:
+    """Return those of some evaluations that an applied rejudgement has taken off the boards, by id."""
+    newer = aliased(Evaluation)
+    is_replaced = exists().where(
+        newer.submission_id == Evaluation.submission_id,
+        newer.rejudgement_id.is_not(None),
+        ~newer.is_proposed,
+        newer.created_at > Evaluation.created_at,
+    )
+    rows = session.scalars(select(Evaluation.id).where(among(Evaluation.id, evaluations), is_replaced))
+    return tuple(sorted(rows))
+
+
+def apply(
+    session: Session, by: Principal, rejudgement_id: UUID, *, shown: str | None = None
+) -> list[RejudgedSubmission]:
+    """Make the new results those of their submissions, with a receipt each; the present ones leave the boards.
+
+    What machines failed or somebody cancelled keeps its present result, and so does what was evaluated once more since
+    the rejudgement began: that result is the newer one.
+
+    Args:
+        session: of the transaction.
+        by: an organizer.
+        rejudgement_id: which one.
+        shown: the revision of what was seen before (`revision_of`); None: whatever it is now.
+
+    Raises:
+        ServiceError: not an organizer, no such rejudgement, it has ended, the competition is final, its boards stand
+            still, an evaluation goes on, or something has changed since it was shown.
+    """
+    found = _lock_open(session, by, rejudgement_id)
+    competition = _going_on(session, found.stage)
+    if competition is not None and competition.frozen_at is not None:
+        raise ServiceError(
+            ProblemCode.INVALID_REQUEST,
+            f"The boards stand still since {competition.frozen_at:%F %T} UTC, and this would change them; run "
+            "`vitac admin results unfreeze` first.",
+        )
+    rows = comparison(session, found)
+    going_on = [row.team for row in rows if row.state not in TERMINAL_EVALUATION_STATES]
+    if going_on:
+        raise ServiceError(
+            ProblemCode.STAGE_NOT_OVER,
+            f"Expected no evaluation of the rejudgement that waits or runs, got {len(going_on)}; wait, or discard it.",
+        )
+    if shown is not None and shown != revision_of(rows):
+        raise ServiceError(
+            ProblemCode.RESULTS_OUTDATED, "Something has changed since you looked, so nothing was applied. Look again."
+        )
+    now = datetime.now(UTC)
+    # By id: an evaluation of another rejudgement is locked in the same order.
+    chosen = sorted(newest_of(session, found).values(), key=lambda evaluation: evaluation.id)
+    keeping = {row.submission for row in rows if row.keeps_result}
+    replacing = [lock_evaluation(session, one.id) for one in chosen if one.submission_id not in keeping]
+    completed = [evaluation for evaluation in replacing if evaluation.state is EvaluationState.COMPLETED]
+    for evaluation in replacing:
+        evaluation.is_proposed = False
+        session.execute(delete(BoardResult).where(BoardResult.submission_id == evaluation.submission_id))
+        kind = NoticeKind.FINISHED if evaluation.state is EvaluationState.COMPLETED else NoticeKind.FAILED
+        announce_evaluation(session, kind, evaluation)
+    for evaluation in completed:
+        add_to_boards(evaluation, now)
+        session.flush()
+        flag_copies(session, evaluation)
+    found.applied_at = now
+    record(session, by, "rejudgement.apply", _subject(found), _audited(rows, "after"), before=_audited(rows, "before"))
+    for evaluation in completed:  # last of all: a receipt locks out all others
+        issue(session, evaluation, combined_result(evaluation))
+    return rows
+
+
+def discard(session: Session, by: Principal, rejudgement_id: UUID) -> None:
+    """Leave all present results as they are; what still waits or runs is cancelled.
+
+    Raises:
+        ServiceError: not an organizer, no such rejudgement, or it has ended.
+    """
+    found = _lock_open(session, by, rejudgement_id)
+    for evaluation in sorted(newest_of(session, found).values(), key=lambda evaluation: evaluation.id):
+        locked = lock_evaluation(session, evaluation.id)
+        if locked.state in ACTIVE_EVALUATION_STATES:
+            lifecycle.cancel(session, locked)
+    found.discarded_at = datetime.now(UTC)
+    record(session, by, "rejudgement.discard", _subject(found), {"discarded": True})
+
+
+def _chosen(session: Session, track: str, stage: str, ids: Collection[UUID]) -> Sequence[Submission]:
+    query = (
+        select(Submission)
+        .join(Team)
+        .where(
+            Submission.track == track,
+            Submission.stage == stage,
+            Submission.kind == SubmissionKind.MODEL,
+            Team.erased_at.is_(None),
+            exists().where(Evaluation.submission_id == Submission.id),
+        )
+        .order_by(Submission.submitted_at, Submission.id)
+        .with_for_update(key_share=True, of=Submission)
+    )
+    known = query.where(takes_part(), Submission.tasks.contained_by(list(load_known_track(track).tasks)))
+    found = session.scalars(query.where(Submission.id.in_(ids)) if ids else known).all()
+    missing = set(ids) - {submission.id for submission in found}
+    if missing or not found:
+        what = f"submission {min(missing)}" if missing else "any submission"
+        where = f"stage {stage} of {track}" if stage else track
+        raise ServiceError(
+            ProblemCode.NOT_FOUND,
+            f"Expected models of {where}, but {what} is none. Logs cannot be evaluated again, and uploads that were "
+            "removed with their team neither.",
+        )
+    return found
+
+
+def _lock_open(session: Session, by: Principal, rejudgement_id: UUID) -> Rejudgement:
+    by.require_organizer()
+    found = session.get(Rejudgement, rejudgement_id, with_for_update=True, populate_existing=True)
+    if found is None:
+        raise not_found("rejudgement", rejudgement_id)
+    if found.applied_at or found.discarded_at:
+        how = "applied" if found.applied_at else "discarded"
+        raise ServiceError(ProblemCode.NOT_REQUEUABLE, f"Rejudgement {found.id} was {how} already; start another one.")
+    return found
+
+
+def _going_on(session: Session, stage: str) -> Competition | None:
+    """Return the competition of a stage, which neither ends nor is frozen meanwhile; None outside of one."""
+    row = lock_competition(session, shared=True) if stage else None
+    require_not_final(row)
+    return row
+
+
+def _audited(rows: Sequence[RejudgedSubmission], side: str) -> dict[str, object]:
+    return {str(row.submission): asdict(getattr(row, side)) for row in rows if not row.keeps_result}
+
+
+def _subject(rejudgement: Rejudgement) -> str:
+    return f"rejudgement:{rejudgement.id}"

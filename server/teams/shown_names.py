@@ -1,0 +1,51 @@
+"""Under which names teams are shown: their own, or until the end of an anonymous competition ones that tell nothing."""
+
+from dataclasses import dataclass
+from typing import Self
+from uuid import NAMESPACE_OID, UUID, uuid5
+
+from sqlalchemy.orm import Session
+
+from ..db.competition_row import competition_row
+from ..db.models import Team
+from ..principals import VISITOR, Principal
+
+
+def are_hidden(session: Session) -> bool:
+    """Return whether teams are shown to others under random names: the competition says so, and is not final."""
+    row = competition_row(session)
+    return row is not None and row.finalized_at is None and bool(row.definition.get("anonymous"))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShownNames:
+    """The names under which somebody sees teams.
+
+    Attributes:
+        by: who sees them.
+        hidden: whether others' names are hidden now (`are_hidden`).
+    """
+
+    by: Principal
+    hidden: bool
+
+    @classmethod
+    def read(cls, session: Session, by: Principal = VISITOR) -> Self:
+        """Return those of now."""
+        return cls(by=by, hidden=are_hidden(session))
+
+    def hides(self, team: Team) -> bool:
+        """Return whether it is not told which team it is; its members, judges and organizers always see it."""
+        return self.hidden and not self.by.may_see(team.id)
+
+    def name_of(self, team: Team) -> str:
+        """Return the name that is shown."""
+        return team.pseudonym if self.hides(team) else team.name
+
+    def name_for_others(self, team: Team) -> str:
+        """Return the name that is shown to everybody else."""
+        return team.pseudonym if self.hidden else team.name
+
+    def id_of(self, team: Team) -> UUID:
+        """Return the id that is shown: a hidden team's own one would tell which it was elsewhere."""
+        return uuid5(NAMESPACE_OID, team.pseudonym) if self.hides(team) else team.id

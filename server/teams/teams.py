@@ -1,0 +1,296 @@
+"""Teams: registration, look-up and listing."""
+
+from datetime import UTC, datetime
+from uuid import UUID
+
+from sqlalchemy import func, select, text
+from sqlalchemy.dialects.postgresql import insert
+from sqlalchemy.orm import Session
+
+from .. import names
+from ..audit import record
+from ..db.competition_row import competition_row
+from ..db.models import Member, Team
+from ..db.states import MemberRole, Role
+from ..errors import ProblemCode, ServiceError, not_found
+from ..principals import CONSOLE, Principal
+from ..views.teams import OrganizerTeamView, TeamView
+from .shown_names import ShownNames
+
+NAME_LENGTH = 64
+CONTACT_LENGTH = 254
+REASON_LENGTH = 200
+_REGISTRATION_LOCK = 0x7E414D5
+"""Of two registrations at once the second sees the name of the first."""
+
+
+def register(
+    session: Session, by: Principal | None, *, name: str, contact: str | None = None, waits: bool = False
+) -> Team:
+    """Make a team with a captain.
+
+    Args:
+        session: of the transaction.
+        by: None for somebody who registers their own.
+        name: shown on boards.
+        contact: for the organizers.
+        waits: whether an organizer has to accept it before it submits.
+
+    Raises:
+        ServiceError: the name is taken (or looks like one that is) or cannot be shown.
+    """
+    shown = names.clean(name, what="A team's name", min_length=2, max_length=NAME_LENGTH)
+    _refuse_look_alike(session, shown)
+    added: Team | None = session.scalar(
+        insert(Team)
+        .values(
+            name=shown,
+            name_key=name_key(shown),
+            contact=contact,
+            approved_at=None if waits else datetime.now(UTC),
+        )
+        .on_conflict_do_nothing(index_elements=[Team.name_key])
+        .returning(Team)
+    )
+    if added is None:
+        raise ServiceError(ProblemCode.TEAM_EXISTS, f"There is a team named {shown!r} already; choose another name.")
+    actor = by or Principal(role=Role.TEAM, team_id=added.id, team_name=added.name)
+    record(session, actor, "team.register", f"team:{added.id}", {"name": shown})
+    session.add(Member(team=added, role=MemberRole.CAPTAIN, name="Captain", name_key="captain"))
+    session.flush()
+    return added
+
+
+def rename(session: Session, by: Principal, team: Team, name: str) -> None:
+    """Give a team another name.
+
+    Raises:
+        ServiceError: not an organizer, or the name is taken, looks like one that is, or cannot be shown.
+    """
+    by.require_organizer()
+    shown = names.clean(name, what="A team's name", min_length=2, max_length=NAME_LENGTH)
+    lock(session, team)
+    _refuse_look_alike(session, shown, but=team)
+    if session.scalar(select(Team.id).where(Team.name_key == name_key(shown), Team.id != team.id)) is not None:
+        raise ServiceError(ProblemCode.TEAM_EXISTS, f"There is a team named {shown!r} already; choose another name.")
+    before = {"name": team.name}
+    team.name, team.name_key, team.named_at = shown, name_key(shown), datetime.now(UTC)
+    record(session, by, "team.rename", f"team:{team.id}", {"name": shown}, before=before)
+
+
+def accept(session: Session, by: Principal, team: Team) -> None:
+    """Let a team submit that has waited, or that was refused; doing it again changes nothing.
+
+    Raises:
+        ServiceError: not an organizer.
+    """
+    by.require_organizer()
+    lock(session, team)
+    session.refresh(team)
+    if team.approved_at is None:
+        before = {"accepted": False, "reason": team.refused_for}
+        team.approved_at, team.refused_for = datetime.now(UTC), None
+        record(session, by, "team.accept", f"team:{team.id}", {"accepted": True}, before=before)
+
+
+def refuse(session: Session, by: Principal, team: Team, reason: str) -> None:
+    """Say no to a team that waits to be accepted.
+
+    Raises:
+        ServiceError: not an organizer, the reason cannot be shown, or the team was accepted already.
+    """
+    by.require_organizer()
+    shown = names.clean(reason, what="A reason", min_length=2, max_length=REASON_LENGTH)
+    lock(session, team)
+    session.refresh(team)
+    if team.approved_at is not None:
+        raise ServiceError(
+            ProblemCode.INVALID_REQUEST, f"{team.name} was accepted already; `vitac admin team disqualify` ends it."
+        )
+    before = {"accepted": False, "reason": team.refused_for}
+    team.refused_for = shown
+    record(session, by, "team.refuse", f"team:{team.id}", {"accepted": False, "reason": shown}, before=before)
+
+
+def waiting(session: Session) -> list[Team]:
+    """Return the teams that wait to be accepted, the one that has waited longest first."""
+    is_waiting = Team.approved_at.is_(None), Team.refused_for.is_(None)
+    return list(session.scalars(select(Team).where(*is_waiting).order_by(Team.created_at, Team.id)))
+
+
+def require_taking_part(team: Team) -> None:
+    """Refuse the submissions of a team that may not make any.
+
+    Raises:
+        ServiceError: it is removed, disqualified, waits to be accepted, or was refused.
+    """
+    if team.erased_at is not None:
+        raise _removed()
+    if team.disqualified_at is not None:
+        raise ServiceError(
+            ProblemCode.TEAM_DISQUALIFIED, f"{team.name} is disqualified: {team.disqualified_for}. Ask the organizers."
+        )
+    if team.approved_at is None:
+        state = f"was refused: {team.refused_for}" if team.refused_for else "waits until an organizer accepts it"
+        raise ServiceError(ProblemCode.TEAM_NOT_ACCEPTED, f"{team.name} {state}, so it cannot submit.")
+
+
+def require_unlocked(session: Session, by: Principal | None) -> None:
+    """Refuse changes of teams after the competition's lock date to everybody but organizers.
+
+    Raises:
+        ServiceError: teams are locked.
+    """
+    if by is not None and by.is_organizer:
+        return
+    if at := locked_since(session):
+        raise ServiceError(
+            ProblemCode.REGISTRATION_CLOSED, f"Teams are locked since {at:%F %T} UTC; only organizers change them."
+        )
+
+
+def locked_since(session: Session) -> datetime | None:
+    """Return the competition's lock date if it is over."""
+    competition = competition_row(session)
+    locked = competition.definition.get("teams_locked") if competition else None
+    at = datetime.fromisoformat(locked) if locked is not None else None
+    return at if at is not None and at <= datetime.now(UTC) else None
+
+
+def find(session: Session, name_or_id: str) -> Team:
+    """Return the team of that name or id.
+
+    Raises:
+        ServiceError: there is none.
+    """
+    team = session.scalar(select(Team).where(Team.name_key == name_key(name_or_id)))
+    if team is None and (team_id := _as_uuid(name_or_id)) is not None:
+        team = session.get(Team, team_id)
+    if team is None:
+        raise ServiceError(
+            ProblemCode.UNKNOWN_TEAM, f"There is no team {name_or_id!r}; `vitac admin team list` shows all."
+        )
+    return team
+
+
+def own(session: Session, by: Principal) -> Team:
+    """Return the principal's team.
+
+    Raises:
+        ServiceError: an organizer belongs to none.
+    """
+    team = session.get(Team, by.team_id) if by.team_id is not None else None
+    if team is None:
+        raise not_found("team", "of this token")
+    return team
+
+
+def lock(session: Session, team: Team) -> None:
+    """Let changes that count what a team has go on one after the other; rows that refer to the team are left alone.
+
+    Raises:
+        ServiceError: the team was merged with another one or removed meanwhile.
+    """
+    row = session.execute(
+        select(Team.erased_at).where(Team.id == team.id).with_for_update(key_share=True)
+    ).one_or_none()
+    if row is None:
+        raise ServiceError(ProblemCode.UNKNOWN_TEAM, "This team was merged with another one. Try again.")
+    if row.erased_at is not None:
+        raise _removed()
+
+
+def last_named_at(session: Session) -> datetime | None:
+    """Return when a team was last shown under another name; None: there is no team."""
+    return session.scalar(select(func.max(Team.named_at)))
+
+
+def list_teams(session: Session) -> list[Team]:
+    """Return all teams by name."""
+    return list(session.scalars(select(Team).order_by(Team.name_key)))
+
+
+def disqualify(session: Session, by: Principal, team: Team, reason: str) -> None:
+    """Take a team off all boards and refuse its submissions from now on; its results stay.
+
+    Raises:
+        ServiceError: not an organizer, the reason cannot be shown, or the team is disqualified already.
+    """
+    by.require_organizer()
+    shown = names.clean(reason, what="A reason", min_length=2, max_length=REASON_LENGTH)
+    lock(session, team)
+    session.refresh(team)
+    if team.disqualified_for is not None:
+        raise ServiceError(ProblemCode.TEAM_DISQUALIFIED, f"{team.name} is disqualified: {team.disqualified_for}.")
+    team.disqualified_at, team.disqualified_for = datetime.now(UTC), shown
+    record(session, by, "team.disqualify", f"team:{team.id}", {"reason": shown}, before={"reason": None})
+
+
+def reinstate(session: Session, by: Principal, team: Team) -> None:
+    """Let a disqualified team take part again, with all its results; doing it again changes nothing.
+
+    Raises:
+        ServiceError: not an organizer.
+    """
+    by.require_organizer()
+    lock(session, team)
+    session.refresh(team)
+    if team.disqualified_at is not None:
+        before = {"reason": team.disqualified_for}
+        team.disqualified_at = team.disqualified_for = None
+        record(session, by, "team.reinstate", f"team:{team.id}", {"reason": None}, before=before)
+
+
+def team_view(team: Team, names_shown: ShownNames) -> TeamView:
+    """Return a team as somebody sees it."""
+    return TeamView(
+        id=names_shown.id_of(team),
+        name=names_shown.name_of(team),
+        shown_as=names_shown.name_for_others(team),
+        created_at=None if names_shown.hides(team) else team.created_at,
+    )
+
+
+def organizer_team_view(session: Session, team: Team) -> OrganizerTeamView:
+    """Return a team as organizers see it."""
+    return OrganizerTeamView(
+        **dict(team_view(team, ShownNames.read(session, CONSOLE))),
+        contact=team.contact,
+        disqualified_for=team.disqualified_for,
+        approved_at=team.approved_at,
+        refused_for=team.refused_for,
+    )
+
+
+def name_key(name: str) -> str:
+    """Return the name by which teams are told apart."""
+    return names.key(name, max_length=NAME_LENGTH)
+
+
+def _removed() -> ServiceError:
+    return ServiceError(ProblemCode.UNKNOWN_TEAM, "This team was removed; nothing is added to it or changed of it.")
+
+
+def _refuse_look_alike(session: Session, shown: str, *, but: Team | None = None) -> None:
+    """Refuse a name that readers would take for another team's, or for the one that hides another team."""
+    session.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": _REGISTRATION_LOCK})
+    query = select(Team.name, Team.pseudonym)
+    others = session.execute(query if but is None else query.where(Team.id != but.id)).all()
+    like = [row.name for row in others if names.look_alike(shown, row.name)]
+    taken = next((name for name in like if name_key(name) != name_key(shown)), None)
+    if taken is not None:
+        raise ServiceError(
+            ProblemCode.TEAM_EXISTS, f"The name {shown!r} looks like that of team {taken!r}; choose another name."
+        )
+    if any(names.look_alike(shown, row.pseudonym) for row in others):
+        raise ServiceError(
+            ProblemCode.TEAM_EXISTS,
+            f"The name {shown!r} looks like one under which another team is shown; choose another name.",
+        )
+
+
+def _as_uuid(text: str) -> UUID | None:
+    try:
+        return UUID(text)
+    except ValueError:
+        return None

@@ -1,0 +1,98 @@
+"""The competition as everybody sees it: schedule, rules, prizes, commitments, and at the end its winners."""
+
+from datetime import datetime
+
+from pydantic import Field
+from vitac.evaluator.submission_kinds import SubmissionKind
+from vitac.evaluator.tracks import ListKind
+
+from .base import View
+
+
+class StageView(View):
+    """A stage of a track."""
+
+    name: str
+    title: str
+    opens: datetime
+    closes: datetime = Field(description="What is complete at this instant is too late.")
+    is_open: bool = Field(description="Whether it takes submissions now.")
+    accepts: list[SubmissionKind]
+    list_kind: ListKind | None = Field(description="Null where the service plays no episodes of it.")
+    commitment: str | None = Field(description="Of its sealed list.")
+    secret: str | None = Field(description="Of its sealed list, once published; `vitac seeds verify` checks it.")
+    scored_runs: int | None = Field(description="Most scored evaluations of a team; null: any number.")
+    attempts: int | None = Field(description="Most evaluations of a team, however they end; null: any number.")
+    qualified: str | None = Field(description="Who advances to it, in words; null: it is for all teams.")
+
+
+class PrizeView(View):
+    """What a place wins."""
+
+    place: str
+    amount: int
+    winners: int
+    note: str | None
+
+
+class CompetitionTrackView(View):
+    """A track of the competition."""
+
+    name: str
+    title: str
+    taken_here: bool = Field(description="False where submissions are collected elsewhere.")
+    ranking: list[str] = Field(description="What entries are compared by, one after the other.")
+    ties: str
+    stages: list[StageView]
+    prizes: list[PrizeView]
+    judging: str | None = Field(default=None, description="How judges' marks count, in words; null: the board decides.")
+
+
+class WinnerView(View):
+    """A team and what it wins."""
+
+    track: str
+    place: str
+    rank: int
+    team: str
+    amount: int
+    success_rate: float
+    result_hash: str
+    total: float | None = Field(
+        default=None, description="Of success, marks and figures by the weights; null: the track is not judged."
+    )
+
+
+class DisqualifiedTeamView(View):
+    """A team that was disqualified after the end, by the name that it has in winners and kept boards."""
+
+    team: str
+    disqualified_at: datetime
+
+
+class CompetitionView(View):
+    """The competition of this service."""
+
+    name: str
+    title: str
+    summary: str
+    website: str | None
+    contact: str | None
+    rules: list[str]
+    currency: str
+    teams_locked: datetime | None
+    anonymous: bool = Field(
+        default=False, description="Whether teams are shown under random names until everything is final."
+    )
+    appeal_days: int | None = Field(
+        default=None,
+        description="So long after the end of an evaluation its team may appeal; null: there are no appeals.",
+    )
+    tracks: list[CompetitionTrackView]
+    frozen_at: datetime | None = Field(description="Since then boards stand still; null: they do not.")
+    finalized_at: datetime | None = Field(description="Since then everything is final.")
+    winners: list[WinnerView] = Field(description="Empty before the end.")
+    disqualified: list[DisqualifiedTeamView] = Field(
+        default=[],
+        description="Of winners and archived boards, since the end; without them once it is finalized again.",
+    )

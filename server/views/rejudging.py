@@ -1,0 +1,51 @@
+"""Rejudgements as organizers see them: which submissions are evaluated again, and what would change."""
+
+from datetime import datetime
+from uuid import UUID
+
+from pydantic import Field
+
+from ..db.states import EvaluationState
+from .base import View
+
+
+class RejudgementView(View):
+    """A rejudgement; it is open as long as it is neither applied nor discarded."""
+
+    id: UUID
+    track: str
+    stage: str | None = Field(description="Of the competition; null outside of one.")
+    reason: str
+    started_at: datetime
+    applied_at: datetime | None
+    discarded_at: datetime | None
+
+
+class StandingView(View):
+    """What a submission reaches over all tasks of its track; without a score all but the verdict is null."""
+
+    success_rate: float | None
+    mean_steps: float | None
+    rank: int | None = Field(description="Of its team's best entry, where it is that.")
+    evaluator_version: str | None
+    verdict: str | None = Field(description="Why there is no score.")
+
+
+class RejudgedSubmissionView(View):
+    """A submission before and after its rejudgement."""
+
+    team: str
+    submission: UUID
+    name: str
+    state: EvaluationState = Field(description="Of the new evaluation.")
+    before: StandingView
+    after: StandingView
+    changes: bool = Field(description="Whether score or rank would be another one.")
+    keeps_result: bool = Field(description="Whether it keeps its present result.")
+
+
+class RejudgementDetailView(RejudgementView):
+    """A rejudgement with its submissions, those that change first."""
+
+    revision: str = Field(description="Give this as `shown` to apply exactly what is shown here.")
+    submissions: list[RejudgedSubmissionView]

@@ -1,0 +1,26 @@
+"""All that the service knows of a team, as one document."""
+
+from datetime import datetime
+
+from pydantic import Field
+
+from .appeals import AppealView
+from .base import View
+from .messages import QuestionView
+from .notices import NoticeView, WebhookView
+from .submissions import SubmissionView
+from .teams import AuditEntryView, OwnTeamView, TokenView
+
+
+class TeamDataView(View):
+    """Everything that the service has of a team, as far as the team may see it."""
+
+    made_at: datetime
+    team: OwnTeamView
+    tokens: list[TokenView]
+    submissions: list[SubmissionView]
+    webhooks: list[WebhookView]
+    notices: list[NoticeView]
+    questions: list[QuestionView]
+    appeals: list[AppealView]
+    audit_log: list[AuditEntryView] = Field(description="What people changed of the team.")

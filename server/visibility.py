@@ -1,0 +1,131 @@
+"""Which submissions exist for whom, who may change them, and what of them is shown.
+
+Another team's is answered as if there were none; `vitac.server.sharing` knows of those that are public.
+"""
+
+from dataclasses import dataclass
+from uuid import UUID
+
+from sqlalchemy.orm import Session, joinedload
+from vitac.evaluator.tracks import ListKind
+
+from .db.models import Evaluation, Submission
+from .errors import TRACK_REMOVED, ProblemCode, ServiceError, not_found
+from .principals import Principal
+from .tracks import known_task
+
+
+def visible(session: Session, by: Principal, submission_id: UUID) -> Submission:
+    """Return the submission of that id.
+
+    Raises:
+        ServiceError: there is none that the principal may see.
+    """
+    submission = session.get(Submission, submission_id, options=[joinedload(Submission.team)])
+    if submission is None or not by.may_see(submission.team_id):
+        raise not_found("submission", submission_id)
+    return submission
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sight:
+    """What of an evaluation is shown to somebody who may see its result; its state and score always are.
+
+    Attributes:
+        episodes: single episodes: outcomes, records, logs, playback, pictures, and how many succeeded before the end.
+        output: what the policy printed.
+    """
+
+    episodes: bool
+    output: bool
+
+
+def sight_of(by: Principal, evaluation: Evaluation) -> Sight:
+    """Return what of an evaluation is shown to somebody: whatever tells of single episodes asks here.
+
+    While a list is sealed, only organizers see its episodes, and what was printed there, because a policy can print
+    what it observes. A log ran no policy here: the output that it names could be anything.
+    """
+    submission = evaluation.submission
+    is_own = by.may_see(submission.team_id)
+    episodes = by.is_organizer or ((is_own or submission.is_public) and not is_sealed(evaluation))
+    return Sight(episodes=episodes, output=episodes and is_own and submission.kind.form.runs_policy)
+
+
+def is_sealed(evaluation: Evaluation) -> bool:
+    """Return whether an evaluation plays a list whose secret is not published yet.
+
+    A sealed list of a track file is published by taking its commitment out of the file, so the file of today tells.
+    """
+    if evaluation.commitment is not None and evaluation.sealed_list is not None:
+        return evaluation.sealed_list.revealed_at is None
+    if played_list_kind(evaluation) is ListKind.PUBLIC:
+        return False
+    return evaluation.commitment is not None or _list_kind_in_file(evaluation) is ListKind.SEALED
+
+
+def played_list_kind(evaluation: Evaluation) -> ListKind:
+    """Return who could know the episodes while they were played: of a stage's sealed list, or of the track file's.
+
+    Of an older evaluation, for which it was not kept, the track file of today tells; a list that was removed with its
+    track or task counts as sealed, as nobody can tell.
+    """
+    if evaluation.commitment is not None:
+        return ListKind.SEALED
+    if evaluation.list_kind is not None:
+        return evaluation.list_kind
+    return _list_kind_in_file(evaluation)
+
+
+def _list_kind_in_file(evaluation: Evaluation) -> ListKind:
+    tasks = [known_task(evaluation.submission.track, task) for task in evaluation.submission.tasks]
+    kinds = {ListKind.SEALED if task is None else task.episode_list.kind for task in tasks}
+    return ListKind.SEALED if ListKind.SEALED in kinds else ListKind.PUBLIC
+
+
+def has_lists(evaluation: Evaluation) -> bool:
+    """Return whether it is known what list an evaluation plays: of a stage, as kept, or in today's track file."""
+    submission = evaluation.submission
+    is_kept = evaluation.commitment is not None or evaluation.list_kind is not None
+    return is_kept or all(known_task(submission.track, task) for task in submission.tasks)
+
+
+def require_lists(evaluation: Evaluation) -> None:
+    """Refuse what needs the lists of a track or task that was removed.
+
+    Raises:
+        ServiceError: track_removed.
+    """
+    if not has_lists(evaluation):
+        submission = evaluation.submission
+        raise ServiceError(
+            ProblemCode.TRACK_REMOVED,
+            f"{TRACK_REMOVED} It played {', '.join(submission.tasks)} of {submission.track}.",
+        )
+
+
+def require_episodes(by: Principal, evaluation: Evaluation) -> None:
+    """Refuse to show single episodes of a sealed list, or of one that was removed.
+
+    Raises:
+        ServiceError: list_sealed, or track_removed.
+    """
+    if not sight_of(by, evaluation).episodes:
+        require_lists(evaluation)
+        raise ServiceError(
+            ProblemCode.LIST_SEALED,
+            "This evaluation plays a sealed list: until its secret is published, only its state and its final score "
+            "are shown.",
+        )
+
+
+def changeable(session: Session, by: Principal, submission_id: UUID) -> Submission:
+    """Return the submission of that id for somebody who changes it: its team or an organizer.
+
+    Raises:
+        ServiceError: there is none that the principal may see, or it may only be read.
+    """
+    submission = visible(session, by, submission_id)
+    if not by.may_change(submission.team_id):
+        raise ServiceError(ProblemCode.FORBIDDEN, "A judge reads submissions only; ask an organizer.")
+    return submission

@@ -1,0 +1,23 @@
+import pytest
+from vitac.server.errors import ServiceError
+from vitac.server.members import passwords
+
+
+def test_what_is_kept_is_argon2id_and_says_which_password_is_right() -> None:
+    kept = passwords.hashed("twelve chars")
+    assert kept.startswith("$argon2id$")
+    assert passwords.is_right("twelve chars", kept)
+    assert not passwords.is_right("twelve charz", kept)
+    assert kept != passwords.hashed("twelve chars")
+
+
+@pytest.mark.parametrize("kept", [None, "", "not a hash"])
+def test_without_a_hash_no_password_is_right(kept: str | None) -> None:
+    assert not passwords.is_right("nobody", kept)  # the password of the hash that is checked in its place
+
+
+@pytest.mark.parametrize("password", ["", "x" * 11, "x" * 257])
+def test_the_length_is_bounded(password: str) -> None:
+    with pytest.raises(ServiceError, match=f"got {len(password)}"):
+        passwords.hashed(password)
+    assert not passwords.is_right("x" * 257, None)

@@ -1,0 +1,201 @@
+from copy import deepcopy
+from functools import partial
+from typing import Any
+
+import pytest
+from service_factories import TASK, TRACK, make_principal, make_score, make_upload, outdate, submit_scored
+from submission_steps import SETTINGS, refused
+from vitac.server.audit import newest_entries
+from vitac.server.db.engine import Database
+from vitac.server.db.models import Competition
+from vitac.server.db.states import Role
+from vitac.server.errors import ProblemCode
+from vitac.server.judging.judging import give_marks
+from vitac.server.leaderboards.log_boards import log_boards
+from vitac.server.leaderboards.standings import leaderboard
+from vitac.server.principals import CONSOLE, Principal
+from vitac.server.prizes.finishing import Winner, finalize, freeze, unfreeze, winners
+from vitac.server.publishing.publishing import result_files
+from vitac.server.submissions import creation, listing
+
+from competitions import FIRST, SECOND, make_competition, moved, open_now, put_in_place
+
+PRIZES = [
+    {"place": "first", "amount": 2000, "winners": 1, "note": "a talk"},
+    {"place": "second", "amount": 1000, "winners": 2},
+    {"place": "third", "amount": 500, "winners": 3},
+]
+SUCCESSES = {"Ants": 180, "Bees": 160, "Cats": 150, "Dogs": 20}
+
+
+def one_stage(**changes: Any) -> dict[str, Any]:
+    content = make_competition(prizes=PRIZES, **changes)
+    del content["tracks"][TRACK]["stages"][1]
+    return content
+
+
+@pytest.fixture
+def played(database: Database) -> Database:
+    """A competition of one open stage with four scored teams."""
+    with database.transaction() as session:
+        put_in_place(session, open_now(one_stage()))
+        for name, successes in SUCCESSES.items():
+            submit_scored(session, make_principal(session, name), name, {TASK: make_score(successes, 200)})
+    return database
+
+
+def close(database: Database) -> None:
+    with database.transaction() as session:
+        put_in_place(session, moved(one_stage(), days=-3650))
+
+
+def names_on_board(database: Database, *, live: bool = False) -> list[str]:
+    with database.transaction() as session:
+        return [entry.team for entry in leaderboard(session, TRACK, live=live).view.entries]
+
+
+def table(found: list[Winner]) -> list[tuple[str, str, int]]:
+    return [(winner.team, winner.place, winner.amount) for winner in found]
+
+
+def test_prizes_go_down_the_board_of_the_last_stage(played: Database) -> None:
+    with played.transaction() as session:
+        found = winners(session)
+    assert table(found) == [
+        ("Ants", "first", 2000),
+        ("Bees", "second", 1000),
+        ("Cats", "second", 1000),
+        ("Dogs", "third", 500),
+    ]
+    assert (found[0].rank, found[0].success_rate, found[0].note, found[0].currency) == (1, 0.45, "a talk", "USD")
+
+
+def test_a_frozen_board_stands_still_for_all_but_organizers(played: Database) -> None:
+    with played.transaction() as session:
+        freeze(session, CONSOLE)
+        freeze(session, CONSOLE)
+    with played.transaction() as session:
+        late = make_principal(session, "Eels")
+        submission = submit_scored(session, late, "late", {TASK: make_score(200, 200)})
+    assert names_on_board(played) == list(SUCCESSES)
+    assert names_on_board(played, live=True) == ["Eels", *SUCCESSES]
+    with played.transaction() as session:
+        view = leaderboard(session, TRACK).view
+        assert view.frozen_at is not None
+        assert leaderboard(session, TRACK, live=True).view.frozen_at is None
+        assert log_boards(session, TRACK).view.boards[0].entries == []
+        shown = {by: listing.get(session, SETTINGS, by, submission.id).rank for by in (late, CONSOLE)}
+        assert shown[late] is None
+        assert shown[CONSOLE] is not None
+        unfreeze(session, CONSOLE)
+    assert names_on_board(played) == ["Eels", *SUCCESSES]
+    with played.transaction() as session:
+        actions = [entry.action for entry in newest_entries(session) if entry.action.startswith("competition")]
+    assert actions == ["competition.unfreeze", "competition.freeze"]
+
+
+def test_the_final_winners_stay_whatever_happens_to_the_boards(played: Database) -> None:
+    close(played)
+    with played.transaction() as session:
+        freeze(session, CONSOLE)
+    with played.transaction() as session:
+        final = finalize(session, CONSOLE)
+    with played.transaction() as session:
+        outdate(session)
+        assert winners(session) == final
+        row = session.get_one(Competition, 1)
+        assert (row.frozen_at, row.finalized_at is not None) == (None, True)
+        entry = newest_entries(session)[0]
+        assert entry.action == "competition.finalize"
+        assert [winner["team"] for winner in entry.after["winners"]] == list(SUCCESSES)
+    for change in (finalize, freeze, unfreeze):
+        with refused(ProblemCode.COMPETITION_FINAL), played.transaction() as session:
+            change(session, CONSOLE)
+
+
+def test_nothing_is_final_before_the_last_stage_is_over_and_scored(played: Database) -> None:
+    with refused(ProblemCode.STAGE_NOT_OVER), played.transaction() as session:
+        finalize(session, CONSOLE)
+    with played.transaction() as session:
+        creation.create(session, CONSOLE, make_upload("late"), team="Ants")
+    close(played)
+    with refused(ProblemCode.STAGE_NOT_OVER), played.transaction() as session:
+        finalize(session, CONSOLE)
+
+
+def test_results_of_another_evaluator_version_win_nothing_unnoticed(played: Database) -> None:
+    close(played)
+    with played.transaction() as session:
+        outdate(session)
+    with refused(ProblemCode.RESULTS_OUTDATED), played.transaction() as session:
+        winners(session)
+    with refused(ProblemCode.RESULTS_OUTDATED), played.transaction() as session:
+        finalize(session, CONSOLE)
+
+
+def test_the_last_stage_decides_and_tracks_elsewhere_have_no_winners_here(database: Database) -> None:
+    content = make_competition(prizes=PRIZES)
+    content["tracks"][TRACK]["stages"][1]["qualified"] = None
+    content["tracks"]["track_9"] = deepcopy(content["tracks"][TRACK]) | {"taken_here": False}
+    with database.transaction() as session:
+        put_in_place(session, open_now(content))
+        ants, bees = (make_principal(session, name) for name in ("Ants", "Bees"))
+        submit_scored(session, ants, "first stage", {TASK: make_score(100)})
+        put_in_place(session, open_now(content, stage=1))
+        submit_scored(session, bees, "second stage", {TASK: make_score(50)})
+        assert table(winners(session)) == [("Bees", "first", 2000)]
+        assert [entry.team for entry in leaderboard(session, TRACK, stage=FIRST).view.entries] == ["Ants"]
+        assert leaderboard(session, TRACK).view.stage == SECOND
+
+
+def test_a_judged_track_is_won_by_total_once_every_ranked_team_has_one(played: Database) -> None:
+    content = moved(one_stage(), days=-3650)
+    content["tracks"][TRACK]["judging"] = {
+        "criteria": [{"name": "structure", "title": "The structure"}],
+        "judges_at_least": 1,
+        "weights": {"success": 0.5, "judges": 0.5, "figures": 0},
+    }
+    with played.transaction() as session:
+        put_in_place(session, content)
+        of_team = {entry.team: entry for entry in leaderboard(session, TRACK).view.entries}
+    # Success is 0.45, 0.4, 0.375 and 0.05; these marks make 0.325, 0.7, 0.5875 and 0.325.
+    marks = {"Dogs": 6.0, "Cats": 8.0, "Bees": 10.0, "Ants": 2.0}
+    for n_judged, (team, mark) in enumerate(marks.items()):
+        for end in (winners, partial(finalize, by=CONSOLE)):
+            with refused(ProblemCode.STAGE_NOT_OVER) as said, played.transaction() as session:
+                end(session)
+            assert str(said.value).count("(0 of 1 judges)") == len(marks) - n_judged
+        with played.transaction() as session:
+            give_marks(session, CONSOLE, of_team[team].submission_id, {"structure": mark}, judge="X")
+    with played.transaction() as session:
+        final = finalize(session, CONSOLE)
+        assert winners(session) == final
+        assert list(of_team) == list(SUCCESSES), "the board stays one of success"
+        files = result_files(session)
+    assert table(final) == [
+        ("Bees", "first", 2000),
+        ("Cats", "second", 1000),
+        ("Ants", "second", 1000),
+        ("Dogs", "third", 500),
+    ]
+    assert [winner.total for winner in final] == [0.7, 0.5875, 0.325, 0.325], "Ants were ahead on the board"
+    assert [winner.rank for winner in final] == [1, 2, 3, 4]
+    assert "by a total of 70.0 %" in " ".join(files["results.html"].split())
+    assert "total 58.8 %" in " ".join(files["certificates.html"].split())
+    with refused(ProblemCode.COMPETITION_FINAL), played.transaction() as session:
+        give_marks(session, CONSOLE, of_team["Dogs"].submission_id, {"structure": 10.0}, judge="X")
+
+
+def test_without_a_competition_there_is_nothing_to_end(database: Database) -> None:
+    for change in (finalize, freeze, unfreeze):
+        with refused(ProblemCode.NOT_FOUND), database.transaction() as session:
+            change(session, CONSOLE)
+    with refused(ProblemCode.NOT_FOUND), database.transaction() as session:
+        winners(session)
+
+
+@pytest.mark.parametrize("role", [Role.TEAM, Role.JUDGE])
+def test_only_organizers_end_a_competition(played: Database, role: Role) -> None:
+    for change in (finalize, freeze, unfreeze):
+        with refused(ProblemCode.FORBIDDEN), played.transaction() as session:
+            change(session, Principal(role=role))

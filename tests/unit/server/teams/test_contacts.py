@@ -1,0 +1,36 @@
+from datetime import UTC, datetime, timedelta
+
+from service_factories import make_settings
+from vitac.server.audit import newest_entries
+from vitac.server.db.engine import Database
+from vitac.server.db.models import Competition
+from vitac.server.db.states import NoticeKind
+from vitac.server.members import members
+from vitac.server.notices import outbox
+from vitac.server.principals import CONSOLE
+from vitac.server.teams import contacts, teams
+
+from competitions import make_competition, put_in_place
+
+
+def test_addresses_are_forgotten_so_long_after_the_end(database: Database) -> None:
+    settings = make_settings(contacts_kept_days=30)
+    with database.transaction() as session:
+        team = teams.register(session, CONSOLE, name="Ants", contact="a@example.org")
+        captain = members.captain_of(session, team)
+        members.set_email(session, CONSOLE, captain, "a@example.org")
+        outbox.announce(session, NoticeKind.FINISHED, team.id, "evaluation:1", {})
+        assert contacts.forget_contacts(session, settings) == 0
+        put_in_place(session, make_competition())
+        row = session.get_one(Competition, 1)
+        row.finalized_at, row.winners = datetime(2031, 1, 1, tzinfo=UTC), []
+        session.flush()
+        later = row.finalized_at + timedelta(days=30)
+        assert contacts.forget_contacts(session, make_settings(), later) == 0
+        assert contacts.forget_contacts(session, settings, later - timedelta(seconds=1)) == 0
+        assert contacts.forget_contacts(session, settings, later) == 2
+        session.expire_all()
+        assert (team.contact, captain.email) == (None, None)
+        assert outbox.newest(session) == [], "a mail's notice names the address, too"
+        assert contacts.forget_contacts(session, settings, later) == 0
+        assert newest_entries(session, 1)[0].before == {"contacts": 2}

@@ -1,0 +1,132 @@
+"""Rejudging on the organizers' page and over the API: the same functions as `vitac admin rejudge`."""
+
+import re
+from collections.abc import Iterator
+from uuid import UUID
+
+import pytest
+from cli_service import CliService, cli_service
+from httpx import Client
+from served_pages import NO_CERTIFICATES, visitor, visitor_of_role
+from service_factories import TASK, TRACK, make_principal, make_score, make_secret, outdate, play, submit_scored
+from sqlalchemy import select
+from vitac.evaluator.tracks import load_track
+from vitac.server.db.models import Evaluation, Rejudgement
+from vitac.server.db.states import Role
+from vitac.server.leaderboards.standings import leaderboard
+from vitac.server.principals import CONSOLE
+
+
+@pytest.fixture(scope="module")
+def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[CliService]:
+    """A service with the results of two teams that an older evaluator made."""
+    with cli_service(tmp_path_factory.mktemp("service") / "state") as service:
+        with service.database.transaction() as session:
+            for name in ("Ants", "<Bees>"):
+                submit_scored(session, make_principal(session, name), name, {TASK: make_score(60)})
+            outdate(session)
+        yield service
+
+
+def play_proposed(service: CliService) -> None:
+    """Plays what open rejudgements have queued: every episode succeeds."""
+    with service.database.transaction() as session:
+        found = session.scalars(select(Evaluation).where(Evaluation.is_proposed)).all()
+        shards = [shard.id for each in found for shard in each.shards if shard.state.value == "queued"]
+    for shard_id in shards:
+        play(service.database, shard_id)
+
+
+def board(service: CliService) -> list[tuple[int | None, float]]:
+    with service.database.transaction() as session:
+        return [(one.rank, one.success_rate) for one in leaderboard(session, TRACK, task=TASK).view.entries]
+
+
+def ended(service: CliService) -> dict[str, tuple[bool, bool]]:
+    """Whether each rejudgement was applied or discarded, by its reason."""
+    with service.database.transaction() as session:
+        found = session.scalars(select(Rejudgement))
+        return {one.reason: (one.applied_at is not None, one.discarded_at is not None) for one in found}
+
+
+def field(html: str, name: str) -> str:
+    found = re.search(rf'name="{name}" value="([^"]+)"', html.partition("/rejudging/apply")[2])
+    assert found is not None
+    return found[1]
+
+
+def test_an_organizer_starts_looks_at_and_applies_a_rejudgement(service: CliService) -> None:
+    organizer, judge, anybody = (
+        visitor_of_role(service, Role.ORGANIZER),
+        visitor_of_role(service, Role.JUDGE),
+        visitor(service),
+    )
+    assert judge.get("/rejudging").status_code == 403
+    assert anybody.get("/rejudging").status_code == 303
+    assert 'href="/rejudging"' in organizer.get("/desk").text
+    for reason in (" ", "a\x00b", "x" * 501):
+        refused = organizer.send("/rejudging", "/rejudging/start", track=TRACK, reason=reason)
+        assert refused.status_code == 422
+    refused = organizer.send("/rejudging", "/rejudging/start", track="none", reason="x")
+    assert refused.status_code == 404
+    assert judge.send("/announcements", "/rejudging/start", track=TRACK, reason="x").status_code == 403
+
+    started = organizer.send("/rejudging", "/rejudging/start", track=TRACK, reason="<the> new evaluator")
+    assert (started.status_code, started.headers["location"]) == (303, "/rejudging")
+    waiting = organizer.get("/rejudging").text
+    title = load_track(TRACK).title
+    assert f"{title}: &lt;the&gt; new evaluator</h2>" in waiting
+    assert f'<option value="{TRACK}">{title}</option>' in waiting
+    assert "2 still wait or run" in waiting
+    assert '<button type="submit" disabled>' in waiting
+    before = field(waiting, "shown")
+    play_proposed(service)
+    assert all(rank is None for rank, _ in board(service)), "nothing has changed yet"
+    shown = organizer.get("/rejudging").text
+    for what in ("&lt;the&gt; new evaluator", "&lt;Bees&gt;", "30.0", "50.0", "rank 1", "2 of 2 would change"):
+        assert what in shown, what
+    number = field(shown, "id")
+    stale = organizer.send("/rejudging", "/rejudging/apply", id=number, shown=before)
+    assert stale.status_code == 409
+    assert ended(service) == {"<the> new evaluator": (False, False)}, "what has changed meanwhile is looked at first"
+    applied = organizer.send("/rejudging", "/rejudging/apply", id=number, shown=field(shown, "shown"))
+    assert applied.status_code == 303, applied.text
+    assert [rank for rank, _ in board(service)] == [1, 2]
+    assert ended(service) == {"<the> new evaluator": (True, False)}
+    listed = organizer.get("/rejudging").text.partition('id="ended"')[2]
+    assert "applied" in listed
+    assert f"<p>{title}, " in listed
+    again = organizer.send("/rejudging", "/rejudging/discard", id=number)
+    assert again.status_code == 409, "it has ended"
+
+
+def test_programs_do_the_same_over_the_api(service: CliService) -> None:
+    with service.database.transaction() as session:
+        secret = make_secret(session, CONSOLE)
+    headers = {"authorization": f"Bearer {secret}"}
+    base = f"{service.address}/api/v1/rejudgements"
+    with Client(headers=headers, trust_env=False, verify=NO_CERTIFICATES) as client:
+        made = client.post(base, json={"track": TRACK, "reason": "once more"})
+        assert made.status_code == 201, made.text
+        assert {row["state"] for row in made.json()["submissions"]} == {"queued"}
+        address = f"{base}/{UUID(made.json()['id'])}"
+        early = client.post(f"{address}/apply", json={"shown": made.json()["revision"]})
+        assert (early.status_code, early.json()["code"]) == (409, "stage_not_over")
+        play_proposed(service)
+        looked = client.get(address).json()
+        assert looked["revision"] != made.json()["revision"]
+        assert {row["state"] for row in looked["submissions"]} == {"completed"}
+        stale = client.post(f"{address}/apply", json={"shown": made.json()["revision"]})
+        assert (stale.status_code, stale.json()["code"]) == (409, "results_outdated")
+        assert client.post(f"{address}/apply", json={}).status_code == 422
+        applied = client.post(f"{address}/apply", json={"shown": looked["revision"]}).json()
+        assert applied["applied_at"] is not None
+        assert applied["submissions"] == looked["submissions"], "as it was looked at"
+        assert client.get(address).json()["submissions"] == looked["submissions"], "and so it stays"
+        for reason in ("a\x00b", "", "x" * 501):
+            assert client.post(base, json={"track": TRACK, "reason": reason}).status_code == 422
+        other = client.post(base, json={"track": TRACK, "reason": "in vain"}).json()
+        assert client.post(f"{base}/{other['id']}/discard").status_code == 204
+        listed = client.get(base).json()
+    assert [one["reason"] for one in listed][:2] == ["in vain", "once more"]
+    assert ended(service)["in vain"] == (False, True)

@@ -1,0 +1,48 @@
+"""Appeals: those that a visitor may see, with the form that opens one."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from vitac.server.appeals import appeals
+
+from ..site import page, require_viewer, site_of
+from .forms import act, id_in, number_in
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from sqlalchemy.orm import Session
+    from starlette.requests import Request
+    from starlette.responses import Response
+    from vitac.server.principals import Principal
+
+ADDRESS = "/appeals"
+
+
+async def list_appeals(request: Request) -> Response:
+    """Show the appeals of the team, all to organizers and judges."""
+    viewer = await require_viewer(request)
+    by = viewer.visitor.principal
+    found = await site_of(request).data.ask(lambda session: appeals.visible(session, by))
+    given = request.query_params.get("submission", "")
+    return page(request, "appeals.html", viewer=viewer, section=ADDRESS, found=found, submission=given)
+
+
+async def open_appeal(request: Request) -> Response:
+    """Appeal against the newest evaluation of a submission."""
+
+    def opened(session: Session, by: Principal, fields: Mapping[str, str]) -> object:
+        task = fields.get("task", "").strip() or None
+        episode = number_in(fields, "episode") if fields.get("episode", "").strip() else None
+        text = fields.get("text", "")
+        return appeals.open_appeal(session, by, id_in(fields, "submission"), text, task=task, episode=episode)
+
+    return await act(request, opened, back=ADDRESS)
+
+
+async def withdraw(request: Request) -> Response:
+    """Take an appeal back."""
+    return await act(
+        request, lambda session, by, fields: appeals.withdraw(session, by, number_in(fields, "id")), back=ADDRESS
+    )

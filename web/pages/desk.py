@@ -1,0 +1,126 @@
+"""The organizers' desk: what waits for them, each with the form that settles it, and the last lines of the audit log.
+
+The forms call the same functions as `vitac admin`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from starlette.exceptions import HTTPException
+from vitac.server.appeals import appeals
+from vitac.server.audit import entry_view, newest_entries
+from vitac.server.desk.troubles import stages, troubles
+from vitac.server.messages import announcements, questions
+from vitac.server.teams import teams
+
+from ..site import page, require_viewer, site_of
+from .forms import act, id_in, number_in
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from sqlalchemy.orm import Session
+    from starlette.requests import Request
+    from starlette.responses import Response
+    from vitac.server.db.models import Team
+    from vitac.server.desk.troubles import StageState, Trouble
+    from vitac.server.principals import Principal
+    from vitac.server.views.appeals import AppealView
+    from vitac.server.views.messages import AnnouncementView, QuestionView
+    from vitac.server.views.teams import AuditEntryView, OrganizerTeamView
+
+    Change = Callable[[Session, Principal, Mapping[str, str]], object]
+
+ADDRESS = "/desk"
+N_ENTRIES = 20
+
+
+@dataclass(frozen=True, kw_only=True)
+class Desk:
+    """What organizers look at often.
+
+    Attributes:
+        waiting: teams that wait to be accepted.
+        troubles: submissions that somebody has to look at.
+        asked: questions without an answer.
+        appealed: appeals without a ruling.
+        stages: of the competition, with who may take part.
+        said: announcements that everybody sees.
+        entries: the last lines of the audit log.
+    """
+
+    waiting: Sequence[OrganizerTeamView]
+    troubles: Sequence[Trouble]
+    asked: Sequence[QuestionView]
+    appealed: Sequence[AppealView]
+    stages: Sequence[StageState]
+    said: Sequence[AnnouncementView]
+    entries: Sequence[AuditEntryView]
+
+
+async def desk(request: Request) -> Response:
+    """Show the desk to an organizer.
+
+    Raises:
+        ServiceError: the visitor is none.
+    """
+    viewer = await require_viewer(request)
+    by = viewer.visitor.principal
+
+    def read(session: Session) -> Desk:
+        by.require_organizer()
+        return Desk(
+            waiting=[teams.organizer_team_view(session, team) for team in teams.waiting(session)],
+            troubles=troubles(session),
+            asked=questions.visible(session, by, open_only=True),
+            appealed=appeals.visible(session, by, open_only=True),
+            stages=stages(session),
+            said=announcements.shown(session),
+            entries=[entry_view(entry) for entry in newest_entries(session, N_ENTRIES)],
+        )
+
+    found = await site_of(request).data.ask(read)
+    return page(request, "desk.html", viewer=viewer, section=ADDRESS, found=found)
+
+
+async def change(request: Request) -> Response:
+    """Make one of the changes of the page's forms."""
+    name = request.path_params["action"]
+    if name not in CHANGES:
+        raise HTTPException(404)
+    return await act(request, CHANGES[name], back=ADDRESS)
+
+
+def _team(session: Session, by: Principal, fields: Mapping[str, str]) -> Team:
+    by.require_organizer()
+    return teams.find(session, str(id_in(fields, "id")))
+
+
+def _answer(session: Session, by: Principal, fields: Mapping[str, str]) -> object:
+    return questions.answer(session, by, number_in(fields, "id"), fields.get("text", ""), public="public" in fields)
+
+
+def _rule(session: Session, by: Principal, fields: Mapping[str, str]) -> object:
+    upheld = fields.get("upheld") == "yes"
+    return appeals.rule(session, by, number_in(fields, "id"), fields.get("text", ""), upheld=upheld)
+
+
+def _announce(session: Session, by: Principal, fields: Mapping[str, str]) -> object:
+    title, text = fields.get("title", ""), fields.get("text", "")
+    return announcements.publish(session, by, title=title, text=text, notify="notify" in fields)
+
+
+CHANGES: Mapping[str, Change] = {
+    "accept": lambda session, by, fields: teams.accept(session, by, _team(session, by, fields)),
+    "refuse": lambda session, by, fields: teams.refuse(
+        session, by, _team(session, by, fields), fields.get("reason", "")
+    ),
+    "answer": _answer,
+    "hide": lambda session, by, fields: questions.hide(session, by, number_in(fields, "id")),
+    "rule": _rule,
+    "announce": _announce,
+    "withdraw": lambda session, by, fields: announcements.withdraw(session, by, number_in(fields, "id")),
+}
+"""What the forms of the page do, by the last part of their address."""

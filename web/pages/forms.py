@@ -1,0 +1,60 @@
+"""One action of a form: who may send it, the change in one transaction, and where the browser goes then."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+from uuid import UUID
+
+from starlette.responses import RedirectResponse
+from vitac.server.errors import ProblemCode, ServiceError
+
+from ..site import signed_in_form, site_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from sqlalchemy.orm import Session
+    from starlette.requests import Request
+    from starlette.responses import Response
+    from vitac.server.principals import Principal
+
+
+async def act(
+    request: Request, change: Callable[[Session, Principal, Mapping[str, str]], object], *, back: str
+) -> Response:
+    """Make the change that a form asks for, then lead back to the page with the form.
+
+    Raises:
+        ServiceError: the service refuses it.
+    """
+    viewer, fields = await signed_in_form(request)
+    await site_of(request).data.ask(lambda session: change(session, viewer.visitor.principal, fields))
+    return RedirectResponse(back, status_code=303)
+
+
+def number_in(fields: Mapping[str, str], name: str) -> int:
+    """Return the number of a row out of a form.
+
+    Raises:
+        ServiceError: there is none.
+    """
+    given = fields.get(name, "")
+    if not (given.isascii() and given.isdigit() and len(given) < 10 and int(given)):
+        raise ServiceError(
+            ProblemCode.INVALID_REQUEST, f"Expected a number as {name}, got {given!r:.40}. Reload the page."
+        )
+    return int(given)
+
+
+def id_in(fields: Mapping[str, str], name: str) -> UUID:
+    """Return an id out of a form.
+
+    Raises:
+        ServiceError: there is none.
+    """
+    try:
+        return UUID(fields.get(name, ""))
+    except ValueError:
+        raise ServiceError(
+            ProblemCode.INVALID_REQUEST, f"Expected an id as {name}, got {fields.get(name, '')!r:.40}. Reload the page."
+        ) from None

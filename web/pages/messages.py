@@ -1,0 +1,42 @@
+"""Announcements, and questions with their answers: one page for everybody, with the form that asks."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from vitac.server.messages import announcements, questions
+
+from ..site import page, site_of, viewer_of
+from .forms import act
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from sqlalchemy.orm import Session
+    from starlette.requests import Request
+    from starlette.responses import Response
+    from vitac.server.principals import Principal
+    from vitac.server.views.messages import AnnouncementView, QuestionView
+
+ADDRESS = "/announcements"
+
+
+async def messages(request: Request) -> Response:
+    """Show what organizers say to everybody, and the questions that the visitor may see."""
+    viewer = await viewer_of(request)
+    by = viewer.visitor.principal if viewer is not None else None
+
+    def read(session: Session) -> tuple[list[AnnouncementView], list[QuestionView]]:
+        return announcements.shown(session), questions.visible(session, by)
+
+    said, asked = await site_of(request).data.ask(read)
+    return page(request, "messages.html", viewer=viewer, section=ADDRESS, said=said, asked=asked)
+
+
+async def ask(request: Request) -> Response:
+    """Ask the organizers."""
+
+    def asked(session: Session, by: Principal, fields: Mapping[str, str]) -> object:
+        return questions.ask(session, by, fields.get("text", ""), public="public" in fields)
+
+    return await act(request, asked, back=ADDRESS)

@@ -1,0 +1,80 @@
+"""The organizers' page of rejudgements: what would change, and the forms that start, apply and discard one."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from vitac.server.contest.stages import current, track_title
+from vitac.server.rejudging import rejudging
+from vitac.server.rejudging.view import rejudgement_detail_view, rejudgement_view
+
+from ..site import page, require_viewer, site_of
+from .forms import act, id_in
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from sqlalchemy.orm import Session
+    from starlette.requests import Request
+    from starlette.responses import Response
+    from vitac.server.principals import Principal
+
+ADDRESS = "/rejudging"
+
+
+async def rejudgements(request: Request) -> Response:
+    """Show open rejudgements with what they would change, and those that have ended.
+
+    Raises:
+        ServiceError: the visitor is no organizer.
+    """
+    viewer, site = await require_viewer(request), site_of(request)
+
+    def read(session: Session) -> dict[str, Any]:
+        viewer.visitor.principal.require_organizer()
+        found = rejudging.rejudgements(session)
+        ended = [one for one in found if one.applied_at or one.discarded_at]
+        open_ones = [rejudgement_detail_view(session, one) for one in found if one not in ended]
+        competition = current(session)
+        return {
+            "open_ones": open_ones,
+            "ended": [rejudgement_view(one) for one in ended],
+            "stages": competition.stage_titles if competition else {},
+            "titles": {name: track_title(session, name) for name in {*site.tracks, *(one.track for one in found)}},
+        }
+
+    shown = await site.data.ask(read)
+    return page(
+        request,
+        "rejudging.html",
+        viewer=viewer,
+        section="/desk",
+        tracks=site.tracks,
+        **shown,
+    )
+
+
+async def start(request: Request) -> Response:
+    """Evaluate the models of a stage again."""
+
+    def started(session: Session, by: Principal, fields: Mapping[str, str]) -> None:
+        stage = fields.get("stage", "").strip() or None
+        rejudging.start(session, by, track=fields.get("track", ""), stage=stage, reason=fields.get("reason", ""))
+
+    return await act(request, started, back=ADDRESS)
+
+
+async def apply(request: Request) -> Response:
+    """Make the new results count, if they are those that the page showed."""
+
+    def applied(session: Session, by: Principal, fields: Mapping[str, str]) -> None:
+        rejudging.apply(session, by, id_in(fields, "id"), shown=fields.get("shown", ""))
+
+    return await act(request, applied, back=ADDRESS)
+
+
+async def discard(request: Request) -> Response:
+    """Leave the present results as they are."""
+    return await act(
+        request, lambda session, by, fields: rejudging.discard(session, by, id_in(fields, "id")), back=ADDRESS
+    )

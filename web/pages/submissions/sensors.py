@@ -1,0 +1,111 @@
+"""The page of a submission's sensor, alone or beside another one: gel, mesh, markers, sensitivity, figures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from starlette.responses import JSONResponse, Response
+from vitac.evaluator.figures.reference import reference_figures
+from vitac.evaluator.figures.table import rows_of
+from vitac.server.submissions.sensors import to_save
+
+from ...plots.sensors import largest_of, marker_picture, quality_histogram, sensitivity_maps, still
+from ...site import page, require_viewer, site_of
+from ..addresses import as_id
+from ..episodes.page import player_script
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from markupsafe import Markup
+    from starlette.requests import Request
+    from vitac.evaluator.figures.figures import SensorFigures
+
+    from ...data.protocol import ShownSensor
+    from ...plots.figure import Figure
+
+
+@dataclass(frozen=True, kw_only=True)
+class Part:
+    """One sensor of the page.
+
+    Attributes:
+        shown: the sensor.
+        still: its gel as a drawing.
+        figures: its plots.
+    """
+
+    shown: ShownSensor
+    still: Markup
+    figures: Sequence[Figure]
+
+
+async def sensor(request: Request) -> Response:
+    """Show the sensor of a submission, beside that of another one if the address names it."""
+    viewer = await require_viewer(request)
+    data = site_of(request).data
+    beside = request.query_params.get("beside", "").strip()
+    ids = [as_id(text) for text in (request.path_params["submission_id"], *([beside] if beside else ()))]
+    shown = [await data.sensor(viewer.visitor, submission_id) for submission_id in ids]
+    largest = _largest([found.view.figures for found in shown])
+    return page(
+        request,
+        "sensor.html",
+        viewer=viewer,
+        section="/submissions",
+        parts=[_part(number, found, largest) for number, found in enumerate(shown, start=1)],
+        rows=_rows([found.view.figures for found in shown]),
+        beside=beside,
+        player_script=player_script(),
+    )
+
+
+async def shape(request: Request) -> Response:
+    """Answer with the gel of a submission's sensor, for the page's script; it never changes."""
+    viewer = await require_viewer(request)
+    shown = await site_of(request).data.sensor(viewer.visitor, as_id(request.path_params["submission_id"]))
+    content = shown.looks.model_dump(mode="json", include={"vertices_mm", "triangles", "kinds"})
+    return JSONResponse(content, headers={"Cache-Control": "private, max-age=3600", "Vary": "Cookie"})
+
+
+async def document(request: Request) -> Response:
+    """Hand out the design document of a submission as a file to save."""
+    viewer = await require_viewer(request)
+    submission_id = as_id(request.path_params["submission_id"])
+    found, content = await site_of(request).data.design_document(viewer.visitor, submission_id)
+    return Response(content, headers=to_save(submission_id, found) | {"Cache-Control": "no-store"})
+
+
+def _part(number: int, shown: ShownSensor, largest: tuple[float, float]) -> Part:
+    key, figures = str(number), shown.view.figures
+    maps = () if figures is None else sensitivity_maps(key, figures.touch.sensitivity, largest)
+    return Part(
+        shown=shown,
+        still=still(shown.looks),
+        figures=(marker_picture(key, shown.looks.markers_px), quality_histogram(key, shown.looks.qualities), *maps),
+    )
+
+
+def _largest(figures: Sequence[SensorFigures | None]) -> tuple[float, float]:
+    """Return the ends of the scales that all maps of the page share."""
+    maps = [found.touch.sensitivity for found in figures if found is not None]
+    return largest_of(*(drawn.normal_px_n for drawn in maps)), largest_of(*(drawn.shear_px_n for drawn in maps))
+
+
+def _rows(figures: Sequence[SensorFigures | None]) -> list[tuple[str, ...]]:
+    """Return the table of the figures: name and unit, the value of each sensor, and that of the reference gel."""
+    reference = reference_figures()
+    columns = [{} if found is None else {row.name: row.value for row in rows_of(found, reference)} for found in figures]
+    return [
+        (
+            f"{row.name} [{row.unit}]" if row.unit else row.name,
+            *(_text(column.get(row.name)) for column in columns),
+            _text(row.value),
+        )
+        for row in rows_of(reference, reference)
+    ]
+
+
+def _text(value: float | None) -> str:
+    return "–" if value is None else f"{value:.4g}"

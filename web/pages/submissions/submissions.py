@@ -1,0 +1,226 @@
+"""Pages of a team's submissions: the list, one submission, its live updates, and cancelling."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import dataclass
+from http import HTTPStatus
+from typing import TYPE_CHECKING, Any
+
+from markupsafe import Markup
+from sse_starlette import EventSourceResponse, ServerSentEvent
+from starlette.responses import RedirectResponse, Response
+from vitac.evaluator.tracks import UnknownTrack, load_track
+from vitac.server.db.states import TERMINAL_EVALUATION_STATES, EvaluationState
+from vitac.server.errors import TRACK_REMOVED
+
+from ...plots.map import episode_map, title_of_task
+from ...rendering import render
+from ...site import open_to_all, page, require_viewer, signed_in_form, site_of, viewer_of, visitor_of
+from ..addresses import as_id
+from ..contest.stages import title_of
+from ..tracks import board_query
+from .figures import episode_figures, history_figures
+from .sharing import shared
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncIterator, Sequence
+
+    from starlette.requests import Request
+    from vitac.server.views.evaluations import TaskProgressView
+    from vitac.server.views.scores import TaskScoreView
+    from vitac.server.views.submissions import EpisodeView, RankView, SubmissionView
+
+    from ...plots.map import EpisodeMap
+    from ...site import Site, Viewer
+
+POLL_S = 1.0  # period at which a running evaluation is read and its page updated
+
+
+@dataclass(frozen=True, kw_only=True)
+class TaskPart:
+    """What the page shows of one task: progress, episodes, and once complete, score and rank."""
+
+    map: EpisodeMap
+    progress: TaskProgressView | None
+    score: TaskScoreView | None
+    rank: RankView | None
+
+
+async def submissions(request: Request) -> Response:
+    """List the visitor's submissions."""
+    viewer = await require_viewer(request)
+    before = request.query_params.get("before")
+    found = await site_of(request).data.submissions(viewer.visitor, None if before is None else as_id(before))
+    return page(
+        request,
+        "submissions.html",
+        viewer=viewer,
+        section="/submissions",
+        rows=_rows(request, found.items, with_team=viewer.is_organizer),
+        older=found.next_before,
+    )
+
+
+def _rows(request: Request, items: Sequence[SubmissionView], *, with_team: bool) -> Markup:
+    """Return the rows of submissions, each as it was last rendered with the same in it."""
+    fragments = site_of(request).fragments
+
+    def row(item: SubmissionView) -> Markup:
+        evaluation, log = item.evaluation, item.log
+        return fragments.get(
+            (
+                "submission_row.html",
+                item.id,
+                item.name,
+                item.team.name if with_team else None,
+                (log.label, log.verdict) if log else None,
+                evaluation.id,
+                evaluation.state,  # says whether it has scores, which do not change
+                evaluation.progress.episodes_done,
+                evaluation.progress.episodes_total,
+            ),
+            lambda: render("submission_row.html", request, item=item, with_team=with_team),
+        )
+
+    return Markup("\n".join(map(row, items)))  # noqa: S704 - rendered templates, whose values are escaped
+
+
+@open_to_all
+async def submission(request: Request) -> Response:
+    """Show one submission, a public one to everybody; the page updates itself while the evaluation runs."""
+    viewer = await viewer_of(request)
+    try:
+        values = await _values(request, viewer)
+    except UnknownTrack:
+        return await _kept_score(request, viewer)
+    refresh = request.query_params.get("refresh") != "off"
+    plots, history = _plots(request, values)
+    found: SubmissionView = values["submission"]
+    stages = await site_of(request).data.stages(found.track) if found.stage else ()
+    return page(
+        request,
+        "submission.html",
+        viewer=viewer,
+        section="/submissions" if values["is_own"] else "",
+        refresh=refresh,
+        plots=plots,
+        history=history,
+        stage_title=title_of(stages, found.stage),
+        **values,
+    )
+
+
+async def _kept_score(request: Request, viewer: Viewer | None) -> Response:
+    """Show what is known of a submission whose track was removed."""
+    submission_id = as_id(request.path_params["submission_id"])
+    found = (await site_of(request).data.submission(visitor_of(viewer), submission_id)).submission
+    is_own = viewer is not None and viewer.may_see(found.team.name)
+    section = "/submissions" if is_own else ""
+    active = found.evaluation.state not in TERMINAL_EVALUATION_STATES
+    shown: dict[str, Any] = {"submission": found, "is_own": is_own, "active": active, "sentence": TRACK_REMOVED}
+    return page(request, "removed.html", viewer=viewer, section=section, status=HTTPStatus.GONE, **shown)
+
+
+def _plots(request: Request, values: dict[str, Any]) -> tuple[Markup, Markup]:
+    """Return the plots of a complete evaluation, and those of the team's submissions until now."""
+    found: SubmissionView = values["submission"]
+    if found.evaluation.state is not EvaluationState.COMPLETED:
+        return Markup(), Markup()
+    titles: dict[str, str] = values["titles"]
+    return (
+        episode_figures(request, found, titles, values["episodes"]),
+        history_figures(request, found, titles, values["past"]),
+    )
+
+
+async def events(request: Request) -> Response:
+    """Send the live part of a submission's page whenever it changes, and `end` after the last change."""
+    viewer = await viewer_of(request)
+    if viewer is None:
+        return Response(status_code=204)  # stops EventSource from reconnecting
+    await _values(request, viewer)  # refuses a submission of another team before the stream starts
+    async with site_of(request).data.event_stream(viewer.visitor):
+        pass  # refuses one stream too many before it starts
+    return EventSourceResponse(
+        _changes(request, viewer), headers={"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
+    )
+
+
+async def cancel(request: Request) -> Response:
+    """Cancel the evaluation of a submission."""
+    viewer, _ = await signed_in_form(request)
+    submission_id = as_id(request.path_params["submission_id"])
+    await site_of(request).data.cancel(viewer.visitor, submission_id)
+    return RedirectResponse(f"/submissions/{submission_id}", status_code=303)
+
+
+async def _changes(request: Request, viewer: Viewer) -> AsyncIterator[ServerSentEvent]:
+    async with site_of(request).data.event_stream(viewer.visitor):
+        async for event in _views(request):
+            yield event
+
+
+async def _views(request: Request) -> AsyncIterator[ServerSentEvent]:
+    shown = ""
+    while (viewer := await viewer_of(request)) is not None:
+        values = await _values(request, viewer)
+        html = render("submission_live.html", request, viewer=viewer, **values)
+        if html != shown:
+            shown = html
+            yield ServerSentEvent(event="view", data=html)
+        if not values["active"]:
+            break
+        await asyncio.sleep(POLL_S)
+    yield ServerSentEvent(event="end", data="")
+
+
+async def _values(request: Request, viewer: Viewer | None) -> dict[str, Any]:
+    submission_id = as_id(request.path_params["submission_id"])
+    detail = await site_of(request).data.submission(visitor_of(viewer), submission_id)
+    found = detail.submission
+    track = load_track(found.track)
+    titles = {name: title_of_task(track, name) for name in (*found.tasks, *found.evaluation.counted_tasks)}
+    return {
+        "is_own": viewer is not None and viewer.may_see(found.team.name),
+        "shared": await shared(request, viewer, found, track.title),
+        "submission": found,
+        "track": track,
+        "board_query": board_query,
+        "episodes": detail.episodes,
+        "past": detail.past,
+        "active": found.evaluation.state not in TERMINAL_EVALUATION_STATES,
+        "took": seconds_taken(found),
+        "parts": [task_part(site_of(request), found, name, detail.episodes) for name in found.tasks],
+        "several": len(found.tasks) + len(found.missing_tasks) > 1,
+        "action_matches": detail.action_matches,
+        "episodes_with_output": detail.episodes_with_output,
+        "titles": titles,
+        "counted": [titles[name] for name in found.evaluation.counted_tasks],
+        "missing": [titles[name] for name in found.missing_tasks],
+    }
+
+
+def task_part(site: Site, found: SubmissionView, task: str, ends: Sequence[EpisodeView]) -> TaskPart:
+    """Return the part of the page for one task of a submission; the map of a complete evaluation is kept."""
+    evaluation, of_task = found.evaluation, {end.episode: end for end in ends if end.task == task}
+
+    def make() -> EpisodeMap:
+        folder = f"/submissions/{found.id}/episodes/{task}"
+        return episode_map(found.track, task, of_task, folder=folder, known=evaluation.commitment is None)
+
+    is_final = evaluation.state is EvaluationState.COMPLETED
+    return TaskPart(
+        map=site.maps.get((evaluation.id, task, len(of_task)), make) if is_final else make(),
+        progress=next((progress for progress in evaluation.progress.tasks if progress.task == task), None),
+        score=next((score for score in evaluation.scores if score.task == task), None),
+        rank=found.task_ranks.get(task),
+    )
+
+
+def seconds_taken(found: SubmissionView) -> float | None:
+    """Return the duration of the evaluation [s], or None before its end."""
+    evaluation = found.evaluation
+    if evaluation.started_at is None or evaluation.finished_at is None:
+        return None
+    return (evaluation.finished_at - evaluation.started_at).total_seconds()

@@ -1,1 +1,0 @@
-"""Pages by which a team takes part: registering, signing in, uploading, and what its submissions show it alone."""

@@ -1,0 +1,1 @@
+"""Pages of teams: registration, sign-in, members."""

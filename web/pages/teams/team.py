@@ -1,0 +1,224 @@
+"""The team's page: members, invitations, tokens and sessions, each with its forms; and the page that joins a team."""
+
+from __future__ import annotations
+
+from datetime import timedelta
+from http import HTTPStatus
+from types import MappingProxyType
+from typing import TYPE_CHECKING, TypeVar
+
+from pydantic import BaseModel, ValidationError
+from starlette.exceptions import HTTPException
+from starlette.responses import Response
+from vitac.server import team_data, tokens
+from vitac.server.api.members import MemberChanges, NewMember
+from vitac.server.db.states import MemberRole, NoticeKind
+from vitac.server.errors import ProblemCode, ServiceError
+from vitac.server.limiter import client_key
+from vitac.server.members import members
+from vitac.server.teams import teams
+
+from ...session.forms import read_form
+from ...site import page, require_viewer, signed_in_form, site_of, viewer_of
+from ..forms import act, id_in
+from .sign_in import begin_session
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+    from uuid import UUID
+
+    from sqlalchemy.orm import Session
+    from starlette.requests import Request
+    from vitac.server.db.models import Member
+    from vitac.server.principals import Principal
+    from vitac.server.views.teams import OwnTeamView, TokenView
+
+    Change = Callable[[Session, Principal, Mapping[str, str]], object]
+
+FormT = TypeVar("FormT", bound=BaseModel)
+ADDRESS = "/team"
+NOTICES: Mapping[NoticeKind, str] = MappingProxyType(
+    {
+        NoticeKind.ACCEPTED: "A submission waits for its evaluation",
+        NoticeKind.FINISHED: "An evaluation has a score",
+        NoticeKind.FAILED: "An evaluation has ended without one",
+        NoticeKind.PROMOTED: "The team takes part in a further stage",
+        NoticeKind.DEADLINE: "A stage closes within 24 hours",
+        NoticeKind.ANNOUNCEMENT: "The organizers announce something to all teams",
+    }
+)
+"""What each kind of notice says, in the form of a member."""
+
+
+async def team(request: Request) -> Response:
+    """Show the team of a signed-in member.
+
+    Raises:
+        ServiceError: an organizer or judge belongs to none.
+    """
+    viewer = await require_viewer(request)
+    by = viewer.visitor.principal
+
+    def read(session: Session) -> tuple[OwnTeamView, list[TokenView]]:
+        good = [tokens.token_view(found) for found in tokens.list_tokens(session, by) if found.revoked_at is None]
+        return members.own_team_view(session, by, teams.own(session, by)), good
+
+    found, good = await site_of(request).data.ask(read)
+    myself = next(
+        (one for one in found.members if one.id == by.member_id or (by.leads_team and one.role is MemberRole.CAPTAIN)),
+        None,
+    )
+    return page(
+        request,
+        "teams/team.html",
+        viewer=viewer,
+        section=ADDRESS,
+        found=found,
+        good=good,
+        myself=myself,
+        leads=by.leads_team,
+        notices=NOTICES,
+        locked_since=await site_of(request).data.teams_locked_since(),
+    )
+
+
+async def data(request: Request) -> Response:
+    """Download everything that the service has of the team."""
+    viewer = await require_viewer(request)
+    by, settings = viewer.visitor.principal, request.app.state.services.settings
+    found = await site_of(request).data.ask(
+        lambda session: team_data.export(session, settings, by, teams.own(session, by))
+    )
+    headers = {"Cache-Control": "no-store", "Content-Disposition": 'attachment; filename="team.json"'}
+    return Response(found.model_dump_json(indent=1), media_type="application/json", headers=headers)
+
+
+async def change(request: Request) -> Response:
+    """Make one of the changes of the page's forms."""
+    name = request.path_params["action"]
+    if name not in CHANGES:
+        raise HTTPException(404)
+    return await act(request, CHANGES[name], back=ADDRESS)
+
+
+async def invite(request: Request) -> Response:
+    """Make an invitation and show its code, which happens only now."""
+    viewer, _ = await signed_in_form(request)
+    by = viewer.visitor.principal
+    code = await site_of(request).data.ask(lambda session: members.invite(session, by, teams.own(session, by))[1])
+    return page(
+        request, "teams/secret.html", viewer=viewer, section=ADDRESS, status=201, what="invitation", secret=code
+    )
+
+
+async def renew_token(request: Request) -> Response:
+    """Make a new token for the member who asks and show it, which happens only now; the browser stays signed in."""
+    viewer, _ = await signed_in_form(request)
+    by, lifetime = viewer.visitor.principal, _token_lifetime(request)
+
+    def made(session: Session) -> tuple[str, UUID]:
+        issued = members.renew_token(session, by, _self(session, by), lifetime)
+        return issued.secret, issued.token.id
+
+    secret, token_id = await site_of(request).data.ask(made)
+    shown = {"viewer_known": False, "what": "token", "secret": secret}  # the session of before has ended
+    answer = page(request, "teams/secret.html", viewer=None, section=ADDRESS, status=HTTPStatus.CREATED, **shown)
+    answer.headers["Cache-Control"] = "no-store"
+    begin_session(request, answer, token_id)
+    return answer
+
+
+async def join_form(request: Request) -> Response:
+    """Show the form with which somebody joins a team."""
+    return await _join_page(request, viewer=await viewer_of(request))
+
+
+async def join(request: Request) -> Response:
+    """Make somebody with an invitation a member, show their token and begin a session."""
+    fields = await read_form(request)
+    given = {name: fields.get(name, "").strip() for name in ("code", "name", "email")}
+    lifetime = _token_lifetime(request)
+    address = client_key(request.client.host if request.client is not None else None)
+    data = site_of(request).data
+
+    def joined(session: Session) -> tuple[str, str, UUID]:
+        filled = {**given, "password": fields.get("password", "")}
+        checked = _checked(NewMember, {name: value or None for name, value in filled.items()})
+        member, issued = members.join(session, members.NewMember(**checked.model_dump()), lifetime)
+        return member.team.name, issued.secret, issued.token.id
+
+    try:
+        await data.note_registration(address)
+        team_name, secret, token_id = await data.ask(joined)
+    except ServiceError as error:
+        viewer = await viewer_of(request)
+        return await _join_page(request, viewer=viewer, wrong=error.detail, given=given, status=error.status)
+    made = {"made": (team_name, secret), "viewer_known": False}
+    answer = await _join_page(request, viewer=None, status=HTTPStatus.CREATED, **made)
+    answer.headers["Cache-Control"] = "no-store"
+    begin_session(request, answer, token_id)
+    return answer
+
+
+def _self(session: Session, by: Principal) -> Member:
+    """Return the member who asks; who has the shared token of a captain without one of their own is the captain."""
+    own = teams.own(session, by)
+    return members.find(session, by, own.id, by.member_id or members.captain_of(session, own).id)
+
+
+def _change_self(session: Session, by: Principal, fields: Mapping[str, str]) -> None:
+    member = _self(session, by)
+    if "email" in fields:
+        members.set_email(
+            session, by, member, _checked(MemberChanges, {"email": fields["email"].strip() or None}).email
+        )
+    else:
+        password = _checked(MemberChanges, {"password": fields.get("password") or None}).password
+        members.set_password(session, by, member, password)
+
+
+def _choose_notices(session: Session, by: Principal, fields: Mapping[str, str]) -> None:
+    """Mute the kinds whose box is not ticked; browsers leave those out."""
+    members.mute(session, by, _self(session, by), [kind for kind in NoticeKind if kind.value not in fields])
+
+
+def _member(session: Session, by: Principal, fields: Mapping[str, str]) -> Member:
+    return members.find(session, by, teams.own(session, by).id, id_in(fields, "id"))
+
+
+CHANGES: Mapping[str, Change] = {
+    "me": _change_self,
+    "notices": _choose_notices,
+    "leave": lambda session, by, _: members.remove(session, by, _self(session, by)),
+    "remove": lambda session, by, fields: members.remove(session, by, _member(session, by, fields)),
+    "captain": lambda session, by, fields: members.hand_over(session, by, _member(session, by, fields)),
+    "withdraw": lambda session, by, fields: members.withdraw_invitation(
+        session, by, teams.own(session, by), id_in(fields, "id")
+    ),
+    "revoke": lambda session, by, fields: tokens.revoke(session, by, id_in(fields, "id")),
+}
+"""What the forms of the page do, by the last part of their address."""
+
+
+def _token_lifetime(request: Request) -> timedelta:
+    return timedelta(days=request.app.state.services.settings.token_lifetime_days)
+
+
+def _checked(form: type[FormT], values: Mapping[str, str | None]) -> FormT:
+    """Return the values of a form as the API takes them.
+
+    Raises:
+        ServiceError: invalid_request, with what is wrong.
+    """
+    try:
+        return form.model_validate(values)
+    except ValidationError as error:
+        problems = " ".join(f"{problem['loc'][0]}: {problem['msg']}." for problem in error.errors())
+        raise ServiceError(ProblemCode.INVALID_REQUEST, problems) from error
+
+
+async def _join_page(request: Request, **values: object) -> Response:
+    locked = await site_of(request).data.teams_locked_since()
+    given = {"code": "", "name": "", "email": ""}
+    shown = {"made": None, "wrong": None, "given": given, "locked_since": locked, **values}
+    return page(request, "teams/join.html", section="/register", **shown)  # type: ignore[arg-type]
