@@ -166,8 +166,12 @@ def match(
     from .terminal.compiling import compiling_shown
 
     header, records = _read(log)
-    _, task = find_task(header.manifest.task)
-    with staged(submission) as folder, load_in_sandbox(folder, Limits(), 0) as session, compiling_shown():
+    track, task = find_task(header.manifest.task)
+    with (
+        staged(submission) as folder,
+        load_in_sandbox(folder, Limits(), 0, track.packages) as session,
+        compiling_shown(),
+    ):
         reading = reading_of(task, load_manifest(folder).observation_keys)
         result = match_actions(
             env=make_environment(task, None, reading.sent),

@@ -22,3 +22,4 @@ compile requirements/maniskill.lock --extra maniskill --constraint requirements/
 compile requirements/torch.lock --extra training --constraint requirements/maniskill.lock --override requirements/omitted.in "$@" requirements/torch.in
 "${UV:-uv}" pip compile --quiet --universal --generate-hashes --python-version 3.11 --no-emit-index-url \
   --custom-compile-command setup/lock.sh --output-file requirements/node.lock "$@" requirements/node.in
+python3 setup/package_sets.py

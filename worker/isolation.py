@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass
 from vitac.evaluator.agent.description import SandboxDescription, describe_sandbox
 from vitac.evaluator.agent.self_test import PROBES, Outcome, Probe, ProbeState
 from vitac.evaluator.agent.self_test import run as run_probes
+from vitac.evaluator.package_sets import package_differences, shown_sets
 
 SLOW_PROBES = frozenset({"memory of many processes capped", "CPU time capped", "wall time capped"})
 """They wait for a limit and take seconds each: `vitac doctor` tries them, a worker's start does not."""
@@ -16,7 +17,7 @@ Describe = Callable[[], SandboxDescription]
 
 @dataclass(frozen=True, kw_only=True)
 class IsolationReport:
-    """What the probes found. `problems` is empty on a machine that holds them all, which alone has a description."""
+    """What the probes found. `problems` is empty on a machine that is fit; a sound one has a description."""
 
     level: str
     problems: tuple[str, ...]
@@ -29,10 +30,16 @@ class IsolationReport:
 
 
 def probe_isolation(run: RunProbes = run_probes, describe: Describe = describe_sandbox) -> IsolationReport:
-    """Run the quick probes in real sandboxes, and let a sound one say what a policy finds in it."""
+    """Run the quick probes in real sandboxes; let a sound one say what a policy finds in it, and compare packages."""
     outcomes = list(run(tuple(probe for probe in PROBES if probe.name not in SLOW_PROBES)))
     problems = tuple(_sentences(outcomes))
-    return IsolationReport(level=_level_of(outcomes), problems=problems, sandbox=None if problems else describe())
+    sandbox = None if problems else describe()
+    if sandbox is not None and (different := package_differences(shown_sets(), sandbox.packages)):
+        problems = (
+            f"Policies would see other packages than the locked ones: {'; '.join(different)}. Install the expected "
+            "versions beside the worker.",
+        )
+    return IsolationReport(level=_level_of(outcomes), problems=problems, sandbox=sandbox)
 
 
 def _sentences(outcomes: Iterable[Outcome]) -> Iterable[str]:

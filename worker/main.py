@@ -81,7 +81,7 @@ def _take_shards(services: Services, report: IsolationReport, start: StartShard,
 
 def _refuse(services: Services, report: IsolationReport, stopping: threading.Event) -> None:
     """Say on the organizers' pages why nothing is taken here, until it is time to probe again."""
-    message = f"The sandbox of this machine is not sound: {' '.join(report.problems)} Run `vitac doctor`."
+    message = f"This machine may not run policies: {' '.join(report.problems)} Run `vitac doctor` here."
     logger.error("worker_refuses", message=message)
     heartbeat = Heartbeat(services, state=WorkerState.REFUSING, report=report, message=message, on_upgrade=stopping.set)
     heartbeat.start()

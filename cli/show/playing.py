@@ -148,7 +148,9 @@ def _policy_player(task: "Task", start: Start, submission: Path) -> Iterator[Pla
     from vitac.evaluator.episodes.reading import reading_of
     from vitac.evaluator.submission.manifest import load_manifest
     from vitac.evaluator.submission.staging import staged
+    from vitac.evaluator.tracks import find_task
 
+    packages = find_task(task.name)[0].packages
     with staged(submission) as folder:
         manifest = load_manifest(folder)
         if task.name not in manifest.tasks:
@@ -157,7 +159,7 @@ def _policy_player(task: "Task", start: Start, submission: Path) -> Iterator[Pla
             )
         reading = reading_of(task, manifest.observation_keys)
         with (
-            PolicySession(folder, entry_point=manifest.entry_point) as session,
+            PolicySession(folder, entry_point=manifest.entry_point, packages=packages) as session,
             session.episode(task=task.name, action_shape=(len(task.actions),), clouds=reading.clouds) as policy,
         ):
             yield Played(

@@ -11,12 +11,14 @@ from .probe_folder import probe_folder
 from .verdicts import PolicyFailed, SandboxFailed
 
 _POLICY: Final = """
-import importlib.metadata, json, os, platform
+import importlib.metadata, json, os, platform, re
 import numpy
 
 build = numpy.show_config(mode="dicts")
 blas = build["Build Dependencies"]["blas"]
-packages = {(each.metadata["Name"] or "").lower(): each.version for each in importlib.metadata.distributions()}
+packages = {
+    re.sub("[-_.]+", "-", each.metadata["Name"]).lower(): each.version for each in importlib.metadata.distributions()
+}
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 FOUND = {
     "python": platform.python_version(),
@@ -26,7 +28,7 @@ FOUND = {
     "blas": f"{blas['name']} {blas['version']}",
     "threads": {name: os.environ.get(name, "not set") for name in THREADS},
     "simd": build["SIMD Extensions"]["baseline"] + build["SIMD Extensions"].get("found", []),
-    "packages": {name: packages[name] for name in sorted(packages.keys() - {"", "vitac-arena"})},
+    "packages": dict(sorted(packages.items())),
 }
 
 

@@ -13,6 +13,7 @@ from typing import Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from ..package_sets import PackageSet
 from .exchange import Deadlines, EpisodeProcess, Exchange
 from .isolation import process_tree, tracing
 from .isolation.bubblewrap import UserIsolation
@@ -67,6 +68,7 @@ class PolicySession:
         entry_point: `module:Class` below it.
         limits: what the policy may use.
         slot: number of this session among those that run at once in this process.
+        packages: sets of packages that its track declares.
         episode_isolation: what keeps episodes apart; by default the strongest and fastest that this platform can do.
 
     Raises:
@@ -81,12 +83,14 @@ class PolicySession:
         entry_point: str = "policy:Policy",
         limits: Limits | None = None,
         slot: int = 0,
+        packages: tuple[PackageSet, ...] = (),
         episode_isolation: EpisodeIsolation | None = None,
     ) -> None:
         self._submission_dir = submission_dir
         self._entry_point = entry_point
         self._limits = limits or Limits()
         self._slot = slot
+        self._packages = packages
         self._episodes = episode_isolation or default_episode_isolation()
         self._exits = contextlib.ExitStack()
         self._sandbox: Sandbox | None = None
@@ -200,7 +204,7 @@ class PolicySession:
         self.starts += 1
         try:
             sandbox = self._exits.enter_context(
-                Sandbox(self._submission_dir, limits=self._limits, slot=self._slot)
+                Sandbox(self._submission_dir, limits=self._limits, slot=self._slot, packages=self._packages)
             )  # fmt: skip
             self._load(sandbox)
         except BaseException:

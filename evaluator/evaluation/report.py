@@ -1,21 +1,22 @@
 """An evaluation as one JSON document, for `vitac evaluate --json`."""
 
-from importlib.metadata import distributions
 from typing import Self
 
 from pydantic import Field
 
+from ..agent.isolation.interpreter import installed_packages
 from ..agent.session import Isolation
 from ..episodes.records import EpisodeRecord, Manifest, PolicyFailure
 from ..scoring.score import Score
 from ..strict_model import StrictModel
+from ..tracks import load_track
 from .local import Evaluation
 
 
 class EvaluationReport(StrictModel):
     """Everything about an evaluation; either `score` and `result_hash` or `failure` is there.
 
-    `packages` are the versions by name of all that the policy could import here, such as torch; no hash covers them.
+    `packages` are the versions by name of all that the policy could import here; no hash covers them.
     """
 
     name: str
@@ -39,12 +40,6 @@ class EvaluationReport(StrictModel):
             score=evaluation.score,
             result_hash=evaluation.result_hash,
             failure=evaluation.failure,
-            packages=_packages(),
+            packages=dict(installed_packages(load_track(evaluation.manifest.track).packages).versions),
             episodes=evaluation.records,
         )
-
-
-def _packages() -> dict[str, str]:
-    """Return the versions of this Python's packages by name, ours left out; the sandbox has the same."""
-    found = {(each.metadata["Name"] or "").lower(): each.version for each in distributions()}
-    return {name: found[name] for name in sorted(found.keys() - {"", "vitac-arena"})}

@@ -8,6 +8,7 @@ from typing import IO, TYPE_CHECKING
 
 from vitac.envs.errors import VitacError
 
+from ..agent.isolation.interpreter import installed_packages
 from ..episodes.episode import make_environment
 from ..episodes.reading import reading_of
 from ..episodes.records import EpisodeRecord
@@ -60,7 +61,7 @@ def execute(order: ShardOrder, answer: IO[str], preparation: Preparation) -> Non
         answer.flush()
 
     try:
-        result = _result_of(order, preparation, lambda record: send(ShardMessage(record=record)))
+        result = _result_of(order, preparation, send)
     except VitacError as error:
         preparation.forget()  # whoever reads the error kills this process, which could not clear up itself
         send(ShardMessage(error=f"{type(error).__name__}: {error}"))
@@ -68,19 +69,22 @@ def execute(order: ShardOrder, answer: IO[str], preparation: Preparation) -> Non
         send(ShardMessage(result=result))
 
 
-def _result_of(order: ShardOrder, preparation: Preparation, on_episode: OnEpisode) -> ShardResult:
+def _result_of(order: ShardOrder, preparation: Preparation, send: Callable[[ShardMessage], None]) -> ShardResult:
     track = load_played_track(order.track, read_secret(order.secret) if order.secret else None)
     task = track.tasks[order.task]
     shard = next(shard for shard in cut(task, order.episodes) if shard.index == order.shard)
     ordered = OrderedShard(order=order, track=track, task=task, shard=shard)
     runner = RUNNERS[order.kind] if task.player is Player.POLICY else _run_estimator
-    return runner(ordered, preparation, on_episode)
+    if runner is _run_policy:
+        send(ShardMessage(packages=dict(installed_packages(track.packages).versions)))
+    return runner(ordered, preparation, lambda record: send(ShardMessage(record=record)))
 
 
 def _run_policy(ordered: OrderedShard, preparation: Preparation, on_episode: OnEpisode) -> ShardResult:
     order = ordered.order
+    load = partial(load_in_sandbox, packages=ordered.track.packages)
     if ordered.task.definition.batch_size > 1:
-        return run_batches(order, ordered.track, ordered.task, ordered.shard, on_episode)
+        return run_batches(order, ordered.track, ordered.task, ordered.shard, on_episode, load)
     preparation.begin(order)
     return run_shard(
         submission_dir=order.submission,
@@ -92,7 +96,7 @@ def _run_policy(ordered: OrderedShard, preparation: Preparation, on_episode: OnE
         limits=order.limits,
         slot=order.slot,
         assets_dir=order.assets_dir,
-        load_policy=partial(preparation.policy, load_in_sandbox),
+        load_policy=partial(preparation.policy, load),
         make_env=partial(preparation.environment, partial(make_environment, sensor=_sensor_of(order))),
         skip=order.skip,
         failures=list(order.earlier_failures),

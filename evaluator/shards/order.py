@@ -72,6 +72,8 @@ class ShardOrder(StrictModel):
 class ShardMessage(StrictModel):
     """One line from a shard's process: exactly one of its fields."""
 
+    packages: dict[str, str] | None = None
+    """Versions of the packages that the policy sees, by name; the first message of a shard that runs a policy."""
     record: EpisodeRecord | None = None
     result: ShardResult | None = None
     error: str | None = None

@@ -11,6 +11,7 @@ from ..episodes.episode import MakeEnvironment, Session, make_environment, run_e
 from ..episodes.provenance import make_manifest
 from ..episodes.reading import Reading, reading_of
 from ..episodes.records import EpisodeRecord, PolicyFailure
+from ..package_sets import PackageSet
 from ..scoring.failures import is_broken
 from ..submission.manifest import load_manifest
 from ..tracks import Episode, Task, Track
@@ -20,15 +21,17 @@ from .result import ShardEnd, ShardResult
 LoadPolicy = Callable[[Path, Limits, int], AbstractContextManager[Session]]
 
 
-def load_in_sandbox(submission_dir: Path, limits: Limits, slot: int) -> AbstractContextManager[Session]:
-    """Load the policy of a submission in its sandbox.
+def load_in_sandbox(
+    submission_dir: Path, limits: Limits, slot: int, packages: tuple[PackageSet, ...] = ()
+) -> AbstractContextManager[Session]:
+    """Load the policy of a submission in its sandbox, with the sets of packages that its track declares.
 
     Raises:
         PolicyFailed: it cannot be loaded.
         SandboxFailed: the isolation could not be set up.
     """
     entry_point = load_manifest(submission_dir).entry_point
-    return PolicySession(submission_dir, entry_point=entry_point, limits=limits, slot=slot)
+    return PolicySession(submission_dir, entry_point=entry_point, limits=limits, slot=slot, packages=packages)
 
 
 def run_shard(

@@ -211,6 +211,8 @@ class ShardProcess:
     Attributes:
         host: what forks its process.
         order: what it has to do.
+        packages: versions of the packages that its policy sees, by name; known before the first record. None where no
+            policy runs.
     """
 
     def __init__(
@@ -225,6 +227,7 @@ class ShardProcess:
         self._is_killed = False
         self._is_taken = fork is not None
         self._is_released = False
+        self.packages: dict[str, str] | None = None
         self._result: ShardResult | None = None
         with suppress(OSError):  # The process has ended; reading the records raises an error.
             connection.sendall(order.model_dump_json().encode() + b"\n")
@@ -315,6 +318,8 @@ class ShardProcess:
             message = ShardMessage.model_validate_json(line)
             if message.error is not None:
                 raise ShardProcessFailed(message.error)
+            if message.packages is not None:
+                self.packages = message.packages
             if message.record is not None:
                 yield message.record
             if message.result is not None:

@@ -15,6 +15,7 @@ from vitac.envs.maniskill.definition import is_maniskill
 from vitac.envs.observable import Observable
 from vitac.envs.tasks.definition import ActionComponent, TaskDefinition
 
+from ..package_sets import PackageSet
 from ..strict_model import StrictModel, Word
 from ..submission_kinds import SubmissionKind
 from .families import environment_definition
@@ -223,7 +224,8 @@ class Track(StrictModel):
 
     `ranking_rule` orders the submissions of one task, `combination_rule` those of all tasks together, or of
     `combined_tasks` where these are given. `folder` is the one folder that the archive of a submission holds, and the
-    challenge's own name of the track. With `has_sensor`, every submission brings a sensor of its own.
+    challenge's own name of the track. With `has_sensor`, every submission brings a sensor of its own. `packages` are
+    the sets of packages that its policies see beside the base.
     """
 
     name: Word
@@ -235,6 +237,7 @@ class Track(StrictModel):
     combined_tasks: tuple[Word, ...] = ()
     has_sensor: bool = False
     accepts: tuple[SubmissionKind, ...] = Field(min_length=1)
+    packages: tuple[PackageSet, ...] = ()
     scoring_notes: tuple[str, ...] = ()
     tasks: dict[str, Task] = Field(min_length=1)
 

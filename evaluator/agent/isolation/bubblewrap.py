@@ -234,6 +234,8 @@ def _writable_folders(limits: Limits) -> list[str]:
 
 def _python_files(interpreter: Interpreter) -> list[str]:
     arguments = []
+    for folder in _folders_above(interpreter):
+        arguments += ["--perms", "0755", "--dir", str(folder)]
     for outside, inside in interpreter.read_only_binds:
         arguments += ["--ro-bind", str(outside), str(inside)]
     for folder in interpreter.masked:
@@ -243,6 +245,14 @@ def _python_files(interpreter: Interpreter) -> list[str]:
         *("--ro-bind", str(_RUNTIME), INSIDE_RUNTIME),
         *("--ro-bind", str(_BACK_PROJECTION), INSIDE_BACK_PROJECTION),
     ]
+
+
+def _folders_above(interpreter: Interpreter) -> list[Path]:
+    """Return the folders of packages and of their parts that no bind makes; bubblewrap would close them to others."""
+    above = {parent for _, inside in interpreter.read_only_binds for parent in inside.parents}
+    return sorted(
+        {*interpreter.packages, *(parent for parent in above if set(parent.parents) & {*interpreter.packages})}
+    )
 
 
 def _environment(interpreter: Interpreter) -> list[str]:

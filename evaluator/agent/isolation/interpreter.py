@@ -2,12 +2,16 @@
 
 import sys
 import sysconfig
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from ...package_sets import PackageSet, shown_sets
+from .packages import INSIDE_PACKAGES, PolicyPackages, find_packages
+
 INSIDE_PYTHON: Final = Path("/opt/vitac/python")
-INSIDE_PACKAGES: Final = Path("/opt/vitac/packages")
+_FOLDERS_OF_PACKAGES: Final = ("lib/python3*/dist-packages", "lib*/python3*/site-packages")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,34 +27,44 @@ class Interpreter:
     read_only_binds: tuple[tuple[Path, Path], ...]
     """(outside, inside)."""
     masked: tuple[Path, ...]
-    """Inside; folders that are hidden, such as the evaluator's own code."""
+    """Inside; folders that are hidden: the packages that are installed for any Python of the machine."""
 
 
-def current() -> Interpreter:
-    """Return the interpreter and packages of this process.
+def installed_packages(declared: Iterable[PackageSet] = ()) -> PolicyPackages:
+    """Return the packages that policies see here, where their track declares these sets."""
+    return find_packages(shown_sets(declared), _package_folders())
+
+
+def current(declared: Iterable[PackageSet] = ()) -> Interpreter:
+    """Return the interpreter of this process, with the packages that policies see.
 
     A Python below /usr is seen at its own place; any other (pyenv, conda, a home folder that the sandbox's user could
     not even enter) is bound to a neutral path.
     """
     prefix = Path(sys.base_prefix).resolve()
     executable = Path(getattr(sys, "_base_executable", sys.executable)).resolve()
-    packages = tuple(dict.fromkeys(Path(sysconfig.get_path(key)).resolve() for key in ("purelib", "platlib")))
-    inside_packages = tuple(INSIDE_PACKAGES / str(number) for number in range(len(packages)))
-    binds = list(zip(packages, inside_packages, strict=True))
+    binds: list[tuple[Path, Path]] = []
+    masked = [folder for root in (Path("/usr"), Path("/usr/local")) for folder in _folders_below(root)]
     library_folder = None
     if not prefix.is_relative_to("/usr"):
-        binds.insert(0, (prefix, INSIDE_PYTHON))
+        binds.append((prefix, INSIDE_PYTHON))
         executable = INSIDE_PYTHON / executable.relative_to(prefix)
         library_folder = INSIDE_PYTHON / "lib"
-    masked = tuple(
-        inside / "vitac"
-        for outside, inside in zip(packages, inside_packages, strict=True)
-        if (outside / "vitac").is_dir()
-    )
+        masked += [INSIDE_PYTHON / folder.relative_to(prefix) for folder in _folders_below(prefix)]
     return Interpreter(
         executable=executable,
-        packages=inside_packages,
+        packages=tuple(INSIDE_PACKAGES / str(number) for number in range(len(_package_folders()))),
         library_folder=library_folder,
-        read_only_binds=tuple(binds),
-        masked=masked,
+        read_only_binds=(*binds, *installed_packages(declared).binds),
+        masked=tuple(dict.fromkeys(masked)),
     )
+
+
+def _package_folders() -> tuple[Path, ...]:
+    return tuple(dict.fromkeys(Path(sysconfig.get_path(key)).resolve() for key in ("purelib", "platlib")))
+
+
+def _folders_below(prefix: Path) -> list[Path]:
+    """Return where packages are installed below a prefix; a folder that is a link is hidden where it leads."""
+    found = (folder for pattern in _FOLDERS_OF_PACKAGES for folder in prefix.glob(pattern) if folder.is_dir())
+    return sorted({folder.resolve() for folder in found if folder.resolve().is_relative_to(prefix)})

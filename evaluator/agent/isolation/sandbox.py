@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Self
 
+from ...package_sets import PackageSet
 from ..limits import Limits
 from ..protocol.channel import Channel
 from ..verdicts import SandboxFailed
@@ -44,10 +45,14 @@ class Sandbox:
         submission: folder that the policy is imported from.
         limits: what it may use.
         slot: number of this sandbox among those that the evaluator's process runs at once.
+        packages: sets of packages that its track declares.
     """
 
-    def __init__(self, submission: Path, *, limits: Limits, slot: int = 0) -> None:
+    def __init__(
+        self, submission: Path, *, limits: Limits, slot: int = 0, packages: tuple[PackageSet, ...] = ()
+    ) -> None:
         self._submission = submission
+        self._packages = packages
         self.limits = limits
         self._slot = slot
         self._exits = contextlib.ExitStack()
@@ -168,7 +173,7 @@ class Sandbox:
         command = bubblewrap.command(
             program=bubblewrap.find_program(),
             submission=self._submission,
-            interpreter=interpreter.current(),
+            interpreter=interpreter.current(self._packages),
             limits=self.limits,
             uid=uid,
             descriptors=descriptors,

@@ -4,6 +4,7 @@ import pytest
 from page_fixtures import a_sandbox
 from service_factories import ISOLATION
 from vitac.evaluator.agent.self_test import PROBES, Outcome, Probe, ProbeState
+from vitac.evaluator.package_sets import PackageSet, locked_versions
 from vitac.worker.isolation import SLOW_PROBES, probe_isolation
 
 
@@ -20,11 +21,15 @@ class FakeProbes:
             yield Outcome(name=probe.name, state=state, detail="what came", isolation=isolation)
 
 
+LOCKED = {name: versions[0] for name, versions in locked_versions([PackageSet.BASE]).items()}
+
+
 def test_machine_that_holds_every_probe_is_sound_and_its_level_is_named() -> None:
     probes = FakeProbes({})
-    report = probe_isolation(probes, a_sandbox)
+    sandbox = a_sandbox(packages=LOCKED)
+    report = probe_isolation(probes, lambda: sandbox)
     assert report.is_sound
-    assert report.sandbox == a_sandbox()
+    assert report.sandbox == sandbox
     assert report.level.startswith("user: root, memory: cgroup-v1")
     assert set(probes.tried) == {probe.name for probe in PROBES} - SLOW_PROBES
 
@@ -39,6 +44,15 @@ def test_one_escape_or_a_sandbox_that_does_not_start_makes_the_machine_unsound()
         assert not report.is_sound
         assert report.sandbox is None
         assert report.problems == (f"network refused: {state} (what came)",)
+
+
+def test_a_machine_with_other_packages_for_policies_is_refused_with_their_names() -> None:
+    report = probe_isolation(FakeProbes({}), lambda: a_sandbox(packages=LOCKED | {"numpy": "2.5.0"}))
+    assert report.problems == (
+        "Policies would see other packages than the locked ones: numpy is 2.5.0, expected 2.4.6. Install the expected "
+        "versions beside the worker.",
+    )
+    assert not report.is_sound
 
 
 def test_this_machine_is_sound() -> None:

@@ -5,6 +5,8 @@ from pathlib import Path
 import pytest
 from vitac.evaluator.agent.isolation import interpreter
 
+from .test_packages import install
+
 
 def python_at(prefix: Path, monkeypatch: pytest.MonkeyPatch, packages: Path) -> interpreter.Interpreter:
     monkeypatch.setattr(sys, "base_prefix", str(prefix))
@@ -14,8 +16,8 @@ def python_at(prefix: Path, monkeypatch: pytest.MonkeyPatch, packages: Path) -> 
 
 
 def test_python_outside_usr_is_bound_to_a_neutral_place(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    (tmp_path / "packages" / "vitac").mkdir(parents=True)
-    found = python_at(tmp_path / "home" / "python", monkeypatch, tmp_path / "packages")
+    install(tmp_path, "numpy", "2.4.6", "numpy/__init__.py")
+    found = python_at(tmp_path / "home" / "python", monkeypatch, tmp_path)
     assert found.executable == Path("/opt/vitac/python/bin/python3")
     assert found.library_folder == Path("/opt/vitac/python/lib")
     assert (tmp_path / "home" / "python", Path("/opt/vitac/python")) in found.read_only_binds
@@ -24,13 +26,15 @@ def test_python_outside_usr_is_bound_to_a_neutral_place(monkeypatch: pytest.Monk
 
 
 def test_python_below_usr_stays_where_it_is(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    install(tmp_path, "numpy", "2.4.6", "numpy/__init__.py")
     found = python_at(Path("/usr"), monkeypatch, tmp_path)
     assert found.executable.is_relative_to("/usr")
     assert found.library_folder is None
-    assert [outside for outside, _ in found.read_only_binds] == [tmp_path]
+    assert [outside.name for outside, _ in found.read_only_binds] == ["numpy", "numpy-2.4.6.dist-info"]
 
 
-def test_installed_evaluator_is_masked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    assert python_at(Path("/usr"), monkeypatch, tmp_path).masked == ()
-    (tmp_path / "vitac").mkdir()
-    assert python_at(Path("/usr"), monkeypatch, tmp_path).masked == (Path("/opt/vitac/packages/0/vitac"),)
+def test_packages_installed_for_the_python_itself_are_masked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    prefix = tmp_path / "python"
+    (prefix / "lib" / "python3.11" / "site-packages" / "torch").mkdir(parents=True)
+    found = python_at(prefix, monkeypatch, prefix / "lib" / "python3.11" / "site-packages")
+    assert Path("/opt/vitac/python/lib/python3.11/site-packages") in found.masked
