@@ -64,6 +64,16 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
     return 0 if chosen else min(3, (os.cpu_count() or 1) + 1)
 
 
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave slow tests out of the whole suite; they run where tests are chosen by file, keyword or marker, as in CI."""
+    option = config.option
+    if option.file_or_dir or option.keyword or option.markexpr:
+        return
+    slow = [item for item in items if item.get_closest_marker("slow")]
+    config.hook.pytest_deselected(items=slow)
+    items[:] = [item for item in items if item not in set(slow)]
+
+
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Adds the option that keeps durations."""
     help_text = "write how long set-up, call and tear-down of each test took, the longest first"

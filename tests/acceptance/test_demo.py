@@ -33,6 +33,7 @@ def example(repository: Path) -> Path:
     return repository / "examples" / "peg_insertion_heuristic"
 
 
+@pytest.mark.slow
 def test_the_example_reaches_the_leaderboard_and_stays_in_the_store(example: Path) -> None:
     state = state_directory()
     first = vitac("demo", "--exit", "--submission", str(example), state=state)

@@ -67,6 +67,7 @@ def left_behind() -> list[str]:
     return [path for path in found if Path(path).is_dir()]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", POLICIES, ids=lambda path: path.stem)
 def test_policy_meets_its_verdict(path: Path, outside: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tracing, "_FREEZE_DEADLINE_S", 5.0)  # one of them never gets ready to be copied

@@ -85,6 +85,7 @@ def test_finished_run_is_not_made_again(tmp_path: Path, toy: list[ToyPeg]) -> No
     assert len(toy[0].resets) == episodes
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "stop_at",
     [

@@ -35,6 +35,7 @@ def filled(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "cache"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changed", "expected"),
     [
@@ -54,6 +55,7 @@ def test_a_changed_module_is_compiled_with_what_depends_on_it(
     assert small_compiled_by(sources, cache) == expected
 
 
+@pytest.mark.slow
 def test_sources_that_change_while_a_process_runs_do_not_name_what_it_compiles(tmp_path: Path) -> None:
     cache = str(tmp_path / "cache")
     sources = clone(tmp_path / "clone")
@@ -85,6 +87,7 @@ def test_a_folder_that_cannot_be_written_is_not_needed(tmp_path: Path) -> None:
     assert list(tmp_path.glob("vitac-*/kernels/*/*.nbc"))
 
 
+@pytest.mark.slow
 def test_a_full_disk_does_not_fail_the_physics(tmp_path: Path) -> None:
     """Machine code larger than any file may be; the numbers are there, and the reason is logged."""
     cache = str(tmp_path / "cache")

@@ -133,6 +133,7 @@ def test_driven_and_sensing_faces_follow_from_the_geometry() -> None:
     assert set(gel.sensing_nodes) == set(sensing.reshape(-1))
 
 
+@pytest.mark.slow
 def test_bytes_do_not_depend_on_threads_blas_or_cpu() -> None:
     surroundings: list[dict[str, str]] = [
         {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "PYTHONHASHSEED": "1"},

@@ -28,6 +28,7 @@ def on_edge(scene: SeenScene, pixels: np.ndarray) -> np.ndarray:
     return np.asarray(np.any([triangle != around[0] for triangle in around[1:]], axis=0))
 
 
+@pytest.mark.slow
 def test_depth_and_body_are_those_of_a_ray_caster_in_100_random_scenes() -> None:
     random = np.random.default_rng(10)
     pixels = pixel_centres(SMALL_HEIGHT_PX, SMALL_WIDTH_PX)

@@ -19,6 +19,7 @@ def test_calibration_has_seeds_of_its_own() -> None:
     assert SEED not in {task.episode_list.list_seed for track in tracks for task in track.tasks.values()}
 
 
+@pytest.mark.slow
 def test_calibration_gives_the_same_bytes_again_and_names_its_sensor() -> None:
     env = make_environment(TASK, sensor=design(drawn_gels.flat(2.0)))
     first = calibrate(env, TASK, starts=6)
