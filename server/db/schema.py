@@ -64,14 +64,6 @@ def _require_utf8(connection: Connection) -> None:
         )
 
 
-def downgrade(database: Database, revision: str) -> None:
-    """Take back all migrations after a revision (`base`: all of them), with the rows they hold."""
-    from alembic import command
-
-    with _migrating(database, LOCK_TIMEOUT_S, STATEMENT_TIMEOUT_S) as connection:
-        command.downgrade(_configuration(connection), revision)
-
-
 @contextmanager
 def _migrating(database: Database, lock_timeout_s: float, statement_timeout_s: float) -> Iterator[Connection]:
     """Return a connection of its own, closed afterwards, that alone may change the schema."""
@@ -112,7 +104,7 @@ def knows_revision(revision: str) -> bool:
 
 @cache
 def _revisions() -> frozenset[str]:
-    """Return those of all migrations, by the names of their modules: `v0042_lists_and_tasks` is 0042."""
+    """Return those of all migrations, by the names of their modules: `v0001_first_schema` is 0001."""
     found = (re.fullmatch(r"v(\d{4})_\w+\.py", path.name) for path in (_migrations() / "versions").iterdir())
     return frozenset(match[1] for match in found if match is not None)
 

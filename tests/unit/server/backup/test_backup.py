@@ -20,7 +20,6 @@ from service_factories import forget_boards, make_principal, make_settings, play
 from sqlalchemy import func, select
 from vitac.server.api.app import create_app
 from vitac.server.audit import newest_entries
-from vitac.server.backup import backup
 from vitac.server.backup.archive import BackupReader, BackupRejected
 from vitac.server.backup.backup import BackupNotMade, back_up
 from vitac.server.backup.restore import ServiceNotEmpty, check, restore
@@ -28,7 +27,7 @@ from vitac.server.db import engine
 from vitac.server.db.advisory_locks import AdvisoryLock, try_lock
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Evaluation, Submission, Team, Worker
-from vitac.server.db.schema import downgrade, is_current
+from vitac.server.db.schema import is_current
 from vitac.server.db.states import WorkerState
 from vitac.server.postgres import tools
 from vitac.server.services import Services
@@ -301,20 +300,6 @@ def test_a_restored_service_says_where_it_comes_from(
         newest = newest_entries(session, 1)[0]
     assert (newest.action, newest.subject) == ("service.restore", f"file:{file.name}")
     assert newest.after == {"made_at": made.made_at.isoformat()}
-
-
-def test_backup_of_an_older_schema_is_brought_up_to_date(
-    service: Service, empty: Services, file: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    upload_and_play(service)
-    downgrade(service.database, "-1")
-    # The release of then wrote the columns of then, and knew no files besides uploads.
-    monkeypatch.setattr(backup, "record", lambda *_: None)
-    monkeypatch.setattr(backup, "stored_digests", lambda found: found.scalars(select(Submission.archive_sha256)).all())
-    back_up(service.services, file)
-    restore(empty, file)
-    assert is_current(empty.database)
-    assert count(empty, Submission) == 1
 
 
 def drop_dump(members: Members) -> None:

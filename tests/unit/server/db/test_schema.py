@@ -1,9 +1,8 @@
-import re
 import shutil
 import subprocess
 import sys
 import threading
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from enum import StrEnum
 from importlib.util import find_spec
 from itertools import product
@@ -11,22 +10,20 @@ from pathlib import Path
 
 import psycopg
 import pytest
+from alembic import command
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
 from alembic.script import ScriptDirectory
 from databases import FAST, fresh_database, shared_cluster, state_directory
 from procrastinate.schema import SchemaManager
-from service_factories import LOCK, TASK, make_principal, make_score, submit_scored
 from sqlalchemy import text
 from sqlalchemy.exc import IntegrityError, OperationalError
-from vitac.migrations.versions import v0002_state_machines as state_machines
-from vitac.migrations.versions import v0003_queue as queue_migration
-from vitac.migrations.versions import v0018_playbacks as playback_migration
+from vitac.migrations.versions import v0001_first_schema as first_schema
+from vitac.server.db import schema
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Base
 from vitac.server.db.schema import (
     WrongEncoding,
-    downgrade,
     installed_revision,
     is_current,
     knows_revision,
@@ -65,6 +62,11 @@ def empty() -> Iterator[Database]:
         database.dispose()
 
 
+def downgrade(database: Database, revision: str) -> None:
+    with schema._migrating(database, 5.0, 60.0) as connection:
+        command.downgrade(schema._configuration(connection), revision)
+
+
 def rows(database: Database, query: str) -> list[tuple[object, ...]]:
     with database.engine.connect() as connection:
         return [tuple(row) for row in connection.execute(text(query))]
@@ -84,19 +86,6 @@ def test_constraints_and_indexes_of_models_and_migrations_agree(migrated: Databa
     Base.metadata.create_all(empty.engine)
     assert rows(migrated, CONSTRAINTS) == rows(empty, CONSTRAINTS)
     assert rows(migrated, INDEXES) == rows(empty, INDEXES)
-
-
-def test_a_server_of_the_release_before_still_registers_teams(migrated: Database) -> None:
-    """It names no pseudonym."""
-    with migrated.engine.begin() as connection:
-        for name in ("Ants", "Bees"):
-            values = {"name": name, "key": name.lower()}
-            connection.execute(
-                text("INSERT INTO teams (id, name, name_key) VALUES (gen_random_uuid(), :name, :key)"), values
-            )
-    made = [str(pseudonym) for (pseudonym,) in rows(migrated, "SELECT pseudonym FROM teams")]
-    assert len(set(made)) == 2
-    assert all(re.fullmatch("Team [0-9A-F]{10}", pseudonym) for pseudonym in made), made
 
 
 def test_upgrade_of_an_empty_database_reaches_the_newest_revision_and_is_repeatable(empty: Database) -> None:
@@ -133,63 +122,30 @@ def test_downgrade_takes_everything_back(empty: Database) -> None:
         assert installed_revision(connection) == newest_revision()
 
 
-def test_scores_outlive_the_loss_of_their_stored_combination_and_its_return(migrated: Database) -> None:
-    with migrated.transaction() as session:
-        team = make_principal(session)
-        submit_scored(session, team, "one", {TASK: make_score(50)})
-        submit_scored(session, team, "both", {TASK: make_score(50), LOCK: make_score(100)})
-        submit_scored(session, team, "none", {TASK: make_score(0, mean_steps=None)})
-    before = rows(migrated, "SELECT id, scores, result_hash FROM evaluations ORDER BY id")
-    downgrade(migrated, "0004")
-    found = "SELECT success_rate, mean_steps FROM evaluations ORDER BY success_rate"
-    assert rows(migrated, found) == [(0.0, None), (0.5, 4.0), (0.75, 4.0)]
-    upgrade(migrated)
-    assert rows(migrated, "SELECT id, scores, result_hash FROM evaluations ORDER BY id") == before
-
-
-def test_board_results_are_filled_whatever_track_files_there_are(
-    migrated: Database, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("limits", "refusal"),
+    [
+        ({"lock_timeout_s": 0.2}, "lock timeout"),
+        ({"lock_timeout_s": 60.0, "statement_timeout_s": 0.5}, "statement timeout"),
+    ],
+)
+def test_migration_that_waits_too_long_for_a_lock_is_rolled_back(
+    empty: Database, limits: dict[str, float], refusal: str
 ) -> None:
-    with migrated.transaction() as session:
-        team = make_principal(session)
-        submit_scored(session, team, "one", {TASK: make_score(50)})
-        submit_scored(session, team, "both", {TASK: make_score(50), LOCK: make_score(100)})
-    query = "SELECT evaluation_id, board, success_rate, mean_steps FROM board_results ORDER BY 1, 2"
-    before = rows(migrated, query)
-    assert {row[2:] for row in before if row[1] == "*"} == {(0.25, None), (0.75, 4.0)}
-    downgrade(migrated, "0007")
-    monkeypatch.setenv("VITAC_TRACKS_DIR", str(tmp_path / "moved away"))
-    upgrade(migrated)
-    assert rows(migrated, query) == before
-
-
-def test_migration_gives_up_on_a_locked_table_instead_of_queueing_behind_it(empty: Database) -> None:
-    upgrade(empty)
-    downgrade(empty, "0001")
     with psycopg.connect(empty.address) as blocker:
-        blocker.execute("LOCK TABLE shards IN ROW EXCLUSIVE MODE")
-        with pytest.raises(OperationalError, match="lock timeout"):
-            upgrade(empty, lock_timeout_s=0.2)
-    upgrade(empty)
-    assert is_current(empty)
-
-
-def test_migration_with_a_statement_that_takes_too_long_is_rolled_back(empty: Database) -> None:
-    upgrade(empty)
-    downgrade(empty, "0001")
-    with psycopg.connect(empty.address) as blocker:
-        blocker.execute("LOCK TABLE shards IN ROW EXCLUSIVE MODE")
-        with pytest.raises(OperationalError, match="statement timeout"):
-            upgrade(empty, lock_timeout_s=60.0, statement_timeout_s=0.2)
+        blocker.execute("CREATE TABLE teams (id int)")  # until it ends, nobody else can make a table of that name
+        with pytest.raises(OperationalError, match=refusal):
+            upgrade(empty, **limits)
+        blocker.rollback()
     with empty.engine.connect() as connection:
-        assert installed_revision(connection) == "0001"
+        assert installed_revision(connection) is None
     upgrade(empty)
     assert is_current(empty)
 
 
 def test_queue_schema_is_the_one_of_the_installed_procrastinate(migrated: Database, empty: Database) -> None:
     newest = max(path.name for path in _queue_migrations())
-    assert newest == queue_migration.LAST_QUEUE_MIGRATION, (
+    assert newest == first_schema.LAST_QUEUE_MIGRATION, (
         "procrastinate has new migrations: add one of ours that runs them"
     )
     with psycopg.connect(empty.address) as connection:
@@ -203,18 +159,18 @@ def _queue_migrations() -> Iterator[Path]:
 
 
 @pytest.mark.parametrize(
-    ("table", "transitions", "migrated_pairs"),
+    ("table", "transitions"),
     [
-        ("evaluations", EVALUATION_TRANSITIONS, state_machines.TRANSITIONS["evaluations"]),
-        ("shards", SHARD_TRANSITIONS, state_machines.TRANSITIONS["shards"]),
-        ("playbacks", PLAYBACK_TRANSITIONS, playback_migration.TRANSITIONS),
+        ("evaluations", EVALUATION_TRANSITIONS),
+        ("shards", SHARD_TRANSITIONS),
+        ("playbacks", PLAYBACK_TRANSITIONS),
     ],
 )
 def test_sql_allows_exactly_the_transitions_of_the_table(
-    table: str, transitions: Mapping[StrEnum, frozenset[StrEnum]], migrated_pairs: Iterable[tuple[str, str]]
+    table: str, transitions: Mapping[StrEnum, frozenset[StrEnum]]
 ) -> None:
     allowed = {(old.value, new.value) for old, following in transitions.items() for new in following}
-    assert set(migrated_pairs) == allowed
+    assert set(first_schema.TRANSITIONS[table]) == allowed
     with fresh_database() as address, psycopg.connect(address, autocommit=True) as connection:
         # The trigger alone, on a bare table of the same name: other constraints would hide what it lets through.
         connection.execute("CREATE SCHEMA bare")
@@ -243,9 +199,7 @@ def test_audit_log_refuses_change_and_deletion(migrated: Database) -> None:
             connection.execute(text(change))
 
 
-def test_queue_migration_that_was_interrupted_is_made_good(empty: Database) -> None:
-    upgrade(empty)
-    downgrade(empty, "0002")
+def test_queue_migration_that_was_interrupted_begins_again(empty: Database) -> None:
     first = min(_queue_migrations(), key=lambda path: path.name)
     with psycopg.connect(empty.address) as connection:
         connection.execute(first.read_text())

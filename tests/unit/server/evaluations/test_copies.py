@@ -19,7 +19,6 @@ from vitac.evaluator.tracks import Task
 from vitac.evaluator.tracks.cut import Shard
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Submission
-from vitac.server.db.schema import downgrade, upgrade
 from vitac.server.evaluations import lifecycle, listing
 from vitac.server.evaluations.copies import copies_among, flag_copies
 from vitac.server.evaluations.history import newest_evaluation
@@ -270,16 +269,3 @@ def test_a_copy_is_found_by_indexes_and_comparing_again_changes_nothing(
             flag_copies(session, evaluation)
     assert work.statements <= 6
     assert found(database, stolen) == before
-
-
-def test_migration_derives_the_digests_that_python_does(database: Database, principal: Principal) -> None:
-    play_all(database, add(database, principal, "first"))
-    query = text("SELECT episode, states_digest, half_way_state, shape FROM episode_results ORDER BY id")
-    with database.transaction() as session:
-        stored = session.execute(query).all()
-    downgrade(database, "0009")
-    upgrade(database)
-    with database.transaction() as session:
-        assert session.execute(query).all() == stored
-        assert len({row.states_digest for row in stored}) == 270 == len(stored)
-        assert [row.half_way_state for row in stored] == [sha256(f"{row.episode} 2") for row in stored]

@@ -7,14 +7,13 @@ from database_work import database_work
 from databases import copied_database, fresh_database
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from service_factories import LOCK, TASK, TRACK, add_result, make_principal, make_score, submit_scored
+from service_factories import LOCK, TASK, TRACK, add_result, make_score
 from sqlalchemy import select, text
 from vitac.evaluator.scoring.ranking import Standing, rank
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.version import evaluator_version
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Evaluation, Team
-from vitac.server.db.schema import downgrade, upgrade
 from vitac.server.evaluations.scores import combined_score, scores_of
 from vitac.server.leaderboards import standings
 from vitac.server.leaderboards.best_entries import Board, best_entries, places
@@ -162,19 +161,3 @@ def test_a_new_entry_is_all_that_is_read_for_a_board_that_was_made_before(many_r
         standings._made_boards._made.clear()
         anew = leaderboard(session, TRACK).view
     assert after.model_copy(update={"generated_at": anew.generated_at}) == anew
-
-
-def test_migration_fills_the_results_of_completed_evaluations(database: Database) -> None:
-    with database.transaction() as session:
-        principal = make_principal(session)
-        submit_scored(session, principal, "both", {TASK: make_score(50, 270), LOCK: make_score(7, 160, 3.3)})
-        submit_scored(session, principal, "one", {LOCK: make_score(0, 160, None)})
-        submit_scored(session, principal, "log", {TASK: make_score(9, 270)}, kind=SubmissionKind.LOG)
-    query = text("SELECT * FROM board_results ORDER BY evaluation_id, board")
-    with database.transaction() as session:
-        stored = session.execute(query).all()
-    downgrade(database, "0007")
-    upgrade(database)
-    with database.transaction() as session:
-        assert session.execute(query).all() == stored
-    assert len(stored) == 3 + 2 + 1

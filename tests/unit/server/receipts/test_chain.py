@@ -21,7 +21,6 @@ from sqlalchemy.exc import DBAPIError
 from structlog.testing import capture_logs
 from vitac.server.db.engine import Database
 from vitac.server.db.models import Evaluation, ReceiptKey, ReceiptRow
-from vitac.server.db.schema import downgrade, upgrade
 from vitac.server.evaluations import lifecycle
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.principals import CONSOLE
@@ -49,25 +48,6 @@ def test_a_final_result_gets_a_receipt_with_what_the_submission_shows(database: 
         stored = session.scalars(select(ReceiptRow.result)).one()
     assert set(json.loads(stored)) == set(type(result).model_fields)
     assert "outcome" not in stored, "nothing of single episodes"
-
-
-def test_receipts_are_still_signed_after_the_migration_that_gave_them_boards_was_taken_back(database: Database) -> None:
-    with database.transaction() as session:
-        submissions = [submit(session, make_principal(session, name), name) for name in ("Ants", "Bees")]
-    for submission in submissions:
-        play_all(database, submission)
-    with database.transaction() as session:
-        session.execute(text("SET LOCAL session_replication_role = replica"))  # no triggers
-        as_before = "UPDATE receipts SET board = NULL, result = (result::jsonb - 'team_sha256')::text WHERE number = 1"
-        session.execute(text(as_before))
-    downgrade(database, "0036")
-    upgrade(database)
-    with database.transaction() as session:
-        assert [link.board for link in links(session)] == [None, "track_1//model"]
-        (receipt,) = receipts_of_submission(session, submissions[1].id)
-        receipt.require_valid(chain_state(session).public_key)
-    with pytest.raises(DBAPIError), database.transaction() as session:
-        session.execute(text("UPDATE receipts SET board = NULL"))
 
 
 def test_a_second_run_gets_a_second_receipt(database: Database) -> None:
