@@ -14,6 +14,7 @@ import numpy as np
 from vitac.envs.fem.contact.assembly import PointState, add_contacts
 from vitac.envs.fem.contact.broad_phase import find_candidates, relative_motion
 from vitac.envs.fem.contact.ccd import PointMove, contact_free_fraction, inversion_free_fraction
+from vitac.envs.fem.contact.memory import empty_memory
 from vitac.envs.fem.elastic.elasticity import add_elasticity
 from vitac.envs.fem.linear.elimination import factorise, substitute
 from vitac.envs.fem.model.newton_system import EXACT_MATRIX, NO_MATRIX
@@ -80,8 +81,8 @@ def call_times_ms(scene: Scene, x: FloatArray, x_end: FloatArray) -> dict[str, f
     near = find_candidates(model.surfaces, y, reach_m)
     still, motion = np.zeros_like(reach_m), np.empty_like(reach_m)
     relative_motion(model.surfaces, y_move, np.empty((len(model.surfaces.point_start) - 1, 4)), motion)
-    points, move = PointState(y, y, still), PointMove(y, y_move, still, motion)
-    assemble(model, near, State(x, y, still), StepStart(x, y), w, EXACT_MATRIX)
+    points, move = PointState(y, y, still, empty_memory()), PointMove(y, y_move, still, motion)
+    assemble(model, near, State(x, y, still), StepStart(x, y, empty_memory()), w, EXACT_MATRIX)
     calls: dict[str, Callable[[], object]] = {
         "factorise": lambda: factorise(model.system, w.system.entries, w.factor, False),
         "substitute": lambda: substitute(model.system, w.factor, w.system.right_hand_side.copy()),

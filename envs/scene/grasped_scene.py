@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from ..fem.model.bodies import GelBody, RigidBody
 from ..fem.model.mesh import SurfaceMesh
-from ..fem.model.settings import ContactSettings, SolverSettings
-from ..fem.scene.scene import Scene, StepReport, StepStatus
+from ..fem.model.settings import AnyContactSettings, ContactSettings, SolverSettings
+from ..fem.scene.scene import Scene, SceneState, StepReport, StepStatus
 from ..tactile.camera import CameraIntrinsics
 from ..tactile.sensor import TactileSensor
 from .gripper import SENSOR_COUNT, Gripper, GripperPose, SensorPose
@@ -25,7 +25,7 @@ class PhysicsSettings:
 
     Attributes:
         time_step_s: length of an IPC step [s].
-        contact: barrier and friction smoothing.
+        contact: contact model with its constants.
         solver: when an IPC step counts as solved.
         youngs_modulus_pa: of both gels [Pa].
         poisson_ratio: of both gels.
@@ -35,7 +35,7 @@ class PhysicsSettings:
     """
 
     time_step_s: float = 0.1
-    contact: ContactSettings = field(default_factory=ContactSettings)
+    contact: AnyContactSettings = field(default_factory=ContactSettings)
     solver: SolverSettings = field(default_factory=SolverSettings)
     youngs_modulus_pa: float = 3e5
     poisson_ratio: float = 0.3
@@ -57,7 +57,7 @@ class GraspState:
     """State of a grasped scene, see `GraspedScene.state`.
 
     Attributes:
-        physics: positions [m] and velocities [m/s] of all nodes.
+        physics: positions and velocities of all nodes, and what contacts remember.
         references_m: undisturbed views of the sensors [m], shape [s, 3] each.
         pose: of the gripper.
         ipc_steps: solved so far.
@@ -66,7 +66,7 @@ class GraspState:
         last_flow: marker flow that was drawn last, after how many IPC steps.
     """
 
-    physics: tuple[FloatArray, FloatArray]
+    physics: SceneState
     references_m: tuple[FloatArray, ...]
     pose: GripperPose
     ipc_steps: int

@@ -25,6 +25,7 @@ from ..scene.grasped_scene import Clocks, GraspedScene
 from ..scene.stopwatch import Stopwatch
 from ..tactile.design import SensorDesign
 from ..vision.still import StillCamera
+from .contact_model import with_contact_model
 from .definition import TaskDefinition, chosen_observables, with_tables
 from .ending import EndReason, Flags
 from .options import RNG_SEED, chosen_shapes, refuse_unknown, seeded_generator
@@ -88,6 +89,7 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
         shapes: which shapes are drawn where `reset` is not told one; all by default. Autoreset keeps them.
         randomization: "challenge" draws what has a published training range anew for every episode, from the episode's
             generator and after its start; "none" draws nothing.
+        contact_model: "challenge-2025" or "arena-1", with its own constants; by default that of the task's settings.
         render_mode: "rgb_array" for pictures by `render`.
         **overrides: fields of the task's settings.
 
@@ -124,10 +126,11 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
         observation_keys: Sequence[str] | None = None,
         shapes: Sequence[str] | None = None,
         randomization: str = Randomization.NONE.value,
+        contact_model: str | None = None,
         render_mode: str | None = None,
         **overrides: Any,
     ) -> None:
-        self.settings: SettingsT = settings_from(self.settings_type, overrides)
+        self.settings: SettingsT = with_contact_model(settings_from(self.settings_type, overrides), contact_model)
         own = self.task.observables if privileged else self.task.public_observables
         if observation_keys is not None:
             own = chosen_observables(own, observation_keys)

@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 
 from ...compilation import kernel, large_kernel
 from ..algebra.mat3 import add_matrices, outer, scale_matrix, transpose
-from ..algebra.vec3 import dot, load, scale, subtract
+from ..algebra.vec3 import Vec3, dot, load, scale, subtract
 from ..model.model import Model, Parameters
 from ..model.newton_system import NO_MATRIX, PROJECTED_MATRIX, NewtonSystem
 from .barrier import barrier
 from .broad_phase import Candidates
 from .contact import Contact, ContactGeometry, Friction, NormalForce, contact_geometry, contact_terms
 from .distance import EDGE_EDGE, closest_points
+from .memory import ContactMemory, recall_slip
 from .mollifier import mollifier, squared_cross_norm, squared_cross_norm_blocks, squared_cross_norm_gradient
 from .stencil import (
     ALL_MODES,
@@ -46,6 +47,7 @@ class PointState(NamedTuple):
     y: FloatArray  # [p, 3] [m]
     y_start: FloatArray  # [p, 3] at the start of the step, from where friction is measured [m]
     motion: FloatArray  # [k] largest motion of each pair of bodies since the candidates were listed [m]
+    memory: ContactMemory  # of the start of the step
 
 
 class PairProperties(NamedTuple):
@@ -53,6 +55,7 @@ class PairProperties(NamedTuple):
 
     friction: float  # friction coefficient
     mollifier_eps_m4: float  # threshold of the mollifier; 0 for pairs without
+    remembered_m: Vec3  # elastic slip at the start of the step
 
 
 class MollifierRates(NamedTuple):
@@ -88,7 +91,8 @@ def add_contacts(
         geometry = contact_geometry(x, moves, c, sliding, r)
         smallest = min(smallest, geometry.d)
         active += 1
-        pair = PairProperties(candidates.friction[k], candidates.mollifier_eps_m4[k])
+        remembered = recall_slip(points.memory, pair_type, corners, k, x, geometry.n)
+        pair = PairProperties(candidates.friction[k], candidates.mollifier_eps_m4[k], remembered)
         modes = _write_modes(model.parameters, pair, geometry, stencil, matrix)
         split = 2 if pair_type == EDGE_EDGE else 1
         count = collect_nodes(model.points, corners, k, split, modes, stencil)
@@ -110,7 +114,7 @@ def _write_modes(
         c = squared_cross_norm(subtract(x[1], x[0]), subtract(x[3], x[2]))
         e, de_dc, d2e_dc2 = mollifier(c, pair.mollifier_eps_m4)
     normal = NormalForce(-kappa * e * db_dd, kappa * e * d2b_dd2)
-    friction = Friction(pair.friction, parameters.slip_scale_m)
+    friction = Friction(pair.friction, parameters.slip_scale_m, pair.remembered_m)
     contact = contact_terms(geometry, normal, friction, matrix == PROJECTED_MATRIX)
     set_point_weights(weights, C, geometry.c)
     set_point_weights(weights, FIRST, geometry.first.dc)

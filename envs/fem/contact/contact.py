@@ -3,7 +3,7 @@
 With separation r = sum_i c_i x_i, distance d, direction n and slip w = sum_i c_i (x_i - x_i at the start of the step):
 
     normal force         N = -(kappa / h^2) e(c) b'(d)
-    tangential slip      u = w - (w . n) n
+    tangential slip      u = w - (w . n) n,  where w also counts what the contact remembers (see `memory`)
     friction             phi = mu N a u,   a = f1(|u|) / |u|
     force on point i     c_i f,   f = phi - N n
 
@@ -70,6 +70,7 @@ class Friction(NamedTuple):
 
     coefficient: float  # mu
     slip_scale_m: float  # slip at which friction is fully developed
+    remembered_m: Vec3  # elastic slip at the start of the step
 
 
 class Contact(NamedTuple):
@@ -149,7 +150,7 @@ def contact_terms(geometry: ContactGeometry, normal: NormalForce, friction: Fric
     With `projected` the factors of the positive semi-definite replacement: no tangential barrier term, friction held.
     """
     d, n, force_n = geometry.d, geometry.n, normal.force_n
-    w = weighted_sum(geometry.c, geometry.moves)
+    w = add(weighted_sum(geometry.c, geometry.moves), friction.remembered_m)
     w_n = dot(w, n)
     u = subtract(w, scale(w_n, n))
     a, slope = slip_factor(np.sqrt(dot(u, u)), friction.slip_scale_m)

@@ -9,6 +9,10 @@ from .mesh import GelMesh, SurfaceMesh
 
 FloatArray = NDArray[np.float64]
 
+# Materials of bodies that are given no other.
+GEL_MATERIAL = "gel"
+PART_MATERIAL = "part"
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GelBody:
@@ -21,7 +25,8 @@ class GelBody:
         youngs_modulus_pa: Young's modulus [Pa].
         poisson_ratio: Poisson's ratio [-].
         density_kg_m3: density [kg/m^3].
-        friction: friction coefficient [-]; a pair of bodies uses the mean of its two.
+        friction: friction coefficient [-], for contact models that take the mean of two bodies.
+        material: its name, for contact models with friction coefficients by pair of materials.
     """
 
     mesh: GelMesh
@@ -31,6 +36,7 @@ class GelBody:
     poisson_ratio: float = 0.3
     density_kg_m3: float = 1000.0
     friction: float = 87.5
+    material: str = GEL_MATERIAL
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -45,4 +51,5 @@ class RigidBody:
     translation_m: FloatArray
     density_kg_m3: float = 500.0
     friction: float = 1.0
+    material: str = PART_MATERIAL
     fixed: bool = False

@@ -39,7 +39,7 @@ class Affine(NamedTuple):
     first_unknown: IndexArray  # [m] its unknown
     frame_length_m: FloatArray  # [m]
     mass_kg: FloatArray  # [m, 4, 4]
-    stiffness_j: FloatArray  # [m] kappa_affine V / h^2, factor of |A A^T - I|^2
+    stiffness_j: FloatArray  # [m] factor of |A A^T - I|^2, proportional to the volume
 
 
 class Points(NamedTuple):
@@ -76,8 +76,9 @@ class Parameters(NamedTuple):
 
     time_step_s: float
     d_hat_m: float
-    barrier_stiffness_n_m: float  # kappa / h^2
-    slip_scale_m: float  # eps_v h
+    barrier_stiffness_n_m: float
+    slip_scale_m: float  # slip at which friction is fully developed
+    remembers_slip: bool  # whether contacts carry their slip over to the next step, see `contact.memory`
     ccd_gap_fraction: float  # part of a gap that one move may close
     candidate_margin_m: float
 

@@ -1,11 +1,39 @@
-"""Settings of a scene: how bodies touch, and when an IPC step counts as solved."""
+"""Settings of a scene: by which contact model bodies touch, and when an IPC step counts as solved."""
 
 from dataclasses import dataclass
+from enum import StrEnum
+from typing import ClassVar, NamedTuple
+
+from ...errors import VitacError
+from .bodies import GEL_MATERIAL, PART_MATERIAL, GelBody, RigidBody
+
+
+class UnknownMaterials(VitacError):
+    """Two bodies can touch whose materials have no friction coefficient; add one to the contact settings."""
+
+
+class ContactModel(StrEnum):
+    """Contact models by name."""
+
+    CHALLENGE_2025 = "challenge-2025"
+    """The 2025 challenge's: friction by the slip of one IPC step, stiffness that depends on the time step."""
+    ARENA_1 = "arena-1"
+    """Ours: friction that remembers where it sticks, no constant that depends on the time step."""
+
+
+class ContactConstants(NamedTuple):
+    """What the energy terms need of a contact model, at a given time step."""
+
+    d_hat_m: float
+    barrier_stiffness_n_m: float
+    affine_stiffness_pa: float
+    slip_scale_m: float  # elastic slip at which friction is fully developed
+    remembers_slip: bool  # whether the elastic slip of a contact is carried over IPC steps
 
 
 @dataclass(frozen=True, kw_only=True)
 class ContactSettings:
-    """Contact of all pairs of different bodies; defaults are the peg task's (challenge-facts 3).
+    """Contact as the 2025 challenge models it; defaults are the peg task's (challenge-facts 3).
 
     Attributes:
         d_hat_m: distance at which the barrier sets in [m].
@@ -15,11 +43,91 @@ class ContactSettings:
         ccd_gap_fraction: part of a gap that one Newton iteration may close.
     """
 
+    model: ClassVar = ContactModel.CHALLENGE_2025
+
     d_hat_m: float = 1e-4
     kappa: float = 100.0
     kappa_affine: float = 1e5
     friction_velocity_m_s: float = 0.01
     ccd_gap_fraction: float = 0.7
+
+    def constants(self, time_step_s: float) -> ContactConstants:
+        """Return the constants of the energy terms for a time step [s]."""
+        h2 = time_step_s * time_step_s
+        return ContactConstants(
+            d_hat_m=self.d_hat_m,
+            barrier_stiffness_n_m=self.kappa / h2,
+            affine_stiffness_pa=self.kappa_affine / h2,
+            slip_scale_m=self.friction_velocity_m_s * time_step_s,
+            remembers_slip=False,
+        )
+
+    def pair_friction(self, first: GelBody | RigidBody, second: GelBody | RigidBody) -> float:
+        """Return the friction coefficient of two bodies: the mean of both."""
+        return 0.5 * (first.friction + second.friction)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PairFriction:
+    """Friction coefficient of two materials, in either order."""
+
+    first: str
+    second: str
+    coefficient: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class ArenaContactSettings:
+    """Contact as `arena-1` models it: no constant depends on the time step.
+
+    Attributes:
+        d_hat_m: distance at which the barrier sets in [m].
+        barrier_stiffness_n_m: factor of the barrier [N/m].
+        affine_stiffness_pa: factor of the orthogonality energy of rigid parts [Pa].
+        elastic_slip_m: slip that a sticking contact gives way by before it slides [m].
+        ccd_gap_fraction: part of a gap that one Newton iteration may close.
+        pair_frictions: friction coefficients by pair of materials.
+    """
+
+    model: ClassVar = ContactModel.ARENA_1
+
+    d_hat_m: float = 1e-4
+    barrier_stiffness_n_m: float = 1e4
+    affine_stiffness_pa: float = 1e9
+    elastic_slip_m: float = 1e-5
+    ccd_gap_fraction: float = 0.7
+    pair_frictions: tuple[PairFriction, ...] = (
+        PairFriction(first=GEL_MATERIAL, second=PART_MATERIAL, coefficient=1.0),
+        PairFriction(first=PART_MATERIAL, second=PART_MATERIAL, coefficient=0.3),
+        PairFriction(first=GEL_MATERIAL, second=GEL_MATERIAL, coefficient=1.0),
+    )
+
+    def constants(self, time_step_s: float) -> ContactConstants:  # noqa: ARG002 - the same for every time step
+        """Return the constants of the energy terms, whatever the time step [s]."""
+        return ContactConstants(
+            d_hat_m=self.d_hat_m,
+            barrier_stiffness_n_m=self.barrier_stiffness_n_m,
+            affine_stiffness_pa=self.affine_stiffness_pa,
+            slip_scale_m=self.elastic_slip_m,
+            remembers_slip=True,
+        )
+
+    def pair_friction(self, first: GelBody | RigidBody, second: GelBody | RigidBody) -> float:
+        """Return the friction coefficient of the materials of two bodies.
+
+        Raises:
+            UnknownMaterials: there is none for them.
+        """
+        for pair in self.pair_frictions:
+            if sorted((pair.first, pair.second)) == sorted((first.material, second.material)):
+                return pair.coefficient
+        raise UnknownMaterials(
+            f"There is no friction coefficient of {first.material} against {second.material}; "
+            "add one to pair_frictions of the contact settings."
+        )
+
+
+AnyContactSettings = ContactSettings | ArenaContactSettings
 
 
 @dataclass(frozen=True, kw_only=True)

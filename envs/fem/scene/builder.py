@@ -8,7 +8,7 @@ from ..elastic.neo_hookean import lame_parameters_pa
 from ..linear.system import SystemLayout, gel_block_places, system_layout
 from ..model.bodies import GelBody, RigidBody
 from ..model.model import PRESCRIBED, Affine, Elastic, Model, Parameters, Points, Surfaces, Unknowns
-from ..model.settings import ContactSettings, SolverSettings
+from ..model.settings import AnyContactSettings, SolverSettings
 from .node_layout import NodeLayout
 
 FloatArray = NDArray[np.float64]
@@ -20,24 +20,25 @@ def build_model(
     bodies: tuple[RigidBody, ...],
     layout: NodeLayout,
     time_step_s: float,
-    contact: ContactSettings,
+    contact: AnyContactSettings,
     solver: SolverSettings,
 ) -> Model:
     """Return the model of gels and bodies whose nodes stand as in `layout`, stepped by time_step_s [s]."""
-    h2 = time_step_s * time_step_s
+    constants = contact.constants(time_step_s)
     unknowns, system = _build_unknowns(gels, bodies, layout)
     return Model(
         elastic=_build_elastic(gels, layout, unknowns, system),
-        affine=_build_affine(bodies, layout, unknowns, contact.kappa_affine / h2),
+        affine=_build_affine(bodies, layout, unknowns, constants.affine_stiffness_pa),
         points=_build_points(gels, bodies, layout),
-        surfaces=_build_surfaces(gels, bodies),
+        surfaces=_build_surfaces(gels, bodies, contact),
         unknowns=unknowns,
         system=system,
         parameters=Parameters(
             time_step_s=time_step_s,
-            d_hat_m=contact.d_hat_m,
-            barrier_stiffness_n_m=contact.kappa / h2,
-            slip_scale_m=contact.friction_velocity_m_s * time_step_s,
+            d_hat_m=constants.d_hat_m,
+            barrier_stiffness_n_m=constants.barrier_stiffness_n_m,
+            slip_scale_m=constants.slip_scale_m,
+            remembers_slip=constants.remembers_slip,
             ccd_gap_fraction=contact.ccd_gap_fraction,
             candidate_margin_m=solver.candidate_margin_m,
         ),
@@ -76,7 +77,7 @@ def _build_affine(
     bodies: tuple[RigidBody, ...],
     layout: NodeLayout,
     unknowns: Unknowns,
-    kappa_over_h2: float,
+    stiffness_pa: float,
 ) -> Affine:
     movable = [i for i, body in enumerate(bodies) if not body.fixed]
     masses = [
@@ -94,7 +95,7 @@ def _build_affine(
         first_unknown=unknowns.slot[first_node],
         frame_length_m=np.array([layout.body_lengths_m[i] for i in movable]),
         mass_kg=np.stack(masses) if masses else np.empty((0, 4, 4)),
-        stiffness_j=np.array([kappa_over_h2 * bodies[i].mesh.volume_m3 for i in movable]),
+        stiffness_j=np.array([stiffness_pa * bodies[i].mesh.volume_m3 for i in movable]),
     )
 
 
@@ -113,7 +114,7 @@ def _build_points(gels: tuple[GelBody, ...], bodies: tuple[RigidBody, ...], layo
     return Points(np.concatenate(nodes), np.concatenate(weights), np.concatenate(counts))
 
 
-def _build_surfaces(gels: tuple[GelBody, ...], bodies: tuple[RigidBody, ...]) -> Surfaces:
+def _build_surfaces(gels: tuple[GelBody, ...], bodies: tuple[RigidBody, ...], contact: AnyContactSettings) -> Surfaces:
     point_start, edge_start, triangle_start = [0], [0], [0]
     edges, lengths, triangles = [], [], []
     members = [(*gel.mesh.surface, gel.mesh.surface_edges) for gel in gels]
@@ -126,7 +127,7 @@ def _build_surfaces(gels: tuple[GelBody, ...], bodies: tuple[RigidBody, ...]) ->
         point_start.append(point_start[-1] + len(rest))
         edge_start.append(edge_start[-1] + len(body_edges))
         triangle_start.append(triangle_start[-1] + len(body_triangles))
-    pairs, friction = _touching_pairs(gels, bodies)
+    pairs, friction = _touching_pairs(gels, bodies, contact)
     return Surfaces(
         point_start=np.array(point_start, dtype=np.int64),
         edges=np.concatenate(edges),
@@ -139,8 +140,10 @@ def _build_surfaces(gels: tuple[GelBody, ...], bodies: tuple[RigidBody, ...]) ->
     )
 
 
-def _touching_pairs(gels: tuple[GelBody, ...], bodies: tuple[RigidBody, ...]) -> tuple[IndexArray, FloatArray]:
-    """Return pairs of different bodies of which one at least can move, and the means of their friction coefficients."""
+def _touching_pairs(
+    gels: tuple[GelBody, ...], bodies: tuple[RigidBody, ...], contact: AnyContactSettings
+) -> tuple[IndexArray, FloatArray]:
+    """Return pairs of different bodies of which one at least can move, and their friction coefficients."""
     members: list[GelBody | RigidBody] = [*gels, *bodies]
     pairs, friction = [], []
     for a, first in enumerate(members):
@@ -149,7 +152,7 @@ def _touching_pairs(gels: tuple[GelBody, ...], bodies: tuple[RigidBody, ...]) ->
             if isinstance(first, RigidBody) and first.fixed and isinstance(second, RigidBody) and second.fixed:
                 continue
             pairs.append((a, b))
-            friction.append(0.5 * (first.friction + second.friction))
+            friction.append(contact.pair_friction(first, second))
     return np.array(pairs, dtype=np.int64).reshape(-1, 2), np.array(friction)
 
 

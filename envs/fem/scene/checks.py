@@ -1,12 +1,13 @@
 """Refuses bodies and settings that no scene can be made of; called by `Scene` before anything is built from them."""
 
 from collections.abc import Sequence
+from dataclasses import fields
 
 import numpy as np
 
 from ...errors import VitacError
 from ..model.bodies import GelBody, RigidBody
-from ..model.settings import ContactSettings, SolverSettings
+from ..model.settings import AnyContactSettings, SolverSettings
 
 # Largest error of a rotation's entries that rounding explains.
 _ROTATION_ERROR = 1e-9
@@ -35,20 +36,17 @@ def check_bodies(gels: Sequence[GelBody], bodies: Sequence[RigidBody]) -> None:
         _check_positive(f"body {index}", density_kg_m3=body.density_kg_m3)
 
 
-def check_settings(time_step_s: float, contact: ContactSettings, solver: SolverSettings) -> None:
+def check_settings(time_step_s: float, contact: AnyContactSettings, solver: SolverSettings) -> None:
     """Look at the ranges of all settings.
 
     Raises:
         SceneError: one is out of its range.
     """
     _check_positive("the scene", time_step_s=time_step_s)
-    _check_positive(
-        "the contact",
-        d_hat_m=contact.d_hat_m,
-        kappa=contact.kappa,
-        kappa_affine=contact.kappa_affine,
-        friction_velocity_m_s=contact.friction_velocity_m_s,
-    )
+    numbers = {field.name: getattr(contact, field.name) for field in fields(contact) if field.type is float}
+    _check_positive("the contact", **numbers)
+    for pair in getattr(contact, "pair_frictions", ()):
+        _check_friction(f"{pair.first} against {pair.second}", pair.coefficient)
     if not 0.0 < contact.ccd_gap_fraction < 1.0:
         raise SceneError(f"ccd_gap_fraction is {contact.ccd_gap_fraction}, expected more than 0 and less than 1.")
     _check_positive(
@@ -74,8 +72,12 @@ def _check_place(name: str, body: GelBody | RigidBody) -> None:
     handedness = (R[0] * (R[1][[1, 2, 0]] * R[2][[2, 0, 1]] - R[1][[2, 0, 1]] * R[2][[1, 2, 0]])).sum()
     if not (np.abs(products - np.eye(3)).max() <= _ROTATION_ERROR and handedness > 0):
         raise SceneError(f"rotation of {name} is {R.tolist()}, expected a rotation matrix of determinant 1.")
-    if not (np.isfinite(body.friction) and body.friction >= 0):
-        raise SceneError(f"friction of {name} is {body.friction}, expected 0 or more.")
+    _check_friction(name, body.friction)
+
+
+def _check_friction(owner: str, coefficient: float) -> None:
+    if not (np.isfinite(coefficient) and coefficient >= 0):
+        raise SceneError(f"friction of {owner} is {coefficient}, expected 0 or more.")
 
 
 def _check_positive(owner: str, **values: float) -> None:

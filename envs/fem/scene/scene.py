@@ -3,15 +3,17 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..contact.memory import ContactMemory, empty_memory, sorted_memory
 from ..contact.overlap import find_overlap
 from ..model.bodies import GelBody, RigidBody
 from ..model.points import point_positions
-from ..model.settings import ContactSettings, SolverSettings
-from ..solver.iterate import IpcStep
+from ..model.settings import AnyContactSettings, ContactSettings, SolverSettings
+from ..solver.iterate import IpcStep, remember_step
 from ..solver.newton import SOLVED, UNSOLVED, UNSTABLE, Counter, Measure, Record, Tolerances, solve_step
 from ..solver.workspace import new_workspace
 from .builder import build_model
@@ -74,12 +76,21 @@ class _Attempt:
     """What an IPC step starts from and goes to, node positions [m] of shape [n, 3], and what was counted so far."""
 
     start: FloatArray
+    memory: ContactMemory
     x_hat: FloatArray
     target: FloatArray
     saddle_escapes: int = 0
     record: Record = field(
         default_factory=lambda: Record(np.zeros(len(Counter), dtype=np.int64), np.zeros(len(Measure)))
     )
+
+
+class SceneState(NamedTuple):
+    """State of a scene: nodes, shapes [n, 3], and what contacts remember."""
+
+    positions_m: FloatArray
+    velocities_m_s: FloatArray
+    memory: ContactMemory
 
 
 class Scene:
@@ -95,7 +106,7 @@ class Scene:
         gels: Sequence[GelBody],
         bodies: Sequence[RigidBody],
         time_step_s: float,
-        contact: ContactSettings | None = None,
+        contact: AnyContactSettings | None = None,
         solver: SolverSettings | None = None,
     ) -> None:
         self._gels = tuple(gels)
@@ -116,6 +127,7 @@ class Scene:
         self._x = self._layout.initial_positions_m()
         self._workspace = new_workspace(self._model.system, len(self._x))
         self._velocity = np.zeros_like(self._x)
+        self._memory = empty_memory()
         self._refuse_overlap()
 
     def step(self, *, driven_targets_m: Sequence[FloatArray]) -> StepReport:
@@ -125,9 +137,11 @@ class Scene:
         """
         start, time_step_s = self._x.copy(), self._model.parameters.time_step_s
         x_hat, target = start + time_step_s * self._velocity, self._target(driven_targets_m)
-        attempt = _Attempt(start=start, x_hat=x_hat, target=target)
+        attempt = _Attempt(start=start, memory=self._memory, x_hat=x_hat, target=target)
         status, parts = self._solve(attempt)
         self._velocity = (self._x - start) / time_step_s
+        if self._model.parameters.remembers_slip:
+            self._memory = sorted_memory(remember_step(self._model, self._x, start, attempt.memory))
         force, torque = self._net_load(self._workspace.system.gradient)
         counts, measures = attempt.record
         return StepReport(
@@ -156,19 +170,20 @@ class Scene:
         weights = self._layout.body_weights[index]
         return np.asarray((weights[:, :, None] * frame[None, :, :]).sum(axis=1))
 
-    def state(self) -> tuple[FloatArray, FloatArray]:
-        """Return copies of all positions [m] and velocities [m/s], shapes [n, 3]; the rest follows from them."""
-        return self._x.copy(), self._velocity.copy()
+    def state(self) -> SceneState:
+        """Return all that what follows depends on."""
+        return SceneState(self._x.copy(), self._velocity.copy(), self._memory)
 
-    def restore(self, state: tuple[FloatArray, FloatArray]) -> None:
+    def restore(self, state: SceneState) -> None:
         """Go back to a state of this scene."""
-        positions_m, velocities_m_s = state
-        self._x[:] = positions_m
-        self._velocity = velocities_m_s.copy()
+        self._x[:] = state.positions_m
+        self._velocity = state.velocities_m_s.copy()
+        self._memory = state.memory
 
     def state_bytes(self) -> bytes:
-        """Return all positions and velocities as little-endian float64, for hashing."""
-        return self._x.astype("<f8").tobytes() + self._velocity.astype("<f8").tobytes()
+        """Return the state as little-endian float64 and int64, for hashing; without memory as if there were none."""
+        numbers = (self._x, self._velocity, self._memory.slip_m)
+        return b"".join(array.astype("<f8").tobytes() for array in numbers) + self._memory.pairs.astype("<i8").tobytes()
 
     def _refuse_overlap(self) -> None:
         surfaces, points = (
@@ -241,7 +256,7 @@ class Scene:
 
     def _solve_to(self, attempt: _Attempt, waypoint: FloatArray, *, escapes_saddle: bool = False) -> int:
         s = self._solver
-        step = IpcStep(attempt.start, attempt.x_hat, waypoint, escapes_saddle)
+        step = IpcStep(attempt.start, attempt.memory, attempt.x_hat, waypoint, escapes_saddle)
         tolerances = Tolerances(s.step_tolerance_m, s.residual_tolerance_n, s.newton_iterations, s.phase_iterations)
         return solve_step(self._model, self._x, step, tolerances, self._workspace, attempt.record)
 

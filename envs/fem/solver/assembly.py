@@ -19,6 +19,7 @@ from ..affine.orthogonality import add_orthogonality
 from ..algebra.rows import any_nonzero
 from ..contact.assembly import PointState, add_contacts
 from ..contact.broad_phase import Candidates
+from ..contact.memory import ContactMemory
 from ..elastic.elasticity import add_elasticity
 from ..model.model import Model
 from ..model.newton_system import NO_MATRIX, NewtonSystem
@@ -41,6 +42,7 @@ class StepStart(NamedTuple):
 
     x_hat: FloatArray  # [n, 3] nodes at the end of the step without forces [m]
     y_start: FloatArray  # [p, 3] points at its start [m]
+    memory: ContactMemory  # of contacts at its start
 
 
 @large_kernel
@@ -60,7 +62,7 @@ def assemble(
     workspace.smallest[1] = add_elasticity(model.elastic, state.x, workspace.batch, system, matrix)
     add_inertia(model, state.x, start.x_hat, system, matrix)
     add_orthogonality(model.affine, model.system.block, state.x, system, matrix)
-    points = PointState(state.y, start.y_start, state.motion)
+    points = PointState(state.y, start.y_start, state.motion, start.memory)
     gap, active = add_contacts(model, candidates, points, workspace.stencil, system, matrix)
     workspace.smallest[0], workspace.active[0] = gap, active
     if matrix != NO_MATRIX:

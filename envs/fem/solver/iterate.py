@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from ...compilation import allocating_kernel, kernel, large_kernel
 from ..algebra.rows import add_rows, copy_rows, scale_rows
 from ..contact.broad_phase import Candidates, find_candidates, relative_motion
+from ..contact.memory import ContactMemory, remember_slips
 from ..model.model import PRESCRIBED, Model
 from ..model.points import point_positions
 from .assembly import State, StepStart
@@ -24,6 +25,7 @@ class IpcStep(NamedTuple):
     """What an IPC step starts from and goes to, node positions [m] of shape [n, 3]."""
 
     x_start: FloatArray
+    memory: ContactMemory  # of contacts at its start
     x_hat: FloatArray
     x_target: FloatArray  # of prescribed nodes
     escapes_saddle: bool  # whether the state at hand is an unstable equilibrium, to be left first
@@ -64,7 +66,7 @@ def new_solve(model: Model, x: FloatArray, step: IpcStep) -> Solve:
     solve = Solve(
         State(x, np.empty((points, 3)), np.zeros(pairs)),
         State(np.empty((nodes, 3)), np.empty((points, 3)), np.zeros(pairs)),
-        StepStart(step.x_hat, np.empty((points, 3))),
+        StepStart(step.x_hat, np.empty((points, 3)), step.memory),
         NewtonStep(
             np.empty(3 * len(model.unknowns.node)),
             np.zeros((nodes, 3)),
@@ -86,6 +88,17 @@ def list_candidates(model: Model, s: Solve) -> Candidates:
     copy_rows(s.iterate.y, s.listing.y)
     s.iterate.motion[:] = 0.0
     return find_candidates(model.surfaces, s.iterate.y, s.listing.reach)
+
+
+@allocating_kernel
+def remember_step(model: Model, x: FloatArray, x_start: FloatArray, before: ContactMemory) -> ContactMemory:
+    """Return what contacts remember after a step from x_start to x [m] of shape [n, 3], in no order."""
+    parameters, points = model.parameters, len(model.points.node_count)
+    y, y_start = np.empty((points, 3)), np.empty((points, 3))
+    point_positions(model.points, x, y)
+    point_positions(model.points, x_start, y_start)
+    near = find_candidates(model.surfaces, y, np.full(len(model.surfaces.pairs), parameters.d_hat_m))
+    return remember_slips(near, y, y_start, before, parameters.d_hat_m, parameters.slip_scale_m)
 
 
 @large_kernel

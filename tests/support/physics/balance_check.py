@@ -59,6 +59,7 @@ class BalanceCheck:
         """Take the present state as the start of the next IPC step."""
         time_step_s = self._scene._model.parameters.time_step_s
         self._probe.start_m = self._scene._x.copy()
+        self._probe.memory = self._scene._memory
         self._probe.x_hat_m = self._scene._x + time_step_s * self._scene._velocity
 
     def balance(self) -> Balance:

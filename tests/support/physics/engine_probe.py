@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from vitac.envs.fem.contact.broad_phase import Candidates, find_candidates, relative_motion
+from vitac.envs.fem.contact.memory import ContactMemory
 from vitac.envs.fem.linear.system import GEL_STRIDE, NO_PLACE, SystemLayout, block_place, gel_block_place
 from vitac.envs.fem.model.model import PRESCRIBED, Model
 from vitac.envs.fem.model.newton_system import EXACT_MATRIX, PROJECTED_MATRIX
@@ -44,6 +45,7 @@ class Probe:
         self.x_m: FloatArray = scene._x.copy()
         self.start_m = self.x_m.copy() if start_m is None else start_m
         self.x_hat_m = self.start_m.copy()
+        self.memory: ContactMemory = scene._memory
         self.unknown_nodes: IndexArray = self.model.unknowns.node
         self.prescribed_nodes: IndexArray = np.flatnonzero(self.model.unknowns.slot == PRESCRIBED)
         self._workspace: Workspace = new_workspace(self.model.system, len(self.x_m))
@@ -79,7 +81,7 @@ class Probe:
         matrix = PROJECTED_MATRIX if projected else EXACT_MATRIX
         w = self._workspace
         w.system.prescribed_move[:] = move
-        assemble(self.model, near, State(x_m, y, motion), StepStart(self.x_hat_m, y_start), w, matrix)
+        assemble(self.model, near, State(x_m, y, motion), StepStart(self.x_hat_m, y_start, self.memory), w, matrix)
         return Assembled(
             forces_n=w.system.gradient[self.unknown_nodes].ravel().copy(),
             all_forces_n=w.system.gradient.copy(),

@@ -5,7 +5,7 @@ from block_meshes import box_gel, box_surface
 from numpy.typing import NDArray
 from vitac.envs.fem.model.bodies import GelBody, RigidBody
 from vitac.envs.fem.model.mesh import GelMesh
-from vitac.envs.fem.model.settings import ContactSettings, SolverSettings
+from vitac.envs.fem.model.settings import AnyContactSettings, ArenaContactSettings, PairFriction, SolverSettings
 from vitac.envs.fem.scene.scene import Scene, StepReport
 
 FloatArray = NDArray[np.float64]
@@ -19,6 +19,13 @@ def driven_positions_m(gel: GelBody) -> FloatArray:
     return mesh.rest_position_m[mesh.driven_nodes] @ gel.rotation.T + gel.translation_m
 
 
+def arena_contact(friction: float) -> ArenaContactSettings:
+    """The contact model arena-1 with one friction coefficient for all pairs of materials."""
+    pairs = (("gel", "part"), ("part", "part"), ("gel", "gel"))
+    frictions = tuple(PairFriction(first=first, second=second, coefficient=friction) for first, second in pairs)
+    return ArenaContactSettings(pair_frictions=frictions)
+
+
 class Grip:
     """A box of 20 x 20 x 10 mm between two gel blocks, one below and one above, that a test moves about."""
 
@@ -30,8 +37,9 @@ class Grip:
         cells: tuple[int, int, int] = (3, 3, 2),
         gel: GelMesh | None = None,
         solver: SolverSettings | None = None,
-        contact: ContactSettings | None = None,
+        contact: AnyContactSettings | None = None,
         gap_m: float = 5e-5,
+        time_step_s: float = 0.1,
     ) -> None:
         mesh = gel or box_gel((0.012, 0.011, 0.004), cells)
         thickness = float(mesh.rest_position_m[:, 2].max())
@@ -48,7 +56,7 @@ class Grip:
             translation_m=np.zeros(3),
             friction=friction if box_friction is None else box_friction,
         )
-        self.scene = Scene(gels=self.gels, bodies=[self.body], time_step_s=0.1, contact=contact, solver=solver)
+        self.scene = Scene(gels=self.gels, bodies=[self.body], time_step_s=time_step_s, contact=contact, solver=solver)
         self.targets_m = [driven_positions_m(gel) for gel in self.gels]
 
     def move(self, lower_m: FloatArray, upper_m: FloatArray) -> StepReport:

@@ -1,0 +1,55 @@
+"""Tasks under a contact model chosen by name."""
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+import vitac.envs
+from vitac.envs.fem.model.settings import ContactModel
+from vitac.envs.scene.grasped_scene import PhysicsSettings
+from vitac.envs.tasks.settings import SettingsError
+
+ENV_IDS = sorted(vitac.envs.ENVIRONMENTS)
+
+
+def made(env_id: str, **arguments: Any) -> Any:
+    return gymnasium.make(env_id, disable_env_checker=True, **arguments).unwrapped
+
+
+@pytest.mark.parametrize("env_id", ENV_IDS)
+def test_the_challenge_model_is_the_default_and_the_mesh_hash_tells_models_apart(env_id: str) -> None:
+    default, named, ours = (made(env_id, **kind).mesh_hash() for kind in ({}, *map(_named, ContactModel)))
+    assert default == named != ours
+
+
+def _named(model: ContactModel) -> dict[str, str]:
+    return {"contact_model": str(model)}
+
+
+def test_unknown_model_is_refused_by_name() -> None:
+    with pytest.raises(SettingsError, match="'contact_model' is 'coulomb', expected one of challenge-2025, arena-1"):
+        made("ViTac/PegInsertion-v1", contact_model="coulomb")
+
+
+def test_model_that_contradicts_the_physics_is_refused() -> None:
+    ours = made("ViTac/PegInsertion-v1", contact_model="arena-1").settings.physics
+    with pytest.raises(SettingsError, match="'physics' was given with arena-1"):
+        made("ViTac/PegInsertion-v1", contact_model="challenge-2025", physics=ours)
+    assert made("ViTac/PegInsertion-v1", contact_model="arena-1", physics=ours).settings.physics is ours
+    assert PhysicsSettings().contact.model == "challenge-2025"
+
+
+@pytest.mark.parametrize("env_id", ENV_IDS)
+def test_episode_under_our_model_is_solved_and_continues_from_a_snapshot_to_the_same_bits(env_id: str) -> None:
+    env = made(env_id, contact_model="arena-1")
+    env.reset(seed=3)
+    action = np.full(env.action_space.shape, 0.5, dtype=np.float32)
+    env.step(action)
+    snapshot, hashes = env.snapshot(), []
+    for _ in range(2):
+        env.restore(snapshot)
+        env.step(-action)
+        hashes.append(env.state_hash())
+    assert env.scene.solved
+    assert hashes[0] == hashes[1]
