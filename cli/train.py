@@ -107,7 +107,7 @@ def reference(
 ) -> None:
     """Train as the challenge did, or go on: PointNet and TD3 as published; needs the extra `training`."""
     _one_thread()
-    from vitac.training.reference.method import train_reference
+    from vitac.training.reference.td3 import train_reference
 
     with _going_on_later(out):
         submission = train_reference(task, out, env_steps=env_steps, seed=seed, tell=_tell)

@@ -1,19 +1,20 @@
 """Writes the learning curve of the challenge's own method as a table, and how much CPU time the whole training takes.
 
-PYTHONPATH=benchmarks python benchmarks/policies/learning_curve.py RUN [--task peg-insertion] [--note TEXT]
+PYTHONPATH=benchmarks python benchmarks/policies/learning_curve.py RUN [--note TEXT]
                                                              [--out benchmarks/td3_curve.md]
 
-RUN is the folder of `vitac train reference`, also while it goes on or after it was stopped.
+RUN is the folder of `vitac train reference`, also of a training that still runs or was stopped.
 """
 
 import argparse
 import csv
+import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-
-from vitac.training.reference.hyperparameters import HYPERPARAMETERS
+from typing import Any
 
 Row = Mapping[str, str]
+Recipe = Mapping[str, Any]
 
 LINES = 20
 """About so many lines have the curve."""
@@ -34,31 +35,31 @@ def main() -> None:
     """Read the log and write the table."""
     parser = argparse.ArgumentParser(description="learning curve of the challenge's own method")
     parser.add_argument("run", type=Path, help="folder of the training")
-    parser.add_argument("--task", default="peg-insertion", choices=sorted(HYPERPARAMETERS))
     parser.add_argument("--note", default="", help="what else is to be said, such as how busy the machine was")
     parser.add_argument("--out", type=Path, default=Path(__file__).parents[1] / "td3_curve.md")
     chosen = parser.parse_args()
     with (chosen.run / "progress.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     if not of_episodes(rows):
-        parser.error(f"{chosen.run} has no finished episodes yet; try again when it has gone on for some minutes.")
-    chosen.out.write_text(table(rows, chosen.task, chosen.note))
+        parser.error(f"{chosen.run} has no finished episodes yet; try again after some minutes.")
+    recipe = json.loads((chosen.run / "run.json").read_text())["recipe"]
+    chosen.out.write_text(table(rows, recipe, chosen.note))
 
 
-def table(rows: Sequence[Row], task: str, note: str) -> str:
+def table(rows: Sequence[Row], recipe: Recipe, note: str) -> str:
     """Return the curve by the rows of a log, one of them of episodes at least, and the time that the rest takes."""
     timed = of_episodes(rows)
     kept = timed[:: max(1, len(timed) // LINES)]
     if kept[-1] is not timed[-1]:
         kept.append(timed[-1])
     evaluated = [(int(row[STEPS]), float(row[EVALUATED])) for row in rows if row.get(EVALUATED)]
-    played = HYPERPARAMETERS[task].evaluation_episodes
-    text, before = HEAD.format(task=task, note=note).replace(" \n", "\n"), 0
+    played = recipe["evaluation_episodes"]
+    text, before = HEAD.format(task=recipe["task"], note=note).replace(" \n", "\n"), 0
     for row in kept:
         done = int(row[STEPS])
         text += line(row, [round(rate * played) for steps, rate in evaluated if before < steps <= done], played)
         before = done
-    return f"{text}\n{projection(timed, task)}\n"
+    return f"{text}\n{projection(timed, recipe)}\n"
 
 
 def of_episodes(rows: Sequence[Row]) -> list[Row]:
@@ -79,17 +80,16 @@ def percent(rate: str | None) -> str:
     return f"{100 * float(rate):.0f}" if rate else ""
 
 
-def projection(timed: Sequence[Row], task: str) -> str:
+def projection(timed: Sequence[Row], recipe: Recipe) -> str:
     """Return how far the training got, and what the rest takes by what each env step took since the gradients began."""
-    chosen = HYPERPARAMETERS[task]
-    learning = [row for row in timed if int(row[STEPS]) >= chosen.learning_starts]
+    learning = [row for row in timed if int(row[STEPS]) >= recipe["learning_starts"]]
     done, cpu_s = int(timed[-1][STEPS]), float(timed[-1][CPU_S])
-    found = f"{done:,} of {chosen.env_steps:,} env steps took {cpu_s / 60:.0f} minutes of CPU time."
+    found = f"{done:,} of {recipe['env_steps']:,} env steps took {cpu_s / 60:.0f} minutes of CPU time."
     steps = done - int(learning[0][STEPS]) if learning else 0
     if not steps:
         return f"{found} There was no gradient step yet that tells what the rest takes."
     step_s = (cpu_s - float(learning[0][CPU_S])) / steps
-    left_h = step_s * (chosen.env_steps - done) / 3600
+    left_h = step_s * (recipe["env_steps"] - done) / 3600
     return (
         f"{found} At {step_s:.3f} s an env step since the gradients began, evaluations included, the rest takes "
         f"{left_h:.1f} hours of one core."

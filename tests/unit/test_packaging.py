@@ -40,7 +40,7 @@ URL_HOSTS = {
 RESERVED_HOST = re.compile(r"\w+|(.*\.)?(example|test|invalid)(\.(com|org|net))?|127(\.\d+){3}|\[::1\]|0\.0\.0\.0")
 
 
-NEED_TORCH = [f"vitac.training.reference.{name}" for name in ("gradients", "policy", "state", "td3")]
+NEED_TORCH = [f"vitac.training.reference.{name}" for name in ("policy", "td3")]
 
 
 @pytest.fixture(scope="module")

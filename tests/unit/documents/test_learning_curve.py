@@ -1,6 +1,7 @@
 """The learning curve of the challenge's own method: what its table says of a log."""
 
 import csv
+import json
 import sys
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from policies.learning_curve import (
     table,
 )
 
+RECIPE = {"task": "peg-insertion", "env_steps": 400_000, "learning_starts": 1000, "evaluation_episodes": 50}
 EMPTY = dict.fromkeys((STEPS, CPU_S, REWARD, SUCCESS, EVALUATED), "")
 
 
@@ -38,19 +40,19 @@ def test_lines_tell_rewards_and_evaluations() -> None:
 
 def test_rest_is_told_by_the_cpu_time_of_an_env_step_since_the_gradients_began() -> None:
     timed = [row(500, 10), row(1000, 20), row(2000, 920)]
-    assert projection(timed, "peg-insertion") == (
+    assert projection(timed, RECIPE) == (
         "2,000 of 400,000 env steps took 15 minutes of CPU time. "
         "At 0.900 s an env step since the gradients began, evaluations included, the rest takes 99.5 hours of one core."
     )
     for early in (timed[:1], timed[:2]):
-        assert "no gradient step yet" in projection(early, "peg-insertion")
+        assert "no gradient step yet" in projection(early, RECIPE)
 
 
 def test_long_logs_are_thinned_and_their_evaluations_added_up() -> None:
     rows = [row(40 * number, 30 * number) for number in range(1, 106)]
     rows[50:50] = [evaluation(2000, 0.02), evaluation(2001, 0.3)]
     rows.append(evaluation(4201, 0.5))
-    text = table(rows, "peg-insertion", "On an idle machine.")
+    text = table(rows, RECIPE, "On an idle machine.")
     assert text.startswith(HEAD.format(task="peg-insertion", note="On an idle machine."))
     lines = [each for each in text.splitlines() if each.startswith("| ") and each[2].isdigit()]
     assert len(lines) == 22
@@ -65,6 +67,7 @@ def test_a_log_in_which_nothing_is_timed_yet_is_refused_by_name(
 ) -> None:
     out = tmp_path / "curve.md"
     monkeypatch.setattr(sys, "argv", ["learning_curve.py", str(tmp_path), "--out", str(out)])
+    (tmp_path / "run.json").write_text(json.dumps({"recipe": RECIPE}))
     (tmp_path / "progress.csv").write_text(f"{STEPS},{CPU_S},{EVALUATED}\n" + "".join("0,1510.0,0.0\n" for _ in rows))
     with pytest.raises(SystemExit) as caught:
         main()
