@@ -18,7 +18,7 @@ def test_healthy_and_ready_service_says_so_without_workers(service: Service) -> 
 
 def test_schema_of_another_version_makes_the_service_unready(service: Service) -> None:
     with service.database.transaction() as session:
-        session.execute(text("UPDATE alembic_version SET version_num = '0001'"))
+        session.execute(text("UPDATE alembic_version SET version_num = '0000'"))
     answer = service.client.get("/ready")
     assert (answer.status_code, answer.json()["database"]) == (503, "ok")
     assert "not the one of this version" in answer.json()["migrations"]

@@ -12,7 +12,7 @@ from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.db.states import EvaluationState
 from vitac.server.errors import TRACK_REMOVED
 from vitac.server.views.evaluations import DifferingEpisodeView, EvaluationView
-from vitac.web.pages.submissions.submissions import submissions
+from vitac.web.pages.submissions import submissions
 from vitac.web.plots.map import EpisodeMap, episode_map
 
 VERIFIED = a_log(EvaluationState.COMPLETED, VerificationResult.VERIFIED, reason="all states are equal")
